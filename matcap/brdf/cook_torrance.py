@@ -1,0 +1,115 @@
+"""The Cook-Torrance microfacet reflectance matcap uses everywhere.
+
+f = diffuse / pi + D G F / (4 (n.l)(n.v)), with GGX for D (Walter et al. 2007, eq. 33), the
+height-correlated Smith G (Heitz 2014, eq. 99) and Schlick's Fresnel from F0 to 1 (1994, eq. 15);
+alpha = roughness squared. Multiple scattering between microfacets is left out here.
+
+Two forms matter for stability in float32:
+
+- D's denominator 1 - (n.h)^2 (1 - alpha^2) cancels near n.h = 1 for small alpha; it is computed as
+  |n x h|^2 + (n.h)^2 alpha^2, two sums of non-negative terms.
+- G / (4 (n.l)(n.v)) is computed as one term (Heitz 2014), so nothing divides by a grazing cosine.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+# Roughness below this shows as this: alpha = 1e-6, whose square and whose peak D = 1 / (pi
+# alpha^2) both stay far inside float32, and which no photograph or picture can tell from 0.
+MIN_ROUGHNESS = 1e-3
+
+# Smallest denominator of the visibility term, reached only when both cosines are grazing.
+_TINY = 1e-7
+
+
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """(..., 1, H, W): scalar product along the channel dimension of (..., 3, H, W) vectors."""
+    return (a * b).sum(dim=-3, keepdim=True)
+
+
+def normalize(vector: Tensor) -> Tensor:
+    """(..., 3, H, W) of unit length; a zero vector stays zero, with a zero gradient."""
+    squared = dot(vector, vector)
+    safe = torch.where(squared > 0, squared, torch.ones_like(squared))
+    return vector * torch.where(squared > 0, torch.rsqrt(safe), torch.zeros_like(squared))
+
+
+def ggx(n_dot_h: Tensor, n_cross_h_squared: Tensor, alpha: Tensor) -> Tensor:
+    """GGX distribution of normals (Walter et al. 2007, eq. 33), in 1/sr.
+
+    Args:
+        n_dot_h: cosine between normal and half vector.
+        n_cross_h_squared: |n x h|^2, the squared sine, computed without cancellation.
+        alpha: roughness squared, positive.
+    """
+    alpha_squared = alpha.square()
+    spread = n_cross_h_squared + n_dot_h.square() * alpha_squared
+    # (alpha / spread)^2 rather than alpha^2 / spread^2: the latter underflows first.
+    return (alpha / spread).square() / math.pi
+
+
+def smith_visibility(n_dot_l: Tensor, n_dot_v: Tensor, alpha: Tensor) -> Tensor:
+    """G / (4 (n.l)(n.v)) for the height-correlated Smith G (Heitz 2014, eq. 99)."""
+    alpha_squared = alpha.square()
+    rest = 1.0 - alpha_squared
+    towards_view = n_dot_l * torch.sqrt(n_dot_v.square() * rest + alpha_squared)
+    towards_light = n_dot_v * torch.sqrt(n_dot_l.square() * rest + alpha_squared)
+    return 0.5 / (towards_view + towards_light).clamp_min(_TINY)
+
+
+def schlick(specular: Tensor, l_dot_h: Tensor) -> Tensor:
+    """Fresnel reflectance from F0 = specular to 1 at grazing (Schlick 1994, eq. 15)."""
+    one_minus = (1.0 - l_dot_h).clamp(0.0, 1.0)
+    squared = one_minus.square()
+    return specular + (1.0 - specular) * squared.square() * one_minus
+
+
+def specular_lobe(
+    specular: Tensor, roughness: Tensor, normal: Tensor, to_light: Tensor, to_view: Tensor
+) -> Tensor:
+    """D G F / (4 (n.l)(n.v)) in 1/sr, (..., 1, H, W); 0 where light or view is below the surface.
+
+    Args:
+        specular: (..., 1, H, W) F0 in [0, 1].
+        roughness: (..., 1, H, W) in [0, 1]; below MIN_ROUGHNESS it counts as MIN_ROUGHNESS.
+        normal, to_light, to_view: (..., 3, H, W) unit vectors.
+    """
+    half = normalize(to_light + to_view)
+    n_dot_l = dot(normal, to_light)
+    n_dot_v = dot(normal, to_view)
+    above = (n_dot_l > 0) & (n_dot_v > 0)
+    n_cross_h = torch.linalg.cross(*torch.broadcast_tensors(normal, half), dim=-3)
+    alpha = roughness.clamp_min(MIN_ROUGHNESS).square()
+    value = (
+        ggx(dot(normal, half), dot(n_cross_h, n_cross_h), alpha)
+        * smith_visibility(n_dot_l.clamp_min(0.0), n_dot_v.clamp_min(0.0), alpha)
+        * schlick(specular, dot(to_light, half))
+    )
+    return torch.where(above, value, torch.zeros_like(value))
+
+
+def cook_torrance(
+    diffuse: Tensor,
+    specular: Tensor,
+    roughness: Tensor,
+    normal: Tensor,
+    to_light: Tensor,
+    to_view: Tensor,
+) -> Tensor:
+    """Reflectance f in 1/sr, (..., 3, H, W); 0 where light or view is below the surface.
+
+    Args:
+        diffuse: (..., 3, H, W) diffuse albedo, linear, in [0, 1].
+        specular: (..., 1, H, W) F0 in [0, 1].
+        roughness: (..., 1, H, W) in [0, 1].
+        normal, to_light, to_view: (..., 3, H, W) unit vectors.
+    """
+    above = (dot(normal, to_light) > 0) & (dot(normal, to_view) > 0)
+    lambert = diffuse / math.pi
+    return torch.where(above, lambert, torch.zeros_like(lambert)) + specular_lobe(
+        specular, roughness, normal, to_light, to_view
+    )

@@ -1,0 +1,86 @@
+"""MapSet: the spatially varying reflectance that matcap produces (DESIGN, section 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.brdf.normals import normals_from_height
+
+# Order and channel counts of the stored maps; the normal is derived from the height.
+CHANNELS: dict[str, int] = {"diffuse": 3, "specular": 1, "roughness": 1, "height": 1}
+MAP_NAMES: tuple[str, ...] = (*CHANNELS, "normal")
+
+
+@dataclass(frozen=True)
+class MapSet:
+    """Maps of one rectangle of material, channels first, row 0 at the top (largest y).
+
+    Attributes:
+        diffuse: (3, H, W) diffuse albedo, linear Rec.709, in [0, 1].
+        specular: (1, H, W) specular albedo F0, in [0, 1].
+        roughness: (1, H, W) perceptual roughness in [0, 1]; alpha is its square.
+        height: (1, H, W) in plane units (half the photograph's long side).
+        texel_size: a texel's side in plane units.
+        periodic: the right border continues at the left one and the bottom at the top one.
+
+    Leading batch dimensions are allowed; all four maps share them.
+    """
+
+    diffuse: Tensor
+    specular: Tensor
+    roughness: Tensor
+    height: Tensor
+    texel_size: float
+    periodic: bool = False
+
+    def __post_init__(self) -> None:
+        shape = self.height.shape
+        for name, channels in CHANNELS.items():
+            found = getattr(self, name).shape
+            if len(found) < 3 or found[-3] != channels or found[-2:] != shape[-2:]:
+                raise ValueError(
+                    f"{name} has shape {tuple(found)}; expected (..., {channels}, "
+                    f"{shape[-2]}, {shape[-1]})"
+                )
+
+    @property
+    def normal(self) -> Tensor:
+        """(3, H, W) unit normals derived from the height, +Y up (OpenGL)."""
+        return normals_from_height(self.height, self.texel_size, periodic=self.periodic)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in texels."""
+        return self.height.shape[-1], self.height.shape[-2]
+
+    def stacked(self) -> Tensor:
+        """(..., 6, H, W): diffuse, specular, roughness, height."""
+        return torch.cat([self.diffuse, self.specular, self.roughness, self.height], dim=-3)
+
+    @staticmethod
+    def from_stacked(stacked: Tensor, texel_size: float, *, periodic: bool = False) -> MapSet:
+        """The inverse of stacked()."""
+        diffuse, specular, roughness, height = stacked.split(list(CHANNELS.values()), dim=-3)
+        return MapSet(diffuse, specular, roughness, height, texel_size, periodic)
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> MapSet:
+        """The same set with `change` applied to each stored map (a dtype, a device, a crop)."""
+        return MapSet(
+            change(self.diffuse),
+            change(self.specular),
+            change(self.roughness),
+            change(self.height),
+            self.texel_size,
+            self.periodic,
+        )
+
+    def crop(self, x: int, y: int, width: int, height: int) -> MapSet:
+        """The rectangle whose left top texel is (x, y), rows counted from the top."""
+        cut = self.map(lambda m: m[..., y : y + height, x : x + width])
+        return MapSet(
+            cut.diffuse, cut.specular, cut.roughness, cut.height, self.texel_size, periodic=False
+        )

@@ -1,0 +1,46 @@
+"""Normals of a height field by central differences (DESIGN, section 2)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def normals_from_height(height: Tensor, texel_size: float, *, periodic: bool = False) -> Tensor:
+    """Unit normals of a height field.
+
+    Args:
+        height: (..., 1, H, W), in plane units. Row 0 is the top of the picture (largest y).
+        texel_size: a texel's side in plane units, so that slopes are physical.
+        periodic: wrap around the borders; otherwise the border uses one-sided differences.
+
+    Returns:
+        (..., 3, H, W) unit normals, +x right, +y up, +z towards the camera.
+    """
+    if periodic:
+        right, left = torch.roll(height, -1, -1), torch.roll(height, 1, -1)
+        below, above = torch.roll(height, -1, -2), torch.roll(height, 1, -2)
+        dh_dx = (right - left) / (2.0 * texel_size)
+        dh_dy = (above - below) / (2.0 * texel_size)
+    else:
+        dh_dx = _one_sided_at_borders(height, -1) / texel_size
+        # Rows run downwards, y runs upwards.
+        dh_dy = -_one_sided_at_borders(height, -2) / texel_size
+    return normals_from_slopes(dh_dx, dh_dy)
+
+
+def normals_from_slopes(dh_dx: Tensor, dh_dy: Tensor) -> Tensor:
+    """(..., 3, H, W) unit normals of a surface with slopes (..., 1, H, W) along x and y."""
+    inverse_length = torch.rsqrt(1.0 + dh_dx.square() + dh_dy.square())
+    return torch.cat([-dh_dx * inverse_length, -dh_dy * inverse_length, inverse_length], dim=-3)
+
+
+def _one_sided_at_borders(field: Tensor, dim: int) -> Tensor:
+    """Differences per texel along dim: central inside, one-sided at both ends."""
+    size = field.shape[dim]
+    if size == 1:
+        return torch.zeros_like(field)
+    inner = (field.narrow(dim, 2, size - 2) - field.narrow(dim, 0, size - 2)) / 2.0
+    first = field.narrow(dim, 1, 1) - field.narrow(dim, 0, 1)
+    last = field.narrow(dim, size - 1, 1) - field.narrow(dim, size - 2, 1)
+    return torch.cat([first, inner, last], dim=dim)

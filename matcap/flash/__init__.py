@@ -1,0 +1,1 @@
+"""What a flash photograph of a flat material looks like: its geometry and its rendering."""

@@ -1,0 +1,118 @@
+"""Where camera, flash and plane are when a flash photograph is taken (DESIGN, section 2).
+
+Two frames share the origin, the point of the plane on the optical axis:
+
+- the *camera frame*: camera at (0, 0, d) looking down -z, x right, y up; d = 1 / tan(fov / 2);
+- the *plane frame*: the plane is z = 0. A point p of it stands at R p in the camera frame,
+  R = Ry(tilt_y) Rx(tilt_x), right-handed. Positive tilt_x turns the plane's upper edge towards
+  the camera, positive tilt_y its left edge.
+
+Maps live in the plane frame, so a tilted photograph is rectified before it is compared with them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class FlashSetup:
+    """Camera and flash of one photograph.
+
+    Attributes:
+        fov: field of view across the long side, in degrees.
+        offset: the flash's place relative to the camera, in plane units, camera frame.
+        tilt: (tilt_x, tilt_y) in radians.
+        intensity: radiant intensity of the flash, per colour channel; scales the whole picture.
+        vignetting: share of light lost in the corners of the picture (r = 1.25), growing with
+            r^2: what lens and tone mapping leave of the falloff. May be negative.
+    """
+
+    fov: float = 45.0
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tilt: tuple[float, float] = (0.0, 0.0)
+    intensity: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    vignetting: float = 0.0
+
+    @property
+    def distance(self) -> float:
+        """d, from the camera to the origin, in plane units."""
+        return 1.0 / math.tan(math.radians(self.fov) / 2.0)
+
+    def with_intensity(self, intensity: tuple[float, float, float]) -> FlashSetup:
+        """The same setup with another flash."""
+        return replace(self, intensity=intensity)
+
+
+def rotation(tilt_x: Tensor, tilt_y: Tensor) -> Tensor:
+    """(3, 3) R = Ry(tilt_y) Rx(tilt_x), plane frame to camera frame; angles in radians."""
+    cx, sx, cy, sy = tilt_x.cos(), tilt_x.sin(), tilt_y.cos(), tilt_y.sin()
+    zero = torch.zeros_like(cx)
+    return torch.stack(
+        [
+            torch.stack([cy, sy * sx, sy * cx]),
+            torch.stack([zero, cx, -sx]),
+            torch.stack([-sy, cy * sx, cy * cx]),
+        ]
+    )
+
+
+def setup_rotation(setup: FlashSetup, dtype: torch.dtype = torch.float64) -> Tensor:
+    """(3, 3) R of a setup."""
+    return rotation(
+        torch.tensor(setup.tilt[0], dtype=dtype), torch.tensor(setup.tilt[1], dtype=dtype)
+    )
+
+
+def camera_in_plane(setup: FlashSetup) -> tuple[Tensor, Tensor]:
+    """Places of camera and flash in the plane frame, two float64 (3,) tensors."""
+    turn = setup_rotation(setup)
+    camera = torch.tensor([0.0, 0.0, setup.distance], dtype=torch.float64)
+    light = camera + torch.tensor(setup.offset, dtype=torch.float64)
+    return turn.T @ camera, turn.T @ light
+
+
+def plane_points(
+    x: int, y: int, width: int, height: int, extent: tuple[int, int], *, dtype: torch.dtype
+) -> Tensor:
+    """(3, height, width) plane points of a rectangle of texels of a picture-sized grid.
+
+    The grid has `extent` = (W, H) texels, W along x in [-1, 1]; texel (0, 0) is the left top one
+    and its centre lies half a texel inside. The rectangle may reach outside the grid.
+    """
+    grid_width, grid_height = extent
+    texel = 2.0 / grid_width
+    xs = (torch.arange(x, x + width, dtype=dtype) + 0.5 - grid_width / 2.0) * texel
+    ys = (grid_height / 2.0 - torch.arange(y, y + height, dtype=dtype) - 0.5) * texel
+    return torch.stack(
+        [
+            xs.expand(height, width),
+            ys[:, None].expand(height, width),
+            torch.zeros(height, width, dtype=dtype),
+        ]
+    )
+
+
+def project(points: Tensor, setup: FlashSetup) -> Tensor:
+    """(2, ...) image coordinates (u right, v up; long side in [-1, 1]) of (3, ...) plane points."""
+    turn = setup_rotation(setup, points.dtype)
+    in_camera = torch.tensordot(turn, points, dims=1)
+    distance = setup.distance
+    return in_camera[:2] * (distance / (distance - in_camera[2]))
+
+
+def unproject(image: Tensor, setup: FlashSetup) -> Tensor:
+    """(3, ...) plane points seen at (2, ...) image coordinates; the inverse of project()."""
+    turn = setup_rotation(setup, image.dtype)
+    distance = setup.distance
+    normal = turn[:, 2]
+    ray = torch.cat([image, torch.full_like(image[:1], -distance)])
+    # n . (camera + t ray) = 0, the plane passing through the origin.
+    along = -(normal[2] * distance) / torch.tensordot(normal, ray, dims=1)
+    point = along * ray
+    point = torch.cat([point[:2], point[2:] + distance])
+    return torch.tensordot(turn.T, point, dims=1)

@@ -1,0 +1,47 @@
+"""Photo: what the rest of matcap sees of a photograph file (DESIGN, sections 2 and 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+DEFAULT_FOV = 45.0  # degrees across the long side, where the file does not say (the paper's)
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A scene-linear, white-balanced photograph, long side along x.
+
+    Attributes:
+        pixels: (H, W, 3) float32, W >= H, linear Rec.709, finite, >= 0; the file clips at 1.0.
+        clipped: (H, W) bool, True where any channel reached the clip level: a lower bound only.
+        fov: field of view across the long side, degrees.
+        fov_source: "exif", "assumed" or "given".
+        radiometric: True only when the numbers are proportional to light (RAW).
+        name: the file's name without folder.
+        original_size: (width, height) of the file's picture after orientation, before resizing.
+        turned: a portrait picture, turned a quarter turn anticlockwise so that its long side
+            lies along x.
+        flash_fired: what the file says, or None.
+        gain_map_applied: a DNG lens-shading map was found and applied.
+        notes: plain sentences for the report (profile converted, gain map present, ...).
+    """
+
+    pixels: NDArray[np.float32]
+    clipped: NDArray[np.bool_]
+    fov: float
+    fov_source: str
+    radiometric: bool
+    name: str
+    original_size: tuple[int, int]
+    turned: bool = False
+    flash_fired: bool | None = None
+    gain_map_applied: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def clipped_share(self) -> float:
+        """Share of pixels at the clip level."""
+        return float(self.clipped.mean())
