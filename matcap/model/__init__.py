@@ -1,0 +1,1 @@
+"""The network: noise, decoder, encoder, freezing, and the material file."""

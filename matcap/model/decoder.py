@@ -1,0 +1,216 @@
+"""The decoder: a U-Net that turns an infinite random field into maps (paper, section 4.2).
+
+Noise enters at full resolution, is halved by max-pooling four times and doubled back by bilinear
+upsampling with skip connections. Every convolution is followed by AdaIN (Huang and Belongie
+2017), whose mean and deviation are affine in the 64-D code; also the last one, so the code states
+each map's mean and contrast outright. AdaIN's own statistics come either from the rectangle at
+hand (training) or from a large reference field (frozen; see freeze.py).
+
+Nothing here invents data at a border: a rectangle is decoded either as a torus (`periodic=True`,
+a field that repeats with the rectangle) or with a halo of true noise, whose border is cut off by
+the caller (synth/field.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from matcap.brdf.maps import MapSet
+
+CODE_SIZE = 64
+OUTPUTS = 6  # diffuse (3), specular, roughness, height
+DEPTH = 4  # poolings; rectangles are multiples of 2^DEPTH
+ALIGNMENT = 2**DEPTH
+MAX_WAVES = 2
+_EPSILON = 1e-5  # of a variance: keeps a constant feature finite
+
+
+@dataclass(frozen=True)
+class DecoderConfig:
+    """What shape a decoder has.
+
+    Attributes:
+        noise_channels: channels of uniform noise read at full resolution.
+        widths: feature channels per level, full resolution first; DEPTH + 1 of them.
+        convolutions: 3 x 3 convolutions per block; the paper's form has two.
+    """
+
+    noise_channels: int = 8
+    widths: tuple[int, ...] = (16, 32, 64, 64, 64)
+    convolutions: int = 1
+
+    @property
+    def input_channels(self) -> int:
+        """Noise and waves together; a material without waves feeds zeros."""
+        return self.noise_channels + 2 * MAX_WAVES
+
+
+# The paper's decoder: 2.8 million parameters at width 32.
+PAPER_CONFIG = DecoderConfig(noise_channels=6, widths=(32, 64, 128, 128, 128), convolutions=2)
+
+Moments = tuple[Tensor, Tensor]  # mean and deviation, (channels,) each
+
+
+class AdaIN(nn.Module):
+    """Adaptive instance normalisation: the code states each channel's mean and deviation."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.affine = nn.Linear(CODE_SIZE, 2 * channels)
+        nn.init.normal_(self.affine.weight, std=0.05)
+        nn.init.zeros_(self.affine.bias)
+        self.affine.bias.data[channels:] = 1.0
+
+    def target(self, code: Tensor) -> Moments:
+        """Mean and deviation that a code (CODE_SIZE,) or (B, CODE_SIZE) asks for."""
+        mean, deviation = self.affine(code).chunk(2, dim=-1)
+        return mean, deviation
+
+    def forward(self, features: Tensor, code: Tensor, moments: Moments | None) -> Tensor:
+        """Normalise (B, C, H, W) by `moments`, or by its own, and move it to the code's.
+
+        A code (CODE_SIZE,) is one material, whose batch shares its moments; a code (B, CODE_SIZE)
+        is B materials, each with its own.
+        """
+        mean, deviation = moments if moments is not None else measure(features, code.ndim == 2)
+        wanted_mean, wanted_deviation = self.target(code)
+        scale = wanted_deviation / deviation
+        shift = wanted_mean - mean * scale
+        return features * _spread(scale).to(features) + _spread(shift).to(features)
+
+
+def measure(features: Tensor, per_sample: bool = False) -> Moments:
+    """Mean and deviation per channel of (B, C, H, W), in float32: (C,), or (B, C) per sample."""
+    dims = (2, 3) if per_sample else (0, 2, 3)
+    variance, mean = torch.var_mean(features.float(), dim=dims, correction=0)
+    return mean, torch.sqrt(variance + _EPSILON)
+
+
+def _spread(values: Tensor) -> Tensor:
+    return values.unsqueeze(-1).unsqueeze(-1)
+
+
+class Layer(nn.Module):
+    """Convolution, AdaIN, ReLU."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int = 3, activate: bool = True) -> None:
+        super().__init__()
+        # AdaIN takes the mean away, so a bias would do nothing.
+        self.convolution = nn.Conv2d(inputs, outputs, kernel, bias=False)
+        nn.init.kaiming_normal_(self.convolution.weight)
+        self.adain = AdaIN(outputs)
+        self.activate = activate
+
+    def convolve(self, features: Tensor, periodic: bool) -> Tensor:
+        """The convolution alone, same size out as in."""
+        kernel = self.convolution.weight.shape[-1]
+        if kernel == 1:
+            return F.conv2d(features, self.convolution.weight)
+        if periodic:
+            features = F.pad(features, (1, 1, 1, 1), mode="circular")
+            return F.conv2d(features, self.convolution.weight)
+        return F.conv2d(features, self.convolution.weight, padding=1)
+
+    def forward(
+        self, features: Tensor, code: Tensor, moments: Moments | None, periodic: bool
+    ) -> Tensor:
+        """One step of the network; see AdaIN for the moments."""
+        features = self.adain(self.convolve(features, periodic), code, moments)
+        return F.relu(features) if self.activate else features
+
+
+class Decoder(nn.Module):
+    """Noise and code in, six raw outputs out; `maps_from_raw` gives them their meaning."""
+
+    def __init__(self, config: DecoderConfig) -> None:
+        super().__init__()
+        self.config = config
+        widths = config.widths
+        down, up = [], []
+        channels = config.input_channels
+        for width in widths:
+            down.append(_block(channels, width, config.convolutions))
+            channels = width
+        for width in reversed(widths[:-1]):
+            up.append(_block(channels + width, width, config.convolutions))
+            channels = width
+        self.down = nn.ModuleList(down)
+        self.up = nn.ModuleList(up)
+        self.head = Layer(channels, OUTPUTS, kernel=1, activate=False)
+
+    def layers(self) -> list[Layer]:
+        """All layers in the order they run."""
+        blocks = [*self.down, *self.up]
+        return [layer for block in blocks for layer in _layers_of(block)] + [self.head]
+
+    def forward(
+        self,
+        field: Tensor,
+        code: Tensor,
+        moments: Sequence[Moments] | None = None,
+        *,
+        periodic: bool = True,
+    ) -> Tensor:
+        """Raw outputs (B, OUTPUTS, H, W) of a field (B, input_channels, H, W).
+
+        Args:
+            field: noise and waves; H and W multiples of ALIGNMENT.
+            code: (CODE_SIZE,) for one material or (B, CODE_SIZE) for one a sample.
+            moments: frozen statistics, one a layer; None measures them on this very field.
+            periodic: wrap around the borders; otherwise the outermost texels are not valid.
+        """
+        frozen = iter(moments) if moments is not None else None
+
+        def run(block: nn.Module, features: Tensor) -> Tensor:
+            for layer in _layers_of(block):
+                features = layer(features, code, next(frozen) if frozen else None, periodic)
+            return features
+
+        features, skips = field, []
+        for level, block in enumerate(self.down):
+            if level > 0:
+                features = F.max_pool2d(features, 2)
+            features = run(block, features)
+            skips.append(features)
+        for block, skip in zip(self.up, reversed(skips[:-1]), strict=True):
+            features = run(block, torch.cat([upsample(features, periodic), skip], dim=1))
+        return self.head(features, code, next(frozen) if frozen else None, periodic).float()
+
+
+def upsample(features: Tensor, periodic: bool) -> Tensor:
+    """Twice the size, bilinear; as a torus where periodic."""
+    if not periodic:
+        return F.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)
+    padded = F.pad(features, (1, 1, 1, 1), mode="circular")
+    doubled = F.interpolate(padded, scale_factor=2, mode="bilinear", align_corners=False)
+    return doubled[..., 2:-2, 2:-2]
+
+
+def maps_from_raw(raw: Tensor, texel_size: float, *, periodic: bool = False) -> MapSet:
+    """Maps of raw outputs (..., OUTPUTS, H, W): sigmoids, and a height counted in texels.
+
+    A height in texels keeps slopes, and so what is learnt, apart from the picture's size.
+    """
+    diffuse, specular, roughness, height = raw.split([3, 1, 1, 1], dim=-3)
+    return MapSet(
+        diffuse=torch.sigmoid(diffuse),
+        specular=torch.sigmoid(specular),
+        roughness=torch.sigmoid(roughness),
+        height=height * texel_size,
+        texel_size=texel_size,
+        periodic=periodic,
+    )
+
+
+def _block(inputs: int, outputs: int, convolutions: int) -> nn.Sequential:
+    sizes = [inputs] + [outputs] * convolutions
+    return nn.Sequential(*(Layer(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True)))
+
+
+def _layers_of(block: nn.Module) -> list[Layer]:
+    return [layer for layer in block.children() if isinstance(layer, Layer)]

@@ -1,0 +1,143 @@
+"""The random field the decoder reads: a pure function of (seed, channel, x, y).
+
+Two kinds of channel, both of zero mean and unit variance, exact anywhere in [-2^40, 2^40]:
+
+- *noise*: independent uniform numbers from a counter-based hash of 64-bit integers. Column and row
+  are scrambled apart and joined by one more scrambling per texel, so a rectangle costs one hash
+  per texel and four channels; 16 bits each.
+- *waves*: cosine and sine of a plane wave, for materials with long-range order (weaves, knits,
+  tiles). Noise through a network of finite reach can only keep order over that reach; a phase
+  that every texel knows keeps it for ever (after Bergmann et al. 2017, "Learning Texture Manifolds
+  with the Periodic Spatial GAN"). The phase is an integer, a 2^64th of a turn, so it neither
+  drifts nor loses digits far away. The seed moves it.
+
+Integers are torch int64, whose products and sums wrap modulo 2^64 on every device.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+COORDINATE_LIMIT = 2**40
+SEED_LIMIT = 2**63
+
+_CHANNELS_PER_HASH = 4
+_GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
+_MIX_1 = 0xBF58476D1CE4E5B9  # the multipliers of splitmix64's finaliser (Steele et al. 2014)
+_MIX_2 = 0x94D049BB133111EB
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A plane wave of the field: cycles per texel along x (right) and y (down)."""
+
+    fx: float
+    fy: float
+
+
+def wrap64(value: int) -> int:
+    """An integer as the signed 64-bit number with the same low 64 bits."""
+    value &= 2**64 - 1
+    return value - 2**64 if value >= 2**63 else value
+
+
+def _shift(value: Tensor, bits: int) -> Tensor:
+    """Logical right shift of int64."""
+    return (value >> bits) & (2 ** (64 - bits) - 1)
+
+
+def _scramble(value: Tensor) -> Tensor:
+    """splitmix64's finaliser: a bijection of 64-bit integers in which every bit reaches all."""
+    value = (value ^ _shift(value, 30)) * wrap64(_MIX_1)
+    value = (value ^ _shift(value, 27)) * wrap64(_MIX_2)
+    return value ^ _shift(value, 31)
+
+
+def _keys(seed: int, count: int) -> Tensor:
+    """(count,) independent 64-bit keys of a seed."""
+    counter = torch.arange(1, count + 1, dtype=torch.int64)
+    start = _scramble(torch.tensor(wrap64(seed + _GOLDEN), dtype=torch.int64))
+    return _scramble(counter * wrap64(_GOLDEN) + start)
+
+
+def noise_field(
+    seed: int,
+    channels: int,
+    x: int,
+    y: int,
+    width: int,
+    height: int,
+    *,
+    period: tuple[int, int] | None = None,
+    device: torch.device | str = "cpu",
+) -> Tensor:
+    """(channels, height, width) float32 uniform noise of zero mean and unit variance.
+
+    Args:
+        seed: any integer in [-2^63, 2^63).
+        channels: how many independent fields.
+        x, y: the left top texel; y grows downwards.
+        width, height: the rectangle's size in texels.
+        period: (along x, along y) repeat of the field in texels, or None for an endless one.
+        device: where to compute; the numbers are the same everywhere.
+    """
+    columns = torch.arange(x, x + width, dtype=torch.int64, device=device)
+    rows = torch.arange(y, y + height, dtype=torch.int64, device=device)
+    if period is not None:
+        columns, rows = columns.remainder(period[0]), rows.remainder(period[1])
+    hashes = -(-channels // _CHANNELS_PER_HASH)
+    keys = _keys(seed, 2 * hashes).tolist()
+    fields = []
+    for index in range(hashes):
+        column_hash = _scramble(columns * wrap64(_GOLDEN) + keys[2 * index])
+        row_hash = _scramble(rows * wrap64(_GOLDEN) + keys[2 * index + 1])
+        bits = _scramble(column_hash[None, :] ^ row_hash[:, None])
+        for part in range(min(_CHANNELS_PER_HASH, channels - _CHANNELS_PER_HASH * index)):
+            fields.append(_shift(bits, 16 * part) & 0xFFFF)
+    integers = torch.stack(fields).to(torch.float32)
+    # (k + 1/2) / 2^16 - 1/2, times sqrt(12): centred, unit variance.
+    return (integers - 32767.5) * (math.sqrt(12.0) / 65536.0)
+
+
+def wave_field(
+    seed: int,
+    waves: tuple[Wave, ...],
+    x: int,
+    y: int,
+    width: int,
+    height: int,
+    *,
+    period: tuple[int, int] | None = None,
+    device: torch.device | str = "cpu",
+) -> Tensor:
+    """(2 * len(waves), height, width) float32: cosine and sine of every wave, unit variance.
+
+    With a period each wave is moved to the nearest one that fits it. Arguments as noise_field.
+    """
+    if not waves:
+        return torch.zeros(0, height, width, device=device)
+    columns = torch.arange(x, x + width, dtype=torch.int64, device=device)
+    rows = torch.arange(y, y + height, dtype=torch.int64, device=device)
+    if period is not None:
+        columns, rows = columns.remainder(period[0]), rows.remainder(period[1])
+    start = _keys(wrap64(seed ^ _MIX_2), len(waves)).tolist()
+    fields = []
+    for wave, offset in zip(waves, start, strict=True):
+        step_x = _turns(wave.fx, None if period is None else period[0])
+        step_y = _turns(wave.fy, None if period is None else period[1])
+        turns = (columns * step_x)[None, :] + (rows * step_y)[:, None] + offset
+        # 24 bits of phase: what float32 holds exactly, and 4e-7 of a radian.
+        phase = _shift(turns, 40).to(torch.float32) * (2.0 * math.pi / 2**24)
+        fields += [phase.cos(), phase.sin()]
+    return torch.stack(fields) * math.sqrt(2.0)
+
+
+def _turns(frequency: float, period: int | None) -> int:
+    """A frequency in cycles per texel as 2^64ths of a turn per texel, snapped to a period."""
+    if period is None:
+        return wrap64(round(frequency * 2**64))
+    return wrap64(round(round(frequency * period) * 2**64 / period))
