@@ -1,0 +1,87 @@
+"""Arrays to and from OpenEXR files: one part of scanlines, ZIP, Rec.709.
+
+OpenEXR writes (it stamps no date, so the same numbers give the same file); OpenImageIO reads (it
+reports a broken file in words, where OpenEXR prints to the terminal). Tiled streaming is not here.
+"""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import MatcapError
+
+# x and y of the red, green and blue primaries and of white (ITU-R BT.709-6; D65).
+REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+_LARGEST_HALF = 65504.0
+
+
+def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
+    """Write (H, W, 3) as channels R, G, B or (H, W) as channel Y, rounded to half or kept float32.
+
+    Not atomic: write into a staged folder.
+
+    Raises:
+        MatcapError: a value is not finite, or too large for half float.
+        OSError: the file cannot be written.
+    """
+    import OpenEXR
+
+    if not np.isfinite(pixels).all():
+        raise MatcapError("has values that are not finite", where=path.name)
+    if half and np.abs(pixels).max(initial=0.0) > _LARGEST_HALF:
+        raise MatcapError("has values too large for half float (65504)", where=path.name)
+    stored = np.ascontiguousarray(pixels, dtype=np.float16 if half else np.float32)
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "chromaticities": REC709,
+    }
+    try:
+        OpenEXR.File(header, {"RGB" if stored.ndim == 3 else "Y": stored}).write(str(path))
+    except RuntimeError as error:
+        # OpenEXR keeps the cause only in its words.
+        full = "No space left" in str(error)
+        raise OSError(errno.ENOSPC if full else errno.EIO, str(error)) from error
+
+
+def read_exr(path: Path, *, size: tuple[int, int] | None = None) -> NDArray[np.float32]:
+    """Read (H, W, C) float32 from an EXR file.
+
+    Args:
+        path: the file.
+        size: (width, height) that it must have; checked before any pixel is read.
+
+    Raises:
+        MatcapError: missing, not an EXR file, truncated, corrupt, of another size, not finite.
+    """
+    import OpenImageIO as oiio
+
+    remedy = "write the map set again"
+    if not path.is_file():
+        raise MatcapError("the file is missing", where=str(path), remedy=remedy)
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        oiio.geterror()  # OpenImageIO keeps it, and complains at exit, until it is fetched
+        raise MatcapError("this is not a readable EXR file", where=str(path), remedy=remedy)
+    try:
+        spec = source.spec()
+        found = (spec.width, spec.height)
+        if size is not None and found != size:
+            raise MatcapError(
+                f"is {found[0]} x {found[1]} texels, not {size[0]} x {size[1]}",
+                where=str(path),
+                remedy=remedy,
+            )
+        pixels = source.read_image("float")
+        source.geterror()
+    finally:
+        source.close()
+    if pixels is None:
+        raise MatcapError("the file is truncated or corrupt", where=str(path), remedy=remedy)
+    if not np.isfinite(pixels).all():
+        raise MatcapError("has values that are not finite", where=str(path), remedy=remedy)
+    return np.asarray(pixels, dtype=np.float32)

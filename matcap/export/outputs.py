@@ -1,0 +1,63 @@
+"""Everything that one captured photograph leaves on disk, written together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from matcap.export.mapset import MapSetInfo, NormalStyle, mapset_bytes, mapset_files, write_mapset
+from matcap.export.staging import staged
+
+if TYPE_CHECKING:
+    from matcap.capture.pipeline import CaptureResult
+    from matcap.photo.photo import Photo
+
+_BESIDES = 50_000_000  # material, preview and report, generously
+
+
+@dataclass(frozen=True)
+class OutputSettings:
+    """What is written beside the material.
+
+    Attributes:
+        size: (width, height) of the first map set in texels.
+        seed: its realisation.
+        png: 16-bit PNGs beside the EXR files.
+        normal: "gl" or "dx".
+    """
+
+    size: tuple[int, int] = (1024, 1024)
+    seed: int = 0
+    png: bool = False
+    normal: NormalStyle = "gl"
+
+    @property
+    def room(self) -> int:
+        """Bytes of disk that the outputs take at most."""
+        return mapset_bytes(*self.size, png=self.png) + _BESIDES
+
+
+def write_outputs(
+    result: CaptureResult, photo: Photo, folder: Path, settings: OutputSettings
+) -> Path:
+    """Write material, first map set, preview.png and report.json into a folder, all or none.
+
+    Returns:
+        The material's path.
+
+    Raises:
+        MatcapError: a full disk, an unwritable folder.
+    """
+    from matcap.capture.preview import write_preview
+    from matcap.capture.report import write_report
+
+    material = result.material
+    maps = material.maps(*settings.size, seed=settings.seed)
+    info = MapSetInfo(material.name, settings.seed, provenance=material.provenance)
+    with staged(folder, replacing=mapset_files(material.name)) as stage:
+        write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
+        write_preview(result, stage / "preview.png")
+        write_report(result, photo, stage / "report.json")
+        material.save(stage / f"{material.name}.matcap")
+    return folder / f"{material.name}.matcap"
