@@ -1,0 +1,108 @@
+"""report.json: what was done, with what, how well, and what the user should know."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Iterable
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matcap
+from matcap.export.staging import staged
+
+if TYPE_CHECKING:
+    from matcap.capture.pipeline import CaptureResult
+    from matcap.photo.photo import Photo
+
+_LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
+# Where a photograph gets doubtful.
+_MUCH_CLIPPED, _MUCH_TILT = 0.05, 10.0
+
+
+def write_report(result: CaptureResult, photo: Photo, path: Path) -> None:
+    """Write the report of a capture.
+
+    Raises:
+        MatcapError: the file cannot be written.
+    """
+    text = json.dumps(_finite(report(result, photo)), indent=2, default=str, allow_nan=False)
+    with staged(path.parent) as stage:
+        (stage / path.name).write_text(text + "\n")
+
+
+def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
+    """The report as plain data. Angles in degrees, times in seconds, lengths in plane units."""
+    setup = result.material.setup
+    return {
+        "format": "matcap report",
+        "name": result.material.name,
+        "interrupted": result.interrupted,
+        "error": result.history[-1][2] if result.history else None,
+        "warnings": list(warnings(result, photo)),
+        "notes": list(photo.notes),
+        "photograph": {
+            "name": photo.name,
+            "size": list(photo.original_size),
+            "size_used": [photo.pixels.shape[1], photo.pixels.shape[0]],
+            "turned": photo.turned,
+            "radiometric": photo.radiometric,
+            "flash_fired": photo.flash_fired,
+            "gain_map_applied": photo.gain_map_applied,
+            "clipped_share": photo.clipped_share,
+        },
+        "camera": {
+            "fov_degrees": setup.fov,
+            "fov_source": photo.fov_source,
+            "distance": setup.distance,
+            "tilt_degrees": [math.degrees(angle) for angle in setup.tilt],
+            "flash_offset": list(setup.offset),
+            "flash_intensity": list(setup.intensity),
+            "vignetting": setup.vignetting,
+        },
+        "texel_size": result.material.texel_size,
+        "settings": asdict(result.settings),
+        "seconds": sum(result.stage_seconds.values()),
+        "stage_seconds": dict(result.stage_seconds),
+        "error_over_time": [
+            {"seconds": seconds, "step": step, "error": error}
+            for seconds, step, error in result.history
+        ],
+        "provenance": result.material.provenance,
+        "versions": {
+            "matcap": matcap.__version__,
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+            **{name: version(name) for name in _LIBRARIES},
+        },
+    }
+
+
+def warnings(result: CaptureResult, photo: Photo) -> Iterable[str]:
+    """What may have hurt the result, each with what to do at the next shot."""
+    if result.interrupted:
+        yield "Interrupted: this is the best so far; run it again for a better result."
+    if photo.clipped_share > _MUCH_CLIPPED:
+        yield (
+            f"{100 * photo.clipped_share:.0f} % of the photograph is clipped: "
+            "lower the exposure by a stop."
+        )
+    if photo.flash_fired is False:
+        yield "The file says that the flash did not fire: photograph again with the flash on."
+    tilt = max(abs(math.degrees(angle)) for angle in result.material.setup.tilt)
+    if tilt > _MUCH_TILT:
+        yield f"The camera was tilted by {tilt:.0f} degrees: hold it parallel to the sample."
+
+
+def _finite(value: object) -> object:
+    """The same data with null for numbers that JSON does not know."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return value

@@ -1,0 +1,153 @@
+"""`matcap capture`: photographs to materials."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from matcap.cli import values
+from matcap.cli.options import JsonOption, Normal, NormalOption, PngOption, QuietOption
+from matcap.errors import ExitCode, MatcapError
+
+if TYPE_CHECKING:
+    from matcap.capture.pipeline import CaptureSettings
+    from matcap.cli.progress import Display
+    from matcap.export.outputs import OutputSettings
+
+
+@dataclass(frozen=True)
+class _Job:
+    photo: Path
+    folder: Path
+
+
+def capture(
+    photos: Annotated[
+        list[Path], typer.Argument(metavar="PHOTO...", help="RAW (DNG, ...), JPEG, PNG or TIFF.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Each photograph gets a folder of its name here.")
+    ] = Path("out"),
+    preset: Annotated[
+        str, typer.Option(help="How much work: draft, standard, high or reference.")
+    ] = "standard",
+    steps: Annotated[
+        int | None, typer.Option(min=0, help="Fine-tuning steps, instead of the preset's.")
+    ] = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(
+            "--time", parser=values.duration, metavar="TIME", help="Stop by then: 90s, 2m."
+        ),
+    ] = None,
+    detail: Annotated[
+        int, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")
+    ] = 1024,
+    fov: Annotated[
+        float | None,
+        typer.Option(min=1.0, max=170.0, help="Field of view along the long side, degrees."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the work and of the map set.")] = 0,
+    size: Annotated[
+        values.Size,
+        typer.Option(parser=values.size, metavar="WxH", show_default="1024x1024", help="Size of the first map set."),
+    ] = values.DEFAULT_SIZE,
+    png: PngOption = False,
+    normal: NormalOption = Normal.gl,
+    prior: Annotated[
+        str, typer.Option(metavar="auto|none|PATH", help="Trained prior to start from.")
+    ] = "auto",
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Turn flash photographs into materials.
+
+    Writes for each photograph, into a folder of its name: the material (.matcap), a first map
+    set, preview.png and report.json. Ctrl-C ends with the best so far, saved.
+    """
+    from matcap.capture.pipeline import CaptureSettings
+    from matcap.cli.progress import display
+    from matcap.export.outputs import OutputSettings
+    from matcap.export.staging import check_writable
+
+    settings = CaptureSettings(
+        preset=preset, steps=steps, time_limit=time_limit, detail=detail, fov=fov, seed=seed,
+        prior=prior,
+    )  # fmt: skip
+    outputs = OutputSettings((size.width, size.height), seed, png, normal.value)
+    jobs = _jobs(photos, out)
+    check_writable(out, outputs.room)
+    results = []
+    with display(quiet=quiet) as shown:
+        for job in jobs:
+            results.append(_attempt(job, settings, outputs, shown))
+            if results[-1]["status"] == "interrupted":
+                break
+    if as_json:
+        typer.echo(json.dumps({"photographs": results}, indent=2))
+    raise typer.Exit(_exit_code([result["status"] for result in results]))
+
+
+def _jobs(photos: Sequence[Path], out: Path) -> list[_Job]:
+    """Each photograph's own folder; a second one of the same stem gets a number."""
+    taken: set[str] = set()
+    jobs = []
+    for photo in photos:
+        stem = name = photo.stem.lstrip(".") or "photograph"
+        number = 1
+        while name.casefold() in taken:
+            number += 1
+            name = f"{stem}-{number}"
+        taken.add(name.casefold())
+        jobs.append(_Job(photo, out / name))
+    return jobs
+
+
+def _attempt(
+    job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
+) -> dict[str, Any]:
+    """Capture one photograph; a failure is a result too."""
+    started = time.perf_counter()
+    try:
+        done = _capture(job, settings, outputs, shown)
+    except MatcapError as error:
+        shown.failed(job.photo, str(error))
+        return {"photo": str(job.photo), "status": "failed", "reason": str(error)}
+    done["seconds"] = round(time.perf_counter() - started, 2)
+    shown.finished(job.photo, done)
+    return done
+
+
+def _capture(
+    job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
+) -> dict[str, Any]:
+    from matcap.capture.pipeline import capture_photo
+    from matcap.export.outputs import write_outputs
+    from matcap.photo.load import load_photo
+
+    shown.started(job.photo)
+    photo = load_photo(job.photo, long_side=settings.detail, fov=settings.fov)
+    result = capture_photo(photo, settings, shown.progress)
+    material = write_outputs(result, photo, job.folder, outputs)
+    return {
+        "photo": str(job.photo),
+        "status": "interrupted" if result.interrupted else "done",
+        "folder": str(job.folder),
+        "material": str(material),
+        "error": result.history[-1][2] if result.history else None,
+    }
+
+
+def _exit_code(states: Sequence[str]) -> ExitCode:
+    if "interrupted" in states:
+        return ExitCode.INTERRUPTED
+    failures = states.count("failed")
+    if not failures:
+        return ExitCode.DONE
+    return ExitCode.SOME_FAILED if failures < len(states) else ExitCode.NOTHING_SUCCEEDED

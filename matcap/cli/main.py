@@ -1,0 +1,92 @@
+"""The `matcap` command: its subcommands, its exit codes, and what a failure looks like.
+
+Nothing heavy is imported here or by the command modules; each command imports what it needs when
+it runs, so that --help answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+import matcap
+from matcap.cli import bench, capture, relight, synth
+from matcap.errors import ExitCode, MatcapError
+
+_REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
+
+app = typer.Typer(
+    name="matcap",
+    help="One phone flash photograph in, an endless generator of SVBRDF maps out.",
+    epilog="Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 nothing succeeded, "
+    "4 some inputs failed, 130 interrupted.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+app.command("capture", no_args_is_help=True)(capture.capture)
+app.command("synth", no_args_is_help=True)(synth.synth)
+app.command("relight")(relight.relight)
+app.add_typer(bench.app, name="bench")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"matcap {matcap.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _matcap(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+        ),
+    ] = False,
+    debug: Annotated[
+        bool,
+        typer.Option("--debug", help="Show tracebacks of failures, as MATCAP_DEBUG=1 does."),
+    ] = False,
+) -> None:
+    del debug  # main() looks for it itself: a failed command leaves no context to ask
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code; failures become one sentence on stderr."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    debug = "--debug" in arguments or os.environ.get("MATCAP_DEBUG", "0") not in ("", "0")
+    try:
+        app(args=arguments, prog_name="matcap")
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except MatcapError as error:
+        _show(error, debug=debug)
+        return error.exit_code
+    except KeyboardInterrupt:
+        return ExitCode.INTERRUPTED
+    except Exception as error:
+        _show(error, debug=debug)
+        return ExitCode.INTERNAL
+    return ExitCode.DONE
+
+
+def run() -> None:
+    """The console script."""
+    sys.exit(main())
+
+
+def _show(error: Exception, *, debug: bool) -> None:
+    if debug:
+        import traceback
+
+        traceback.print_exception(error)
+    elif isinstance(error, MatcapError):
+        typer.echo(f"matcap: {error}", err=True)
+    else:
+        kind = type(error).__name__
+        typer.echo(f"matcap: internal error ({kind}: {error}); {_REPORT}.", err=True)

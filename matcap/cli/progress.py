@@ -1,0 +1,91 @@
+"""What the user sees while a capture runs: on stderr, live on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn
+
+if TYPE_CHECKING:
+    from matcap.capture.pipeline import Progress as CaptureProgress
+
+
+class Display:
+    """Tells on a console of photographs being captured.
+
+    Args:
+        console: where to; quiet ones print only failures.
+        bars: the live display, or None where lines are printed instead.
+        quiet: say nothing but failures.
+    """
+
+    def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
+        self._console = console
+        self._bars = bars
+        self._quiet = quiet
+        self._task: TaskID | None = None
+        self._stage = ""
+
+    def started(self, photo: Path) -> None:
+        """A photograph is about to be read."""
+        self._stage = ""
+        if self._bars is not None:
+            self._task = self._bars.add_task(
+                photo.name, total=1.0, stage="reading", error="", left=""
+            )
+
+    def progress(self, now: CaptureProgress) -> None:
+        """The work has come this far."""
+        error = f"error {now.error:.3f}" if now.error is not None else ""
+        if self._bars is not None and self._task is not None:
+            left = f"{now.seconds_left:.0f} s left" if now.seconds_left is not None else ""
+            self._bars.update(
+                self._task, completed=now.fraction, stage=now.stage, error=error, left=left
+            )
+        elif not self._quiet and now.stage != self._stage:
+            self._say(f"  {now.seconds:6.1f} s  {now.stage}  {error}".rstrip())
+        self._stage = now.stage
+
+    def finished(self, photo: Path, done: dict[str, Any]) -> None:
+        """A photograph's outputs stand in their folder."""
+        self._end_bar()
+        if not self._quiet:
+            error = f", error {done['error']:.3f}" if done["error"] is not None else ""
+            early = " (interrupted: the best so far)" if done["status"] == "interrupted" else ""
+            self._say(f"{photo.name}: {done['folder']}{error}, {done['seconds']:.0f} s{early}")
+
+    def failed(self, photo: Path, sentence: str) -> None:
+        """A photograph could not be captured; the others go on."""
+        self._end_bar()
+        self._say(f"matcap: {sentence}")
+
+    def _end_bar(self) -> None:
+        if self._bars is not None and self._task is not None:
+            self._bars.remove_task(self._task)
+            self._task = None
+
+    def _say(self, line: str) -> None:
+        # Paths and sentences are no markup, and one sentence stays one line.
+        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def display(*, quiet: bool) -> Iterator[Display]:
+    """A display on stderr while the block runs."""
+    console = Console(stderr=True)
+    if quiet or not console.is_terminal:
+        yield Display(console, None, quiet=quiet)
+        return
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.fields[stage]}"),
+        TextColumn("{task.fields[error]}", style="cyan"),
+        TextColumn("{task.fields[left]}", style="dim"),
+    )
+    with Progress(*columns, console=console) as bars:
+        yield Display(console, bars, quiet=quiet)

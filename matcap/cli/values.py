@@ -1,0 +1,75 @@
+"""What users type for sizes, rectangles and times, as values; parsers for typer."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import typer
+
+_SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
+LIMIT = 2**40  # coordinates of the endless field
+
+
+@dataclass(frozen=True)
+class Size:
+    """A rectangle's sides in texels."""
+
+    width: int
+    height: int
+
+    def __str__(self) -> str:
+        return f"{self.width}x{self.height}"
+
+
+@dataclass(frozen=True)
+class Region:
+    """A rectangle of the endless field, in texels."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+DEFAULT_SIZE = Size(1024, 1024)
+
+
+def size(text: str | Size) -> Size:
+    """'4096x256' to 4096 by 256; '512' to 512 by 512. Typer passes defaults through here too."""
+    if isinstance(text, Size):
+        return text
+    found = re.fullmatch(r"(\d{1,9})(?:[xX](\d{1,9}))?", text.strip())
+    if not found:
+        raise typer.BadParameter(f"'{text}' is not a size such as 4096x256")
+    sides = Size(int(found[1]), int(found[2] or found[1]))
+    if min(sides.width, sides.height) < 1:
+        raise typer.BadParameter(f"'{text}' has a side of zero")
+    return sides
+
+
+def region(text: str | Region) -> Region:
+    """'x,y,w,h' in texels, x and y anywhere in the field."""
+    if isinstance(text, Region):
+        return text
+    try:
+        x, y, width, height = (int(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a rectangle such as -100,0,512,512") from None
+    if width < 1 or height < 1:
+        raise typer.BadParameter(f"'{text}' has a side of zero or less")
+    if max(abs(x), abs(y), abs(x + width), abs(y + height)) > LIMIT:
+        raise typer.BadParameter(f"'{text}' reaches outside the field, -2^40 to 2^40")
+    return Region(x, y, width, height)
+
+
+def duration(text: str | float) -> float:
+    """'90', '90s', '1.5m' to seconds."""
+    if isinstance(text, float):
+        return text
+    found = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([smh]?)", text.strip())
+    seconds = float(found[1]) * _SECONDS[found[2]] if found else math.nan
+    if not 0 < seconds < math.inf:
+        raise typer.BadParameter(f"'{text}' is not a time such as 90s or 1.5m")
+    return seconds
