@@ -13,7 +13,7 @@ import typer
 
 from matcap.cli import values
 from matcap.cli.options import JsonOption, Normal, NormalOption, PngOption, QuietOption
-from matcap.errors import ExitCode, MatcapError
+from matcap.errors import ExitCode, MatcapError, UsageError
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureSettings
@@ -56,7 +56,12 @@ def capture(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the work and of the map set.")] = 0,
     size: Annotated[
         values.Size,
-        typer.Option(parser=values.size, metavar="WxH", show_default="1024x1024", help="Size of the first map set."),
+        typer.Option(
+            parser=values.size,
+            metavar="WxH",
+            show_default="1024x1024",
+            help="Size of the first map set.",
+        ),
     ] = values.DEFAULT_SIZE,
     png: PngOption = False,
     normal: NormalOption = Normal.gl,
@@ -116,6 +121,8 @@ def _attempt(
     started = time.perf_counter()
     try:
         done = _capture(job, settings, outputs, shown)
+    except UsageError:
+        raise  # wrong for every photograph alike
     except MatcapError as error:
         shown.failed(job.photo, str(error))
         return {"photo": str(job.photo), "status": "failed", "reason": str(error)}

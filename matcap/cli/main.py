@@ -28,8 +28,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-app.command("capture", no_args_is_help=True)(capture.capture)
-app.command("synth", no_args_is_help=True)(synth.synth)
+app.command("capture")(capture.capture)
+app.command("synth")(synth.synth)
 app.command("relight")(relight.relight)
 app.add_typer(bench.app, name="bench")
 

@@ -28,7 +28,12 @@ def relight(
     ] = Path("relit.png"),
     size: Annotated[
         values.Size,
-        typer.Option(parser=values.size, metavar="WxH", show_default="1024x1024", help="Texels read from a material."),
+        typer.Option(
+            parser=values.size,
+            metavar="WxH",
+            show_default="1024x1024",
+            help="Texels read from a material.",
+        ),
     ] = values.DEFAULT_SIZE,
     seed: Annotated[int, typer.Option(min=0, help="Realisation read from a material.")] = 0,
     quiet: QuietOption = False,

@@ -15,7 +15,9 @@ def synth(
     material: Annotated[Path, typer.Argument(metavar="MATERIAL", help="A .matcap file.")],
     size: Annotated[
         values.Size,
-        typer.Option(parser=values.size, metavar="WxH", show_default="1024x1024", help="Size in texels."),
+        typer.Option(
+            parser=values.size, metavar="WxH", show_default="1024x1024", help="Size in texels."
+        ),
     ] = values.DEFAULT_SIZE,
     seed: Annotated[int, typer.Option(min=0, help="Which realisation of the material.")] = 0,
     region: Annotated[

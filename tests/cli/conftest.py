@@ -1,0 +1,114 @@
+"""A capture that takes no time, so that the command line can be tested on its own."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.pipeline import CaptureResult, Progress
+from matcap.cli.main import main
+from matcap.errors import MatcapError
+from matcap.flash.geometry import FlashSetup
+from matcap.photo.photo import Photo
+
+
+def random_maps(width: int, height: int, seed: int) -> MapSet:
+    """Maps whose values tell the seed apart."""
+    generator = torch.Generator().manual_seed(seed)
+    stack = torch.rand(6, height, width, generator=generator)
+    stack[5] *= 0.01
+    return MapSet.from_stacked(stack, 2.0 / 512)
+
+
+@dataclass(frozen=True)
+class FakeMaterial:
+    """What the command line needs of a material."""
+
+    name: str
+    texel_size: float = 2.0 / 512
+    setup: FlashSetup = field(default_factory=FlashSetup)
+    provenance: dict = field(default_factory=lambda: {"made": "up"})
+
+    def maps(self, width, height, *, seed=0, x=0, y=0, period=None):
+        return random_maps(width, height, seed)
+
+    def save(self, path):
+        Path(path).write_text(self.name)
+
+
+def fake_photo(path: Path) -> Photo:
+    """A grey photograph; files of less than three bytes are no photographs."""
+    if not path.is_file():
+        raise MatcapError("no such file", where=str(path), remedy="check the path")
+    if path.stat().st_size < 3:
+        raise MatcapError("the file is empty", where=str(path), remedy="copy it again")
+    pixels = np.full((48, 64, 3), 0.25, dtype=np.float32)
+    clipped = np.zeros((48, 64), dtype=bool)
+    return Photo(pixels, clipped, 45.0, "assumed", False, path.name, (64, 48))
+
+
+@dataclass
+class FakePipeline:
+    """Records what was asked; can be told to fail or to be interrupted."""
+
+    calls: list = field(default_factory=list)
+    interrupt: bool = False
+    failure: BaseException | None = None
+
+    def load_photo(self, path, *, long_side=None, fov=None):
+        self.calls.append(SimpleNamespace(path=Path(path), long_side=long_side, fov=fov))
+        return fake_photo(Path(path))
+
+    def capture_photo(self, photo, settings, progress=None):
+        if self.failure is not None:
+            raise self.failure
+        self.calls[-1].settings = settings
+        for fraction in (0.0, 0.5, 1.0):
+            if progress is not None:
+                progress(
+                    Progress("fine-tuning", fraction, 1.0 - fraction / 2, fraction, 1 - fraction)
+                )
+        return CaptureResult(
+            material=FakeMaterial(Path(photo.name).stem),
+            rectified=photo.pixels,
+            rerendered=photo.pixels * 0.9,
+            maps=random_maps(64, 48, 0),
+            history=((0.5, 1, 0.9), (1.0, 2, 0.5)),
+            stage_seconds={"coarse": 0.5, "fine-tuning": 0.5},
+            settings=settings,
+            interrupted=self.interrupt,
+        )
+
+
+@pytest.fixture
+def pipeline(monkeypatch) -> FakePipeline:
+    """The capture pipeline replaced; the command line and all its files stay real."""
+    fake = FakePipeline()
+    monkeypatch.setattr("matcap.photo.load.load_photo", fake.load_photo)
+    monkeypatch.setattr("matcap.capture.pipeline.capture_photo", fake.capture_photo)
+    return fake
+
+
+@pytest.fixture
+def matcap(capsys):
+    """Run a command in this process; gives code, out and err, and holds failures to their form."""
+
+    def run(*arguments) -> SimpleNamespace:
+        code = main([str(argument) for argument in arguments])
+        said = capsys.readouterr()
+        assert "Traceback" not in said.err
+        return SimpleNamespace(code=code, out=said.out, err=said.err)
+
+    return run
+
+
+@pytest.fixture
+def photo(tmp_path) -> Path:
+    """A file that the fake loader takes for a photograph."""
+    path = tmp_path / "leather.dng"
+    path.write_text("a photograph")
+    return path

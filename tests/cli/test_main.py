@@ -1,0 +1,116 @@
+"""The command line as a process: fast to start, honest exit codes, nothing but sentences."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import matcap as package
+from matcap.cli import main as main_module
+from matcap.errors import MatcapError, UsageError
+
+HEAVY = ("torch", "cv2", "rawpy", "OpenEXR", "OpenImageIO", "safetensors", "tifffile", "numpy")
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """The installed command in its own process."""
+    command = [sys.executable, "-c", "from matcap.cli.main import run; run()", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_help_answers_at_once():
+    def seconds() -> float:
+        started = time.perf_counter()
+        assert run("--help").returncode == 0
+        return time.perf_counter() - started
+
+    assert min(seconds() for _ in range(3)) < 0.5
+
+
+@pytest.mark.parametrize("module", ["matcap", "matcap.cli.main"])
+def test_nothing_heavy_is_imported(module):
+    code = f"import sys, {module}; print(*[m for m in {HEAVY} if m in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == []
+
+
+def test_the_console_script_is_installed():
+    script = Path(sys.executable).with_name("matcap")
+    found = subprocess.run([script, "--version"], capture_output=True, text=True, check=True)
+    assert found.stdout == f"matcap {package.__version__}\n"
+
+
+@pytest.mark.parametrize("command", [[], ["capture"], ["synth"], ["relight"], ["bench"]])
+def test_every_command_explains_itself(matcap, command):
+    said = matcap(*command, "--help")
+    assert said.code == 0
+    assert "Usage: matcap" in said.out
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["caputre", "a.dng"],
+        ["capture"],
+        ["capture", "a.dng", "--stpes", "3"],
+        ["capture", "a.dng", "--steps", "many"],
+        ["capture", "a.dng", "--steps", "-1"],
+        ["capture", "a.dng", "--time", "0"],
+        ["capture", "a.dng", "--fov", "180"],
+        ["capture", "a.dng", "--detail", "1"],
+        ["capture", "a.dng", "--normal", "up"],
+        ["capture", "a.dng", "--size", "0x5"],
+        ["synth", "a.matcap", "--size", "-1x5"],
+        ["synth", "a.matcap", "--region", "0,0,8"],
+        ["synth", "a.matcap", "--seed", "-1"],
+        ["relight", ".", "-o", "a.gif"],
+    ],
+)
+def test_wrong_usage_is_2(matcap, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    said = matcap(*arguments)
+    assert said.code == 2
+    assert said.out == ""
+    assert said.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def failing(monkeypatch):
+    """Makes `matcap bench` with no arguments fail in a given way."""
+
+    def install(failure: BaseException) -> None:
+        def fail(*args, **kwargs):
+            raise failure
+
+        monkeypatch.setattr(main_module, "app", fail)
+
+    return install
+
+
+@pytest.mark.parametrize(
+    ("failure", "code", "said"),
+    [
+        (MatcapError("it broke", where="a.dng", remedy="mend it"), 3, "a.dng: it broke; mend it."),
+        (UsageError("no such light", where="--light"), 2, "--light: no such light."),
+        (KeyboardInterrupt(), 130, ""),
+        (RuntimeError("oh"), 1, "internal error (RuntimeError: oh); please report it"),
+    ],
+)
+def test_failures_are_sentences_and_codes(matcap, failing, monkeypatch, failure, code, said):
+    monkeypatch.delenv("MATCAP_DEBUG", raising=False)
+    failing(failure)
+    found = matcap("bench")
+    assert found.code == code
+    assert said in found.err
+    assert found.err.count("\n") <= 1
+
+
+@pytest.mark.parametrize("way", ["option", "environment"])
+def test_tracebacks_on_request(failing, monkeypatch, capsys, way):
+    monkeypatch.setenv("MATCAP_DEBUG", "1" if way == "environment" else "0")
+    failing(RuntimeError("oh"))
+    assert main_module.main(["--debug", "bench"] if way == "option" else ["bench"]) == 1
+    assert "Traceback" in capsys.readouterr().err
