@@ -18,6 +18,7 @@ from matcap.errors import MatcapError
 if TYPE_CHECKING:
     from matcap.api import capture as capture
     from matcap.brdf.maps import MapSet as MapSet
+    from matcap.export.mapset import MapSetInfo as MapSetInfo
     from matcap.export.mapset import read_mapset as read_mapset
     from matcap.export.mapset import write_mapset as write_mapset
     from matcap.model.material import Material as Material
@@ -31,6 +32,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Field": "matcap.synth.field",
     "MapSet": "matcap.brdf.maps",
+    "MapSetInfo": "matcap.export.mapset",
     "Material": "matcap.model.material",
     "capture": "",
     "load_photo": "matcap.photo.load",
@@ -42,6 +44,7 @@ _HOMES = {
 __all__ = [
     "Field",
     "MapSet",
+    "MapSetInfo",
     "MatcapError",
     "Material",
     "__version__",

@@ -114,10 +114,11 @@ def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:
 def _stretched(kind: str, values: NDArray[np.float32]) -> _Panel:
     """Grey between the map's own ends, which the label tells."""
     low, high = (float(v) for v in np.quantile(values, (0.002, 0.998)))
+    label = f"{kind}: {low:.3g} to {high:.3g}"
     short = max(_LEAST_SPAN[kind] - (high - low), 0.0)
     low, high = low - short / 2, high + short / 2
     grey = np.clip((values - low) / (high - low), 0.0, 1.0)
-    return _Panel(f"{kind}: {low:.4g} to {high:.4g}", np.repeat(grey, 3, axis=2))
+    return _Panel(label, np.repeat(grey, 3, axis=2))
 
 
 def _crop(pixels: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -8,7 +8,7 @@ import pytest
 import matcap
 
 NAMES = {
-    "Field", "MapSet", "MatcapError", "Material", "__version__", "capture", "load_photo",
+    "Field", "MapSet", "MapSetInfo", "MatcapError", "Material", "__version__", "capture", "load_photo",
     "read_mapset", "relight", "write_mapset",
 }  # fmt: skip
 

@@ -1,0 +1,49 @@
+"""What the README tells people to type exists and means what it says."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+import matcap as package
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
+SHELL = [
+    line
+    for block in re.findall(r"```sh\n(.*?)```", README, re.DOTALL)
+    for line in block.split("\n")
+]
+
+
+def test_the_two_first_lines_are_one_line_each():
+    main_job, tests = (line for line in SHELL if line.startswith("python3 -m venv"))
+    photo = re.search(r"matcap capture (\S+)", main_job)[1]
+    assert (ROOT / photo).is_file()
+    assert tests.endswith("pytest")
+
+
+def test_ci_runs_exactly_the_test_line():
+    (line,) = (line for line in SHELL if line.endswith("pytest"))
+    assert line in (ROOT / ".ci" / "run").read_text().splitlines()
+
+
+@pytest.mark.parametrize("line", [line for line in SHELL if line.startswith("matcap ")])
+def test_commands_and_options_exist(line, matcap):
+    words = shlex.split(line)[1:]
+    command = words[:2] if words[0] == "bench" else words[:1]
+    said = matcap(*command, "--help")
+    assert said.code == 0
+    for option in re.findall(r"(?<!\S)(--?[a-z]+)", " ".join(words)):
+        assert option in said.out
+
+
+def test_python_names_exist():
+    names = set(re.findall(r"\bmatcap\.([A-Za-z_]+)", README)) - {"git"}
+    assert names <= set(package.__all__)
+
+
+def test_pictures_exist():
+    for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", README):
+        assert (ROOT / picture).is_file()
