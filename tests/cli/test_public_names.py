@@ -8,8 +8,8 @@ import pytest
 import matcap
 
 NAMES = {
-    "Field", "MapSet", "MapSetInfo", "MatcapError", "Material", "__version__", "capture", "load_photo",
-    "read_mapset", "relight", "write_mapset",
+    "Field", "MapSet", "MapSetInfo", "MatcapError", "Material", "__version__", "capture",
+    "load_photo", "read_mapset", "relight", "write_mapset",
 }  # fmt: skip
 
 
