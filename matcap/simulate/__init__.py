@@ -1,0 +1,1 @@
+"""Materials with known truth and the flash photographs a camera would take of them."""
