@@ -45,12 +45,12 @@ class Canvas:
     @property
     def x(self) -> Field:
         """(1, W) places of the texels' centres, from the left border."""
-        return ((np.arange(self.width) + 0.5) * self.texel_size)[None, :]
+        return ((np.arange(self.width, dtype=np.float64) + 0.5) * self.texel_size)[None, :]
 
     @property
     def y(self) -> Field:
         """(H, 1) places of the texels' centres, from the top border, downwards."""
-        return ((np.arange(self.height) + 0.5) * self.texel_size)[:, None]
+        return ((np.arange(self.height, dtype=np.float64) + 0.5) * self.texel_size)[:, None]
 
     def stream(self, label: str) -> np.random.Generator:
         """Random numbers of this seed that belong to one label alone."""

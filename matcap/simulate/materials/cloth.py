@@ -29,7 +29,7 @@ def cloth(canvas: Canvas) -> MapSet:
     fibre = np.sin(2 * np.pi * (3.0 * twist) + 1.4 * fuzz)
     bulge = 0.5 * (1.0 - threads.across**2)
     slub = 0.03 * noise(canvas, "slub", Spectrum(0.08, 0.02))
-    height = _SPACING * (0.42 * threads.height + slub + 0.022 * bulge * fibre)
+    height = _SPACING * (0.36 * threads.height + slub + 0.022 * bulge * fibre)
 
     gap = smoothstep(0.0, 0.30, threads.height)
     dye = threads.per_thread(canvas.stream("dye"))

@@ -1,0 +1,191 @@
+"""The flash photograph that a camera would take of a material whose maps are known.
+
+Shading happens on the plane in float64, finer than the photograph's pixels; the tilt's homography
+and the pixels' areas then turn it into a picture. Files are written by dng.py and jpeg.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.flash.geometry import FlashSetup, plane_points, project, unproject
+from matcap.flash.render import render_flash
+from matcap.photo.photo import Photo
+
+# (width, height, texel_size) to maps: a material and a seed.
+Realise = Callable[[int, int, float], MapSet]
+
+_ROWS = 64  # shaded at a time: float64 of a whole picture would take gigabytes
+_HALF_FRAME = 18.0  # mm, half the long side of the 35 mm film frame
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A phone's camera.
+
+    Attributes:
+        width, height: pixels, width >= height, both even.
+        focal_length: in mm, of a 35 mm film camera with the same view across the long side.
+        full_well: electrons at the clip level; sets the shot noise.
+        read_noise: electrons.
+        supersampling: shading texels to a pixel's side.
+        brightness: mean that automatic exposure aims at; the clip level is 1.
+        clipped: largest share of pixels that automatic exposure lets clip.
+    """
+
+    width: int = 1600
+    height: int = 1200
+    focal_length: int = 28
+    full_well: float = 6000.0
+    read_noise: float = 3.0
+    supersampling: int = 2
+    brightness: float = 0.22
+    clipped: float = 0.01
+
+    @property
+    def fov(self) -> float:
+        """Degrees across the long side."""
+        return 2.0 * math.degrees(math.atan(_HALF_FRAME / self.focal_length))
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What reached the sensor, and what is true about it.
+
+    Attributes:
+        linear: (H, W, 3) float64 radiance before noise and clipping; the file clips at 1.
+        setup: the true geometry, and the flash's intensity on the scale of `linear`.
+        camera: that took it.
+    """
+
+    linear: NDArray[np.float64]
+    setup: FlashSetup
+    camera: Camera
+
+
+def take(realise: Realise, camera: Camera, setup: FlashSetup) -> Shot:
+    """Photograph a material; exposure is automatic.
+
+    Args:
+        realise: the material, one realisation of it.
+        camera: the camera.
+        setup: offset, tilt and vignetting; field of view and intensity are set here.
+    """
+    setup = FlashSetup(
+        fov=camera.fov, offset=setup.offset, tilt=setup.tilt, vignetting=setup.vignetting
+    )
+    x, y, width, height = _seen(camera, setup)
+    fine = camera.supersampling
+    maps = realise(width * fine, height * fine, 2.0 / (camera.width * fine))
+    extent = (camera.width * fine, camera.height * fine)
+    shaded = _shade(maps, setup, (x * fine, y * fine), extent)
+    picture = _through_lens(shaded, setup, (x * fine, y * fine), extent)
+    size = (camera.width, camera.height)
+    linear = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float64)
+    gain = _exposure(linear, camera)
+    return Shot(linear * gain, setup.with_intensity((gain, gain, gain)), camera)
+
+
+def true_maps(realise: Realise, camera: Camera, setup: FlashSetup) -> MapSet:
+    """Maps of the plane rectangle x in [-1, 1] of the same shot, one texel a pixel."""
+    x, y, width, height = _seen(camera, setup)
+    return realise(width, height, 2.0 / camera.width).crop(-x, -y, camera.width, camera.height)
+
+
+def expose(shot: Shot, seed: int) -> NDArray[np.float64]:
+    """(H, W, 3) the picture with shot and read noise, clipped to [0, 1]."""
+    return np.clip(sensor_noise(shot.linear, shot.camera, seed), 0.0, 1.0)
+
+
+def sensor_noise(signal: NDArray[np.float64], camera: Camera, seed: int) -> NDArray[np.float64]:
+    """A signal, of which 1 fills the well, with shot and read noise, any shape."""
+    electrons = np.clip(signal, 0.0, 1.5) * camera.full_well
+    deviation = np.sqrt(electrons + camera.read_noise**2) / camera.full_well
+    return signal + deviation * np.random.default_rng(seed).standard_normal(signal.shape)
+
+
+def as_photo(shot: Shot, seed: int, name: str) -> Photo:
+    """The shot as if read from a RAW file."""
+    pixels = expose(shot, seed).astype(np.float32)
+    return Photo(
+        pixels=pixels,
+        clipped=np.asarray((pixels >= 1.0).any(axis=-1)),
+        fov=shot.camera.fov,
+        fov_source="exif",
+        radiometric=True,
+        name=name,
+        original_size=(shot.camera.width, shot.camera.height),
+        flash_fired=True,
+    )
+
+
+def _seen(camera: Camera, setup: FlashSetup) -> tuple[int, int, int, int]:
+    """The plane rectangle (x, y, width, height) that holds picture and plane grid, in pixels."""
+    w, h = camera.width, camera.height
+    sides = torch.tensor([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]], dtype=torch.float64)
+    sides[1] *= h / w
+    seen = unproject(sides, FlashSetup(fov=camera.fov, tilt=setup.tilt))[:2]
+    reach_x = max(1.0, float(seen[0].abs().max())) * w / 2.0
+    reach_y = max(h / w, float(seen[1].abs().max())) * w / 2.0
+    margin_x, margin_y = math.ceil(reach_x - w / 2.0) + 2, math.ceil(reach_y - h / 2.0) + 2
+    return -margin_x, -margin_y, w + 2 * margin_x, h + 2 * margin_y
+
+
+def _shade(
+    maps: MapSet, setup: FlashSetup, origin: tuple[int, int], extent: tuple[int, int]
+) -> NDArray[np.float64]:
+    """(h, w, 3) radiance of maps whose left top texel is `origin` of the picture's grid."""
+    width, height = maps.size
+    strips = []
+    for top in range(0, height, _ROWS):
+        # One row more on either side, so that normals are the same as of the whole.
+        first, last = max(0, top - 1), min(height, top + _ROWS + 1)
+        strip = maps.crop(0, first, width, last - first)
+        points = plane_points(
+            origin[0], origin[1] + first, width, last - first, extent, dtype=maps.height.dtype
+        )
+        shaded = render_flash(strip, setup, points)
+        strips.append(shaded[:, top - first : min(height, top + _ROWS) - first])
+    joined: Tensor = torch.cat(strips, dim=1)
+    return np.ascontiguousarray(joined.permute(1, 2, 0).numpy())
+
+
+def _through_lens(
+    shaded: NDArray[np.float64], setup: FlashSetup, origin: tuple[int, int], extent: tuple[int, int]
+) -> NDArray[np.float64]:
+    """(H, W, 3) the plane's radiance as a tilted camera sees it, on a grid of `extent` texels."""
+    width, height = extent
+    # The homography of the plane, from four points of it.
+    plane = torch.tensor(
+        [[-1.0, 1.0, 1.0, -1.0], [-1.0, -1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]], dtype=torch.float64
+    )
+    image = project(plane, setup)
+
+    def texels(u: Tensor, v: Tensor, x: int, y: int) -> NDArray[np.float32]:
+        column = (u + 1.0) * width / 2.0 - 0.5 - x
+        row = height / 2.0 - v * width / 2.0 - 0.5 - y
+        return torch.stack([column, row], dim=-1).numpy().astype(np.float32)
+
+    warp = cv2.getPerspectiveTransform(
+        texels(plane[0], plane[1], *origin), texels(image[0], image[1], 0, 0)
+    )
+    return np.asarray(
+        cv2.warpPerspective(
+            shaded, warp, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+    )
+
+
+def _exposure(linear: NDArray[np.float64], camera: Camera) -> float:
+    """Gain that brings the mean to the camera's brightness, or the brightest pixels to 1."""
+    brightest = float(np.quantile(linear.max(axis=-1), 1.0 - camera.clipped))
+    return min(camera.brightness / float(linear.mean()), 1.0 / brightest)
