@@ -38,6 +38,7 @@ class Camera:
         full_well: electrons at the clip level; sets the shot noise.
         read_noise: electrons.
         supersampling: shading texels to a pixel's side.
+        blur: standard deviation of the lens's blur, in pixels.
         brightness: mean that automatic exposure aims at; the clip level is 1.
         clipped: largest share of pixels that automatic exposure lets clip.
     """
@@ -48,6 +49,7 @@ class Camera:
     full_well: float = 6000.0
     read_noise: float = 3.0
     supersampling: int = 2
+    blur: float = 0.6
     brightness: float = 0.22
     clipped: float = 0.01
 
@@ -89,6 +91,7 @@ def take(realise: Realise, camera: Camera, setup: FlashSetup) -> Shot:
     extent = (camera.width * fine, camera.height * fine)
     shaded = _shade(maps, setup, (x * fine, y * fine), extent)
     picture = _through_lens(shaded, setup, (x * fine, y * fine), extent)
+    picture = cv2.GaussianBlur(picture, (0, 0), camera.blur * fine) if camera.blur else picture
     size = (camera.width, camera.height)
     linear = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float64)
     gain = _exposure(linear, camera)

@@ -1,0 +1,38 @@
+"""Render the example photographs and, on request, the true maps they were made from.
+
+python examples/make_examples.py --out examples/photos [--only leather] [--truth DIR]
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from matcap.export.mapset import MapSetInfo, write_mapset
+from matcap.simulate.dng import write_dng
+from matcap.simulate.examples import EXAMPLES
+from matcap.simulate.jpeg import write_jpeg
+from matcap.simulate.photograph import Camera
+
+
+def main() -> None:
+    """Parse the command line and write what it asks for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder for the photographs")
+    parser.add_argument("--only", choices=list(EXAMPLES), action="append", help="these alone")
+    parser.add_argument("--truth", type=Path, help="folder for the true map sets")
+    chosen = parser.parse_args()
+    camera = Camera()
+    for name in chosen.only or EXAMPLES:
+        example = EXAMPLES[name]
+        shot = example.take(camera)
+        write_dng(chosen.out / f"{name}.dng", shot, example.sensor, example.seed)
+        write_jpeg(chosen.out / f"{name}.jpg", shot, example.seed)
+        if chosen.truth:
+            info = MapSetInfo(name, seed=example.seed, provenance={"setup": vars(shot.setup)})
+            write_mapset(example.truth(camera), chosen.truth / name, info)
+        print(name)
+
+
+if __name__ == "__main__":
+    main()
