@@ -1,10 +1,13 @@
 """The decoder: a U-Net that turns an infinite random field into maps (paper, section 4.2).
 
 Noise enters at full resolution, is halved by max-pooling four times and doubled back by bilinear
-upsampling with skip connections. Every convolution is followed by AdaIN (Huang and Belongie
-2017), whose mean and deviation are affine in the 64-D code; also the last one, so the code states
-each map's mean and contrast outright. AdaIN's own statistics come either from the rectangle at
-hand (training) or from a large reference field (frozen; see freeze.py).
+upsampling with skip connections. On the way up every level is also told the phases of the
+material's plane waves (noise.py): told on the way down, they would beat with the poolings' grid.
+
+Every convolution is followed by AdaIN (Huang and Belongie 2017), whose mean and deviation are
+affine in the 64-D code; also the last one, so the code states each map's mean and contrast
+outright. AdaIN's own statistics come either from the rectangle at hand (training) or from a large
+reference field (frozen; see freeze.py).
 
 Nothing here invents data at a border: a rectangle is decoded either as a torus (`periodic=True`,
 a field that repeats with the rectangle) or with a halo of true noise, whose border is cut off by
@@ -21,12 +24,13 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from matcap.brdf.maps import MapSet
+from matcap.model.noise import WAVE_CHANNELS, RandomField
 
 CODE_SIZE = 64
 OUTPUTS = 6  # diffuse (3), specular, roughness, height
 DEPTH = 4  # poolings; rectangles are multiples of 2^DEPTH
 ALIGNMENT = 2**DEPTH
-MAX_WAVES = 2
+_WAVE_GAIN = 3.0  # waves are few among many features; they start with a fair say
 _EPSILON = 1e-5  # of a variance: keeps a constant feature finite
 
 
@@ -37,21 +41,16 @@ class DecoderConfig:
     Attributes:
         noise_channels: channels of uniform noise read at full resolution.
         widths: feature channels per level, full resolution first; DEPTH + 1 of them.
-        convolutions: 3 x 3 convolutions per block; the paper's form has two.
+        convolutions: 3 x 3 convolutions per block on the way down and on the way up.
     """
 
     noise_channels: int = 8
     widths: tuple[int, ...] = (16, 32, 64, 64, 64)
-    convolutions: int = 1
-
-    @property
-    def input_channels(self) -> int:
-        """Noise and waves together; a material without waves feeds zeros."""
-        return self.noise_channels + 2 * MAX_WAVES
+    convolutions: tuple[int, int] = (1, 2)
 
 
 # The paper's decoder: 2.8 million parameters at width 32.
-PAPER_CONFIG = DecoderConfig(noise_channels=6, widths=(32, 64, 128, 128, 128), convolutions=2)
+PAPER_CONFIG = DecoderConfig(noise_channels=6, widths=(32, 64, 128, 128, 128), convolutions=(2, 2))
 
 Moments = tuple[Tensor, Tensor]  # mean and deviation, (channels,) each
 
@@ -132,13 +131,17 @@ class Decoder(nn.Module):
         self.config = config
         widths = config.widths
         down, up = [], []
-        channels = config.input_channels
+        channels = config.noise_channels
         for width in widths:
-            down.append(_block(channels, width, config.convolutions))
+            down.append(_block(channels, width, config.convolutions[0]))
             channels = width
         for width in reversed(widths[:-1]):
-            up.append(_block(channels + width, width, config.convolutions))
+            up.append(_block(channels + width + WAVE_CHANNELS, width, config.convolutions[1]))
             channels = width
+        with torch.no_grad():
+            for block in up:
+                first = next(iter(_layers_of(block)))
+                first.convolution.weight[:, -WAVE_CHANNELS:] *= _WAVE_GAIN
         self.down = nn.ModuleList(down)
         self.up = nn.ModuleList(up)
         self.head = Layer(channels, OUTPUTS, kernel=1, activate=False)
@@ -150,16 +153,16 @@ class Decoder(nn.Module):
 
     def forward(
         self,
-        field: Tensor,
+        field: RandomField,
         code: Tensor,
         moments: Sequence[Moments] | None = None,
         *,
         periodic: bool = True,
     ) -> Tensor:
-        """Raw outputs (B, OUTPUTS, H, W) of a field (B, input_channels, H, W).
+        """Raw outputs (B, OUTPUTS, H, W) of a random field.
 
         Args:
-            field: noise and waves; H and W multiples of ALIGNMENT.
+            field: noise (B, noise_channels, H, W) and waves, H and W multiples of ALIGNMENT.
             code: (CODE_SIZE,) for one material or (B, CODE_SIZE) for one a sample.
             moments: frozen statistics, one a layer; None measures them on this very field.
             periodic: wrap around the borders; otherwise the outermost texels are not valid.
@@ -171,14 +174,15 @@ class Decoder(nn.Module):
                 features = layer(features, code, next(frozen) if frozen else None, periodic)
             return features
 
-        features, skips = field, []
+        features, skips = field.noise.contiguous(memory_format=torch.channels_last), []
         for level, block in enumerate(self.down):
             if level > 0:
                 features = F.max_pool2d(features, 2)
             features = run(block, features)
             skips.append(features)
-        for block, skip in zip(self.up, reversed(skips[:-1]), strict=True):
-            features = run(block, torch.cat([upsample(features, periodic), skip], dim=1))
+        for level in reversed(range(DEPTH)):
+            parts = [upsample(features, periodic), skips[level], field.waves[level]]
+            features = run(self.up[DEPTH - 1 - level], torch.cat(parts, dim=1))
         return self.head(features, code, next(frozen) if frozen else None, periodic).float()
 
 

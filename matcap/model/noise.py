@@ -25,6 +25,11 @@ from torch import Tensor
 COORDINATE_LIMIT = 2**40
 SEED_LIMIT = 2**63
 
+WAVE_CHANNELS = 12
+
+_ORDERS_OF_ONE = ((1,), (2,), (3,), (4,))
+_ORDERS_OF_TWO = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
+_FINEST = 0.36  # cycles per texel: finer waves would alias
 _CHANNELS_PER_HASH = 4
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
 _MIX_1 = 0xBF58476D1CE4E5B9  # the multipliers of splitmix64's finaliser (Steele et al. 2014)
@@ -37,6 +42,19 @@ class Wave:
 
     fx: float
     fy: float
+
+
+@dataclass(frozen=True)
+class RandomField:
+    """What a decoder reads.
+
+    Attributes:
+        noise: (B, noise_channels, H, W).
+        waves: per level k, (B, WAVE_CHANNELS, H / 2^k, W / 2^k).
+    """
+
+    noise: Tensor
+    waves: tuple[Tensor, ...]
 
 
 def wrap64(value: int) -> int:
@@ -111,29 +129,93 @@ def wave_field(
     width: int,
     height: int,
     *,
+    level: int = 0,
     period: tuple[int, int] | None = None,
     device: torch.device | str = "cpu",
 ) -> Tensor:
-    """(2 * len(waves), height, width) float32: cosine and sine of every wave, unit variance.
+    """(WAVE_CHANNELS, height, width) float32: cosine and sine of every wave, unit variance.
 
-    With a period each wave is moved to the nearest one that fits it. Arguments as noise_field.
+    Besides the waves themselves their sums, differences and doubles, which a pattern on the
+    lattice is made of and a network would otherwise have to multiply out.
+
+    Args:
+        seed: moves the phases.
+        waves: at most two; absent ones are zero.
+        x, y, width, height: the rectangle, in texels of this level.
+        level: texels are 2^level times as large; a wave too fine for them is zero, not aliased.
+        period: in texels of level 0; each wave is moved to the nearest one that fits.
+        device: where to compute; phases are the same everywhere.
     """
-    if not waves:
-        return torch.zeros(0, height, width, device=device)
+    scale = 2**level
     columns = torch.arange(x, x + width, dtype=torch.int64, device=device)
     rows = torch.arange(y, y + height, dtype=torch.int64, device=device)
     if period is not None:
-        columns, rows = columns.remainder(period[0]), rows.remainder(period[1])
-    start = _keys(wrap64(seed ^ _MIX_2), len(waves)).tolist()
-    fields = []
-    for wave, offset in zip(waves, start, strict=True):
-        step_x = _turns(wave.fx, None if period is None else period[0])
-        step_y = _turns(wave.fy, None if period is None else period[1])
-        turns = (columns * step_x)[None, :] + (rows * step_y)[:, None] + offset
+        columns = columns.remainder(period[0] // scale)
+        rows = rows.remainder(period[1] // scale)
+    start = _keys(wrap64(seed ^ _MIX_2), 2).tolist()
+    field = torch.zeros(WAVE_CHANNELS, height, width, device=device)
+    for index, (orders, fx, fy) in enumerate(_harmonics(waves)):
+        if max(abs(fx), abs(fy)) * scale > _FINEST:
+            continue
+        step_x = step_y = offset = 0
+        for order, wave, begin in zip(orders, waves, start, strict=False):
+            step_x += order * _turns(wave.fx, None if period is None else period[0])
+            step_y += order * _turns(wave.fy, None if period is None else period[1])
+            offset += order * begin
+        # A texel's centre lies (scale - 1) / 2 texels of level 0 after its first one's.
+        centre = wrap64((step_x + step_y) * (scale - 1)) >> 1
+        turns = (
+            (columns * wrap64(step_x * scale))[None, :]
+            + (rows * wrap64(step_y * scale))[:, None]
+            + wrap64(offset + centre)
+        )
         # 24 bits of phase: what float32 holds exactly, and 4e-7 of a radian.
         phase = _shift(turns, 40).to(torch.float32) * (2.0 * math.pi / 2**24)
-        fields += [phase.cos(), phase.sin()]
-    return torch.stack(fields) * math.sqrt(2.0)
+        field[2 * index] = phase.cos() * math.sqrt(2.0)
+        field[2 * index + 1] = phase.sin() * math.sqrt(2.0)
+    return field
+
+
+def random_field(
+    seed: int,
+    noise_channels: int,
+    waves: tuple[Wave, ...],
+    x: int,
+    y: int,
+    width: int,
+    height: int,
+    *,
+    levels: int,
+    period: tuple[int, int] | None = None,
+    device: torch.device | str = "cpu",
+) -> RandomField:
+    """All the decoder reads for one rectangle, as a batch of one.
+
+    x, y, width, height and the period are multiples of 2^levels; the rest as noise_field and
+    wave_field.
+    """
+    noise = noise_field(seed, noise_channels, x, y, width, height, period=period, device=device)
+    stack = tuple(
+        wave_field(
+            seed, waves, x >> k, y >> k, width >> k, height >> k,
+            level=k, period=period, device=device,
+        )[None]
+        for k in range(levels)
+    )  # fmt: skip
+    return RandomField(noise[None], stack)
+
+
+def _harmonics(waves: tuple[Wave, ...]) -> list[tuple[tuple[int, ...], float, float]]:
+    """Orders and frequency of every wave channel pair."""
+    orders = _ORDERS_OF_ONE if len(waves) == 1 else _ORDERS_OF_TWO
+    return [
+        (
+            order,
+            sum(n * wave.fx for n, wave in zip(order, waves, strict=True)),
+            sum(n * wave.fy for n, wave in zip(order, waves, strict=True)),
+        )
+        for order in (orders if waves else ())
+    ]
 
 
 def _turns(frequency: float, period: int | None) -> int:

@@ -1,0 +1,114 @@
+"""Descriptors of texture windows and the distance between them (paper, section 4.3).
+
+A descriptor holds, per pyramid level, the Gram matrix of the features, the autocorrelation of the
+colours (the power spectrum's transform) and the colours' distribution; and the window's mean
+colour. The distance is a sum of L1 differences, each relative to the target's own size, so that
+no level and no kind of statistic drowns the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.statistics.encoding import Encoding
+from matcap.statistics.filterbank import FilterBank, pyramid
+from matcap.statistics.gram import gram
+from matcap.statistics.spectrum import autocorrelation
+
+_REACH = 12  # lags of the autocorrelation at every level, in that level's texels
+_QUANTILES = 64
+_LARGEST = 144  # texels a side of what is looked at on one level
+
+
+@dataclass(frozen=True)
+class Weights:
+    """How much each kind of statistic counts."""
+
+    gram: float = 1.0
+    spectrum: float = 1.0
+    histogram: float = 0.5
+    mean: float = 1.0
+
+
+@dataclass(frozen=True)
+class Descriptor:
+    """Statistics of B windows.
+
+    Attributes:
+        mean: (B, 3) mean log colour.
+        grams: per level (B, F + 1, F + 1); the last feature is the constant 1, so the last
+            column holds the features' means.
+        spectra: per level (B, 3, lags, lags).
+        quantiles: per level (B, 3, Q) of the colours about their mean.
+    """
+
+    mean: Tensor
+    grams: tuple[Tensor, ...]
+    spectra: tuple[Tensor, ...]
+    quantiles: tuple[Tensor, ...]
+
+    def select(self, index: Tensor | Sequence[int]) -> Descriptor:
+        """The descriptors of some windows."""
+        return Descriptor(
+            self.mean[index],
+            tuple(g[index] for g in self.grams),
+            tuple(s[index] for s in self.spectra),
+            tuple(q[index] for q in self.quantiles),
+        )
+
+
+def describe(linear: Tensor, encoding: Encoding, bank: FilterBank) -> Descriptor:
+    """Descriptor of scene-linear windows (B, 3, H, W)."""
+    log = encoding.log(linear)
+    colour = torch.einsum("ij,bjhw->bihw", encoding.matrix.to(log), log)
+    levels = pyramid(colour, bank.config.levels)
+    grams, spectra, quantiles = [], [], []
+    for level in levels:
+        level = _middle(level)
+        features = bank.features(level.contiguous(memory_format=torch.channels_last))
+        ones = torch.ones_like(features[:, :1])
+        grams.append(gram(torch.cat([features, ones], dim=1)))
+        spectra.append(autocorrelation(level, min(_REACH, min(level.shape[-2:]) // 2 - 1)))
+        quantiles.append(_quantiles(level))
+    return Descriptor(log.mean(dim=(2, 3)), tuple(grams), tuple(spectra), tuple(quantiles))
+
+
+def distance(found: Descriptor, target: Descriptor, weights: Weights) -> Tensor:
+    """(B,) how far apart windows look; 0 for the same statistics, about 1 for unlike textures."""
+    levels = len(target.grams)
+    total = weights.mean * (found.mean - target.mean).abs().mean(dim=1)
+    for level in range(levels):
+        total = total + weights.gram / levels * _relative(found.grams[level], target.grams[level])
+        total = total + weights.spectrum / levels * _relative(
+            found.spectra[level], target.spectra[level]
+        )
+        total = total + weights.histogram / levels * _relative(
+            found.quantiles[level], target.quantiles[level]
+        )
+    return total
+
+
+def _middle(level: Tensor) -> Tensor:
+    """The middle of a pyramid level: fine levels hold more texels than their statistics need."""
+    height, width = level.shape[-2:]
+    y, x = max(0, height - _LARGEST) // 2, max(0, width - _LARGEST) // 2
+    return level[..., y : y + min(height, _LARGEST), x : x + min(width, _LARGEST)]
+
+
+def _relative(found: Tensor, target: Tensor) -> Tensor:
+    """(B,) L1 difference as a share of the target's L1 size."""
+    size = target.abs().flatten(1).sum(dim=1)
+    return (found - target).abs().flatten(1).sum(dim=1) / size.clamp_min(1e-8)
+
+
+def _quantiles(level: Tensor) -> Tensor:
+    """(B, 3, Q) evenly spaced quantiles of the colours about their mean."""
+    flat = level.flatten(2)
+    ordered = torch.sort(flat - flat.mean(dim=2, keepdim=True), dim=2).values
+    count = min(_QUANTILES, ordered.shape[2])
+    chunk = ordered.shape[2] // count
+    return ordered[..., : chunk * count].unflatten(2, (count, chunk)).mean(dim=3)

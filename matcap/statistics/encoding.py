@@ -1,0 +1,69 @@
+"""The colour space in which photographs are compared: decorrelated logarithms of radiance.
+
+A logarithm turns shading times albedo into a sum, so a dark corner's texture weighs like a bright
+middle's. Turning and scaling the colours by the photograph's own covariance (of what is left when
+the smooth shading is taken off) puts faint and strong, grey and colourful textures on one scale.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+# Radiances this far below the photograph's median all look black: bounds the logarithm's slope.
+_TOE = 0.05
+# Colour directions fainter than this share of the strongest are not amplified further.
+_FAINTEST = 0.2
+# A texture of smaller log contrast than this is not amplified to full scale: it is noise.
+_LEAST_CONTRAST = 0.02
+_SHADING_SCALE = 48  # texels; variation slower than this is shading, not texture
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """Linear radiance (B, 3, H, W) to texture colour of about unit variance.
+
+    Attributes:
+        median: radiance that counts as middle grey.
+        matrix: (3, 3) from log colour to decorrelated colour.
+    """
+
+    median: float
+    matrix: Tensor
+
+    def __call__(self, linear: Tensor) -> Tensor:
+        """Encode; radiance above the clip level 1 counts as 1, like in the photograph."""
+        return torch.einsum("ij,bjhw->bihw", self.matrix.to(linear), self.log(linear))
+
+    def log(self, linear: Tensor) -> Tensor:
+        """(B, 3, H, W) bounded logarithm of radiance: 0 at the median, slope bounded at 0."""
+        return torch.log((linear.clamp(0.0, 1.0) / self.median + _TOE) / (1.0 + _TOE))
+
+
+def fit_encoding(linear: Tensor, valid: Tensor) -> Encoding:
+    """The encoding of a photograph.
+
+    Args:
+        linear: (3, H, W) scene-linear picture.
+        valid: (H, W) bool, texels that were seen and not clipped.
+    """
+    seen = linear[:, valid] if bool(valid.any()) else linear.flatten(1)
+    median = max(float(seen.mean(0).median()), 1e-6)
+    plain = Encoding(median, torch.eye(3))
+    log = plain.log(linear[None])
+    texture = (
+        (log - _blur(log))[0][:, valid] if bool(valid.any()) else (log - _blur(log))[0].flatten(1)
+    )
+    values, vectors = torch.linalg.eigh(torch.cov(texture.double()))
+    strongest = values[-1].clamp_min(_LEAST_CONTRAST**2)
+    scale = torch.rsqrt(values.clamp_min(_FAINTEST**2 * strongest))
+    return Encoding(median, (vectors * scale).T.float().contiguous())
+
+
+def _blur(image: Tensor) -> Tensor:
+    size = min(_SHADING_SCALE, *image.shape[-2:])
+    small = F.avg_pool2d(image, size, stride=max(1, size // 2))
+    return F.interpolate(small, size=image.shape[-2:], mode="bilinear", align_corners=False)

@@ -1,0 +1,179 @@
+"""Finds the regular order of a texture: the plane waves a weave, knit, tile or stripe is made of.
+
+The averaged power spectrum of a regular texture has sharp peaks on a lattice. The two shortest
+waves that generate all of them are what the decoder needs to be told (model/noise.py); everything
+else about the pattern it learns.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.model.noise import Wave
+from matcap.statistics.spectrum import power_spectrum
+
+_WINDOW = 256
+_PEAK_RATIO = 8.0  # a peak stands this far above the median of its surroundings
+_LEAST_SHARE = 0.004  # and holds this share of the texture's power
+_MOST_PEAKS = 12
+_LONGEST = 80.0  # texels: longer periods repeat too few times to be called regular
+_ORDERS = range(-4, 5)
+_TOLERANCE = 0.9  # spectral bins by which a peak may miss its lattice point
+_LEAST_EXPLAINED = 0.05  # of the texture's power, or there is no order worth keeping
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """What was found.
+
+    Attributes:
+        waves: none, one (stripes) or two (weaves, knits, tiles).
+        share: of the texture's power that lies in the lattice's peaks.
+    """
+
+    waves: tuple[Wave, ...]
+    share: float
+
+
+def find_lattice(colour: Tensor, valid: Tensor) -> Lattice:
+    """The lattice of a texture.
+
+    Args:
+        colour: (C, H, W) encoded picture of the plane, shading included.
+        valid: (H, W) bool, texels seen and not clipped.
+    """
+    spectrum = _mean_spectrum(colour, valid)
+    if spectrum is None:
+        return Lattice((), 0.0)
+    peaks, total = _peaks(spectrum)
+    if not peaks:
+        return Lattice((), 0.0)
+    best: tuple[float, tuple[tuple[float, float], ...], float] = (0.0, (), 0.0)
+    candidates = _candidates([(fx, fy) for fx, fy, _ in peaks])
+    singles = [(c,) for c in candidates]
+    for basis in itertools.chain(singles, itertools.combinations(candidates, 2)):
+        explained = _explained(basis, peaks) / total
+        # Prefer the coarser lattice in frequency (the smaller cell in space) among equals, and
+        # one wave to two.
+        cost = 0.02 * (len(basis) - 1) + 0.01 / _cell(basis)
+        if explained - cost > best[0]:
+            best = (explained - cost, basis, explained)
+    if best[2] < _LEAST_EXPLAINED:
+        return Lattice((), best[2])
+    return Lattice(tuple(Wave(fx / _WINDOW, fy / _WINDOW) for fx, fy in best[1]), best[2])
+
+
+def _mean_spectrum(colour: Tensor, valid: Tensor) -> Tensor | None:
+    """(_WINDOW, _WINDOW // 2 + 1) mean power over windows, or None if the picture is too small."""
+    height, width = colour.shape[-2:]
+    if min(height, width) < _WINDOW:
+        return None
+    step = _WINDOW // 2
+    spectra = []
+    for y in range(0, height - _WINDOW + 1, step):
+        for x in range(0, width - _WINDOW + 1, step):
+            if float(valid[y : y + _WINDOW, x : x + _WINDOW].float().mean()) < 0.9:
+                continue
+            window = colour[None, :, y : y + _WINDOW, x : x + _WINDOW]
+            spectrum = power_spectrum(window)[0].sum(0)
+            spectra.append(spectrum / spectrum[2:-1, 2:].mean().clamp_min(1e-12))
+    return torch.stack(spectra).mean(0) if spectra else None
+
+
+def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
+    """Peaks (fx, fy, power), in cycles per window, strongest first; and the whole power."""
+    # Full plane, zero frequency in the middle, so that neighbourhoods are whole.
+    full = torch.cat([spectrum, _mirror(spectrum)], dim=1)
+    full = torch.fft.fftshift(full)
+    middle = _WINDOW // 2
+    around = F.pad(full[None, None], (7, 7, 7, 7), mode="circular")
+    patches = F.unfold(around, 15).view(225, _WINDOW, _WINDOW)
+    background = patches.median(dim=0).values
+    highest = F.max_pool2d(full[None, None], 5, stride=1, padding=2)[0, 0]
+    rows, columns = torch.meshgrid(
+        torch.arange(_WINDOW) - middle, torch.arange(_WINDOW) - middle, indexing="ij"
+    )
+    radius = (rows.square() + columns.square()).sqrt()
+    texture = radius >= _WINDOW / _LONGEST
+    total = float(full[texture].sum())
+    mass = F.avg_pool2d(full[None, None], 3, stride=1, padding=1)[0, 0] * 9.0 - 9.0 * background
+    half = (columns > 0) | ((columns == 0) & (rows > 0))
+    found = (
+        (full == highest)
+        & texture
+        & half
+        & (full > _PEAK_RATIO * background)
+        & (2.0 * mass > _LEAST_SHARE * total)
+    )
+    peaks = []
+    for row, column in found.nonzero().tolist():
+        fy, fx = _refine(full, row, column)
+        peaks.append((fx - middle, fy - middle, 2.0 * float(mass[row, column])))
+    peaks.sort(key=lambda peak: -peak[2])
+    return peaks[:_MOST_PEAKS], total
+
+
+def _mirror(spectrum: Tensor) -> Tensor:
+    """The columns a real transform leaves out: S(-f) = S(f)."""
+    inner = spectrum[:, 1:-1].flip(1)
+    return torch.cat([inner[:1], inner[1:].flip(0)], dim=0)
+
+
+def _refine(full: Tensor, row: int, column: int) -> tuple[float, float]:
+    """Centre of a peak to a fraction of a bin, by a parabola through its neighbours."""
+
+    def vertex(before: float, at: float, after: float) -> float:
+        bend = before - 2.0 * at + after
+        return 0.5 * (before - after) / bend if bend < 0 else 0.0
+
+    log = full.clamp_min(1e-12).log()
+    size = full.shape[0]
+    up, down = float(log[(row - 1) % size, column]), float(log[(row + 1) % size, column])
+    left, right = float(log[row, (column - 1) % size]), float(log[row, (column + 1) % size])
+    at = float(log[row, column])
+    return row + vertex(up, at, down), column + vertex(left, at, right)
+
+
+def _candidates(peaks: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Waves that may generate the lattice: peaks, their halves, half sums and differences."""
+    found = list(peaks)
+    for fx, fy in peaks[:6]:
+        found.append((fx / 2.0, fy / 2.0))
+    for (ax, ay), (bx, by) in itertools.combinations(peaks[:6], 2):
+        found += [((ax + bx) / 2.0, (ay + by) / 2.0), ((ax - bx) / 2.0, (ay - by) / 2.0)]
+        found += [(ax - bx, ay - by)]
+    least = _WINDOW / _LONGEST
+    return [(fx, fy) for fx, fy in found if (fx * fx + fy * fy) ** 0.5 >= least]
+
+
+def _cell(basis: tuple[tuple[float, float], ...]) -> float:
+    """Size of the lattice's cell in frequency: the longer, the fewer lattice points."""
+    if len(basis) == 1:
+        return (basis[0][0] ** 2 + basis[0][1] ** 2) ** 0.5
+    (ax, ay), (bx, by) = basis
+    return max(abs(ax * by - ay * bx), 1e-9) ** 0.5
+
+
+def _explained(
+    basis: tuple[tuple[float, float], ...], peaks: list[tuple[float, float, float]]
+) -> float:
+    """Power of the peaks that lie on the lattice a basis generates."""
+    if len(basis) == 2:
+        (ax, ay), (bx, by) = basis
+        lengths = (ax * ax + ay * ay) ** 0.5 * (bx * bx + by * by) ** 0.5
+        if abs(ax * by - ay * bx) < 0.3 * lengths:
+            return 0.0  # nearly one direction: two waves would beat, not weave
+    power = 0.0
+    for px, py, mass in peaks:
+        for orders in itertools.product(_ORDERS, repeat=len(basis)):
+            qx = sum(n * f[0] for n, f in zip(orders, basis, strict=True))
+            qy = sum(n * f[1] for n, f in zip(orders, basis, strict=True))
+            if any(orders) and (px - qx) ** 2 + (py - qy) ** 2 < _TOLERANCE**2:
+                power += mass
+                break
+    return power
