@@ -94,6 +94,16 @@ def pipeline(monkeypatch) -> FakePipeline:
 
 
 @pytest.fixture
+def never_captured(monkeypatch):
+    """Photographs are really read; that one of them gets as far as a capture is a failure."""
+
+    def reached(photo, settings, progress=None):
+        pytest.fail(f"{photo.name} was taken for a photograph")
+
+    monkeypatch.setattr("matcap.capture.pipeline.capture_photo", reached)
+
+
+@pytest.fixture
 def matcap(capsys):
     """Run a command in this process; gives code, out and err, and holds failures to their form."""
 
