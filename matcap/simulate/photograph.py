@@ -38,7 +38,7 @@ class Camera:
         full_well: electrons at the clip level; sets the shot noise.
         read_noise: electrons.
         supersampling: shading texels to a pixel's side.
-        blur: standard deviation of the lens's blur, in pixels.
+        blur: standard deviation of the lens's blur, in pixels; positive.
         brightness: mean that automatic exposure aims at; the clip level is 1.
         clipped: largest share of pixels that automatic exposure lets clip.
     """
@@ -91,9 +91,9 @@ def take(realise: Realise, camera: Camera, setup: FlashSetup) -> Shot:
     extent = (camera.width * fine, camera.height * fine)
     shaded = _shade(maps, setup, (x * fine, y * fine), extent)
     picture = _through_lens(shaded, setup, (x * fine, y * fine), extent)
-    picture = cv2.GaussianBlur(picture, (0, 0), camera.blur * fine) if camera.blur else picture
+    blurred = cv2.GaussianBlur(picture, (0, 0), camera.blur * fine)
     size = (camera.width, camera.height)
-    linear = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float64)
+    linear = np.asarray(cv2.resize(blurred, size, interpolation=cv2.INTER_AREA), np.float64)
     gain = _exposure(linear, camera)
     return Shot(linear * gain, setup.with_intensity((gain, gain, gain)), camera)
 

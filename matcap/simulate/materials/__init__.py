@@ -14,6 +14,9 @@ from matcap.simulate.materials.leather import leather
 from matcap.simulate.materials.plaster import plaster
 from matcap.simulate.materials.rust import rust
 from matcap.simulate.materials.tile import tile
+from matcap.simulate.materials.varied import RandomMaterial, random_material
+
+__all__ = ["MATERIALS", "RandomMaterial", "random_material", "realise"]
 
 MATERIALS: Mapping[str, Callable[[Canvas], MapSet]] = MappingProxyType(
     {
