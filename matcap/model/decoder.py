@@ -16,7 +16,7 @@ the caller (synth/field.py).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -70,16 +70,20 @@ class AdaIN(nn.Module):
         mean, deviation = self.affine(code).chunk(2, dim=-1)
         return mean, deviation
 
-    def forward(self, features: Tensor, code: Tensor, moments: Moments | None) -> Tensor:
-        """Normalise (B, C, H, W) by `moments`, or by its own, and move it to the code's.
+    def affine_of(self, code: Tensor, moments: Moments) -> Moments:
+        """Scale and shift that normalise by `moments` and move to the code's targets."""
+        mean, deviation = moments
+        wanted_mean, wanted_deviation = self.target(code)
+        scale = wanted_deviation / deviation
+        return scale, wanted_mean - mean * scale
+
+    def forward(self, features: Tensor, code: Tensor, moments: Moments) -> Tensor:
+        """Normalise (B, C, H, W) by `moments` and move it to the code's mean and deviation.
 
         A code (CODE_SIZE,) is one material, whose batch shares its moments; a code (B, CODE_SIZE)
         is B materials, each with its own.
         """
-        mean, deviation = moments if moments is not None else measure(features, code.ndim == 2)
-        wanted_mean, wanted_deviation = self.target(code)
-        scale = wanted_deviation / deviation
-        shift = wanted_mean - mean * scale
+        scale, shift = self.affine_of(code, moments)
         return features * _spread(scale).to(features) + _spread(shift).to(features)
 
 
@@ -115,13 +119,6 @@ class Layer(nn.Module):
             return F.conv2d(features, self.convolution.weight)
         return F.conv2d(features, self.convolution.weight, padding=1)
 
-    def forward(
-        self, features: Tensor, code: Tensor, moments: Moments | None, periodic: bool
-    ) -> Tensor:
-        """One step of the network; see AdaIN for the moments."""
-        features = self.adain(self.convolve(features, periodic), code, moments)
-        return F.relu(features) if self.activate else features
-
 
 class Decoder(nn.Module):
     """Noise and code in, six raw outputs out; `maps_from_raw` gives them their meaning."""
@@ -146,10 +143,18 @@ class Decoder(nn.Module):
         self.up = nn.ModuleList(up)
         self.head = Layer(channels, OUTPUTS, kernel=1, activate=False)
 
+    def down_layers(self) -> list[list[Layer]]:
+        """Layers of every block on the way down, full resolution first."""
+        return [_layers_of(block) for block in self.down]
+
+    def up_layers(self) -> list[list[Layer]]:
+        """Layers of every block on the way up, coarsest first."""
+        return [_layers_of(block) for block in self.up]
+
     def layers(self) -> list[Layer]:
         """All layers in the order they run."""
-        blocks = [*self.down, *self.up]
-        return [layer for block in blocks for layer in _layers_of(block)] + [self.head]
+        blocks = [*self.down_layers(), *self.up_layers()]
+        return [layer for block in blocks for layer in block] + [self.head]
 
     def forward(
         self,
@@ -159,7 +164,7 @@ class Decoder(nn.Module):
         *,
         periodic: bool = True,
     ) -> Tensor:
-        """Raw outputs (B, OUTPUTS, H, W) of a random field.
+        """Raw outputs (B, OUTPUTS, H, W) of a random field, float32.
 
         Args:
             field: noise (B, noise_channels, H, W) and waves, H and W multiples of ALIGNMENT.
@@ -167,23 +172,72 @@ class Decoder(nn.Module):
             moments: frozen statistics, one a layer; None measures them on this very field.
             periodic: wrap around the borders; otherwise the outermost texels are not valid.
         """
-        frozen = iter(moments) if moments is not None else None
+        if moments is None:
+            return self._run(
+                field, code, lambda features: measure(features, code.ndim == 2), periodic
+            )
+        frozen = iter(moments)
+        return self._run(field, code, lambda _: next(frozen), periodic)
 
-        def run(block: nn.Module, features: Tensor) -> Tensor:
-            for layer in _layers_of(block):
-                features = layer(features, code, next(frozen) if frozen else None, periodic)
-            return features
+    def reference_moments(self, field: RandomField, code: Tensor) -> list[Moments]:
+        """Every layer's statistics on a periodic reference field, in running order."""
+        recorded: list[Moments] = []
 
-        features, skips = field.noise.contiguous(memory_format=torch.channels_last), []
-        for level, block in enumerate(self.down):
-            if level > 0:
-                features = F.max_pool2d(features, 2)
-            features = run(block, features)
-            skips.append(features)
-        for level in reversed(range(DEPTH)):
-            parts = [upsample(features, periodic), skips[level], field.waves[level]]
-            features = run(self.up[DEPTH - 1 - level], torch.cat(parts, dim=1))
-        return self.head(features, code, next(frozen) if frozen else None, periodic).float()
+        def record(features: Tensor) -> Moments:
+            recorded.append(measure(features))
+            return recorded[-1]
+
+        self._run(field, code, record, periodic=True)
+        return recorded
+
+    def _run(
+        self,
+        field: RandomField,
+        code: Tensor,
+        moments: Callable[[Tensor], Moments],
+        periodic: bool,
+    ) -> Tensor:
+        def step(layer: Layer) -> Step:
+            def apply(features: Tensor) -> Tensor:
+                convolved = layer.convolve(features, periodic)
+                adapted = layer.adain(convolved, code, moments(convolved))
+                return F.relu(adapted) if layer.activate else adapted
+
+            return apply
+
+        down = [[step(layer) for layer in block] for block in self.down_layers()]
+        up = [[step(layer) for layer in block] for block in self.up_layers()]
+        return unet(field, down, up, step(self.head), periodic=periodic).float()
+
+
+Step = Callable[[Tensor], Tensor]
+
+
+def unet(
+    field: RandomField,
+    down: Sequence[Sequence[Step]],
+    up: Sequence[Sequence[Step]],
+    head: Step,
+    *,
+    periodic: bool,
+) -> Tensor:
+    """The network's wiring, whatever its steps are made of (training layers or folded ones)."""
+    features = field.noise.contiguous(memory_format=torch.channels_last)
+    skips = []
+    for level, block in enumerate(down):
+        if level > 0:
+            features = F.max_pool2d(features, 2)
+        for step in block:
+            features = step(features)
+        skips.append(features)
+    for level, block in zip(reversed(range(DEPTH)), up, strict=True):
+        parts = [upsample(features, periodic), skips[level]]
+        if field.waves:
+            parts.append(field.waves[level].to(features))
+        features = torch.cat(parts, dim=1)
+        for step in block:
+            features = step(features)
+    return head(features)
 
 
 def upsample(features: Tensor, periodic: bool) -> Tensor:

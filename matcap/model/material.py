@@ -1,0 +1,248 @@
+"""Material: a captured material and its file, `.matcap` (DESIGN, section 2).
+
+One safetensors file: the decoder's weights, the code, the frozen statistics, and JSON metadata as
+strings. Nothing in it is executed, and every shape is checked against the stated configuration
+before anything is read.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.errors import MatcapError
+from matcap.flash.geometry import FlashSetup
+from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, Moments
+from matcap.model.freeze import FoldedDecoder, fold
+from matcap.model.noise import Wave
+
+FORMAT = "matcap-material"
+VERSION = 1
+_LARGEST_WIDTH = 1024  # channels; a stranger's file cannot ask for more memory than this allows
+_REMEDY = "capture the photograph again, or fetch the file again"
+
+
+@dataclass(frozen=True)
+class Material:
+    """A generator of maps.
+
+    Attributes:
+        name: of the photograph it came from.
+        decoder: fine-tuned weights.
+        code: (CODE_SIZE,) where the decoder was tuned.
+        moments: frozen AdaIN statistics, one pair a layer.
+        waves: the plane waves of its regular order; none for most materials.
+        texel_size: in plane units (half the photograph's long side).
+        setup: camera and flash of the photograph.
+        provenance: anything worth knowing about how it was made; JSON.
+    """
+
+    name: str
+    decoder: Decoder
+    code: Tensor
+    moments: tuple[Moments, ...]
+    waves: tuple[Wave, ...]
+    texel_size: float
+    setup: FlashSetup
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def _folded(self) -> FoldedDecoder:
+        return fold(self.decoder, self.code, self.moments, has_waves=bool(self.waves))
+
+    def folded(self) -> FoldedDecoder:
+        """The frozen network: plain convolutions on noise."""
+        return self._folded
+
+    def maps(
+        self,
+        width: int,
+        height: int,
+        *,
+        seed: int = 0,
+        x: int = 0,
+        y: int = 0,
+        period: tuple[int, int] | None = None,
+    ) -> MapSet:
+        """Maps of a rectangle of the endless field; see synth.field.Field.read.
+
+        Args:
+            width: in texels.
+            height: in texels.
+            seed: which realisation.
+            x: of the left top texel.
+            y: of the left top texel, downwards.
+            period: repeat of the field in texels, or None for an endless one.
+        """
+        # Imported here because the field reads materials, too.
+        from matcap.synth.field import Field
+
+        return Field(self, seed, period).read(x, y, width, height)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the file: to a temporary name beside it, then renamed.
+
+        Raises:
+            MatcapError: the folder cannot be written, or the disk is full.
+        """
+        path = Path(path)
+        tensors = {f"decoder.{k}": v.contiguous() for k, v in self.decoder.state_dict().items()}
+        tensors["code"] = self.code.contiguous()
+        for index, (mean, deviation) in enumerate(self.moments):
+            tensors[f"moments.{index}.mean"] = mean.contiguous()
+            tensors[f"moments.{index}.deviation"] = deviation.contiguous()
+        about = {
+            "format": FORMAT,
+            "version": VERSION,
+            "name": self.name,
+            "decoder": asdict(self.decoder.config),
+            "waves": [asdict(wave) for wave in self.waves],
+            "texel_size": self.texel_size,
+            "setup": asdict(self.setup),
+            "provenance": dict(self.provenance),
+        }
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        try:
+            save_file(tensors, temporary, metadata={"matcap": json.dumps(about)})
+            os.replace(temporary, path)
+        except (OSError, SafetensorError) as error:
+            raise MatcapError(
+                f"the material cannot be written ({error})",
+                where=str(path),
+                remedy="choose a folder that can be written and has room",
+            ) from error
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Material:
+        """Read a `.matcap` file.
+
+        Raises:
+            MatcapError: missing, not a material, of another version, or damaged; names the tensor.
+        """
+        path = Path(path)
+        if not path.is_file():
+            what = "this is a folder" if path.is_dir() else "there is no such file"
+            raise MatcapError(what, where=str(path), remedy="give a .matcap file")
+        try:
+            with safe_open(path, framework="pt") as file:
+                about = _about(file.metadata(), path)
+                decoder = Decoder(_config(about["decoder"]))
+                state = {
+                    name: _tensor(file, f"decoder.{name}", tuple(value.shape), path)
+                    for name, value in decoder.state_dict().items()
+                }
+                decoder.load_state_dict(state)
+                code = _tensor(file, "code", (CODE_SIZE,), path)
+                moments = []
+                for index, layer in enumerate(decoder.layers()):
+                    shape = (layer.convolution.weight.shape[0],)
+                    mean = _tensor(file, f"moments.{index}.mean", shape, path)
+                    deviation = _tensor(file, f"moments.{index}.deviation", shape, path)
+                    moments.append((mean, deviation))
+                return Material(
+                    name=str(about["name"]),
+                    decoder=decoder.eval().requires_grad_(False),
+                    code=code,
+                    moments=tuple(moments),
+                    waves=tuple(Wave(float(w["fx"]), float(w["fy"])) for w in about["waves"][:2]),
+                    texel_size=float(about["texel_size"]),
+                    setup=_setup(about["setup"]),
+                    provenance=about["provenance"],
+                )
+        except (SafetensorError, OSError) as error:
+            raise MatcapError(
+                f"this is not a material, or it is damaged ({error})",
+                where=str(path),
+                remedy=_REMEDY,
+            ) from error
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise MatcapError(
+                f"the material's description is damaged ({error})",
+                where=str(path),
+                remedy=_REMEDY,
+            ) from error
+
+
+def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
+    if not metadata or "matcap" not in metadata:
+        raise MatcapError(
+            "this safetensors file is not a matcap material",
+            where=str(path),
+            remedy="give a .matcap file written by matcap capture",
+        )
+    about: dict[str, Any] = json.loads(metadata["matcap"])
+    if about["format"] != FORMAT:
+        raise MatcapError(
+            f"this holds a {about['format']}, not a material",
+            where=str(path),
+            remedy="give a .matcap file written by matcap capture",
+        )
+    if about["version"] != VERSION:
+        raise MatcapError(
+            f"this material is of version {about['version']}; this matcap reads {VERSION}",
+            where=str(path),
+            remedy="install the matcap that wrote it, or capture the photograph again",
+        )
+    return about
+
+
+def _config(stated: Mapping[str, Any]) -> DecoderConfig:
+    config = DecoderConfig(
+        noise_channels=int(stated["noise_channels"]),
+        widths=tuple(int(width) for width in stated["widths"]),
+        convolutions=(int(stated["convolutions"][0]), int(stated["convolutions"][1])),
+    )
+    sizes = (config.noise_channels, *config.widths)
+    if len(config.widths) != DEPTH + 1 or not all(1 <= s <= _LARGEST_WIDTH for s in sizes):
+        raise ValueError(f"widths {config.widths} are not {DEPTH + 1} of at most {_LARGEST_WIDTH}")
+    if not all(1 <= count <= 4 for count in config.convolutions):
+        raise ValueError(f"{config.convolutions} convolutions a block")
+    return config
+
+
+def _setup(stated: Mapping[str, Any]) -> FlashSetup:
+    ox, oy, oz = (float(v) for v in stated["offset"])
+    red, green, blue = (float(v) for v in stated["intensity"])
+    tilt_x, tilt_y = (float(v) for v in stated["tilt"])
+    return FlashSetup(
+        fov=float(stated["fov"]),
+        offset=(ox, oy, oz),
+        tilt=(tilt_x, tilt_y),
+        intensity=(red, green, blue),
+        vignetting=float(stated["vignetting"]),
+    )
+
+
+def _tensor(file: safe_open, name: str, shape: tuple[int, ...], path: Path) -> Tensor:
+    """One float32 tensor, its shape checked before it is read."""
+    try:
+        found = tuple(file.get_slice(name).get_shape())
+    except SafetensorError as error:
+        raise MatcapError(
+            f"the tensor {name} is missing", where=str(path), remedy=_REMEDY
+        ) from error
+    if found != shape:
+        raise MatcapError(
+            f"the tensor {name} has shape {found}, expected {shape}",
+            where=str(path),
+            remedy=_REMEDY,
+        )
+    value = file.get_tensor(name).to(torch.float32)
+    if not bool(torch.isfinite(value).all()):
+        raise MatcapError(
+            f"the tensor {name} holds NaN or infinity", where=str(path), remedy=_REMEDY
+        )
+    return value

@@ -1,0 +1,1 @@
+"""Any rectangle of the endless field of a material."""
