@@ -35,7 +35,7 @@ def relight(
             help="Texels read from a material.",
         ),
     ] = values.DEFAULT_SIZE,
-    seed: Annotated[int, typer.Option(min=0, help="Realisation read from a material.")] = 0,
+    seed: Annotated[int, typer.Option(help="Realisation read from a material.")] = 0,
     quiet: QuietOption = False,
 ) -> None:
     """Show a material under another light."""

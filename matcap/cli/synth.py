@@ -19,13 +19,13 @@ def synth(
             parser=values.size, metavar="WxH", show_default="1024x1024", help="Size in texels."
         ),
     ] = values.DEFAULT_SIZE,
-    seed: Annotated[int, typer.Option(min=0, help="Which realisation of the material.")] = 0,
+    seed: Annotated[int, typer.Option(help="Which realisation of the material.")] = 0,
     region: Annotated[
         values.Region | None,
         typer.Option(
             parser=values.region,
             metavar="x,y,w,h",
-            help="A rectangle anywhere in the endless field, instead of --size.",
+            help="A rectangle anywhere in the endless field (y downwards), not --size.",
         ),
     ] = None,
     out: Annotated[
@@ -47,10 +47,10 @@ def synth(
 
     area = region or values.Region(0, 0, size.width, size.height)
     source = Material.load(material)
-    folder = out or Path(f"{source.name}_{area.width}x{area.height}_seed{seed}")
+    folder = out or Path(f"{material.stem}_{area.width}x{area.height}_seed{seed}")
     check_writable(folder, mapset_bytes(area.width, area.height, png=png))
     maps = Field(source, seed).read(area.x, area.y, area.width, area.height)
-    info = MapSetInfo(source.name, seed, (area.x, area.y), source.provenance)
+    info = MapSetInfo(material.stem, seed, (area.x, area.y), dict(source.provenance))
     document = write_mapset(maps, folder, info, png=png, normal=normal.value)
     if not quiet:
         typer.echo(f"{material.name}: {document}", err=True)

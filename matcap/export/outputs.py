@@ -43,6 +43,12 @@ def write_outputs(
 ) -> Path:
     """Write material, first map set, preview.png and report.json into a folder, all or none.
 
+    Args:
+        result: of capture_photo.
+        photo: what was captured.
+        folder: made when missing; the material and its maps are called as it is.
+        settings: what to write.
+
     Returns:
         The material's path.
 
@@ -52,12 +58,12 @@ def write_outputs(
     from matcap.capture.preview import write_preview
     from matcap.capture.report import write_report
 
-    material = result.material
+    material, name = result.material, folder.name
     maps = material.maps(*settings.size, seed=settings.seed)
-    info = MapSetInfo(material.name, settings.seed, provenance=material.provenance)
-    with staged(folder, replacing=mapset_files(material.name)) as stage:
+    info = MapSetInfo(name, settings.seed, provenance=dict(material.provenance))
+    with staged(folder, replacing=mapset_files(name)) as stage:
         write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
         write_preview(result, stage / "preview.png")
         write_report(result, photo, stage / "report.json")
-        material.save(stage / f"{material.name}.matcap")
-    return folder / f"{material.name}.matcap"
+        material.save(stage / f"{name}.matcap")
+    return folder / f"{name}.matcap"

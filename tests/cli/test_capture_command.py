@@ -90,6 +90,7 @@ def test_photographs_of_the_same_stem_do_not_overwrite_each_other(matcap, pipeli
     other.write_text("another photograph")
     assert matcap("capture", photo, other, "-o", out, "--size", 16).code == 0
     assert sorted(f.name for f in out.iterdir()) == ["leather", "leather-2"]
+    assert (out / "leather-2" / "leather-2.matcap").is_file()
 
 
 def test_one_bad_photograph_is_3_and_leaves_nothing(matcap, pipeline, tmp_path, out):

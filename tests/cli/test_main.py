@@ -64,7 +64,7 @@ def test_every_command_explains_itself(matcap, command):
         ["capture", "a.dng", "--size", "0x5"],
         ["synth", "a.matcap", "--size", "-1x5"],
         ["synth", "a.matcap", "--region", "0,0,8"],
-        ["synth", "a.matcap", "--seed", "-1"],
+        ["synth", "a.matcap", "--seed", "one"],
         ["relight", ".", "-o", "a.gif"],
     ],
 )
