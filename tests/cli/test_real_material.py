@@ -1,0 +1,77 @@
+"""The commands on a real, if random, material, in processes of their own."""
+
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from matcap.export.exr import read_exr
+from matcap.export.mapset import read_mapset
+from matcap.flash.geometry import FlashSetup
+from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.freeze import freeze
+from matcap.model.material import Material
+
+
+def run(folder, *arguments):
+    command = [sys.executable, "-c", "from matcap.cli.main import run; run()", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the smallest material that the format allows."""
+    folder = tmp_path_factory.mktemp("material")
+    torch.manual_seed(0)
+    decoder = Decoder(DecoderConfig(noise_channels=1, widths=(4,) * 5, convolutions=(1, 1)))
+    decoder = decoder.eval().requires_grad_(False)
+    code = torch.randn(CODE_SIZE)
+    moments = tuple(freeze(decoder, code, ()))
+    Material("noise", decoder, code, moments, (), 2 / 512, FlashSetup()).save(
+        folder / "noise.matcap"
+    )
+    return folder
+
+
+def test_the_same_request_in_two_processes_gives_the_same_files(folder):
+    for out in ("first", "second"):
+        said = run(folder, "synth", "noise.matcap", "--size", "96x40", "--seed", "7", "-o", out)
+        assert said.returncode == 0, said.stderr
+    files = sorted(f.name for f in (folder / "first").iterdir())
+    assert len(files) == 6
+    for name in files:
+        assert (folder / "first" / name).read_bytes() == (folder / "second" / name).read_bytes()
+
+
+def test_a_lone_rectangle_is_cut_from_the_same_field(matcap, folder):
+    for region, out in [("-20,-30,80,70", "whole"), ("10,-10,16,24", "part")]:
+        said = matcap("synth", folder / "noise.matcap", "--region", region, "-o", folder / out)
+        assert said.code == 0
+    whole, part = (read_mapset(folder / name)[0] for name in ("whole", "part"))
+    cut = whole.crop(30, 20, 16, 24)
+    assert torch.equal(part.stacked(), cut.stacked())
+    assert part.height.std() > 0
+
+
+def test_a_material_relights_without_a_map_set(matcap, folder):
+    material, picture = folder / "noise.matcap", folder / "a.exr"
+    assert matcap("relight", material, "--size", "40x30", "-o", picture).code == 0
+    assert read_exr(picture).shape == (30, 40, 3)
+
+
+def test_broken_materials_are_refused(matcap, folder):
+    content = (folder / "noise.matcap").read_bytes()
+    (folder / "half.matcap").write_bytes(content[: len(content) // 2])
+    for path in (folder / "half.matcap", folder / "none.matcap", folder):
+        said = matcap("synth", path, "-o", folder / "never")
+        assert said.code == 3
+        assert said.err.count("\n") == 1
+        assert not (folder / "never").exists()
+
+
+def test_seeds_out_of_range_are_wrong_usage(matcap, folder):
+    said = matcap("synth", folder / "noise.matcap", "--seed", 2**63, "-o", folder / "never")
+    assert said.code == 2
+    assert "out of range" in said.err
+    assert not (folder / "never").exists()
