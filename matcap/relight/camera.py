@@ -1,0 +1,81 @@
+"""Rays of a camera: pixel centres to lines through the scene."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.relight.scene import Camera, Film
+from matcap.relight.vectors import Array, unit3
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera and the picture it takes.
+
+    Attributes:
+        position: (3,) place of a perspective camera.
+        axes: (3, 3) rows right, up and forward.
+        reach: half the picture's long side at distance 1 (perspective) or in plane units.
+        size: (width, height) in pixels.
+        perspective: whether rays meet in `position`.
+    """
+
+    position: Points
+    axes: Points
+    reach: float
+    size: tuple[int, int]
+    perspective: bool
+
+    @property
+    def pixel(self) -> float:
+        """A pixel's side: at distance 1 (perspective) or in plane units."""
+        return 2.0 * self.reach / max(self.size)
+
+    def screen(self, top: int, bottom: int) -> tuple[Array, Array]:
+        """(1, W) and (bottom - top, 1): places of the rows' pixel centres, in units of `reach`."""
+        width, height = self.size
+        half = max(width, height) / 2.0
+        across = (np.arange(width) + 0.5 - width / 2.0) / half * self.reach
+        down = (height / 2.0 - np.arange(top, bottom) - 0.5) / half * self.reach
+        return across[None, :], down[:, None]
+
+    def rays(self, top: int, bottom: int) -> tuple[Array, Array]:
+        """Origins and unit directions of the rows' rays, (3, bottom - top, W) each."""
+        across, down = self.screen(top, bottom)
+        across, down = np.broadcast_arrays(across, down)
+        right, up, forward = (axis[:, None, None] for axis in self.axes)
+        offset = right * across + up * down
+        place = self.position[:, None, None]
+        if self.perspective:
+            direction = forward + offset
+            length = np.sqrt((direction * direction).sum(axis=0))
+            return np.broadcast_to(place, offset.shape), direction / length
+        return place + offset, np.broadcast_to(forward, offset.shape)
+
+
+def view_of(camera: Camera | None, film: Film, long_side: float) -> View:
+    """The view of a camera, or of the photograph's where there is none.
+
+    The photograph's camera looks straight down from where its 45 degrees frame `long_side`.
+    """
+    size = (film.width, film.height)
+    if camera is None:
+        reach = math.tan(math.radians(22.5))
+        place = np.array([0.0, 0.0, long_side / 2.0 / reach])
+        return View(place, np.diag([1.0, 1.0, -1.0]), reach, size, True)
+    place = np.asarray(camera.position, dtype=np.float64)
+    forward = unit3(tuple(np.asarray(camera.target) - place))
+    # Looking along y, the picture's top is where the scene's front is.
+    upright = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < 1.0 - 1e-9 else np.array([0, 0, -1.0])
+    right = np.cross(forward, upright)
+    right = right / np.linalg.norm(right)
+    axes = np.stack([right, np.cross(right, forward), forward])
+    if camera.type == "perspective":
+        return View(place, axes, math.tan(math.radians(camera.fov / 2.0)), size, True)
+    return View(place, axes, camera.scale, size, False)

@@ -1,0 +1,285 @@
+"""Scene files (TOML) to scenes: every key checked, every mistake named.
+
+    [film]     width, height, exposure, transfer
+    [camera]   type, position, target, fov, scale
+    [surface]  type, size, file, repeat, displacement
+    [[light]]  type and the keys of its kind (see docs/relighting.md)
+
+Files named inside are relative to the scene file. Presets are in presets.py.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from matcap.errors import MatcapError
+from matcap.relight.scene import (
+    Camera,
+    DirectionalLight,
+    EnvironmentLight,
+    Film,
+    Light,
+    PointLight,
+    RectangleLight,
+    Scene,
+    SphereLight,
+    Surface,
+)
+
+_LARGEST_SIDE = 32768
+
+
+class _Fault(Exception):
+    """What is wrong with one value; the reader adds where."""
+
+
+Check = Callable[[Any, Path], Any]
+
+
+def read_scene(path: str | Path) -> Scene:
+    """Read a scene file.
+
+    Raises:
+        MatcapError: missing, not TOML, an unknown or a missing key, a value of the wrong kind or
+            out of range.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise MatcapError("no such file", where=str(path), remedy="check the path") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise MatcapError(
+            "this is not a readable text file", where=str(path), remedy="give a TOML scene file"
+        ) from error
+    return parse_scene(text, where=str(path), folder=path.parent)
+
+
+def parse_scene(text: str, *, where: str = "scene", folder: Path = Path(".")) -> Scene:
+    """The scene that TOML text describes; `folder` is what its files are relative to.
+
+    Raises:
+        MatcapError: as read_scene.
+    """
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise MatcapError(
+            f"this is not TOML ({str(error).rstrip('.')})", where=where, remedy="correct the file"
+        ) from error
+    read = _Reader(where, folder)
+    read.only(document, ("film", "camera", "surface", "light"), "")
+    film = read.table(document.get("film", {}), "[film]", _FILM)
+    surface = read.table(document.get("surface", {}), "[surface]", _SURFACE)
+    if surface.get("type") == "mesh" and "file" not in surface:
+        raise read.fault("[surface]", "a mesh needs its file", 'add file = "shoe.obj"')
+    if "file" in surface and surface.get("type") != "mesh":
+        raise read.fault("[surface]", "file belongs to a mesh", 'set type = "mesh"')
+    camera = None
+    if "camera" in document:
+        table = read.table(document["camera"], "[camera]", _CAMERA)
+        camera = Camera(**table)
+        if math.dist(camera.position, camera.target) == 0.0:
+            raise read.fault("[camera]", "position and target are the same", "move one of them")
+    lights = document.get("light", [])
+    if not isinstance(lights, list):
+        raise read.fault("[light]", "lights are a list", "write [[light]]")
+    return Scene(
+        film=Film(**film),
+        camera=camera,
+        surface=Surface(**surface),
+        lights=tuple(_light(read, entry, i) for i, entry in enumerate(lights, start=1)),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Reader:
+    where: str
+    folder: Path
+
+    def fault(self, place: str, what: str, remedy: str) -> MatcapError:
+        return MatcapError(what, where=f"{self.where} {place}".strip(), remedy=remedy)
+
+    def only(self, table: Mapping[str, Any], known: tuple[str, ...], place: str) -> None:
+        for key in table:
+            if key not in known:
+                near = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
+                raise self.fault(place, f"unknown key '{key}'", f"did you mean '{near[0]}'")
+
+    def table(
+        self, table: object, place: str, checks: Mapping[str, Check], ignore: tuple[str, ...] = ()
+    ) -> dict[str, Any]:
+        """The table's values, each checked by the function of its key."""
+        if not isinstance(table, dict):
+            raise self.fault(place, "this is not a table", "write its keys below its heading")
+        self.only(table, (*ignore, *checks), place)
+        values = {}
+        for key, value in table.items():
+            if key in ignore:
+                continue
+            try:
+                values[key] = checks[key](value, self.folder)
+            except _Fault as fault:
+                raise self.fault(place, f"{key} = {value!r} is wrong", f"give {fault}") from fault
+        return values
+
+
+def _light(read: _Reader, entry: object, number: int) -> Light:
+    place = f"[[light]] {number}"
+    if not isinstance(entry, dict):
+        raise read.fault(place, "this is not a table", "write its keys below [[light]]")
+    kind = entry.get("type")
+    if not isinstance(kind, str) or kind not in _LIGHTS:
+        names = ", ".join(_LIGHTS)
+        what = "a light needs a type" if kind is None else f"unknown type {kind!r}"
+        near = difflib.get_close_matches(str(kind), _LIGHTS, n=1)
+        raise read.fault(place, what, f"did you mean '{near[0]}'" if near else f"give {names}")
+    make, checks, needed = _LIGHTS[kind]
+    values = read.table(entry, place, checks, ignore=("type",))
+    missing = [key for key in needed if key not in values]
+    if missing:
+        raise read.fault(place, f"a {kind} light needs {' and '.join(missing)}", "add it")
+    if kind == "environment" and ("file" in values) == ("radiance" in values):
+        raise read.fault(
+            place, "an environment needs either file or radiance", "give exactly one of them"
+        )
+    if kind == "rectangle" and _parallel(values["normal"], values.get("up", (0.0, 1.0, 0.0))):
+        raise read.fault(place, "up is along the normal", "give an up that is not")
+    light: Light = make(**values)
+    return light
+
+
+def _number(value: Any, _: Path) -> float:  # noqa: ANN401
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise _Fault("a number")
+    return float(value)
+
+
+def _at_least(low: float, *, above: bool = False) -> Check:
+    def check(value: Any, folder: Path) -> float:  # noqa: ANN401
+        number = _number(value, folder)
+        if number < low or (above and number == low):
+            raise _Fault(f"a number {'above' if above else 'of at least'} {low:g}")
+        return number
+
+    return check
+
+
+def _angle(value: Any, folder: Path) -> float:  # noqa: ANN401
+    number = _number(value, folder)
+    if not 0.0 < number < 179.0:
+        raise _Fault("an angle between 0 and 179 degrees")
+    return number
+
+
+def _side(value: Any, _: Path) -> int:  # noqa: ANN401
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= _LARGEST_SIDE:
+        raise _Fault(f"a whole number from 1 to {_LARGEST_SIDE}")
+    return value
+
+
+def _one_of(*names: str) -> Check:
+    def check(value: Any, _: Path) -> str:  # noqa: ANN401
+        if value not in names:
+            raise _Fault(" or ".join(f'"{name}"' for name in names))
+        return str(value)
+
+    return check
+
+
+def _vector(value: Any, folder: Path) -> tuple[float, ...]:  # noqa: ANN401
+    if not isinstance(value, list) or len(value) != 3:
+        raise _Fault("three numbers such as [0.0, 1.0, 2.0]")
+    return tuple(_number(v, folder) for v in value)
+
+
+def _direction(value: Any, folder: Path) -> tuple[float, ...]:  # noqa: ANN401
+    vector = _vector(value, folder)
+    if not any(vector):
+        raise _Fault("a direction that is not zero")
+    return vector
+
+
+def _colour(value: Any, folder: Path) -> tuple[float, ...]:  # noqa: ANN401
+    colour = _vector(value, folder)
+    if min(colour) < 0.0:
+        raise _Fault("three numbers of at least 0")
+    return colour
+
+
+def _sides(value: Any, folder: Path) -> tuple[float, float]:  # noqa: ANN401
+    """A rectangle's sides; one number is a square."""
+    sides = value if isinstance(value, list) else [value, value]
+    if len(sides) != 2:
+        raise _Fault("one number or two")
+    positive = _at_least(0.0, above=True)
+    return positive(sides[0], folder), positive(sides[1], folder)
+
+
+def _file(value: Any, folder: Path) -> Path:  # noqa: ANN401
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise _Fault("a file name")
+    return folder / value
+
+
+def _parallel(a: tuple[float, float, float], b: tuple[float, float, float]) -> bool:
+    dot = sum(x * y for x, y in zip(a, b, strict=True))
+    return bool(dot * dot >= (1.0 - 1e-9) * sum(x * x for x in a) * sum(y * y for y in b))
+
+
+_FILM: dict[str, Check] = {
+    "width": _side,
+    "height": _side,
+    "exposure": _number,
+    "transfer": _one_of("srgb", "linear"),
+}
+_CAMERA: dict[str, Check] = {
+    "type": _one_of("perspective", "orthographic"),
+    "position": _vector,
+    "target": _vector,
+    "fov": _angle,
+    "scale": _at_least(0.0, above=True),
+}
+_SURFACE: dict[str, Check] = {
+    "type": _one_of("plane", "sphere", "cylinder", "mesh"),
+    "size": _at_least(0.0, above=True),
+    "file": _file,
+    "repeat": _at_least(0.0, above=True),
+    "displacement": _at_least(0.0),
+}
+# Of each kind of light: its class, its keys, and those it cannot do without.
+_LIGHTS: dict[str, tuple[Callable[..., Light], dict[str, Check], tuple[str, ...]]] = {
+    "point": (PointLight, {"position": _vector, "intensity": _colour}, ("position",)),
+    "directional": (
+        DirectionalLight,
+        {"direction": _direction, "irradiance": _colour},
+        ("direction",),
+    ),
+    "sphere": (
+        SphereLight,
+        {"position": _vector, "radius": _at_least(0.0, above=True), "radiance": _colour},
+        ("position", "radius"),
+    ),
+    "rectangle": (
+        RectangleLight,
+        {
+            "position": _vector,
+            "normal": _direction,
+            "up": _direction,
+            "size": _sides,
+            "radiance": _colour,
+        },
+        ("position", "normal"),
+    ),
+    "environment": (
+        EnvironmentLight,
+        {"file": _file, "scale": _at_least(0.0), "rotation": _number, "radiance": _colour},
+        (),
+    ),
+}
