@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
 import typer
+
+from matcap.cli import values
 
 app = typer.Typer(help="Measure matcap on this machine.", no_args_is_help=True)
 
@@ -10,3 +17,59 @@ app = typer.Typer(help="Measure matcap on this machine.", no_args_is_help=True)
 @app.callback()
 def _bench() -> None:
     """Measure matcap on this machine."""
+
+
+@app.command()
+def quality(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for photographs, pictures and tables.")
+    ] = Path("bench/quality"),
+    material: Annotated[
+        list[str] | None, typer.Option(help="Only this material; may be given several times.")
+    ] = None,
+    method: Annotated[
+        list[str] | None, typer.Option(help="Only this method; may be given several times.")
+    ] = None,
+    preset: Annotated[str, typer.Option(help="Of the captures.")] = "standard",
+    steps: Annotated[
+        int | None, typer.Option(min=0, help="Fine-tuning steps, instead of the preset's.")
+    ] = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option("--time", parser=values.duration, metavar="TIME", help="For each capture."),
+    ] = None,
+    detail: Annotated[
+        int, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")
+    ] = 1024,
+) -> None:
+    """How like the true material a capture looks under new lights.
+
+    Photographs simulated materials, captures them, and compares the relit results with other true
+    pieces of the same materials, beside simple ways to do the same. Errors are multiples of what
+    two true pieces differ by. Writes quality.md, quality.csv and pictures; prints the table.
+    """
+    from functools import partial
+
+    from matcap.api import capture
+    from matcap.bench.quality import (
+        METHODS,
+        QualitySettings,
+        markdown,
+        run_quality,
+        write_scores,
+    )
+    from matcap.export.staging import check_writable
+    from matcap.simulate.examples import EXAMPLES
+
+    check_writable(out, 200_000_000)
+    scores = run_quality(
+        partial(capture, preset=preset, steps=steps, time_limit=time_limit, detail=detail),
+        out,
+        materials=material or EXAMPLES,
+        methods=method or METHODS,
+        settings=QualitySettings(detail=detail),
+        tell=lambda line: typer.echo(line, err=True),
+    )
+    command = shlex.join(["matcap", *sys.argv[1:]])
+    write_scores(scores, out, command)
+    typer.echo(markdown(scores, command))
