@@ -126,6 +126,10 @@ def _attempt(
     except MatcapError as error:
         shown.failed(job.photo, str(error))
         return {"photo": str(job.photo), "status": "failed", "reason": str(error)}
+    except KeyboardInterrupt:
+        reason = "interrupted before there was anything to save"
+        shown.failed(job.photo, f"{job.photo}: {reason}.")
+        return {"photo": str(job.photo), "status": "interrupted", "reason": reason}
     done["seconds"] = round(time.perf_counter() - started, 2)
     shown.finished(job.photo, done)
     return done

@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
@@ -114,7 +114,8 @@ class Material:
         }
         temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
-            save_file(tensors, temporary, metadata={"matcap": json.dumps(about)})
+            # As bytes: save_file would give the file to its owner alone, whatever the umask says.
+            temporary.write_bytes(save(tensors, metadata={"matcap": json.dumps(about)}))
             os.replace(temporary, path)
         except (OSError, SafetensorError) as error:
             raise MatcapError(

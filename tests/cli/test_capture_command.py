@@ -125,7 +125,10 @@ def test_an_interruption_saves_the_best_so_far_and_is_130(matcap, pipeline, phot
 
 def test_an_early_interruption_is_130_and_leaves_nothing(matcap, pipeline, photo, tmp_path, out):
     pipeline.failure = KeyboardInterrupt()
-    assert matcap("capture", photo, "-o", out).code == 130
+    said = matcap("capture", photo, photo, "-o", out, "--json")
+    assert said.code == 130
+    assert said.err == f"matcap: {photo}: interrupted before there was anything to save.\n"
+    assert [r["status"] for r in json.loads(said.out)["photographs"]] == ["interrupted"]
     assert list(tmp_path.iterdir()) == [photo]
 
 

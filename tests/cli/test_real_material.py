@@ -60,6 +60,11 @@ def test_a_material_relights_without_a_map_set(matcap, folder):
     assert read_exr(picture).shape == (30, 40, 3)
 
 
+def test_a_material_is_for_everybody_whom_other_files_are_for(folder):
+    (folder / "other").touch()
+    assert (folder / "noise.matcap").stat().st_mode == (folder / "other").stat().st_mode
+
+
 def test_broken_materials_are_refused(matcap, folder):
     content = (folder / "noise.matcap").read_bytes()
     (folder / "half.matcap").write_bytes(content[: len(content) // 2])
