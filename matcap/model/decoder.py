@@ -106,6 +106,9 @@ class Layer(nn.Module):
         # AdaIN takes the mean away, so a bias would do nothing.
         self.convolution = nn.Conv2d(inputs, outputs, kernel, bias=False)
         nn.init.kaiming_normal_(self.convolution.weight)
+        # The layout in which the processor's convolutions run fastest.
+        weight = self.convolution.weight.data.contiguous(memory_format=torch.channels_last)
+        self.convolution.weight.data = weight
         self.adain = AdaIN(outputs)
         self.activate = activate
 

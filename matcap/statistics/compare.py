@@ -60,6 +60,16 @@ class Descriptor:
             tuple(q[index] for q in self.quantiles),
         )
 
+    @staticmethod
+    def joined(parts: Sequence[Descriptor]) -> Descriptor:
+        """Descriptors of all windows of several."""
+        return Descriptor(
+            torch.cat([part.mean for part in parts]),
+            tuple(torch.cat(level) for level in zip(*(p.grams for p in parts), strict=True)),
+            tuple(torch.cat(level) for level in zip(*(p.spectra for p in parts), strict=True)),
+            tuple(torch.cat(level) for level in zip(*(p.quantiles for p in parts), strict=True)),
+        )
+
 
 def describe(linear: Tensor, encoding: Encoding, bank: FilterBank) -> Descriptor:
     """Descriptor of scene-linear windows (B, 3, H, W)."""

@@ -7,8 +7,10 @@ whatever order, whatever rectangle, and however many blocks are computed side by
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -64,10 +66,13 @@ class Field:
         self.period = period
         self._decoder = material.folded()
 
-    def read(self, x: int, y: int, width: int, height: int, *, workers: int = 1) -> MapSet:
+    def read(
+        self, x: int, y: int, width: int, height: int, *, workers: int | None = None
+    ) -> MapSet:
         """Maps of a rectangle; texel (x, y) is left top, y grows downwards.
 
-        The height is finite-differenced inside the rectangle; a rectangle that is the whole
+        `workers` blocks are computed side by side (default: one a core); their number changes no
+        bit. The height is finite-differenced inside the rectangle; a rectangle that is the whole
         period is marked periodic.
 
         Raises:
@@ -80,8 +85,7 @@ class Field:
         def fill(piece: Piece) -> None:
             raw[(..., *piece.target)] = self.decode_block(piece.block)[(..., *piece.source)]
 
-        # Threads of the pool compute with one thread each, so the pool's size changes no bit.
-        with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        with _one_thread_each(), ThreadPoolExecutor(workers or os.cpu_count()) as pool:
             list(pool.map(fill, pieces))
         whole = self.period == (width, height)
         return maps_from_raw(raw[0], self.material.texel_size, periodic=whole)
@@ -102,6 +106,17 @@ class Field:
                 period=self.period,
             )
             return self._decoder(field)[..., HALO:-HALO, HALO:-HALO].float()
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Every block is computed on one thread, so that the machine's count changes no bit."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def check_rectangle(wanted: Rectangle) -> Rectangle:

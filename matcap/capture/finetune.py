@@ -1,0 +1,250 @@
+"""Fine-tuning: the decoder learns to look like the photograph, window by window (paper, 4.6).
+
+Each step decodes fresh noise, renders it as if it lay at a few places of the photograph, and
+compares every rendering's statistics with the photograph's at that same place. The last steps run
+with AdaIN's statistics frozen, so that what is saved is what was optimised.
+
+Anytime: it ends after a number of steps, a time, or an interrupt, and hands back the best so far.
+A step that goes wrong (a loss that is not finite, or explodes) is taken back and the rate lowered.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.windows import Windows
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.render import render_flash
+from matcap.model.decoder import ALIGNMENT, DEPTH, Decoder, Moments, maps_from_raw
+from matcap.model.freeze import freeze
+from matcap.model.noise import RandomField, Wave, random_field, wrap64
+from matcap.statistics.compare import Weights, describe, distance
+from matcap.statistics.encoding import Encoding
+from matcap.statistics.filterbank import FilterBank
+
+_WARM_UP = 10  # steps
+_FLOOR = 0.05  # of the learning rate, at the end of the cosine
+_FROZEN_SHARE = 0.15  # of the work, at the end, done with frozen statistics
+_SMOOTHING = 0.05  # of the running error
+_EXPLODED = 4.0  # times the running error
+_SNAPSHOT_EVERY = 20  # steps
+_STEEP = 1.0  # slopes beyond 45 degrees are not relief a flash photograph shows
+
+
+@dataclass(frozen=True)
+class TuneSettings:
+    """How long and how fast.
+
+    Attributes:
+        steps: at most so many.
+        seconds: and at most so long, or None.
+        places: windows rendered per step.
+        learning_rate: of Adam, at its highest.
+        slope_penalty: of the mean squared slope; relief must pay for itself.
+        steep_penalty: of squared slopes beyond 45 degrees.
+        half_precision: bfloat16 inside the network and the features.
+        seed: of noise and order.
+    """
+
+    steps: int
+    seconds: float | None = None
+    places: int = 2
+    learning_rate: float = 1e-2
+    slope_penalty: float = 0.02
+    steep_penalty: float = 0.3
+    half_precision: bool = True
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the decoder is tuned to: one photograph.
+
+    Attributes:
+        windows: places and targets.
+        setup: camera and flash.
+        encoding: of its colours.
+        bank: features.
+        waves: of its regular order.
+        texel_size: in plane units.
+        weights: of the statistics.
+    """
+
+    windows: Windows
+    setup: FlashSetup
+    encoding: Encoding
+    bank: FilterBank
+    waves: tuple[Wave, ...]
+    texel_size: float
+    weights: Weights = Weights()
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The best decoder found.
+
+    Attributes:
+        decoder: its weights.
+        moments: frozen statistics it was optimised with.
+        history: (seconds, step, running error) as it went.
+        interrupted: ended by Ctrl-C.
+    """
+
+    decoder: Decoder
+    moments: tuple[Moments, ...]
+    history: tuple[tuple[float, int, float], ...]
+    interrupted: bool
+
+
+Report = Callable[[float, float, float], None]  # share done, running error, seconds so far
+
+
+def finetune(
+    decoder: Decoder, code: Tensor, scene: Scene, settings: TuneSettings, report: Report
+) -> Tuned:
+    """Tune a decoder at a code to a photograph. The decoder given is changed.
+
+    Args:
+        decoder: where to start.
+        code: (CODE_SIZE,), held fixed.
+        scene: the photograph.
+        settings: how long and how fast.
+        report: called after every step.
+    """
+    started = time.monotonic()
+    optimiser = torch.optim.Adam(decoder.parameters(), lr=settings.learning_rate, betas=(0.9, 0.99))
+    order = _places(scene.windows.count, settings.seed)
+    moments: list[Moments] | None = None
+    best = _Best(copy.deepcopy(decoder.state_dict()), math.inf)
+    error, rate, step, history = math.nan, settings.learning_rate, 0, []
+    interrupted = False
+    try:
+        while True:
+            seconds = time.monotonic() - started
+            share = step / settings.steps if settings.steps else 1.0
+            if settings.seconds is not None:
+                share = max(share, seconds / settings.seconds)
+            if share >= 1.0:
+                break
+            if moments is None and share >= 1.0 - _FROZEN_SHARE:
+                moments = freeze(decoder, code, scene.waves)
+                best = _Best(copy.deepcopy(decoder.state_dict()), math.inf)
+            for group in optimiser.param_groups:
+                group["lr"] = rate * _schedule(step, share)
+            places = torch.tensor([next(order) for _ in range(settings.places)])
+            loss, penalty = _step_loss(decoder, code, scene, settings, moments, places, step)
+            value = float(loss.detach())
+            if not math.isfinite(value) or value > _EXPLODED * max(error, 0.1):
+                # Back to where it was good, and slower from there.
+                decoder.load_state_dict(best.state)
+                rate *= 0.5
+                optimiser = torch.optim.Adam(decoder.parameters(), lr=rate, betas=(0.9, 0.99))
+                step += 1
+                continue
+            optimiser.zero_grad(set_to_none=True)
+            (loss + penalty).backward()
+            torch.nn.utils.clip_grad_norm_(decoder.parameters(), 1.0)
+            optimiser.step()
+            step += 1
+            smoothing = max(_SMOOTHING, 1.0 / step)
+            error = value if math.isnan(error) else error + smoothing * (value - error)
+            seconds = time.monotonic() - started
+            history.append((seconds, step, error))
+            if step % _SNAPSHOT_EVERY == 0 and error < best.error:
+                best = _Best(copy.deepcopy(decoder.state_dict()), error)
+            report(min(1.0, share), error, seconds)
+    except KeyboardInterrupt:
+        interrupted = True
+    if history and best.error < error and _finite(best.state):
+        decoder.load_state_dict(best.state)
+    if moments is None or not history:
+        moments = freeze(decoder, code, scene.waves)
+    return Tuned(decoder, tuple(moments), tuple(history), interrupted)
+
+
+@dataclass(frozen=True)
+class _Best:
+    state: dict[str, Tensor]
+    error: float
+
+
+def _finite(state: dict[str, Tensor]) -> bool:
+    return all(bool(torch.isfinite(value).all()) for value in state.values())
+
+
+def _schedule(step: int, share: float) -> float:
+    """Warm-up, then a cosine down to _FLOOR."""
+    warm = min(1.0, (step + 1) / _WARM_UP)
+    return warm * (_FLOOR + (1.0 - _FLOOR) * (0.5 + 0.5 * math.cos(math.pi * share)))
+
+
+def _places(count: int, seed: int) -> Iterator[int]:
+    """Every window once in a random order, for ever."""
+    generator = torch.Generator().manual_seed(seed)
+    while True:
+        yield from torch.randperm(count, generator=generator).tolist()
+
+
+def _step_loss(
+    decoder: Decoder,
+    code: Tensor,
+    scene: Scene,
+    settings: TuneSettings,
+    moments: list[Moments] | None,
+    places: Tensor,
+    step: int,
+) -> tuple[Tensor, Tensor]:
+    """Mean distance at some places, and the relief's penalty."""
+    maps = decode_window(
+        decoder,
+        code,
+        scene,
+        wrap64(settings.seed * 1_000_003 + step),
+        moments,
+        half_precision=settings.half_precision,
+    )
+    rendered = render_flash(maps, scene.setup, scene.windows.points[places])
+    with torch.autocast("cpu", torch.bfloat16, enabled=settings.half_precision):
+        found = describe(rendered, scene.encoding, scene.bank)
+    loss = distance(found, scene.windows.target.select(places), scene.weights).mean()
+    normal = maps.normal
+    squared = (normal[:, :2] / normal[:, 2:]).square().sum(dim=1)
+    steep = torch.relu((squared + 1e-6).sqrt() - _STEEP).square().mean()
+    penalty = settings.slope_penalty * squared.mean() + settings.steep_penalty * steep
+    return loss, penalty
+
+
+def decode_window(
+    decoder: Decoder,
+    code: Tensor,
+    scene: Scene,
+    seed: int,
+    moments: list[Moments] | None,
+    *,
+    half_precision: bool,
+) -> MapSet:
+    """Maps (1, ., size, size) of one window of fresh noise.
+
+    Noise repeats with the rectangle, which is a field as good as any. A material's waves do not
+    fit any rectangle; where they break, at the border, a margin is cut off.
+    """
+    size = scene.windows.size
+    margin = ALIGNMENT if scene.waves else 0
+    full = size + 2 * margin
+    noise = random_field(
+        seed, decoder.config.noise_channels, (), 0, 0, full, full, levels=0, period=(full, full)
+    ).noise
+    waves = random_field(seed, 1, scene.waves, 0, 0, full, full, levels=DEPTH).waves
+    with torch.autocast("cpu", torch.bfloat16, enabled=half_precision):
+        raw = decoder(RandomField(noise, waves), code, moments)
+    if margin:
+        raw = raw[..., margin:-margin, margin:-margin]
+    return maps_from_raw(raw, scene.texel_size, periodic=margin == 0)

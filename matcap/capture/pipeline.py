@@ -1,0 +1,254 @@
+"""The whole way from a photograph to a material. This file reads as its data flow."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.coarse import CoarseFit, fit_coarse
+from matcap.capture.finetune import Scene, TuneSettings, finetune
+from matcap.capture.start import log_contrast, untrained
+from matcap.capture.windows import cut_windows
+from matcap.errors import UsageError
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.rectify import rectify
+from matcap.flash.render import render_flash
+from matcap.model.decoder import ALIGNMENT, CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.material import Material
+from matcap.photo.photo import Photo
+from matcap.statistics.encoding import fit_encoding
+from matcap.statistics.filterbank import FilterBank, FilterBankConfig
+from matcap.statistics.lattice import find_lattice
+
+# Steps of fine-tuning; docs/capture.md has what each costs and buys.
+PRESETS: dict[str, int] = {"draft": 80, "standard": 350, "high": 1000, "reference": 3000}
+FEATURES = FilterBankConfig(sizes=(5,), filters=64)
+_WINDOW = 256  # texels a side
+
+
+@dataclass(frozen=True)
+class CaptureSettings:
+    """What the user decides.
+
+    Attributes:
+        preset: a key of PRESETS.
+        steps: of fine-tuning, instead of the preset's.
+        time_limit: of fine-tuning in seconds, or None.
+        detail: texels across the photograph's long side.
+        fov: field of view across the long side in degrees, instead of the photograph's.
+        seed: of everything random.
+        prior: "auto", "none" (start from nothing) or a file.
+    """
+
+    preset: str = "standard"
+    steps: int | None = None
+    time_limit: float | None = None
+    detail: int = 1024
+    fov: float | None = None
+    seed: int = 0
+    prior: str = "auto"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a capture is.
+
+    Attributes:
+        stage: its name.
+        fraction: of the stage, in [0, 1].
+        error: running error of fine-tuning, or None.
+        seconds: since the start.
+        seconds_left: expected, or None.
+    """
+
+    stage: str
+    fraction: float
+    error: float | None
+    seconds: float
+    seconds_left: float | None
+
+
+@dataclass(frozen=True)
+class CaptureResult:
+    """A material and how it came about.
+
+    Attributes:
+        material: the generator.
+        rectified: (H, W, 3) the photograph on the plane's grid, linear.
+        rerendered: (H, W, 3) the material under the photograph's own flash, linear.
+        maps: of that same rectangle.
+        history: (seconds, step, error) of fine-tuning.
+        stage_seconds: per stage.
+        settings: as given.
+        interrupted: ended by Ctrl-C, with the best so far.
+    """
+
+    material: Material
+    rectified: NDArray[np.float32]
+    rerendered: NDArray[np.float32]
+    maps: MapSet
+    history: tuple[tuple[float, int, float], ...]
+    stage_seconds: dict[str, float]
+    settings: CaptureSettings
+    interrupted: bool
+
+
+def capture_photo(
+    photo: Photo,
+    settings: CaptureSettings,
+    progress: Callable[[Progress], None] | None = None,
+) -> CaptureResult:
+    """A photograph to a material.
+
+    Args:
+        photo: as load_photo gives it.
+        settings: what the user decides.
+        progress: called as the work goes on.
+
+    Raises:
+        UsageError: an unknown preset.
+        MatcapError: a photograph nothing can be made of, or a prior that cannot be read.
+    """
+    steps = _steps(settings)
+    clock = _Clock(progress)
+
+    with clock.stage("coarse fit"):
+        coarse = fit_coarse(photo)
+
+    with clock.stage("statistics"):
+        linear, valid = rectify(photo, coarse.setup, settings.detail)
+        encoding = fit_encoding(linear, valid)
+        lattice = find_lattice(encoding(linear[None])[0], valid)
+        bank = FilterBank(FEATURES)
+        windows = cut_windows(linear, valid, encoding, bank, _window(linear))
+        texel_size = 2.0 / linear.shape[-1]
+        scene = Scene(windows, coarse.setup, encoding, bank, lattice.waves, texel_size)
+
+    with clock.stage("start"):
+        decoder, code = _start(coarse, log_contrast(linear, valid), settings)
+
+    with clock.stage("fine-tuning"):
+        tuned = finetune(
+            decoder,
+            code,
+            scene,
+            TuneSettings(steps=steps, seconds=settings.time_limit, seed=settings.seed),
+            clock.tuning,
+        )
+
+    with clock.stage("rendering"):
+        material = Material(
+            name=_stem(photo.name),
+            decoder=tuned.decoder.eval().requires_grad_(False),
+            code=code,
+            moments=tuned.moments,
+            waves=lattice.waves,
+            texel_size=texel_size,
+            setup=coarse.setup,
+            provenance=_provenance(photo, settings, coarse, steps),
+        )
+        height, width = linear.shape[-2:]
+        maps = material.maps(width, height, seed=settings.seed)
+        rerendered = _flash_picture(maps, material.setup)
+
+    return CaptureResult(
+        material=material,
+        rectified=_picture(linear),
+        rerendered=_picture(rerendered),
+        maps=maps,
+        history=tuned.history,
+        stage_seconds=clock.seconds,
+        settings=settings,
+        interrupted=tuned.interrupted,
+    )
+
+
+def _steps(settings: CaptureSettings) -> int:
+    if settings.preset not in PRESETS:
+        raise UsageError(
+            f"there is no preset {settings.preset!r}", remedy=f"choose one of {', '.join(PRESETS)}"
+        )
+    if settings.steps is not None:
+        return settings.steps
+    # A time limit alone decides when to stop.
+    return PRESETS["reference" if settings.time_limit is not None else settings.preset]
+
+
+def _window(linear: Tensor) -> int:
+    """Window size that fits the picture, a multiple of the decoder's alignment."""
+    return max(ALIGNMENT, min(_WINDOW, *(s // ALIGNMENT * ALIGNMENT for s in linear.shape[-2:])))
+
+
+def _start(
+    coarse: CoarseFit, contrast: Tensor, settings: CaptureSettings
+) -> tuple[Decoder, Tensor]:
+    """Decoder and code to start from."""
+    decoder = untrained(DecoderConfig(), coarse, contrast, settings.seed)
+    return decoder, torch.zeros(CODE_SIZE)
+
+
+def _flash_picture(maps: MapSet, setup: FlashSetup) -> Tensor:
+    width, height = maps.size
+    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    with torch.inference_mode():
+        return render_flash(maps, setup, points)
+
+
+def _picture(linear: Tensor) -> NDArray[np.float32]:
+    picture: NDArray[np.float32] = linear.permute(1, 2, 0).contiguous().numpy()
+    return picture
+
+
+def _stem(name: str) -> str:
+    return name.rsplit(".", 1)[0] or name
+
+
+def _provenance(
+    photo: Photo, settings: CaptureSettings, coarse: CoarseFit, steps: int
+) -> dict[str, Any]:
+    return {
+        "photograph": photo.name,
+        "settings": asdict(settings),
+        "steps": steps,
+        "coarse": {
+            "diffuse": list(coarse.diffuse),
+            "specular": coarse.specular,
+            "roughness": coarse.roughness,
+            "residual": coarse.residual,
+        },
+    }
+
+
+class _Clock:
+    """Times the stages and tells the caller how far things are."""
+
+    def __init__(self, progress: Callable[[Progress], None] | None) -> None:
+        self.seconds: dict[str, float] = {}
+        self._progress = progress
+        self._started = time.monotonic()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        began = time.monotonic()
+        self._tell(Progress(name, 0.0, None, began - self._started, None))
+        yield
+        self.seconds[name] = time.monotonic() - began
+        self._tell(Progress(name, 1.0, None, time.monotonic() - self._started, None))
+
+    def tuning(self, share: float, error: float, seconds: float) -> None:
+        left = seconds * (1.0 - share) / share if share > 0.01 else None
+        elapsed = time.monotonic() - self._started
+        self._tell(Progress("fine-tuning", share, error, elapsed, left))
+
+    def _tell(self, progress: Progress) -> None:
+        if self._progress is not None:
+            self._progress(progress)

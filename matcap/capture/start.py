@@ -1,0 +1,64 @@
+"""Where fine-tuning starts when there is no prior: a random decoder around the coarse fit.
+
+The coarse fit says what the material is on average and the photograph how strong its texture is.
+The decoder's last AdaIN states both outright, so they are put there: mean maps from the fit,
+contrast of the diffuse albedo from the photograph, hardly any relief. Colour explains first, and
+relief takes over what colour cannot: what turns with the direction to the flash. Starting with
+relief instead ends with dark spots dug as rough pits (docs/capture.md).
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.capture.coarse import CoarseFit
+from matcap.model.decoder import Decoder, DecoderConfig
+
+_CONTRAST_GAIN = 1.2  # a sigmoid's slope below 1/2 is under 1: logits must swing a little further
+_SPECULAR_CONTRAST, _ROUGHNESS_CONTRAST = 0.1, 0.1  # logits
+_RELIEF = 0.05  # texels
+_SHADING_SCALE = 48  # texels; slower variation is shading
+
+
+def head_start(coarse: CoarseFit, contrast: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and deviation (6,) of the raw outputs that a fit and a contrast ask for.
+
+    Args:
+        coarse: the uniform material.
+        contrast: (3,) standard deviation of the photograph's log colour; see log_contrast.
+    """
+    means = torch.tensor([*coarse.diffuse, coarse.specular, coarse.roughness])
+    return (
+        torch.cat([torch.logit(means, eps=1e-4), torch.zeros(1)]),
+        torch.cat(
+            [
+                contrast * _CONTRAST_GAIN,
+                torch.tensor([_SPECULAR_CONTRAST, _ROUGHNESS_CONTRAST, _RELIEF]),
+            ]
+        ),
+    )
+
+
+def log_contrast(linear: Tensor, valid: Tensor) -> Tensor:
+    """(3,) standard deviation of the log radiance of (3, H, W), shading taken off."""
+    toe = 0.01 * float(linear.median()) + 1e-6
+    log = torch.log(linear.clamp(0.0, 1.0) + toe)
+    size = min(_SHADING_SCALE, *log.shape[-2:])
+    small = F.avg_pool2d(log[None], size, stride=max(1, size // 2))
+    shading = F.interpolate(small, size=log.shape[-2:], mode="bilinear", align_corners=False)[0]
+    texture = (log - shading)[:, valid] if bool(valid.any()) else (log - shading).flatten(1)
+    return texture.std(dim=1).clamp(0.02, 1.5)
+
+
+def untrained(config: DecoderConfig, coarse: CoarseFit, contrast: Tensor, seed: int) -> Decoder:
+    """A random decoder whose mean maps are the coarse fit's; its code is zero."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        decoder = Decoder(config)
+    with torch.no_grad():
+        affine = decoder.head.adain.affine
+        affine.weight.zero_()
+        affine.bias.copy_(torch.cat(head_start(coarse, contrast)))
+    return decoder

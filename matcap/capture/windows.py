@@ -1,0 +1,76 @@
+"""The places of the photograph where a rendering is compared with it.
+
+Windows keep their place: a rendering is lit and seen as where its window was cut. A bump's shading
+turns with the direction to the flash, a dark spot's does not; comparing place by place is what
+tells them apart.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.flash.geometry import plane_points
+from matcap.statistics.compare import Descriptor, describe
+from matcap.statistics.encoding import Encoding
+from matcap.statistics.filterbank import FilterBank
+
+_LEAST_SEEN = 0.3  # share of a window's texels that must be inside the picture and not clipped
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Places, their geometry and what the photograph looks like there.
+
+    Attributes:
+        size: of the square windows, in texels.
+        points: (B, 3, size, size) their plane points.
+        target: their descriptors in the photograph.
+    """
+
+    size: int
+    points: Tensor
+    target: Descriptor
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        return len(self.points)
+
+
+def cut_windows(
+    linear: Tensor, valid: Tensor, encoding: Encoding, bank: FilterBank, size: int
+) -> Windows:
+    """Windows all over a rectified picture, overlapping by about half.
+
+    Args:
+        linear: (3, H, W) scene-linear picture of the plane.
+        valid: (H, W) bool, seen and not clipped; windows hardly seen are left out, unless all are.
+        encoding: of this photograph.
+        bank: features to describe with.
+        size: of the windows; not larger than the picture.
+    """
+    height, width = linear.shape[-2:]
+    places = [(x, y) for y in _steps(height, size) for x in _steps(width, size)]
+    seen = [
+        (x, y)
+        for x, y in places
+        if float(valid[y : y + size, x : x + size].float().mean()) >= _LEAST_SEEN
+    ]
+    places = seen or places
+    with torch.no_grad():
+        described = [
+            describe(linear[None, :, y : y + size, x : x + size], encoding, bank) for x, y in places
+        ]
+    points = [
+        plane_points(x, y, size, size, (width, height), dtype=torch.float32) for x, y in places
+    ]
+    return Windows(size, torch.stack(points), Descriptor.joined(described))
+
+
+def _steps(length: int, size: int) -> list[int]:
+    count = max(1, math.ceil((length - size) / (size / 2)) + 1)
+    return [round(i * (length - size) / max(1, count - 1)) for i in range(count)]
