@@ -1,0 +1,96 @@
+"""From code values to linear Rec.709: transfer functions, and the colour space of a file.
+
+Sources: IEC 61966-2-1 (sRGB), ITU-R BT.709-6 (primaries). Profiles are read by `icc`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = NDArray[np.float64]
+Curve = Callable[[Values], Values]
+Linearise = Callable[[NDArray[np.generic]], NDArray[np.float32]]
+
+# Where the sRGB curve changes from line to power, in code values and in light.
+_KNEE_CODE, _KNEE_LIGHT = 0.04045, 0.0031308
+
+# Linear Rec.709 to XYZ relative to D50, Bradford-adapted: the colorants of sRGB's ICC profile.
+REC709_TO_D50 = np.array(
+    [
+        [0.4360747, 0.3850649, 0.1430804],
+        [0.2225045, 0.7168786, 0.0606169],
+        [0.0139322, 0.0971045, 0.7141733],
+    ]
+)
+
+
+def srgb_decode(code: Values) -> Values:
+    """From sRGB code values to linear light, any shape; slope 1/12.92 at 0 and below it."""
+    power = ((np.maximum(code, _KNEE_CODE) + 0.055) / 1.055) ** 2.4
+    return np.where(code <= _KNEE_CODE, code / 12.92, power)
+
+
+def srgb_encode(light: Values) -> Values:
+    """From linear light to sRGB code values, any shape; slope 12.92 at 0 and below it."""
+    power = 1.055 * np.maximum(light, _KNEE_LIGHT) ** (1.0 / 2.4) - 0.055
+    return np.where(light <= _KNEE_LIGHT, light * 12.92, power)
+
+
+def linear(code: Values) -> Values:
+    """The curve of a file that stores light itself."""
+    return code
+
+
+@dataclass(frozen=True)
+class ColorSpace:
+    """How a file's code values stand for light.
+
+    Attributes:
+        name: for the report.
+        curves: code values in [0, 1] to linear light, one for each of red, green and blue.
+        matrix: (3, 3) from the file's linear colours to Rec.709, or None where they are that.
+    """
+
+    name: str
+    curves: tuple[Curve, Curve, Curve]
+    matrix: Values | None = None
+
+    def lineariser(self, dtype: np.dtype[np.generic]) -> Linearise:
+        """A function from rows (n, W, 3) of this dtype to linear Rec.709 float32, at least 0.
+
+        Integers go through a table of every code value, so that nothing of full size is ever made
+        in floating point. Colours outside Rec.709 come out at 0 or above 1 in a channel.
+        """
+        curves = self.curves
+        matrix = None if self.matrix is None else self.matrix.T.astype(np.float32)
+
+        def finish(light: NDArray[np.float32]) -> NDArray[np.float32]:
+            return np.maximum(light if matrix is None else light @ matrix, 0.0)
+
+        if not np.issubdtype(dtype, np.integer):
+
+            def from_floats(rows: NDArray[np.generic]) -> NDArray[np.float32]:
+                channels = [curves[c](rows[..., c].astype(np.float64)) for c in range(3)]
+                return finish(np.stack(channels, axis=-1).astype(np.float32))
+
+            return from_floats
+
+        largest = int(np.iinfo(dtype).max)  # type: ignore[type-var]
+        codes = np.arange(largest + 1, dtype=np.float64) / largest
+        tables = [curve(codes).astype(np.float32) for curve in curves]
+
+        def from_integers(rows: NDArray[np.generic]) -> NDArray[np.float32]:
+            light = np.empty(rows.shape, np.float32)
+            for channel, table in enumerate(tables):
+                light[..., channel] = table[rows[..., channel]]
+            return finish(light)
+
+        return from_integers
+
+
+SRGB = ColorSpace("sRGB", (srgb_decode,) * 3)
+LINEAR = ColorSpace("linear Rec.709", (linear,) * 3)

@@ -1,0 +1,75 @@
+"""What a DNG's tags say that LibRaw does not act on: lens shading, and JPEG XL compression."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from matcap.photo.gainmap import GainMap, parse_opcodes
+from matcap.photo.refusals import decoding
+
+if TYPE_CHECKING:
+    from tifffile import TiffPage
+
+_CFA, _LINEAR_RAW = 32803, 34892
+_JPEG_XL = 52546
+_OPCODES_ON_MOSAIC, _OPCODES_AFTER = 51009, 51022
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What else the picture needs.
+
+    Attributes:
+        on_mosaic: OpcodeList2's gain maps, for the linearised samples before demosaicing.
+        after_demosaic: OpcodeList3's.
+        jpeg_xl: the raw picture is compressed with JPEG XL, which LibRaw cannot open.
+        notes: what is asked for and not done.
+    """
+
+    on_mosaic: tuple[GainMap, ...] = ()
+    after_demosaic: tuple[GainMap, ...] = ()
+    jpeg_xl: bool = False
+    notes: tuple[str, ...] = ()
+
+
+def read_corrections(path: Path) -> Corrections:
+    """Read a DNG's opcode lists and the compression of its raw picture.
+
+    Raises:
+        MatcapError: the tags or the gain maps are damaged: falloff would be fitted as light.
+    """
+    import tifffile
+
+    with decoding(path, "DNG"), tifffile.TiffFile(path) as file:
+        page = raw_page(file)
+        if page is None:
+            return Corrections()
+        on_mosaic, vignette = parse_opcodes(_bytes(page, _OPCODES_ON_MOSAIC))
+        after, other_vignette = parse_opcodes(_bytes(page, _OPCODES_AFTER))
+        note = "The DNG asks for a radial vignette correction, which was not applied."
+        return Corrections(
+            on_mosaic,
+            after,
+            int(page.compression) == _JPEG_XL,
+            (note,) if vignette or other_vignette else (),
+        )
+
+
+def raw_page(file: Any) -> TiffPage | None:  # noqa: ANN401
+    """The largest raw picture of an open tifffile.TiffFile; previews lie beside it."""
+    raws = [page for page in _pages(file) if int(page.photometric) in (_CFA, _LINEAR_RAW)]
+    return max(raws, key=lambda page: page.imagewidth * page.imagelength, default=None)
+
+
+def _pages(file: Any) -> Iterator[Any]:  # noqa: ANN401
+    for page in file.pages:
+        yield page
+        yield from page.pages or ()
+
+
+def _bytes(page: Any, tag: int) -> bytes:  # noqa: ANN401
+    """An opcode list's bytes, or an empty list's."""
+    return bytes(page.tags[tag].value) if tag in page.tags else bytes(4)

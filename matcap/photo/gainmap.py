@@ -1,0 +1,146 @@
+"""A DNG's lens-shading GainMap opcodes: parsing and evaluating (Adobe DNG 1.7.1, chapter 7).
+
+Which picture they are applied to is the business of `raw` and `jxl`. Other opcodes are counted,
+not carried out: they correct geometry and single pixels, save the radial vignette, of which the
+user is told.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_GAIN_MAP, _RADIAL_VIGNETTE = 9, 3
+_HEADER = struct.Struct(">4I 4I 2I 4d I")
+_MOST_POINTS = 1 << 24
+
+
+@dataclass(frozen=True)
+class GainMap:
+    """Gains on a coarse grid over the active area, for some planes and every so many pixels.
+
+    Attributes:
+        area: top, left, bottom, right of the pixels it applies to; the last two excluded.
+        planes: first plane, and the plane after the last.
+        pitch: apply to every so many rows and columns.
+        spacing, origin: of the grid (vertical, horizontal), in parts of the whole picture.
+        gains: (V, H, P) float32; planes beyond P use the last.
+    """
+
+    area: tuple[int, int, int, int]
+    planes: tuple[int, int]
+    pitch: tuple[int, int]
+    spacing: tuple[float, float]
+    origin: tuple[float, float]
+    gains: NDArray[np.float32]
+
+    def at(
+        self, rows: NDArray[np.float64], columns: NDArray[np.float64], plane: int
+    ) -> NDArray[np.float32]:
+        """Bilinear gains (R, C) at relative positions in [0, 1], held beyond the grid's edge."""
+        grid = self.gains[..., min(plane - self.planes[0], self.gains.shape[2] - 1)]
+        down = _weights(rows, self.gains.shape[0], self.spacing[0], self.origin[0])
+        across = _weights(columns, self.gains.shape[1], self.spacing[1], self.origin[1])
+        return np.asarray(down @ grid @ across.T, np.float32)
+
+
+@dataclass(frozen=True)
+class Shading:
+    """All gain maps of one opcode list, over a picture of (height, width) active pixels."""
+
+    maps: tuple[GainMap, ...]
+    size: tuple[int, int]
+
+    def gains(self, top: int, bottom: int, planes: int, scale: int = 1) -> NDArray[np.float32]:
+        """Gains (n, W, planes) for rows top to bottom.
+
+        Args:
+            top, bottom: rows of the picture this is for.
+            planes: how many channels it has.
+            scale: 2 where that picture is half the size (a pixel for two by two), else 1.
+        """
+        height, width = (side // scale for side in self.size)
+        total = np.ones((bottom - top, width, planes), np.float32)
+        for gain_map in self.maps:
+            step_down, step_across = (max(1, pitch // scale) for pitch in gain_map.pitch)
+            first, left = (edge // scale for edge in gain_map.area[:2])
+            last, right = (-(-edge // scale) for edge in gain_map.area[2:])
+            start = max(first, top + (first - top) % step_down)
+            rows = np.arange(start, min(last, bottom, height), step_down)
+            columns = np.arange(left, min(right, width), step_across)
+            if rows.size == 0 or columns.size == 0:
+                continue
+            down = (rows + 0.5) * scale / self.size[0]
+            across = (columns + 0.5) * scale / self.size[1]
+            place = np.ix_(rows - top, columns)
+            for plane in range(gain_map.planes[0], min(gain_map.planes[1], planes)):
+                total[..., plane][place] *= gain_map.at(down, across, plane)
+        return total
+
+    def largest(self, planes: int) -> float:
+        """The largest gain anywhere, at least 1."""
+        step = 256
+        tops = range(0, self.size[0], step)
+        ends = (min(top + step, self.size[0]) for top in tops)
+        return max(
+            1.0, *(float(self.gains(a, b, planes).max()) for a, b in zip(tops, ends, strict=True))
+        )
+
+
+def parse_opcodes(data: bytes) -> tuple[tuple[GainMap, ...], bool]:
+    """The gain maps of an OpcodeList's bytes, and whether a radial vignette is asked for too.
+
+    Raises:
+        ValueError: the bytes are not an opcode list.
+    """
+    try:
+        (count,) = struct.unpack_from(">I", data)
+        maps, vignette, offset = [], False, 4
+        for _ in range(count):
+            opcode, _version, _flags, size = struct.unpack_from(">4I", data, offset)
+            payload = data[offset + 16 : offset + 16 + size]
+            if opcode == _GAIN_MAP:
+                maps.append(_parse_map(payload))
+            vignette = vignette or opcode == _RADIAL_VIGNETTE
+            offset += 16 + size
+    except struct.error as error:
+        raise ValueError("the opcode list is cut short") from error
+    return tuple(maps), vignette
+
+
+def _parse_map(payload: bytes) -> GainMap:
+    numbers = _HEADER.unpack_from(payload)
+    area, (plane, planes, *pitch) = numbers[:4], numbers[4:8]
+    points, spacing, origin, depth = numbers[8:10], numbers[10:12], numbers[12:14], numbers[14]
+    count = points[0] * points[1] * depth
+    if not 0 < count <= _MOST_POINTS or len(payload) < _HEADER.size + 4 * count:
+        raise ValueError("a gain map is cut short")
+    gains = np.frombuffer(payload, ">f4", count, _HEADER.size).astype(np.float32)
+    if min(pitch) < 1 or not (np.isfinite(gains).all() and gains.min() > 0.0):
+        raise ValueError("a gain map's numbers make no sense")
+    if not all(np.isfinite(spacing)) or not all(np.isfinite(origin)):
+        raise ValueError("a gain map's grid makes no sense")
+    return GainMap(
+        area,
+        (plane, plane + planes),
+        (pitch[0], pitch[1]),
+        spacing,
+        origin,
+        gains.reshape(*points, depth),
+    )
+
+
+def _weights(
+    positions: NDArray[np.float64], points: int, spacing: float, origin: float
+) -> NDArray[np.float32]:
+    """Linear interpolation as a matrix (positions, points); beyond the ends the end's value."""
+    if points == 1 or spacing <= 0.0:
+        weights = np.zeros((positions.size, points), np.float32)
+        weights[:, 0] = 1.0
+        return weights
+    place = np.clip((positions - origin) / spacing, 0.0, points - 1.0)
+    distance = np.abs(place[:, None] - np.arange(points))
+    return np.maximum(1.0 - distance, 0.0).astype(np.float32)

@@ -1,0 +1,173 @@
+"""ICC profiles: the file's colours to linear Rec.709 (ICC.1:2022).
+
+Matrix profiles (Display P3, Adobe RGB, ProPhoto, every camera's and phone's) are evaluated here in
+floating point: a colour engine for 8-bit pictures would cut off what lies outside sRGB and lose
+shadows. Profiles made of tables go through Pillow's ImageCms, at 8 bits.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.photo.color import REC709_TO_D50, SRGB, ColorSpace, Curve, Linearise, Values
+
+_COLORANTS = (b"rXYZ", b"gXYZ", b"bXYZ")
+_CURVES = (b"rTRC", b"gTRC", b"bTRC")
+# How many parameters each type of parametric curve has, table 68.
+_PARAMETERS = (1, 3, 4, 5, 7)
+
+
+def lineariser_of(
+    profile: bytes | None, dtype: np.dtype[np.generic], default: ColorSpace
+) -> tuple[Linearise, tuple[str, ...]]:
+    """How to linearise a file with this embedded profile, and what to tell the user about it.
+
+    Args:
+        profile: the ICC bytes, or None.
+        dtype: of the file's code values.
+        default: the colour space where there is no profile, or none that can be used.
+    """
+    if not profile:
+        return default.lineariser(dtype), ()
+    try:
+        space = read_profile(profile)
+    except (ValueError, struct.error, IndexError):
+        space = None
+    if space is not None:
+        note = f"Colours converted from the file's profile ({space.name}) to Rec.709."
+        plain = space.matrix is None and "sRGB" in space.name
+        return space.lineariser(dtype), () if plain else (note,)
+    managed = _managed(profile, dtype)
+    if managed is not None:
+        return managed, ("Colours converted through the file's profile at 8 bits.",)
+    unread = f"The file's colour profile cannot be read: {default.name} assumed."
+    return default.lineariser(dtype), (unread,)
+
+
+def read_profile(profile: bytes) -> ColorSpace | None:
+    """A matrix profile's curves and matrix; None when it is not of this kind.
+
+    Raises:
+        ValueError, struct.error, IndexError: it is damaged.
+    """
+    if profile[16:20] != b"RGB " or profile[20:24] != b"XYZ ":
+        return None
+    tags = _tags(profile)
+    if any(name not in tags for name in _COLORANTS + _CURVES):
+        return None
+    red, green, blue = (_curve(tags[name]) for name in _CURVES)
+    colorants = np.stack([_xyz(tags[name]) for name in _COLORANTS], axis=1)
+    matrix = np.linalg.solve(REC709_TO_D50, colorants)
+    # Equal code values stay grey, whatever the rounding of the colorants.
+    matrix /= matrix.sum(axis=1, keepdims=True)
+    if not np.isfinite(matrix).all():
+        raise ValueError("the colorants are no basis")
+    same = bool(np.abs(matrix - np.eye(3)).max() < 2e-3)
+    return ColorSpace(_description(tags), (red, green, blue), None if same else matrix)
+
+
+def _tags(profile: bytes) -> dict[bytes, bytes]:
+    (count,) = struct.unpack_from(">I", profile, 128)
+    if count > 200:
+        raise ValueError("too many tags")
+    table = [struct.unpack_from(">4sII", profile, 132 + 12 * i) for i in range(count)]
+    return {name: profile[offset : offset + size] for name, offset, size in table}
+
+
+def _xyz(tag: bytes) -> Values:
+    return np.array(struct.unpack_from(">3i", tag, 8)) / 65536.0
+
+
+def _curve(tag: bytes) -> Curve:
+    if tag[:4] == b"para":
+        return _parametric(tag)
+    if tag[:4] != b"curv":
+        raise ValueError("not a curve")
+    (count,) = struct.unpack_from(">I", tag, 8)
+    if count == 0:
+        return _power(1.0)
+    if count == 1:
+        return _power(struct.unpack_from(">H", tag, 12)[0] / 256.0)
+    points = np.frombuffer(tag, ">u2", count, 12) / 65535.0
+    return lambda code: np.interp(code, np.linspace(0.0, 1.0, count), points)
+
+
+def _power(gamma: float) -> Curve:
+    return lambda code: np.maximum(code, 0.0) ** gamma
+
+
+def _parametric(tag: bytes) -> Curve:
+    (kind,) = struct.unpack_from(">H", tag, 8)
+    if kind >= len(_PARAMETERS):
+        raise ValueError("an unknown curve")
+    values = [v / 65536.0 for v in struct.unpack_from(f">{_PARAMETERS[kind]}i", tag, 12)]
+    gamma, a, b, c, d, e, f = _full_parameters(kind, values)
+
+    def evaluate(code: Values) -> Values:
+        power = np.maximum(a * code + b, 0.0) ** gamma + e
+        return np.where(code >= d, power, c * code + f)
+
+    return evaluate
+
+
+def _full_parameters(kind: int, values: list[float]) -> tuple[float, ...]:
+    """Types 0 to 4 as (g, a, b, c, d, e, f): (a x + b)^g + e from d on, c x + f below."""
+    if kind == 0:
+        return (values[0], 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    gamma, a, b = values[:3]
+    if kind in (1, 2):
+        floor = values[3] if kind == 2 else 0.0
+        return (gamma, a, b, 0.0, -b / a if a else 0.0, floor, floor)
+    c, d = values[3:5]
+    e, f = values[5:7] if kind == 4 else (0.0, 0.0)
+    return (gamma, a, b, c, d, e, f)
+
+
+def _description(tags: dict[bytes, bytes]) -> str:
+    tag = tags.get(b"desc", b"")
+    if tag[:4] == b"mluc" and len(tag) >= 28:
+        size, offset = struct.unpack_from(">II", tag, 20)
+        text = tag[offset : offset + size].decode("utf-16-be", "ignore")
+    else:
+        size = struct.unpack_from(">I", tag, 8)[0] if len(tag) >= 12 else 0
+        text = tag[12 : 12 + size].decode("ascii", "ignore")
+    return "".join(c for c in text if c.isprintable()).strip()[:60] or "unnamed"
+
+
+def _managed(profile: bytes, dtype: np.dtype[np.generic]) -> Linearise | None:
+    """A lineariser through Pillow's ImageCms, for profiles made of tables."""
+    from PIL import Image, ImageCms
+
+    try:
+        source = ImageCms.getOpenProfile(io.BytesIO(profile))
+        transform = ImageCms.buildTransform(
+            source,
+            ImageCms.createProfile("sRGB"),
+            "RGB",
+            "RGB",
+            ImageCms.Intent.RELATIVE_COLORIMETRIC,  # the perceptual one moves the shadows
+        )
+    except (ImageCms.PyCMSError, OSError, ValueError):
+        return None
+    decode = SRGB.lineariser(np.dtype(np.uint8))
+    to_8_bits = _to_8_bits(dtype)
+
+    def linearise(rows: NDArray[np.generic]) -> NDArray[np.float32]:
+        strip = Image.fromarray(np.ascontiguousarray(to_8_bits(rows)))
+        converted = ImageCms.applyTransform(strip, transform)
+        return decode(np.asarray(converted))
+
+    return linearise
+
+
+def _to_8_bits(
+    dtype: np.dtype[np.generic],
+) -> Callable[[NDArray[np.generic]], NDArray[np.uint8]]:
+    largest = np.iinfo(dtype).max if np.issubdtype(dtype, np.integer) else 1.0  # type: ignore[type-var]
+    scale = 255.0 / largest
+    return lambda rows: np.rint(np.clip(rows.astype(np.float32) * scale, 0, 255)).astype(np.uint8)

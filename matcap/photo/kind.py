@@ -1,0 +1,111 @@
+"""Which reader a file needs, from its first bytes; the suffix only tells RAWs made as TIFF apart.
+
+`matcap` trusts content over names: a JPEG called .png is read as a JPEG, a text file called .dng
+is refused as what it is.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+
+from matcap.errors import MatcapError
+from matcap.photo.refusals import READABLE, decoding
+
+
+class Kind(Enum):
+    """The readers there are."""
+
+    RAW = "RAW"
+    DNG = "DNG"
+    JPEG = "JPEG"
+    PNG = "PNG"
+    TIFF = "TIFF"
+    HEIC = "HEIC"
+
+
+_JPEG = b"\xff\xd8\xff"
+_PNG = b"\x89PNG\r\n\x1a\n"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_RAW = (b"FUJIFILM", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM")
+_HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+# Makers whose RAW files are TIFFs inside, and carry nothing near the start that says so.
+_RAW_SUFFIXES = frozenset(
+    f".{maker}"
+    for maker in (
+        *("3fr", "arw", "cr2", "dcr", "erf", "fff", "gpr", "iiq", "kdc", "mef", "mos", "nef"),
+        *("nrw", "pef", "raw", "rwl", "sr2", "srf", "srw"),
+    )
+)
+_DNG_VERSION = 50706
+
+
+def file_kind(path: Path) -> Kind:
+    """Look at a file and say how to read it.
+
+    Raises:
+        MatcapError: it is missing, not a file, empty, unreadable, or not a photograph.
+    """
+    head = _head(path)
+    if head.startswith(_JPEG):
+        return Kind.JPEG
+    if head.startswith(_PNG):
+        return Kind.PNG
+    if head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS:
+        return Kind.HEIC
+    if head[4:12] == b"ftypcrx " or head.startswith(_RAW):
+        return Kind.RAW
+    if head.startswith(_TIFF):
+        if _has_dng_version(path):
+            return Kind.DNG
+        return Kind.RAW if path.suffix.lower() in _RAW_SUFFIXES else Kind.TIFF
+    raise MatcapError(f"this is not a photograph{_guess(head)}", where=str(path), remedy=READABLE)
+
+
+def _head(path: Path) -> bytes:
+    if path.is_dir():
+        raise MatcapError(
+            "this is a directory", where=str(path), remedy="give one photograph inside it"
+        )
+    try:
+        if path.exists() and not path.is_file():
+            raise MatcapError("this is not a file", where=str(path), remedy=READABLE)
+        with path.open("rb") as file:
+            head = file.read(32)
+    except FileNotFoundError as error:
+        raise MatcapError(
+            "there is no such file", where=str(path), remedy="check the name"
+        ) from error
+    except PermissionError as error:
+        raise MatcapError(
+            "the file may not be read", where=str(path), remedy="change its permissions"
+        ) from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        raise MatcapError(
+            f"the file cannot be read ({getattr(error, 'strerror', None) or error})",
+            where=str(path),
+            remedy="check the disk and the name",
+        ) from error
+    if not head:
+        raise MatcapError(
+            "the file is empty", where=str(path), remedy="copy it from the camera again"
+        )
+    return head
+
+
+def _has_dng_version(path: Path) -> bool:
+    import tifffile
+
+    with decoding(path, "TIFF"), tifffile.TiffFile(path) as file:
+        return _DNG_VERSION in file.pages.first.tags
+
+
+def _guess(head: bytes) -> str:
+    """A word on what it seems to be, where that is easily told."""
+    if all(byte in b"\t\n\r\f\x1b" or 32 <= byte < 127 for byte in head):
+        return " but a text file"
+    if head.startswith(b"\x76\x2f\x31\x01"):
+        return " but an OpenEXR picture"
+    if head[4:8] == b"ftyp":
+        return " but a video or another container"
+    return ""

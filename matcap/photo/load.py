@@ -1,0 +1,162 @@
+"""load_photo: any photograph file to a Photo, or one sentence on why not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import MatcapError, UsageError
+from matcap.photo.color import LINEAR
+from matcap.photo.decoded import Decoded
+from matcap.photo.developed import Coded, decode, read_heic, read_jpeg, read_png_or_tiff
+from matcap.photo.dng import Corrections, read_corrections
+from matcap.photo.exif import Exif, read_exif
+from matcap.photo.jxl import read_jxl
+from matcap.photo.kind import Kind, file_kind
+from matcap.photo.orient import quarter_turn, upright
+from matcap.photo.photo import DEFAULT_FOV, Photo
+from matcap.photo.quiet import quiet_decoders
+from matcap.photo.raw import read_raw
+from matcap.photo.refusals import SHORTEST_SIDE, check_size
+
+_DARKEST = 1e-3  # linear: a picture with nothing brighter shows no texture
+_MOST_CLIPPED = 0.95  # share of clipped pixels beyond which there is nothing to measure
+
+
+def load_photo(
+    path: str | Path, *, long_side: int | None = None, fov: float | None = None
+) -> Photo:
+    """Read a photograph, whatever it is stored as.
+
+    Args:
+        path: DNG or other RAW, JPEG, PNG, TIFF (8, 16 bits or float), HEIC (extra `heic`).
+        long_side: average down to this many pixels along the long side; never up.
+        fov: field of view across the long side, degrees; by default the file's, or 45.
+
+    Returns:
+        The photograph in linear light, its long side along x.
+
+    Raises:
+        MatcapError: the file is not a photograph that can be used; the sentence says why.
+        UsageError: long_side or fov is out of range.
+
+    Source: DESIGN, sections 2 and 3.
+    """
+    path = Path(path)
+    _check_request(long_side, fov)
+    with quiet_decoders():
+        picture, exif = _read(path, long_side)
+    return _photo(picture, exif, fov, str(path), path.name)
+
+
+def photo_from_array(
+    pixels: NDArray[Any],
+    *,
+    long_side: int | None = None,
+    fov: float | None = None,
+    radiometric: bool = False,
+    name: str = "array",
+) -> Photo:
+    """Take linear light from Python.
+
+    Args:
+        pixels: (H, W, 3) floating point, linear Rec.709, white-balanced, clipping at 1.0.
+            Negative values become 0.
+        long_side: average down to this many pixels along the long side; never up.
+        fov: field of view across the long side, degrees; 45 by default.
+        radiometric: whether the numbers are proportional to light.
+        name: for reports.
+
+    Raises:
+        MatcapError: NaN or infinite values, too small, all black or all clipped.
+        UsageError: not (H, W, 3) floats; long_side or fov out of range.
+    """
+    _check_request(long_side, fov)
+    array = np.asarray(pixels)
+    if array.ndim != 3 or array.shape[2] != 3 or not np.issubdtype(array.dtype, np.floating):
+        raise UsageError(
+            f"pixels are {array.dtype} of shape {array.shape}, not floats of shape (H, W, 3)",
+            where=name,
+            remedy="give linear light, 1.0 at the clip level",
+        )
+    height, width = array.shape[:2]
+    check_size(Path(name), width, height)
+    coded = Coded(lambda a, b: array[a:b], width, height, array.dtype, space=LINEAR)
+    picture = decode(coded, long_side, name, 1)
+    return _photo(picture, Exif(), fov, name, name, radiometric)
+
+
+def _read(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
+    kind = file_kind(path)
+    if kind is Kind.JPEG:
+        return read_jpeg(path, long_side)
+    if kind is Kind.HEIC:
+        return read_heic(path, long_side)
+    if kind in (Kind.PNG, Kind.TIFF):
+        return read_png_or_tiff(path, kind.value, long_side)
+    corrections = read_corrections(path) if kind is Kind.DNG else Corrections()
+    read = read_jxl if corrections.jpeg_xl else read_raw
+    return read(path, long_side, corrections), read_exif(path)
+
+
+def _photo(
+    picture: Decoded,
+    exif: Exif,
+    fov: float | None,
+    where: str,
+    name: str,
+    radiometric: bool | None = None,
+) -> Photo:
+    """Turn the picture upright and its long side along x, and judge it."""
+    _check_light(picture, where)
+    pixels = upright(picture.pixels, picture.orientation)
+    clipped = upright(picture.clipped, picture.orientation)
+    size = picture.size if picture.orientation < 5 else picture.size[::-1]
+    turned = size[1] > size[0]
+    if turned:
+        pixels, clipped = quarter_turn(pixels), quarter_turn(clipped)
+    known, source = (fov, "given") if fov is not None else (exif.fov, "exif")
+    return Photo(
+        pixels=np.ascontiguousarray(pixels),
+        clipped=np.ascontiguousarray(clipped),
+        fov=DEFAULT_FOV if known is None else known,
+        fov_source="assumed" if known is None else source,
+        radiometric=picture.radiometric if radiometric is None else radiometric,
+        name=name,
+        original_size=size,
+        turned=turned,
+        flash_fired=exif.flash_fired,
+        gain_map_applied=picture.gain_map_applied,
+        notes=picture.notes,
+    )
+
+
+def _check_request(long_side: int | None, fov: float | None) -> None:
+    if long_side is not None and long_side < SHORTEST_SIDE:
+        raise UsageError(
+            f"{long_side} pixels along the long side are too few",
+            where="long_side",
+            remedy=f"ask for at least {SHORTEST_SIDE}",
+        )
+    if fov is not None and not 1.0 <= fov <= 170.0:
+        raise UsageError(
+            f"a field of view of {fov:g} degrees is out of range",
+            where="fov",
+            remedy="give between 1 and 170 degrees across the long side",
+        )
+
+
+def _check_light(picture: Decoded, where: str) -> None:
+    if float(picture.pixels.max()) < _DARKEST:
+        raise MatcapError(
+            "the picture is all black", where=where, remedy="photograph again with the flash on"
+        )
+    if float(picture.clipped.mean()) > _MOST_CLIPPED:
+        raise MatcapError(
+            "the picture is all white, every pixel at the clip level",
+            where=where,
+            remedy="photograph again with less exposure",
+        )

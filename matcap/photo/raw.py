@@ -1,0 +1,169 @@
+"""RAW files through rawpy (LibRaw): scene-linear, camera white balance, Rec.709, nothing more.
+
+LibRaw ignores a DNG's lens-shading maps, so they are applied to its mosaic before it develops it.
+White balance makes the channels clip at different numbers, so what was clipped is read off the
+mosaic. JPEG-XL DNGs, which it cannot open, go to `jxl`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.photo.decoded import Decoded
+from matcap.photo.dng import Corrections
+from matcap.photo.gainmap import Shading
+from matcap.photo.refusals import check_size, decoding
+from matcap.photo.shrink import Rows, shrink
+
+# Photosites saturate one by one a little below the white level.
+CLIP_SHARE = 0.99
+_FULL = 65535
+# LibRaw's flip (bits: mirror columns, mirror rows, transpose) to EXIF's orientation.
+_ORIENTATION = {0: 1, 1: 2, 2: 4, 3: 3, 4: 5, 5: 8, 6: 6, 7: 7}
+
+
+def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Decoded:
+    """Develop a RAW file.
+
+    Args:
+        path: what LibRaw can open.
+        long_side: of the result; at most half the sensor's, the mosaic is taken two by two.
+        corrections: of a DNG; Corrections() for other files.
+
+    Raises:
+        MatcapError: truncated, damaged, not supported or too small.
+    """
+    import rawpy
+
+    with decoding(path, "RAW"), rawpy.imread(str(path)) as raw:
+        width, height = raw.sizes.width, raw.sizes.height
+        check_size(path, width, height)
+        bayer = raw.raw_pattern is not None and raw.raw_pattern.shape == (2, 2)
+        half = bayer and long_side is not None and 2 * long_side <= max(width, height)
+        # LibRaw forgets the flip once it has developed without it.
+        orientation = _ORIENTATION[raw.sizes.flip]
+        saturated = _saturated(raw, bayer, half)
+        headroom, white = _prepare(raw, corrections)
+        developed = raw.postprocess(
+            gamma=(1, 1),
+            no_auto_bright=True,
+            output_bps=16,
+            output_color=rawpy.ColorSpace.sRGB,
+            use_camera_wb=True,
+            adjust_maximum_thr=0,
+            user_flip=0,
+            half_size=half,
+            user_sat=white,
+        )[: height // 2 if half else height, : width // 2 if half else width]
+        balanced = _camera_balance(raw) is not None
+        to_rec709 = raw.color_matrix[:, :3].astype(np.float32)
+    shading = Shading(corrections.after_demosaic, (height, width))
+
+    def read(top: int, bottom: int) -> Rows:
+        rows = developed[top:bottom]
+        clipped = saturated[top:bottom] | (rows == _FULL).any(axis=-1)
+        light = rows * np.float32(headroom / _FULL)
+        return _shaded(light, shading, top, 2 if half else 1, to_rec709), clipped
+
+    pixels, clipped = shrink(read, developed.shape[1], developed.shape[0], long_side)
+    unbalanced = "The file states no white balance: daylight assumed."
+    return Decoded(
+        pixels,
+        clipped,
+        (width, height),
+        orientation,
+        radiometric=True,
+        gain_map_applied=bool(corrections.on_mosaic or corrections.after_demosaic),
+        notes=corrections.notes + (() if balanced else (unbalanced,)),
+    )
+
+
+def _saturated(raw: Any, bayer: bool, half: bool) -> NDArray[np.bool_]:  # noqa: ANN401
+    """(H, W), or half of it: True where a developed pixel draws on a photosite at its limit.
+
+    A channel's limit is the white level, or less where white balance lifts it past the least
+    lifted one's: LibRaw cuts it off there.
+    """
+    import cv2
+
+    mosaic = raw.raw_image_visible
+    balance = np.array(_camera_balance(raw) or raw.daylight_whitebalance[:3] or (1, 1, 1))
+    lift = np.append(balance, balance[1]) / balance.min()
+    black = np.array(raw.black_level_per_channel, np.float64)
+    limit = black + CLIP_SHARE * (raw.white_level - black) / lift
+    if mosaic.ndim == 3:
+        return (mosaic[..., :3] >= limit[:3]).any(axis=-1)
+    colors = raw.raw_colors_visible
+    period = 2 if bayer else 6
+    mask = np.empty(mosaic.shape, np.uint8)
+    for row in range(period):
+        for column in range(period):
+            sites = np.s_[row::period, column::period]
+            mask[sites] = mosaic[sites] >= limit[colors[row, column]]
+    if half:
+        return _two_by_two(mask)
+    return cv2.dilate(mask, np.ones((3, 3), np.uint8)).astype(np.bool_)
+
+
+def _two_by_two(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Any of each whole two by two."""
+    even = mask[: mask.shape[0] // 2 * 2, : mask.shape[1] // 2 * 2]
+    return (even[::2, ::2] | even[1::2, ::2] | even[::2, 1::2] | even[1::2, 1::2]) > 0
+
+
+def _camera_balance(raw: Any) -> tuple[float, float, float] | None:  # noqa: ANN401
+    red, green, blue = raw.camera_whitebalance[:3]
+    return (red, green, blue) if min(red, green, blue) > 0 else None
+
+
+def _prepare(raw: Any, corrections: Corrections) -> tuple[float, int | None]:  # noqa: ANN401
+    """Apply lens shading to the mosaic in place.
+
+    Returns:
+        What a developed value of one stands for, in parts of the file's own white level; and the
+        white level to develop the changed numbers with, None for the file's.
+    """
+    samples = raw.raw_image_visible
+    black = np.array(raw.black_level_per_channel, np.float64)
+    if not corrections.on_mosaic:
+        # LibRaw leaves the black level in the scale of pictures that come demosaiced.
+        stacked = samples.ndim == 3 and black[:3].max() > 0
+        return 1.0, int(raw.white_level - black[:3].max()) if stacked else None
+    flat = samples.ndim == 2
+    planes = 1 if flat else 3
+    shading = Shading(corrections.on_mosaic, (samples.shape[0], samples.shape[1]))
+    headroom = shading.largest(planes)
+    darkest = black[: 4 if flat else 3].min()
+    # Everything is stretched to the 16 bits there are: gains then neither clip nor round away.
+    stretch = (_FULL - black.max()) / ((raw.white_level - darkest) * headroom)
+    colors = raw.raw_colors_visible if flat else None
+    step = max(1, (1 << 20) // samples.shape[1])
+    for top in range(0, samples.shape[0], step):
+        rows = samples[top : top + step]
+        base = black[:3] if colors is None else black[colors[top : top + step]][..., None]
+        channels = rows[..., :3] if colors is None else rows[..., None]
+        gains = shading.gains(top, top + len(rows), planes) * stretch
+        channels[...] = np.clip(np.rint(base + (channels - base) * gains), 0, _FULL)
+    white = (raw.white_level - darkest) * stretch * headroom
+    return headroom, round(white + (darkest if flat else 0.0))
+
+
+def _shaded(
+    light: NDArray[np.float32],
+    shading: Shading,
+    top: int,
+    scale: int,
+    to_rec709: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Apply OpcodeList3's gains: they are for camera colours, so go back there if they differ."""
+    if not shading.maps:
+        return light
+    gains = shading.gains(top, top + len(light), 3, scale)
+    if all(gain_map.gains.shape[2] == 1 for gain_map in shading.maps):
+        return light * gains
+    camera = light @ np.linalg.inv(to_rec709).T
+    return np.maximum((camera * gains) @ to_rec709.T, 0.0)

@@ -1,0 +1,109 @@
+"""Downsampling: area means of light, a quarter of a pixel's area clips it, never enlarged."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from matcap.errors import UsageError
+from matcap.photo import shrink as shrink_module
+from matcap.photo.color import srgb_decode
+from matcap.photo.load import load_photo, photo_from_array
+from matcap.photo.shrink import shrink, shrunk_size
+
+
+def reader(pixels, mask):
+    return lambda top, bottom: (pixels[top:bottom], mask[top:bottom])
+
+
+def area_matrix(size: int, new: int) -> np.ndarray:
+    """(new, size): what share of each new pixel each old one covers."""
+    edges = np.linspace(0, size, new + 1)
+    old = np.arange(size)
+    overlap = np.minimum(edges[1:, None], old + 1) - np.maximum(edges[:-1, None], old)
+    return np.maximum(overlap, 0.0) * new / size
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(64, 200), st.integers(64, 200), st.integers(16, 199), st.integers(0, 999))
+def test_is_the_area_mean(width, height, long_side, seed):
+    rng = np.random.default_rng(seed)
+    pixels = rng.random((height, width, 3)).astype(np.float32)
+    mask = rng.random((height, width)) < 0.3
+    small, _ = shrink(reader(pixels, mask), width, height, long_side)
+    new_width, new_height = shrunk_size(width, height, long_side)
+    assert small.shape == (new_height, new_width, 3)
+    down, across = area_matrix(height, new_height), area_matrix(width, new_width)
+    expected = np.einsum("ah,hwc,bw->abc", down, pixels, across, optimize=True)
+    np.testing.assert_allclose(small, expected, atol=2e-5)
+
+
+def test_strips_do_not_show(monkeypatch):
+    pixels = np.random.default_rng(0).random((150, 200, 3)).astype(np.float32)
+    mask = pixels[..., 0] > 0.8
+    whole = shrink(reader(pixels, mask), 200, 150, 77)
+    monkeypatch.setattr(shrink_module, "_STRIP_PIXELS", 1400)
+    for one, other in zip(whole, shrink(reader(pixels, mask), 200, 150, 77), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(("sites", "clipped"), [(3, False), (4, True)])
+def test_a_quarter_of_the_area_clips(sites, clipped):
+    mask = np.zeros((128, 128), bool)
+    mask.reshape(32, 4, 32, 4).swapaxes(1, 2).reshape(32, 32, 16)[...]  # a block is 16 pixels
+    for site in range(sites):
+        mask[site // 4 :: 4, site % 4 :: 4] = True
+    pixels = np.ones((128, 128, 3), np.float32)
+    assert (shrink(reader(pixels, mask), 128, 128, 32)[1] == clipped).all()
+
+
+def test_the_mean_is_of_light_not_of_code_values(tmp_path):
+    stripes = np.zeros((128, 128, 3), np.uint8)
+    stripes[:, ::2] = 200
+    Image.fromarray(stripes).save(tmp_path / "a.png")
+    photo = load_photo(tmp_path / "a.png", long_side=64)
+    np.testing.assert_allclose(photo.pixels, srgb_decode(np.array(200 / 255)) / 2, rtol=1e-5)
+
+
+@given(st.integers(1, 4000), st.integers(1, 4000), st.integers(1, 5000))
+def test_size_never_grows_and_keeps_its_shape(width, height, long_side):
+    new_width, new_height = shrunk_size(width, height, long_side)
+    assert 1 <= new_width <= width and 1 <= new_height <= height
+    assert max(new_width, new_height) == min(long_side, max(width, height))
+
+
+def test_portrait_is_turned_anticlockwise(tmp_path, codes):
+    portrait = np.ascontiguousarray(codes.swapaxes(0, 1))
+    Image.fromarray(portrait).save(tmp_path / "a.png")
+    photo = load_photo(tmp_path / "a.png", long_side=64)
+    assert photo.turned and photo.original_size == (96, 128)
+    assert photo.pixels.shape == (48, 64, 3) and photo.clipped.shape == (48, 64)
+    whole = load_photo(tmp_path / "a.png").pixels
+    # Anticlockwise: the top right corner goes to the top left.
+    np.testing.assert_allclose(whole[0, 0], srgb_decode(portrait[0, -1] / 255), rtol=1e-5)
+    np.testing.assert_allclose(whole[-1, 0], srgb_decode(portrait[0, 0] / 255), rtol=1e-5)
+
+
+def test_array_keeps_its_numbers(light):
+    photo = photo_from_array(light, fov=50.0, radiometric=True, name="rendered")
+    np.testing.assert_allclose(photo.pixels, light, rtol=1e-6)
+    assert photo.pixels.dtype == np.float32 and photo.pixels.flags.c_contiguous
+    assert (photo.fov, photo.fov_source, photo.radiometric) == (50.0, "given", True)
+    light[:10, :10, 2] = 1.3
+    brighter = photo_from_array(light)
+    assert brighter.clipped.sum() == 100 and brighter.pixels.max() == np.float32(1.3)
+
+
+@pytest.mark.parametrize("long_side", [0, -5, 63])
+def test_too_short_a_long_side_is_a_usage_error(light, long_side):
+    with pytest.raises(UsageError, match="long side"):
+        photo_from_array(light, long_side=long_side)
+
+
+@pytest.mark.parametrize(
+    "pixels", [np.zeros((96, 96, 3), np.uint8), np.ones((96, 96)), np.ones((96, 96, 4))]
+)
+def test_other_arrays_are_a_usage_error(pixels):
+    with pytest.raises(UsageError, match=r"floats of shape \(H, W, 3\)"):
+        photo_from_array(pixels)
