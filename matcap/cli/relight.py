@@ -51,4 +51,4 @@ def relight(
     check_writable(out.parent, 20 * maps.size[0] * maps.size[1])
     write_picture(render(maps, scene), out)
     if not quiet:
-        typer.echo(f"{path}: {out}", err=True)
+        typer.echo(f"wrote {out}", err=True)

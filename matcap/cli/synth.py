@@ -53,4 +53,4 @@ def synth(
     info = MapSetInfo(material.stem, seed, (area.x, area.y), dict(source.provenance))
     document = write_mapset(maps, folder, info, png=png, normal=normal.value)
     if not quiet:
-        typer.echo(f"{material.name}: {document}", err=True)
+        typer.echo(f"wrote {document}", err=True)
