@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _CFA, _LINEAR_RAW = 32803, 34892
 _JPEG_XL = 52546
-_OPCODES_ON_MOSAIC, _OPCODES_AFTER = 51009, 51022
+_ACTIVE_AREA, _OPCODES_ON_MOSAIC, _OPCODES_AFTER = 50829, 51009, 51022
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,15 @@ class Corrections:
         on_mosaic: OpcodeList2's gain maps, for the linearised samples before demosaicing.
         after_demosaic: OpcodeList3's.
         jpeg_xl: the raw picture is compressed with JPEG XL, which LibRaw cannot open.
+        active_area: top, left, bottom, right of what the maps refer to, in the stored picture; the
+            last two excluded. None where the file does not say: all of it.
         notes: what is asked for and not done.
     """
 
     on_mosaic: tuple[GainMap, ...] = ()
     after_demosaic: tuple[GainMap, ...] = ()
     jpeg_xl: bool = False
+    active_area: tuple[int, int, int, int] | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -54,6 +57,7 @@ def read_corrections(path: Path) -> Corrections:
             on_mosaic,
             after,
             int(page.compression) == _JPEG_XL,
+            _active_area(page),
             (note,) if vignette or other_vignette else (),
         )
 
@@ -68,6 +72,15 @@ def _pages(file: Any) -> Iterator[Any]:  # noqa: ANN401
     for page in file.pages:
         yield page
         yield from page.pages or ()
+
+
+def _active_area(page: Any) -> tuple[int, int, int, int] | None:  # noqa: ANN401
+    if _ACTIVE_AREA not in page.tags:
+        return None
+    top, left, bottom, right = (int(edge) for edge in page.tags[_ACTIVE_AREA].value)
+    if not (0 <= top < bottom <= page.imagelength and 0 <= left < right <= page.imagewidth):
+        raise ValueError("the active area lies outside the picture")
+    return top, left, bottom, right
 
 
 def _bytes(page: Any, tag: int) -> bytes:  # noqa: ANN401

@@ -49,33 +49,29 @@ class GainMap:
 
 @dataclass(frozen=True)
 class Shading:
-    """All gain maps of one opcode list, over a picture of (height, width) active pixels."""
+    """All gain maps of one opcode list, as they fall on a picture of the active area.
+
+    Attributes:
+        maps: their places count from the active area's first pixel.
+        active: the active area's (height, width).
+        size: the picture's (height, width).
+        offset: (row, column) in the active area of the picture's first pixel.
+        scale: 2 where a pixel of the picture stands for two by two, else 1.
+    """
 
     maps: tuple[GainMap, ...]
+    active: tuple[int, int]
     size: tuple[int, int]
+    offset: tuple[int, int] = (0, 0)
+    scale: int = 1
 
-    def gains(self, top: int, bottom: int, planes: int, scale: int = 1) -> NDArray[np.float32]:
-        """Gains (n, W, planes) for rows top to bottom.
-
-        Args:
-            top, bottom: rows of the picture this is for.
-            planes: how many channels it has.
-            scale: 2 where that picture is half the size (a pixel for two by two), else 1.
-        """
-        height, width = (side // scale for side in self.size)
-        total = np.ones((bottom - top, width, planes), np.float32)
+    def gains(self, top: int, bottom: int, planes: int) -> NDArray[np.float32]:
+        """Gains (n, W, planes) for the picture's rows top to bottom."""
+        total = np.ones((bottom - top, self.size[1], planes), np.float32)
         for gain_map in self.maps:
-            step_down, step_across = (max(1, pitch // scale) for pitch in gain_map.pitch)
-            first, left = (edge // scale for edge in gain_map.area[:2])
-            last, right = (-(-edge // scale) for edge in gain_map.area[2:])
-            start = max(first, top + (first - top) % step_down)
-            rows = np.arange(start, min(last, bottom, height), step_down)
-            columns = np.arange(left, min(right, width), step_across)
-            if rows.size == 0 or columns.size == 0:
-                continue
-            down = (rows + 0.5) * scale / self.size[0]
-            across = (columns + 0.5) * scale / self.size[1]
-            place = np.ix_(rows - top, columns)
+            rows, down = self._touched(gain_map, np.arange(top, bottom), 0)
+            columns, across = self._touched(gain_map, np.arange(self.size[1]), 1)
+            place = np.ix_(rows, columns)
             for plane in range(gain_map.planes[0], min(gain_map.planes[1], planes)):
                 total[..., plane][place] *= gain_map.at(down, across, plane)
         return total
@@ -83,11 +79,19 @@ class Shading:
     def largest(self, planes: int) -> float:
         """The largest gain anywhere, at least 1."""
         step = 256
-        tops = range(0, self.size[0], step)
-        ends = (min(top + step, self.size[0]) for top in tops)
-        return max(
-            1.0, *(float(self.gains(a, b, planes).max()) for a, b in zip(tops, ends, strict=True))
-        )
+        strips = ((top, min(top + step, self.size[0])) for top in range(0, self.size[0], step))
+        return max(1.0, *(float(self.gains(*strip, planes).max()) for strip in strips))
+
+    def _touched(
+        self, gain_map: GainMap, pixels: NDArray[np.intp], axis: int
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Which of these rows (axis 0) or columns a map applies to, and where those lie in it."""
+        first, last = gain_map.area[axis], gain_map.area[axis + 2]
+        pitch = max(1, gain_map.pitch[axis] // self.scale)
+        sites = pixels * self.scale + self.offset[axis]
+        inside = (sites >= first) & (sites < last) & ((sites - first) // self.scale % pitch == 0)
+        centres = sites[inside] + 0.5 * self.scale
+        return inside, centres / self.active[axis]
 
 
 def parse_opcodes(data: bytes) -> tuple[tuple[GainMap, ...], bool]:

@@ -23,7 +23,7 @@ from matcap.photo.raw import CLIP_SHARE
 from matcap.photo.refusals import check_size, decoding, missing_extra, unreadable
 from matcap.photo.shrink import ReadRows, Rows, shrink
 
-_LINEARIZATION, _BLACK, _BLACK_REPEAT, _WHITE, _ACTIVE = 50712, 50714, 50713, 50717, 50829
+_LINEARIZATION, _BLACK, _BLACK_REPEAT, _WHITE = 50712, 50714, 50713, 50717
 _COLOR_MATRICES, _ILLUMINANTS, _NEUTRAL, _CFA_PATTERN = (50721, 50722), (50778, 50779), 50728, 33422
 _D65 = 21
 _FULL = 65535.0
@@ -87,17 +87,17 @@ def read_with_tifffile(path: Path, long_side: int | None, corrections: Correctio
         check_size(path, page.imagewidth, page.imagelength)
         samples = page.asarray()
         sensor = _sensor(page, 1 if samples.ndim == 2 else samples.shape[2])
-        top, left, bottom, right = (
-            int(edge) for edge in _numbers(page, _ACTIVE, (0, 0, *samples.shape[:2]))
-        )
         orientation = int(_numbers(file.pages[0], 274, (1,))[0])
-    if samples.dtype.kind != "u" or (samples.ndim == 3) != (sensor.pattern is None):
+    planes = 1 if sensor.pattern is not None else 3
+    if samples.dtype.kind != "u" or samples.shape[2:] != (() if planes == 1 else (3,)):
         raise MatcapError(
             "the DNG holds neither a mosaic nor linear colours of whole numbers",
             where=str(path),
             remedy="convert it with Adobe DNG Converter, without JPEG XL",
         )
+    top, left, bottom, right = corrections.active_area or (0, 0, *samples.shape[:2])
     samples = samples[top:bottom, left:right]
+    check_size(path, samples.shape[1], samples.shape[0])
     pixels, clipped = develop(samples, sensor, corrections, long_side)
     return Decoded(
         pixels,
@@ -116,7 +116,9 @@ def develop(
     """Stored numbers, (H, W) of a mosaic or (H, W, 3), to linear Rec.709 and the clip mask."""
     size = (samples.shape[0], samples.shape[1])
     planes = 1 if sensor.pattern is not None else 3
-    before, after = Shading(corrections.on_mosaic, size), Shading(corrections.after_demosaic, size)
+    before, after = (
+        Shading(maps, size, size) for maps in (corrections.on_mosaic, corrections.after_demosaic)
+    )
     headroom = before.largest(planes) if before.maps else 1.0
     matrix = sensor.to_rec709.T.astype(np.float32)
 
@@ -184,9 +186,12 @@ def _sensor(page: Any, planes: int) -> Sensor:  # noqa: ANN401
     pattern = None
     if _CFA_PATTERN in page.tags:
         pattern = np.array(list(bytes(page.tags[_CFA_PATTERN].value)), np.intp).reshape(2, 2)
+    white = _numbers(page, _WHITE, (2.0**depth - 1,))[0]
+    if white <= black.max() or neutral.min() <= 0 or (pattern is not None and pattern.max() > 2):
+        raise ValueError("the levels or colours make no sense")
     return Sensor(
         black=np.resize(black, count).reshape(*repeat, planes),
-        white=_numbers(page, _WHITE, (2.0**depth - 1,))[0],
+        white=white,
         lift=neutral.max() / neutral,
         to_rec709=_to_rec709(page),
         pattern=pattern,

@@ -15,7 +15,8 @@ class Photo:
     """A scene-linear, white-balanced photograph, long side along x.
 
     Attributes:
-        pixels: (H, W, 3) float32, W >= H, linear Rec.709, finite, >= 0; the file clips at 1.0.
+        pixels: (H, W, 3) float32, W >= H, linear Rec.709, finite, >= 0; the file clips at 1.0
+            (lens shading undone and colours outside Rec.709 may lie above).
         clipped: (H, W) bool, True where any channel reached the clip level: a lower bound only.
         fov: field of view across the long side, degrees.
         fov_source: "exif", "assumed" or "given".

@@ -7,16 +7,18 @@ mosaic. JPEG-XL DNGs, which it cannot open, go to `jxl`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.errors import MatcapError
 from matcap.photo.decoded import Decoded
 from matcap.photo.dng import Corrections
-from matcap.photo.gainmap import Shading
-from matcap.photo.refusals import check_size, decoding
+from matcap.photo.gainmap import GainMap, Shading
+from matcap.photo.refusals import check_size, decoding, unreadable
 from matcap.photo.shrink import Rows, shrink
 
 # Photosites saturate one by one a little below the white level.
@@ -39,15 +41,18 @@ def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Dec
     """
     import rawpy
 
-    with decoding(path, "RAW"), rawpy.imread(str(path)) as raw:
+    with decoding(path, "RAW"), _opened(path) as raw:
         width, height = raw.sizes.width, raw.sizes.height
         check_size(path, width, height)
+        _check_levels(path, raw)
         bayer = raw.raw_pattern is not None and raw.raw_pattern.shape == (2, 2)
         half = bayer and long_side is not None and 2 * long_side <= max(width, height)
         # LibRaw forgets the flip once it has developed without it.
         orientation = _ORIENTATION[raw.sizes.flip]
         saturated = _saturated(raw, bayer, half)
-        headroom, white = _prepare(raw, corrections)
+        before = _shading(corrections.on_mosaic, corrections, raw, 1)
+        after = _shading(corrections.after_demosaic, corrections, raw, 2 if half else 1)
+        headroom, white = _prepare(raw, before)
         developed = raw.postprocess(
             gamma=(1, 1),
             no_auto_bright=True,
@@ -59,15 +64,14 @@ def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Dec
             half_size=half,
             user_sat=white,
         )[: height // 2 if half else height, : width // 2 if half else width]
-        balanced = _camera_balance(raw) is not None
+        balanced = _positive(raw.camera_whitebalance) is not None
         to_rec709 = raw.color_matrix[:, :3].astype(np.float32)
-    shading = Shading(corrections.after_demosaic, (height, width))
 
     def read(top: int, bottom: int) -> Rows:
         rows = developed[top:bottom]
         clipped = saturated[top:bottom] | (rows == _FULL).any(axis=-1)
         light = rows * np.float32(headroom / _FULL)
-        return _shaded(light, shading, top, 2 if half else 1, to_rec709), clipped
+        return _shaded(light, after, top, to_rec709), clipped
 
     pixels, clipped = shrink(read, developed.shape[1], developed.shape[0], long_side)
     unbalanced = "The file states no white balance: daylight assumed."
@@ -82,6 +86,30 @@ def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Dec
     )
 
 
+def _opened(path: Path) -> Any:  # noqa: ANN401
+    import rawpy
+
+    try:
+        return rawpy.imread(str(path))
+    except rawpy.LibRawFileUnsupportedError as error:
+        raise MatcapError(
+            "this RAW file is damaged, or of a kind that LibRaw does not know",
+            where=str(path),
+            remedy="copy it from the camera again, or convert it to DNG",
+        ) from error
+
+
+def _check_levels(path: Path, raw: Any) -> None:  # noqa: ANN401
+    if raw.num_colors != 3:
+        raise MatcapError(
+            f"the camera sees {raw.num_colors} colours, not red, green and blue",
+            where=str(path),
+            remedy="give a developed picture, a TIFF say",
+        )
+    if raw.white_level <= max(raw.black_level_per_channel):
+        raise unreadable(path, "RAW")
+
+
 def _saturated(raw: Any, bayer: bool, half: bool) -> NDArray[np.bool_]:  # noqa: ANN401
     """(H, W), or half of it: True where a developed pixel draws on a photosite at its limit.
 
@@ -91,7 +119,11 @@ def _saturated(raw: Any, bayer: bool, half: bool) -> NDArray[np.bool_]:  # noqa:
     import cv2
 
     mosaic = raw.raw_image_visible
-    balance = np.array(_camera_balance(raw) or raw.daylight_whitebalance[:3] or (1, 1, 1))
+    balance = np.array(
+        _positive(raw.camera_whitebalance)
+        or _positive(raw.daylight_whitebalance)
+        or (1.0, 1.0, 1.0)
+    )
     lift = np.append(balance, balance[1]) / balance.min()
     black = np.array(raw.black_level_per_channel, np.float64)
     limit = black + CLIP_SHARE * (raw.white_level - black) / lift
@@ -115,12 +147,37 @@ def _two_by_two(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return (even[::2, ::2] | even[1::2, ::2] | even[::2, 1::2] | even[1::2, 1::2]) > 0
 
 
-def _camera_balance(raw: Any) -> tuple[float, float, float] | None:  # noqa: ANN401
-    red, green, blue = raw.camera_whitebalance[:3]
+def _positive(balance: Sequence[float]) -> tuple[float, float, float] | None:
+    """Factors for red, green and blue; None where LibRaw writes zeros for not knowing."""
+    red, green, blue = balance[:3]
     return (red, green, blue) if min(red, green, blue) > 0 else None
 
 
-def _prepare(raw: Any, corrections: Corrections) -> tuple[float, int | None]:  # noqa: ANN401
+def _shading(
+    maps: tuple[GainMap, ...],
+    corrections: Corrections,
+    raw: Any,  # noqa: ANN401
+    scale: int,
+) -> Shading:
+    """Maps as they fall on what LibRaw shows: it starts at the next even row and column."""
+    sizes = raw.sizes
+    size = (sizes.height, sizes.width)
+    visible = (sizes.top_margin, sizes.left_margin)
+    top, left, bottom, right = corrections.active_area or (
+        *visible,
+        visible[0] + size[0],
+        visible[1] + size[1],
+    )
+    return Shading(
+        maps,
+        active=(bottom - top, right - left),
+        size=(size[0] // scale, size[1] // scale),
+        offset=(visible[0] - top, visible[1] - left),
+        scale=scale,
+    )
+
+
+def _prepare(raw: Any, shading: Shading) -> tuple[float, int | None]:  # noqa: ANN401
     """Apply lens shading to the mosaic in place.
 
     Returns:
@@ -129,13 +186,12 @@ def _prepare(raw: Any, corrections: Corrections) -> tuple[float, int | None]:  #
     """
     samples = raw.raw_image_visible
     black = np.array(raw.black_level_per_channel, np.float64)
-    if not corrections.on_mosaic:
+    if not shading.maps:
         # LibRaw leaves the black level in the scale of pictures that come demosaiced.
         stacked = samples.ndim == 3 and black[:3].max() > 0
         return 1.0, int(raw.white_level - black[:3].max()) if stacked else None
     flat = samples.ndim == 2
     planes = 1 if flat else 3
-    shading = Shading(corrections.on_mosaic, (samples.shape[0], samples.shape[1]))
     headroom = shading.largest(planes)
     darkest = black[: 4 if flat else 3].min()
     # Everything is stretched to the 16 bits there are: gains then neither clip nor round away.
@@ -156,13 +212,12 @@ def _shaded(
     light: NDArray[np.float32],
     shading: Shading,
     top: int,
-    scale: int,
     to_rec709: NDArray[np.float32],
 ) -> NDArray[np.float32]:
     """Apply OpcodeList3's gains: they are for camera colours, so go back there if they differ."""
     if not shading.maps:
         return light
-    gains = shading.gains(top, top + len(light), 3, scale)
+    gains = shading.gains(top, top + len(light), 3)
     if all(gain_map.gains.shape[2] == 1 for gain_map in shading.maps):
         return light * gains
     camera = light @ np.linalg.inv(to_rec709).T

@@ -66,6 +66,7 @@ def write_dng(
     black: int = BLACK,
     white: int = WHITE,
     exif: dict[int, int] | None = None,
+    active_area: tuple[int, int, int, int] | None = None,
     **options: object,
 ) -> Path:
     """Samples (H, W) of a mosaic, or (H, W, 3) linear camera colours, as a DNG."""
@@ -91,6 +92,8 @@ def write_dng(
         ]
     if exif:
         tags.append((_PLACEHOLDER, 4, 1, 0, True))
+    if active_area:
+        tags.append((50829, 4, 4, active_area, True))
     if opcodes2:
         tags.append((51009, 7, len(opcodes2), opcodes2, True))
     if opcodes3:

@@ -7,10 +7,17 @@ import pytest
 from dng_files import BLACK, WHITE, gain_map, mosaic, opcode_list, write_dng
 
 from matcap.errors import MatcapError
+from matcap.photo.dng import read_corrections
 from matcap.photo.gainmap import Shading, parse_opcodes
+from matcap.photo.jxl import read_with_tifffile
 from matcap.photo.load import load_photo
 
 SIZE = (96, 128)
+PLACES = [(0, 0), (0, 1), (1, 0), (1, 1)]
+
+
+def tiff_reader(path):
+    return read_with_tifffile(path, None, read_corrections(path))
 
 
 @pytest.fixture
@@ -32,7 +39,7 @@ def reference_gain(grid: np.ndarray, row: int, column: int) -> float:
 
 def test_gains_follow_the_standard(grid):
     maps, vignette = parse_opcodes(opcode_list(gain_map(grid, SIZE)))
-    gains = Shading(maps, SIZE).gains(10, 30, 1)
+    gains = Shading(maps, SIZE, SIZE).gains(10, 30, 1)
     assert not vignette
     for row, column in [(10, 0), (10, 127), (29, 64), (15, 33)]:
         expected = reference_gain(grid[..., 0], row, column)
@@ -40,9 +47,8 @@ def test_gains_follow_the_standard(grid):
 
 
 def test_strips_join_up(grid):
-    shading = Shading(
-        parse_opcodes(opcode_list(gain_map(grid, SIZE, offset=(1, 0), pitch=2)))[0], SIZE
-    )
+    maps = parse_opcodes(opcode_list(gain_map(grid, SIZE, offset=(1, 0), pitch=2)))[0]
+    shading = Shading(maps, SIZE, SIZE)
     strips = [shading.gains(top, min(top + 7, 96), 1) for top in range(0, 96, 7)]
     np.testing.assert_array_equal(np.concatenate(strips), shading.gains(0, 96, 1))
 
@@ -50,12 +56,11 @@ def test_strips_join_up(grid):
 def test_maps_touch_only_their_photosites():
     """Phones write a map for each place in the two by two."""
     flats = [np.full((1, 1, 1), gain) for gain in (1.5, 2.0, 3.0, 4.0)]
-    places = [(0, 0), (0, 1), (1, 0), (1, 1)]
     opcodes = [
         gain_map(flat, SIZE, offset=place, pitch=2)
-        for flat, place in zip(flats, places, strict=True)
+        for flat, place in zip(flats, PLACES, strict=True)
     ]
-    gains = Shading(parse_opcodes(opcode_list(*opcodes))[0], SIZE).gains(0, 96, 1)[..., 0]
+    gains = Shading(parse_opcodes(opcode_list(*opcodes))[0], SIZE, SIZE).gains(0, 96, 1)[..., 0]
     np.testing.assert_array_equal(gains[:2, :2], [[1.5, 2.0], [3.0, 4.0]])
     np.testing.assert_array_equal(gains, np.tile(gains[:2, :2], (48, 64)))
 
@@ -64,7 +69,7 @@ def test_maps_touch_only_their_photosites():
 def test_flat_field_comes_out_flat(tmp_path, grid, long_side):
     """A grey wall behind a lens with falloff; also where the gains lift it past the white level."""
     maps = parse_opcodes(opcode_list(gain_map(grid, SIZE)))[0]
-    falloff = 1.0 / Shading(maps, SIZE).gains(0, 96, 1)
+    falloff = 1.0 / Shading(maps, SIZE, SIZE).gains(0, 96, 1)
     neutral = (0.5, 1.0, 0.6)
     samples = mosaic(0.9 * falloff * neutral)
     path = write_dng(
@@ -100,7 +105,7 @@ def test_map_by_photosite_reaches_its_colour(tmp_path):
 def test_linear_dng_by_plane(tmp_path, grid, option):
     tinted = np.concatenate([grid, 1.2 * grid, 1.5 * grid**2], axis=2)
     maps = parse_opcodes(opcode_list(gain_map(tinted, SIZE, planes=3)))[0]
-    light = 0.3 / Shading(maps, SIZE).gains(0, 96, 3)
+    light = 0.3 / Shading(maps, SIZE, SIZE).gains(0, 96, 3)
     samples = np.rint(BLACK + light * (WHITE - BLACK)).astype(np.uint16)
     opcodes = {option: opcode_list(gain_map(tinted, SIZE, planes=3))}
     photo = load_photo(write_dng(tmp_path / "a.dng", samples, **opcodes))
@@ -113,12 +118,27 @@ def test_after_demosaicing(tmp_path, long_side):
     y, x = np.mgrid[-1:1:3j, -1:1:3j]
     grid = (1.0 + 0.3 * x + 0.2 * y)[..., None]
     opcodes = opcode_list(gain_map(grid, SIZE, planes=3))
-    light = 0.4 / Shading(parse_opcodes(opcodes)[0], SIZE).gains(0, 96, 3)
+    light = 0.4 / Shading(parse_opcodes(opcodes)[0], SIZE, SIZE).gains(0, 96, 3)
     photo = load_photo(
         write_dng(tmp_path / "a.dng", mosaic(light), opcodes3=opcodes), long_side=long_side
     )
     assert photo.gain_map_applied
     np.testing.assert_allclose(photo.pixels[1:-1, 1:-1], 0.4, rtol=1e-2)
+
+
+@pytest.mark.parametrize("read", [load_photo, tiff_reader])
+def test_places_count_from_the_active_area(tmp_path, grid, read):
+    """Behind an odd margin of masked pixels, which LibRaw makes even."""
+    maps = [gain_map(grid * (1.5 if p == (0, 0) else 1.0), SIZE, offset=p, pitch=2) for p in PLACES]
+    opcodes = opcode_list(*maps)
+    gains = Shading(parse_opcodes(opcodes)[0], SIZE, SIZE).gains(0, 96, 1)[..., 0]
+    active = BLACK + (mosaic(np.full((*SIZE, 3), 0.5)) - float(BLACK)) / gains
+    stored = np.zeros((96 + 3, 128 + 5), np.uint16)
+    stored[3:, 5:] = np.rint(active)
+    path = write_dng(tmp_path / "a.dng", stored, opcodes2=opcodes, active_area=(3, 5, 99, 133))
+    picture = read(path)
+    assert min(picture.pixels.shape[:2]) >= SIZE[0] - 1
+    np.testing.assert_allclose(picture.pixels, 0.5, rtol=4e-3)
 
 
 def test_radial_vignette_is_named(tmp_path, light):
