@@ -1,0 +1,1 @@
+"""What the documentation claims, measured: how like the sample a capture looks under new lights."""

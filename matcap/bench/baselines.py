@@ -1,0 +1,231 @@
+"""What a capture must beat: the photograph as albedo, and per-texel optimisation.
+
+Both are given the true camera and flash, which a capture has to find out.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.errors import UsageError
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.rectify import rectify
+from matcap.flash.render import render_flash, render_rectified
+from matcap.photo.photo import Photo
+from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
+from matcap.statistics.gram import gram
+
+_SPECULAR, _ROUGHNESS = 0.04, 0.5
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Maps that are all there is: asked for less, the middle is given.
+
+    Attributes:
+        whole: the maps.
+        setup: camera and flash they go with.
+    """
+
+    whole: MapSet
+    setup: FlashSetup
+
+    @property
+    def texel_size(self) -> float:
+        """A texel's side in plane units."""
+        return self.whole.texel_size
+
+    def maps(self, width: int, height: int, *, seed: int = 0) -> MapSet:
+        """The middle of the maps; `seed` cannot make more of them."""
+        have_width, have_height = self.whole.size
+        if width > have_width or height > have_height:
+            raise UsageError(
+                f"the photograph gives {have_width} x {have_height} texels of map, "
+                f"{width} x {height} were asked for"
+            )
+        x, y = (have_width - width) // 2, (have_height - height) // 2
+        return self.whole.crop(x, y, width, height)
+
+
+@dataclass(frozen=True)
+class Tiled:
+    """Periodic maps, repeated; the seed says where the repetition starts.
+
+    Attributes:
+        tile: one period.
+        setup: camera and flash they go with.
+    """
+
+    tile: MapSet
+    setup: FlashSetup
+
+    @property
+    def texel_size(self) -> float:
+        """A texel's side in plane units."""
+        return self.tile.texel_size
+
+    def maps(self, width: int, height: int, *, seed: int = 0) -> MapSet:
+        """A rectangle of the repetition."""
+        period_x, period_y = self.tile.size
+        generator = torch.Generator().manual_seed(seed)
+        columns = (torch.arange(width) + _below(period_x, generator)) % period_x
+        rows = (torch.arange(height) + _below(period_y, generator)) % period_y
+        repeated = self.tile.stacked()[..., rows[:, None], columns]
+        return MapSet.from_stacked(repeated, self.texel_size)
+
+
+def photo_as_albedo(photo: Photo, setup: FlashSetup, detail: int) -> Fixed:
+    """The photograph itself as diffuse albedo; constant F0 and roughness; flat.
+
+    The flash's intensity is the one that gives the photograph's mean back.
+
+    Args:
+        photo: the photograph.
+        setup: true geometry.
+        detail: texels along the long side.
+    """
+    linear, _ = rectify(photo, setup, detail)
+    diffuse = linear.clamp(0.0, 1.0)
+    flat = torch.zeros_like(diffuse[:1])
+    maps = MapSet(diffuse, flat + _SPECULAR, flat + _ROUGHNESS, flat, texel_size=2.0 / detail)
+    again = render_rectified(maps, setup.with_intensity((1.0, 1.0, 1.0))).clamp_min(0.0)
+    gain = float(linear.mean() / again.mean())
+    return Fixed(maps, setup.with_intensity((gain, gain, gain)))
+
+
+@dataclass(frozen=True)
+class PerTexelSettings:
+    """How long and with what per-texel maps are optimised.
+
+    Attributes:
+        tile: texels of the periodic maps, a side.
+        window: texels of the windows compared, a side; at most `tile`.
+        windows: compared at every step.
+        steps: of Adam, at most.
+        seconds: at most.
+        rate: Adam's learning rate.
+        seed: of start and windows.
+    """
+
+    tile: int = 256
+    window: int = 128
+    windows: int = 2
+    steps: int = 400
+    seconds: float = 60.0
+    rate: float = 0.03
+    seed: int = 0
+
+
+def per_texel(
+    photo: Photo, setup: FlashSetup, detail: int, settings: PerTexelSettings | None = None
+) -> Tiled:
+    """One periodic patch of maps whose flash pictures match the photograph's texture everywhere.
+
+    After Aittala, Aila, Lehtinen (2016), "Reflectance Modeling by Neural Texture Synthesis": maps
+    are free texel by texel, and what their rendering at many places of the photograph must match
+    is Gram matrices. Simpler here: random filters for a trained network, no prior on the maps.
+
+    Args:
+        photo: the photograph.
+        setup: true camera and flash.
+        detail: texels along the long side.
+        settings: how long.
+    """
+    settings = settings or PerTexelSettings()
+    linear, valid = rectify(photo, setup, detail)
+    generator = torch.Generator().manual_seed(settings.seed)
+    bank = FilterBank(FilterBankConfig(filters=24, levels=4, seed=4242))
+    median = float(linear.mean(0)[valid].median()) if bool(valid.any()) else 0.2
+    free = _start_maps(linear[:, valid].mean(1), setup, settings.tile, generator)
+    optimiser = torch.optim.Adam([free], lr=settings.rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
+    extent = (detail, linear.shape[1])
+    began = time.monotonic()
+    for _ in range(settings.steps):
+        if time.monotonic() - began > settings.seconds:
+            break
+        places = [
+            (
+                _below(extent[0] - settings.window + 1, generator),
+                _below(extent[1] - settings.window + 1, generator),
+            )
+            for _ in range(settings.windows)
+        ]
+        shifts = [
+            (_below(settings.tile, generator), _below(settings.tile, generator)) for _ in places
+        ]
+        with torch.no_grad():
+            target = _describe(_windows(linear, places, settings.window), median, bank)
+        points = torch.stack(
+            [
+                plane_points(x, y, settings.window, settings.window, extent, dtype=torch.float32)
+                for x, y in places
+            ]
+        )
+        maps = _maps(free, 2.0 / detail)
+        rolled = torch.stack(
+            [torch.roll(maps.stacked(), shift, dims=(-1, -2)) for shift in shifts]
+        )[..., : settings.window, : settings.window]
+        rendered = render_flash(MapSet.from_stacked(rolled, 2.0 / detail), setup, points)
+        error = _distance(_describe(rendered, median, bank), target)
+        optimiser.zero_grad()
+        error.backward()
+        optimiser.step()
+        schedule.step()
+    tile = _maps(free.detach(), 2.0 / detail)
+    return Tiled(tile, setup)
+
+
+def _start_maps(mean: Tensor, setup: FlashSetup, tile: int, generator: torch.Generator) -> Tensor:
+    """(6, tile, tile) unbounded parameters around the photograph's mean, with some noise."""
+    intensity = torch.tensor(setup.intensity)
+    albedo = (mean * torch.pi * setup.distance**2 / intensity).clamp(0.02, 0.9)
+    start = torch.cat([albedo, torch.tensor([_SPECULAR, _ROUGHNESS])]).logit()
+    noise = torch.randn(6, tile, tile, generator=generator)
+    free = torch.zeros(6, tile, tile)
+    free[:5] = start[:, None, None] + 0.1 * noise[:5]
+    free[5] = 0.1 * noise[5]
+    return free.requires_grad_()
+
+
+def _maps(free: Tensor, texel_size: float) -> MapSet:
+    bounded = torch.sigmoid(free[:5])
+    return MapSet(
+        diffuse=bounded[:3],
+        specular=bounded[3:4],
+        roughness=0.05 + 0.95 * bounded[4:5],
+        height=texel_size * free[5:6],
+        texel_size=texel_size,
+        periodic=True,
+    )
+
+
+def _windows(linear: Tensor, places: list[tuple[int, int]], size: int) -> Tensor:
+    return torch.stack([linear[:, y : y + size, x : x + size] for x, y in places])
+
+
+def _describe(linear: Tensor, median: float, bank: FilterBank) -> list[Tensor]:
+    """Gram matrices and means of the compressed picture, level by level."""
+    compressed = torch.log(linear.clamp(0.0, 1.0) / median + 0.1)
+    described = []
+    for level in pyramid(compressed, bank.config.levels):
+        features = bank.features(level.contiguous(memory_format=torch.channels_last))
+        described += [gram(features), features.mean((2, 3)), level.mean((2, 3))]
+    return described
+
+
+def _distance(found: list[Tensor], target: list[Tensor]) -> Tensor:
+    shares = [
+        (a - b).abs().sum() / b.abs().sum().clamp_min(1e-6)
+        for a, b in zip(found, target, strict=True)
+    ]
+    return torch.stack(shares).mean()
+
+
+def _below(count: int, generator: torch.Generator) -> int:
+    return int(torch.randint(count, (), generator=generator))

@@ -1,0 +1,151 @@
+"""How unlike two textures look, by statistics that no capture optimises.
+
+1. *Portilla-Simoncelli* (2000) statistics of the grey picture, by plenoptic (extra `bench`), and
+   mean and covariance of its colours. The distance is the mean over groups g of statistics of
+
+       |a_g - b_g|_1 / ((|a_g|_1 + |b_g|_1) / 2 + n_g t_g),
+
+   n_g numbers to a group. The denominator makes a group's term a relative error of at most 2, so
+   that no group dominates; t_g is a size below which the statistic is too small to be seen and
+   must not be amplified: 0.05 for correlations, 0.2 for skew and kurtosis, 0.005 (about one 8-bit
+   code value) for means and deviations, its square for variances.
+2. *Random filters* of other sizes (7, 11, 13) and another seed than capture's, on a pyramid of four
+   levels, rectified: the mean over levels and over {Gram matrices, means} of the same relative L1,
+   with t = 0. The raw colours are among the means.
+
+Both are 0 for equal pictures, and symmetric.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from matcap.errors import MatcapError
+from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
+from matcap.statistics.gram import gram
+
+_CODE_VALUE = 0.005
+_CORRELATION = 0.05
+_MOMENT = 0.2
+
+_LUMA = (0.2126, 0.7152, 0.0722)  # Rec.709
+
+# Groups of plenoptic's statistics and the size below which each cannot be seen.
+_GROUPS: Mapping[str, float] = {
+    "auto_correlation_magnitude": _CORRELATION,
+    "auto_correlation_reconstructed": _CORRELATION,
+    "cross_orientation_correlation_magnitude": _CORRELATION,
+    "cross_scale_correlation_magnitude": _CORRELATION,
+    "cross_scale_correlation_real": _CORRELATION,
+    "skew_reconstructed": _MOMENT,
+    "kurtosis_reconstructed": _MOMENT,
+    "std_reconstructed": _CODE_VALUE,
+    "magnitude_std": _CODE_VALUE,
+    "var_highpass_residual": _CODE_VALUE**2,
+}
+# Of pixel_statistics: mean, variance, skew, kurtosis; its extremes are single pixels.
+_PIXEL = (("mean", 0, _CODE_VALUE), ("variance", 1, _CODE_VALUE**2))
+_PIXEL_MOMENTS = (("skew", 2, _MOMENT), ("kurtosis", 3, _MOMENT))
+
+
+@dataclass(frozen=True)
+class Group:
+    """Statistics that are compared as one.
+
+    Attributes:
+        values: (B, N) of B pictures.
+        unseen: size below which they are too small to be seen.
+    """
+
+    values: Tensor
+    unseen: float
+
+
+Statistics = dict[str, Group]
+
+
+class Style(Protocol):
+    """A kind of statistics: pictures (B, 3, H, W) in sRGB to groups."""
+
+    def __call__(self, pictures: Tensor) -> Statistics:
+        """Describe."""
+        ...
+
+
+def difference(first: Statistics, second: Statistics) -> Tensor:
+    """(B,) distance between pictures of the same lights, the mean over groups."""
+    return torch.stack([_relative(first[name], second[name]) for name in first]).mean(0)
+
+
+class PortillaSimoncelli:
+    """Portilla-Simoncelli statistics of grey, mean and covariance of colours."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        """Prepare for pictures of (width, height).
+
+        Raises:
+            MatcapError: plenoptic is not installed.
+        """
+        try:
+            from plenoptic.models import PortillaSimoncelli as Model
+        except ImportError as error:
+            raise MatcapError(
+                "Portilla-Simoncelli statistics need the package plenoptic",
+                remedy="install it with: pip install 'matcap[bench]'",
+            ) from error
+        self._model: Any = Model(
+            (size[1], size[0]), n_scales=4, n_orientations=4, spatial_corr_width=9
+        )
+
+    @torch.no_grad()
+    def __call__(self, pictures: Tensor) -> Statistics:
+        """Describe (B, 3, H, W)."""
+        luma = torch.tensor(_LUMA).to(pictures)[:, None, None]
+        grey = (pictures * luma).sum(1, keepdim=True)
+        told = self._model.convert_to_dict(self._model(grey))
+        groups = {name: Group(_finite(told[name]), unseen) for name, unseen in _GROUPS.items()}
+        pixel = _finite(told["pixel_statistics"])
+        for name, column, unseen in (*_PIXEL, *_PIXEL_MOMENTS):
+            groups[f"pixel {name}"] = Group(pixel[:, column : column + 1], unseen)
+        colours = pictures.flatten(2)
+        centred = colours - colours.mean(2, keepdim=True)
+        covariance = centred @ centred.transpose(1, 2) / colours.shape[2]
+        groups["colour mean"] = Group(colours.mean(2), _CODE_VALUE)
+        groups["colour covariance"] = Group(covariance.flatten(1), _CODE_VALUE**2)
+        return groups
+
+
+class RandomFilters:
+    """Gram matrices and means of random filters that capture does not know."""
+
+    def __init__(self) -> None:
+        self._bank = FilterBank(FilterBankConfig(sizes=(7, 11, 13), filters=20, levels=4, seed=777))
+
+    @torch.no_grad()
+    def __call__(self, pictures: Tensor) -> Statistics:
+        """Describe (B, 3, H, W)."""
+        groups = {}
+        for level, image in enumerate(pyramid(pictures, self._bank.config.levels)):
+            features = self._bank.features(image.contiguous(memory_format=torch.channels_last))
+            means = torch.cat([features.mean((2, 3)), image.mean((2, 3))], dim=1)
+            groups[f"gram {level}"] = Group(gram(features).flatten(1), 0.0)
+            groups[f"means {level}"] = Group(means, 0.0)
+        return groups
+
+
+def _relative(first: Group, second: Group) -> Tensor:
+    """(B,) relative L1 difference of a group."""
+    apart = (first.values - second.values).abs().mean(1)
+    size = (first.values.abs().mean(1) + second.values.abs().mean(1)) / 2.0
+    return apart / (size + first.unseen).clamp_min(1e-12)
+
+
+def _finite(statistics: Tensor) -> Tensor:
+    """(B, N): plenoptic fills what is redundant by symmetry with NaN, the same in every picture."""
+    flat = statistics.flatten(1)
+    return flat[:, torch.isfinite(flat[0])]
