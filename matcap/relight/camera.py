@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from matcap.relight.scene import Camera, Film
 from matcap.relight.vectors import Array, unit3
 
-Points = NDArray[np.float64]
+Points = Array
 
 
 @dataclass(frozen=True)

@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.errors import MatcapError
 from matcap.relight.camera import View, view_of
-from matcap.relight.lobes import ggx_smith, schlick_weight
-from matcap.relight.sampling import Sample, Sampler
-from matcap.relight.scene import Film, PointLight, Scene, scene_from_light
-from matcap.relight.surfaces.hits import Hits
-from matcap.relight.surfaces.plane import plane_hits
+from matcap.relight.clock import Clock
+from matcap.relight.environment import Environment, environment_of
+from matcap.relight.facts import gather
+from matcap.relight.horizons import Horizons, find_horizons
+from matcap.relight.plan import (
+    DEFAULT_TOLERANCE,
+    Choice,
+    Plan,
+    make_plan,
+    parse_choice,
+    radiance_tolerance,
+)
+from matcap.relight.relief import Relief
+from matcap.relight.sampling import Sampler
+from matcap.relight.scene import EnvironmentLight, Film, Scene, Surface, scene_from_light
+from matcap.relight.shade import Job, shade
+from matcap.relight.surfaces.shape import Shape, shape_of
 from matcap.relight.texture import Texture
-from matcap.relight.vectors import Array, Vec, dot, scale, subtract, vec
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
 # Pixels shaded together: their two dozen arrays should stay in a core's own cache.
 _BLOCK = 16384
-# Texels across the plane's default long side that a material is read at most.
+# Texels that a material is read across at most; beyond that it repeats.
 _LARGEST_READ = 8192
 
 
@@ -44,8 +54,30 @@ class MapSource(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Rendering:
+    """A picture and how it came about.
+
+    Attributes:
+        radiance: (H, W, 3) float32, linear Rec.709; 0 where there is no surface.
+        plan: which effects ran, why, and what each took.
+        film: of the picture.
+        seconds: in all.
+    """
+
+    radiance: NDArray[np.float32]
+    plan: Plan
+    film: Film
+    seconds: float
+
+
 def relight(
-    source: MapSet | MapSource | Texture, scene: Scene | str = "top", *, seed: int = 0
+    source: MapSet | MapSource | Texture,
+    scene: Scene | str = "top",
+    *,
+    seed: int = 0,
+    tolerance: float = DEFAULT_TOLERANCE,
+    effects: str = "auto",
 ) -> NDArray[np.float32]:
     """A picture of a material in a scene.
 
@@ -53,71 +85,108 @@ def relight(
         source: maps, or a material to read them from.
         scene: the scene, or what scene_from_light takes.
         seed: the realisation read from a material.
+        tolerance: what leaving out effects may change at most, in code values of the film from 0
+            to 1; half an 8-bit step by default.
+        effects: what parse_choice takes: auto, all, none, "+x,-y".
 
     Returns:
         (H, W, 3) float32 radiance, linear Rec.709; 0 where there is no surface. Exposure and
         transfer of the film are not applied.
 
     Raises:
-        MatcapError: the scene asks for something that is not there.
+        MatcapError: a file of the scene is missing or broken, or an effect has no such name.
     """
     scene = scene_from_light(scene) if isinstance(scene, str) else scene
-    texture = _texture(source, scene, seed)
-    film = scene.film or Film(*texture.size)
-    scene = replace(scene, film=film)
-    extent = _plane_extent(scene, texture)
-    view = view_of(scene.camera, film, max(extent))
-    sampler = Sampler(texture, scene.surface.repeat)
-    picture = np.zeros((film.height, film.width, 3), dtype=np.float32)
-
-    def rows(top: int, bottom: int) -> None:
-        hits = plane_hits(view, top, bottom, extent)
-        radiance = _shade(hits, sampler.read(hits.place), scene)
-        if hits.seen is not None:
-            radiance *= hits.seen
-        picture[top:bottom] = np.moveaxis(radiance, 0, -1)
-
-    _in_blocks(view, rows)
-    return picture
+    renderer = Renderer(source, scene, seed=seed)
+    return renderer.render(tolerance=tolerance, effects=effects).radiance
 
 
-def _shade(hits: Hits, sample: Sample, scene: Scene) -> NDArray[np.float32]:
-    """(3, rows, W) radiance of a block."""
-    shape = np.broadcast_shapes(hits.place[0].shape, hits.place[1].shape)
-    radiance = np.zeros((3, *shape), dtype=np.float32)
-    n_dot_v = np.maximum(dot(sample.normal, hits.to_view), np.float32(0.0))
-    for light in scene.lights:
-        if not isinstance(light, PointLight):
-            raise MatcapError(f"{type(light).__name__} cannot be rendered yet", where="scene")
-        offset = subtract(vec(light.position), hits.point)
-        squared = dot(offset, offset)
-        inverse = 1.0 / np.sqrt(squared)
-        to_light = scale(offset, inverse)
-        _add_light(radiance, sample, hits.to_view, n_dot_v, to_light, light.intensity, 1 / squared)
-    return radiance
+class Renderer:
+    """A material on a surface before a camera, ready for any lights.
 
+    What does not depend on the lights (reading the material, its pyramid, its horizons) is kept
+    from one picture to the next, which is what animations and light sheets live on.
+    """
 
-def _add_light(
-    radiance: NDArray[np.float32],
-    sample: Sample,
-    to_view: Vec,
-    n_dot_v: Array,
-    to_light: Vec,
-    colour: tuple[float, float, float],
-    falloff: Array,
-) -> None:
-    n_dot_l = np.maximum(dot(sample.normal, to_light), np.float32(0.0))
-    # The plane itself stands before whatever is below it, and nothing shows its back.
-    received = n_dot_l * falloff * ((to_light[2] > 0.0) & (n_dot_v > 0.0))
-    lobe, l_dot_h = ggx_smith(sample.normal, to_view, to_light, n_dot_v, n_dot_l, sample.alpha)
-    lobe *= received
-    weight = schlick_weight(l_dot_h)
-    glare = [(f0 + (1.0 - f0) * weight) * lobe for f0 in sample.specular]
-    received *= np.float32(1.0 / math.pi)
-    for channel in range(3):
-        value = sample.diffuse[channel] * received
-        value += glare[channel if len(glare) == 3 else 0]
-        radiance[channel] += value * np.float32(colour[channel])
+    def __init__(
+        self, source: MapSet | MapSource | Texture, scene: Scene, *, seed: int = 0
+    ) -> None:
+        self.texture = _texture(source, scene, seed)
+        self.scene = replace(scene, film=scene.film or Film(*self.texture.size))
+        surface = scene.surface
+        self.sampler = Sampler(self.texture, surface.repeat)
+        self.relief = None
+        if surface.displacement > 0.0 and self.texture.summary.relief > 0.0:
+            self.relief = Relief(self.texture, surface.repeat, surface.displacement)
+        self._skies: dict[EnvironmentLight, Environment] = {}
+        self._horizons: dict[bool, Horizons] = {}
+        self._shapes: dict[tuple[object, Surface], tuple[View, Shape]] = {}
+
+    def render(
+        self,
+        scene: Scene | None = None,
+        *,
+        tolerance: float = DEFAULT_TOLERANCE,
+        effects: str | Choice = "auto",
+    ) -> Rendering:
+        """One picture.
+
+        Args:
+            scene: another camera, film or lights than the renderer was made for; its surface must
+                be the same.
+            tolerance, effects: see relight().
+        """
+        start = perf_counter()
+        scene = scene or self.scene
+        film = scene.film or self.scene.film
+        assert film is not None
+        choice = parse_choice(effects) if isinstance(effects, str) else effects
+        view, shape = self._seen(scene, film)
+        skies = tuple(self._sky(one) for one in scene.lights if isinstance(one, EnvironmentLight))
+        region, footprint = shape.region(view, self.relief)
+        footprint *= scene.surface.repeat / self.texture.texel_size
+        facts = gather(scene, self.texture, view, region, footprint, skies)
+        plan = make_plan(facts, radiance_tolerance(tolerance, film), choice)
+        clock = Clock()
+        job = Job(
+            scene, self.sampler, self.relief, plan, skies, self._find_horizons(plan, skies, clock),
+            clock,
+        )  # fmt: skip
+        picture = np.zeros((film.height, film.width, 3), dtype=np.float32)
+
+        def rows(top: int, bottom: int) -> None:
+            hits = shape.hits(view, top, bottom)
+            if hits.seen is None or hits.seen.any():
+                picture[top:bottom] = np.moveaxis(shade(job, hits), 0, -1)
+
+        _in_blocks(view, rows)
+        return Rendering(picture, plan.timed(clock.seconds), film, perf_counter() - start)
+
+    def _seen(self, scene: Scene, film: Film) -> tuple[View, Shape]:
+        key = ((scene.camera, film.width, film.height), scene.surface)
+        if key not in self._shapes:
+            shape = shape_of(scene.surface, self.texture)
+            view = view_of(scene.camera, film, shape.framed(film))
+            self._shapes = {key: (view, shape.seen_by(view))}
+        return self._shapes[key]
+
+    def _sky(self, light: EnvironmentLight) -> Environment:
+        if light not in self._skies:
+            self._skies[light] = environment_of(light)
+        return self._skies[light]
+
+    def _find_horizons(
+        self, plan: Plan, skies: tuple[Environment, ...], clock: Clock
+    ) -> Horizons | None:
+        bounces = plan.on("interreflection")
+        hides = plan.on("visibility") and bool(skies)
+        if self.relief is None or not (bounces or hides):
+            return None
+        if bounces not in self._horizons:
+            with clock.on("interreflection" if bounces else "visibility"):
+                found = find_horizons(self.relief, bounces=bounces, run=_in_parallel)
+            self._horizons[bounces] = found
+        return self._horizons[bounces]
 
 
 def _texture(source: MapSet | MapSource | Texture, scene: Scene, seed: int) -> Texture:
@@ -127,28 +196,35 @@ def _texture(source: MapSet | MapSource | Texture, scene: Scene, seed: int) -> T
         return source
     if isinstance(source, MapSet):
         return Texture.from_maps(source)
-    film = scene.film or Film(1024, 1024)
-    size = scene.surface.size or 2.0
-    needed = size * scene.surface.repeat / source.texel_size
-    across = min(_LARGEST_READ, max(1, round(needed)))
-    down = min(across, max(1, round(needed * min(1.0, film.height / film.width))))
+    width, height = _needed(scene)
+    texels = scene.surface.repeat / source.texel_size
+    across = min(_LARGEST_READ, max(1, round(width * texels)))
+    down = min(_LARGEST_READ, max(1, round(height * texels)))
     return Texture.from_maps(source.maps(across, down, seed=seed, x=0, y=0))
 
 
-def _plane_extent(scene: Scene, texture: Texture) -> tuple[float, float]:
-    if scene.surface.size is None:
-        width, height = texture.extent
-        return width / scene.surface.repeat, height / scene.surface.repeat
-    return scene.surface.size, scene.surface.size
+def _needed(scene: Scene) -> tuple[float, float]:
+    """Width and height of material that the camera can see, in plane units of the surface."""
+    size = scene.surface.size or 2.0
+    film = scene.film or Film(1, 1)
+    if scene.surface.type == "plane" and scene.camera is None:
+        return size, size * min(1.0, film.height / film.width)
+    if scene.surface.type in ("sphere", "cylinder"):
+        # Once around from the side that is seen; half of it upwards on a sphere.
+        return 3.1416 * size, size * (1.5708 if scene.surface.type == "sphere" else 1.0)
+    return size, size
 
 
 def _in_blocks(view: View, rows: Callable[[int, int], None]) -> None:
     """Call `rows` for all rows of the picture, in blocks, on all cores."""
     width, height = view.size
     step = max(1, _BLOCK // width)
-    tops = range(0, height, step)
+    _in_parallel(lambda top: rows(top, min(top + step, height)), range(0, height, step))
+
+
+def _in_parallel(work: Callable[[int], None], items: Iterable[int]) -> None:
     with ThreadPoolExecutor(_workers()) as pool:
-        for _ in pool.map(lambda top: rows(top, min(top + step, height)), tops):
+        for _ in pool.map(work, items):
             pass
 
 

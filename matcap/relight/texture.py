@@ -7,12 +7,34 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from matcap.relight.vectors import Array
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
-Map = NDArray[np.float32]
+Map = Array
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Extremes of a texture, over all its texels.
+
+    Attributes:
+        diffuse: largest albedo of any channel.
+        specular: largest F0.
+        roughness: (smallest, largest).
+        slope: largest slope of the shading normals.
+        relief_slope: largest slope of the bilinear surface through the heights, which repeats.
+        relief: highest minus lowest height, in plane units.
+    """
+
+    diffuse: float
+    specular: float
+    roughness: tuple[float, float]
+    slope: float
+    relief_slope: float
+    relief: float
 
 
 @dataclass(frozen=True)
@@ -72,3 +94,23 @@ class Texture:
         x, y = self.slopes
         z = 1.0 / np.sqrt(1.0 + x * x + y * y)
         return np.stack([-x * z, -y * z, z])
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Extremes, for the plan."""
+        height = self.height[0]
+        # Inside a cell a bilinear surface is nowhere steeper than along its sides.
+        across = np.abs(np.roll(height, -1, axis=1) - height)
+        down = np.abs(np.roll(height, -1, axis=0) - height)
+        across = np.maximum(across, np.roll(across, -1, axis=0))
+        down = np.maximum(down, np.roll(down, -1, axis=1))
+        steepest = float((across * across + down * down).max()) ** 0.5 / self.texel_size
+        x, y = self.slopes
+        return Summary(
+            float(self.diffuse.max()),
+            float(self.specular.max()),
+            (float(self.roughness.min()), float(self.roughness.max())),
+            float((x * x + y * y).max()) ** 0.5,
+            steepest,
+            float(height.max() - height.min()),
+        )

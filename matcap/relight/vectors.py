@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.floating[Any]]
+# Any numbers: NumPy knows which, and the arithmetic below keeps it.
+Array = NDArray[Any]
 Vec = tuple[Array, Array, Array]
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from matcap.relight.vectors import Array, Vec, add, dot, scale
 
-from matcap.relight.vectors import Array, Vec
+Frame = tuple[Vec, Vec, Vec]
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,23 @@ class Hits:
     """
 
     point: Vec
-    frame: tuple[Vec, Vec, Vec] | None
+    frame: Frame | None
     place: tuple[Array, Array]
     to_view: Vec
-    seen: NDArray[np.bool_] | None
+    seen: Array | None
     footprint: Array
+
+
+def to_frame(vector: Vec, frame: Frame | None) -> Vec:
+    """A vector of the scene in the material's frame."""
+    if frame is None:
+        return vector
+    return dot(vector, frame[0]), dot(vector, frame[1]), dot(vector, frame[2])
+
+
+def to_scene(vector: Vec, frame: Frame | None) -> Vec:
+    """A vector of the material's frame in the scene."""
+    if frame is None:
+        return vector
+    x, y, z = (scale(axis, c) for axis, c in zip(frame, vector, strict=True))
+    return add(add(x, y), z)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from matcap.relight.camera import View
+from matcap.relight.facts import Region
 from matcap.relight.surfaces.hits import Hits
-from matcap.relight.vectors import dot, scale, subtract, vec
+from matcap.relight.vectors import Array, Vec, dot, scale, subtract, vec
 
 
 def plane_hits(
@@ -41,15 +42,22 @@ def plane_hits(
     all_seen = bool(seen.all())
     shape = (bottom - top, view.size[0])
     point = (x.astype(np.float32), y.astype(np.float32), np.zeros((1, 1), dtype=np.float32))
+    footprint: Array
+    to_view: Vec
     if view.perspective:
         offset = subtract(vec(tuple(view.position)), point)
         squared = dot(offset, offset)
         inverse = 1.0 / np.sqrt(squared)
         to_view = scale(offset, inverse)
-        footprint = view.pixel / inverse / np.maximum(to_view[2], np.float32(1e-6))
+        if _frontal(view):
+            # Parallel to the picture a pixel covers the same everywhere.
+            footprint = np.full((1, 1), view.pixel * view.position[2], dtype=np.float32)
+        else:
+            footprint = view.pixel / inverse / np.maximum(to_view[2], np.float32(1e-6))
     else:
-        to_view = vec(tuple(-view.axes[2]))
-        footprint = np.asarray(view.pixel / max(-view.axes[2][2], 1e-6), dtype=np.float32)
+        x_view, y_view, z_view = (np.full((1, 1), c, dtype=np.float32) for c in -view.axes[2])
+        to_view = (x_view, y_view, z_view)
+        footprint = np.full((1, 1), view.pixel / max(-view.axes[2][2], 1e-6), dtype=np.float32)
     return Hits(
         point=point,
         frame=None,
@@ -63,3 +71,36 @@ def plane_hits(
 def _frontal(view: View) -> bool:
     """The camera looks straight down, the picture's sides along x and y."""
     return bool(np.abs(view.axes - np.diag([1.0, 1.0, -1.0])).max() < 1e-12)
+
+
+def plane_region(
+    view: View, extent: tuple[float, float], relief: tuple[float, float]
+) -> tuple[Region, float]:
+    """Where the camera may see the plane, and what a pixel covers there at most.
+
+    Args:
+        view: the camera.
+        extent: (width, height) outside which there is nothing.
+        relief: lowest and highest displacing height.
+    """
+    low = [-extent[0] / 2.0, -extent[1] / 2.0]
+    high = [extent[0] / 2.0, extent[1] / 2.0]
+    height = view.size[1]
+    corners = [plane_hits(view, row, row + 1) for row in (0, height - 1)]
+    if all(hits.seen is None for hits in corners):
+        # The picture of a plane's rectangle is convex: its border is where its corners are.
+        for axis in (0, 1):
+            places = [float(h.place[axis].ravel()[i]) for h in corners for i in (0, -1)]
+            slack = 1e-6 * (high[axis] - low[axis])
+            low[axis] = min(max(low[axis], min(places) - slack), high[axis])
+            high[axis] = max(min(high[axis], max(places) + slack), low[axis])
+    region = Region((low[0], low[1], relief[0]), (high[0], high[1], relief[1]), flat=True)
+    if view.perspective and not _frontal(view):
+        above = view.position[2]
+        far = max(
+            sum((np.array([x, y, 0.0]) - view.position) ** 2)
+            for x in (low[0], high[0])
+            for y in (low[1], high[1])
+        )
+        return region, float(view.pixel * far / above) if above > 0.0 else 0.0
+    return region, float(corners[0].footprint.max())

@@ -1,0 +1,6 @@
+"""The effects a picture may call for, one a file.
+
+Each file says where its formula comes from, what it costs, and by how much at most a picture can
+change when it is left out: `bound(facts)`, rigorous for the renderer at hand, in units of radiance.
+What "left out" means is said there too. plan.py decides from the bounds.
+"""

@@ -1,0 +1,57 @@
+"""Ambient visibility: relief hides part of the surroundings (horizon mapping: Max 1988).
+
+Diffuse light of the surroundings is multiplied by the share of an even sky that a texel sees; each
+mirrored direction is compared with the horizon between the two nearest of 16 azimuths. Both from
+matcap.relight.horizons, once a material.
+
+Left out: every point sees all that stands above the plane. Cost: some 300 passes over the maps,
+once; two lookups a mirrored direction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from matcap.relight.effects import environment
+from matcap.relight.effects.bound import Bound
+from matcap.relight.facts import Facts
+from matcap.relight.horizons import AZIMUTHS, Horizons
+from matcap.relight.vectors import Array, Vec
+
+
+def bound(facts: Facts) -> Bound:
+    """Whatever the surroundings cause, where there is any relief to hide them."""
+    if facts.sky == 0.0:
+        return Bound(0.0, "there are no surroundings")
+    if facts.relief == 0.0:
+        return Bound(0.0, "the surface is flat")
+    slope = math.degrees(math.atan(facts.relief_slope))
+    return Bound(environment.brightest(facts), f"horizons of up to {slope:.3g} degrees")
+
+
+def horizon_test(horizons: Horizons, texel: Array) -> Callable[[Vec], Array]:
+    """Whether directions in the material's frame are above the horizon of texels.
+
+    Args:
+        horizons: of the material.
+        texel: index of each pixel's nearest texel.
+    """
+    flat = horizons.tangents.ravel()
+    base = texel * AZIMUTHS
+
+    def clear(direction: Vec) -> Array:
+        x, y, z = direction
+        turn = np.arctan2(y, x) * np.float32(AZIMUTHS / (2.0 * math.pi))
+        low = np.floor(turn)
+        share = turn - low
+        first = np.mod(low.astype(np.int64), AZIMUTHS)
+        second = np.where(first + 1 == AZIMUTHS, 0, first + 1)
+        t0 = flat[base + first]
+        tangent: Array = t0 + share * (flat[base + second] - t0)
+        above: Array = z > tangent * np.sqrt(x * x + y * y)
+        return above
+
+    return clear

@@ -1,0 +1,178 @@
+"""Which effects run: from upper bounds on what leaving each out could change.
+
+An effect is left out only while the bounds of all that are left out add up to no more than the
+tolerance, so the picture differs by no more than that from the one with everything. The tolerance
+is stated in code values of the film (half an 8-bit step by default): the sRGB curve is concave
+and 0 at 0, so two radiances that differ by d have codes that differ by no more than d's own code.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from matcap.errors import UsageError
+from matcap.relight.effects import (
+    area,
+    diffuse,
+    environment,
+    falloff,
+    filtering,
+    interreflection,
+    multiscatter,
+    parallax,
+    shadows,
+    specular,
+    visibility,
+)
+from matcap.relight.effects.bound import Bound
+from matcap.relight.facts import Facts
+from matcap.relight.scene import Film
+
+# Half a step of an 8-bit picture.
+DEFAULT_TOLERANCE = 0.5 / 255.0
+
+EFFECTS: Mapping[str, Callable[[Facts], Bound]] = {
+    "diffuse": diffuse.bound,
+    "specular": specular.bound,
+    "falloff": falloff.bound,
+    "area": area.bound,
+    "environment": environment.bound,
+    "filtering": filtering.bound,
+    "parallax": parallax.bound,
+    "shadows": shadows.bound,
+    "visibility": visibility.bound,
+    "interreflection": interreflection.bound,
+    "multiscatter": multiscatter.bound,
+}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One effect's place in the plan.
+
+    Attributes:
+        effect: its name.
+        on: whether it runs.
+        bound: what leaving it out could change, in radiance.
+        reason: why it runs or not.
+        milliseconds: what it took, all cores together; 0 before rendering.
+    """
+
+    effect: str
+    on: bool
+    bound: float
+    reason: str
+    milliseconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The steps, and the tolerance in radiance that they keep to."""
+
+    steps: tuple[Step, ...]
+    tolerance: float
+    running: frozenset[str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "running", frozenset(s.effect for s in self.steps if s.on))
+
+    def on(self, effect: str) -> bool:
+        """Whether an effect runs."""
+        return effect in self.running
+
+    def timed(self, seconds: Mapping[str, float]) -> Plan:
+        """The plan with what each effect took."""
+        steps = tuple(
+            replace(step, milliseconds=1e3 * seconds.get(step.effect, 0.0)) for step in self.steps
+        )
+        return Plan(steps, self.tolerance)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One dictionary a step, for JSON; infinite bounds are None."""
+        return [
+            {
+                "effect": step.effect,
+                "on": step.on,
+                "bound": step.bound if math.isfinite(step.bound) else None,
+                "reason": step.reason,
+                "milliseconds": round(step.milliseconds, 3),
+            }
+            for step in self.steps
+        ]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a user asked for: a start ("auto", "all" or "none") and effects forced on or off."""
+
+    start: str = "auto"
+    forced: tuple[tuple[str, bool], ...] = ()
+
+
+def parse_choice(text: str) -> Choice:
+    """The choice that `--effects` means: "all", "none", "+x,-y", or both: "none,+diffuse".
+
+    Raises:
+        UsageError: an unknown effect, or one without + or -.
+    """
+    start, forced = "auto", []
+    for index, part in enumerate(part.strip() for part in text.split(",")):
+        if index == 0 and part in ("auto", "all", "none"):
+            start = part
+            continue
+        sign, name = part[:1], part[1:]
+        if sign not in ("+", "-") or name not in EFFECTS:
+            near = difflib.get_close_matches(part.lstrip("+-"), EFFECTS, n=1, cutoff=0.0)[0]
+            raise UsageError(
+                f"'{part}' is not an effect to switch",
+                where="--effects",
+                remedy=f"give all, none, or +{near} or -{near} (of {', '.join(EFFECTS)})",
+            )
+        forced.append((name, sign == "+"))
+    return Choice(start, tuple(forced))
+
+
+def radiance_tolerance(tolerance: float, film: Film) -> float:
+    """The change of radiance whose code, after exposure, is the tolerance."""
+    if film.transfer == "linear":
+        return tolerance / film.gain
+    linear = tolerance / 12.92 if tolerance <= 0.04045 else ((tolerance + 0.055) / 1.055) ** 2.4
+    return linear / film.gain
+
+
+def make_plan(facts: Facts, tolerance: float, choice: Choice) -> Plan:
+    """Decide what runs.
+
+    Args:
+        facts: of the scene.
+        tolerance: in radiance.
+        choice: of the user.
+    """
+    bounds = {effect: bound(facts) for effect, bound in EFFECTS.items()}
+    forced = dict(choice.forced)
+    off: set[str] = set()
+    if choice.start == "none":
+        off = set(EFFECTS)
+    elif choice.start == "auto":
+        left = tolerance
+        for effect in sorted(EFFECTS, key=lambda name: bounds[name].radiance):
+            if effect in forced:
+                continue
+            if bounds[effect].radiance > left:
+                break
+            left -= bounds[effect].radiance
+            off.add(effect)
+    steps = []
+    for effect, bound in bounds.items():
+        reason = bound.reason
+        if effect in forced:
+            reason = f"as asked for ({reason})"
+        elif choice.start != "auto":
+            reason = f"{choice.start} as asked for ({reason})"
+        on = forced.get(effect, effect not in off)
+        steps.append(Step(effect, on, bound.radiance, reason))
+    return Plan(tuple(steps), tolerance)

@@ -1,0 +1,321 @@
+"""Radiance of a block of pixels: every light through every effect that the plan runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from matcap.relight.clock import Clock
+from matcap.relight.effects import (
+    area,
+    environment,
+    interreflection,
+    multiscatter,
+    parallax,
+    shadows,
+    visibility,
+)
+from matcap.relight.environment import Environment
+from matcap.relight.horizons import Horizons
+from matcap.relight.lobes import ggx_smith, schlick_weight
+from matcap.relight.plan import Plan
+from matcap.relight.relief import Relief
+from matcap.relight.sampling import Sample, Sampler
+from matcap.relight.scene import (
+    Colour,
+    DirectionalLight,
+    EnvironmentLight,
+    PointLight,
+    RectangleLight,
+    Scene,
+    SphereLight,
+)
+from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
+from matcap.relight.vectors import Array, Vec, add, dot, scale, subtract, unit3, vec
+from matcap.relight.visible_normals import mirrored
+
+_ZERO: Any = np.float32(0.0)
+_ONE: Any = np.float32(1.0)
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all blocks of a picture share.
+
+    Attributes:
+        scene: lights and surface.
+        sampler: the material on the surface.
+        relief: its height, None where it does not displace.
+        plan: which effects run.
+        skies: the environments, in the order of their lights.
+        horizons: where ambient visibility or interreflection run.
+        clock: of the effects.
+    """
+
+    scene: Scene
+    sampler: Sampler
+    relief: Relief | None
+    plan: Plan
+    skies: tuple[Environment, ...]
+    horizons: Horizons | None
+    clock: Clock
+
+
+def shade(job: Job, hits: Hits) -> Array:
+    """(3, rows, W) radiance of a block; 0 where nothing is seen."""
+    height: Array = np.zeros((1, 1), dtype=np.float32)
+    if job.relief is not None and job.plan.on("parallax"):
+        with job.clock.on("parallax"):
+            hits, height = _displaced(job.relief, hits)
+    elif job.relief is not None and job.plan.on("shadows"):
+        height = job.relief.at(*hits.place)
+    with job.clock.on("filtering"):
+        footprint = hits.footprint if job.plan.on("filtering") else None
+        sample = job.sampler.read(hits.place, footprint)
+    radiance = _Block(job, hits, height, sample).radiance()
+    if hits.seen is not None:
+        radiance *= hits.seen
+    return radiance
+
+
+def _displaced(relief: Relief, hits: Hits) -> tuple[Hits, Array]:
+    """The hits on the displaced surface, and the height there."""
+    (u, v), height = parallax.shift(relief, hits.place, hits.to_view)
+    moved = (
+        (u - hits.place[0]).astype(np.float32),
+        (v - hits.place[1]).astype(np.float32),
+        height,
+    )
+    return replace(hits, point=add(hits.point, to_scene(moved, hits.frame)), place=(u, v)), height
+
+
+class _Block:
+    """One block's radiance while it is added up."""
+
+    def __init__(self, job: Job, hits: Hits, height: Array, sample: Sample) -> None:
+        self.job, self.hits, self.height, self.sample = job, hits, height, sample
+        self.plan = job.plan
+        shape = np.broadcast_shapes(*(p.shape for p in hits.place), sample.alpha.shape)
+        self.total = np.zeros((3, *shape), dtype=np.float32)
+        self.n_dot_v = np.maximum(dot(sample.normal, hits.to_view), _ZERO)
+        self.facing = (self.n_dot_v > 0.0) & (hits.to_view[2] > 0.0)
+        self.scatter: list[tuple[Array, Array]] = []
+        if self.plan.on("multiscatter"):
+            with job.clock.on("multiscatter"):
+                self.scatter = [
+                    multiscatter.terms(f0, sample.alpha, self.n_dot_v) for f0 in sample.specular
+                ]
+        # For each colour the sum of irradiance times direction, for interreflection.
+        self.flow: list[Vec] = [(_ZERO, _ZERO, _ZERO)] * 3 if self.bounces else []
+
+    @property
+    def bounces(self) -> bool:
+        return self.plan.on("interreflection") and self.job.horizons is not None
+
+    def radiance(self) -> Array:
+        skies = iter(self.job.skies)
+        for light in self.job.scene.lights:
+            if isinstance(light, EnvironmentLight):
+                self.add_sky(next(skies))
+            elif isinstance(light, SphereLight | RectangleLight):
+                self.add_area(light)
+            else:
+                self.add_point(light)
+        if self.bounces:
+            with self.job.clock.on("interreflection"):
+                self.add_bounce()
+        return self.total
+
+    def add_point(self, light: PointLight | DirectionalLight) -> None:
+        if isinstance(light, DirectionalLight):
+            direction = to_frame(vec(tuple(unit3(light.direction))), self.hits.frame)
+            self.add(direction, self.lit(direction, None), light.irradiance)
+            return
+        offset = subtract(vec(light.position), self.hits.point)
+        squared = dot(offset, offset)
+        inverse = 1.0 / np.sqrt(squared)
+        to_light = to_frame(scale(offset, inverse), self.hits.frame)
+        received: Any = inverse * inverse
+        if not self.plan.on("falloff"):
+            received = np.float32(1.0 / max(sum(c * c for c in light.position), 1e-12))
+        self.add(to_light, received * self.lit(to_light, 1.0 / inverse), light.intensity)
+
+    def add_area(self, light: SphereLight | RectangleLight) -> None:
+        hits = self.hits
+        if not self.plan.on("area"):
+            node = area.centre(light, hits.point, hits.frame)
+            received = self.fading(light, node) * self.lit(node.to_light, node.distance)
+            self.add(node.to_light, received, light.radiance)
+            return
+        with self.job.clock.on("area"):
+            offset = subtract(vec(light.position), hits.point)
+            nearest = float(np.sqrt(dot(offset, offset).min()))
+            order = area.order(light, nearest, float(self.sample.alpha.min()))
+            shadow = self.area_shadow(light)
+            for node in area.nodes(light, hits.point, hits.frame, order or 6):
+                received = self.fading(light, node)
+                if shadow:
+                    received = received * shadow[_cell(light, node.place)]
+                self.add(node.to_light, received, light.radiance, lobe=order is not None)
+            if order is None and self.plan.on("specular"):
+                seen = np.mean(list(shadow.values()), axis=0) if shadow else _ONE
+                self.mirror(light, seen)
+
+    def fading(self, light: SphereLight | RectangleLight, node: area.Node) -> Array:
+        """The node's irradiance, with or without falloff."""
+        if self.plan.on("falloff"):
+            return node.received
+        central = max(sum(c * c for c in light.position), 1e-12)
+        offset = subtract(vec(light.position), self.hits.point)
+        return node.received * (dot(offset, offset) * np.float32(1.0 / central))
+
+    @property
+    def casts(self) -> bool:
+        return self.plan.on("shadows") and self.job.relief is not None
+
+    def area_shadow(self, light: SphereLight | RectangleLight) -> dict[tuple[int, int], Array]:
+        """What arrives from each of a light's 16 parts; empty where nothing casts shadows."""
+        if not self.casts:
+            return {}
+        found: dict[tuple[int, int], list[Array]] = {}
+        for probe in area.nodes(light, self.hits.point, self.hits.frame, 4):
+            lit = self.lit(probe.to_light, probe.distance)
+            found.setdefault(_cell(light, probe.place), []).append(lit)
+        return {cell: np.mean(lit, axis=0) for cell, lit in found.items()}
+
+    def mirror(self, light: SphereLight | RectangleLight, seen: Array) -> None:
+        """The specular lobe of a light too large for a rule: the lobe is sampled instead.
+
+        Args:
+            light: the light.
+            seen: share of it that shadows leave.
+        """
+        hits, sample = self.hits, self.sample
+        step = seen * np.float32(1.0 / area.SAMPLES)
+        for one in mirrored(sample, hits.to_view, self.n_dot_v, area.SAMPLES):
+            direction = to_scene(one.to_light, hits.frame)
+            met, _ = area.seen_along(light, hits.point, direction)
+            met = met & (one.to_light[2] > 0.0) & self.facing
+            if not met.any():
+                continue
+            share = one.weight * met * step
+            for channel in range(3):
+                f0 = sample.specular[channel if len(sample.specular) == 3 else 0]
+                fresnel = f0 + (1.0 - f0) * one.fresnel
+                self.total[channel] += share * fresnel * np.float32(light.radiance[channel])
+
+    def lit(self, to_light: Vec, distance: Array | None) -> Any:  # noqa: ANN401
+        """1 where light arrives past the relief, 0 where it does not."""
+        if not self.casts:
+            return np.float32(1.0)
+        with self.job.clock.on("shadows"):
+            assert self.job.relief is not None
+            return shadows.lit(
+                self.job.relief, self.hits.place, self.height, to_light, distance
+            ).astype(np.float32)
+
+    def add(self, to_light: Vec, received: Array, colour: Colour, *, lobe: bool = True) -> None:
+        """Add the light that arrives from one direction.
+
+        Args:
+            to_light: unit vector in the frame.
+            received: irradiance on a surface facing it, for colour 1.
+            colour: of the light.
+            lobe: whether the specular lobe is lit too.
+        """
+        sample = self.sample
+        n_dot_l = np.maximum(dot(sample.normal, to_light), _ZERO)
+        arriving = received * (to_light[2] > 0.0)
+        if self.bounces:
+            self.collect(scale(to_light, arriving), colour)
+        light = n_dot_l * arriving * self.facing
+        glare: list[Array] = []
+        if lobe and self.plan.on("specular"):
+            with self.job.clock.on("specular"):
+                mirror, l_dot_h = ggx_smith(
+                    sample.normal, self.hits.to_view, to_light, self.n_dot_v, n_dot_l, sample.alpha
+                )
+                mirror *= light
+                weight = schlick_weight(l_dot_h)
+                glare = [(f0 + (1.0 - f0) * weight) * mirror for f0 in sample.specular]
+        if self.scatter:
+            with self.job.clock.on("multiscatter"):
+                lost = multiscatter.missing(sample.alpha, n_dot_l) * light
+                extra = [strength * lost for strength, _ in self.scatter]
+                glare = [a + b for a, b in zip(glare, extra, strict=True)] if glare else extra
+        with self.job.clock.on("diffuse"):
+            lambert = light * np.float32(1.0 / math.pi) if self.plan.on("diffuse") else None
+            for channel in range(3):
+                power = np.float32(colour[channel])
+                if lambert is not None:
+                    value = sample.diffuse[channel] * lambert
+                    if glare:
+                        value += glare[channel if len(glare) == 3 else 0]
+                    value *= power
+                    self.total[channel] += value
+                elif glare:
+                    self.total[channel] += glare[channel if len(glare) == 3 else 0] * power
+
+    def collect(self, flow: Vec, colour: Colour) -> None:
+        """Remember light, irradiance times direction, that neighbours receive."""
+        for channel in range(3):
+            self.flow[channel] = add(self.flow[channel], scale(flow, colour[channel]))
+
+    def add_sky(self, sky: Environment) -> None:
+        """Add the light of the surroundings."""
+        sample, hits, job = self.sample, self.hits, self.job
+        hides = self.plan.on("visibility") and job.horizons is not None
+        varied = self.plan.on("environment")
+        seen: Any = np.float32(1.0)
+        horizon = None
+        if hides:
+            with job.clock.on("visibility"):
+                assert job.horizons is not None
+                seen = job.sampler.extra(job.horizons.open, hits.place)[0]
+                horizon = visibility.horizon_test(job.horizons, job.sampler.nearest(hits.place))
+        with job.clock.on("environment"):
+            if varied:
+                irradiance = environment.diffuse_irradiance(sky, sample.normal, hits)
+            else:
+                irradiance = environment.uniform_irradiance(sky)
+            irradiance = irradiance * (self.facing * seen)
+            if self.plan.on("diffuse"):
+                for channel in range(3):
+                    lambert = sample.diffuse[channel] * np.float32(1.0 / math.pi)
+                    self.total[channel] += lambert * irradiance[channel]
+            if self.plan.on("specular"):
+                if varied:
+                    parts = environment.specular(sky, sample, hits, self.n_dot_v, horizon)
+                else:
+                    parts = environment.uniform_specular(sky, sample, self.n_dot_v)
+                    parts = parts[0] * seen, parts[1] * seen
+                for channel in range(3):
+                    f0 = sample.specular[channel if len(sample.specular) == 3 else 0]
+                    mirror = f0 * parts[0][channel] + parts[1][channel]
+                    self.total[channel] += mirror * self.facing
+        if self.scatter:
+            with job.clock.on("multiscatter"):
+                for channel in range(3):
+                    _, share = self.scatter[channel if len(self.scatter) == 3 else 0]
+                    self.total[channel] += share * irradiance[channel] * np.float32(1.0 / math.pi)
+        if self.bounces:
+            for channel, flow in enumerate(environment.irradiance_vector(sky, hits)):
+                self.flow[channel] = add(self.flow[channel], flow)
+
+    def add_bounce(self) -> None:
+        """Add what neighbours reflect of all the light collected."""
+        assert self.job.horizons is not None and self.job.horizons.bounced is not None
+        bounced = self.job.sampler.extra(self.job.horizons.bounced, self.hits.place)
+        arriving = interreflection.received(bounced, self.flow)
+        for channel in range(3):
+            lambert = self.sample.diffuse[channel] * np.float32(1.0 / math.pi)
+            self.total[channel] += lambert * arriving[channel] * self.facing
+
+
+def _cell(light: SphereLight | RectangleLight, place: tuple[float, float]) -> tuple[int, int]:
+    """Which of a light's parts a place in [0, 1] x [0, 1] belongs to: 4 x 4, or 2 rings of 8."""
+    rows, columns = (2, 8) if isinstance(light, SphereLight) else (4, 4)
+    return min(int(place[0] * rows), rows - 1), min(int(place[1] * columns), columns - 1)

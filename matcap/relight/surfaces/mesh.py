@@ -1,0 +1,299 @@
+"""A triangle mesh from a Wavefront OBJ file.
+
+Faces of more than three corners are fanned. Normals are the file's, or averaged over the faces
+that share a vertex. The material lies along the file's texture coordinates, scaled so that it is
+true to size on average; without any, along x and y, seen from the front. The mesh is moved to the
+origin and scaled to its size. Visible triangles are found by comparing depths at pixel centres;
+triangles that reach behind the camera are left out, and back faces are not drawn. The mesh shades
+itself only by facing away from a light: it casts no shadows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from matcap.errors import MatcapError
+from matcap.relight.camera import View
+from matcap.relight.facts import Region
+from matcap.relight.relief import Relief
+from matcap.relight.scene import Film
+from matcap.relight.surfaces.curved import hits_of
+from matcap.relight.surfaces.hits import Hits
+from matcap.relight.vectors import Array
+
+# Pairs of a triangle and a pixel that are looked at together.
+_PAIRS = 4_000_000
+_ROOM = 1.1
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with what their corners carry.
+
+    Attributes:
+        corners: (F, 3, 3) places in the scene.
+        normals: (F, 3, 3) unit vectors.
+        places: (F, 3, 2) (u, v) on the material in plane units.
+        seen: (rows, W) index of the triangle at each pixel or -1, once seen_by() has run.
+    """
+
+    corners: Array
+    normals: Array
+    places: Array
+    seen: Array = field(default_factory=lambda: np.full((0, 0), -1))
+
+    def framed(self, film: Film) -> float:
+        """See Shape."""
+        size = np.ptp(self.corners.reshape(-1, 3), axis=0)
+        long, short = max(film.width, film.height), min(film.width, film.height)
+        # Whatever side is the longest, it fits the picture's short side.
+        return float(size.max() * _ROOM * long / short + size[2])
+
+    def seen_by(self, view: View) -> Mesh:
+        """See Shape."""
+        return Mesh(self.corners, self.normals, self.places, _visible(self.corners, view))
+
+    def hits(self, view: View, top: int, bottom: int) -> Hits:
+        """See Shape."""
+        face = self.seen[top:bottom]
+        seen = face >= 0
+        face = np.where(seen, face, 0)
+        origin, direction = view.rays(top, bottom)
+        a, b, c = (np.moveaxis(self.corners[face, i], -1, 0) for i in range(3))
+        along, u, v = _meet(origin, direction, a, b, c)
+        weights = np.stack([1.0 - u - v, u, v], axis=-1)[..., None]
+        normal = np.moveaxis((self.normals[face] * weights).sum(axis=-2), -1, 0)
+        normal = normal / np.maximum(np.sqrt((normal * normal).sum(0)), 1e-12)
+        place = (self.places[face] * weights).sum(axis=-2)
+        tangent = np.moveaxis(self._tangents[face], -1, 0)
+        tangent = tangent - normal * (normal * tangent).sum(0)
+        length = np.sqrt((tangent * tangent).sum(0))
+        tangent = np.where(length > 1e-9, tangent / np.maximum(length, 1e-9), _aside(normal))
+        # Mirrored texture coordinates turn the bitangent round.
+        bitangent = np.cross(normal, tangent, axis=0) * self._handedness[face]
+        frame = tuple(
+            (x.astype(np.float32), y.astype(np.float32), z.astype(np.float32))
+            for x, y, z in (tangent, bitangent, normal)
+        )
+        along = np.where(seen, along, 1.0)
+        point = origin + along * direction
+        spot = (place[..., 0], place[..., 1])
+        return hits_of(view, point, frame, spot, seen, along, direction)  # type: ignore[arg-type]
+
+    def region(self, view: View, relief: Relief | None) -> tuple[Region, float]:
+        """See Shape."""
+        lift = max(abs(relief.low), abs(relief.high)) if relief else 0.0
+        low = (self.corners.min(axis=(0, 1)) - lift).tolist()
+        high = (self.corners.max(axis=(0, 1)) + lift).tolist()
+        return Region(tuple(low), tuple(high), flat=False), float("inf")
+
+    @property
+    def _tangents(self) -> Array:
+        """(F, 3) direction in which u grows; zero where there is none."""
+        edge1, edge2 = (self.corners[:, i] - self.corners[:, 0] for i in (1, 2))
+        d1, d2 = (self.places[:, i] - self.places[:, 0] for i in (1, 2))
+        area = d1[:, 0] * d2[:, 1] - d2[:, 0] * d1[:, 1]
+        safe = np.where(np.abs(area) > 1e-18, area, np.inf)
+        tangent: Array = (edge1 * d2[:, 1:] - edge2 * d1[:, 1:]) / safe[:, None]
+        return tangent
+
+    @property
+    def _handedness(self) -> Array:
+        """(F,) -1 where texture coordinates are mirrored, else 1."""
+        d1, d2 = (self.places[:, i] - self.places[:, 0] for i in (1, 2))
+        return np.where(d1[:, 0] * d2[:, 1] - d2[:, 0] * d1[:, 1] < 0.0, -1.0, 1.0)
+
+
+def load_mesh(path: Path, size: float) -> Mesh:
+    """A mesh whose longest side is `size`, its middle at the origin.
+
+    Raises:
+        MatcapError: missing, no triangles, or a face that names a vertex that is not there.
+    """
+    where = str(path)
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except FileNotFoundError as error:
+        raise MatcapError("no such file", where=where, remedy="check the path") from error
+    except OSError as error:
+        raise MatcapError("the file cannot be read", where=where, remedy="check it") from error
+    points, spots, normals, faces = _parse(lines, where)
+    corners = points[faces[..., 0]]
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
+    extent = float(np.ptp(points, axis=0).max())
+    if not extent > 0.0:
+        raise MatcapError("all vertices are in one place", where=where, remedy="export it again")
+    corners = (corners - middle) * (size / extent)
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(flat, axis=1)
+    if (faces[..., 2] >= 0).all() and len(normals):
+        corner_normals = normals[faces[..., 2]]
+    else:
+        # Averaged over a vertex's faces, large ones counting more.
+        total = np.zeros_like(points)
+        for corner in range(3):
+            np.add.at(total, faces[:, corner, 0], flat)
+        corner_normals = total[faces[..., 0]]
+    length = np.linalg.norm(corner_normals, axis=-1, keepdims=True)
+    corner_normals = corner_normals / np.maximum(length, 1e-30)
+    if (faces[..., 1] >= 0).all() and len(spots):
+        places = spots[faces[..., 1]]
+        d1, d2 = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
+        spread = np.abs(d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]).sum()
+        places = places * (area.sum() / spread) ** 0.5 if spread > 0.0 else corners[..., :2]
+    else:
+        places = corners[..., :2]
+    return Mesh(corners, corner_normals, places)
+
+
+def _parse(lines: list[str], where: str) -> tuple[Array, Array, Array, Array]:
+    """Vertices (V, 3), texture coordinates (T, 2), normals (N, 3), and faces (F, 3, 3).
+
+    A face's corner is three indices into them; -1 where there is none.
+    """
+    tables: dict[str, list[list[float]]] = {"v": [], "vt": [], "vn": []}
+    faces: list[list[list[int]]] = []
+    for number, line in enumerate(lines, start=1):
+        words = line.split("#", 1)[0].split()
+        if not words:
+            continue
+        try:
+            if words[0] in tables:
+                count = 2 if words[0] == "vt" else 3
+                tables[words[0]].append([float(w) for w in words[1 : 1 + count]])
+                if len(tables[words[0]][-1]) != count:
+                    raise ValueError("too few numbers")
+            elif words[0] == "f":
+                ring = [_corner(word, tables) for word in words[1:]]
+                if len(ring) < 3:
+                    raise ValueError("too few corners")
+                faces += [[ring[0], ring[i], ring[i + 1]] for i in range(1, len(ring) - 1)]
+        except (ValueError, IndexError) as error:
+            raise MatcapError(
+                f"line {number} is no valid '{words[0]}' ({error})",
+                where=where,
+                remedy="export the mesh again as OBJ",
+            ) from error
+    if not faces:
+        raise MatcapError("there are no faces", where=where, remedy="give a Wavefront OBJ file")
+    points, spots, normals = (np.array(tables[key], dtype=np.float64) for key in ("v", "vt", "vn"))
+    if not np.isfinite(points).all():
+        raise MatcapError("a vertex is not finite", where=where, remedy="export the mesh again")
+    return points, spots, normals, np.array(faces, dtype=np.int64)
+
+
+def _corner(word: str, tables: dict[str, list[list[float]]]) -> list[int]:
+    """Indices of 'v', 'v/vt', 'v//vn' or 'v/vt/vn'; negative ones count from the end."""
+    parts = (word.split("/") + ["", ""])[:3]
+    indices = []
+    for part, table in zip(parts, tables.values(), strict=True):
+        if not part:
+            indices.append(-1)
+            continue
+        index = int(part)
+        index = index - 1 if index > 0 else len(table) + index
+        if not 0 <= index < len(table):
+            raise IndexError(f"there is no element {part}")
+        indices.append(index)
+    return indices
+
+
+def _visible(corners: Array, view: View) -> Array:
+    """(H, W) index of the nearest triangle that faces the camera at each pixel's centre, or -1."""
+    width, height = view.size
+    flat = corners.reshape(-1, 3) - view.position
+    right, up, ahead = (flat @ axis for axis in view.axes)
+    depth = ahead if view.perspective else np.ones_like(ahead)
+    near = ahead.reshape(-1, 3).min(axis=1) > 1e-6
+    scale = max(width, height) / 2.0 / view.reach
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = (right / depth * scale + width / 2.0 - 0.5).reshape(-1, 3)
+        y = (height / 2.0 - 0.5 - up / depth * scale).reshape(-1, 3)
+    area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
+    kept = np.flatnonzero(near & (area < 0.0))  # rows run downwards
+    low_x = np.clip(np.ceil(x[kept].min(axis=1)), 0, width).astype(np.int64)
+    high_x = np.clip(np.floor(x[kept].max(axis=1)), -1, width - 1).astype(np.int64)
+    low_y = np.clip(np.ceil(y[kept].min(axis=1)), 0, height).astype(np.int64)
+    high_y = np.clip(np.floor(y[kept].max(axis=1)), -1, height - 1).astype(np.int64)
+    wide = np.maximum(high_x - low_x + 1, 0)
+    counts = wide * np.maximum(high_y - low_y + 1, 0)
+    depths = np.full(width * height, np.inf)
+    found = np.full(width * height, -1, dtype=np.int64)
+    ends = np.cumsum(counts)
+    start = 0
+    while start < len(kept):
+        # As many triangles as fit, one at least.
+        base = ends[start - 1] if start else 0
+        stop = max(start + 1, int(np.searchsorted(ends, base + _PAIRS)))
+        part = slice(start, stop)
+        owner = np.repeat(np.arange(start, stop), counts[part])
+        rank = np.arange(len(owner)) - np.repeat(ends[part] - counts[part] - base, counts[part])
+        px = low_x[owner] + rank % np.maximum(wide[owner], 1)
+        py = low_y[owner] + rank // np.maximum(wide[owner], 1)
+        face = kept[owner]
+        _nearer(x, y, ahead.reshape(-1, 3), area, face, px, py, width, view, depths, found)
+        start = stop
+    return found.reshape(height, width)
+
+
+def _nearer(
+    x: Array,
+    y: Array,
+    ahead: Array,
+    area: Array,
+    face: Array,
+    px: Array,
+    py: Array,
+    width: int,
+    view: View,
+    depths: Array,
+    found: Array,
+) -> None:
+    """Enter the triangles that cover pixels nearer than what is there."""
+
+    def edge(i: int, j: int) -> Array:
+        covered: Array = (x[face, i] - px) * (y[face, j] - py) - (x[face, j] - px) * (
+            y[face, i] - py
+        )
+        return covered / area[face]
+
+    weights = np.stack([edge(1, 2), edge(2, 0), edge(0, 1)])
+    inside = (weights >= -1e-9).all(axis=0)
+    face, pixel, weights = face[inside], (py * width + px)[inside], weights[:, inside]
+    corner = ahead[face].T
+    # Depth is linear in the picture for parallel rays, its inverse for rays from a point.
+    depth = 1.0 / (weights / corner).sum(0) if view.perspective else (weights * corner).sum(0)
+    order = np.lexsort((depth, pixel))
+    pixel, depth, face = pixel[order], depth[order], face[order]
+    first = np.ones(len(pixel), dtype=bool)
+    first[1:] = pixel[1:] != pixel[:-1]
+    pixel, depth, face = pixel[first], depth[first], face[first]
+    closer = depth < depths[pixel]
+    depths[pixel[closer]] = depth[closer]
+    found[pixel[closer]] = face[closer]
+
+
+def _meet(
+    origin: Array, direction: Array, a: Array, b: Array, c: Array
+) -> tuple[Array, Array, Array]:
+    """Distance and barycentric coordinates of rays in triangles (Moeller and Trumbore 1997)."""
+    edge1, edge2 = b - a, c - a
+    p = np.cross(direction, edge2, axis=0)
+    determinant = (edge1 * p).sum(0)
+    safe = np.where(np.abs(determinant) > 1e-30, determinant, np.inf)
+    s = origin - a
+    u = np.clip((s * p).sum(0) / safe, 0.0, 1.0)
+    q = np.cross(s, edge1, axis=0)
+    v = np.clip((direction * q).sum(0) / safe, 0.0, 1.0 - u)
+    return (edge2 * q).sum(0) / safe, u, v
+
+
+def _aside(normal: Array) -> Array:
+    """Some unit vector across each of (3, ...) unit vectors."""
+    x, y, z = normal
+    flat = np.where(np.abs(z) < 0.9, np.stack([-y, x, 0 * z]), np.stack([z, 0 * y, -x]))
+    aside: Array = flat / np.maximum(np.sqrt((flat * flat).sum(0)), 1e-12)
+    return aside

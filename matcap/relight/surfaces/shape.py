@@ -1,0 +1,110 @@
+"""One interface to all surfaces: what of them is seen, and where it can be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+from matcap.relight.camera import View
+from matcap.relight.facts import Region
+from matcap.relight.relief import Relief
+from matcap.relight.scene import Film, Surface
+from matcap.relight.surfaces.curved import cylinder_hits, sphere_hits
+from matcap.relight.surfaces.hits import Hits
+from matcap.relight.surfaces.plane import plane_hits, plane_region
+from matcap.relight.texture import Texture
+
+# How much room the photograph's camera leaves around a curved surface.
+_ROOM = 1.25
+
+
+class Shape(Protocol):
+    """A surface in its place."""
+
+    def framed(self, film: Film) -> float:
+        """What the picture's long side must span at the origin for the whole to be seen."""
+        ...
+
+    def seen_by(self, view: View) -> Shape:
+        """The shape, prepared for a view."""
+        ...
+
+    def hits(self, view: View, top: int, bottom: int) -> Hits:
+        """Where rows of pixels meet it."""
+        ...
+
+    def region(self, view: View, relief: Relief | None) -> tuple[Region, float]:
+        """Where visible points can be, and what a pixel covers at most, in plane units."""
+        ...
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The plane z = 0, `extent` wide and high."""
+
+    extent: tuple[float, float]
+
+    def framed(self, film: Film) -> float:
+        """See Shape."""
+        return max(self.extent)
+
+    def seen_by(self, view: View) -> Shape:
+        """See Shape."""
+        return self
+
+    def hits(self, view: View, top: int, bottom: int) -> Hits:
+        """See Shape."""
+        return plane_hits(view, top, bottom, self.extent)
+
+    def region(self, view: View, relief: Relief | None) -> tuple[Region, float]:
+        """See Shape."""
+        heights = (relief.low, relief.high) if relief is not None else (0.0, 0.0)
+        return plane_region(view, self.extent, heights)
+
+
+@dataclass(frozen=True)
+class Round:
+    """A sphere, or an upright cylinder as high as it is wide."""
+
+    radius: float
+    cylinder: bool
+
+    def framed(self, film: Film) -> float:
+        """See Shape."""
+        sides = max(film.width, film.height) / min(film.width, film.height)
+        return 2.0 * self.radius * _ROOM * sides
+
+    def seen_by(self, view: View) -> Shape:
+        """See Shape."""
+        return self
+
+    def hits(self, view: View, top: int, bottom: int) -> Hits:
+        """See Shape."""
+        if self.cylinder:
+            return cylinder_hits(view, top, bottom, self.radius, 2.0 * self.radius)
+        return sphere_hits(view, top, bottom, self.radius)
+
+    def region(self, view: View, relief: Relief | None) -> tuple[Region, float]:
+        """See Shape; towards the outline a pixel covers ever more."""
+        r = self.radius + (max(abs(relief.low), abs(relief.high)) if relief else 0.0)
+        return Region((-r, -r, -r), (r, r, r), flat=False), math.inf
+
+
+def shape_of(surface: Surface, texture: Texture) -> Shape:
+    """The shape of a surface.
+
+    Raises:
+        MatcapError: the mesh file is missing or broken.
+    """
+    width, height = (side / surface.repeat for side in texture.extent)
+    if surface.type == "plane":
+        size = surface.size
+        return Plane((width, height) if size is None else (size, size))
+    radius = (surface.size or max(width, height)) / 2.0
+    if surface.type == "mesh":
+        from matcap.relight.surfaces.mesh import load_mesh
+
+        assert surface.file is not None
+        return load_mesh(surface.file, 2.0 * radius)
+    return Round(radius, surface.type == "cylinder")
