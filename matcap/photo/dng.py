@@ -37,6 +37,11 @@ class Corrections:
     active_area: tuple[int, int, int, int] | None = None
     notes: tuple[str, ...] = ()
 
+    @property
+    def has_maps(self) -> bool:
+        """Whether there is lens shading to undo."""
+        return bool(self.on_mosaic or self.after_demosaic)
+
 
 def read_corrections(path: Path) -> Corrections:
     """Read a DNG's opcode lists and the compression of its raw picture.

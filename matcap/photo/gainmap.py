@@ -56,14 +56,12 @@ class Shading:
         active: the active area's (height, width).
         size: the picture's (height, width).
         offset: (row, column) in the active area of the picture's first pixel.
-        scale: 2 where a pixel of the picture stands for two by two, else 1.
     """
 
     maps: tuple[GainMap, ...]
     active: tuple[int, int]
     size: tuple[int, int]
     offset: tuple[int, int] = (0, 0)
-    scale: int = 1
 
     def gains(self, top: int, bottom: int, planes: int) -> NDArray[np.float32]:
         """Gains (n, W, planes) for the picture's rows top to bottom."""
@@ -87,11 +85,10 @@ class Shading:
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
         """Which of these rows (axis 0) or columns a map applies to, and where those lie in it."""
         first, last = gain_map.area[axis], gain_map.area[axis + 2]
-        pitch = max(1, gain_map.pitch[axis] // self.scale)
-        sites = pixels * self.scale + self.offset[axis]
-        inside = (sites >= first) & (sites < last) & ((sites - first) // self.scale % pitch == 0)
-        centres = sites[inside] + 0.5 * self.scale
-        return inside, centres / self.active[axis]
+        sites = pixels + self.offset[axis]
+        on_pitch = (sites - first) % gain_map.pitch[axis] == 0
+        inside = (sites >= first) & (sites < last) & on_pitch
+        return inside, (sites[inside] + 0.5) / self.active[axis]
 
 
 def parse_opcodes(data: bytes) -> tuple[tuple[GainMap, ...], bool]:

@@ -60,7 +60,7 @@ def read_profile(profile: bytes) -> ColorSpace | None:
     tags = _tags(profile)
     if any(name not in tags for name in _COLORANTS + _CURVES):
         return None
-    red, green, blue = (_curve(tags[name]) for name in _CURVES)
+    red, green, blue = (_checked(_curve(tags[name])) for name in _CURVES)
     colorants = np.stack([_xyz(tags[name]) for name in _COLORANTS], axis=1)
     matrix = np.linalg.solve(REC709_TO_D50, colorants)
     # Equal code values stay grey, whatever the rounding of the colorants.
@@ -95,6 +95,14 @@ def _curve(tag: bytes) -> Curve:
         return _power(struct.unpack_from(">H", tag, 12)[0] / 256.0)
     points = np.frombuffer(tag, ">u2", count, 12) / 65535.0
     return lambda code: np.interp(code, np.linspace(0.0, 1.0, count), points)
+
+
+def _checked(curve: Curve) -> Curve:
+    with np.errstate(all="ignore"):
+        light = curve(np.linspace(0.0, 1.0, 256))
+    if not (np.isfinite(light).all() and light.min() > -0.1 and light.max() < 1.1):
+        raise ValueError("a curve leaves the range of light")
+    return curve
 
 
 def _power(gamma: float) -> Curve:

@@ -26,6 +26,7 @@ from matcap.photo.shrink import ReadRows, Rows, shrink
 _LINEARIZATION, _BLACK, _BLACK_REPEAT, _WHITE = 50712, 50714, 50713, 50717
 _COLOR_MATRICES, _ILLUMINANTS, _NEUTRAL, _CFA_PATTERN = (50721, 50722), (50778, 50779), 50728, 33422
 _D65 = 21
+_BAYER = ([0, 1, 1, 2], [2, 1, 1, 0], [1, 0, 2, 1], [1, 2, 0, 1])
 _FULL = 65535.0
 
 # Linear Rec.709 to XYZ relative to D65 (IEC 61966-2-1), as DNG colour matrices start from XYZ.
@@ -105,7 +106,7 @@ def read_with_tifffile(path: Path, long_side: int | None, corrections: Correctio
         (samples.shape[1], samples.shape[0]),
         orientation if orientation in range(1, 9) else 1,
         radiometric=True,
-        gain_map_applied=bool(corrections.on_mosaic or corrections.after_demosaic),
+        gain_map_applied=corrections.has_maps,
         notes=corrections.notes,
     )
 
@@ -187,7 +188,8 @@ def _sensor(page: Any, planes: int) -> Sensor:  # noqa: ANN401
     if _CFA_PATTERN in page.tags:
         pattern = np.array(list(bytes(page.tags[_CFA_PATTERN].value)), np.intp).reshape(2, 2)
     white = _numbers(page, _WHITE, (2.0**depth - 1,))[0]
-    if white <= black.max() or neutral.min() <= 0 or (pattern is not None and pattern.max() > 2):
+    bayer = pattern is None or pattern.ravel().tolist() in _BAYER
+    if white <= black.max() or neutral.min() <= 0 or not bayer:
         raise ValueError("the levels or colours make no sense")
     return Sensor(
         black=np.resize(black, count).reshape(*repeat, planes),

@@ -50,9 +50,7 @@ def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Dec
         # LibRaw forgets the flip once it has developed without it.
         orientation = _ORIENTATION[raw.sizes.flip]
         saturated = _saturated(raw, bayer, half)
-        before = _shading(corrections.on_mosaic, corrections, raw, 1)
-        after = _shading(corrections.after_demosaic, corrections, raw, 2 if half else 1)
-        headroom, white = _prepare(raw, before)
+        headroom, white = _prepare(raw, corrections)
         developed = raw.postprocess(
             gamma=(1, 1),
             no_auto_bright=True,
@@ -65,13 +63,17 @@ def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Dec
             user_sat=white,
         )[: height // 2 if half else height, : width // 2 if half else width]
         balanced = _positive(raw.camera_whitebalance) is not None
-        to_rec709 = raw.color_matrix[:, :3].astype(np.float32)
+    if developed.shape != (*saturated.shape, 3):
+        raise MatcapError(
+            "the camera's sensor is not laid out in rows and columns of square pixels",
+            where=str(path),
+            remedy="give a developed picture, a TIFF say",
+        )
 
     def read(top: int, bottom: int) -> Rows:
         rows = developed[top:bottom]
         clipped = saturated[top:bottom] | (rows == _FULL).any(axis=-1)
-        light = rows * np.float32(headroom / _FULL)
-        return _shaded(light, after, top, to_rec709), clipped
+        return rows * np.float32(headroom / _FULL), clipped
 
     pixels, clipped = shrink(read, developed.shape[1], developed.shape[0], long_side)
     unbalanced = "The file states no white balance: daylight assumed."
@@ -81,7 +83,7 @@ def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Dec
         (width, height),
         orientation,
         radiometric=True,
-        gain_map_applied=bool(corrections.on_mosaic or corrections.after_demosaic),
+        gain_map_applied=corrections.has_maps,
         notes=corrections.notes + (() if balanced else (unbalanced,)),
     )
 
@@ -153,12 +155,7 @@ def _positive(balance: Sequence[float]) -> tuple[float, float, float] | None:
     return (red, green, blue) if min(red, green, blue) > 0 else None
 
 
-def _shading(
-    maps: tuple[GainMap, ...],
-    corrections: Corrections,
-    raw: Any,  # noqa: ANN401
-    scale: int,
-) -> Shading:
+def _shading(maps: tuple[GainMap, ...], corrections: Corrections, raw: Any) -> Shading:  # noqa: ANN401
     """Maps as they fall on what LibRaw shows: it starts at the next even row and column."""
     sizes = raw.sizes
     size = (sizes.height, sizes.width)
@@ -168,57 +165,47 @@ def _shading(
         visible[0] + size[0],
         visible[1] + size[1],
     )
-    return Shading(
-        maps,
-        active=(bottom - top, right - left),
-        size=(size[0] // scale, size[1] // scale),
-        offset=(visible[0] - top, visible[1] - left),
-        scale=scale,
-    )
+    offset = (visible[0] - top, visible[1] - left)
+    return Shading(maps, (bottom - top, right - left), size, offset)
 
 
-def _prepare(raw: Any, shading: Shading) -> tuple[float, int | None]:  # noqa: ANN401
+def _prepare(raw: Any, corrections: Corrections) -> tuple[float, int | None]:  # noqa: ANN401
     """Apply lens shading to the mosaic in place.
+
+    OpcodeList3's maps are meant for the demosaiced picture, before its colours are converted.
+    They vary so slowly that a photosite may as well be given the gain of its colour beforehand;
+    afterwards LibRaw would have cut off what lies outside Rec.709.
 
     Returns:
         What a developed value of one stands for, in parts of the file's own white level; and the
         white level to develop the changed numbers with, None for the file's.
     """
     samples = raw.raw_image_visible
-    black = np.array(raw.black_level_per_channel, np.float64)
-    if not shading.maps:
-        # LibRaw leaves the black level in the scale of pictures that come demosaiced.
-        stacked = samples.ndim == 3 and black[:3].max() > 0
-        return 1.0, int(raw.white_level - black[:3].max()) if stacked else None
     flat = samples.ndim == 2
-    planes = 1 if flat else 3
-    headroom = shading.largest(planes)
-    darkest = black[: 4 if flat else 3].min()
+    black = np.array(raw.black_level_per_channel, np.float64)[: 4 if flat else 3]
+    if not corrections.has_maps:
+        # LibRaw leaves the black level in the scale of pictures that come demosaiced.
+        stacked = not flat and black.max() > 0
+        return 1.0, int(raw.white_level - black.max()) if stacked else None
+    before = _shading(corrections.on_mosaic, corrections, raw)
+    after = _shading(corrections.after_demosaic, corrections, raw)
+    headroom = before.largest(1 if flat else 3) * after.largest(3)
     # Everything is stretched to the 16 bits there are: gains then neither clip nor round away.
-    stretch = (_FULL - black.max()) / ((raw.white_level - darkest) * headroom)
+    white_at = raw.white_level - black.min()
+    stretch = (_FULL - black.max()) / (white_at * headroom)
     colors = raw.raw_colors_visible if flat else None
     step = max(1, (1 << 20) // samples.shape[1])
     for top in range(0, samples.shape[0], step):
-        rows = samples[top : top + step]
-        base = black[:3] if colors is None else black[colors[top : top + step]][..., None]
-        channels = rows[..., :3] if colors is None else rows[..., None]
-        gains = shading.gains(top, top + len(rows), planes) * stretch
-        channels[...] = np.clip(np.rint(base + (channels - base) * gains), 0, _FULL)
-    white = (raw.white_level - darkest) * stretch * headroom
-    return headroom, round(white + (darkest if flat else 0.0))
-
-
-def _shaded(
-    light: NDArray[np.float32],
-    shading: Shading,
-    top: int,
-    to_rec709: NDArray[np.float32],
-) -> NDArray[np.float32]:
-    """Apply OpcodeList3's gains: they are for camera colours, so go back there if they differ."""
-    if not shading.maps:
-        return light
-    gains = shading.gains(top, top + len(light), 3)
-    if all(gain_map.gains.shape[2] == 1 for gain_map in shading.maps):
-        return light * gains
-    camera = light @ np.linalg.inv(to_rec709).T
-    return np.maximum((camera * gains) @ to_rec709.T, 0.0)
+        bottom = min(top + step, samples.shape[0])
+        gains = after.gains(top, bottom, 3)
+        if colors is None:
+            stored, base = samples[top:bottom, :, :3], black
+            gains *= before.gains(top, bottom, 3)
+        else:
+            color = colors[top:bottom]
+            stored, base = samples[top:bottom], black[color]
+            of_color = np.where(color == 3, 1, color)[..., None]  # LibRaw's second green
+            gains = np.take_along_axis(gains, of_color, axis=2)[..., 0]
+            gains *= before.gains(top, bottom, 1)[..., 0]
+        stored[...] = np.clip(np.rint(base + (stored - base) * (gains * stretch)), 0, _FULL)
+    return headroom, round(white_at * stretch * headroom + (black.min() if flat else 0.0))

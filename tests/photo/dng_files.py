@@ -55,6 +55,11 @@ def opcode_list(*opcodes: bytes) -> bytes:
     return struct.pack(">I", len(opcodes)) + b"".join(opcodes)
 
 
+def color_matrix(camera_of_rec709: NDArray) -> NDArray:
+    """ColorMatrix (XYZ to camera) of a camera that mixes linear Rec.709 like this."""
+    return np.asarray(camera_of_rec709) @ np.asarray(XYZ_TO_REC709)
+
+
 def write_dng(
     path: Path,
     samples: NDArray[np.uint16],
@@ -66,6 +71,7 @@ def write_dng(
     black: int = BLACK,
     white: int = WHITE,
     exif: dict[int, int] | None = None,
+    color_matrix: NDArray | None = None,
     active_area: tuple[int, int, int, int] | None = None,
     **options: object,
 ) -> Path:
@@ -81,7 +87,13 @@ def write_dng(
         (274, 3, 1, orientation, True),
         (50714, 3, planes, (black,) * planes if planes > 1 else black, True),
         (50717, 3, planes, (white,) * planes if planes > 1 else white, True),
-        (50721, 10, 9, rationals(np.ravel(XYZ_TO_REC709)), True),
+        (
+            50721,
+            10,
+            9,
+            rationals(np.ravel(XYZ_TO_REC709 if color_matrix is None else color_matrix)),
+            True,
+        ),
         (50728, 5, 3, rationals(neutral), True),
         (50778, 3, 1, 21, True),
     ]

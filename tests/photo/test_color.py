@@ -57,6 +57,7 @@ def test_p3_matrix():
     space = read_profile(matrix_profile())
     assert space.name == "Display P3"
     np.testing.assert_allclose(space.matrix, P3_TO_REC709, atol=5e-4)
+    np.testing.assert_allclose(space.matrix.sum(axis=1), 1.0, atol=1e-12)  # grey stays grey
 
 
 def test_srgb_profiles_change_nothing(codes):
@@ -110,13 +111,24 @@ def test_table_profile_agrees_with_the_same_as_matrix(codes, dtype):
 
 @pytest.mark.parametrize(
     "profile",
-    [b"junk", bytes(200), matrix_profile()[:300], matrix_profile(space=b"GRAY")],
+    [
+        b"junk",
+        bytes(200),
+        matrix_profile()[:300],
+        matrix_profile(space=b"GRAY"),
+    ],
     ids=["junk", "zeros", "short", "grey"],
 )
 def test_unusable_profile_is_reported(codes, profile):
     linearise, notes = lineariser_of(profile, codes.dtype, SRGB)
     np.testing.assert_array_equal(linearise(codes), SRGB.lineariser(codes.dtype)(codes))
     assert len(notes) == 1 and "assumed" in notes[0]
+
+
+def test_curve_that_leaves_all_bounds_is_not_followed(codes):
+    profile = matrix_profile(curve=parametric(0, -3.0))
+    linearise, notes = lineariser_of(profile, codes.dtype, SRGB)
+    assert np.isfinite(linearise(codes)).all() and notes
 
 
 def test_p3_jpeg_comes_out_as_rec709(tmp_path):

@@ -117,6 +117,13 @@ def test_any_channel_at_the_limit_clips(tmp_path, codes, suffix, level, clipped)
     np.testing.assert_array_equal(load_photo(tmp_path / f"a.{suffix}").clipped, expected)
 
 
+@pytest.mark.parametrize(("level", "clipped"), [(253, False), (254, True)])
+def test_jpeg_limit_leaves_room_for_coding(tmp_path, codes, level, clipped):
+    codes[32:64, 32:64] = level
+    Image.fromarray(codes).save(tmp_path / "a.jpg", quality=100, subsampling=0)
+    assert (load_photo(tmp_path / "a.jpg").clipped[40:56, 40:56] == clipped).all()
+
+
 def test_jpeg_clips_despite_ringing(tmp_path, codes):
     codes[16:64, 16:64] = 255
     Image.fromarray(codes).save(tmp_path / "a.jpg", quality=85)

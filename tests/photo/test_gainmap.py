@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-from dng_files import BLACK, WHITE, gain_map, mosaic, opcode_list, write_dng
+from dng_files import BLACK, WHITE, color_matrix, gain_map, mosaic, opcode_list, write_dng
 
 from matcap.errors import MatcapError
 from matcap.photo.dng import read_corrections
@@ -105,12 +105,19 @@ def test_map_by_photosite_reaches_its_colour(tmp_path):
 def test_linear_dng_by_plane(tmp_path, grid, option):
     tinted = np.concatenate([grid, 1.2 * grid, 1.5 * grid**2], axis=2)
     maps = parse_opcodes(opcode_list(gain_map(tinted, SIZE, planes=3)))[0]
-    light = 0.3 / Shading(maps, SIZE, SIZE).gains(0, 96, 3)
+    # The gains differ by plane, and are for the colours of a camera that mixes them.
+    mixing = np.array([[0.8, 0.2, 0.0], [0.1, 0.8, 0.1], [0.0, 0.3, 0.7]])
+    rec709 = np.array([0.4, 0.3, 0.2])
+    light = rec709 @ mixing.T / Shading(maps, SIZE, SIZE).gains(0, 96, 3)
     samples = np.rint(BLACK + light * (WHITE - BLACK)).astype(np.uint16)
-    opcodes = {option: opcode_list(gain_map(tinted, SIZE, planes=3))}
-    photo = load_photo(write_dng(tmp_path / "a.dng", samples, **opcodes))
-    assert photo.gain_map_applied
-    np.testing.assert_allclose(photo.pixels, 0.3, rtol=8e-3)
+    options = {option: opcode_list(gain_map(tinted, SIZE, planes=3))}
+    options["color_matrix"] = color_matrix(mixing)
+    path = write_dng(tmp_path / "a.dng", samples, **options)
+    for picture in (load_photo(path), tiff_reader(path)):
+        assert picture.gain_map_applied
+        inside = picture.pixels[~picture.clipped]
+        assert len(inside) > 0.9 * picture.clipped.size
+        np.testing.assert_allclose(inside, np.tile(rec709, (len(inside), 1)), rtol=2e-2)
 
 
 @pytest.mark.parametrize("long_side", [None, 64])
@@ -124,6 +131,18 @@ def test_after_demosaicing(tmp_path, long_side):
     )
     assert photo.gain_map_applied
     np.testing.assert_allclose(photo.pixels[1:-1, 1:-1], 0.4, rtol=1e-2)
+
+
+def test_after_demosaicing_by_colour_and_past_white(tmp_path):
+    gains = np.array([2.0, 1.5, 1.6])
+    opcodes = opcode_list(gain_map(np.tile(gains, (2, 2, 1)), SIZE, planes=3))
+    path = write_dng(
+        tmp_path / "a.dng", mosaic(np.ones((*SIZE, 3)) * 1.2 / gains), opcodes3=opcodes
+    )
+    for long_side in (None, 64):
+        photo = load_photo(path, long_side=long_side)
+        np.testing.assert_allclose(photo.pixels, 1.2, rtol=2e-3)
+        assert not photo.clipped.any()
 
 
 @pytest.mark.parametrize("read", [load_photo, tiff_reader])

@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 import pytest
-from dng_files import BLACK, WHITE, gain_map, mosaic, opcode_list, write_dng
+from dng_files import BLACK, WHITE, color_matrix, gain_map, mosaic, opcode_list, write_dng
 
 from matcap.errors import MatcapError
 from matcap.photo.dng import read_corrections
@@ -17,13 +17,15 @@ JPEG_XL = 52546
 
 @pytest.mark.parametrize("planes", [1, 3])
 def test_same_numbers_as_libraw(tmp_path, light, planes):
-    camera = light * NEUTRAL
+    mixing = np.array([[0.7, 0.25, 0.05], [0.2, 0.7, 0.1], [0.05, 0.25, 0.7]])
+    camera = light @ mixing.T * NEUTRAL
     linear = np.rint(BLACK + camera * (WHITE - BLACK)).astype(np.uint16)
     gains = opcode_list(gain_map(np.full((2, 2, 1), 1.5), (96, 128), planes=planes))
     path = write_dng(
         tmp_path / "a.dng",
         mosaic(camera) if planes == 1 else linear,
         neutral=NEUTRAL,
+        color_matrix=color_matrix(mixing),
         orientation=3,
         opcodes2=gains,
     )

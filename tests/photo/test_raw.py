@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from dng_files import BLACK, WHITE, mosaic, write_dng
+from dng_files import BLACK, WHITE, color_matrix, mosaic, write_dng
 
 from matcap.photo.load import load_photo
 
 NEUTRAL = (0.5, 1.0, 0.6)
+MIXING = np.array([[0.7, 0.25, 0.05], [0.2, 0.7, 0.1], [0.05, 0.25, 0.7]])
 
 
 def test_slope_is_one_and_offset_none(tmp_path):
@@ -54,6 +55,26 @@ def test_orientation_is_applied_once(tmp_path, light, planes, orientation):
     assert photo.original_size == ((96, 128) if sideways else (128, 96))
 
 
+def test_colors_come_out_of_the_camera_s(tmp_path):
+    rec709 = np.zeros((96, 128, 3))
+    rec709[:, :64], rec709[:, 64:] = (0.5, 0.2, 0.1), (0.1, 0.3, 0.6)
+    samples = mosaic(rec709 @ MIXING.T * NEUTRAL)
+    options = {"neutral": NEUTRAL, "color_matrix": color_matrix(MIXING)}
+    photo = load_photo(write_dng(tmp_path / "a.dng", samples, **options))
+    inner = np.r_[4:60, 68:124]
+    np.testing.assert_allclose(photo.pixels[4:-4, inner], rec709[4:-4, inner], atol=1.5e-3)
+
+
+def test_what_the_colour_matrix_lifts_past_one_is_clipped(tmp_path):
+    """No photosite is at its limit; Rec.709 red would be over 1, and LibRaw cuts it off."""
+    rec709 = np.full((96, 128, 3), 0.3)
+    rec709[:, :64, 0] = 1.15
+    samples = mosaic(rec709 @ MIXING.T)
+    assert samples.max() < 0.98 * WHITE
+    photo = load_photo(write_dng(tmp_path / "a.dng", samples, color_matrix=color_matrix(MIXING)))
+    assert photo.clipped[:, :62].all() and not photo.clipped[:, 66:].any()
+
+
 def test_half_size_agrees_with_whole(tmp_path, light):
     path = write_dng(tmp_path / "a.dng", mosaic(light * NEUTRAL), neutral=NEUTRAL)
     whole = load_photo(path).pixels.reshape(48, 2, 64, 2, 3).mean((1, 3))
@@ -65,7 +86,8 @@ def test_half_size_agrees_with_whole(tmp_path, light):
 
 def test_a_pixel_is_clipped_where_its_photosites_were(tmp_path):
     light = np.full((96, 128, 3), 0.3)
-    light[40:60, 50:80, 1] = 1.5  # green alone saturates
+    # Green alone saturates, and not every photosite does so at the white level exactly.
+    light[40:60, 50:80, 1] = 0.995
     photo = load_photo(write_dng(tmp_path / "a.dng", mosaic(light)))
     assert photo.clipped[41:59, 51:79].all()
     assert not photo.clipped[:38].any() and not photo.clipped[62:].any()
@@ -73,9 +95,9 @@ def test_a_pixel_is_clipped_where_its_photosites_were(tmp_path):
 
 
 def test_channels_clip_at_the_level_that_white_balance_gives_them(tmp_path):
-    """Red is lifted twice: at 0.6 of the white level it is cut off; at 0.4 it is not."""
+    """Red is lifted twice: at half the white level it is cut off; at 0.4 it is not."""
     light = np.full((96, 128, 3), 0.2)
-    light[:, :64, 0] = 0.6
+    light[:, :64, 0] = 0.498
     light[:, 64:, 0] = 0.4
     photo = load_photo(write_dng(tmp_path / "a.dng", mosaic(light), neutral=(0.5, 1.0, 1.0)))
     assert photo.clipped[:, :62].all()
