@@ -6,6 +6,7 @@ Both are given the true camera and flash, which a capture has to find out.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -17,10 +18,13 @@ from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_flash, render_rectified
 from matcap.photo.photo import Photo
+from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
 from matcap.statistics.gram import gram
 
 _SPECULAR, _ROUGHNESS = 0.04, 0.5
+# Heights move slower than albedo, or every dark spot is explained by a steep bump.
+_HEIGHT_PACE = 0.25
 
 
 @dataclass(frozen=True)
@@ -103,21 +107,17 @@ class PerTexelSettings:
     """How long and with what per-texel maps are optimised.
 
     Attributes:
-        tile: texels of the periodic maps, a side.
-        window: texels of the windows compared, a side; at most `tile`.
-        windows: compared at every step.
+        tile: texels of the periodic maps, a side, and of the windows they are compared with.
         steps: of Adam, at most.
         seconds: at most.
         rate: Adam's learning rate.
         seed: of start and windows.
     """
 
-    tile: int = 256
-    window: int = 128
-    windows: int = 2
+    tile: int = 192
     steps: int = 400
     seconds: float = 60.0
-    rate: float = 0.03
+    rate: float = 0.05
     seed: int = 0
 
 
@@ -140,7 +140,7 @@ def per_texel(
     linear, valid = rectify(photo, setup, detail)
     generator = torch.Generator().manual_seed(settings.seed)
     bank = FilterBank(FilterBankConfig(filters=24, levels=4, seed=4242))
-    median = float(linear.mean(0)[valid].median()) if bool(valid.any()) else 0.2
+    encoding = fit_encoding(linear, valid)
     free = _start_maps(linear[:, valid].mean(1), setup, settings.tile, generator)
     optimiser = torch.optim.Adam([free], lr=settings.rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
@@ -149,30 +149,15 @@ def per_texel(
     for _ in range(settings.steps):
         if time.monotonic() - began > settings.seconds:
             break
-        places = [
-            (
-                _below(extent[0] - settings.window + 1, generator),
-                _below(extent[1] - settings.window + 1, generator),
-            )
-            for _ in range(settings.windows)
-        ]
-        shifts = [
-            (_below(settings.tile, generator), _below(settings.tile, generator)) for _ in places
-        ]
+        x, y = (_below(side - settings.tile + 1, generator) for side in extent)
+        shift = (_below(settings.tile, generator), _below(settings.tile, generator))
         with torch.no_grad():
-            target = _describe(_windows(linear, places, settings.window), median, bank)
-        points = torch.stack(
-            [
-                plane_points(x, y, settings.window, settings.window, extent, dtype=torch.float32)
-                for x, y in places
-            ]
-        )
-        maps = _maps(free, 2.0 / detail)
-        rolled = torch.stack(
-            [torch.roll(maps.stacked(), shift, dims=(-1, -2)) for shift in shifts]
-        )[..., : settings.window, : settings.window]
-        rendered = render_flash(MapSet.from_stacked(rolled, 2.0 / detail), setup, points)
-        error = _distance(_describe(rendered, median, bank), target)
+            window = linear[None, :, y : y + settings.tile, x : x + settings.tile]
+            target = _describe(encoding(window), bank)
+        points = plane_points(x, y, settings.tile, settings.tile, extent, dtype=torch.float32)
+        rolled = _maps(free, 2.0 / detail).map(_rolling(shift))
+        rendered = render_flash(rolled, setup, points)[None]
+        error = _distance(_describe(encoding(rendered), bank), target)
         optimiser.zero_grad()
         error.backward()
         optimiser.step()
@@ -199,21 +184,20 @@ def _maps(free: Tensor, texel_size: float) -> MapSet:
         diffuse=bounded[:3],
         specular=bounded[3:4],
         roughness=0.05 + 0.95 * bounded[4:5],
-        height=texel_size * free[5:6],
+        height=_HEIGHT_PACE * texel_size * free[5:6],
         texel_size=texel_size,
         periodic=True,
     )
 
 
-def _windows(linear: Tensor, places: list[tuple[int, int]], size: int) -> Tensor:
-    return torch.stack([linear[:, y : y + size, x : x + size] for x, y in places])
+def _rolling(shift: tuple[int, int]) -> Callable[[Tensor], Tensor]:
+    return lambda m: torch.roll(m, shift, dims=(-1, -2))
 
 
-def _describe(linear: Tensor, median: float, bank: FilterBank) -> list[Tensor]:
-    """Gram matrices and means of the compressed picture, level by level."""
-    compressed = torch.log(linear.clamp(0.0, 1.0) / median + 0.1)
+def _describe(picture: Tensor, bank: FilterBank) -> list[Tensor]:
+    """Gram matrices and means of the encoded picture, level by level."""
     described = []
-    for level in pyramid(compressed, bank.config.levels):
+    for level in pyramid(picture, bank.config.levels):
         features = bank.features(level.contiguous(memory_format=torch.channels_last))
         described += [gram(features), features.mean((2, 3)), level.mean((2, 3))]
     return described

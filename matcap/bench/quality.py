@@ -88,7 +88,7 @@ class QualitySettings:
     """
 
     detail: int = 1024
-    size: int = 512
+    size: int = 384
     camera: Camera = field(default_factory=Camera)
     per_texel: PerTexelSettings = field(default_factory=PerTexelSettings)
 
@@ -135,6 +135,7 @@ class Yardstick:
         """
         self.scene = bench_scene(flash)
         self._styles = tuple(styles)
+        camera = settings.camera
         pixels, texel = settings.size * _FINER, 2.0 / (settings.detail * _FINER)
         self.pictures = [
             relight_all(
@@ -142,6 +143,7 @@ class Yardstick:
                 flash.intensity,
                 self.scene,
                 finer=_FINER,
+                blur=camera.blur * settings.detail * _FINER / camera.width,
             )
             for seed in _TRUTH_SEEDS
         ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cv2
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -77,6 +78,7 @@ def relight(
     light: PointLight,
     *,
     finer: int = 1,
+    blur: float = 0.0,
 ) -> Tensor:
     """(3, H, W) float32 sRGB picture in [0, 1] of maps in the middle of the plane.
 
@@ -90,6 +92,7 @@ def relight(
         scene: where the camera is.
         light: where and how strong.
         finer: the maps have this many texels a side to each pixel; their radiance is averaged.
+        blur: standard deviation of the lens's blur before that, in texels.
     """
     width, height = maps.size
     camera = torch.tensor([0.0, 0.0, scene.distance])
@@ -106,15 +109,26 @@ def relight(
         )
         shaded = shade(strip, points, camera, place, power)
         strips.append(shaded[:, top - first : min(height, top + _ROWS) - first])
-    linear = F.avg_pool2d(torch.cat(strips, dim=1), finer)
-    return srgb(linear)
+    linear = torch.cat(strips, dim=1)
+    if blur:
+        linear = torch.from_numpy(
+            cv2.GaussianBlur(linear.permute(1, 2, 0).contiguous().numpy(), (0, 0), blur)
+        ).permute(2, 0, 1)
+    return srgb(F.avg_pool2d(linear, finer))
 
 
 def relight_all(
-    maps: MapSet, intensity: tuple[float, float, float], scene: Scene, *, finer: int = 1
+    maps: MapSet,
+    intensity: tuple[float, float, float],
+    scene: Scene,
+    *,
+    finer: int = 1,
+    blur: float = 0.0,
 ) -> Tensor:
     """(L, 3, H, W) pictures under each light of a scene."""
-    pictures = [relight(maps, intensity, scene, light, finer=finer) for light in scene.lights]
+    pictures = [
+        relight(maps, intensity, scene, light, finer=finer, blur=blur) for light in scene.lights
+    ]
     return torch.stack(pictures)
 
 
