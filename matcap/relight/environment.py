@@ -100,7 +100,10 @@ class Environment:
 
     @cached_property
     def directions(self) -> tuple[Array, Array]:
-        """(N, 3) directions of the scene and (N, 3) radiance times solid angle, to sum over."""
+        """(N, 3) directions of the scene, and (N, 3) what differs from the mean radiance there.
+
+        Times solid angle, to sum over; the mean itself is added in closed form.
+        """
         width, height = _SUMMED, _SUMMED // 2
         azimuth = ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * math.pi + self.rotation
         edges = np.cos(np.arange(height + 1) * math.pi / height)
@@ -113,11 +116,13 @@ class Environment:
         # A level no finer than the sum, so that no texel falls between its directions.
         level = max(0, math.ceil(math.log2(self.levels[0].shape[1] / width)))
         seen = self.radiance(tuple(towards.T), level)  # type: ignore[arg-type]
-        return towards.astype(np.float32), (seen.T * solid[:, None]).astype(np.float32)
+        return towards.astype(np.float32), ((seen.T - self.mean) * solid[:, None]).astype(
+            np.float32
+        )
 
     @cached_property
     def _above(self) -> Picture:
-        """(n, n, 3) irradiance on normals of the upper half, of light from the upper half."""
+        """(n, n, 3) what differs from the mean's irradiance, upper half on upper normals."""
         grid = np.linspace(-1.0, 1.0, _NORMALS)
         a, b = np.meshgrid(grid, grid)
         # Half an octahedron, turned by 45 degrees to fill a square.
@@ -126,7 +131,7 @@ class Environment:
 
     @cached_property
     def _around(self) -> Picture:
-        """(n, n, 3) irradiance on all normals, octahedral."""
+        """(n, n, 3) what differs from the mean's irradiance, on all normals, octahedral."""
         grid = np.linspace(-1.0, 1.0, _NORMALS)
         x, y = np.meshgrid(grid, grid)
         z = 1.0 - np.abs(x) - np.abs(y)
@@ -151,7 +156,9 @@ class Environment:
         x, y, z = normal
         norm = 1.0 / (np.abs(x) + np.abs(y) + z)
         x, y = x * norm, y * norm
-        return _table(self._above, x + y, x - y)
+        whole = (math.pi * self.mean).astype(np.float32).reshape(3, *[1] * normal[2].ndim)
+        share = np.float32(0.5) * (1.0 + normal[2])
+        return np.maximum(_table(self._above, x + y, x - y) + whole * share, np.float32(0.0))
 
     def irradiance(self, normal: Vec) -> Array:
         """(3, ...) irradiance on any normals of the scene."""
@@ -161,7 +168,8 @@ class Environment:
         below = z < 0.0
         u = np.where(below, np.copysign(1.0 - np.abs(y), x), x)
         v = np.where(below, np.copysign(1.0 - np.abs(x), y), y)
-        return _table(self._around, u, v)
+        whole = (math.pi * self.mean).astype(np.float32).reshape(3, *[1] * normal[2].ndim)
+        return np.maximum(_table(self._around, u, v) + whole, np.float32(0.0))
 
 
 def environment_of(light: EnvironmentLight) -> Environment:

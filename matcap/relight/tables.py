@@ -15,8 +15,8 @@ import numpy as np
 
 from matcap.relight.vectors import Array
 
-_SIZE = 48
-_ORDER = 32
+_SIZE = 40
+_ORDER = 24
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ plane only what stands above it shines; on a curved surface the part of a normal
 below the surface is taken to be as bright as the rest of it.
 
 Specular: visible normals are sampled at 64 points, the same for every pixel, each with the
-surroundings averaged over the solid angle it stands for (Krivanek and Colbert 2008). The error is
-measured in docs/relighting.md.
+surroundings averaged over the solid angle it stands for (Krivanek and Colbert 2008). Only what
+differs from the mean radiance is sampled; the mean's part is known from the albedo tables. The
+error is measured in docs/relighting.md.
 
 Left out: surroundings as bright everywhere as they are on average; exact albedo tables for both
 lobes. Cost: 64 lookups and about fifty operations each a pixel.
@@ -26,7 +27,7 @@ from matcap.relight.facts import Facts
 from matcap.relight.sampling import Sample
 from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
 from matcap.relight.tables import albedo
-from matcap.relight.vectors import Array, Vec, vec
+from matcap.relight.vectors import Array, Vec, add, vec
 from matcap.relight.visible_normals import mirrored
 
 SAMPLES = 64
@@ -70,10 +71,12 @@ def irradiance_vector(sky: Environment, hits: Hits) -> list[Vec]:
     towards, power = sky.directions
     above = towards[:, 2] > 0.0 if hits.frame is None else slice(None)
     total = towards[above].T.astype(np.float64) @ power[above].astype(np.float64)
-    vectors = [vec(tuple(total[:, channel])) for channel in range(3)]
-    if hits.frame is None:
-        return vectors
-    return [to_frame(vector, hits.frame) for vector in vectors]
+    vectors = [to_frame(vec(tuple(total[:, channel])), hits.frame) for channel in range(3)]
+    # The mean of all above the surface points straight up.
+    return [
+        add(vector, vec((0.0, 0.0, math.pi * float(sky.mean[channel]))))
+        for channel, vector in enumerate(vectors)
+    ]
 
 
 def specular(
@@ -94,8 +97,12 @@ def specular(
             None where nothing stands in the way.
     """
     shape = np.broadcast_shapes(sample.alpha.shape, n_dot_v.shape)
-    scale = np.zeros((3, *shape), dtype=np.float32)
-    bias = np.zeros((3, *shape), dtype=np.float32)
+    # What the mean alone would do is known exactly; only what differs from it is sampled.
+    mean = sky.mean.astype(np.float32).reshape(3, *[1] * len(shape))
+    scale, bias = (
+        np.array(np.broadcast_to(part, (3, *shape)))
+        for part in uniform_specular(sky, sample, n_dot_v)
+    )
     texel = np.float32(sky.texel_angle * SAMPLES)
     last = len(sky.levels) - 1
     for one in mirrored(sample, hits.to_view, n_dot_v, SAMPLES):
@@ -106,7 +113,8 @@ def specular(
         # Half the binary logarithm of how many texels the sample's solid angle covers.
         wide = 0.5 * np.log2(np.maximum(1.0 / (one.density * texel), np.float32(1e-6)))
         level = np.clip(np.rint(wide), 0, last).astype(np.int32)
-        light = sky.radiance(direction, level) * (one.weight * clear * np.float32(1.0 / SAMPLES))
+        light = sky.radiance(direction, level) * clear - mean
+        light *= one.weight * np.float32(1.0 / SAMPLES)
         mixed = light * one.fresnel
         bias += mixed
         scale += light - mixed

@@ -1,0 +1,135 @@
+"""Random scenes and materials, and the largest difference that skipping effects makes in them.
+
+`python tests/relight/random_scenes.py 300` tries as many as are asked for and prints the worst.
+"""
+
+import random
+import sys
+
+import numpy as np
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.relight.plan import DEFAULT_TOLERANCE
+from matcap.relight.render import Renderer
+from matcap.relight.scene import (
+    Camera,
+    DirectionalLight,
+    EnvironmentLight,
+    Film,
+    PointLight,
+    RectangleLight,
+    Scene,
+    SphereLight,
+    Surface,
+)
+
+
+def random_maps(rng: random.Random) -> MapSet:
+    """Anything from a flat grey card to an embossed mirror, with the border cases often."""
+    width, height = rng.choice([8, 16, 24]), rng.choice([8, 16])
+    generator = np.random.default_rng(rng.randrange(2**32))
+
+    def field(low: float, high: float, channels: int = 1) -> torch.Tensor:
+        rough = generator.random((channels, height, width))
+        return torch.from_numpy(low + (high - low) * rough).float()
+
+    relief = rng.choice([0.0, 0.0, 1e-7, 1e-5, 1e-3, 0.05])
+    albedo = rng.choice([0.0, 0.02, 0.9])
+    f0 = rng.choice([(0.0, 0.0), (0.04, 0.04), (0.0, 1.0)])
+    rough = rng.choice([(1.0, 1.0), (0.6, 0.9), (0.2, 0.5)])
+    return MapSet(
+        field(0.0, albedo, 3), field(*f0), field(*rough), field(0.0, relief), 2.0 / width, True
+    )
+
+
+def random_scene(rng: random.Random) -> Scene:
+    """A small picture of some surface under one to three lights of any strength."""
+    film = Film(
+        rng.choice([6, 12]), rng.choice([6, 9]), rng.choice([0.0, -2.0, 1.0]),
+        rng.choice(["srgb", "linear"]),
+    )  # fmt: skip
+    kind = rng.choice(["plane", "plane", "plane", "sphere", "cylinder"])
+    place = (rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(1.5, 4.0))
+    target = (rng.uniform(-0.3, 0.3), 0.0, 0.0)
+    camera = rng.choice(
+        [
+            None,
+            Camera(position=place, target=target),
+            Camera("orthographic", place, target, scale=rng.uniform(0.3, 1.2)),
+        ]
+    )
+    surface = Surface(
+        kind,
+        rng.choice([None, 1.0, 2.0]) if kind == "plane" else 1.0,
+        None,
+        rng.choice([0.1, 0.5, 1.0, 3.0]),
+        rng.choice([0.0, 0.5, 1.0]),
+    )
+    lights = tuple(random_light(rng) for _ in range(rng.randint(1, 3)))
+    return Scene(film, camera, surface, lights)
+
+
+def random_light(rng: random.Random):
+    strength = 10.0 ** rng.uniform(-6.0, 0.5)
+    colour = tuple(strength * rng.random() for _ in range(3))
+    far = rng.choice([1.0, 3.0, 1000.0])
+    place = tuple(far * c for c in (rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(0.3, 1.5)))
+    kind = rng.randrange(5)
+    if kind == 0:
+        return PointLight(place, tuple(far**2 * c for c in colour))
+    if kind == 1:
+        return DirectionalLight(place, colour)
+    size = rng.choice([1e-6, 1e-3, 0.2]) * far
+    glow = tuple(c * (far / size) ** 2 for c in colour)
+    if kind == 2:
+        return SphereLight(place, size, glow)
+    if kind == 3:
+        return RectangleLight(place, tuple(-c for c in place), (0.3, 1.0, 0.2), (size, size), glow)
+    return EnvironmentLight(radiance=colour)
+
+
+def encoded(radiance: np.ndarray, film: Film) -> np.ndarray:
+    """Codes of the film, not clipped above, so that nothing hides."""
+    light = radiance.astype(np.float64) * film.gain
+    if film.transfer == "linear":
+        return light
+    return np.where(
+        light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055
+    )
+
+
+def worst_difference(seed: int) -> tuple[float, int]:
+    """Largest difference of codes between plan and everything, and how many effects were off."""
+    rng = random.Random(seed)
+    maps, scene = random_maps(rng), random_scene(rng)
+    renderer = Renderer(maps, scene)
+    planned = renderer.render()
+    everything = renderer.render(effects="all")
+    off = sum(not step.on for step in planned.plan.steps)
+    assert np.isfinite(everything.radiance).all()
+    difference = np.abs(
+        encoded(planned.radiance, planned.film) - encoded(everything.radiance, planned.film)
+    )
+    return float(difference.max()), off
+
+
+def main() -> None:
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 300
+    worst, skipped = 0.0, 0
+    for seed in range(count):
+        difference, off = worst_difference(seed)
+        skipped += off
+        if difference > worst:
+            worst = difference
+            print(f"seed {seed}: {difference / DEFAULT_TOLERANCE:.3f} of the tolerance", flush=True)
+        if difference > DEFAULT_TOLERANCE:
+            sys.exit(f"seed {seed} differs by more than the tolerance")
+    print(
+        f"{count} scenes, {skipped / count:.1f} of 11 effects skipped on average, "
+        f"worst difference {worst / DEFAULT_TOLERANCE:.3f} of the tolerance"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,301 @@
+"""What physics demands of the effects, each against a closed form or a brute force."""
+
+import math
+
+import numpy as np
+import pytest
+from relight_samples import bumpy, flat
+
+from matcap.relight.effects import area, multiscatter, parallax, shadows
+from matcap.relight.horizons import find_horizons
+from matcap.relight.lobes import ggx_smith
+from matcap.relight.relief import Relief
+from matcap.relight.render import Renderer, relight
+from matcap.relight.scene import (
+    DirectionalLight,
+    EnvironmentLight,
+    Film,
+    PointLight,
+    RectangleLight,
+    Scene,
+    SphereLight,
+    Surface,
+)
+from matcap.relight.tables import albedo
+from matcap.relight.texture import Texture
+from matcap.relight.vectors import vec
+
+
+def mirrored_rule(view, alpha, order=600):
+    """Directions and solid angles that follow the lobe: normals by GGX's own distribution."""
+    s = ((np.arange(order) + 0.5) / order)[:, None]
+    u, step = 1.0 - s**4, 4.0 * s**3 / order**2  # crowded where the lobe's long tail is
+    azimuth = (np.arange(order) + 0.5) * 2.0 * math.pi / order
+    cosine = np.sqrt((1.0 - u) / (1.0 + (alpha**2 - 1.0) * u))
+    sine = np.sqrt(1.0 - cosine**2)
+    x, y = sine * np.cos(azimuth), sine * np.sin(azimuth)
+    z = np.broadcast_to(cosine, x.shape)
+    along = x * view[0] + y * view[1] + z * view[2]
+    spread = 1.0 + (alpha**2 - 1.0) * z**2
+    density = alpha**2 / (math.pi * spread**2) * z / (4.0 * np.maximum(along, 1e-12))
+    to_light = tuple(2.0 * along * h - v for h, v in zip((x, y, z), view, strict=True))
+    seen = (to_light[2] > 1e-9) & (along > 0.0)
+    return to_light, np.where(seen, step / density, 0.0)
+
+
+def directional_albedo(mu, roughness, *, compensated):
+    """What a white (F0 = 1) surface reflects of light around, integrated directly."""
+    view = tuple(np.asarray(c) for c in (math.sqrt(1 - mu * mu), 0.0, mu))
+    to_light, solid = mirrored_rule(view, roughness**2)
+    to_light = (to_light[0], to_light[1], np.maximum(to_light[2], 1e-9))
+    normal = tuple(np.asarray(c) for c in (0.0, 0.0, 1.0))
+    alpha = np.full(solid.shape, roughness**2)
+    n_dot_v = np.full(solid.shape, mu)
+    lobe, _ = ggx_smith(normal, view, to_light, n_dot_v, to_light[2], alpha)
+    total = (lobe * to_light[2] * solid).sum()
+    if compensated:
+        # The other lobe is round: its integral is over the cosine alone.
+        nodes, weights = np.polynomial.legendre.leggauss(200)
+        cosine = ((nodes + 1.0) / 2.0) ** 2
+        slender = (nodes + 1.0) / 2.0 * weights  # d cosine
+        strength, _ = multiscatter.terms(np.ones(1), np.full(1, roughness**2), np.full(1, mu))
+        lost = multiscatter.missing(np.full(200, roughness**2), cosine)
+        total += (2.0 * math.pi * strength[0] * lost * cosine * slender).sum()
+    return total
+
+
+@pytest.mark.parametrize("roughness", [0.05, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0])
+@pytest.mark.parametrize("mu", [0.02, 0.1, 0.2, 0.5, 0.8, 1.0])
+def test_white_furnace(roughness, mu):
+    single = directional_albedo(mu, roughness, compensated=False)
+    assert single <= 1.001
+    assert single == pytest.approx(
+        float(albedo().lookup(albedo().total, np.full(1, mu), np.full(1, roughness**2))[0]),
+        abs=5e-3,
+    )
+    assert directional_albedo(mu, roughness, compensated=True) == pytest.approx(1.0, abs=0.02)
+
+
+def test_compensation_is_reciprocal():
+    generator = np.random.default_rng(0)
+    mu_v, mu_l, alpha = generator.random((3, 1000))
+
+    def lobe(view, light):
+        strength, _ = multiscatter.terms(np.full(1000, 0.9), alpha, view)
+        return strength * multiscatter.missing(alpha, light)
+
+    np.testing.assert_allclose(lobe(mu_v, mu_l), lobe(mu_l, mu_v), rtol=1e-6, atol=1e-9)
+
+
+def test_an_even_sky_on_white_diffuse_is_as_bright_as_the_sky():
+    """Lambert: radiance out is radiance in. And a white rough metal does nearly the same."""
+    sky = (EnvironmentLight(radiance=(0.25, 0.5, 1.0)),)
+    scene = Scene(Film(8, 6), None, Surface(), sky)
+    plain = relight(flat(diffuse=1.0, specular=0.0), scene, effects="none,+diffuse")
+    np.testing.assert_allclose(plain, np.broadcast_to([0.25, 0.5, 1.0], plain.shape), rtol=1e-6)
+    metal = relight(flat(diffuse=0.0, specular=1.0, roughness=0.9), scene, effects="all")
+    np.testing.assert_allclose(metal, np.broadcast_to([0.25, 0.5, 1.0], metal.shape), rtol=0.02)
+
+
+def test_inverse_square_exactly():
+    """Straight below the light, so that no lobe changes: twice as far is a quarter."""
+
+    def bright(z):
+        light = PointLight((0.0, 0.0, z))
+        return relight(
+            flat(1, 1), Scene(Film(1, 1), None, Surface(), (light,)), effects="all"
+        )[0, 0, 0]
+
+    for z in (1.0, 2.0, 8.0):
+        assert bright(z) == pytest.approx(4.0 * bright(2.0 * z), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        PointLight((0.3, 0.2, 0.5), (1.0, 2.0, 3.0)),
+        DirectionalLight((1.0, 0.3, 0.4), (0.5, 0.4, 0.3)),
+        SphereLight((0.5, 0.2, 0.8), 0.3, (1.0, 2.0, 3.0)),
+        RectangleLight((0.5, 0.2, 0.8), (-0.5, -0.2, -0.8), size=(0.5, 0.4)),
+        EnvironmentLight(radiance=(0.1, 0.2, 0.3)),
+    ],
+)
+def test_doubling_a_light_doubles_the_picture(light):
+    maps = bumpy(24, 18, relief=0.1)
+    one = Scene(Film(24, 18), None, Surface(), (light,))
+    two = Scene(Film(24, 18), None, Surface(), (light, light))
+    np.testing.assert_allclose(
+        relight(maps, two, effects="all"), 2.0 * relight(maps, one, effects="all"), rtol=2e-5
+    )
+
+
+def test_sphere_light_irradiance_in_closed_form():
+    """A sphere straight above, diffuse: E = pi L (R / d)^2 exactly, however near."""
+    for distance in (0.6, 1.0, 4.0):
+        light = SphereLight((0.0, 0.0, distance), 0.5, (1.0, 1.0, 1.0))
+        scene = Scene(Film(1, 1), None, Surface(), (light,))
+        picture = relight(flat(1, 1, diffuse=1.0), scene, effects="none,+diffuse,+area,+falloff")
+        assert picture[0, 0, 0] == pytest.approx((0.5 / distance) ** 2, rel=1e-4)
+
+
+def test_rectangle_light_irradiance_in_closed_form():
+    """A unit square at unit height above its corner point: Lambert's polygon formula."""
+    light = RectangleLight((0.5, 0.5, 1.0), (0.0, 0.0, -1.0), size=(1.0, 1.0))
+    zero = np.zeros((1, 1), dtype=np.float32)
+    total = sum(
+        float((node.received * node.to_light[2]).item())
+        for node in area.nodes(light, (zero, zero, zero), None, 8)
+    )
+    # E / L = (1/2) sum of edge angles times their planes' slope; the square's two far edges.
+    edge = math.atan(1.0 / math.sqrt(2.0)) / math.sqrt(2.0)
+    assert total == pytest.approx(edge, rel=1e-6)
+
+
+def test_a_far_area_light_is_a_point():
+    maps = bumpy(24, 18)
+    small = SphereLight((10.0, 5.0, 30.0), 0.05, (4e5, 4e5, 4e5))
+    power = 4e5 * math.pi * 0.05**2
+    point = PointLight(small.position, (power, power, power))
+
+    def picture(light):
+        return relight(maps, Scene(Film(24, 18), None, Surface(displacement=0.0), (light,)))
+
+    np.testing.assert_allclose(picture(small), picture(point), rtol=1e-3)
+
+
+def ridge(height=0.1, width=64) -> Texture:
+    """A wall one texel wide along y in the middle of a flat floor, seen by its columns."""
+    field = np.zeros((1, 8, width), dtype=np.float32)
+    field[0, :, width // 2] = height
+    one = np.ones((1, 8, width), dtype=np.float32)
+    flat_slopes = np.zeros((2, 8, width), dtype=np.float32)
+    return Texture(np.repeat(one, 3, 0), 0 * one, one, field, flat_slopes, 2.0 / width)
+
+
+def test_the_shadow_of_a_wall_is_as_long_as_geometry_says():
+    relief = Relief(ridge(), 1.0, 1.0)
+    wall = (32 + 0.5) / 64 * 2 - 1
+    u = np.linspace(-0.9, 0.9, 721)[None, :]
+    v = np.zeros((1, 1))
+    for tangent in (0.25, 0.5, 1.0):
+        length = math.hypot(1.0, tangent)
+        light = vec((1.0 / length, 0.0, tangent / length))
+        lit = shadows.lit(relief, (u, v), relief.at(u, np.zeros_like(u)), light, None)[0]
+        distance = wall - u[0]  # the light is to the right, shadows fall to the left
+        inside = (distance > 2.0 / 64) & (distance < 0.1 / tangent)
+        # Beyond the wall's own foot and tip, where its slopes are.
+        outside = (distance < -2.0 / 64) | (distance > 0.1 / tangent + 1e-6)
+        assert not lit[inside].any()
+        assert lit[outside].all()
+
+
+def test_a_light_between_wall_and_point_is_not_shadowed():
+    relief = Relief(ridge(), 1.0, 1.0)
+    u, v = np.full((1, 1), -0.2), np.zeros((1, 1))
+    light = vec((1.0 / math.hypot(1.0, 0.1), 0.0, 0.1 / math.hypot(1.0, 0.1)))
+    zero = np.zeros((1, 1), dtype=np.float32)
+    far, near = np.full((1, 1), 5.0), np.full((1, 1), 0.1)
+    assert not shadows.lit(relief, (u, v), zero, light, far).any()
+    assert shadows.lit(relief, (u, v), zero, light, near).all()
+
+
+def test_shadows_agree_with_a_fine_march():
+    maps = bumpy(32, 24, seed=4, relief=0.3)
+    relief = Relief(Texture.from_maps(maps), 1.0, 1.0)
+    generator = np.random.default_rng(1)
+    u, v = generator.uniform(-0.5, 0.5, (2, 1, 400))
+    azimuth = generator.uniform(0, 2 * math.pi, 400)
+    tangent = generator.uniform(0.1, 1.0, 400)
+    direction = np.stack([np.cos(azimuth), np.sin(azimuth), tangent])
+    direction /= np.linalg.norm(direction, axis=0)
+    light = tuple(c[None].astype(np.float32) for c in direction)
+    height = relief.at(u, v)
+    lit = shadows.lit(relief, (u, v), height, light, None)[0]
+    margin = np.full(400, np.inf)
+    for t in np.geomspace(1e-4, 3.0, 3000):
+        surface = relief.at(u[0] + t * direction[0], v[0] + t * direction[1])
+        margin = np.minimum(margin, height[0] + t * direction[2] - surface)
+    twist = 0.3 / 32  # what a cell's bend may hide between its lines
+    free, blocked = margin > 0.0, margin < -twist / 4
+    assert free.sum() > 50 and blocked.sum() > 50
+    assert lit[free].all()
+    assert not lit[blocked].any()
+
+
+def test_parallax_of_a_raised_plane():
+    """A flat floor at height h, seen from the side, is displaced by h times the tangent."""
+    texture = ridge()
+    texture.height[:] = 0.05
+    texture.height[0, 0, 0] = 0.0  # some range, far from where it is looked at
+    relief = Relief(texture, 1.0, 1.0)
+    view = vec((0.6, 0.0, 0.8))
+    u, v = np.full((1, 3), 0.3), np.full((1, 3), 0.02)
+    (moved, same), height = parallax.shift(relief, (u, v), tuple(np.full((1, 3), c) for c in view))
+    np.testing.assert_allclose(height, 0.05, rtol=1e-5)
+    np.testing.assert_allclose(moved - u, 0.05 * 0.6 / 0.8, rtol=1e-5)
+    np.testing.assert_allclose(same, v)
+
+
+def test_parallax_hits_lie_on_the_surface_and_on_the_ray():
+    maps = bumpy(32, 24, seed=4, relief=0.2)
+    relief = Relief(Texture.from_maps(maps), 1.0, 1.0)
+    u, v = np.random.default_rng(2).uniform(-0.5, 0.5, (2, 1, 500))
+    view = tuple(np.full((1, 500), c, dtype=np.float32) for c in (0.3, -0.5, 0.812))
+    (hit_u, hit_v), height = parallax.shift(relief, (u, v), view)
+    np.testing.assert_allclose(hit_u - u, height * 0.3 / 0.812, atol=1e-3)
+    np.testing.assert_allclose(hit_v - v, height * -0.5 / 0.812, atol=1e-3)
+    # Nothing of the surface stands between the hit and the camera.
+    for t in np.linspace(0.01, 0.3, 100):
+        above = height + t * view[2] - relief.at(hit_u + t * view[0], hit_v + t * view[1])
+        assert above.min() > -2e-3
+
+
+def horizons_of(texture, *, bounces):
+    def run(work, items):
+        for item in items:
+            work(item)
+
+    return find_horizons(Relief(texture, 1.0, 1.0), bounces=bounces, run=run)
+
+
+def test_a_flat_field_sees_the_whole_sky_and_no_neighbours():
+    horizons = horizons_of(Texture.from_maps(flat()), bounces=True)
+    np.testing.assert_allclose(horizons.open, 1.0, atol=1e-6)
+    np.testing.assert_allclose(horizons.bounced, 0.0, atol=1e-7)
+
+
+def test_the_foot_of_an_endless_wall_sees_half_the_sky():
+    """Beside a wall that fills elevations up to 80 degrees, (1 + cos 80) / 2 is left."""
+    width = 512
+    texture = ridge(height=0.0, width=width)
+    away = 4
+    texture.height[:, :, width // 2 :] = away * texture.texel_size * math.tan(math.radians(80))
+    horizons = horizons_of(texture, bounces=False)
+    foot = horizons.open.reshape(8, width)[4, width // 2 - away]
+    assert foot == pytest.approx((1.0 + math.cos(math.radians(80))) / 2.0, abs=0.03)
+
+
+def test_a_valley_of_given_slope():
+    """In a v-shaped valley of slope 1 the bottom sees sin 45 degrees of the sky's irradiance."""
+    width = 128
+    field = np.abs(np.arange(width) - width / 2.0)[None, None].repeat(8, 1).astype(np.float32)
+    texture = ridge(width=width)
+    texture.height[:] = field * texture.texel_size
+    horizons = horizons_of(texture, bounces=False)
+    # Irradiance between planes at +-45 degrees, long along y: the sine of the half angle.
+    bottom = horizons.open.reshape(8, width)[4, width // 2]
+    assert bottom == pytest.approx(math.sin(math.pi / 4), abs=0.03)
+
+
+def test_interreflection_warms_what_faces_a_coloured_wall():
+    texture = ridge(height=0.4, width=64)
+    texture.diffuse[1:] = 0.0  # all is red
+    scene = Scene(Film(64, 8), None, Surface(size=None), (DirectionalLight((-1.0, 0.0, 1.0)),))
+    renderer = Renderer(texture, scene)
+    with_it = renderer.render(effects="all,-specular,-multiscatter").radiance
+    without = renderer.render(effects="all,-specular,-multiscatter,-interreflection").radiance
+    gained = (with_it - without)[4]
+    assert not gained[:, 1:].any()
+    # The wall's lit side faces left, so the floor left of it gains, more when nearer.
+    assert gained[28, 0] > gained[20, 0] > gained[8, 0] >= 0.0
+    assert gained[28, 0] > 0.01
