@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from matcap.cli import values
-from matcap.cli.options import QuietOption
+from matcap.cli.options import JsonOption, Normal, QuietOption
+
+if TYPE_CHECKING:
+    from matcap.relight.plan import Plan
+    from matcap.relight.render import Renderer
+    from matcap.relight.scene import Scene
+
+
+class Motion(Enum):
+    """What moves in an animation."""
+
+    light_orbit = "light-orbit"
+    turntable = "turntable"
 
 
 def relight(
@@ -16,39 +29,157 @@ def relight(
         Path, typer.Argument(help="A material, a map set or a folder with either.")
     ] = Path("."),
     light: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME|x,y,z[,intensity]",
+            show_default="top",
             help="A named light (flash, top, left), or the place of a point light.",
         ),
-    ] = "top",
+    ] = None,
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|NAME",
+            help="A scene file (.toml), or flash, top, left, studio, sunset or turntable.",
+        ),
+    ] = None,
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", help="Linear radiance in .exr, or an sRGB .png."),
+        typer.Option("--out", "-o", help="Linear radiance in .exr, or an encoded .png."),
     ] = Path("relit.png"),
     size: Annotated[
-        values.Size,
+        values.Size | None,
         typer.Option(
             parser=values.size,
             metavar="WxH",
-            show_default="1024x1024",
-            help="Texels read from a material.",
+            help="Pixels of the picture; by default the scene's, or one a texel of a map set.",
         ),
-    ] = values.DEFAULT_SIZE,
-    seed: Annotated[int, typer.Option(help="Realisation read from a material.")] = 0,
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Realisation read from a material.")] = 0,
+    effects: Annotated[
+        str,
+        typer.Option(metavar="auto|all|none|+x,-y", help="Which effects run (see --explain)."),
+    ] = "auto",
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            show_default="half an 8-bit step",
+            help="What skipped effects may change at most, in code values from 0 to 1.",
+        ),
+    ] = None,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Print which effects ran, why, and their time.")
+    ] = False,
+    animate: Annotated[
+        Motion | None, typer.Option(help="Animation to .gif, .mp4 or numbered .exr.")
+    ] = None,
+    frames: Annotated[int, typer.Option(min=1, help="Frames of the animation.")] = 48,
+    sheet: Annotated[
+        values.Size | None,
+        typer.Option(
+            parser=values.size, metavar="COLUMNSxROWS", help="A grid of lights in one picture."
+        ),
+    ] = None,
+    maps_from: Annotated[
+        Path | None,
+        typer.Option(
+            help="A folder of maps that matcap did not make (ambientCG, Poly Haven names)."
+        ),
+    ] = None,
+    normal: Annotated[
+        Normal | None,
+        typer.Option(help="Which way green points in normal maps of --maps-from."),
+    ] = None,
+    json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Show a material under another light."""
-    from matcap.export.picture import check_picture_path, write_picture
-    from matcap.export.source import open_maps
-    from matcap.export.staging import check_writable
-    from matcap.relight.render import relight as render
-    from matcap.relight.scene import scene_from_light
+    from itertools import chain
 
-    check_picture_path(out)
-    scene = scene_from_light(light)
-    maps = open_maps(path, size=(size.width, size.height), seed=seed)
-    check_writable(out.parent, 20 * maps.size[0] * maps.size[1])
-    write_picture(render(maps, scene), out)
+    from matcap.errors import UsageError
+    from matcap.export.staging import check_writable
+    from matcap.relight.pictures import check_path, write_movie, write_still
+    from matcap.relight.plan import DEFAULT_TOLERANCE, parse_choice
+    from matcap.relight.sequence import ANIMATIONS, light_sheet
+    from matcap.relight.sequence import animate as animated
+
+    if light is not None and scene is not None:
+        raise UsageError("a scene has its own lights", where="--light", remedy="leave it out")
+    if animate is not None and sheet is not None:
+        raise UsageError("a sheet does not move", where="--sheet", remedy="leave one out")
+    check_path(out, moving=animate is not None)
+    parse_choice(effects)
+    chosen = _scene(scene, light, size)
+    limit = DEFAULT_TOLERANCE if tolerance is None else tolerance
+    renderer = _renderer(path, maps_from, normal, chosen, seed, quiet=quiet)
+    film = renderer.film
+    pictures = frames if animate else sheet.width * sheet.height if sheet else 1
+    check_writable(out.parent, 16 * film.width * film.height * pictures)
+    if animate is not None:
+        scenes = ANIMATIONS[animate.value](renderer.scene, frames)
+        moving = animated(renderer, scenes, tolerance=limit, effects=effects)
+        first = next(moving)
+        rest = (one.radiance for one in moving)
+        write_movie(chain([first.radiance], rest), out, film)
+        plan = first.plan
+    elif sheet is not None:
+        picture, plan = light_sheet(
+            renderer, sheet.width, sheet.height, tolerance=limit, effects=effects
+        )
+        write_still(picture, out, film)
+    else:
+        rendering = renderer.render(tolerance=limit, effects=effects)
+        write_still(rendering.radiance, out, film)
+        plan = rendering.plan
+    _report(plan, out, as_json=json, explain=explain)
+    if not quiet and not json:
+        typer.echo(f"{maps_from or path}: {out}", err=True)
+
+
+def _scene(name: str | None, light: str | None, size: values.Size | None) -> Scene:
+    from dataclasses import replace
+
+    from matcap.relight.presets import preset
+    from matcap.relight.scene import Film, scene_from_light
+    from matcap.relight.scenefile import read_scene
+
+    if name is None:
+        scene = scene_from_light(light or "top")
+    else:
+        scene = read_scene(name) if name.lower().endswith(".toml") else preset(name)
+    if size is None:
+        return scene
+    return replace(scene, film=replace(scene.film or Film(), width=size.width, height=size.height))
+
+
+def _renderer(
+    path: Path,
+    maps_from: Path | None,
+    normal: Normal | None,
+    scene: Scene,
+    seed: int,
+    *,
+    quiet: bool,
+) -> Renderer:
+    from matcap.relight.foreign import read_foreign
+    from matcap.relight.render import Renderer
+    from matcap.relight.sources import open_source
+
+    if maps_from is None:
+        return Renderer(open_source(path), scene, seed=seed)
+    foreign = read_foreign(maps_from, normal=normal.value if normal else None)
     if not quiet:
-        typer.echo(f"wrote {out}", err=True)
+        for note in foreign.notes:
+            typer.echo(f"{maps_from}: {note}", err=True)
+    return Renderer(foreign.texture, scene, seed=seed)
+
+
+def _report(plan: Plan, out: Path, *, as_json: bool, explain: bool) -> None:
+    if as_json:
+        import json
+
+        report = {"out": str(out), "tolerance": plan.tolerance, "plan": plan.rows()}
+        typer.echo(json.dumps(report, indent=2, allow_nan=False))
+    elif explain:
+        typer.echo(plan.table())

@@ -91,6 +91,18 @@ class Plan:
         )
         return Plan(steps, self.tolerance)
 
+    def table(self) -> str:
+        """The plan as text: effect, on or off, bound, milliseconds, reason."""
+        lines = [f"{'effect':<16}{'':<5}{'bound':>9}{'ms':>10}  reason"]
+        for step in self.steps:
+            state = "on" if step.on else "off"
+            lines.append(
+                f"{step.effect:<16}{state:<5}{step.bound:>9.2g}"
+                f"{step.milliseconds:>10.1f}  {step.reason}"
+            )
+        lines.append(f"tolerance {self.tolerance:.2g} in radiance; milliseconds of all cores")
+        return "\n".join(lines)
+
     def rows(self) -> list[dict[str, Any]]:
         """One dictionary a step, for JSON; infinite bounds are None."""
         return [

@@ -122,6 +122,12 @@ class Renderer:
         self._horizons: dict[bool, Horizons] = {}
         self._shapes: dict[tuple[object, Surface], tuple[View, Shape]] = {}
 
+    @property
+    def film(self) -> Film:
+        """The picture's."""
+        assert self.scene.film is not None
+        return self.scene.film
+
     def render(
         self,
         scene: Scene | None = None,
@@ -138,8 +144,7 @@ class Renderer:
         """
         start = perf_counter()
         scene = scene or self.scene
-        film = scene.film or self.scene.film
-        assert film is not None
+        film = scene.film or self.film
         choice = parse_choice(effects) if isinstance(effects, str) else effects
         view, shape = self._seen(scene, film)
         skies = tuple(self._sky(one) for one in scene.lights if isinstance(one, EnvironmentLight))

@@ -1,5 +1,7 @@
 """The scenes that matcap and Mitsuba 3 both render; see make_references.py."""
 
+from relight_samples import bumpy
+
 from matcap.relight.scene import (
     DirectionalLight,
     EnvironmentLight,
@@ -10,8 +12,6 @@ from matcap.relight.scene import (
     SphereLight,
     Surface,
 )
-
-from relight_samples import bumpy
 
 FILM = Film(24, 18)
 SKY_SIZE = (16, 32)

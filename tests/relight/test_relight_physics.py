@@ -102,9 +102,9 @@ def test_inverse_square_exactly():
 
     def bright(z):
         light = PointLight((0.0, 0.0, z))
-        return relight(
-            flat(1, 1), Scene(Film(1, 1), None, Surface(), (light,)), effects="all"
-        )[0, 0, 0]
+        return relight(flat(1, 1), Scene(Film(1, 1), None, Surface(), (light,)), effects="all")[
+            0, 0, 0
+        ]
 
     for z in (1.0, 2.0, 8.0):
         assert bright(z) == pytest.approx(4.0 * bright(2.0 * z), rel=1e-6)

@@ -1,0 +1,117 @@
+"""Radiance to files: exposed and encoded for the eye, or as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import UsageError
+from matcap.export.exr import write_exr
+from matcap.export.png import write_png
+from matcap.export.srgb import srgb_encode
+from matcap.export.staging import staged, write_error
+from matcap.relight.scene import Film
+
+Radiance = NDArray[np.float32]
+STILLS = (".png", ".exr")
+MOVIES = (".gif", ".mp4", ".exr")
+_FRAMES_PER_SECOND = 24
+
+
+def check_path(path: Path, *, moving: bool) -> None:
+    """Raise UsageError unless the suffix is one that can hold a picture, or an animation."""
+    known = MOVIES if moving else STILLS
+    if path.suffix.lower() not in known:
+        kind = "animation" if moving else "picture"
+        raise UsageError(
+            f"unknown {kind} format '{path.suffix}'",
+            where=str(path),
+            remedy=f"use {', '.join(known[:-1])} or {known[-1]}",
+        )
+
+
+def encode(radiance: Radiance, film: Film) -> Radiance:
+    """Code values in [0, 1]: exposed, clipped, and through the film's transfer function."""
+    light = radiance * np.float32(film.gain)
+    return srgb_encode(light) if film.transfer == "srgb" else np.clip(light, 0.0, 1.0)
+
+
+def write_still(radiance: Radiance, path: Path, film: Film) -> None:
+    """Write a picture: .exr as float32 radiance, .png as 8-bit codes.
+
+    Raises:
+        UsageError: another suffix.
+        MatcapError: values that are not finite; the file cannot be written.
+    """
+    check_path(path, moving=False)
+    with staged(path.parent) as stage:
+        if path.suffix.lower() == ".exr":
+            write_exr(stage / path.name, radiance, half=False)
+        else:
+            write_png(stage / path.name, encode(radiance, film), bits=8)
+
+
+def write_movie(frames: Iterable[Radiance], path: Path, film: Film) -> None:
+    """Write an animation of 24 frames a second: .gif, .mp4, or numbered .exr of radiance.
+
+    Frames are taken one at a time, and nothing appears until the last is there.
+
+    Raises:
+        UsageError: another suffix.
+        MatcapError: the files cannot be written.
+    """
+    check_path(path, moving=True)
+    suffix = path.suffix.lower()
+    with staged(path.parent) as stage:
+        if suffix == ".exr":
+            for index, frame in enumerate(frames):
+                write_exr(stage / f"{path.stem}_{index:04d}.exr", frame, half=False)
+        elif suffix == ".gif":
+            _write_gif(frames, stage / path.name, film)
+        else:
+            _write_mp4(frames, stage / path.name, film)
+
+
+def _codes(frame: Radiance, film: Film) -> NDArray[np.uint8]:
+    return np.rint(encode(frame, film) * 255.0).astype(np.uint8)
+
+
+def _write_gif(frames: Iterable[Radiance], path: Path, film: Film) -> None:
+    from PIL import Image
+
+    first, *rest = [
+        Image.fromarray(_codes(frame, film)).quantize(256, dither=Image.Dither.FLOYDSTEINBERG)
+        for frame in frames
+    ]
+    # GIF counts hundredths of a second.
+    with path.open("wb") as file:
+        first.save(
+            file,
+            "GIF",
+            save_all=True,
+            append_images=rest,
+            duration=10 * round(100 / _FRAMES_PER_SECOND),
+            loop=0,
+        )
+
+
+def _write_mp4(frames: Iterable[Radiance], path: Path, film: Film) -> None:
+    import cv2
+
+    writer = None
+    for frame in frames:
+        # The codec wants even sides; a border pixel is repeated where they are odd.
+        codes = _codes(frame, film)
+        codes = np.pad(codes, ((0, codes.shape[0] % 2), (0, codes.shape[1] % 2), (0, 0)), "edge")
+        if writer is None:
+            size = (codes.shape[1], codes.shape[0])
+            kind = cv2.VideoWriter.fourcc(*"mp4v")
+            writer = cv2.VideoWriter(str(path), kind, _FRAMES_PER_SECOND, size)
+            if not writer.isOpened():
+                raise write_error(path, OSError("no MP4 encoder"))
+        writer.write(np.ascontiguousarray(codes[..., ::-1]))
+    if writer is not None:
+        writer.release()

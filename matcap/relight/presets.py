@@ -1,0 +1,152 @@
+"""Scenes and lights that have names."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from matcap.errors import UsageError
+from matcap.relight.scene import (
+    NAMED_LIGHTS,
+    Camera,
+    DirectionalLight,
+    EnvironmentLight,
+    Film,
+    Light,
+    PointLight,
+    RectangleLight,
+    Scene,
+    Surface,
+    scene_from_light,
+)
+
+# A sphere between two softboxes in a dim room.
+_STUDIO = Scene(
+    film=Film(1024, 1024, exposure=1.0),
+    camera=Camera(position=(0.0, 0.6, 5.0), fov=30.0),
+    surface=Surface("sphere", size=2.0),
+    lights=(
+        RectangleLight((-2.2, 2.0, 2.4), (2.2, -2.0, -2.4), size=(1.6, 1.6), radiance=(5.0,) * 3),
+        RectangleLight((2.8, 0.4, 1.0), (-2.8, -0.4, -1.0), size=(0.6, 2.4), radiance=(2.0,) * 3),
+        EnvironmentLight(radiance=(0.05, 0.05, 0.06)),
+    ),
+)
+
+# A floor under a low warm sun and a blue sky, seen at a slant.
+_SUNSET = Scene(
+    film=Film(1200, 800, exposure=0.5),
+    camera=Camera(position=(0.0, -2.4, 1.3), target=(0.0, -0.1, 0.0), fov=42.0),
+    surface=Surface("plane", size=3.0),
+    lights=(
+        DirectionalLight((-1.0, 0.5, 0.35), (3.2, 1.6, 0.7)),
+        EnvironmentLight(radiance=(0.12, 0.16, 0.26)),
+    ),
+)
+
+# A cylinder under two lamps, to be turned.
+_TURNTABLE = Scene(
+    film=Film(640, 640, exposure=0.5),
+    camera=Camera(position=(0.0, 1.2, 5.2), fov=28.0),
+    surface=Surface("cylinder", size=1.8),
+    lights=(
+        PointLight((-2.0, 2.0, 3.0), (22.0, 22.0, 22.0)),
+        PointLight((3.0, 0.5, 1.5), (7.0, 7.0, 8.0)),
+        EnvironmentLight(radiance=(0.06, 0.06, 0.07)),
+    ),
+)
+
+SCENES = {"studio": _STUDIO, "sunset": _SUNSET, "turntable": _TURNTABLE}
+PRESETS = (*NAMED_LIGHTS, *SCENES)
+
+
+def preset(name: str) -> Scene:
+    """The scene of a name.
+
+    Raises:
+        UsageError: there is none.
+    """
+    if name in NAMED_LIGHTS:
+        return scene_from_light(name)
+    if name not in SCENES:
+        raise UsageError(
+            "there is no such scene",
+            where=name,
+            remedy=f"give a .toml file or {', '.join(PRESETS)}",
+        )
+    return SCENES[name]
+
+
+def light_orbit(scene: Scene, frames: int) -> list[Scene]:
+    """The scene with its lights going once around the z axis; surroundings stay."""
+    angles = [2.0 * math.pi * index / frames for index in range(frames)]
+    return [
+        replace(scene, lights=tuple(_turned(light, angle, 2) for light in scene.lights))
+        for angle in angles
+    ]
+
+
+def turntable(scene: Scene, frames: int) -> list[Scene]:
+    """The scene with its surface turning once about the y axis.
+
+    Camera and lights turn the other way instead, which looks the same.
+    """
+    camera = scene.camera or Camera(position=(0.0, 0.0, 5.0))
+    scenes = []
+    for index in range(frames):
+        angle = -2.0 * math.pi * index / frames
+        turned = replace(
+            camera,
+            position=_rotated(camera.position, angle, 1),
+            target=_rotated(camera.target, angle, 1),
+        )
+        lights = tuple(_turned(one, angle, 1) for one in scene.lights)
+        scenes.append(replace(scene, camera=turned, lights=lights))
+    return scenes
+
+
+def sheet_lights(columns: int, rows: int) -> list[PointLight]:
+    """Point lights for a sheet, row by row: azimuths along it, each row lower than the last."""
+    lights = []
+    for row in range(rows):
+        elevation = math.radians(75.0 - 60.0 * (row + 0.5) / rows)
+        for column in range(columns):
+            azimuth = math.pi / 2.0 - 2.0 * math.pi * column / columns
+            flat = 2.5 * math.cos(elevation)
+            place = (
+                flat * math.cos(azimuth),
+                flat * math.sin(azimuth),
+                2.5 * math.sin(elevation),
+            )
+            # As bright on white as the named lights.
+            strength = math.pi * 2.5**2 / math.sin(elevation)
+            lights.append(PointLight(place, (strength, strength, strength)))
+    return lights
+
+
+def _turned(light: Light, angle: float, axis: int) -> Light:
+    """A light turned about an axis through the origin."""
+    if isinstance(light, EnvironmentLight):
+        turn = math.degrees(angle) if axis == 1 else 0.0
+        return replace(light, rotation=light.rotation + turn)
+    if isinstance(light, DirectionalLight):
+        return replace(light, direction=_rotated(light.direction, angle, axis))
+    place = _rotated(light.position, angle, axis)
+    if isinstance(light, RectangleLight):
+        return replace(
+            light,
+            position=place,
+            normal=_rotated(light.normal, angle, axis),
+            up=_rotated(light.up, angle, axis),
+        )
+    return replace(light, position=place)
+
+
+def _rotated(
+    vector: tuple[float, float, float], angle: float, axis: int
+) -> tuple[float, float, float]:
+    """Anticlockwise about y (1) or z (2), seen from its tip."""
+    c, s = math.cos(angle), math.sin(angle)
+    x, y, z = vector
+    if axis == 1:
+        return (c * x + s * z, y, c * z - s * x)
+    return (c * x - s * y, s * x + c * y, z)

@@ -1,0 +1,51 @@
+"""Many pictures of one material: animations and sheets of lights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.relight.plan import DEFAULT_TOLERANCE, Plan
+from matcap.relight.presets import light_orbit, sheet_lights, turntable
+from matcap.relight.render import Renderer, Rendering
+from matcap.relight.scene import Scene
+
+ANIMATIONS = {"light-orbit": light_orbit, "turntable": turntable}
+
+
+def animate(
+    renderer: Renderer,
+    scenes: Sequence[Scene],
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    effects: str = "auto",
+) -> Iterator[Rendering]:
+    """Each scene in turn; they share surface and film with the renderer's."""
+    for scene in scenes:
+        yield renderer.render(scene, tolerance=tolerance, effects=effects)
+
+
+def light_sheet(
+    renderer: Renderer,
+    columns: int,
+    rows: int,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    effects: str = "auto",
+) -> tuple[NDArray[np.float32], Plan]:
+    """The material under a grid of point lights: (rows H, columns W, 3) radiance; the last plan.
+
+    Lights go round from left to right, beginning at the top, and lower from row to row. The
+    scene's own lights are put out.
+    """
+    scene = renderer.scene
+    renderings = [
+        renderer.render(replace(scene, lights=(light,)), tolerance=tolerance, effects=effects)
+        for light in sheet_lights(columns, rows)
+    ]
+    pictures = [one.radiance for one in renderings]
+    lines = [np.hstack(pictures[i : i + columns]) for i in range(0, len(pictures), columns)]
+    return np.vstack(lines), renderings[-1].plan
