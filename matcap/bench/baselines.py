@@ -18,13 +18,13 @@ from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_flash, render_rectified
 from matcap.photo.photo import Photo
+from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import fit_encoding
-from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
-from matcap.statistics.gram import gram
+from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 
 _SPECULAR, _ROUGHNESS = 0.04, 0.5
-# Heights move slower than albedo, or every dark spot is explained by a steep bump.
-_HEIGHT_PACE = 0.25
+# How fast the six maps move, albedo first: all alike, every spot would become a steep or shiny one.
+_PACE = (1.0, 1.0, 1.0, 0.25, 0.25, 0.25)
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class PerTexelSettings:
     """
 
     tile: int = 192
-    steps: int = 400
+    steps: int = 600
     seconds: float = 60.0
     rate: float = 0.05
     seed: int = 0
@@ -128,7 +128,8 @@ def per_texel(
 
     After Aittala, Aila, Lehtinen (2016), "Reflectance Modeling by Neural Texture Synthesis": maps
     are free texel by texel, and what their rendering at many places of the photograph must match
-    is Gram matrices. Simpler here: random filters for a trained network, no prior on the maps.
+    is their texture statistics. Simpler here: the statistics are capture's own, with random filters
+    for a trained network, and the maps have no prior.
 
     Args:
         photo: the photograph.
@@ -139,9 +140,11 @@ def per_texel(
     settings = settings or PerTexelSettings()
     linear, valid = rectify(photo, setup, detail)
     generator = torch.Generator().manual_seed(settings.seed)
-    bank = FilterBank(FilterBankConfig(filters=24, levels=4, seed=4242))
+    bank = FilterBank(FilterBankConfig(filters=16, levels=4, seed=4242))
     encoding = fit_encoding(linear, valid)
-    free = _start_maps(linear[:, valid].mean(1), setup, settings.tile, generator)
+    start = _start_maps(linear[:, valid].mean(1), setup)
+    free = 0.1 * torch.randn(6, settings.tile, settings.tile, generator=generator)
+    free.requires_grad_()
     optimiser = torch.optim.Adam([free], lr=settings.rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
     extent = (detail, linear.shape[1])
@@ -153,38 +156,36 @@ def per_texel(
         shift = (_below(settings.tile, generator), _below(settings.tile, generator))
         with torch.no_grad():
             window = linear[None, :, y : y + settings.tile, x : x + settings.tile]
-            target = _describe(encoding(window), bank)
+            target = describe(window, encoding, bank)
         points = plane_points(x, y, settings.tile, settings.tile, extent, dtype=torch.float32)
-        rolled = _maps(free, 2.0 / detail).map(_rolling(shift))
+        rolled = _maps(start, free, 2.0 / detail).map(_rolling(shift))
         rendered = render_flash(rolled, setup, points)[None]
-        error = _distance(_describe(encoding(rendered), bank), target)
+        error = distance(describe(rendered, encoding, bank), target, Weights()).mean()
         optimiser.zero_grad()
         error.backward()
         optimiser.step()
         schedule.step()
-    tile = _maps(free.detach(), 2.0 / detail)
+    tile = _maps(start, free.detach(), 2.0 / detail)
     return Tiled(tile, setup)
 
 
-def _start_maps(mean: Tensor, setup: FlashSetup, tile: int, generator: torch.Generator) -> Tensor:
-    """(6, tile, tile) unbounded parameters around the photograph's mean, with some noise."""
+def _start_maps(mean: Tensor, setup: FlashSetup) -> Tensor:
+    """(6, 1, 1) where the maps start, before their bounds: the photograph's mean, flat."""
     intensity = torch.tensor(setup.intensity)
     albedo = (mean * torch.pi * setup.distance**2 / intensity).clamp(0.02, 0.9)
-    start = torch.cat([albedo, torch.tensor([_SPECULAR, _ROUGHNESS])]).logit()
-    noise = torch.randn(6, tile, tile, generator=generator)
-    free = torch.zeros(6, tile, tile)
-    free[:5] = start[:, None, None] + 0.1 * noise[:5]
-    free[5] = 0.1 * noise[5]
-    return free.requires_grad_()
+    bounded = torch.cat([albedo, torch.tensor([_SPECULAR, _ROUGHNESS])]).logit()
+    return torch.cat([bounded, torch.zeros(1)])[:, None, None]
 
 
-def _maps(free: Tensor, texel_size: float) -> MapSet:
-    bounded = torch.sigmoid(free[:5])
+def _maps(start: Tensor, free: Tensor, texel_size: float) -> MapSet:
+    """Maps at start + pace * free, in their bounds."""
+    moved = start + torch.tensor(_PACE)[:, None, None] * free
+    bounded = torch.sigmoid(moved[:5])
     return MapSet(
         diffuse=bounded[:3],
         specular=bounded[3:4],
-        roughness=0.05 + 0.95 * bounded[4:5],
-        height=_HEIGHT_PACE * texel_size * free[5:6],
+        roughness=bounded[4:5],
+        height=texel_size * moved[5:6],
         texel_size=texel_size,
         periodic=True,
     )
@@ -192,23 +193,6 @@ def _maps(free: Tensor, texel_size: float) -> MapSet:
 
 def _rolling(shift: tuple[int, int]) -> Callable[[Tensor], Tensor]:
     return lambda m: torch.roll(m, shift, dims=(-1, -2))
-
-
-def _describe(picture: Tensor, bank: FilterBank) -> list[Tensor]:
-    """Gram matrices and means of the encoded picture, level by level."""
-    described = []
-    for level in pyramid(picture, bank.config.levels):
-        features = bank.features(level.contiguous(memory_format=torch.channels_last))
-        described += [gram(features), features.mean((2, 3)), level.mean((2, 3))]
-    return described
-
-
-def _distance(found: list[Tensor], target: list[Tensor]) -> Tensor:
-    shares = [
-        (a - b).abs().sum() / b.abs().sum().clamp_min(1e-6)
-        for a, b in zip(found, target, strict=True)
-    ]
-    return torch.stack(shares).mean()
 
 
 def _below(count: int, generator: torch.Generator) -> int:
