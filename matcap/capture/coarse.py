@@ -33,10 +33,21 @@ _CELLS = 64
 _KNEE_DEVELOPED, _KNEE_RADIOMETRIC = 0.6, 0.95
 _HUBER = 0.1  # in log radiance: beyond 10 % a residual counts linearly
 _ITERATIONS = 40
+# A developed picture's tone curve deepens the falloff; a RAW's numbers are the light's own, and
+# only what a lens profile left undone remains.
+_VIGNETTING_RADIOMETRIC = (0.0, 0.05)
+_BRIGHTEST = 0.8  # mean albedo or F0 of the brightest material believed in
+# One prior deviation weighs like residuals of _HUBER in this share of the cells: cells are far
+# from independent, since what the model lacks (blotches, and tone mapping where the picture was
+# developed) is smooth.
+_PRIOR_SHARE_DEVELOPED, _PRIOR_SHARE_RADIOMETRIC = 0.15, 0.03
+# A developed picture's tone curve deepens the falloff; a RAW's numbers are the light's own, and
+# only what a lens profile left undone remains.
+_VIGNETTING_RADIOMETRIC = (0.0, 0.05)
 _BRIGHTEST = 0.8  # mean albedo or F0 of the brightest material believed in
 # One prior deviation weighs like residuals of _HUBER in this share of the cells: cells are far
 # from independent, since what the model lacks (tone mapping, large blotches) is smooth.
-_PRIOR_SHARE = 0.15
+_PRIOR_SHARE = 0.02
 
 
 @dataclass(frozen=True)
@@ -96,6 +107,8 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
 
     deviation = _PRIOR_DEVIATION.clone()
     centre = _PRIOR_MEAN.clone()
+    if photo.radiometric:
+        centre[10], deviation[10] = _VIGNETTING_RADIOMETRIC
     if tilt is not None:
         centre[8], centre[9] = tilt
         deviation[8:10] = 1e-4
@@ -106,7 +119,8 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
         difference = torch.where(lower_bound, difference.clamp_max(0.0), difference)
         return difference.flatten()
 
-    weight = _PRIOR_SHARE * 3.0 * width * height * _HUBER**2
+    prior_share = _PRIOR_SHARE_RADIOMETRIC if photo.radiometric else _PRIOR_SHARE_DEVELOPED
+    weight = prior_share * 3.0 * width * height * _HUBER**2
 
     def solve(start: Tensor) -> tuple[float, Tensor]:
         return _levenberg_marquardt(residuals, start, centre, weight / deviation.square())

@@ -56,9 +56,9 @@ class TuneSettings:
 
     steps: int
     seconds: float | None = None
-    places: int = 2
-    learning_rate: float = 1e-2
-    slope_penalty: float = 0.02
+    places: int = 1
+    learning_rate: float = 2e-2
+    slope_penalty: float = 0.005
     steep_penalty: float = 0.3
     half_precision: bool = True
     seed: int = 0

@@ -32,7 +32,7 @@ from matcap.statistics.lattice import find_lattice
 # Steps of fine-tuning; docs/capture.md has what each costs and buys.
 PRESETS: dict[str, int] = {"draft": 80, "standard": 350, "high": 1000, "reference": 3000}
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
-_WINDOW = 256  # texels a side
+_WINDOW = 192  # texels a side
 
 
 @dataclass(frozen=True)

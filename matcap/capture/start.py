@@ -18,7 +18,7 @@ from matcap.model.decoder import Decoder, DecoderConfig
 
 _CONTRAST_GAIN = 1.2  # a sigmoid's slope below 1/2 is under 1: logits must swing a little further
 _SPECULAR_CONTRAST, _ROUGHNESS_CONTRAST = 0.1, 0.1  # logits
-_RELIEF = 0.05  # texels
+_RELIEF = 0.15  # texels
 _SHADING_SCALE = 48  # texels; slower variation is shading
 
 
