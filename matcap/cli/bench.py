@@ -9,9 +9,10 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli import values
+from matcap.cli import relight, values
 
 app = typer.Typer(help="Measure matcap on this machine.", no_args_is_help=True)
+app.command("relight")(relight.bench)
 
 
 @app.callback()

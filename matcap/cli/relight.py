@@ -183,3 +183,25 @@ def _report(plan: Plan, out: Path, *, as_json: bool, explain: bool) -> None:
         typer.echo(json.dumps(report, indent=2, allow_nan=False))
     elif explain:
         typer.echo(plan.table())
+
+
+def bench(
+    scenes: Annotated[
+        list[Path] | None, typer.Argument(help="Scene files; without any, the named scenes.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """What relighting costs, and what leaving effects out saves.
+
+    One megapixel under one light; each scene with its plan against all effects; and Mitsuba 3's
+    time for the same picture at the same error, where it is installed.
+    """
+    from matcap.bench.relight import report, table
+
+    result = report(scenes or [])
+    if json:
+        from json import dumps
+
+        typer.echo(dumps(result, indent=2))
+    else:
+        typer.echo(table(result))

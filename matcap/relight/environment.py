@@ -81,7 +81,7 @@ class Environment:
         flat, starts, (heights, widths) = self._texels
         height, width, start = heights[level], widths[level], starts[level]
         x, y, z = direction
-        azimuth = np.arctan2(-x, z) - np.float32(math.remainder(self.rotation, 2.0 * math.pi))
+        azimuth = np.arctan2(-x, z) + np.float32(math.remainder(self.rotation, 2.0 * math.pi))
         column = (azimuth * np.float32(0.5 / math.pi) + np.float32(0.5)) * width - np.float32(0.5)
         polar = np.arccos(np.clip(y, -1.0, 1.0))
         row = np.clip(polar * np.float32(1.0 / math.pi) * height - 0.5, 0.0, height - 1.0)
@@ -105,7 +105,7 @@ class Environment:
         Times solid angle, to sum over; the mean itself is added in closed form.
         """
         width, height = _SUMMED, _SUMMED // 2
-        azimuth = ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * math.pi + self.rotation
+        azimuth = ((np.arange(width) + 0.5) / width - 0.5) * 2.0 * math.pi - self.rotation
         edges = np.cos(np.arange(height + 1) * math.pi / height)
         polar = (np.arange(height) + 0.5) * math.pi / height
         y, ring = np.cos(polar)[:, None], np.sin(polar)[:, None]

@@ -38,7 +38,7 @@ _SUNSET = Scene(
     camera=Camera(position=(0.0, -2.4, 1.3), target=(0.0, -0.1, 0.0), fov=42.0),
     surface=Surface("plane", size=3.0),
     lights=(
-        DirectionalLight((-1.0, 0.5, 0.35), (3.2, 1.6, 0.7)),
+        DirectionalLight((-1.0, 0.5, 0.45), (5.5, 3.2, 1.6)),
         EnvironmentLight(radiance=(0.12, 0.16, 0.26)),
     ),
 )

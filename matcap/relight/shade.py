@@ -72,7 +72,7 @@ def shade(job: Job, hits: Hits) -> Array:
             hits, height = _displaced(job.relief, hits)
     elif job.relief is not None and job.plan.on("shadows"):
         height = job.relief.at(*hits.place)
-    with job.clock.on("filtering"):
+    with job.clock.on("filtering" if job.plan.on("filtering") else "reading"):
         footprint = hits.footprint if job.plan.on("filtering") else None
         sample = job.sampler.read(hits.place, footprint)
     radiance = _Block(job, hits, height, sample).radiance()
