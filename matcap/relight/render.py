@@ -115,9 +115,7 @@ class Renderer:
         self.scene = replace(scene, film=scene.film or Film(*self.texture.size))
         surface = scene.surface
         self.sampler = Sampler(self.texture, surface.repeat)
-        self.relief = None
-        if surface.displacement > 0.0 and self.texture.summary.relief > 0.0:
-            self.relief = Relief(self.texture, surface.repeat, surface.displacement)
+        self.relief = Relief(self.texture, surface.repeat, surface.displacement)
         self._skies: dict[EnvironmentLight, Environment] = {}
         self._horizons: dict[bool, Horizons] = {}
         self._shapes: dict[tuple[object, Surface], tuple[View, Shape]] = {}
@@ -153,10 +151,8 @@ class Renderer:
         facts = gather(scene, self.texture, view, region, footprint, skies)
         plan = make_plan(facts, radiance_tolerance(tolerance, film), choice)
         clock = Clock()
-        job = Job(
-            scene, self.sampler, self.relief, plan, skies, self._find_horizons(plan, skies, clock),
-            clock,
-        )  # fmt: skip
+        horizons = self._find_horizons(plan, clock)
+        job = Job(scene, self.sampler, self.relief, plan, skies, horizons, clock)
         picture = np.zeros((film.height, film.width, 3), dtype=np.float32)
 
         def rows(top: int, bottom: int) -> None:
@@ -180,12 +176,9 @@ class Renderer:
             self._skies[light] = environment_of(light)
         return self._skies[light]
 
-    def _find_horizons(
-        self, plan: Plan, skies: tuple[Environment, ...], clock: Clock
-    ) -> Horizons | None:
+    def _find_horizons(self, plan: Plan, clock: Clock) -> Horizons | None:
         bounces = plan.on("interreflection")
-        hides = plan.on("visibility") and bool(skies)
-        if self.relief is None or not (bounces or hides):
+        if not bounces and not plan.on("visibility"):
             return None
         if bounces not in self._horizons:
             with clock.on("interreflection" if bounces else "visibility"):

@@ -57,8 +57,6 @@ class Sampler:
         wide = None
         if footprint is not None:
             wide = footprint * np.float32(self.repeat / self.texture.texel_size)
-            if float(wide.max()) <= 1.0 + 1e-6:
-                wide = None
         if wide is None:
             aligned = self._aligned(column, row)
             if aligned is not None:

@@ -34,6 +34,7 @@ from matcap.relight.scene import (
     SphereLight,
 )
 from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
+from matcap.relight.tables import albedo
 from matcap.relight.vectors import Array, Vec, add, dot, scale, subtract, unit3, vec
 from matcap.relight.visible_normals import mirrored
 
@@ -48,7 +49,7 @@ class Job:
     Attributes:
         scene: lights and surface.
         sampler: the material on the surface.
-        relief: its height, None where it does not displace.
+        relief: its height.
         plan: which effects run.
         skies: the environments, in the order of their lights.
         horizons: where ambient visibility or interreflection run.
@@ -57,7 +58,7 @@ class Job:
 
     scene: Scene
     sampler: Sampler
-    relief: Relief | None
+    relief: Relief
     plan: Plan
     skies: tuple[Environment, ...]
     horizons: Horizons | None
@@ -67,10 +68,10 @@ class Job:
 def shade(job: Job, hits: Hits) -> Array:
     """(3, rows, W) radiance of a block; 0 where nothing is seen."""
     height: Array = np.zeros((1, 1), dtype=np.float32)
-    if job.relief is not None and job.plan.on("parallax"):
+    if job.plan.on("parallax"):
         with job.clock.on("parallax"):
             hits, height = _displaced(job.relief, hits)
-    elif job.relief is not None and job.plan.on("shadows"):
+    elif job.plan.on("shadows"):
         height = job.relief.at(*hits.place)
     with job.clock.on("filtering" if job.plan.on("filtering") else "reading"):
         footprint = hits.footprint if job.plan.on("filtering") else None
@@ -105,6 +106,7 @@ class _Block:
         self.scatter: list[tuple[Array, Array]] = []
         if self.plan.on("multiscatter"):
             with job.clock.on("multiscatter"):
+                self.rows = albedo().rows(sample.alpha)
                 self.scatter = [
                     multiscatter.terms(f0, sample.alpha, self.n_dot_v) for f0 in sample.specular
                 ]
@@ -113,7 +115,7 @@ class _Block:
 
     @property
     def bounces(self) -> bool:
-        return self.plan.on("interreflection") and self.job.horizons is not None
+        return self.plan.on("interreflection")
 
     def radiance(self) -> Array:
         skies = iter(self.job.skies)
@@ -174,7 +176,7 @@ class _Block:
 
     @property
     def casts(self) -> bool:
-        return self.plan.on("shadows") and self.job.relief is not None
+        return self.plan.on("shadows")
 
     def area_shadow(self, light: SphereLight | RectangleLight) -> dict[tuple[int, int], Array]:
         """What arrives from each of a light's 16 parts; empty where nothing casts shadows."""
@@ -212,7 +214,6 @@ class _Block:
         if not self.casts:
             return np.float32(1.0)
         with self.job.clock.on("shadows"):
-            assert self.job.relief is not None
             return shadows.lit(
                 self.job.relief, self.hits.place, self.height, to_light, distance
             ).astype(np.float32)
@@ -243,7 +244,7 @@ class _Block:
                 glare = [(f0 + (1.0 - f0) * weight) * mirror for f0 in sample.specular]
         if self.scatter:
             with self.job.clock.on("multiscatter"):
-                lost = multiscatter.missing(sample.alpha, n_dot_l) * light
+                lost = multiscatter.missing(self.rows, n_dot_l) * light
                 extra = [strength * lost for strength, _ in self.scatter]
                 glare = [a + b for a, b in zip(glare, extra, strict=True)] if glare else extra
         with self.job.clock.on("diffuse"):
@@ -267,7 +268,7 @@ class _Block:
     def add_sky(self, sky: Environment) -> None:
         """Add the light of the surroundings."""
         sample, hits, job = self.sample, self.hits, self.job
-        hides = self.plan.on("visibility") and job.horizons is not None
+        hides = self.plan.on("visibility")
         varied = self.plan.on("environment")
         seen: Any = np.float32(1.0)
         horizon = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from matcap.relight.vectors import Array
 
 _SIZE = 40
 _ORDER = 24
+_FINE = 1024
 
 
 @dataclass(frozen=True)
@@ -33,28 +34,51 @@ class Albedo:
     total: Array
     average: Array
 
-    def lookup(self, table: Array, mu: Array, alpha: Array) -> Array:
-        """Bilinear values of a table at cosines and alphas."""
-        last = np.float32(_SIZE - 1)
-        x = np.sqrt(np.clip(mu, np.float32(0.0), np.float32(1.0))) * last
-        y = np.sqrt(np.clip(alpha, np.float32(0.0), np.float32(1.0))) * last
-        j = np.minimum(x.astype(np.int32), _SIZE - 2)
-        i = np.minimum(y.astype(np.int32), _SIZE - 2)
-        fx, fy = x - j, y - i
-        at = i * _SIZE + j
-        flat = table.ravel()
-        upper = flat[at] + fx * (flat[at + 1] - flat[at])
-        at = at + _SIZE
-        lower = flat[at] + fx * (flat[at + 1] - flat[at])
-        values: Array = upper + fy * (lower - upper)
+    def rows(self, alpha: Array) -> Array:
+        """Where the lookups below begin for alphas: the nearest of 1024 roughnesses."""
+        rough = np.sqrt(np.clip(alpha, np.float32(0.0), np.float32(1.0)))
+        return np.rint(rough * np.float32(_FINE - 1)).astype(np.intp) * _SIZE
+
+    def lookup(self, fine: Array, mu: Array, rows: Array) -> Array:
+        """Values of fine_total or fine_bias at cosines, linear between those tabulated."""
+        x = np.sqrt(np.clip(mu, np.float32(0.0), np.float32(1.0))) * np.float32(_SIZE - 1)
+        j = np.minimum(x.astype(np.intp), _SIZE - 2)
+        found = np.take(fine, rows + j, mode="clip")
+        values: Array = found.real + (x - j).astype(np.float32) * found.imag
         return values
 
-    def mean(self, alpha: Array) -> Array:
-        """The average at alphas."""
-        y = np.sqrt(np.clip(alpha, np.float32(0.0), np.float32(1.0))) * np.float32(_SIZE - 1)
-        i = np.minimum(y.astype(np.int32), _SIZE - 2)
-        values: Array = self.average[i] + (y - i) * (self.average[i + 1] - self.average[i])
-        return values
+    @cached_property
+    def fine_total(self) -> Array:
+        """Total at 1024 roughnesses, each value beside its step to the next, as real and imag."""
+        return _fine(self.total)
+
+    @cached_property
+    def fine_bias(self) -> Array:
+        """Bias likewise."""
+        return _fine(self.bias)
+
+    def mean(self, rows: Array) -> Array:
+        """The average of rows()."""
+        return np.take(self._fine_average, rows // _SIZE)
+
+    @cached_property
+    def _fine_average(self) -> Array:
+        return _between(self.average[:, None])[:, 0]
+
+
+def _between(table: Array) -> Array:
+    """The rows of a table, and straight lines between them, at 1024 roughnesses."""
+    y = np.linspace(0.0, _SIZE - 1.0, _FINE)
+    i = np.minimum(y.astype(np.intp), _SIZE - 2)
+    share = (y - i)[:, None]
+    rows: Array = (table[i] * (1.0 - share) + table[i + 1] * share).astype(np.float32)
+    return rows
+
+
+def _fine(table: Array) -> Array:
+    rows = _between(table)
+    steps = np.diff(rows, axis=1, append=rows[:, -1:])
+    return np.ascontiguousarray(rows + 1j * steps, dtype=np.complex64).ravel()
 
 
 @lru_cache(maxsize=1)

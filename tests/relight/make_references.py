@@ -201,19 +201,29 @@ def direct(light, samples):
     return picture
 
 
-def sky():
-    """(h, w, 3) smooth surroundings with a soft sun."""
-    height, width = SKY_SIZE
-    v = ((np.arange(height) + 0.5) / height)[:, None]
-    u = ((np.arange(width) + 0.5) / width)[None, :]
+def sky(u, v):
+    """(h, w, 3) smooth surroundings with a soft sun, at (1, w) and (h, 1) places in [0, 1]."""
     sun = np.exp(-(((u - 0.6) / 0.08) ** 2) - ((v - 0.3) / 0.15) ** 2)
     base = 0.6 + 0.4 * np.cos(2 * np.pi * u) * np.sin(np.pi * v)
     return np.stack([base + 4 * sun, base + 3 * sun, 1.5 * base + 2 * sun], -1).astype(np.float32)
 
 
-def sky_emitter(file):
+def centres():
+    """The surroundings as matcap reads pictures: values at pixel centres."""
+    height, width = SKY_SIZE
+    return sky(
+        ((np.arange(width) + 0.5) / width)[None, :], ((np.arange(height) + 0.5) / height)[:, None]
+    )
+
+
+def corners(width=1024, height=513):
+    """The same as Mitsuba reads pictures: first and last row are the poles, column 0 is u = 0."""
+    return sky((np.arange(width) / width)[None, :], (np.arange(height) / (height - 1))[:, None])
+
+
+def sky_emitter(picture):
     turn = mi.ScalarTransform4f().rotate([0, 1, 0], 30.0)
-    return {"type": "envmap", "filename": str(file), "to_world": turn}
+    return {"type": "envmap", "bitmap": mi.Bitmap(picture), "to_world": turn}
 
 
 def embossed(depth, samples):
@@ -277,13 +287,13 @@ def main():
         write_exr(FOLDER / f"{name}.exr", np.asarray(picture, dtype=np.float32), half=False)
         print(name, picture.shape, picture.mean(), flush=True)
 
-    save("surroundings", sky())
+    save("surroundings", centres())
     chosen = sys.argv[1:] or [*LIGHTS, "sky", "embossed"]
     for name, light in LIGHTS.items():
         if name in chosen:
             save(name, direct(emitter(light), SAMPLES[name]))
     if "sky" in chosen:
-        save("sky", direct(sky_emitter(FOLDER / "surroundings.exr"), SAMPLES["sky"]))
+        save("sky", direct(sky_emitter(corners()), SAMPLES["sky"]))
     if "embossed" in chosen:
         save("embossed_direct", embossed(2, 1024))
         save("embossed_bounce", embossed(3, 1024))

@@ -14,7 +14,7 @@ from matcap.relight.scene import (
 )
 
 FILM = Film(24, 18)
-SKY_SIZE = (16, 32)
+SKY_SIZE = (64, 128)
 
 POINT = PointLight((0.7, 0.9, 1.1), (3.0, 4.0, 5.0))
 LIGHTS = {

@@ -59,9 +59,15 @@ def directional_albedo(mu, roughness, *, compensated):
         cosine = ((nodes + 1.0) / 2.0) ** 2
         slender = (nodes + 1.0) / 2.0 * weights  # d cosine
         strength, _ = multiscatter.terms(np.ones(1), np.full(1, roughness**2), np.full(1, mu))
-        lost = multiscatter.missing(np.full(200, roughness**2), cosine)
+        lost = multiscatter.missing(albedo().rows(np.full(200, roughness**2)), cosine)
         total += (2.0 * math.pi * strength[0] * lost * cosine * slender).sum()
     return total
+
+
+def tabulated(mu, roughness):
+    tables = albedo()
+    rows = tables.rows(np.full(1, roughness**2))
+    return float(tables.lookup(tables.fine_total, np.full(1, mu), rows)[0])
 
 
 @pytest.mark.parametrize("roughness", [0.05, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0])
@@ -70,7 +76,7 @@ def test_white_furnace(roughness, mu):
     single = directional_albedo(mu, roughness, compensated=False)
     assert single <= 1.001
     assert single == pytest.approx(
-        float(albedo().lookup(albedo().total, np.full(1, mu), np.full(1, roughness**2))[0]),
+        tabulated(mu, roughness),
         abs=5e-3,
     )
     assert directional_albedo(mu, roughness, compensated=True) == pytest.approx(1.0, abs=0.02)
@@ -82,7 +88,7 @@ def test_compensation_is_reciprocal():
 
     def lobe(view, light):
         strength, _ = multiscatter.terms(np.full(1000, 0.9), alpha, view)
-        return strength * multiscatter.missing(alpha, light)
+        return strength * multiscatter.missing(albedo().rows(alpha), light)
 
     np.testing.assert_allclose(lobe(mu_v, mu_l), lobe(mu_l, mu_v), rtol=1e-6, atol=1e-9)
 

@@ -124,8 +124,9 @@ def specular(
 def uniform_specular(sky: Environment, sample: Sample, n_dot_v: Array) -> tuple[Array, Array]:
     """As specular(), of surroundings that are everywhere as on average."""
     tables = albedo()
-    bias = tables.lookup(tables.bias, n_dot_v, sample.alpha)
-    scale = tables.lookup(tables.total, n_dot_v, sample.alpha) - bias
+    rows = tables.rows(sample.alpha)
+    bias = tables.lookup(tables.fine_bias, n_dot_v, rows)
+    scale = tables.lookup(tables.fine_total, n_dot_v, rows) - bias
     mean = sky.mean.astype(np.float32)[:, None, None]
     return mean * scale, mean * bias
 

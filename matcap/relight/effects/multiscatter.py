@@ -49,16 +49,19 @@ def terms(specular: Array, alpha: Array, n_dot_v: Array) -> tuple[Array, Array]:
         Fms (1 - E(n.v)), the albedo of the lobe.
     """
     tables = albedo()
-    mean = tables.mean(alpha)
-    missing = np.maximum(1.0 - tables.lookup(tables.total, n_dot_v, alpha), np.float32(0.0))
+    rows = tables.rows(alpha)
+    mean = tables.mean(rows)
+    total = tables.lookup(tables.fine_total, n_dot_v, rows)
+    missing = np.maximum(1.0 - total, np.float32(0.0))
     share = _strength(specular, mean) * missing
     return share / (np.maximum(1.0 - mean, np.float32(1e-6)) * np.float32(math.pi)), share
 
 
-def missing(alpha: Array, n_dot_l: Array) -> Array:
-    """1 - E(n.l)."""
+def missing(rows: Array, n_dot_l: Array) -> Array:
+    """1 - E(n.l) for alphas whose rows of the tables are known."""
     tables = albedo()
-    lost: Array = np.maximum(1.0 - tables.lookup(tables.total, n_dot_l, alpha), np.float32(0.0))
+    total = tables.lookup(tables.fine_total, n_dot_l, rows)
+    lost: Array = np.maximum(1.0 - total, np.float32(0.0))
     return lost
 
 

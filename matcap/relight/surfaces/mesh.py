@@ -83,9 +83,9 @@ class Mesh:
         spot = (place[..., 0], place[..., 1])
         return hits_of(view, point, frame, spot, seen, along, direction)  # type: ignore[arg-type]
 
-    def region(self, view: View, relief: Relief | None) -> tuple[Region, float]:
+    def region(self, view: View, relief: Relief) -> tuple[Region, float]:
         """See Shape."""
-        lift = max(abs(relief.low), abs(relief.high)) if relief else 0.0
+        lift = max(abs(relief.low), abs(relief.high))
         low = (self.corners.min(axis=(0, 1)) - lift).tolist()
         high = (self.corners.max(axis=(0, 1)) + lift).tolist()
         return Region(tuple(low), tuple(high), flat=False), float("inf")

@@ -34,7 +34,7 @@ class Shape(Protocol):
         """Where rows of pixels meet it."""
         ...
 
-    def region(self, view: View, relief: Relief | None) -> tuple[Region, float]:
+    def region(self, view: View, relief: Relief) -> tuple[Region, float]:
         """Where visible points can be, and what a pixel covers at most, in plane units."""
         ...
 
@@ -57,10 +57,9 @@ class Plane:
         """See Shape."""
         return plane_hits(view, top, bottom, self.extent)
 
-    def region(self, view: View, relief: Relief | None) -> tuple[Region, float]:
+    def region(self, view: View, relief: Relief) -> tuple[Region, float]:
         """See Shape."""
-        heights = (relief.low, relief.high) if relief is not None else (0.0, 0.0)
-        return plane_region(view, self.extent, heights)
+        return plane_region(view, self.extent, (relief.low, relief.high))
 
 
 @dataclass(frozen=True)
@@ -85,9 +84,9 @@ class Round:
             return cylinder_hits(view, top, bottom, self.radius, 2.0 * self.radius)
         return sphere_hits(view, top, bottom, self.radius)
 
-    def region(self, view: View, relief: Relief | None) -> tuple[Region, float]:
+    def region(self, view: View, relief: Relief) -> tuple[Region, float]:
         """See Shape; towards the outline a pixel covers ever more."""
-        r = self.radius + (max(abs(relief.low), abs(relief.high)) if relief else 0.0)
+        r = self.radius + max(abs(relief.low), abs(relief.high))
         return Region((-r, -r, -r), (r, r, r), flat=False), math.inf
 
 
