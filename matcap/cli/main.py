@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 import matcap
-from matcap.cli import bench, capture, relight, synth
+from matcap.cli import bench, blend, capture, prior, relight, sample, synth
 from matcap.errors import ExitCode, MatcapError
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
@@ -31,7 +31,10 @@ app = typer.Typer(
 app.command("capture")(capture.capture)
 app.command("synth")(synth.synth)
 app.command("relight")(relight.relight)
+app.command("blend")(blend.blend)
+app.command("sample")(sample.sample)
 app.add_typer(bench.app, name="bench")
+app.add_typer(prior.app, name="prior")
 
 
 def _print_version(wanted: bool) -> None:

@@ -19,6 +19,7 @@ from matcap.model.decoder import CODE_SIZE
 
 PICTURE_CHANNELS = 5  # log colour, and the two image coordinates
 NUMBERS = 16  # what prior/look.py tells of the coarse fit
+TEXTURE = 231  # what it tells of the texture at full detail
 BACKBONES = ("small", "resnet50")
 
 _GROUP = 16  # channels normalised together
@@ -97,24 +98,28 @@ class Encoder(nn.Module):
         else:
             self.features, channels = _resnet50()
         hidden = 256
-        self.numbers = nn.Sequential(nn.Linear(NUMBERS, 64), nn.ReLU())
-        self.hidden = nn.Sequential(nn.Linear(2 * channels + 64, hidden), nn.ReLU())
+        self.numbers = nn.Sequential(nn.Linear(NUMBERS + TEXTURE, 192), nn.ReLU())
+        self.hidden = nn.Sequential(nn.Linear(2 * channels + 192, hidden), nn.ReLU())
         self.head = nn.Linear(hidden, 2 * CODE_SIZE)
-        # Starts near the prior's mean, certain enough for the decoder to learn what codes mean.
-        nn.init.normal_(self.head.weight, std=0.02)
+        # Starts with codes that differ between photographs and are certain enough for the decoder
+        # to learn what they mean.
+        nn.init.normal_(self.head.weight[:CODE_SIZE], std=0.1)
+        nn.init.zeros_(self.head.weight[CODE_SIZE:])
         nn.init.zeros_(self.head.bias)
         self.head.bias.data[CODE_SIZE:] = -3.0
 
-    def forward(self, picture: Tensor, numbers: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, picture: Tensor, numbers: Tensor, texture: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and log-variance, (B, CODE_SIZE) each.
 
         Args:
             picture: (B, PICTURE_CHANNELS, h, w) as prior/look.py shows it.
             numbers: (B, NUMBERS) likewise.
+            texture: (B, TEXTURE) likewise.
         """
         features = self.features(picture.contiguous(memory_format=torch.channels_last))
         pooled = pool(features)
-        hidden = self.hidden(torch.cat([pooled, self.numbers(numbers).float()], dim=1))
+        told = self.numbers(torch.cat([numbers, texture], dim=1)).float()
+        hidden = self.hidden(torch.cat([pooled, told], dim=1))
         mean, log_variance = self.head(hidden).float().chunk(2, dim=1)
         return mean, log_variance.clamp(_LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE)
 

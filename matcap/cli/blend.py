@@ -1,0 +1,71 @@
+"""`matcap blend`: materials between two materials."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from matcap.cli.options import QuietOption
+
+
+def shares(text: str | tuple[float, ...]) -> tuple[float, ...]:
+    """'0.5' to (0.5,), '0:1:5' to five shares from 0 to 1."""
+    if isinstance(text, tuple):
+        return text
+    number = r"\d*\.?\d+|\d+\."
+    found = re.fullmatch(rf"({number})(?::({number}):(\d+))?", text.strip())
+    if not found:
+        raise typer.BadParameter(f"'{text}' is neither a share such as 0.5 nor a range as 0:1:9")
+    first = float(found[1])
+    last, count = (float(found[2]), int(found[3])) if found[2] else (first, 1)
+    if not (0 <= first <= 1 and 0 <= last <= 1):
+        raise typer.BadParameter(f"'{text}' reaches outside 0 to 1")
+    if count < (2 if found[2] else 1):
+        raise typer.BadParameter(f"'{text}' asks for fewer than two steps")
+    step = (last - first) / max(1, count - 1)
+    return tuple(min(1.0, round(first + i * step, 6)) for i in range(count))
+
+
+def blend(
+    first: Annotated[Path, typer.Argument(metavar="A", help="A .matcap file.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
+    share: Annotated[
+        tuple[float, ...],
+        typer.Option(
+            "-t",
+            parser=shares,
+            metavar="T|FROM:TO:COUNT",
+            show_default="0.5",
+            help="How far from A (0) to B (1).",
+        ),
+    ] = (0.5,),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for materials and strip.")] = (
+        Path("blend")
+    ),
+    seed: Annotated[int, typer.Option(help="Realisation shown on the strip.")] = 0,
+    quiet: QuietOption = False,
+) -> None:
+    """Walk from one material to another: a .matcap file a step, and a strip of pictures.
+
+    Codes and network weights are interpolated alike; the ends are A and B themselves.
+    """
+    from matcap.export.picture import write_picture
+    from matcap.export.staging import check_writable
+    from matcap.model.material import Material
+    from matcap.prior import blend as between
+
+    ends = Material.load(first), Material.load(second)
+    check_writable(out, 4_000_000 * len(share))
+    materials = [between.blend(*ends, t) for t in share]
+    out.mkdir(parents=True, exist_ok=True)
+    for t, material in zip(share, materials, strict=True):
+        path = out / f"{first.stem}_{second.stem}_{t:.3f}.matcap"
+        material.save(path)
+        if not quiet:
+            typer.echo(f"wrote {path}", err=True)
+    write_picture(between.strip(materials, seed=seed), out / "strip.png")
+    if not quiet:
+        typer.echo(f"wrote {out / 'strip.png'}", err=True)

@@ -1,0 +1,142 @@
+"""`matcap prior`: build a corpus, train a space of materials on it, and measure it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from matcap.cli.options import QuietOption
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matcap.prior.train import TrainConfig
+
+app = typer.Typer(help="Train and measure the space of materials.", no_args_is_help=True)
+
+PackArgument = Annotated[Path, typer.Argument(metavar="PACK", help="Made by `prior corpus`.")]
+PriorOption = Annotated[
+    Path | None, typer.Option(help="A prior's file, instead of the one that comes along.")
+]
+
+
+@app.callback()
+def _prior() -> None:
+    """Train and measure the space of materials."""
+
+
+@app.command()
+def corpus(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="FOLDER", help="Of photographs named MATERIAL_*.jpg.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="The pack.")] = Path("corpus.pack"),
+    simulated: Annotated[int, typer.Option(min=0, help="Simulated photographs to add.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the simulated ones.")] = 0,
+    quiet: QuietOption = False,
+) -> None:
+    """Pack photographs for training; what cannot be read is left out and listed."""
+    from matcap.export.staging import check_writable
+    from matcap.prior.corpus import build
+
+    check_writable(out.parent, 50_000_000)
+    built = build(folder, simulated, seed, _teller(quiet))
+    built.pack.save(out)
+    for name, why in built.skipped:
+        typer.echo(f"left out {name}: {why}", err=True)
+    if not quiet:
+        size = out.stat().st_size / 1e6
+        typer.echo(f"wrote {out}: {len(built.pack.entries)} photographs, {size:.1f} MB", err=True)
+
+
+@app.command()
+def train(
+    pack: PackArgument,
+    config: Annotated[Path, typer.Option(help="TOML; see docs/prior.md.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for checkpoints and curves.")],
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
+    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    quiet: QuietOption = False,
+) -> None:
+    """Train encoder and decoder on a pack; a killed run goes on with --resume."""
+    from matcap.prior.pack import Pack
+    from matcap.prior.train import train as run
+
+    settings = _config(config)
+    run(Pack.load(pack), settings, out, resume=resume, device=device, tell=_teller(quiet))
+
+
+@app.command()
+def finish(
+    pack: PackArgument,
+    config: Annotated[Path, typer.Option(help="The TOML it was trained with.")],
+    training: Annotated[Path, typer.Option(help="Folder that `prior train` wrote to.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The prior.")],
+    tilted: Annotated[
+        int, typer.Option(min=16, help="Simulated photographs to train the alignment branch on.")
+    ] = 3000,
+    steps: Annotated[int, typer.Option(min=1, help="Of the alignment branch's training.")] = 3000,
+    alignment: Annotated[
+        Path | None, typer.Option(help="A prior whose alignment branch is taken over instead.")
+    ] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Make a prior of a finished training, its alignment branch included."""
+    from matcap.prior.align import make, train_alignment
+    from matcap.prior.checkpoint import load_checkpoint
+    from matcap.prior.finish import finish as run
+    from matcap.prior.pack import Pack
+    from matcap.prior.store import load_prior
+    from matcap.prior.train import start
+
+    state = start(_config(config), "cpu")
+    load_checkpoint(training / "checkpoint.safetensors", state)
+    if alignment is not None:
+        branch = load_prior(alignment).alignment
+    else:
+        branch = train_alignment(make(range(tilted)), steps, tell=_teller(quiet))
+    kept = state.average
+    about = {"steps": state.step}
+    run(kept.encoder, kept.decoder, branch, Pack.load(pack).training, about).save(out)
+    if not quiet:
+        typer.echo(f"wrote {out}", err=True)
+
+
+@app.command()
+def evaluate(
+    pack: PackArgument,
+    prior: PriorOption = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for prior.md and prior.png.")] = (
+        Path("docs")
+    ),
+    steps: Annotated[int, typer.Option(min=1, help="Fine-tuning steps from the prior.")] = 100,
+    longer: Annotated[int, typer.Option(min=1, help="Steps from nothing beside them.")] = 1000,
+    materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
+    quiet: QuietOption = False,
+) -> None:
+    """Measure a prior on held-out photographs and unseen simulated materials."""
+    import shlex
+    import sys
+
+    from matcap.prior.evaluate import EvaluateSettings, run_evaluation
+    from matcap.prior.pack import Pack
+    from matcap.prior.store import load_prior
+
+    settings = EvaluateSettings(steps, longer, materials)
+    command = shlex.join(["matcap", *sys.argv[1:]])
+    table = run_evaluation(
+        load_prior(prior), Pack.load(pack), settings, out, command, _teller(quiet)
+    )
+    typer.echo(table)
+
+
+def _teller(quiet: bool) -> Callable[[str], None]:
+    return (lambda line: None) if quiet else (lambda line: typer.echo(line, err=True))
+
+
+def _config(path: Path) -> TrainConfig:
+    from matcap.prior.settings import read_config
+
+    return read_config(path)
