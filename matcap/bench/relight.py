@@ -24,6 +24,8 @@ from matcap.relight.texture import Texture
 
 # Root mean square of half an 8-bit step: the error at which Mitsuba's time is taken.
 _EQUAL_ERROR = 0.5 / 255.0
+# Seconds beyond which one run is enough.
+_LONG = 4.0
 
 
 @dataclass(frozen=True)
@@ -57,14 +59,22 @@ def megapixel_milliseconds(repeats: int = 15) -> float:
     return 1e3 * _median(renderer.render, repeats)
 
 
-def savings(scenes: Sequence[Path], *, width: int = 320, repeats: int = 3) -> list[Saving]:
-    """Every scene file, or the named scenes without any, with the plan and with everything."""
+def savings(scenes: Sequence[Path], *, width: int | None = None, repeats: int = 3) -> list[Saving]:
+    """Every scene file, or the named scenes without any, with the plan and with everything.
+
+    Args:
+        scenes: the files.
+        width: of the pictures, instead of the scenes' own.
+        repeats: of which the median counts; reading the maps is not counted, horizons are.
+    """
     chosen = [(path.stem, read_scene(path)) for path in scenes] or list(SCENES.items())
-    texture = _material(512)
+    texture = _material(1024)
     found = []
     for name, scene in chosen:
         film = scene.film or Film()
-        film = replace(film, width=width, height=max(1, round(width * film.height / film.width)))
+        if width is not None:
+            height = max(1, round(width * film.height / film.width))
+            film = replace(film, width=width, height=height)
         scene = replace(scene, film=film)
 
         def automatic(scene: Scene = scene) -> object:
@@ -162,13 +172,15 @@ def table(result: dict[str, Any]) -> str:
 
 
 def _median(call: Callable[[], object], repeats: int) -> float:
-    call()
+    """Of one run where runs are long, else of `repeats` after one to warm up."""
     times = []
-    for _ in range(repeats):
+    for _ in range(repeats + 1):
         start = perf_counter()
         call()
         times.append(perf_counter() - start)
-    return statistics.median(times)
+        if times[0] > _LONG:
+            return times[0]
+    return statistics.median(times[1:])
 
 
 def _material(size: int) -> Texture:

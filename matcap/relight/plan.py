@@ -28,12 +28,10 @@ from matcap.relight.effects import (
     specular,
     visibility,
 )
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE as DEFAULT_TOLERANCE
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
 from matcap.relight.scene import Film
-
-# Half a step of an 8-bit picture.
-DEFAULT_TOLERANCE = 0.5 / 255.0
 
 EFFECTS: Mapping[str, Callable[[Facts], Bound]] = {
     "diffuse": diffuse.bound,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from matcap.relight.camera import View, view_of
 from matcap.relight.clock import Clock
+from matcap.relight.effects.environment import samples_for
 from matcap.relight.environment import Environment, environment_of
 from matcap.relight.facts import gather
 from matcap.relight.horizons import Horizons, find_horizons
@@ -86,7 +87,8 @@ def relight(
         scene: the scene, or what scene_from_light takes.
         seed: the realisation read from a material.
         tolerance: what leaving out effects may change at most, in code values of the film from 0
-            to 1; half an 8-bit step by default.
+            to 1; half an 8-bit step by default. A smaller one also mirrors surroundings in more
+            directions.
         effects: what parse_choice takes: auto, all, none, "+x,-y".
 
     Returns:
@@ -152,7 +154,8 @@ class Renderer:
         plan = make_plan(facts, radiance_tolerance(tolerance, film), choice)
         clock = Clock()
         horizons = self._find_horizons(plan, clock)
-        job = Job(scene, self.sampler, self.relief, plan, skies, horizons, clock)
+        samples = samples_for(tolerance)
+        job = Job(scene, self.sampler, self.relief, plan, skies, horizons, clock, samples)
         picture = np.zeros((film.height, film.width, 3), dtype=np.float32)
 
         def rows(top: int, bottom: int) -> None:

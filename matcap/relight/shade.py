@@ -54,6 +54,7 @@ class Job:
         skies: the environments, in the order of their lights.
         horizons: where ambient visibility or interreflection run.
         clock: of the effects.
+        samples: directions in which surroundings are mirrored.
     """
 
     scene: Scene
@@ -63,6 +64,7 @@ class Job:
     skies: tuple[Environment, ...]
     horizons: Horizons | None
     clock: Clock
+    samples: int
 
 
 def shade(job: Job, hits: Hits) -> Array:
@@ -289,7 +291,9 @@ class _Block:
                     self.total[channel] += lambert * irradiance[channel]
             if self.plan.on("specular"):
                 if varied:
-                    parts = environment.specular(sky, sample, hits, self.n_dot_v, horizon)
+                    parts = environment.specular(
+                        sky, sample, hits, self.n_dot_v, job.samples, horizon
+                    )
                 else:
                     parts = environment.uniform_specular(sky, sample, self.n_dot_v)
                     parts = parts[0] * seen, parts[1] * seen

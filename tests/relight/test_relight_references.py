@@ -12,6 +12,7 @@ import pytest
 from reference_scenes import LIGHTS, embossed_maps, embossed_scene, flat_maps, flat_scene, sky_scene
 
 from matcap.export.exr import read_exr, write_exr
+from matcap.relight.plan import DEFAULT_TOLERANCE
 from matcap.relight.render import relight
 
 FOLDER = Path(__file__).parent / "references"
@@ -47,8 +48,11 @@ def test_direct_light_on_flat_maps(name, rms, largest, tmp_path):
 
 def test_light_of_the_surroundings_on_flat_maps(tmp_path):
     scene = sky_scene(FOLDER / "surroundings.exr")
-    found = relight(flat_maps(), scene, effects=SINGLE)
-    compare(found, reference("sky"), 6e-3, 2e-2, tmp_path)
+    # As the tolerance says, 64 directions or 4096.
+    for finer, rms, largest in ((1.0, 1e-2, 4e-2), (64.0, 1e-3, 4e-3)):
+        tolerance = DEFAULT_TOLERANCE / finer
+        found = relight(flat_maps(), scene, effects=SINGLE, tolerance=tolerance)
+        compare(found, reference("sky"), rms, largest, tmp_path)
 
 
 def test_each_effect_of_relief_brings_the_picture_nearer_the_truth():

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+# Half a step of an 8-bit picture: what leaving effects out may change, unless told otherwise.
+DEFAULT_TOLERANCE = 0.5 / 255.0
+
 
 @dataclass(frozen=True)
 class Bound:

@@ -5,7 +5,7 @@ Hanrahan 2001 for the idea; a table instead of harmonics, error below 3e-4 of th
 plane only what stands above it shines; on a curved surface the part of a normal's hemisphere
 below the surface is taken to be as bright as the rest of it.
 
-Specular: visible normals are sampled at 64 points, the same for every pixel, each with the
+Specular: visible normals are sampled at 64 points or more, the same for every pixel, each with the
 surroundings averaged over the solid angle it stands for (Krivanek and Colbert 2008). Only what
 differs from the mean radiance is sampled; the mean's part is known from the albedo tables. The
 error is measured in docs/relighting.md.
@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from matcap.relight.effects.bound import Bound
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
 from matcap.relight.environment import Environment
 from matcap.relight.facts import Facts
 from matcap.relight.sampling import Sample
@@ -30,9 +30,16 @@ from matcap.relight.tables import albedo
 from matcap.relight.vectors import Array, Vec, add, vec
 from matcap.relight.visible_normals import mirrored
 
-SAMPLES = 64
+SAMPLES = 64  # at the default tolerance
+_MOST = 4096
 # The specular lobe reflects no more than this share, tables' rounding included.
 _WHOLE = 1.01
+
+
+def samples_for(tolerance: float) -> int:
+    """How many directions a tolerance calls for: a tenth of it, ten times as many."""
+    wanted = SAMPLES * DEFAULT_TOLERANCE / max(tolerance, 1e-9)
+    return round(min(max(wanted, SAMPLES), _MOST))
 
 
 def brightest(facts: Facts) -> float:
@@ -84,6 +91,7 @@ def specular(
     sample: Sample,
     hits: Hits,
     n_dot_v: Array,
+    samples: int,
     horizon: Any = None,  # noqa: ANN401
 ) -> tuple[Array, Array]:
     """(3, ...) mirrored light, split as Schlick has it: times F0, and on its own.
@@ -93,6 +101,7 @@ def specular(
         sample: the material.
         hits: the block.
         n_dot_v: cosines of the view.
+        samples: how many directions.
         horizon: a function from directions in the frame to whether they are clear of the relief;
             None where nothing stands in the way.
     """
@@ -103,9 +112,9 @@ def specular(
         np.array(np.broadcast_to(part, (3, *shape)))
         for part in uniform_specular(sky, sample, n_dot_v)
     )
-    texel = np.float32(sky.texel_angle * SAMPLES)
+    texel = np.float32(sky.texel_angle * samples)
     last = len(sky.levels) - 1
-    for one in mirrored(sample, hits.to_view, n_dot_v, SAMPLES):
+    for one in mirrored(sample, hits.to_view, n_dot_v, samples):
         clear = one.to_light[2] > 0.0
         if horizon is not None:
             clear &= horizon(one.to_light)
@@ -114,7 +123,7 @@ def specular(
         wide = 0.5 * np.log2(np.maximum(1.0 / (one.density * texel), np.float32(1e-6)))
         level = np.clip(np.rint(wide), 0, last).astype(np.int32)
         light = sky.radiance(direction, level) * clear - mean
-        light *= one.weight * np.float32(1.0 / SAMPLES)
+        light *= one.weight * np.float32(1.0 / samples)
         mixed = light * one.fresnel
         bias += mixed
         scale += light - mixed
