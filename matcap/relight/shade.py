@@ -184,11 +184,19 @@ class _Block:
         """What arrives from each of a light's 16 parts; empty where nothing casts shadows."""
         if not self.casts:
             return {}
-        found: dict[tuple[int, int], list[Array]] = {}
+        arriving: dict[tuple[int, int], Array] = {}
+        above: dict[tuple[int, int], Array] = {}
         for probe in area.nodes(light, self.hits.point, self.hits.frame, 4):
-            lit = self.lit(probe.to_light, probe.distance)
-            found.setdefault(_cell(light, probe.place), []).append(lit)
-        return {cell: np.mean(lit, axis=0) for cell, lit in found.items()}
+            cell = _cell(light, probe.place)
+            # What has set behind the surface itself is no matter of shadows.
+            risen = (probe.to_light[2] > 0.0).astype(np.float32)
+            lit = self.lit(probe.to_light, probe.distance) * risen
+            arriving[cell] = arriving.get(cell, _ZERO) + lit
+            above[cell] = above.get(cell, _ZERO) + risen
+        return {
+            cell: np.where(count > 0.0, arriving[cell] / np.maximum(count, _ONE), _ONE)
+            for cell, count in above.items()
+        }
 
     def mirror(self, light: SphereLight | RectangleLight, seen: Array) -> None:
         """The specular lobe of a light too large for a rule: the lobe is sampled instead.
