@@ -35,16 +35,19 @@ class Albedo:
     average: Array
 
     def rows(self, alpha: Array) -> Array:
-        """Where the lookups below begin for alphas: the nearest of 1024 roughnesses."""
-        rough = np.sqrt(np.clip(alpha, np.float32(0.0), np.float32(1.0)))
-        return np.rint(rough * np.float32(_FINE - 1)).astype(np.intp) * _SIZE
+        """Where the lookups below begin for alphas: the nearest of 1024 roughnesses.
+
+        Whole numbers kept as float32, which holds them exactly and adds fastest.
+        """
+        rough = np.sqrt(np.asarray(alpha, dtype=np.float32))
+        return np.rint(rough * np.float32(_FINE - 1)) * np.float32(_SIZE)
 
     def lookup(self, fine: Array, mu: Array, rows: Array) -> Array:
         """Values of fine_total or fine_bias at cosines, linear between those tabulated."""
-        x = np.sqrt(np.clip(mu, np.float32(0.0), np.float32(1.0))) * np.float32(_SIZE - 1)
-        j = np.minimum(x.astype(np.intp), _SIZE - 2)
-        found = np.take(fine, rows + j, mode="clip")
-        values: Array = found.real + (x - j).astype(np.float32) * found.imag
+        x = np.sqrt(np.asarray(mu, dtype=np.float32)) * np.float32(_SIZE - 1)
+        j = np.floor(x)
+        found = np.take(fine, (rows + j).astype(np.intp), mode="clip")
+        values: Array = found.real + (x - j) * found.imag
         return values
 
     @cached_property
@@ -59,7 +62,7 @@ class Albedo:
 
     def mean(self, rows: Array) -> Array:
         """The average of rows()."""
-        return np.take(self._fine_average, rows // _SIZE)
+        return np.take(self._fine_average, np.rint(rows * np.float32(1.0 / _SIZE)).astype(np.intp))
 
     @cached_property
     def _fine_average(self) -> Array:
