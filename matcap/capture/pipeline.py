@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,16 +27,18 @@ from matcap.flash.render import render_flash
 from matcap.model.decoder import ALIGNMENT, CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.material import Material
 from matcap.photo.photo import Photo
+from matcap.prior.store import load_prior
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import find_lattice
 
 # Steps of fine-tuning; docs/capture.md has what each costs and buys.
-PRESETS: dict[str, int] = {"draft": 80, "standard": 500, "high": 1000, "reference": 3000}
+PRESETS: dict[str, int] = {"draft": 80, "standard": 400, "high": 1000, "reference": 3000}
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 _WINDOW = 160  # texels a side: many cheap steps beat few exact ones (docs/capture.md)
 # From nothing, where a run ends depends on where it starts: the best of a few short runs goes on.
 _AUDITIONS, _AUDITION_STEPS = 3, 40
+_RATE_FROM_NOTHING, _RATE_FROM_PRIOR = 2e-2, 1e-2
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class CaptureSettings:
         detail: texels across the photograph's long side.
         fov: field of view across the long side in degrees, instead of the photograph's.
         seed: of everything random.
-        prior: "auto", "none" (start from nothing) or a file.
+        prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
     """
 
     preset: str = "standard"
@@ -137,16 +140,28 @@ def capture_photo(
         scene = Scene(windows, coarse.setup, encoding, bank, lattice.waves, texel_size)
 
     with clock.stage("start"):
-        contrast = log_contrast(linear, valid)
-        code = torch.zeros(CODE_SIZE)
-        decoder = _audition(coarse, contrast, code, scene, settings, steps)
+        if settings.prior == "none":
+            rate = _RATE_FROM_NOTHING
+            code = torch.zeros(CODE_SIZE)
+            contrast = log_contrast(linear, valid)
+            decoder = _audition(coarse, contrast, code, scene, settings, steps)
+        else:
+            rate = _RATE_FROM_PRIOR
+            prior = load_prior(None if settings.prior == "auto" else Path(settings.prior))
+            decoder, code = prior.start(photo, coarse, linear, valid)
+            decoder.requires_grad_(True)
 
     with clock.stage("fine-tuning"):
         tuned = finetune(
             decoder,
             code,
             scene,
-            TuneSettings(steps=steps, seconds=settings.time_limit, seed=settings.seed),
+            TuneSettings(
+                steps=steps,
+                seconds=settings.time_limit,
+                learning_rate=rate,
+                seed=settings.seed,
+            ),
             clock.tuning,
         )
 
@@ -210,7 +225,7 @@ def _audition(
         return untrained(DecoderConfig(), coarse, contrast, settings.seed)
     best, least = None, math.inf
     for seed in seeds:
-        tune = TuneSettings(steps=_AUDITION_STEPS, seed=seed)
+        tune = TuneSettings(steps=_AUDITION_STEPS, learning_rate=_RATE_FROM_NOTHING, seed=seed)
         tried = finetune(
             untrained(DecoderConfig(), coarse, contrast, seed), code, scene, tune, _untold
         )
