@@ -2,7 +2,8 @@
 
 Speed: one megapixel, one point light, flat. Saving: each scene with its automatic plan against
 `--effects all`. Mitsuba, where it is installed: the time it takes to render a diffuse plane under
-a rectangular light to the same error. All on as many cores as the process may use.
+a rectangular light to the same error. Times are of the processor, all
+cores together, so that other programs do not count; the megapixel also by the wall's clock.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -50,13 +51,16 @@ class Saving:
         return self.everything / self.automatic
 
 
-def megapixel_milliseconds(repeats: int = 15) -> float:
-    """Median time of 1024 x 1024 pixels under one point light, flat, after warming up."""
+def megapixel_milliseconds(repeats: int = 15) -> tuple[float, float]:
+    """1024 x 1024 pixels, one point light, flat: median by the wall's clock and the processor's."""
     texture = _material(1024)
     scene = scene_from_light("top")
     scene = replace(scene, surface=replace(scene.surface, displacement=0.0))
     renderer = Renderer(texture, scene)
-    return 1e3 * _median(renderer.render, repeats)
+    return (
+        1e3 * _median(renderer.render, repeats, perf_counter),
+        1e3 * _median(renderer.render, repeats),
+    )
 
 
 def savings(scenes: Sequence[Path], *, width: int | None = None, repeats: int = 3) -> list[Saving]:
@@ -111,9 +115,9 @@ def mitsuba_ratio(size: int = 256) -> dict[str, float]:
     ours = _median(lambda: renderer.render(effects=effects), 5)
     picture = renderer.render(effects=effects).radiance
     theirs = _mitsuba_scene(mitsuba, light, size)
-    start = perf_counter()
+    start = process_time()
     rough = np.array(mitsuba.render(theirs, spp=64))
-    seconds = perf_counter() - start
+    seconds = process_time() - start
     error = float(np.sqrt(np.mean((rough - picture) ** 2)))
     return {
         "matcap": ours,
@@ -125,9 +129,11 @@ def mitsuba_ratio(size: int = 256) -> dict[str, float]:
 
 def report(scenes: Sequence[Path]) -> dict[str, Any]:
     """All of it, for printing."""
+    wall, processor = megapixel_milliseconds()
     found = savings(scenes)
     result: dict[str, Any] = {
-        "megapixel_ms": megapixel_milliseconds(),
+        "megapixel_wall_ms": wall,
+        "megapixel_processor_ms": processor,
         "scenes": [
             {
                 "scene": one.scene,
@@ -149,7 +155,11 @@ def report(scenes: Sequence[Path]) -> dict[str, Any]:
 
 def table(result: dict[str, Any]) -> str:
     """The report as text."""
-    lines = [f"one megapixel, one point light, flat: {result['megapixel_ms']:.1f} ms", ""]
+    wall, processor = result["megapixel_wall_ms"], result["megapixel_processor_ms"]
+    lines = [
+        f"one megapixel, one point light, flat: {wall:.1f} ms, {processor:.1f} ms of the processor",
+        "",
+    ]
     lines.append(f"{'scene':<14}{'effects':>8}{'plan s':>9}{'all s':>9}{'ratio':>8}")
     lines += [
         f"{one['scene']:<14}{one['effects']:>8}{one['automatic_s']:>9.3f}{one['all_s']:>9.3f}"
@@ -171,13 +181,15 @@ def table(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _median(call: Callable[[], object], repeats: int) -> float:
+def _median(
+    call: Callable[[], object], repeats: int, clock: Callable[[], float] = process_time
+) -> float:
     """Of one run where runs are long, else of `repeats` after one to warm up."""
     times = []
     for _ in range(repeats + 1):
-        start = perf_counter()
+        start = clock()
         call()
-        times.append(perf_counter() - start)
+        times.append(clock() - start)
         if times[0] > _LONG:
             return times[0]
     return statistics.median(times[1:])
