@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,9 +12,16 @@ import typer
 from matcap.cli.options import QuietOption
 
 
-def shares(text: str | tuple[float, ...]) -> tuple[float, ...]:
-    """'0.5' to (0.5,), '0:1:5' to five shares from 0 to 1."""
-    if isinstance(text, tuple):
+@dataclass(frozen=True)
+class Shares:
+    """How far from A (0) to B (1), one or several times."""
+
+    values: tuple[float, ...]
+
+
+def shares(text: str | Shares) -> Shares:
+    """'0.5' to one share, '0:1:5' to five from 0 to 1. Typer passes defaults through here too."""
+    if isinstance(text, Shares):
         return text
     number = r"\d*\.?\d+|\d+\."
     found = re.fullmatch(rf"({number})(?::({number}):(\d+))?", text.strip())
@@ -26,14 +34,14 @@ def shares(text: str | tuple[float, ...]) -> tuple[float, ...]:
     if count < (2 if found[2] else 1):
         raise typer.BadParameter(f"'{text}' asks for fewer than two steps")
     step = (last - first) / max(1, count - 1)
-    return tuple(min(1.0, round(first + i * step, 6)) for i in range(count))
+    return Shares(tuple(min(1.0, round(first + i * step, 6)) for i in range(count)))
 
 
 def blend(
     first: Annotated[Path, typer.Argument(metavar="A", help="A .matcap file.")],
     second: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
     share: Annotated[
-        tuple[float, ...],
+        Shares,
         typer.Option(
             "-t",
             parser=shares,
@@ -41,7 +49,7 @@ def blend(
             show_default="0.5",
             help="How far from A (0) to B (1).",
         ),
-    ] = (0.5,),
+    ] = Shares((0.5,)),
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for materials and strip.")] = (
         Path("blend")
     ),
@@ -58,10 +66,10 @@ def blend(
     from matcap.prior import blend as between
 
     ends = Material.load(first), Material.load(second)
-    check_writable(out, 4_000_000 * len(share))
-    materials = [between.blend(*ends, t) for t in share]
+    check_writable(out, 4_000_000 * len(share.values))
+    materials = [between.blend(*ends, t) for t in share.values]
     out.mkdir(parents=True, exist_ok=True)
-    for t, material in zip(share, materials, strict=True):
+    for t, material in zip(share.values, materials, strict=True):
         path = out / f"{first.stem}_{second.stem}_{t:.3f}.matcap"
         material.save(path)
         if not quiet:

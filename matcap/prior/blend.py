@@ -75,8 +75,9 @@ def strip(materials: Sequence[Material], size: int = 256, seed: int = 0) -> NDAr
     """(size, size * N, 3) linear picture: every material under its own flash, side by side."""
     pictures = []
     for material in materials:
+        maps = material.maps(size, size, seed=seed)
         with torch.inference_mode():
-            picture = render_rectified(material.maps(size, size, seed=seed), material.setup)
+            picture = render_rectified(maps, material.setup)
         pictures.append(picture.permute(1, 2, 0).numpy())
     return np.concatenate(pictures, axis=1)
 

@@ -20,7 +20,7 @@ from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.rectify import rectify
 from matcap.photo.photo import DEFAULT_FOV, Photo
-from matcap.prior.pack import WAVE_DETAIL, Entry, Pack, decode
+from matcap.prior.pack import WAVE_DETAIL, Entry, Pack, decode, read_code
 from matcap.simulate.materials.varied import random_material
 from matcap.simulate.photograph import Camera, expose, take
 from matcap.statistics.encoding import fit_encoding
@@ -89,15 +89,12 @@ def read(path: Path) -> Entry:
     Raises:
         MatcapError: it cannot be read.
     """
-    code = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
-    if code is None:
-        raise MatcapError("the picture cannot be read", where=str(path), remedy="leave it out")
-    code = np.asarray(code)
+    code = read_code(path.read_bytes(), str(path))
     if code.shape[0] > code.shape[1]:
         code = np.ascontiguousarray(np.rot90(code))
     if code.shape[1] > LONG_SIDE:
         size = (LONG_SIDE, round(LONG_SIDE * code.shape[0] / code.shape[1]))
-        code = np.asarray(cv2.resize(code, size, interpolation=cv2.INTER_AREA))
+        code = np.asarray(cv2.resize(code, size, interpolation=cv2.INTER_AREA), np.uint8)
     return entry(path.name, path.stem.split("_")[0], code, DEFAULT_FOV)
 
 

@@ -136,8 +136,9 @@ def held_out_results(prior: Prior, entry: Entry, settings: EvaluateSettings) -> 
         points = plane_points(
             x, y, _SIZE, _SIZE, (linear.shape[-1], linear.shape[-2]), dtype=torch.float32
         )
+        maps = material.maps(_SIZE, _SIZE, seed=5)
         with torch.inference_mode():
-            picture = srgb(render_flash(material.maps(_SIZE, _SIZE, seed=5), setup, points))
+            picture = srgb(render_flash(maps, setup, points))
         error = float(difference(style(picture[None]), wanted))
         return Result(entry.material, method, error, seconds, picture)
 

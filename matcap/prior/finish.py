@@ -41,6 +41,11 @@ class Codes:
         spread = self.mean.var(dim=0, correction=0)
         return self.mean.mean(0), spread + self.variance.mean(0)
 
+    def standardised(self) -> Codes:
+        """The same codes after standardise()."""
+        mean, variance = self.aggregate
+        return Codes((self.mean - mean) / variance.sqrt(), self.variance / variance)
+
 
 def codes_of(encoder: Encoder, entries: Sequence[Entry]) -> Codes:
     """Encode photographs of the pack."""
@@ -99,8 +104,9 @@ def finish(
     about: Mapping[str, Any],
 ) -> Prior:
     """A prior from trained networks and the photographs they were trained on."""
-    encoder, decoder = standardise(encoder, decoder, codes_of(encoder, entries))
     codes = codes_of(encoder, entries)
+    encoder, decoder = standardise(encoder, decoder, codes)
+    codes = codes.standardised()
     mean, variance = codes.aggregate
     told = codes.mean.var(dim=0, correction=0)
     measured = {

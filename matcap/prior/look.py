@@ -6,6 +6,7 @@ of windows at full detail go with it (autocorrelation, contrast and distribution
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import cv2
@@ -24,6 +25,7 @@ from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 WINDOW = 96  # texels a side of the windows whose texture is told
 _PLACES_ACROSS, _PLACES_DOWN = (0.1, 0.37, 0.63, 0.9), (0.15, 0.5, 0.85)
+_LEVELS = 3  # of the pyramid; what a window of 64 texels has
 _LAGS_DOWN = (0, 1, 2, 4, 7, 11)
 _LAGS_ACROSS = (-11, -7, -4, -2, -1, 0, 1, 2, 4, 7, 11)
 _QUANTILES = (1, 5, 12, 24, 39, 51, 58, 62)  # of 64
@@ -75,7 +77,8 @@ def _coordinates(width: int, height: int) -> Tensor:
 def texture(windows: Descriptor) -> Tensor:
     """(TEXTURE,) the texture of windows of WINDOW texels, averaged over them."""
     parts = []
-    for spectra, quantiles in zip(windows.spectra, windows.quantiles, strict=True):
+    levels = zip(windows.spectra, windows.quantiles, strict=True)
+    for spectra, quantiles in itertools.islice(levels, _LEVELS):
         reach = spectra.shape[-1] // 2
         variance = spectra[:, :, 0, reach].clamp_min(1e-4)
         rows = spectra[:, _STRONGEST][:, [min(lag, reach) for lag in _LAGS_DOWN]]

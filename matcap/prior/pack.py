@@ -68,10 +68,7 @@ class Entry:
 
 def decode(jpeg: bytes, name: str, fov: float) -> Photo:
     """A developed (sRGB) picture as a scene-linear Photo, its long side along x."""
-    code = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-    if code is None:
-        raise MatcapError("the picture cannot be read", where=name, remedy="leave it out")
-    code = np.asarray(code)[..., ::-1]
+    code = read_code(jpeg, name)[..., ::-1]
     turned = code.shape[0] > code.shape[1]
     code = np.ascontiguousarray(np.rot90(code) if turned else code)
     return Photo(
@@ -84,6 +81,21 @@ def decode(jpeg: bytes, name: str, fov: float) -> Photo:
         original_size=(code.shape[1], code.shape[0]),
         turned=turned,
     )
+
+
+def read_code(data: bytes, name: str) -> NDArray[np.uint8]:
+    """(H, W, 3) BGR code values of an encoded picture.
+
+    Raises:
+        MatcapError: it cannot be read.
+    """
+    try:
+        code = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:  # what an empty file is to it
+        code = None
+    if code is None:
+        raise MatcapError("the picture cannot be read", where=name, remedy="leave it out")
+    return np.asarray(code, np.uint8)
 
 
 def _linear_table() -> NDArray[np.float32]:

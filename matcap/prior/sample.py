@@ -18,8 +18,9 @@ def sample_sheet(prior: Prior, count: int, seed: int, size: int = 256) -> NDArra
     tiles = []
     for index in range(count):
         material = prior.draw(seed + index)
+        maps = material.maps(size, size, seed=seed + index)
         with torch.inference_mode():
-            picture = render_rectified(material.maps(size, size), material.setup)
+            picture = render_rectified(maps, material.setup)
         exposed = picture * (_BRIGHTNESS / picture.mean().clamp_min(1e-6))
         tiles.append(exposed.clamp(0.0, 1.0).permute(1, 2, 0).numpy())
     columns = min(_COLUMNS, count)

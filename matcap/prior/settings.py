@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from matcap.errors import UsageError
 from matcap.model.decoder import DecoderConfig
 from matcap.model.encoder import BACKBONES, EncoderConfig
-from matcap.prior.train import TrainConfig, divides
+from matcap.prior.train import TrainConfig, fits
 
 _Table = TypeVar("_Table", TrainConfig, EncoderConfig, DecoderConfig)
 
@@ -36,9 +36,11 @@ def read_config(path: Path) -> TrainConfig:
             where=str(path),
             remedy=f"choose from {', '.join(BACKBONES)}",
         )
-    if not divides(config.window):
+    if not fits(config.window):
         raise UsageError(
-            f"the window {config.window} is no multiple of 16", where=str(path), remedy="give 96"
+            f"the window {config.window} is no multiple of 16 from 64 on",
+            where=str(path),
+            remedy="give 96",
         )
     return replace(config, encoder=encoder, decoder=decoder)
 

@@ -299,6 +299,6 @@ def fields(
     return RandomField(noise, tuple(stack))
 
 
-def divides(window: int) -> bool:
-    """Whether a window with its margins is a multiple of 16 texels."""
-    return window > 0 and (window + 2 * MARGIN) % 2**DEPTH == 0
+def fits(window: int) -> bool:
+    """Whether a window with its margins is a multiple of 16 texels, and large enough to tell."""
+    return window >= 64 and (window + 2 * MARGIN) % 2**DEPTH == 0
