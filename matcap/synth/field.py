@@ -79,19 +79,19 @@ class Field:
             UsageError: an empty rectangle, or one beyond 2^40.
         """
         wanted = check_rectangle(Rectangle(x, y, width, height))
-        raw = torch.empty(1, OUTPUTS, height, width)
+        stacked = torch.empty(OUTPUTS, height, width)
         pieces = list(pieces_of(wanted, self.period))
 
         def fill(piece: Piece) -> None:
-            raw[(..., *piece.target)] = self.decode_block(piece.block)[(..., *piece.source)]
+            stacked[(..., *piece.target)] = self.decode_block(piece.block)[(..., *piece.source)]
 
         with _one_thread_each(), ThreadPoolExecutor(workers or os.cpu_count()) as pool:
             list(pool.map(fill, pieces))
         whole = self.period == (width, height)
-        return maps_from_raw(raw[0], self.material.texel_size, periodic=whole)
+        return MapSet.from_stacked(stacked, self.material.texel_size, periodic=whole)
 
     def decode_block(self, block: Rectangle) -> Tensor:
-        """Raw outputs (1, OUTPUTS, BLOCK, BLOCK) of a block of the grid."""
+        """Stacked maps (OUTPUTS, BLOCK, BLOCK) of a block of the grid."""
         size = block.width + 2 * HALO
         with torch.inference_mode():
             field = random_field(
@@ -105,7 +105,10 @@ class Field:
                 levels=DEPTH,
                 period=self.period,
             )
-            return self._decoder(field)[..., HALO:-HALO, HALO:-HALO].float()
+            raw = self._decoder(field)[0, :, HALO:-HALO, HALO:-HALO].float().contiguous()
+            # Here and not after the cut: a vectorised sigmoid rounds a row's last few texels
+            # differently, so it must see the same rows whatever rectangle is asked for.
+            return maps_from_raw(raw, self.material.texel_size).stacked()
 
 
 @contextmanager
