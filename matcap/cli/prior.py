@@ -132,6 +132,32 @@ def evaluate(
     typer.echo(table)
 
 
+@app.command()
+def ablate(
+    pack: PackArgument,
+    prior: PriorOption = None,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for the table and the picture.")
+    ] = Path("docs"),
+    steps: Annotated[int, typer.Option(min=1, help="Of fine-tuning.")] = 350,
+    materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
+    quiet: QuietOption = False,
+) -> None:
+    """Measure captures of held-out photographs without one part of the method each."""
+    import shlex
+    import sys
+
+    from matcap.prior.ablate import run_ablation
+    from matcap.prior.pack import Pack
+    from matcap.prior.store import load_prior
+
+    command = shlex.join(["matcap", *sys.argv[1:]])
+    table = run_ablation(
+        load_prior(prior), Pack.load(pack), steps, materials, out, command, _teller(quiet)
+    )
+    typer.echo(table)
+
+
 def _teller(quiet: bool) -> Callable[[str], None]:
     return (lambda line: None) if quiet else (lambda line: typer.echo(line, err=True))
 

@@ -30,6 +30,7 @@ from matcap.flash.render import render_flash
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
+from matcap.photo.photo import Photo
 from matcap.prior.align import evaluate_alignment, make
 from matcap.prior.journal import first_of_each
 from matcap.prior.look import FEATURES
@@ -42,6 +43,7 @@ UNSEEN = 1_000_000  # seeds from here on show simulated materials that training 
 _DETAIL = 1024
 _WINDOW = 160
 _SIZE = 384  # texels a side of the pictures compared
+_FLOAT = torch.float32
 
 
 @dataclass(frozen=True)
@@ -105,57 +107,91 @@ def run_evaluation(
     return table
 
 
-def held_out_results(prior: Prior, entry: Entry, settings: EvaluateSettings) -> list[Result]:
-    """The photograph itself, and what comes of it with and without the prior."""
+@dataclass(frozen=True)
+class Photographed:
+    """A photograph ready to be captured.
+
+    Attributes:
+        entry: what the pack says.
+        photo: decoded.
+        linear, valid: rectified.
+        scene: for fine-tuning.
+        truth: (3, _SIZE, _SIZE) sRGB, the middle of the photograph.
+    """
+
+    entry: Entry
+    photo: Photo
+    linear: Tensor
+    valid: Tensor
+    scene: Scene
+    truth: Tensor
+
+
+def photographed(entry: Entry) -> Photographed:
+    """Decode, rectify and describe a photograph of the pack."""
     photo, setup = entry.photo(), entry.coarse.setup
     linear, valid = rectify(photo, setup, _DETAIL)
     encoding, bank = fit_encoding(linear, valid), FilterBank(FEATURES)
-    scene = Scene(
-        cut_windows(linear, valid, encoding, bank, _WINDOW),
-        setup, encoding, bank, entry.waves, 2.0 / _DETAIL,
-    )  # fmt: skip
-    style = RandomFilters()
-    x, y = (linear.shape[-1] - _SIZE) // 2, (linear.shape[-2] - _SIZE) // 2
+    windows = cut_windows(linear, valid, encoding, bank, _WINDOW)
+    scene = Scene(windows, setup, encoding, bank, entry.waves, 2.0 / _DETAIL)
+    x, y = _middle(linear)
     truth = srgb(linear[:, y : y + _SIZE, x : x + _SIZE])
-    wanted = style(truth[None])
-    contrast = log_contrast(linear, valid)
+    return Photographed(entry, photo, linear, valid, scene, truth)
 
-    def finished(method: str, begin: Callable[[], tuple[Decoder, Tensor]], steps: int) -> Result:
-        started = time.perf_counter()
-        decoder, code = begin()
-        if steps:
-            tuned = finetune(decoder, code, scene, TuneSettings(steps=steps), _untold)
-            decoder, moments = tuned.decoder, tuned.moments
-        else:
-            moments = tuple(freeze(decoder, code, entry.waves))
-        seconds = time.perf_counter() - started
-        material = Material(
-            entry.name, decoder.eval().requires_grad_(False), code, moments, entry.waves,
-            2.0 / _DETAIL, setup,
-        )  # fmt: skip
-        points = plane_points(
-            x, y, _SIZE, _SIZE, (linear.shape[-1], linear.shape[-2]), dtype=torch.float32
-        )
-        maps = material.maps(_SIZE, _SIZE, seed=5)
-        with torch.inference_mode():
-            picture = srgb(render_flash(maps, setup, points))
-        error = float(difference(style(picture[None]), wanted))
-        return Result(entry.material, method, error, seconds, picture)
+
+def capture_once(
+    tuned: Photographed,
+    shown: Photographed,
+    method: str,
+    begin: Callable[[], tuple[Decoder, Tensor]],
+    steps: int,
+) -> Result:
+    """Fine-tune to one photograph, and compare with it as it is shown."""
+    started = time.perf_counter()
+    decoder, code = begin()
+    scene = tuned.scene
+    if steps:
+        found = finetune(decoder, code, scene, TuneSettings(steps=steps), _untold)
+        decoder, moments = found.decoder, found.moments
+    else:
+        moments = tuple(freeze(decoder, code, scene.waves))
+    seconds = time.perf_counter() - started
+    decoder = decoder.eval().requires_grad_(False)
+    material = Material(method, decoder, code, moments, scene.waves, scene.texel_size, scene.setup)
+    height, width = tuned.linear.shape[-2:]
+    points = plane_points(*_middle(tuned.linear), _SIZE, _SIZE, (width, height), dtype=_FLOAT)
+    maps = material.maps(_SIZE, _SIZE, seed=5)
+    with torch.inference_mode():
+        picture = srgb(render_flash(maps, scene.setup, points))
+    style = RandomFilters()
+    error = float(difference(style(picture[None]), style(shown.truth[None])))
+    return Result(tuned.entry.material, method, error, seconds, picture)
+
+
+def held_out_results(prior: Prior, entry: Entry, settings: EvaluateSettings) -> list[Result]:
+    """The photograph itself, and what comes of it with and without the prior."""
+    shown = photographed(entry)
 
     def from_prior() -> tuple[Decoder, Tensor]:
-        return prior.start(photo, entry.coarse, linear, valid)
+        return prior.start(shown.photo, entry.coarse, shown.linear, shown.valid)
 
     def from_nothing() -> tuple[Decoder, Tensor]:
-        decoder = untrained(DecoderConfig(), entry.coarse, contrast, 0)
-        return decoder, torch.zeros(CODE_SIZE)
+        contrast = log_contrast(shown.linear, shown.valid)
+        return untrained(DecoderConfig(), entry.coarse, contrast, 0), torch.zeros(CODE_SIZE)
 
+    few, many = settings.steps, settings.longer
     return [
-        Result(entry.material, "photograph", 0.0, 0.0, truth),
-        finished("prior, not tuned", from_prior, 0),
-        finished(f"prior, {settings.steps} steps", from_prior, settings.steps),
-        finished(f"nothing, {settings.steps} steps", from_nothing, settings.steps),
-        finished(f"nothing, {settings.longer} steps", from_nothing, settings.longer),
+        Result(entry.material, "photograph", 0.0, 0.0, shown.truth),
+        capture_once(shown, shown, "prior, not tuned", from_prior, 0),
+        capture_once(shown, shown, f"prior, {few} steps", from_prior, few),
+        capture_once(shown, shown, f"nothing, {few} steps", from_nothing, few),
+        capture_once(shown, shown, f"nothing, {many} steps", from_nothing, many),
     ]
+
+
+def _middle(linear: Tensor) -> tuple[int, int]:
+    """Left top texel of the square that is compared."""
+    return (linear.shape[-1] - _SIZE) // 2, (linear.shape[-2] - _SIZE) // 2
 
 
 def _untold(share: float, error: float, seconds: float) -> None:
