@@ -18,7 +18,14 @@ from torch import Tensor, zeros
 from matcap.capture.start import log_contrast, untrained
 from matcap.export.picture import write_picture
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.prior.evaluate import Photographed, Result, capture_once, photographed, sheet
+from matcap.prior.evaluate import (
+    PHOTOGRAPH,
+    Photographed,
+    Result,
+    capture_once,
+    photographed,
+    sheet,
+)
 from matcap.prior.journal import first_of_each
 from matcap.prior.pack import Entry, Pack
 from matcap.prior.store import Prior
@@ -40,7 +47,7 @@ def run_ablation(
     results: list[Result] = []
     for entry in first_of_each(pack.reporting)[:materials]:
         shown = photographed(entry)
-        results.append(Result(entry.material, "photograph", 0.0, 0.0, shown.truth))
+        results.append(Result(entry.material, PHOTOGRAPH, 0.0, 0.0, shown.truth))
         for variant in VARIANTS:
             results.append(_capture(prior, entry, shown, variant, steps))
             tell(f"{entry.material}  {variant}: {results[-1].style:.3f}")
@@ -92,7 +99,7 @@ def _markdown(results: list[Result], steps: int, command: str) -> str:
         "",
         "DECODERONLY is not measured: it needs a training of its own.",
         "",
-        "![Rows: the photograph, then the variants in this order.](prior-ablation.png)",
+        "![Rows: the variants in this order.](prior-ablation.png)",
         "",
     ]
     return "\n".join(lines)

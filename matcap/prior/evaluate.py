@@ -40,6 +40,7 @@ from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank
 
 UNSEEN = 1_000_000  # seeds from here on show simulated materials that training never draws
+PHOTOGRAPH = "photograph"  # the method of results that show the photograph itself
 _DETAIL = 1024
 _WINDOW = 160
 _SIZE = 384  # texels a side of the pictures compared
@@ -181,7 +182,7 @@ def held_out_results(prior: Prior, entry: Entry, settings: EvaluateSettings) -> 
 
     few, many = settings.steps, settings.longer
     return [
-        Result(entry.material, "photograph", 0.0, 0.0, shown.truth),
+        Result(entry.material, PHOTOGRAPH, 0.0, 0.0, shown.truth),
         capture_once(shown, shown, "prior, not tuned", from_prior, 0),
         capture_once(shown, shown, f"prior, {few} steps", from_prior, few),
         capture_once(shown, shown, f"nothing, {few} steps", from_nothing, few),
@@ -200,7 +201,7 @@ def _untold(share: float, error: float, seconds: float) -> None:
 
 def markdown(results: Sequence[Result], tilt_errors: Tensor, prior: Prior, command: str) -> str:
     """The table."""
-    methods = list(dict.fromkeys(r.method for r in results))[1:]
+    methods = [m for m in dict.fromkeys(r.method for r in results) if m != PHOTOGRAPH]
     materials = list(dict.fromkeys(r.material for r in results))
     style = {(r.material, r.method): r.style for r in results}
     lines = [
@@ -230,15 +231,18 @@ def markdown(results: Sequence[Result], tilt_errors: Tensor, prior: Prior, comma
         f"Codes of the training photographs: {prior.about.get('dead_dimensions', math.nan)} of",
         f"{CODE_SIZE} dimensions dead.",
         "",
-        "![Columns: the materials above. Rows: the photograph, then the columns of the table.]"
-        "(prior-evaluation.png)",
+        "![Columns: the materials above. Rows: the columns of the table.](prior-evaluation.png)",
         "",
     ]
     return "\n".join(lines)
 
 
 def sheet(results: Sequence[Result]) -> np.ndarray:
-    """Linear picture: a column a material, a row a method."""
+    """Linear picture: a column a material, a row a method.
+
+    The photographs themselves are left out: they are not ours to publish.
+    """
+    results = [r for r in results if r.method != PHOTOGRAPH]
     materials = list(dict.fromkeys(r.material for r in results))
     columns = [
         torch.cat([r.picture for r in results if r.material == material], dim=1)
