@@ -12,7 +12,12 @@ from matcap.cli.options import Normal, NormalOption, PngOption, QuietOption
 
 
 def synth(
-    material: Annotated[Path, typer.Argument(metavar="MATERIAL", help="A .matcap file.")],
+    material: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[MATERIAL]", help="A .matcap file; without one, the prior draws a material."
+        ),
+    ] = None,
     size: Annotated[
         values.Size,
         typer.Option(
@@ -39,18 +44,21 @@ def synth(
     """Make more of a material: a map set of any size, seam-free and repeatable.
 
     The same material, seed and place give the same texels, whatever rectangle they are part of.
+    Without a material the prior draws one, another for every seed.
     """
     from matcap.export.mapset import MapSetInfo, mapset_bytes, write_mapset
     from matcap.export.staging import check_writable
     from matcap.model.material import Material
+    from matcap.prior.store import load_prior
     from matcap.synth.field import Field
 
     area = region or values.Region(0, 0, size.width, size.height)
-    source = Material.load(material)
-    folder = out or Path(f"{material.stem}_{area.width}x{area.height}_seed{seed}")
+    source = load_prior().draw(seed) if material is None else Material.load(material)
+    name = source.name if material is None else material.stem
+    folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}")
     check_writable(folder, mapset_bytes(area.width, area.height, png=png))
     maps = Field(source, seed).read(area.x, area.y, area.width, area.height)
-    info = MapSetInfo(material.stem, seed, (area.x, area.y), dict(source.provenance))
+    info = MapSetInfo(name, seed, (area.x, area.y), dict(source.provenance))
     document = write_mapset(maps, folder, info, png=png, normal=normal.value)
     if not quiet:
         typer.echo(f"wrote {document}", err=True)

@@ -99,3 +99,10 @@ def test_the_shipped_prior_loads_and_draws():
     mean = torch.tensor(prior.about["code_mean"])
     variance = torch.tensor(prior.about["code_variance"])
     assert float(mean.abs().max()) < 0.05 and float((variance - 1).abs().max()) < 0.05
+
+
+def test_synth_without_a_material_draws_one(tmp_path, capsys):
+    out = tmp_path / "maps"
+    assert main(["synth", "--size", "96x32", "--seed", "7", "-o", str(out)]) == 0
+    assert (out / "drawn_7.json").is_file()
+    assert main(["synth", "--size", "32", "--seed", "-3", "-o", str(tmp_path / "more")]) == 0
