@@ -80,6 +80,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run() -> None:
     """The console script."""
+    # Threads that spin while they wait make a shared machine many times slower; read by OpenMP
+    # when torch loads. Whoever sets it otherwise is heeded.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     sys.exit(main())
 
 
