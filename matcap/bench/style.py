@@ -133,7 +133,7 @@ class RandomFilters:
         for level, image in enumerate(pyramid(pictures, self._bank.config.levels)):
             features = self._bank.features(image.contiguous(memory_format=torch.channels_last))
             means = torch.cat([features.mean((2, 3)), image.mean((2, 3))], dim=1)
-            groups[f"gram {level}"] = Group(gram(features).flatten(1), 0.0)
+            groups[f"gram {level}"] = Group(gram(features)[:, :-1, :-1].flatten(1), 0.0)
             groups[f"means {level}"] = Group(means, 0.0)
         return groups
 

@@ -120,7 +120,7 @@ def finetune(
         report: called after every step.
     """
     started = time.monotonic()
-    optimiser = torch.optim.Adam(decoder.parameters(), lr=settings.learning_rate, betas=(0.9, 0.99))
+    optimiser = _adam(decoder, settings.learning_rate)
     order = _places(scene.windows.count, settings.seed)
     moments: list[Moments] | None = None
     best = _Best(copy.deepcopy(decoder.state_dict()), math.inf)
@@ -146,7 +146,7 @@ def finetune(
                 # Back to where it was good, and slower from there.
                 decoder.load_state_dict(best.state)
                 rate *= 0.5
-                optimiser = torch.optim.Adam(decoder.parameters(), lr=rate, betas=(0.9, 0.99))
+                optimiser = _adam(decoder, rate)
                 step += 1
                 continue
             optimiser.zero_grad(set_to_none=True)
@@ -178,6 +178,10 @@ class _Best:
 
 def _finite(state: dict[str, Tensor]) -> bool:
     return all(bool(torch.isfinite(value).all()) for value in state.values())
+
+
+def _adam(decoder: Decoder, rate: float) -> torch.optim.Adam:
+    return torch.optim.Adam(decoder.parameters(), lr=rate, betas=(0.9, 0.99), fused=True)
 
 
 def _schedule(step: int, share: float) -> float:

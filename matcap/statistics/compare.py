@@ -80,8 +80,7 @@ def describe(linear: Tensor, encoding: Encoding, bank: FilterBank) -> Descriptor
     for level in levels:
         level = _middle(level)
         features = bank.features(level.contiguous(memory_format=torch.channels_last))
-        ones = torch.ones_like(features[:, :1])
-        grams.append(gram(torch.cat([features, ones], dim=1)))
+        grams.append(gram(features))
         spectra.append(autocorrelation(level, min(_REACH, min(level.shape[-2:]) // 2 - 1)))
         quantiles.append(_quantiles(level))
     return Descriptor(log.mean(dim=(2, 3)), tuple(grams), tuple(spectra), tuple(quantiles))
