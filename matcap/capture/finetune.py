@@ -5,7 +5,8 @@ compares every rendering's statistics with the photograph's at that same place. 
 with AdaIN's statistics frozen, so that what is saved is what was optimised.
 
 Anytime: it ends after a number of steps, a time, or an interrupt, and hands back the best so far.
-A step that goes wrong (a loss that is not finite, or explodes) is taken back and the rate lowered.
+A step that goes wrong (a loss or a gradient that is not finite, a loss that explodes) is taken
+back and the rate lowered.
 """
 
 from __future__ import annotations
@@ -142,16 +143,19 @@ def finetune(
             places = torch.tensor([next(order) for _ in range(settings.places)])
             loss, penalty = _step_loss(decoder, code, scene, settings, moments, places, step)
             value = float(loss.detach())
-            if not math.isfinite(value) or value > _EXPLODED * max(error, 0.1):
+            slope = math.nan
+            if math.isfinite(value) and not value > _EXPLODED * max(error, 0.1):
+                optimiser.zero_grad(set_to_none=True)
+                (loss + penalty).backward()
+                slope = float(torch.nn.utils.clip_grad_norm_(decoder.parameters(), 1.0))
+            if not math.isfinite(slope):
                 # Back to where it was good, and slower from there.
                 decoder.load_state_dict(best.state)
+                error = best.error if math.isfinite(best.error) else math.nan
                 rate *= 0.5
                 optimiser = _adam(decoder, rate)
                 step += 1
                 continue
-            optimiser.zero_grad(set_to_none=True)
-            (loss + penalty).backward()
-            torch.nn.utils.clip_grad_norm_(decoder.parameters(), 1.0)
             optimiser.step()
             step += 1
             smoothing = max(_SMOOTHING, 1.0 / step)
@@ -163,7 +167,7 @@ def finetune(
             report(min(1.0, share), error, seconds)
     except KeyboardInterrupt:
         interrupted = True
-    if history and best.error < error and _finite(best.state):
+    if history and best.error < error:
         decoder.load_state_dict(best.state)
     if moments is None or not history:
         moments = freeze(decoder, code, scene.waves)
@@ -174,10 +178,6 @@ def finetune(
 class _Best:
     state: dict[str, Tensor]
     error: float
-
-
-def _finite(state: dict[str, Tensor]) -> bool:
-    return all(bool(torch.isfinite(value).all()) for value in state.values())
 
 
 def _adam(decoder: Decoder, rate: float) -> torch.optim.Adam:

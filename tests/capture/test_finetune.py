@@ -1,0 +1,155 @@
+"""Fine-tuning: what it promises of error, time, determinism and going wrong."""
+
+import math
+import time
+
+import pytest
+import torch
+from tuning import CODE, CONFIG, WINDOW, scene, start, tune
+
+from matcap.capture import finetune as module
+from matcap.flash.render import render_flash
+from matcap.model.decoder import DEPTH, maps_from_raw
+from matcap.model.freeze import fold
+from matcap.model.noise import random_field
+from matcap.statistics.compare import Weights, describe, distance
+
+
+def error_of(decoder, moments=None, seeds=range(100, 108)):
+    """Distance to the photograph over every window, with noise that tuning never saw."""
+    seen, total = scene(), 0.0
+    with torch.no_grad():
+        for seed in seeds:
+            field = random_field(
+                seed, CONFIG.noise_channels, (), 0, 0, WINDOW, WINDOW,
+                levels=DEPTH, period=(WINDOW, WINDOW),
+            )  # fmt: skip
+            maps = maps_from_raw(decoder(field, CODE, moments), seen.texel_size, periodic=True)
+            rendered = render_flash(maps, seen.setup, seen.windows.points)
+            found = describe(rendered, seen.encoding, seen.bank)
+            total += float(distance(found, seen.windows.target, Weights()).mean())
+    return total / len(seeds)
+
+
+def state_of(tuned):
+    return tuned.decoder.state_dict()
+
+
+def test_the_error_falls_on_noise_it_has_never_seen():
+    before = error_of(start())
+    tuned = tune(steps=120)
+    assert error_of(tuned.decoder, list(tuned.moments)) < 0.75 * before
+
+
+def test_what_it_hands_back_is_what_it_optimised():
+    """Frozen statistics belong to the decoder: folded, it is the same network."""
+    tuned = tune(steps=40)
+    folded = fold(tuned.decoder, CODE, tuned.moments, has_waves=False)
+    field = random_field(7, CONFIG.noise_channels, (), 0, 0, 256, 256, levels=DEPTH)
+    with torch.no_grad():
+        one = folded(field)[..., 96:-96, 96:-96]
+        other = tuned.decoder(field, CODE, list(tuned.moments), periodic=False)[..., 96:-96, 96:-96]
+    assert torch.allclose(one, other, atol=1e-4)
+    # And its frozen error is no worse than with statistics of the window at hand.
+    assert error_of(tuned.decoder, list(tuned.moments)) < 1.15 * error_of(tuned.decoder)
+
+
+@pytest.mark.parametrize("steps", [0, 1, 7])
+def test_the_number_of_steps_is_kept(steps):
+    told = []
+    tuned = tune(lambda *now: told.append(now), steps=steps)
+    assert len(tuned.history) == len(told) == steps
+    assert [step for _, step, _ in tuned.history] == list(range(1, steps + 1))
+    assert len(tuned.moments) == len(tuned.decoder.layers())
+    assert not tuned.interrupted
+
+
+def test_the_time_limit_is_kept():
+    tune(steps=1)  # the first step of a process is slow
+    began = time.monotonic()
+    tuned = tune(steps=10**6, seconds=0.5)
+    assert 0.4 < time.monotonic() - began < 3.0
+    assert 1 <= len(tuned.history) < 10**6
+    assert tuned.history[-1][0] < 1.5
+
+
+def test_the_same_seed_is_the_same_bits_and_another_is_not():
+    first, again, other = tune(steps=12), tune(steps=12), tune(steps=12, seed=1)
+    for name, value in state_of(first).items():
+        assert torch.equal(value, state_of(again)[name])
+    assert any(not torch.equal(v, state_of(other)[n]) for n, v in state_of(first).items())
+
+
+def test_ctrl_c_ends_it_with_the_best_so_far():
+    def interrupt(share, error, seconds):
+        if share >= 0.5:
+            raise KeyboardInterrupt
+
+    tuned = tune(interrupt, steps=40)
+    assert tuned.interrupted
+    assert 15 <= len(tuned.history) <= 25
+    assert error_of(tuned.decoder, list(tuned.moments)) < error_of(start())
+
+
+class Sabotage:
+    """Makes chosen steps go wrong: `how` gets the loss and the decoder."""
+
+    def __init__(self, monkeypatch, steps, how):
+        self.calls = 0
+        true_loss = module._step_loss
+
+        def loss(decoder, *args, **kwargs):
+            value, penalty = true_loss(decoder, *args, **kwargs)
+            self.calls += 1
+            return how(value, penalty, decoder) if self.calls - 1 in steps else (value, penalty)
+
+        monkeypatch.setattr(module, "_step_loss", loss)
+
+
+def poisoned_gradient(value, penalty, decoder):
+    """A finite loss whose gradient is NaN: sqrt at 0, times 0."""
+    zero = 0.0 * next(decoder.parameters()).sum()
+    return value + zero.square().sqrt(), penalty
+
+
+def nan_penalty(value, penalty, decoder):
+    return value, penalty * math.nan
+
+
+def infinite_loss(value, penalty, decoder):
+    return value * math.inf, penalty
+
+
+def explosion(value, penalty, decoder):
+    return value * 1e6, penalty
+
+
+WAYS = [poisoned_gradient, nan_penalty, infinite_loss, explosion]
+
+
+@pytest.mark.parametrize("how", WAYS)
+@pytest.mark.parametrize("steps", [{30}, {0}, {39}, {10, 11, 12, 35}], ids=str)
+def test_a_step_that_goes_wrong_is_taken_back(monkeypatch, how, steps):
+    Sabotage(monkeypatch, steps, how)
+    tuned = tune(steps=40)
+    assert all(bool(torch.isfinite(value).all()) for value in state_of(tuned).values())
+    assert all(bool(torch.isfinite(v).all()) for pair in tuned.moments for v in pair)
+    assert error_of(tuned.decoder, list(tuned.moments)) < 1.05 * error_of(start())
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_when_every_step_goes_wrong_the_start_is_handed_back(monkeypatch, how):
+    Sabotage(monkeypatch, range(1000), how)
+    tuned = tune(steps=12)
+    before = start().state_dict()
+    if how is not explosion:  # whose error has nothing to be compared with
+        for name, value in state_of(tuned).items():
+            assert torch.equal(value, before[name])
+    assert all(bool(torch.isfinite(value).all()) for value in state_of(tuned).values())
+
+
+def test_a_rate_that_diverges_is_lowered_until_it_does_not():
+    tuned = tune(steps=80, learning_rate=30.0)
+    assert all(bool(torch.isfinite(value).all()) for value in state_of(tuned).values())
+    assert math.isfinite(tuned.history[-1][2])
+    assert error_of(tuned.decoder, list(tuned.moments)) < 4.0 * error_of(start())

@@ -1,0 +1,99 @@
+"""Rectifying undoes a tilt, and says what was not seen."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from uniform import a_setup, photograph
+
+from matcap.flash.geometry import project, unproject
+from matcap.flash.rectify import rectify
+from matcap.photo.photo import Photo
+
+
+def photo_of(pixels, clipped=None):
+    height, width = pixels.shape[:2]
+    if clipped is None:
+        clipped = np.zeros((height, width), bool)
+    return Photo(
+        pixels.astype(np.float32), clipped, 65.0, "given", True, "made", (width, height)
+    )  # fmt: skip
+
+
+def spot(setup, x, y, size=(128, 96)):
+    """A photograph of one bright spot at a point of the plane."""
+    width, height = size
+    rows, columns = np.indices((height, width))
+    u, v = project(torch.tensor([x, y, 0.0], dtype=torch.float64), setup).tolist()
+    column, row = (u + 1.0) * width / 2.0 - 0.5, height / 2.0 - v * width / 2.0 - 0.5
+    bright = np.exp(-0.5 * ((columns - column) ** 2 + (rows - row) ** 2) / 2.0**2)
+    return photo_of(np.repeat(bright[..., None], 3, axis=2))
+
+
+def test_untilted_and_at_its_own_size_it_is_the_picture_itself():
+    pixels = np.random.default_rng(0).random((24, 32, 3))
+    linear, valid = rectify(photo_of(pixels), a_setup(), 32)
+    assert linear.shape == (3, 24, 32)
+    assert torch.allclose(
+        linear, torch.from_numpy(pixels.astype(np.float32)).permute(2, 0, 1), atol=1e-6
+    )
+    assert bool(valid.all())
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.2, 0.0), (0.0, -0.25), (0.15, 0.2)])
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.5, 0.3), (-0.6, -0.4)])
+def test_a_spot_comes_to_lie_where_it_is_on_the_plane(tilt, place):
+    setup = a_setup(tilt=tilt)
+    linear, _ = rectify(spot(setup, *place), setup, 128)
+    weight = linear[0] / linear[0].sum()
+    rows, columns = torch.meshgrid(torch.arange(96.0), torch.arange(128.0), indexing="ij")
+    x = float((weight * (columns + 0.5)).sum()) * 2.0 / 128 - 1.0
+    y = (96 - 2.0 * float((weight * (rows + 0.5)).sum())) / 128
+    assert (x, y) == pytest.approx(place, abs=0.4 * 2.0 / 128)
+
+
+def test_radiance_is_kept_where_it_was_seen():
+    setup = a_setup(tilt=(0.2, -0.1))
+    picture = photograph(setup)
+    linear, valid = rectify(picture, setup, 128)
+    u, v = project(
+        torch.tensor([[0.0, 0.3, -0.4], [0.0, 0.2, 0.1], [0.0] * 3], dtype=torch.float64), setup
+    ).numpy()
+    for x, y, a, b in zip((0.0, 0.3, -0.4), (0.0, 0.2, 0.1), u, v, strict=True):
+        texel = linear[:, int(48 - y * 64), int((x + 1) * 64)]
+        pixel = picture.pixels[int(48 - b * 64), int((a + 1) * 64)]
+        assert texel.numpy() == pytest.approx(pixel, rel=0.06)
+    assert 0.7 < float(valid.float().mean()) < 1.0
+
+
+def test_what_the_camera_did_not_see_is_not_valid():
+    setup = a_setup(tilt=(0.0, 0.4))
+    _, valid = rectify(photograph(setup), setup, 128)
+    rows, columns = np.indices((96, 128))
+    points = torch.from_numpy(
+        np.stack([(columns + 0.5) / 64 - 1, (48 - rows - 0.5) / 64, 0.0 * rows])
+    )
+    u, v = project(points, setup)
+    inside = (u.abs() < 1.0) & (v.abs() < 0.75)
+    border = ((u.abs() - 1.0).abs() < 0.02) | ((v.abs() - 0.75).abs() < 0.02)
+    assert torch.equal(valid[~border], inside[~border])
+    assert torch.allclose(unproject(torch.stack([u, v]), setup), points, atol=1e-9)
+
+
+def test_clipped_pixels_are_not_valid_and_their_neighbours_are():
+    clipped = np.zeros((96, 128), bool)
+    clipped[40:60, 50:70] = True
+    _, valid = rectify(photo_of(np.full((96, 128, 3), 0.5), clipped), a_setup(), 128)
+    assert not bool(valid[41:59, 51:69].any())
+    assert float(valid.float().mean()) == pytest.approx(1.0 - 400 / (96 * 128), abs=0.01)
+
+
+@pytest.mark.parametrize(("from_size", "detail"), [((64, 48), 128), ((512, 384), 128)])
+def test_detail_sets_the_size_whatever_the_photographs(from_size, detail):
+    linear, valid = rectify(photograph(a_setup(), size=from_size), a_setup(), detail)
+    assert linear.shape == (3, detail * 3 // 4, detail)
+    assert valid.shape == linear.shape[1:]
+    mean = photograph(a_setup()).pixels.mean()
+    assert float(linear.mean()) == pytest.approx(float(mean), rel=0.02)
+    assert math.isfinite(float(linear.sum()))
