@@ -1,0 +1,55 @@
+"""Gram matrices against the plain sum, and their gradient against its."""
+
+import pytest
+import torch
+
+from matcap.statistics.gram import gram
+
+
+def plain(features):
+    """What gram() is a fast form of."""
+    ones = torch.ones_like(features[:, :1])
+    flat = torch.cat([features, ones], dim=1).flatten(2)
+    return torch.einsum("bin,bjn->bij", flat, flat) / flat.shape[2]
+
+
+def features(shape, *, seed=0):
+    return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
+@pytest.mark.parametrize("shape", [(2, 5, 7, 9), (1, 1, 1, 1), (3, 8, 1, 4)])
+def test_second_moments_and_means(shape, layout):
+    given = features(shape).contiguous(memory_format=layout)
+    found = gram(given)
+    assert found.dtype == torch.float32
+    assert torch.allclose(found, plain(given), atol=1e-5)
+    assert torch.allclose(found[:, -1, :-1], given.mean((2, 3)), atol=1e-6)
+
+
+def test_the_order_of_texels_does_not_show():
+    given = features((1, 4, 6, 6))
+    shuffled = given.flatten(2)[..., torch.randperm(36)].unflatten(2, (6, 6))
+    assert torch.allclose(gram(given), gram(shuffled), atol=1e-5)
+
+
+def test_symmetric_without_negative_eigenvalues():
+    found = gram(features((2, 6, 5, 5)))
+    assert torch.allclose(found, found.transpose(1, 2), atol=1e-6)
+    assert torch.linalg.eigvalsh(found.double()).min() > -1e-6
+
+
+def test_gradient_is_the_plain_sums():
+    weights = features((2, 6, 6), seed=1)  # not symmetric: a gradient that assumes it would fail
+    given = features((2, 5, 6, 7)).requires_grad_()
+    (gram(given) * weights).sum().backward()
+    reference = given.detach().double().requires_grad_()
+    (plain(reference) * weights).sum().backward()
+    assert torch.allclose(given.grad.double(), reference.grad, atol=1e-6)
+
+
+def test_half_precision_comes_back_as_float32():
+    given = features((1, 4, 8, 8))
+    found = gram(given.bfloat16())
+    assert found.dtype == torch.float32
+    assert (found - plain(given)).abs().max() < 0.03

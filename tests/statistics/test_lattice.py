@@ -1,0 +1,83 @@
+"""Plane waves put into a picture come out of it; noise has none."""
+
+import math
+
+import pytest
+import torch
+
+from matcap.statistics.lattice import find_lattice
+
+SIZE = 384
+# Cycles per texel by which a found wave may miss: a twentieth of a bin of 1/256, so that over the
+# 384 texels of the picture its phase drifts by less than a tenth of a turn.
+MISS = 0.05 / 256
+
+
+def wave(fx, fy, sharpness=1.0):
+    rows, columns = torch.meshgrid(torch.arange(SIZE), torch.arange(SIZE), indexing="ij")
+    turns = 2.0 * math.pi * (fx * columns + fy * rows)
+    return torch.tanh(sharpness * torch.cos(turns)) / math.tanh(sharpness)
+
+
+def noise(seed=0):
+    return torch.randn(3, SIZE, SIZE, generator=torch.Generator().manual_seed(seed))
+
+
+ALL = torch.ones(SIZE, SIZE, dtype=torch.bool)
+
+
+def generates(found, wanted):
+    """How far `wanted` lies from the nearest lattice point of the waves found."""
+    orders = range(-3, 4)
+    points = [(0.0, 0.0)]
+    for w in found:
+        points = [(x + n * w.fx, y + n * w.fy) for x, y in points for n in orders]
+    return min(math.hypot(x - wanted[0], y - wanted[1]) for x, y in points)
+
+
+@pytest.mark.parametrize(
+    ("fx", "fy"), [(1 / 16.7, 0.0), (0.0, 1 / 9.3), (0.05, 0.021), (0.043, -0.06)]
+)
+def test_stripes_are_one_wave(fx, fy):
+    lattice = find_lattice(wave(fx, fy) + 0.5 * noise(), ALL)
+    (found,) = lattice.waves
+    sign = 1.0 if found.fx * fx + found.fy * fy > 0 else -1.0
+    assert math.hypot(found.fx - sign * fx, found.fy - sign * fy) < MISS
+    assert lattice.share > 0.3
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, 1.1])
+def test_a_weave_is_two_waves_that_generate_both_of_its_own(turn):
+    c, s = math.cos(turn), math.sin(turn)
+    first, second = (c / 17.3, s / 17.3), (-s / 12.9, c / 12.9)
+    weave = wave(*first, sharpness=3.0) + wave(*second, sharpness=3.0)
+    lattice = find_lattice(weave + 0.5 * noise(), ALL)
+    assert len(lattice.waves) == 2
+    for wanted in (first, second):
+        assert generates(lattice.waves, wanted) < MISS
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_there_is_no_order_in_noise_fine_or_coarse(seed):
+    assert find_lattice(noise(seed), ALL).waves == ()
+    coarse = torch.nn.functional.avg_pool2d(noise(seed)[None], 9, 1, 4)[0]
+    assert find_lattice(coarse, ALL).waves == ()
+
+
+def test_clipped_texels_are_not_looked_at():
+    valid = ALL.clone()
+    valid[:, 260:] = False
+    picture = noise()
+    picture[:, :, 260:] += 5.0 * wave(0.0, 1 / 10)[:, 260:]
+    assert find_lattice(picture, valid).waves == ()
+
+
+def test_a_picture_smaller_than_a_window_has_none():
+    assert find_lattice(wave(0.1, 0.0)[None, :200, :200].expand(3, -1, -1), ALL).waves == ()
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0])
+def test_nothing_comes_of_nothing(value):
+    flat = torch.full((3, SIZE, SIZE), value)
+    assert find_lattice(flat, ALL).waves == ()
+    assert find_lattice(noise(), ~ALL).waves == ()
