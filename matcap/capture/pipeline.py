@@ -20,13 +20,14 @@ from matcap.capture.coarse import CoarseFit, fit_coarse
 from matcap.capture.finetune import Scene, TuneSettings, finetune
 from matcap.capture.start import log_contrast, untrained
 from matcap.capture.windows import cut_windows
-from matcap.errors import UsageError
+from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_flash
 from matcap.model.decoder import ALIGNMENT, CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.material import Material
 from matcap.photo.photo import Photo
+from matcap.photo.refusals import SHORTEST_SIDE
 from matcap.prior.store import load_prior
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
@@ -135,7 +136,7 @@ def capture_photo(
         encoding = fit_encoding(linear, valid)
         lattice = find_lattice(encoding(linear[None])[0], valid)
         bank = FilterBank(FEATURES)
-        windows = cut_windows(linear, valid, encoding, bank, _window(linear))
+        windows = cut_windows(linear, valid, encoding, bank, _window(linear, photo.name))
         texel_size = 2.0 / linear.shape[-1]
         scene = Scene(windows, coarse.setup, encoding, bank, lattice.waves, texel_size)
 
@@ -203,9 +204,16 @@ def _steps(settings: CaptureSettings) -> int:
     return PRESETS["reference" if settings.time_limit is not None else settings.preset]
 
 
-def _window(linear: Tensor) -> int:
+def _window(linear: Tensor, name: str) -> int:
     """Window size that fits the picture, a multiple of the decoder's alignment."""
-    return max(ALIGNMENT, min(_WINDOW, *(s // ALIGNMENT * ALIGNMENT for s in linear.shape[-2:])))
+    height, width = linear.shape[-2:]
+    if min(height, width) < SHORTEST_SIDE:
+        raise MatcapError(
+            f"at this detail the picture is {width} x {height} texels, too few to hold a texture",
+            where=name,
+            remedy=f"raise --detail, or crop it, until both are at least {SHORTEST_SIDE}",
+        )
+    return min(_WINDOW, *(side // ALIGNMENT * ALIGNMENT for side in (height, width)))
 
 
 def _audition(

@@ -91,17 +91,21 @@ def texture(windows: Descriptor) -> Tensor:
 
 
 def describe_windows(linear: Tensor, valid: Tensor) -> Descriptor:
-    """Descriptor of windows of WINDOW texels on a grid over a rectified photograph (3, H, W)."""
+    """Descriptor of windows on a grid over a rectified photograph (3, H, W).
+
+    They are of WINDOW texels, or as large as a smaller photograph allows.
+    """
     height, width = linear.shape[-2:]
+    side = min(WINDOW, height, width)
     corners = [
-        (round(x * (width - WINDOW)), round(y * (height - WINDOW)))
+        (round(x * (width - side)), round(y * (height - side)))
         for y in _PLACES_DOWN
         for x in _PLACES_ACROSS
     ]
-    shares = [float(valid[y : y + WINDOW, x : x + WINDOW].float().mean()) for x, y in corners]
+    shares = [float(valid[y : y + side, x : x + side].float().mean()) for x, y in corners]
     least = min(0.5, max(shares))
     windows = [
-        linear[:, y : y + WINDOW, x : x + WINDOW]
+        linear[:, y : y + side, x : x + side]
         for (x, y), share in zip(corners, shares, strict=True)
         if share >= least
     ]
