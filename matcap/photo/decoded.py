@@ -20,6 +20,8 @@ class Decoded:
         radiometric: proportional to light.
         gain_map_applied: a DNG lens-shading map was applied.
         notes: sentences for the report.
+        clipped_share: of the stored pixels (of a RAW: of the photosites of the colour that clips
+            most), before shrinking, or None where only `clipped` tells.
     """
 
     pixels: NDArray[np.float32]
@@ -29,3 +31,4 @@ class Decoded:
     radiometric: bool = False
     gain_map_applied: bool = False
     notes: tuple[str, ...] = ()
+    clipped_share: float | None = None

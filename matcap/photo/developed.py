@@ -165,6 +165,7 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
     linearise, notes = lineariser_of(coded.profile, coded.dtype, coded.space)
     whole = np.issubdtype(coded.dtype, np.integer)
     clip_code = np.ceil(coded.clip_at * np.iinfo(coded.dtype).max) if whole else coded.clip_at
+    at_limit = 0
 
     def read(top: int, bottom: int) -> Rows:
         codes = coded.rows(top, bottom)
@@ -175,11 +176,20 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
                 remedy="export it again without them",
             )
         clipped: NDArray[np.bool_] = np.any(codes >= clip_code, axis=-1)
+        nonlocal at_limit
+        at_limit += int(np.count_nonzero(clipped))
         return linearise(codes), clipped
 
     pixels, clipped = shrink(read, coded.width, coded.height, long_side)
     size = (coded.width, coded.height)
-    return Decoded(pixels, clipped, size, orientation, notes=coded.notes + notes)
+    return Decoded(
+        pixels,
+        clipped,
+        size,
+        orientation,
+        notes=coded.notes + notes,
+        clipped_share=at_limit / (coded.width * coded.height),
+    )
 
 
 def _three_channels(codes: NDArray[Any]) -> NDArray[Any]:

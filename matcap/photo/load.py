@@ -131,6 +131,7 @@ def _photo(
         flash_fired=exif.flash_fired,
         gain_map_applied=picture.gain_map_applied,
         notes=picture.notes,
+        stored_clipped_share=picture.clipped_share,
     )
 
 

@@ -28,6 +28,8 @@ class Photo:
         flash_fired: what the file says, or None.
         gain_map_applied: a DNG lens-shading map was found and applied.
         notes: plain sentences for the report (profile converted, gain map present, ...).
+        stored_clipped_share: share of the file's own pixels at the clip level, where known:
+            `clipped` overstates it, for a shrunk pixel counts when a quarter of it was clipped.
     """
 
     pixels: NDArray[np.float32]
@@ -41,8 +43,11 @@ class Photo:
     flash_fired: bool | None = None
     gain_map_applied: bool = False
     notes: tuple[str, ...] = ()
+    stored_clipped_share: float | None = None
 
     @property
     def clipped_share(self) -> float:
         """Share of pixels at the clip level."""
+        if self.stored_clipped_share is not None:
+            return self.stored_clipped_share
         return float(self.clipped.mean())

@@ -49,7 +49,7 @@ def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Dec
         half = bayer and long_side is not None and 2 * long_side <= max(width, height)
         # LibRaw forgets the flip once it has developed without it.
         orientation = _ORIENTATION[raw.sizes.flip]
-        saturated = _saturated(raw, bayer, half)
+        saturated, share = _saturated(raw, bayer, half)
         headroom, white = _prepare(raw, corrections)
         developed = raw.postprocess(
             gamma=(1, 1),
@@ -85,6 +85,7 @@ def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Dec
         radiometric=True,
         gain_map_applied=corrections.has_maps,
         notes=corrections.notes + (() if balanced else (unbalanced,)),
+        clipped_share=share,
     )
 
 
@@ -112,8 +113,10 @@ def _check_levels(path: Path, raw: Any) -> None:  # noqa: ANN401
         raise unreadable(path, "RAW")
 
 
-def _saturated(raw: Any, bayer: bool, half: bool) -> NDArray[np.bool_]:  # noqa: ANN401
+def _saturated(raw: Any, bayer: bool, half: bool) -> tuple[NDArray[np.bool_], float]:  # noqa: ANN401
     """(H, W), or half of it: True where a developed pixel draws on a photosite at its limit.
+
+    Also the share of photosites at their limit, of the colour that has most of them.
 
     A channel's limit is the white level, or less where white balance lifts it past the least
     lifted one's: LibRaw cuts it off there.
@@ -130,17 +133,23 @@ def _saturated(raw: Any, bayer: bool, half: bool) -> NDArray[np.bool_]:  # noqa:
     black = np.array(raw.black_level_per_channel, np.float64)
     limit = black + CLIP_SHARE * (raw.white_level - black) / lift
     if mosaic.ndim == 3:
-        return (mosaic[..., :3] >= limit[:3]).any(axis=-1)
+        stacked: NDArray[np.bool_] = (mosaic[..., :3] >= limit[:3]).any(axis=-1)
+        return stacked, float(stacked.mean())
     colors = raw.raw_colors_visible
     period = 2 if bayer else 6
     mask = np.empty(mosaic.shape, np.uint8)
+    at_limit, sites_of = np.zeros(4), np.zeros(4)
     for row in range(period):
         for column in range(period):
             sites = np.s_[row::period, column::period]
-            mask[sites] = mosaic[sites] >= limit[colors[row, column]]
+            color = colors[row, column]
+            mask[sites] = mosaic[sites] >= limit[color]
+            at_limit[color] += np.count_nonzero(mask[sites])
+            sites_of[color] += mask[sites].size
+    share = float((at_limit / np.maximum(sites_of, 1.0)).max())
     if half:
-        return _two_by_two(mask)
-    return cv2.dilate(mask, np.ones((3, 3), np.uint8)).astype(np.bool_)
+        return _two_by_two(mask), share
+    return cv2.dilate(mask, np.ones((3, 3), np.uint8)).astype(np.bool_), share
 
 
 def _two_by_two(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:

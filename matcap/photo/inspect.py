@@ -1,0 +1,407 @@
+"""What a photographer should know of a shot before anything is made of it, and do at the next one.
+
+`inspect_photo` judges a `Photo`; the tilt comes from outside (Prior.tilt), for photo knows nothing
+of networks. Every finding has a number, a verdict and a sentence. Places and directions are those
+of the photograph as it is looked at, upright; see `_upright`.
+
+The formulas are this file's own; tests/inspect holds them against simulated photographs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.photo.photo import Photo
+
+Values = NDArray[np.float64]
+
+_TOE = 0.02  # of the median: bounds logarithms in the dark
+# The hot spot is the summit of a paraboloid fitted to log brightness around it.
+_HOT_CELLS, _HOT_BLUR, _HOT_REACH, _HOT_ROUNDS = 128, 0.08, 0.14, 4
+_HOT_EDGE = 0.12  # nearer the border than this part of a side, the highlight is cut off
+_FALLOFF = 1.12  # the hot spot over the border: less is no light beside the lens
+# Clipped shares (of the whole picture) that are worth a word, and that hurt.
+_CLIPPED, _MUCH_CLIPPED = 0.01, 0.05
+_TILTED, _MUCH_TILTED = 6.0, 12.0  # degrees; either angle of the branch errs by 1 to 3
+_SOFT, _BLURRED = 1.5, 2.6  # pixels of the photograph as it is used
+_SHARPEST = 0.25  # quantile over tiles: what is smooth by nature says nothing of focus
+_UNEVEN, _MIXED = 2.0, 3.2  # in deviations of _USUAL
+# Usual differences from tile to tile: log contrast of fine and coarser bands, and two log hues.
+_USUAL = (0.4, 0.6, 0.15, 0.15)
+_TILES = 8  # along the long side
+
+
+class Verdict(Enum):
+    """How good a thing is, from the photographer's side."""
+
+    GOOD = "good"
+    NOTE = "note"  # nothing wrong, worth knowing
+    DOUBTFUL = "doubtful"
+    POOR = "poor"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at.
+
+    Attributes:
+        name: of it.
+        value: JSON: a number, True or False, a place (x, y), or None where it is not known.
+        verdict: how good that is.
+        says: what was found, a sentence.
+        remedy: what to do at the next shot, a sentence, or "".
+    """
+
+    name: str
+    value: Any
+    verdict: Verdict
+    says: str
+    remedy: str = ""
+
+    def line(self) -> str:
+        """Both sentences."""
+        return f"{self.says} {self.remedy}".strip()
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """All findings of a photograph, in the order in which they are worth reading."""
+
+    name: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst of them."""
+        order = list(Verdict)
+        return max((f.verdict for f in self.findings), key=order.index, default=Verdict.GOOD)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the shot had better be taken again."""
+        return self.verdict in (Verdict.DOUBTFUL, Verdict.POOR)
+
+    def __getitem__(self, name: str) -> Finding:
+        return next(finding for finding in self.findings if finding.name == name)
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "name": self.name,
+            "verdict": self.verdict.value,
+            **{
+                finding.name: {
+                    "value": finding.value,
+                    "verdict": finding.verdict.value,
+                    "says": finding.says,
+                    "remedy": finding.remedy,
+                }
+                for finding in self.findings
+            },
+        }
+
+
+def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Inspection:
+    """Judge a photograph, in a fraction of a second.
+
+    Args:
+        photo: read at the detail it would be captured at; sharpness is of that.
+        tilt: (tilt_x, tilt_y) in radians as Prior.tilt gives it, or None where nobody knows.
+    """
+    place, falloff = hot_spot(photo)
+    return Inspection(
+        photo.name,
+        (
+            _flash(photo, falloff),
+            _clipped(photo),
+            _hot_spot(photo, place),
+            _tilt(photo, tilt),
+            _sharpness(photo),
+            _stationarity(photo),
+            _radiometric(photo),
+            _shading_map(photo),
+            _gain_map(photo),
+        ),
+    )
+
+
+def hot_spot(photo: Photo) -> tuple[tuple[float, float], float]:
+    """Where the picture is brightest, and by how much.
+
+    Returns:
+        (x, y) in shares of the width and height of photo.pixels, from the left top; and the ratio
+        of the blurred brightness there to that along the picture's border.
+    """
+    light = _small(photo.pixels, _HOT_CELLS).mean(axis=-1)
+    light = np.log(light + _TOE * float(np.median(light)) + 1e-9)
+    height, width = light.shape
+    blurred = cv2.GaussianBlur(light, (0, 0), _HOT_BLUR * width)
+    row, column = np.unravel_index(int(blurred.argmax()), blurred.shape)
+    y, x = float(row), float(column)
+    rows, columns = np.mgrid[:height, :width].astype(np.float64)
+    for _ in range(_HOT_ROUNDS):
+        u, v = (columns - x) / width, (rows - y) / width
+        weight = np.exp(-(u**2 + v**2) / (4.0 * _HOT_REACH**2)).ravel()  # root of a Gaussian's
+        terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(-1, 6)
+        c = np.linalg.lstsq(terms * weight[:, None], light.ravel() * weight, rcond=None)[0]
+        bend = np.array([[2.0 * c[3], c[4]], [c[4], 2.0 * c[5]]])
+        if np.linalg.eigvalsh(bend)[-1] >= -1e-6:
+            break  # no summit here: the brightest cell it is
+        step = np.clip(-width * np.linalg.solve(bend, c[1:3]), -0.1 * width, 0.1 * width)
+        x = float(np.clip(x + step[0], 0.0, width - 1.0))
+        y = float(np.clip(y + step[1], 0.0, height - 1.0))
+    rim = np.concatenate([blurred[0], blurred[-1], blurred[:, 0], blurred[:, -1]])
+    ratio = math.exp(float(blurred.max()) - float(np.median(rim)))
+    return ((x + 0.5) / width, (y + 0.5) / height), ratio
+
+
+def softness(pixels: NDArray[np.float32]) -> float:
+    """Blur of the sharper parts of a picture in pixels, as a Gaussian's standard deviation.
+
+    Where gradients of all sizes are equally strong, blur b leaves their energy at scale s
+    proportional to 1 / (b^2 + s^2); two scales give b.
+    """
+    light = _log_light(pixels)
+    one, two = (_tiles(_gradient_energy(light, scale)) for scale in (1.0, 2.0))
+    ratio = np.clip(two / np.maximum(one, 1e-12), 0.0, 0.99)
+    blur = np.sqrt(np.maximum(4.0 * ratio - 1.0, 0.0) / (1.0 - ratio))
+    return float(np.quantile(blur, _SHARPEST))
+
+
+def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Values:
+    """(rows, columns) how far tiles differ from what a uniform material would show there.
+
+    Compared are contrast in two bands and hue, after what changes evenly with the distance from
+    the hot spot has been taken away: that is the flash's work. 1 is usual, see _USUAL.
+
+    Args:
+        pixels: (H, W, 3) linear.
+        place: of the hot spot, as hot_spot gives it.
+    """
+    light = _log_light(pixels)
+    width = light.shape[1]
+    fine, middle = (cv2.GaussianBlur(light, (0, 0), width / s) for s in (128.0, 32.0))
+    colour = np.log(pixels + _TOE * float(np.median(pixels)) + 1e-9)
+    looks = [
+        0.5 * np.log(_tiles((light - fine) ** 2) + 1e-6),
+        0.5 * np.log(_tiles((fine - middle) ** 2) + 1e-6),
+        _tiles(colour[..., 0] - colour[..., 1]),
+        _tiles(colour[..., 2] - colour[..., 1]),
+    ]
+    rows, columns = looks[0].shape
+    y, x = np.mgrid[:rows, :columns].astype(np.float64)
+    squared = ((x + 0.5) / columns - place[0]) ** 2
+    squared += (((y + 0.5) / rows - place[1]) * pixels.shape[0] / width) ** 2
+    terms = np.stack([np.ones_like(x), squared, np.exp(-40.0 * squared)], axis=-1).reshape(-1, 3)
+    total = np.zeros_like(x)
+    for look, usual in zip(looks, _USUAL, strict=True):
+        even = terms @ np.linalg.lstsq(terms, look.ravel(), rcond=None)[0]
+        total += ((look - even.reshape(look.shape)) / usual) ** 2
+    return np.sqrt(total)
+
+
+def _flash(photo: Photo, falloff: float) -> Finding:
+    name, fired, shows = "flash", photo.flash_fired, falloff > _FALLOFF
+    if fired is False:
+        return Finding(
+            name,
+            False,
+            Verdict.POOR,
+            "The file says that the flash did not fire.",
+            "Photograph again with the flash switched on, not on automatic.",
+        )
+    if not shows:
+        said = "The flash fired but hardly shows" if fired else "No flash shows"
+        return Finding(
+            name,
+            fired,
+            Verdict.DOUBTFUL,
+            f"{said}: the middle is only {falloff:.2f} times as bright as the border.",
+            "Keep other light out and hold the phone 20 to 40 cm away.",
+        )
+    source = "The flash fired" if fired else "The file does not say, but a flash shows"
+    return Finding(
+        name, fired, Verdict.GOOD, f"{source}: {falloff:.1f} times as bright as at the border."
+    )
+
+
+def _clipped(photo: Photo) -> Finding:
+    share = photo.clipped_share
+    says = f"{_percent(share)} of the picture is clipped."
+    if share < _CLIPPED:
+        return Finding("clipped", share, Verdict.GOOD, says)
+    verdict = Verdict.POOR if share >= _MUCH_CLIPPED else Verdict.DOUBTFUL
+    stops = "two stops" if share >= 2.0 * _MUCH_CLIPPED else "one stop"
+    return Finding("clipped", share, verdict, says, f"Lower the exposure by {stops}.")
+
+
+def _hot_spot(photo: Photo, place: tuple[float, float]) -> Finding:
+    x, y = _upright(photo, *place)
+    value = [round(x, 4), round(y, 4)]
+    edge = min(x, 1.0 - x, y, 1.0 - y)
+    says = f"The hot spot is {_whereabouts(x, y)}, at {x:.0%} from the left and {y:.0%} from above."
+    if edge >= _HOT_EDGE:
+        return Finding("hot_spot", value, Verdict.GOOD, says)
+    return Finding(
+        "hot_spot",
+        value,
+        Verdict.DOUBTFUL,
+        says,
+        "The highlight must be in the picture, whole: hold the phone squarely above the middle.",
+    )
+
+
+def _tilt(photo: Photo, tilt: tuple[float, float] | None) -> Finding:
+    if tilt is None:
+        return Finding("tilt", None, Verdict.NOTE, "The tilt was not looked at.")
+    # The slope of the plane towards the camera, along x (right) and y (up) of photo.pixels.
+    right, up = -math.degrees(tilt[1]), math.degrees(tilt[0])
+    if photo.turned:
+        right, up = up, -right
+    degrees = math.hypot(right, up)
+    value = {"degrees": round(degrees, 2), "right": round(right, 2), "up": round(up, 2)}
+    if degrees < _TILTED:
+        says = f"The phone was square enough to the sample: {degrees:.1f} degrees off."
+        return Finding("tilt", value, Verdict.GOOD, says)
+    side = _side(right, up)
+    return Finding(
+        "tilt",
+        value,
+        Verdict.POOR if degrees >= _MUCH_TILTED else Verdict.DOUBTFUL,
+        f"The phone was tilted by {degrees:.0f} degrees: the sample's {side} side was nearer.",
+        f"Stand squarer: lift the phone's {side} side until it is parallel to the sample.",
+    )
+
+
+def _sharpness(photo: Photo) -> Finding:
+    blur = softness(photo.pixels)
+    width = photo.pixels.shape[1]
+    value = round(blur, 3)
+    if blur < _SOFT:
+        return Finding("sharpness", value, Verdict.GOOD, f"Sharp at {width} pixels across.")
+    soft = blur < _BLURRED
+    return Finding(
+        "sharpness",
+        value,
+        Verdict.DOUBTFUL if soft else Verdict.POOR,
+        f"{'Soft' if soft else 'Blurred'} at {width} pixels across: details smaller than "
+        f"{2 * blur:.0f} pixels are lost, unless the sample has none.",
+        "Touch the middle of the screen to focus, and hold still.",
+    )
+
+
+def _stationarity(photo: Photo) -> Finding:
+    tiles = unevenness(photo.pixels, hot_spot(photo)[0])
+    value = float(np.sqrt(np.mean(tiles**2)))
+    if value < _UNEVEN:
+        return Finding(
+            "stationarity", round(value, 3), Verdict.GOOD, "The sample looks the same all over."
+        )
+    rows, columns = tiles.shape
+    row, column = divmod(int(tiles.argmax()), columns)
+    where = _whereabouts(*_upright(photo, (column + 0.5) / columns, (row + 0.5) / rows))
+    return Finding(
+        "stationarity",
+        round(value, 3),
+        Verdict.DOUBTFUL if value < _MIXED else Verdict.POOR,
+        f"The sample does not look the same all over; it differs most {where}.",
+        "Fill the picture with one material: no edges, stains, labels or shadows.",
+    )
+
+
+def _radiometric(photo: Photo) -> Finding:
+    if photo.radiometric:
+        says = "A RAW: its numbers are proportional to light."
+        return Finding("radiometric", True, Verdict.GOOD, says)
+    return Finding(
+        "radiometric",
+        False,
+        Verdict.NOTE,
+        "A developed picture: albedo is relative, the camera's tone curve is not known.",
+        "Photograph RAW (DNG) where the phone can.",
+    )
+
+
+def _shading_map(photo: Photo) -> Finding:
+    applied = photo.gain_map_applied
+    says = "Its lens-shading map was applied." if applied else "It carries no lens-shading map."
+    return Finding("shading_map", applied, Verdict.GOOD if applied else Verdict.NOTE, says)
+
+
+def _gain_map(photo: Photo) -> Finding:
+    notes = [note for note in photo.notes if "HDR gain map" in note]
+    if not notes:
+        return Finding("gain_map", False, Verdict.GOOD, "It carries no HDR gain map.")
+    return Finding(
+        "gain_map",
+        True,
+        Verdict.NOTE,
+        notes[0],
+        "Switch HDR off: it brightens parts of the picture differently.",
+    )
+
+
+def _upright(photo: Photo, x: float, y: float) -> tuple[float, float]:
+    """A place in photo.pixels as the place in the picture as one looks at it, in shares.
+
+    A portrait picture was turned a quarter turn anticlockwise; this turns it back.
+    """
+    return (1.0 - y, x) if photo.turned else (x, y)
+
+
+def _whereabouts(x: float, y: float) -> str:
+    """Words for a place in shares from the left top."""
+    across = "left" if x < 1 / 3 else "right" if x > 2 / 3 else ""
+    down = "upper" if y < 1 / 3 else "lower" if y > 2 / 3 else ""
+    if not across and not down:
+        return "in the middle"
+    if across and down:
+        return f"at the {down} {across}"
+    return f"on the {across}" if across else f"at the {'top' if down == 'upper' else 'bottom'}"
+
+
+def _side(right: float, up: float) -> str:
+    """Which side of the picture the sample's plane rises towards."""
+    across = "right" if right > 0 else "left"
+    down = "upper" if up > 0 else "lower"
+    if abs(right) > 2.0 * abs(up):
+        return across
+    return down if abs(up) > 2.0 * abs(right) else f"{down} {across}"
+
+
+def _percent(share: float) -> str:
+    percent = 100.0 * share
+    if percent == 0.0:
+        return "Nothing"
+    return "Less than 0.1 %" if percent < 0.1 else f"{percent:.1f} %"
+
+
+def _log_light(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    light = pixels.mean(axis=-1)
+    logarithm: NDArray[np.float32] = np.log(light + _TOE * float(np.median(light)) + 1e-9)
+    return logarithm
+
+
+def _gradient_energy(light: NDArray[np.float32], scale: float) -> NDArray[np.float32]:
+    smooth = cv2.GaussianBlur(light, (0, 0), scale)
+    across, down = np.diff(smooth, axis=1)[:-1], np.diff(smooth, axis=0)[:, :-1]
+    energy: NDArray[np.float32] = across * across + down * down
+    return energy
+
+
+def _small(picture: NDArray[np.float32], columns: int) -> Values:
+    rows = max(1, round(columns * picture.shape[0] / picture.shape[1]))
+    resized = cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA)
+    return np.asarray(resized, np.float64)
+
+
+def _tiles(picture: NDArray[np.float32]) -> Values:
+    """Means over about square tiles, _TILES along the long side."""
+    return _small(picture, _TILES)
