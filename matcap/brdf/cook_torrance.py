@@ -25,6 +25,10 @@ MIN_ROUGHNESS = 1e-3
 # Smallest denominator of the visibility term, reached only when both cosines are grazing.
 _TINY = 1e-7
 
+# Smallest denominator of D: below alpha^2 at MIN_ROUGHNESS, so reached only where there is no half
+# vector, light and view being opposed.
+_LEAST_SPREAD = 1e-14
+
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
     """(..., 1, H, W): scalar product along the channel dimension of (..., 3, H, W) vectors."""
@@ -49,7 +53,7 @@ def ggx(n_dot_h: Tensor, n_cross_h_squared: Tensor, alpha: Tensor) -> Tensor:
     alpha_squared = alpha.square()
     spread = n_cross_h_squared + n_dot_h.square() * alpha_squared
     # (alpha / spread)^2 rather than alpha^2 / spread^2: the latter underflows first.
-    return (alpha / spread).square() / math.pi
+    return (alpha / spread.clamp_min(_LEAST_SPREAD)).square() / math.pi
 
 
 def smith_visibility(n_dot_l: Tensor, n_dot_v: Tensor, alpha: Tensor) -> Tensor:
@@ -78,14 +82,18 @@ def specular_lobe(
         roughness: (..., 1, H, W) in [0, 1]; below MIN_ROUGHNESS it counts as MIN_ROUGHNESS.
         normal, to_light, to_view: (..., 3, H, W) unit vectors.
     """
-    half = normalize(to_light + to_view)
+    # In float64: where the half vector nearly is the normal, their cross product is a difference
+    # of nearly equal products, and an error of 1e-7 is a tenth of the narrowest highlight.
+    half = normalize(to_light.double() + to_view.double())
     n_dot_l = dot(normal, to_light)
     n_dot_v = dot(normal, to_view)
     above = (n_dot_l > 0) & (n_dot_v > 0)
-    n_cross_h = torch.linalg.cross(*torch.broadcast_tensors(normal, half), dim=-3)
+    n_cross_h = torch.linalg.cross(*torch.broadcast_tensors(normal.double(), half), dim=-3)
+    sine_squared = dot(n_cross_h, n_cross_h).to(to_light.dtype)
+    half = half.to(to_light.dtype)
     alpha = roughness.clamp_min(MIN_ROUGHNESS).square()
     value = (
-        ggx(dot(normal, half), dot(n_cross_h, n_cross_h), alpha)
+        ggx(dot(normal, half), sine_squared, alpha)
         * smith_visibility(n_dot_l.clamp_min(0.0), n_dot_v.clamp_min(0.0), alpha)
         * schlick(specular, dot(to_light, half))
     )
