@@ -49,7 +49,7 @@ def log_contrast(linear: Tensor, valid: Tensor) -> Tensor:
     small = F.avg_pool2d(log[None], size, stride=max(1, size // 2))
     shading = F.interpolate(small, size=log.shape[-2:], mode="bilinear", align_corners=False)[0]
     texture = (log - shading)[:, valid] if bool(valid.any()) else (log - shading).flatten(1)
-    return texture.std(dim=1).clamp(0.02, 1.5)
+    return texture.std(dim=1, correction=0).clamp(0.02, 1.5)
 
 
 def untrained(config: DecoderConfig, coarse: CoarseFit, contrast: Tensor, seed: int) -> Decoder:

@@ -19,6 +19,7 @@ _TOE = 0.05
 _FAINTEST = 0.2
 # A texture of smaller log contrast than this is not amplified to full scale: it is noise.
 _LEAST_CONTRAST = 0.02
+_LEAST_TEXELS = 64  # fewer have no covariance worth the name
 _SHADING_SCALE = 48  # texels; variation slower than this is shading, not texture
 
 
@@ -48,15 +49,16 @@ def fit_encoding(linear: Tensor, valid: Tensor) -> Encoding:
 
     Args:
         linear: (3, H, W) scene-linear picture.
-        valid: (H, W) bool, texels that were seen and not clipped.
+        valid: (H, W) bool, texels that were seen and not clipped; where there are hardly any, all
+            are looked at.
     """
-    seen = linear[:, valid] if bool(valid.any()) else linear.flatten(1)
+    if int(valid.sum()) < _LEAST_TEXELS:
+        valid = torch.ones_like(valid)
+    seen = linear[:, valid]
     median = max(float(seen.mean(0).median()), 1e-6)
     plain = Encoding(median, torch.eye(3))
     log = plain.log(linear[None])
-    texture = (
-        (log - _blur(log))[0][:, valid] if bool(valid.any()) else (log - _blur(log))[0].flatten(1)
-    )
+    texture = (log - _blur(log))[0][:, valid]
     values, vectors = torch.linalg.eigh(torch.cov(texture.double()))
     strongest = values[-1].clamp_min(_LEAST_CONTRAST**2)
     scale = torch.rsqrt(values.clamp_min(_FAINTEST**2 * strongest))

@@ -24,6 +24,7 @@ _MOST_PEAKS = 12
 _LONGEST = 80.0  # texels: longer periods repeat too few times to be called regular
 _ORDERS = range(-4, 5)
 _TOLERANCE = 0.9  # spectral bins by which a peak may miss its lattice point
+_LEAST_VARIANCE = 1e-6  # of the encoded picture; what is fainter is rounding
 _LEAST_EXPLAINED = 0.05  # of the texture's power, or there is no order worth keeping
 
 
@@ -81,6 +82,8 @@ def _mean_spectrum(colour: Tensor, valid: Tensor) -> Tensor | None:
                 continue
             window = colour[None, :, y : y + _WINDOW, x : x + _WINDOW]
             spectrum = power_spectrum(window)[0].sum(0)
+            if float(spectrum.mean()) < _LEAST_VARIANCE:
+                continue
             spectra.append(spectrum / spectrum[2:-1, 2:].mean().clamp_min(1e-12))
     return torch.stack(spectra).mean(0) if spectra else None
 
