@@ -8,6 +8,8 @@ else about the pattern it learns.
 from __future__ import annotations
 
 import itertools
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -24,7 +26,7 @@ _MOST_PEAKS = 12
 _LONGEST = 80.0  # texels: longer periods repeat too few times to be called regular
 _ORDERS = range(-4, 5)
 _TOLERANCE = 0.9  # spectral bins by which a peak may miss its lattice point
-_LEAST_VARIANCE = 1e-6  # of the encoded picture; what is fainter is rounding
+_LEAST_VARIANCE = 1e-4  # of the encoded picture; what is fainter is rounding
 _LEAST_EXPLAINED = 0.05  # of the texture's power, or there is no order worth keeping
 
 
@@ -56,9 +58,12 @@ def find_lattice(colour: Tensor, valid: Tensor) -> Lattice:
         return Lattice((), 0.0)
     best: tuple[float, tuple[tuple[float, float], ...], float] = (0.0, (), 0.0)
     candidates = _candidates([(fx, fy) for fx, fy, _ in peaks])
-    singles = [(c,) for c in candidates]
-    for basis in itertools.chain(singles, itertools.combinations(candidates, 2)):
-        explained = _explained(basis, peaks) / total
+    bases: list[tuple[tuple[float, float], ...]] = [
+        *((c,) for c in candidates),
+        *itertools.combinations(candidates, 2),
+    ]
+    for basis, power in zip(bases, _explained(bases, peaks), strict=True):
+        explained = power / total
         # Prefer the coarser lattice in frequency (the smaller cell in space) among equals, and
         # one wave to two.
         cost = 0.02 * (len(basis) - 1) + 0.01 / _cell(basis)
@@ -163,20 +168,24 @@ def _cell(basis: tuple[tuple[float, float], ...]) -> float:
 
 
 def _explained(
-    basis: tuple[tuple[float, float], ...], peaks: list[tuple[float, float, float]]
-) -> float:
-    """Power of the peaks that lie on the lattice a basis generates."""
-    if len(basis) == 2:
-        (ax, ay), (bx, by) = basis
-        lengths = (ax * ax + ay * ay) ** 0.5 * (bx * bx + by * by) ** 0.5
-        if abs(ax * by - ay * bx) < 0.3 * lengths:
-            return 0.0  # nearly one direction: two waves would beat, not weave
-    power = 0.0
-    for px, py, mass in peaks:
-        for orders in itertools.product(_ORDERS, repeat=len(basis)):
-            qx = sum(n * f[0] for n, f in zip(orders, basis, strict=True))
-            qy = sum(n * f[1] for n, f in zip(orders, basis, strict=True))
-            if any(orders) and (px - qx) ** 2 + (py - qy) ** 2 < _TOLERANCE**2:
-                power += mass
-                break
+    bases: Sequence[tuple[tuple[float, float], ...]], peaks: list[tuple[float, float, float]]
+) -> list[float]:
+    """Power of the peaks that lie on the lattice each basis generates; 0 for those too skew."""
+    nothing = (0.0, 0.0)
+    waves = torch.tensor([(*basis, nothing)[:2] for basis in bases], dtype=torch.float64)
+    orders = torch.tensor([o for o in itertools.product(_ORDERS, repeat=2) if any(o)]).double()
+    places = torch.tensor([peak[:2] for peak in peaks], dtype=torch.float64)
+    mass = torch.tensor([peak[2] for peak in peaks], dtype=torch.float64)
+    points = torch.einsum("om,nmc->noc", orders, waves)
+    # One wave has only its own orders, and not the origin.
+    lonely = waves[:, 1].abs().sum(dim=1) == 0
+    points[lonely[:, None] & (orders[:, 0] == 0)] = math.inf
+    hit = torch.zeros(len(bases), len(peaks), dtype=torch.bool)
+    for index, place in enumerate(places):
+        hit[:, index] = ((points - place).square().sum(dim=2) < _TOLERANCE**2).any(dim=1)
+    # Nearly one direction: two waves would beat, not weave.
+    (ax, ay), (bx, by) = waves[:, 0].T, waves[:, 1].T
+    lengths = waves[:, 0].norm(dim=1) * waves[:, 1].norm(dim=1)
+    skew = ~lonely & ((ax * by - ay * bx).abs() < 0.3 * lengths)
+    power: list[float] = torch.where(skew, 0.0, hit.double() @ mass).tolist()
     return power
