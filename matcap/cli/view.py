@@ -1,0 +1,71 @@
+"""`matcap view`: a page that shows a material under a light that follows the pointer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from matcap.cli.options import QuietOption
+
+
+def view(
+    path: Annotated[
+        Path, typer.Argument(help="A material, a map set's folder, or a capture's folder.")
+    ] = Path("."),
+    blend: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A second material to walk towards.")
+    ] = None,
+    photo: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            show_default="what the folder has",
+            help="A photograph to show beside it.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Realisation shown first.")] = 0,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, show_default="a free one", help="Of the server.")
+    ] = 0,
+    opens: Annotated[
+        bool, typer.Option("--open/--no-open", help="Open the page in the browser.")
+    ] = True,
+    html: Annotated[
+        Path | None,
+        typer.Option(
+            "--html", metavar="FILE", help="Write one self-contained page instead of serving one."
+        ),
+    ] = None,
+    tile: Annotated[
+        int, typer.Option(metavar="TEXELS", help="Side of the repeating tile in --html.")
+    ] = 512,
+    quiet: QuietOption = False,
+) -> None:
+    """Look at a material: endless plane, sphere and cylinder, under any light, in the browser.
+
+    The page is served to this machine alone, until Ctrl-C. Its address goes to stdout.
+    """
+    from matcap.view.document import check_page_path, sealed_page, write_page
+    from matcap.view.photograph import browser_picture, find_photograph
+    from matcap.view.serve import serve
+    from matcap.view.subject import open_subject
+
+    if html is not None:
+        check_page_path(html)
+    subject = open_subject(path, blend, seed)
+    beside = photo or find_photograph(path, subject.facts.name)
+    picture = browser_picture(beside) if beside else None
+    if html is not None:
+        write_page(sealed_page(subject, tile, picture), html)
+        if not quiet:
+            typer.echo(f"wrote {html}", err=True)
+        return
+
+    def announce(address: str) -> None:
+        typer.echo(address)
+        if not quiet:
+            typer.echo("Ctrl-C ends it.", err=True)
+
+    serve(subject, port=port, photo=picture, opens=opens, announce=announce)

@@ -1,0 +1,155 @@
+"""The page: its files, and how they become one document.
+
+The page's scripts are plain ones that run in the order of SCRIPTS and share one scope. Served,
+each is a file of its own; for sending, they all stand inside the document with the maps.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from dataclasses import asdict
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from matcap.errors import UsageError
+from matcap.view.blocks import SIDE
+from matcap.view.photograph import Picture
+from matcap.view.subject import Facts, Maps, Materials, Subject
+
+if TYPE_CHECKING:
+    from matcap.brdf.maps import MapSet
+
+SCRIPTS = ("shader.js", "surroundings.js", "texture.js", "blocks.js", "view.js", "main.js")
+STYLE = "page.css"
+_LARGEST_TILE = 2048  # texels a side of a page for sending: some 50 MB
+# What a document for sending may do: run what stands in it, and fetch nothing.
+_SEALED = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+)
+
+
+def page_file(name: str) -> str:
+    """The text of one of the page's own files."""
+    return (files("matcap.view") / "page" / name).read_text(encoding="utf-8")
+
+
+def served_page(facts: Facts, photo: Picture | None) -> str:
+    """The document that fetches scripts and blocks from its server.
+
+    Args:
+        facts: of the subject.
+        photo: what its server has to show beside it.
+    """
+    head = f'<link rel="stylesheet" href="{STYLE}">'
+    scripts = "\n".join(f'<script src="{name}"></script>' for name in SCRIPTS)
+    about = _about(facts, "photo", photo) | {"tile": None}
+    return _document(facts, head, scripts, about)
+
+
+def sealed_page(subject: Subject, size: int = SIDE, photo: Picture | None = None) -> str:
+    """One self-contained document: a tile of the subject that repeats without a seam.
+
+    Args:
+        subject: a material, of which a periodic piece is taken, or a map set, taken whole.
+        size: sides of a material's tile in texels, a multiple of 16.
+        photo: to show beside it.
+
+    Raises:
+        UsageError: a size out of range, or no multiple of 16; a map set that is too large.
+    """
+    maps = _tile(subject, size)
+    facts = subject.facts
+    head = (
+        f'<meta http-equiv="Content-Security-Policy" content="{_SEALED}">'
+        f"<style>\n{page_file(STYLE)}</style>"
+    )
+    scripts = "\n".join(f"<script>\n{page_file(name)}</script>" for name in SCRIPTS)
+    url = _data_url(photo) if photo else ""
+    about = _about(facts, url, photo) | {
+        "second": "",
+        "period": list(maps.size),
+        "tile": _packed(maps),
+    }
+    return _document(facts, head, scripts, about)
+
+
+def write_page(document: str, path: Path) -> None:
+    """Write a document, whole or not at all.
+
+    Raises:
+        UsageError: the name does not end in .html.
+        MatcapError: the file cannot be written.
+    """
+    from matcap.export.staging import staged
+
+    check_page_path(path)
+    with staged(path.parent) as stage:
+        (stage / path.name).write_text(document, encoding="utf-8")
+
+
+def check_page_path(path: Path) -> None:
+    """Raise UsageError unless the name ends in .html."""
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(
+            f"'{path.suffix}' is no page", where=str(path), remedy="choose a name in .html"
+        )
+
+
+def _tile(subject: Subject, size: int) -> MapSet:
+    if isinstance(subject, Materials):
+        if not 16 <= size <= _LARGEST_TILE or size % 16:
+            raise UsageError(
+                f"a tile of {size} texels is not possible",
+                where="--tile",
+                remedy=f"choose a multiple of 16 from 16 to {_LARGEST_TILE}",
+            )
+        return subject.first.maps(size, size, seed=subject.seed, period=(size, size))
+    assert isinstance(subject, Maps)
+    if max(subject.maps.size) > _LARGEST_TILE:
+        raise UsageError(
+            f"a map set of {subject.maps.size[0]}x{subject.maps.size[1]} is too large for one page",
+            where=subject.name,
+            remedy=f"make one of at most {_LARGEST_TILE} texels a side",
+        )
+    return subject.maps
+
+
+def _packed(maps: MapSet) -> dict[str, Any]:
+    """Maps as text: half floats, and the height as 16-bit steps between its ends; compressed."""
+    import numpy as np
+
+    stacked = maps.stacked().numpy()
+    height = stacked[5]
+    low, high = float(height.min()), float(height.max())
+    span = high - low or 1.0
+    steps = np.rint((height - low) / span * 65535.0).astype("<u2")
+    # Bytes of one kind together compress better: all low bytes, then all high ones.
+    words = np.concatenate([stacked[:5].astype("<f2").view("<u2").ravel(), steps.ravel()])
+    split = words.view(np.uint8).reshape(-1, 2).T.tobytes()
+    text = base64.b64encode(zlib.compress(split, 9)).decode()
+    return {"size": list(maps.size), "low": low, "span": span, "data": text}
+
+
+def _about(facts: Facts, url: str, photo: Picture | None) -> dict[str, Any]:
+    shown = {"photo": url if photo else None, "photo_is_sheet": bool(photo and photo.sheet)}
+    return asdict(facts) | shown | {"side": SIDE}
+
+
+def _document(facts: Facts, head: str, scripts: str, about: dict[str, Any]) -> str:
+    # Inside a script element only '<' could end it.
+    data = json.dumps(about, allow_nan=False).replace("<", "\\u003c")
+    parts = {"title": escape(facts.name), "head": head, "about": data, "scripts": scripts}
+    text = page_file("page.html")
+    for name, value in parts.items():
+        before, mark, after = text.partition("{{" + name + "}}")
+        assert mark, name
+        text = before + value + after
+    return text
+
+
+def _data_url(picture: Picture) -> str:
+    return f"data:{picture.kind};base64,{base64.b64encode(picture.data).decode()}"

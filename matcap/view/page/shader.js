@@ -1,0 +1,218 @@
+"use strict";
+// The page's one shader. Units: half the picture's long side on a plane, the radius on a sphere or
+// cylinder. Formulas are those of matcap/relight/lobes.py; the camera is the photograph's, 45
+// degrees across the long side, straight above.
+
+const VERTEX = `#version 300 es
+void main() {
+  // One triangle that covers the picture.
+  vec2 corner = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);
+  gl_Position = vec4(corner, 0.0, 1.0);
+}`;
+
+const FRAGMENT = `#version 300 es
+precision highp float;
+precision highp sampler2D;
+uniform sampler2D albedo;     // diffuse, F0
+uniform sampler2D surface;    // alpha squared, slopes along x and y, their variance
+uniform sampler2D relief;     // height
+uniform sampler2D presence;   // one texel a block: whether it is there
+uniform vec2 size;            // of the picture, pixels
+uniform vec2 centre;          // texel in the picture's middle, less whole turns of the textures
+uniform vec2 texels;          // texels to a unit, texels of the textures' side
+uniform int shape;            // 0 plane, 1 sphere, 2 cylinder
+uniform int map;              // 0 lit, then diffuse, specular, roughness, height, normal
+uniform bool room;            // surroundings, not the point light
+uniform vec3 lightPlace;
+uniform float intensity;
+uniform float gain;
+uniform vec2 heights;         // lowest and highest
+uniform mat3 turned;          // scene to room
+uniform vec3 harmonics[9];    // of the room's irradiance
+out vec4 colour;
+
+const float PI = 3.14159265358979;
+const float REACH = 0.41421356237;  // tan(22.5 degrees)
+const vec3 NOTHING = vec3(0.0185);
+
+ROOM_RADIANCE
+
+vec3 encode(vec3 light) {
+  vec3 c = clamp(light, 0.0, 1.0);
+  return mix(1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, 12.92 * c, lessThanEqual(c, vec3(0.0031308)));
+}
+
+// D G / (4 (n.l)(n.v)), and l.h in y.
+vec2 ggxSmith(vec3 n, vec3 v, vec3 l, float nv, float nl, float a2) {
+  vec3 h = l + v;
+  float hh = max(dot(h, h), 1e-20);
+  vec3 sine = cross(n, h);
+  float c = nl + nv;
+  float d = sqrt(a2) * hh / (dot(sine, sine) + c * c * a2);
+  float rest = 1.0 - a2;
+  float smith = nl * sqrt(nv * nv * rest + a2) + nv * sqrt(nl * nl * rest + a2);
+  return vec2(d * d * 0.5 / PI / max(smith, 1e-7), sqrt(hh) * 0.5);
+}
+
+float schlickWeight(float lh) {
+  float rest = max(1.0 - lh, 0.0);
+  return rest * rest * rest * rest * rest;
+}
+
+// Irradiance of the room on a normal (Ramamoorthi and Hanrahan 2001).
+vec3 roomIrradiance(vec3 n) {
+  vec3 e = harmonics[0] + harmonics[1] * n.y + harmonics[2] * n.z + harmonics[3] * n.x
+    + harmonics[4] * (n.x * n.y) + harmonics[5] * (n.y * n.z) + harmonics[6] * (3.0 * n.z * n.z - 1.0)
+    + harmonics[7] * (n.x * n.z) + harmonics[8] * (n.x * n.x - n.y * n.y);
+  return max(e, 0.0);
+}
+
+// A half vector among the normals that v sees (Heitz 2018).
+vec3 visibleNormal(vec3 v, float alpha, vec2 at) {
+  vec3 stretched = normalize(vec3(alpha * v.xy, v.z));
+  float flat2 = dot(stretched.xy, stretched.xy);
+  vec3 t1 = flat2 > 1e-12 ? vec3(-stretched.y, stretched.x, 0.0) / sqrt(flat2) : vec3(1, 0, 0);
+  vec3 t2 = cross(stretched, t1);
+  float r = sqrt(at.x), phi = 2.0 * PI * at.y;
+  float p1 = r * cos(phi), s = 0.5 * (1.0 + stretched.z);
+  float p2 = mix(sqrt(max(1.0 - p1 * p1, 0.0)), r * sin(phi), s);
+  vec3 n = p1 * t1 + p2 * t2 + sqrt(max(1.0 - p1 * p1 - p2 * p2, 0.0)) * stretched;
+  return normalize(vec3(alpha * n.xy, max(n.z, 1e-6)));
+}
+
+vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, float f0, float a2, float nv) {
+  // A frame around the shading normal.
+  vec3 t = normalize(abs(n.x) < 0.9 ? cross(n, vec3(1, 0, 0)) : cross(n, vec3(0, 1, 0)));
+  mat3 around = mat3(t, cross(n, t), n);
+  vec3 seen = v * around;
+  float alpha = sqrt(a2);
+  vec3 total = vec3(0.0);
+  const int COUNT = 48;
+  for (int i = 0; i < COUNT; i++) {
+    float radical = float(bitfieldReverseOf(uint(i))) * 2.3283064365386963e-10;
+    vec3 h = visibleNormal(seen, alpha, vec2((float(i) + 0.5) / float(COUNT), radical));
+    vec3 l = reflect(-seen, h);
+    vec3 direction = around * l;
+    if (l.z <= 0.0 || direction.z <= 0.0) continue;
+    // F G2 / G1, the correlated Smith G over that of the view.
+    float lv = sqrt(a2 + (1.0 - a2) * seen.z * seen.z) / max(seen.z, 1e-6);
+    float ll = sqrt(a2 + (1.0 - a2) * l.z * l.z) / l.z;
+    float weight = (1.0 + lv) / (lv + ll);
+    float fresnel = f0 + (1.0 - f0) * schlickWeight(dot(l, h));
+    total += roomRadiance(turned * (frame * direction)) * (weight * fresnel);
+  }
+  return total / float(COUNT);
+}
+
+void main() {
+  float half_ = max(size.x, size.y) * 0.5;
+  vec2 s = (gl_FragCoord.xy - 0.5 * size) / half_;
+  float away = 1.0 / REACH;
+  vec3 point, eye;
+  mat3 frame = mat3(1.0);
+  vec2 place;
+  float footprint;
+  if (shape == 0) {
+    eye = vec3(0.0, 0.0, away);
+    point = vec3(s, 0.0);
+    place = s;
+    footprint = 1.0 / half_;
+  } else {
+    float sides = max(size.x, size.y) / min(size.x, size.y);
+    eye = vec3(0.0, 0.0, 1.25 * sides * away);
+    vec3 direction = normalize(vec3(s * REACH, -1.0));
+    bool upright = shape == 2;
+    vec3 flat_ = upright ? vec3(1, 0, 1) : vec3(1);
+    vec3 o = eye * flat_, d = direction * flat_;
+    float a = dot(d, d), b = dot(o, d), c = dot(o, o) - 1.0;
+    float inside = b * b - a * c;
+    float along = inside > 0.0 ? (-b - sqrt(inside)) / a : -1.0;
+    point = eye + along * direction;
+    if (along <= 0.0 || (upright && abs(point.y) > 1.0)) {
+      colour = vec4(encode(NOTHING), 1.0);
+      return;
+    }
+    float longitude = atan(point.x, point.z);
+    vec3 tangent = vec3(cos(longitude), 0.0, -sin(longitude));
+    vec3 normal = upright ? vec3(-tangent.z, 0.0, tangent.x) : normalize(point);
+    frame = mat3(tangent, cross(normal, tangent), normal);
+    place = vec2(longitude, upright ? point.y : asin(clamp(normal.y, -1.0, 1.0)));
+    float facing = dot(-direction, normal);
+    footprint = along * REACH / half_ / max(facing, 1e-3);
+  }
+  vec2 texel = centre + vec2(place.x, -place.y) * texels.x;
+  float there = texelFetch(presence, ivec2(mod(floor(texel / BLOCK_SIDE), texels.y / BLOCK_SIDE)), 0).r;
+  vec2 at = texel / texels.y;
+  float level = log2(max(footprint * texels.x, 1.0));
+  vec4 a = textureLod(albedo, at, level);
+  vec4 b = textureLod(surface, at, level);
+  float a2 = min(b.x + b.w, 1.0);
+  vec3 n = normalize(vec3(-b.yz, 1.0));
+  vec3 shown;
+  if (map == 1) shown = encode(a.rgb);
+  else if (map == 2) shown = vec3(a.a);
+  else if (map == 3) shown = vec3(sqrt(sqrt(b.x)));
+  else if (map == 4) shown = vec3((textureLod(relief, at, level).r - heights.x) / (heights.y - heights.x));
+  else if (map == 5) shown = 0.5 + 0.5 * n;
+  else {
+    vec3 v = normalize(eye - point) * frame;
+    float nv = max(dot(n, v), 0.0);
+    vec3 radiance = vec3(0.0);
+    if (nv > 0.0 && v.z > 0.0) {
+      if (room) {
+        // A tilted normal sees only what is above the surface itself.
+        vec3 lambert = a.rgb / PI * roomIrradiance(turned * (frame * n)) * (0.5 + 0.5 * n.z);
+        radiance = lambert + roomSpecular(n, v, frame, a.a, a2, nv);
+      } else {
+        vec3 offset = lightPlace - point;
+        float squared = dot(offset, offset);
+        vec3 l = (offset * inversesqrt(squared)) * frame;
+        float nl = max(dot(n, l), 0.0);
+        if (nl > 0.0 && l.z > 0.0) {
+          vec2 lobe = ggxSmith(n, v, l, nv, nl, a2);
+          float fresnel = a.a + (1.0 - a.a) * schlickWeight(lobe.y);
+          radiance = (a.rgb / PI + fresnel * lobe.x) * (nl * intensity / squared);
+        }
+      }
+    }
+    shown = encode(radiance * gain);
+  }
+  colour = vec4(mix(encode(NOTHING), clamp(shown, 0.0, 1.0), there), 1.0);
+}`;
+
+// The program, or an error that says what the driver did not like.
+function buildProgram(gl, side) {
+  const source = FRAGMENT.replace("ROOM_RADIANCE", ROOM_GLSL + BITS_GLSL)
+    .replaceAll("BLOCK_SIDE", side.toFixed(1));
+  const program = gl.createProgram();
+  for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, source]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, text);
+    gl.compileShader(shader);
+    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) {
+      throw new Error(gl.getShaderInfoLog(shader) || "a shader does not compile");
+    }
+    gl.attachShader(program, shader);
+  }
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
+    throw new Error(gl.getProgramInfoLog(program) || "the shader does not link");
+  }
+  const places = {};
+  const count = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS);
+  for (let i = 0; i < count; i++) {
+    const { name } = gl.getActiveUniform(program, i);
+    places[name.replace("[0]", "")] = gl.getUniformLocation(program, name);
+  }
+  return { program, places };
+}
+
+// GLSL ES 3.00 has no bitfieldReverse.
+const BITS_GLSL = `
+uint bitfieldReverseOf(uint x) {
+  x = (x << 16u) | (x >> 16u);
+  x = ((x & 0x00ff00ffu) << 8u) | ((x & 0xff00ff00u) >> 8u);
+  x = ((x & 0x0f0f0f0fu) << 4u) | ((x & 0xf0f0f0f0u) >> 4u);
+  x = ((x & 0x33333333u) << 2u) | ((x & 0xccccccccu) >> 2u);
+  return ((x & 0x55555555u) << 1u) | ((x & 0xaaaaaaaau) >> 1u);
+}`;

@@ -1,0 +1,85 @@
+"""The page's server as a running program: bound to 127.0.0.1 and to nothing else."""
+
+from __future__ import annotations
+
+import socket
+import webbrowser
+from collections.abc import Callable
+from contextlib import suppress
+
+from matcap.errors import MatcapError
+from matcap.view.blocks import Blocks, Place
+from matcap.view.photograph import Picture
+from matcap.view.server import make_app, new_address
+from matcap.view.subject import Subject
+
+HOST = "127.0.0.1"
+
+
+def serve(
+    subject: Subject,
+    *,
+    port: int = 0,
+    photo: Picture | None = None,
+    opens: bool = True,
+    announce: Callable[[str], None],
+) -> None:
+    """Serve the page until interrupted.
+
+    Args:
+        subject: what to show.
+        port: 0 takes a free one.
+        photo: to show beside it.
+        opens: the browser is opened.
+        announce: told the address once requests are accepted.
+
+    Raises:
+        MatcapError: the port is taken, or the extra `view` is not installed.
+    """
+    try:
+        import uvicorn
+    except ImportError as error:
+        raise MatcapError(
+            "the page needs the extra 'view'",
+            remedy='pip install "matcap[view]", or write one file with --html',
+        ) from error
+    import torch
+
+    # A block is computed on one thread (synth/field.py); several blocks side by side must not
+    # change that setting under each other.
+    torch.set_num_threads(1)
+    listening = _listen(port)
+    address = new_address(listening.getsockname()[1])
+    blocks = Blocks(subject)
+    # What will be seen first, begun while the browser starts.
+    blocks.ask(Place(0, 0, subject.facts.seed))
+    app = make_app(subject.facts, blocks, address, photo)
+    server = uvicorn.Server(
+        uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
+    )
+    announce(address.url)
+    if opens:
+        # Connections wait in the socket's queue until the server takes them.
+        webbrowser.open(address.url)
+    try:
+        with suppress(KeyboardInterrupt):
+            server.run(sockets=[listening])
+    finally:
+        blocks.close()
+        listening.close()
+
+
+def _listen(port: int) -> socket.socket:
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((HOST, port))
+        listening.listen(64)
+    except OSError as error:
+        listening.close()
+        raise MatcapError(
+            f"the port {port} cannot be used ({error.strerror})",
+            where="--port",
+            remedy="choose another, or leave it out",
+        ) from error
+    return listening

@@ -1,0 +1,163 @@
+"""What the page's server answers, and whom.
+
+Only this machine can reach it (see serve.py), and on this machine only who knows the address: it
+begins with a random token. A Host header other than the server's own is refused, so that no web
+site can reach it under a name of its own (DNS rebinding). No request names a file: what there is
+to fetch is a fixed list, so there is no path to climb out of.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from matcap.errors import MatcapError, UsageError
+from matcap.view.blocks import Blocks, Place
+from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
+from matcap.view.photograph import Picture
+from matcap.view.subject import Facts
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where the page is, and the secret that opens it."""
+
+    port: int
+    token: str
+
+    @property
+    def url(self) -> str:
+        """What a browser opens."""
+        return f"http://127.0.0.1:{self.port}/{self.token}/"
+
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        """Host headers that mean this server."""
+        return f"127.0.0.1:{self.port}", f"localhost:{self.port}"
+
+
+def new_address(port: int) -> Address:
+    """An address nobody can guess."""
+    return Address(port, secrets.token_urlsafe(24))
+
+
+def make_app(facts: Facts, blocks: Blocks, address: Address, photo: Picture | None) -> Starlette:
+    """The server's application.
+
+    Args:
+        facts: of the subject.
+        blocks: of the subject.
+        address: whose token and host requests must have.
+        photo: to show beside it.
+    """
+    from starlette.applications import Starlette
+    from starlette.middleware import Middleware
+    from starlette.responses import HTMLResponse, PlainTextResponse, Response
+    from starlette.routing import Route
+
+    page = served_page(facts, photo)
+    texts = {name: page_file(name) for name in (*SCRIPTS, STYLE)}
+
+    async def whole(_: Request) -> Response:
+        return HTMLResponse(page)
+
+    async def part(request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in texts:
+            return PlainTextResponse("There is no such file.", 404)
+        kind = "text/css" if name == STYLE else "text/javascript"
+        return Response(texts[name], media_type=kind)
+
+    async def picture(_: Request) -> Response:
+        if photo is None:
+            return PlainTextResponse("There is no photograph.", 404)
+        return Response(photo.data, media_type=photo.kind)
+
+    async def block(request: Request) -> Response:
+        try:
+            wanted = place_of(request.query_params)
+            found = await asyncio.wrap_future(blocks.ask(wanted))
+        except MatcapError as error:
+            return PlainTextResponse(str(error), 400)
+        size = {"X-Texel-Size": repr(found.texel_size)}
+        return Response(found.data, media_type="application/octet-stream", headers=size)
+
+    routes = [
+        Route("/", whole),
+        Route("/photo", picture),
+        Route("/block", block),
+        Route("/{name}", part),
+    ]
+    return Starlette(routes=routes, middleware=[Middleware(_Guard, address=address)])
+
+
+def place_of(values: Mapping[str, str]) -> Place:
+    """The block that query parameters ask for.
+
+    Raises:
+        UsageError: a parameter is missing, is no number, or is not finite.
+    """
+    try:
+        place = Place(
+            int(values["column"]),
+            int(values["row"]),
+            int(values.get("seed", "0")),
+            float(values.get("share", "0")),
+        )
+    except (KeyError, ValueError) as error:
+        raise UsageError(
+            "this does not name a block", remedy="give column, row, seed and share as numbers"
+        ) from error
+    if not 0.0 <= place.share <= 1.0:
+        raise UsageError("the share is not between 0 and 1")
+    return place
+
+
+class _Guard:
+    """Lets through only requests with the right token and host; adds headers to every answer."""
+
+    def __init__(self, app: ASGIApp, address: Address) -> None:
+        self._app = app
+        self._address = address
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        from starlette.datastructures import Headers, MutableHeaders
+        from starlette.responses import PlainTextResponse
+
+        if scope["type"] != "http":
+            return
+
+        async def sealed(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(_HEADERS)
+            await send(message)
+
+        token, slash, rest = scope["path"].removeprefix("/").partition("/")
+        known = secrets.compare_digest(token.encode(), self._address.token.encode())
+        if Headers(scope=scope).get("host") not in self._address.hosts:
+            answer = PlainTextResponse("This server answers to its own address only.", 421)
+            await answer(scope, receive, sealed)
+        elif not known or not slash:
+            refusal = "Open the whole address that matcap view printed."
+            await PlainTextResponse(refusal, 403)(scope, receive, sealed)
+        else:
+            await self._app({**scope, "path": f"/{rest}"}, receive, sealed)
