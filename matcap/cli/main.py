@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 import matcap
-from matcap.cli import bench, blend, capture, inspect, prior, relight, sample, synth, view
+from matcap.cli import bench, blend, capture, export, inspect, prior, relight, sample, synth, view
 from matcap.errors import ExitCode, MatcapError
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
@@ -32,6 +32,7 @@ app.command("capture")(capture.capture)
 app.command("inspect")(inspect.inspect)
 app.command("synth")(synth.synth)
 app.command("relight")(relight.relight)
+app.command("export")(export.export)
 app.command("view")(view.view)
 app.command("blend")(blend.blend)
 app.command("sample")(sample.sample)

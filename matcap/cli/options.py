@@ -15,7 +15,33 @@ class Normal(Enum):
     dx = "dx"
 
 
+class Normals(Enum):
+    """Which normal maps are written."""
+
+    gl = "gl"
+    dx = "dx"
+    both = "both"
+
+
+class Bits(Enum):
+    """How textures are stored."""
+
+    eight = "8"
+    sixteen = "16"
+    half = "half"
+    float = "float"
+
+
 NormalOption = Annotated[Normal, typer.Option(help="Normals with +Y up (gl) or down (dx).")]
 PngOption = Annotated[bool, typer.Option("--png", help="16-bit PNGs beside the EXR files.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but failures.")]
+ExportOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--export",
+        metavar="TARGET",
+        help="Also for this renderer or engine, into a folder of its name; see matcap export. "
+        "May be given several times.",
+    ),
+]

@@ -96,7 +96,7 @@ def write_mapset(
         UsageError: a name that is no plain file name.
         MatcapError: values that are not finite, a full disk, an unwritable folder.
     """
-    folder, name = Path(folder), _plain(info.name)
+    folder, name = Path(folder), plain_name(info.name)
     arrays = _arrays(maps, normal)
     document = _document(maps, info, normal)
     with staged(folder, replacing=mapset_files(name)) as stage:
@@ -105,7 +105,7 @@ def write_mapset(
             write_exr(stage / file, pixels, half=kind != "height")
             document["maps"][kind] = {"file": file, "meaning": _MEANINGS[kind]}
         if png:
-            scale, midlevel = _height_range(arrays["height"])
+            scale, midlevel = height_range(arrays["height"])
             document["png"] = {"height_scale": scale, "height_midlevel": midlevel}
             for kind, pixels in arrays.items():
                 file = f"{name}_{kind}.png"
@@ -140,7 +140,7 @@ def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
     try:
         size = (int(document["width"]), int(document["height"]))
         texel_size, periodic = float(document["texel_size"]), bool(document["periodic"])
-        files = {kind: _plain(document["maps"][kind]["file"]) for kind in CHANNELS}
+        files = {kind: plain_name(document["maps"][kind]["file"]) for kind in CHANNELS}
     except (KeyError, TypeError, ValueError, UsageError) as error:
         raise _broken(file, f"the entry {error} is missing or wrong") from error
     if min(size) < 1 or not 0.0 < texel_size < float("inf"):
@@ -213,7 +213,7 @@ def _document(maps: MapSet, info: MapSetInfo, normal: NormalStyle) -> dict[str, 
     }
 
 
-def _height_range(height: NDArray[np.float32]) -> tuple[float, float]:
+def height_range(height: NDArray[np.float32]) -> tuple[float, float]:
     """(scale, midlevel) such that height = (value - midlevel) * scale fills [0, 1]."""
     low, high = float(height.min()), float(height.max())
     if high > low:
@@ -277,7 +277,7 @@ def _load_document(file: Path) -> dict[str, Any] | None:
     return document
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
     """The name itself when it is a plain file name, so that nothing leaves its folder."""
     if not name or name.startswith(".") or any(mark in name for mark in "/\\\0"):
         raise UsageError("is not a plain file name", where=repr(name), remedy="choose another")

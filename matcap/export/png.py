@@ -20,12 +20,22 @@ def write_png(path: Path, coded: NDArray[np.float32], *, bits: int) -> None:
         MatcapError: a value is not finite.
         OSError: the file cannot be written.
     """
-    import cv2
-
     if not np.isfinite(coded).all():
         raise MatcapError("has values that are not finite", where=path.name)
+    path.write_bytes(png_bytes(quantised(coded, bits=bits)))
+
+
+def quantised(coded: NDArray[np.float32], *, bits: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Whole code values, rounded, of finite ones in [0, 1], clipped there; any shape."""
     whole = np.rint(np.clip(coded, 0.0, 1.0) * (2.0**bits - 1.0))
-    stored = whole.astype(np.uint8 if bits == 8 else np.uint16)
-    stored = stored[..., ::-1] if stored.ndim == 3 else stored
+    return whole.astype(np.uint8) if bits == 8 else whole.astype(np.uint16)
+
+
+def png_bytes(whole: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+    """A PNG file of (H, W, 4), (H, W, 3) or (H, W) whole code values."""
+    import cv2
+
+    order = {3: [2, 1, 0], 4: [2, 1, 0, 3]}
+    stored = whole[..., order[whole.shape[2]]] if whole.ndim == 3 else whole
     _, encoded = cv2.imencode(".png", np.ascontiguousarray(stored))
-    path.write_bytes(encoded.tobytes())
+    return encoded.tobytes()

@@ -1,0 +1,136 @@
+"""`matcap export`: maps for another program."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from matcap.cli import values
+from matcap.cli.options import Bits, JsonOption, Normals, QuietOption
+
+if TYPE_CHECKING:
+    from matcap.export.targets import Exported
+
+
+def export(
+    path: Annotated[
+        Path, typer.Argument(help="A material, a map set or a folder with either.")
+    ] = Path("."),
+    to: Annotated[
+        str | None,
+        typer.Option(metavar="TARGET", help="materialx, usd, gltf, blender or mitsuba."),
+    ] = None,
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Loose textures instead, named and packed as polyhaven, ambientcg, unreal, "
+            "unity-hdrp, gltf or raw.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder; by default a new one named after all this."),
+    ] = None,
+    size: Annotated[
+        values.Size,
+        typer.Option(
+            parser=values.size,
+            metavar="WxH",
+            show_default="1024x1024",
+            help="Texels read from a material; they tile where both are multiples of 16.",
+        ),
+    ] = values.DEFAULT_SIZE,
+    seed: Annotated[int, typer.Option(help="Realisation read from a material.")] = 0,
+    bits: Annotated[
+        Bits | None,
+        typer.Option(
+            show_default="what suits the target",
+            help="Of all textures: PNGs of 8 or 16 bits, EXR files of half or float.",
+        ),
+    ] = None,
+    unit: Annotated[
+        float | None,
+        typer.Option(
+            "--unit",
+            min=1e-6,
+            max=1e9,
+            metavar="MM",
+            help="Millimetres of a plane unit, half the photograph's long side: sizes and heights "
+            "are then real.",
+        ),
+    ] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Of a preset's files: fields {stem}, {map}, {res} and {format}.",
+        ),
+    ] = None,
+    maps: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="Of a preset, only these, such as diffuse,roughness."),
+    ] = None,
+    normal: Annotated[
+        Normals | None,
+        typer.Option(
+            show_default="what the preset wants",
+            help="Of a preset: normals with +Y up (gl), down (dx), or both.",
+        ),
+    ] = None,
+    json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Write a material for another renderer or engine.
+
+    Prints what the target cannot express: how far its light is from matcap's. See docs/exports.md.
+    """
+    from matcap.errors import UsageError
+    from matcap.export.presets import Choice
+    from matcap.export.source import open_tile
+    from matcap.export.staging import check_writable
+    from matcap.export.targets import check_target, export_bytes, write_export, write_preset
+    from matcap.export.textures import Job
+
+    if (to is None) == (preset is None):
+        raise UsageError("give either --to or --preset", where="matcap export")
+    asked = {"--name": name, "--maps": maps, "--normal": normal}
+    for option in (option for option, value in asked.items() if to and value is not None):
+        raise UsageError("this is for --preset", where=option, remedy="leave it out")
+    target = check_target(to=to, preset=preset)
+    if out is not None:
+        check_writable(out, export_bytes(size.width, size.height))
+    found = open_tile(path, size=(size.width, size.height), seed=seed)
+    folder = out or Path(f"{found.name}_{target}")
+    check_writable(folder, export_bytes(*found.maps.size))
+    job = Job(found.maps, found.name, unit, bits and bits.value, found.provenance)
+    if to is not None:
+        done = write_export(job, target, folder)
+    else:
+        chosen = [one.strip() for one in maps.split(",")] if maps else []
+        done = write_preset(job, target, folder, Choice(name, chosen, normal and normal.value))
+    _report(done, as_json=json, quiet=quiet)
+
+
+def _report(done: Exported, *, as_json: bool, quiet: bool) -> None:
+    if as_json:
+        from json import dumps
+
+        off = done.residual
+        report = {
+            "folder": str(done.folder),
+            "files": done.files,
+            "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
+            "notes": done.notes,
+        }
+        typer.echo(dumps(report, indent=2, allow_nan=False))
+        return
+    if quiet:
+        return
+    typer.echo(f"wrote {done.folder} ({', '.join(done.files)})", err=True)
+    if done.residual is not None:
+        typer.echo(f"residual: {done.residual}", err=True)
+    for note in done.notes:
+        typer.echo(f"note: {note}", err=True)

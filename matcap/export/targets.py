@@ -1,0 +1,132 @@
+"""Every target that maps can be exported to, and the one function that writes them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matcap
+from matcap.export.gltf import gltf
+from matcap.export.materialx import materialx
+from matcap.export.names import known
+from matcap.export.presets import PRESETS, Choice, pack
+from matcap.export.staging import staged
+from matcap.export.surface import Residual, residual
+from matcap.export.textures import Export, Job
+
+FORMAT = "matcap export"
+VERSION = 1
+
+# All maps twice, in 32-bit floats: no target takes more.
+_TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
+
+# Targets with a document of their own.
+DOCUMENTS: dict[str, Callable[[Job], Export]] = {"materialx": materialx, "gltf": gltf}
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written.
+
+    Attributes:
+        folder: where.
+        files: names in it, sorted.
+        residual: how far the target's light is from matcap's; None for plain maps.
+        notes: what the user must know, a sentence each.
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    residual: Residual | None
+    notes: tuple[str, ...]
+
+
+def check_target(*, to: str | None = None, preset: str | None = None) -> str:
+    """The name of a document's target or of a preset, whichever is given.
+
+    Raises:
+        UsageError: there is no such name.
+    """
+    if to is not None:
+        return known(to, DOCUMENTS, "--to")
+    return known(preset or "", PRESETS, "--preset")
+
+
+def export_bytes(width: int, height: int) -> int:
+    """Disk space that an export of this size takes at most."""
+    return width * height * _TEXEL_BYTES + 1_000_000
+
+
+def write_export(job: Job, target: str, folder: Path, choice: Choice | None = None) -> Exported:
+    """Write maps for a target, all files or none.
+
+    Args:
+        job: the maps and how to write them.
+        target: a key of DOCUMENTS or of presets.PRESETS; "gltf" is the document.
+        folder: made when missing; files of the same names are replaced.
+        choice: for presets only.
+
+    Raises:
+        UsageError: no such target, or one that does not know the choice.
+        MatcapError: values that are not finite, a full disk, an unwritable folder.
+    """
+    if target in DOCUMENTS:
+        return _write(DOCUMENTS[target](job), job, target, folder)
+    return write_preset(job, target, folder, choice)
+
+
+def write_preset(job: Job, preset: str, folder: Path, choice: Choice | None = None) -> Exported:
+    """Write loose textures under a preset's names, all files or none.
+
+    Raises:
+        UsageError: no such preset, or a choice that does not fit it.
+        MatcapError: as write_export.
+    """
+    return _write(pack(job, preset, choice), job, preset, folder)
+
+
+def _write(made: Export, job: Job, target: str, folder: Path) -> Exported:
+    """Write what an exporter made, and its sidecar NAME_TARGET.json."""
+    off = residual(job.maps, made.surface) if made.surface else None
+    sidecar = f"{job.name}_{target}.json"
+    with staged(folder) as stage:
+        for file, texture in made.textures.items():
+            texture.write(stage / file)
+        for file, content in made.documents.items():
+            (stage / file).write_bytes(content)
+        text = json.dumps(_sidecar(made, job, target, off), indent=2, allow_nan=False, default=str)
+        (stage / sidecar).write_text(text + "\n")
+        files = tuple(sorted(file.name for file in stage.iterdir()))
+    return Exported(folder, files, off, made.notes)
+
+
+def _sidecar(made: Export, job: Job, target: str, off: Residual | None) -> dict[str, Any]:
+    width, height = job.maps.size
+    across, down = (side * job.unit_length for side in job.extent)
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "matcap": matcap.__version__,
+        "target": target,
+        "name": job.name,
+        "width": width,
+        "height": height,
+        "unit": job.unit,
+        "tile": [across, down],
+        "files": {
+            file: {
+                "colour_space": texture.colour_space,
+                "depth": texture.depth,
+                "meaning": texture.meaning,
+            }
+            for file, texture in made.textures.items()
+        },
+        "documents": sorted(made.documents),
+        "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
+        "notes": list(made.notes),
+        **made.facts,
+        "provenance": dict(job.provenance),
+    }
