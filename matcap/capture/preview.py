@@ -33,7 +33,9 @@ _LEAST_SPAN = {"specular": 0.02, "roughness": 0.05, "height": 0.002}
 
 
 @dataclass(frozen=True)
-class _Panel:
+class Panel:
+    """A labelled picture of the sheet."""
+
     label: str
     pixels: NDArray[np.float32]  # (H, W, 3) code values in [0, 1]
 
@@ -51,10 +53,10 @@ def write_preview(result: CaptureResult, path: Path) -> None:
 
 def draw_sheet(result: CaptureResult) -> Image.Image:
     """The sheet as an RGB picture."""
-    panels = list(_panels(result))
-    height, width = panels[0].pixels.shape[:2]
+    shown = list(panels(result))
+    height, width = shown[0].pixels.shape[:2]
     panel_height = max(1, round(_PANEL * height / width))
-    rows = -(-len(panels) // _COLUMNS)
+    rows = -(-len(shown) // _COLUMNS)
     size = (
         _GAP + _COLUMNS * (_PANEL + _GAP),
         rows * (_LABEL + panel_height + _GAP) + _LABEL + min(_CROP, height) + _GAP,
@@ -62,31 +64,32 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
     sheet = Image.new("RGB", size, _PAPER)
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(size=16)
-    for index, panel in enumerate(panels):
+    for index, panel in enumerate(shown):
         row, column = divmod(index, _COLUMNS)
         x, y = _GAP + column * (_PANEL + _GAP), row * (_LABEL + panel_height + _GAP)
         draw.text((x, y + 5), panel.label, fill=_INK, font=font)
         sheet.paste(_resized(panel.pixels, (_PANEL, panel_height)), (x, y + _LABEL))
     y = rows * (_LABEL + panel_height + _GAP)
-    for index, panel in enumerate(panels):
+    for index, panel in enumerate(shown):
         x = _GAP + index * (_CROP + _GAP)
         draw.text((x, y + 5), f"{panel.label.split(':')[0]}, 1:1", fill=_INK, font=font)
         sheet.paste(_image(_crop(panel.pixels)), (x, y + _LABEL))
     return sheet
 
 
-def _panels(result: CaptureResult) -> Iterable[_Panel]:
+def panels(result: CaptureResult) -> Iterable[Panel]:
+    """Everything there is to see of a capture, as code values of the photograph's rectangle."""
     maps = result.maps
     relit = _relit(result)
     # Another light has no exposure of its own: it is shown as bright as the photograph.
     relit = relit * (float(result.rerendered.mean()) / max(float(relit.mean()), 1e-9))
-    yield _Panel("photograph", srgb_encode(result.rectified))
-    yield _Panel("re-rendered", srgb_encode(result.rerendered))
-    yield _Panel("light from the top", srgb_encode(relit))
-    yield _Panel("diffuse", srgb_encode(_picture(maps, "diffuse")))
+    yield Panel("photograph", srgb_encode(result.rectified))
+    yield Panel("re-rendered", srgb_encode(result.rerendered))
+    yield Panel("light from the top", srgb_encode(relit))
+    yield Panel("diffuse", srgb_encode(_picture(maps, "diffuse")))
     for kind in ("specular", "roughness", "height"):
         yield _stretched(kind, _picture(maps, kind))
-    yield _Panel("normal", 0.5 + 0.5 * _picture(maps, "normal"))
+    yield Panel("normal", 0.5 + 0.5 * _picture(maps, "normal"))
 
 
 def _relit(result: CaptureResult) -> NDArray[np.float32]:
@@ -111,14 +114,14 @@ def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:
     return picture
 
 
-def _stretched(kind: str, values: NDArray[np.float32]) -> _Panel:
+def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:
     """Grey between the map's own ends, which the label tells."""
     low, high = (float(v) for v in np.quantile(values, (0.002, 0.998)))
     label = f"{kind}: {low:.3g} to {high:.3g}"
     short = max(_LEAST_SPAN[kind] - (high - low), 0.0)
     low, high = low - short / 2, high + short / 2
     grey = np.clip((values - low) / (high - low), 0.0, 1.0)
-    return _Panel(label, np.repeat(grey, 3, axis=2))
+    return Panel(label, np.repeat(grey, 3, axis=2))
 
 
 def _crop(pixels: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -14,7 +14,19 @@ from typing import Annotated
 import typer
 
 import matcap
-from matcap.cli import bench, blend, capture, export, inspect, prior, relight, sample, synth, view
+from matcap.cli import (
+    batch,
+    bench,
+    blend,
+    capture,
+    export,
+    inspect,
+    prior,
+    relight,
+    sample,
+    synth,
+    view,
+)
 from matcap.errors import ExitCode, MatcapError
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
@@ -29,6 +41,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 app.command("capture")(capture.capture)
+app.command("batch")(batch.batch)
 app.command("inspect")(inspect.inspect)
 app.command("synth")(synth.synth)
 app.command("relight")(relight.relight)

@@ -25,12 +25,14 @@ class OutputSettings:
         seed: its realisation.
         png: 16-bit PNGs beside the EXR files.
         normal: "gl" or "dx".
+        tile: the map set repeats without a seam; both sides are multiples of 16 then.
     """
 
     size: tuple[int, int] = (1024, 1024)
     seed: int = 0
     png: bool = False
     normal: NormalStyle = "gl"
+    tile: bool = False
 
     @property
     def room(self) -> int:
@@ -59,7 +61,8 @@ def write_outputs(
     from matcap.capture.report import write_report
 
     material, name = result.material, folder.name
-    maps = material.maps(*settings.size, seed=settings.seed)
+    period = settings.size if settings.tile else None
+    maps = material.maps(*settings.size, seed=settings.seed, period=period)
     info = MapSetInfo(name, settings.seed, provenance=dict(material.provenance))
     with staged(folder, replacing=mapset_files(name)) as stage:
         write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)

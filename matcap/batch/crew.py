@@ -1,0 +1,167 @@
+"""Worker processes that may die without taking the batch along.
+
+A pool from the standard library breaks as a whole when one process is killed, and does not tell
+which job killed it. Here every worker has a pipe of its own: its death is an event like another.
+Workers end themselves when the main process is gone, however it went.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing import connection
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from typing import Any, Literal, Protocol
+
+Tell = Callable[[str, float], None]
+Work = Callable[[Any, Tell], Any]
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened to a job.
+
+    Attributes:
+        job: as it was started.
+        kind: "progress", "done" or "died".
+        value: (stage, share); what the work returned; the process's exit code, negative for a
+            signal.
+    """
+
+    job: Any
+    kind: Literal["progress", "done", "died"]
+    value: Any
+
+
+class Crew(Protocol):
+    """Whoever works: processes of this machine, or a cluster."""
+
+    size: int
+
+    def busy(self) -> int:
+        """How many jobs are being worked on."""
+
+    def start(self, job: Any) -> None:  # noqa: ANN401
+        """Give an idle worker a job."""
+
+    def wait(self, seconds: float) -> list[Event]:
+        """What happened since; waits for something to happen, but no longer than this."""
+
+    def close(self) -> None:
+        """Stop all work at once."""
+
+
+class Processes:
+    """A crew of this machine's processes; they are made as they are needed.
+
+    Args:
+        size: at most so many.
+        work: a module-level function, called with a job and a way to tell of its progress.
+        prepare: called once in every new process.
+    """
+
+    def __init__(self, size: int, work: Work, prepare: Callable[[], None]) -> None:
+        self.size = size
+        self._work, self._prepare = work, prepare
+        self._idle: list[_Worker] = []
+        self._working: dict[Connection, tuple[_Worker, Any]] = {}
+
+    def busy(self) -> int:
+        """See Crew."""
+        return len(self._working)
+
+    def start(self, job: Any) -> None:  # noqa: ANN401
+        """See Crew."""
+        while self._idle:
+            worker = self._idle.pop()
+            if worker.give(job):
+                break
+        else:
+            worker = _Worker(self._work, self._prepare)
+            worker.give(job)
+        self._working[worker.pipe] = (worker, job)
+
+    def wait(self, seconds: float) -> list[Event]:
+        """See Crew."""
+        events = []
+        for pipe in connection.wait(list(self._working), seconds):
+            assert isinstance(pipe, Connection)
+            worker, job = self._working[pipe]
+            try:
+                kind, value = pipe.recv()
+            except (EOFError, OSError):
+                del self._working[pipe]
+                events.append(Event(job, "died", worker.end()))
+                continue
+            events.append(Event(job, kind, value))
+            if kind == "done":
+                del self._working[pipe]
+                self._idle.append(worker)
+        return events
+
+    def close(self) -> None:
+        """See Crew."""
+        for worker in [*self._idle, *(worker for worker, _ in self._working.values())]:
+            worker.kill()
+        self._idle, self._working = [], {}
+
+
+class _Worker:
+    def __init__(self, work: Work, prepare: Callable[[], None]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self._process: SpawnProcess = context.Process(
+            target=_serve, args=(theirs, work, prepare), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+
+    def give(self, job: Any) -> bool:  # noqa: ANN401
+        """Whether it took the job; a worker that died idle does not."""
+        try:
+            self.pipe.send(job)
+        except OSError:
+            self.kill()
+            return False
+        return True
+
+    def end(self) -> int:
+        """Exit code of a process that has closed its pipe."""
+        self._process.join(5.0)
+        code = self._process.exitcode
+        self.kill()
+        return -signal.SIGKILL if code is None else code
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.join()
+        self.pipe.close()
+
+
+def _serve(pipe: Connection, work: Work, prepare: Callable[[], None]) -> None:
+    # Ctrl-C reaches every process of the terminal; the main one decides.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    prepare()
+
+    def tell(stage: str, share: float) -> None:
+        pipe.send(("progress", (stage, share)))
+
+    while True:
+        try:
+            job = pipe.recv()
+        except (EOFError, OSError):
+            return
+        pipe.send(("done", work(job, tell)))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

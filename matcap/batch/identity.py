@@ -1,0 +1,78 @@
+"""What a material was made from, as one hash: photographs, settings, version and prior.
+
+Two materials of the same identity are the same; whatever else has changed in the world, such a
+material need not be made again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import matcap
+from matcap.batch.settings import BatchSettings
+from matcap.errors import MatcapError
+
+# Settings that say what to work on or how, and leave the material as it is.
+_NO_MATTER = ("jobs", "group", "gap", "card", "prior")
+
+
+def identity(
+    photos: Sequence[Path],
+    settings: BatchSettings,
+    *,
+    prior: str,
+    card: str = "",
+    version: str = matcap.__version__,
+) -> str:
+    """64 hexadecimal digits.
+
+    Args:
+        photos: whose bytes count, in their order, and whose names do not.
+        settings: how it is captured and written.
+        prior: prior_hash of its prior.
+        card: hash of the calibration that is applied, or "".
+        version: of matcap.
+
+    Raises:
+        MatcapError: a photograph cannot be read.
+    """
+    chosen = {key: value for key, value in asdict(settings).items() if key not in _NO_MATTER}
+    what: dict[str, Any] = {
+        "photographs": [file_hash(photo) for photo in photos],
+        "settings": chosen,
+        "matcap": version,
+        "prior": prior,
+        "card": card,
+    }
+    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
+
+
+def prior_hash(prior: str) -> str:
+    """Of a prior as the settings name it: "auto", "none" or a file."""
+    if prior == "none":
+        return "none"
+    from matcap.prior.store import SHIPPED
+
+    return file_hash(SHIPPED if prior == "auto" else Path(prior))
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's bytes.
+
+    Raises:
+        MatcapError: it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise MatcapError(
+            f"the file cannot be read ({error.strerror})",
+            where=str(path),
+            remedy="check its name and permissions",
+        ) from error

@@ -1,0 +1,191 @@
+"""index.html, index.csv and index.json of an output folder: everything that was made, and not."""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from matcap.batch.index_page import PAGE
+from matcap.batch.plan import Entry
+from matcap.batch.record import read_record
+from matcap.export.staging import staged
+
+_COLUMNS = (
+    "name", "state", "photographs", "error", "tilt_x", "tilt_y", "clipped", "doubtful", "seconds",
+    "detail", "warnings", "reason",
+)  # fmt: skip
+_STATES = {
+    "made": "done", "kept": "done", "failed": "failed", "left": "not begun", "todo": "not begun",
+}  # fmt: skip
+
+
+def write_index(out: Path, entries: Sequence[Entry]) -> None:
+    """Write the three files of a batch, together; they show materials of earlier shoots, too.
+
+    Args:
+        out: the output folder.
+        entries: how the samples of this batch stand.
+
+    Raises:
+        MatcapError: a full disk, an unwritable folder.
+    """
+    rows, pictures = _rows(out, entries)
+    with staged(out) as stage:
+        document = {"format": "matcap batch index", "version": 1, "materials": rows}
+        (stage / "index.json").write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
+        (stage / "index.csv").write_text(_csv(rows), encoding="utf-8")
+        (stage / "index.html").write_text(page(rows, pictures), encoding="utf-8")
+
+
+def page(rows: Sequence[dict[str, Any]], pictures: Sequence[dict[str, str]]) -> str:
+    """The page; nothing in it is fetched from anywhere.
+
+    Args:
+        rows: as in index.json.
+        pictures: of each row, base64 JPEGs by label.
+    """
+    done = sum(row["state"] == "done" for row in rows)
+    failed = sum(row["state"] == "failed" for row in rows)
+    doubtful = sum(bool(row["doubtful"]) for row in rows)
+    seconds = sum(row["seconds"] or 0.0 for row in rows)
+    counts = [f"{done} of {len(rows)} done", f"{doubtful} doubtful", f"{failed} failed"]
+    counts.append(f"{_time(seconds)} of work")
+    body = "\n".join(_row(row, shown) for row, shown in zip(rows, pictures, strict=True))
+    return PAGE.replace("@SUMMARY@", html.escape(" · ".join(counts))).replace("@ROWS@", body)
+
+
+def _rows(out: Path, entries: Sequence[Entry]) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
+    rows, pictures = [], []
+    for entry in entries:
+        rows.append(_stated(entry))
+        pictures.append(_pictures(read_record(out / entry.sample.name) or {}))
+    names = {entry.sample.name for entry in entries}
+    for folder in sorted(out.iterdir()):
+        record = read_record(folder) if folder.name not in names else None
+        if record is not None:
+            rows.append(_told(record, "done", folder.name))
+            pictures.append(_pictures(record))
+    return rows, pictures
+
+
+def _stated(entry: Entry) -> dict[str, Any]:
+    row = _told(entry.record, _STATES[entry.state], entry.sample.name)
+    row["photographs"] = [str(path) for path in entry.sample.photos]
+    row["reason"] = entry.reason
+    return row
+
+
+def _told(record: dict[str, Any], state: str, name: str) -> dict[str, Any]:
+    tilt = record.get("tilt_degrees") or (None, None)
+    return {
+        "name": name,
+        "state": state,
+        "photographs": record.get("photographs", []),
+        "error": record.get("error"),
+        "tilt_x": tilt[0],
+        "tilt_y": tilt[1],
+        "clipped": record.get("clipped"),
+        "doubtful": record.get("doubtful", False),
+        "seconds": record.get("seconds"),
+        "detail": record.get("detail"),
+        "warnings": list(record.get("warnings", [])),
+        "reason": "",
+    }
+
+
+def _pictures(record: dict[str, Any]) -> dict[str, str]:
+    found = record.get("thumbnails")
+    return dict(found) if isinstance(found, dict) else {}
+
+
+def _csv(rows: Sequence[dict[str, Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _COLUMNS)
+    writer.writeheader()
+    for row in rows:
+        joined = {
+            "photographs": "; ".join(row["photographs"]),
+            "warnings": " ".join(row["warnings"]),
+        }
+        writer.writerow({name: _plain({**row, **joined}[name]) for name in _COLUMNS})
+    return text.getvalue()
+
+
+def _plain(value: object) -> object:
+    """A spreadsheet takes text that starts so for a formula."""
+    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@"):
+        return f"'{value}"
+    return value
+
+
+def _row(row: dict[str, Any], pictures: dict[str, str]) -> str:
+    state = row["state"] if row["state"] != "done" or not row["doubtful"] else "doubtful"
+    tilt = None
+    if row["tilt_x"] is not None:
+        tilt = max(abs(row["tilt_x"]), abs(row["tilt_y"]))
+    remarks = [row["reason"]] if row["reason"] else []
+    remarks += row["warnings"]
+    listed = "".join(f"<li>{html.escape(text)}</li>" for text in remarks)
+    return "".join(
+        [
+            f'<tr class="{state.replace(" ", "-")}">',
+            _name_cell(row),
+            _cell("State", state, f"<span class=state>{state}</span>"),
+            f'<td data-label="Pictures" class=pictures><div>{_figures(row, pictures)}</div></td>',
+            _number("Error", row["error"], "{:.3f}"),
+            _number("Tilt", tilt, "{:.1f}°"),
+            _number("Clipped", row["clipped"], "{:.1%}"),
+            _number("Time", row["seconds"], "", _time),
+            f'<td data-label="Remarks" data-key="{len(remarks)}"><ul>{listed}</ul></td>',
+            "</tr>",
+        ]
+    )
+
+
+def _name_cell(row: dict[str, Any]) -> str:
+    name = html.escape(row["name"])
+    inside = name
+    if row["state"] == "done":
+        from urllib.parse import quote
+
+        inside = f'<a href="{quote(row["name"])}/preview.png">{name}</a>'
+    photos = ", ".join(html.escape(Path(photo).name) for photo in row["photographs"])
+    key = html.escape(row["name"].casefold(), quote=True)
+    return f'<th scope=row data-key="{key}">{inside}<small>{photos}</small></th>'
+
+
+def _figures(row: dict[str, Any], pictures: dict[str, str]) -> str:
+    name = html.escape(row["name"], quote=True)
+    figures = []
+    for label, data in pictures.items():
+        word = html.escape(label.split(":")[0], quote=True)
+        figures.append(
+            f'<figure><img loading=lazy alt="{word} of {name}" title="{html.escape(label)}" '
+            f'src="data:image/jpeg;base64,{html.escape(data, quote=True)}">'
+            f"<figcaption>{word}</figcaption></figure>"
+        )
+    return "".join(figures)
+
+
+def _cell(label: str, key: str, inside: str) -> str:
+    return f'<td data-label="{label}" data-key="{key}">{inside}</td>'
+
+
+def _number(label: str, value: float | None, form: str, say: Any = None) -> str:  # noqa: ANN401
+    if value is None:
+        return f'<td data-label="{label}" data-key="" class=number>&ndash;</td>'
+    text = say(value) if say else form.format(value)
+    return f'<td data-label="{label}" data-key="{value}" class=number>{text}</td>'
+
+
+def _time(seconds: float) -> str:
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    if seconds < 3600:
+        return f"{seconds / 60:.1f} min"
+    return f"{seconds / 3600:.1f} h"

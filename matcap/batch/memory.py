@@ -1,0 +1,93 @@
+"""How much memory a worker takes, and how many fit.
+
+Measured on Linux with the allocator of glibc (docs/batch.md has the command): the libraries, the
+photograph as it is developed, what grows with the detail, and what grows with the map set.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from matcap.batch.settings import BatchSettings
+
+_LIBRARIES = 700_000_000
+_BY_PIXEL = {"raw": 22, "other": 12}  # bytes a pixel of the file
+_BY_TEXEL = 250  # of the photograph as it is used, detail x 3/4 detail
+_BY_MAP_TEXEL = 110
+_USUAL_PIXELS = 12_000_000  # where a file does not tell
+_SPARE = 0.85  # of what is free: the rest is for everybody else
+_RAW_FORMS = ("RAW", "DNG")
+
+
+def worker_bytes(settings: BatchSettings, pixels: int, *, raw: bool) -> int:
+    """What one worker takes at most.
+
+    Args:
+        settings: detail and size of the map set count.
+        pixels: of the largest photograph.
+        raw: whether it has to be developed.
+    """
+    width, height = settings.size
+    return (
+        _LIBRARIES
+        + _BY_PIXEL["raw" if raw else "other"] * pixels
+        + _BY_TEXEL * settings.detail * settings.detail * 3 // 4
+        + _BY_MAP_TEXEL * width * height
+    )
+
+
+def largest_worker(settings: BatchSettings, photos: Sequence[Path]) -> int:
+    """worker_bytes of the photograph that takes most."""
+    sizes = [photo_pixels(photo) for photo in photos] or [(_USUAL_PIXELS, False)]
+    return max(worker_bytes(settings, pixels, raw=raw) for pixels, raw in sizes)
+
+
+def photo_pixels(path: Path) -> tuple[int, bool]:
+    """How many pixels a photograph has, by its header, and whether it is a RAW.
+
+    What cannot be read is taken for usual: reading it will say why.
+    """
+    from matcap.photo.kind import file_kind
+    from matcap.photo.quiet import quiet_decoders
+
+    try:
+        with quiet_decoders():
+            raw = file_kind(path).value in _RAW_FORMS
+            if raw:
+                import rawpy
+
+                with rawpy.imread(str(path)) as file:
+                    return int(file.sizes.raw_width) * int(file.sizes.raw_height), True
+            from PIL import Image
+
+            with Image.open(path) as picture:
+                return picture.width * picture.height, False
+    except Exception:
+        return _USUAL_PIXELS, path.suffix.lower() not in (".jpg", ".jpeg", ".png")
+
+
+def free_bytes() -> int:
+    """Memory that new processes may take: of the machine, or of the control group if less."""
+    free = []
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                free.append(int(line.split()[1]) * 1024)
+        group = Path("/sys/fs/cgroup")
+        most = (group / "memory.max").read_text().strip()
+        if most != "max":
+            free.append(int(most) - int((group / "memory.current").read_text()))
+    except (OSError, ValueError, IndexError):
+        pass
+    if not free:
+        free.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2)
+    return max(0, min(free))
+
+
+def crew_size(wanted: int | None, each: int, jobs: int, free: int | None = None) -> int:
+    """How many workers: as wanted or as cores, as many as fit, no more than there are jobs."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    fit = int(_SPARE * (free_bytes() if free is None else free)) // max(1, each)
+    return max(1, min(wanted or cores or 1, fit, jobs))

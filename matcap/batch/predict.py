@@ -1,0 +1,177 @@
+"""What a batch will take: from materials made before, or from a short trial of the first one."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from matcap.batch.plan import Entry
+from matcap.batch.record import FILE, read_record
+from matcap.batch.settings import BatchSettings
+from matcap.batch.whole import Prepared
+from matcap.batch.work import settle_threads
+from matcap.errors import MatcapError
+
+_TRIAL_STEPS = 12
+_SETTLED = 4  # steps of a trial that say nothing of the pace
+_TRIED = 3  # photographs tried, if the first ones cannot be used
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What is left to do, and what it takes.
+
+    Attributes:
+        todo: samples to be made.
+        workers: at once.
+        seconds_each: of one worker; None where no photograph could be tried.
+        bytes_each: of disk.
+        worker_bytes: of memory, at most.
+        free_bytes: of disk.
+        measured: what the speed was measured on, in words.
+    """
+
+    todo: int
+    workers: int
+    seconds_each: float | None
+    bytes_each: int
+    worker_bytes: int
+    free_bytes: int
+    measured: str
+
+    @property
+    def seconds(self) -> float | None:
+        """Of the whole batch."""
+        if self.seconds_each is None:
+            return None
+        return self.seconds_each * -(-self.todo // self.workers)
+
+    def text(self) -> str:
+        """For people."""
+        if not self.todo:
+            return "Nothing is to be done."
+        pace = "at an unknown speed"
+        if self.seconds is not None and self.seconds_each is not None:
+            pace = f"in about {_time(self.seconds)}, {_time(self.seconds_each)} each"
+        room = "" if self.bytes_each * self.todo < self.free_bytes else ", more than is free"
+        return (
+            f"{self.todo} to be made by {self.workers} at once {pace} ({self.measured}); "
+            f"about {self.bytes_each * self.todo / 1e9:.2g} GB of disk{room}; "
+            f"at most {self.worker_bytes / 1e9:.1f} GB of memory a worker."
+        )
+
+    def document(self, entries: Sequence[Entry]) -> dict[str, Any]:
+        """As JSON."""
+        rows = [
+            {
+                "name": entry.sample.name,
+                "photographs": [str(photo) for photo in entry.sample.photos],
+                "beside": [str(photo) for photo in entry.sample.beside],
+                "status": {"todo": "to do", "kept": "done"}.get(entry.state, entry.state),
+                "reason": entry.reason or None,
+            }
+            for entry in entries
+        ]
+        return {
+            "materials": rows,
+            "todo": self.todo,
+            "workers": self.workers,
+            "seconds": self.seconds,
+            "seconds_each": self.seconds_each,
+            "disk_bytes": self.bytes_each * self.todo,
+            "worker_bytes": self.worker_bytes,
+            "measured": self.measured,
+        }
+
+
+def predict(prepared: Prepared) -> Prediction:
+    """Time and disk of what is to be done.
+
+    Takes them from materials in the output made with as many steps at the same detail; else makes
+    a trial of a few steps, thrown away.
+    """
+    todo, settings = prepared.todo, prepared.settings
+    seconds, size, how = None, settings.outputs.room, "nothing measured"
+    if todo:
+        before = _from_before(prepared)
+        if before is not None:
+            seconds, size, how = before
+        for entry in todo[:_TRIED]:
+            if seconds is not None:
+                break
+            try:
+                seconds, size = _trial(entry.sample.photos[0], settings)
+                how = f"measured on {entry.sample.photos[0].name}"
+            except MatcapError:
+                continue
+    return Prediction(
+        len(todo),
+        prepared.workers,
+        seconds,
+        size,
+        prepared.worker_bytes,
+        shutil.disk_usage(_existing(prepared.out)).free,
+        how,
+    )
+
+
+def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
+    found = []
+    steps = _steps(prepared.settings)
+    for file in sorted(prepared.out.glob(f"*/{FILE}")):
+        record = read_record(file.parent)
+        if record and (record.get("steps"), record.get("detail")) == (
+            steps,
+            prepared.settings.detail,
+        ):
+            found.append((float(record["seconds"]), sum(record["files"].values())))
+    if not found:
+        return None
+    seconds = sum(s for s, _ in found) / len(found)
+    return seconds, max(size for _, size in found), f"as the {len(found)} made before"
+
+
+def _trial(photo: Path, settings: BatchSettings) -> tuple[float, int]:
+    """Seconds and bytes that the whole will take, from a few steps of one photograph."""
+    from matcap.capture.pipeline import capture_photo
+    from matcap.export.outputs import write_outputs
+    from matcap.photo.load import load_photo
+
+    settle_threads()
+    began = time.perf_counter()
+    picture = load_photo(photo, long_side=settings.detail, fov=settings.fov)
+    short = replace(settings.capture, steps=_TRIAL_STEPS, time_limit=None)
+    result = capture_photo(picture, short)
+    with tempfile.TemporaryDirectory(prefix="matcap-") as folder:
+        write_outputs(result, picture, Path(folder) / "trial", settings.outputs)
+        size = sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())
+    spent = time.perf_counter() - began
+    history = result.history
+    pace = (history[-1][0] - history[_SETTLED][0]) / (len(history) - 1 - _SETTLED)
+    rest = spent - pace * _TRIAL_STEPS
+    if settings.time is not None:
+        return rest + settings.time, size
+    return rest + pace * _steps(settings), size
+
+
+def _steps(settings: BatchSettings) -> int:
+    from matcap.capture.pipeline import PRESETS
+
+    return PRESETS[settings.preset] if settings.steps is None else settings.steps
+
+
+def _existing(folder: Path) -> Path:
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return folder
+
+
+def _time(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,248 @@
+"""The order of events of a batch: who works on what, and what becomes of failures.
+
+Nothing is decided by what this process remembers: a batch that is killed and started again reads
+the same files and goes on from there.
+"""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from matcap.batch.crew import Crew, Event
+from matcap.batch.plan import Entry, look_again
+from matcap.batch.settings import BatchSettings
+from matcap.batch.work import Failure, Job
+from matcap.batch.workspace import Run
+from matcap.errors import ExitCode
+
+_POLL = 1.0  # seconds between two looks at what another run is doing
+_PAGE_EVERY = 20.0  # seconds between two pages, at least
+_LEAST_DETAIL = 128
+_FORGET = ("memory", "disk", "crash")  # faults that may be gone next time
+
+
+@dataclass(frozen=True)
+class Policy:
+    """What to make of what is done already, and of failures.
+
+    Attributes:
+        force: make everything again.
+        retry_failed: try again what is known to fail.
+        fail_fast: end at the first failure.
+    """
+
+    force: bool = False
+    retry_failed: bool = False
+    fail_fast: bool = False
+
+
+class Show(Protocol):
+    """Whoever watches."""
+
+    def expect(self, total: int) -> None:
+        """So many samples there are."""
+
+    def started(self, entry: Entry) -> None:
+        """Work on a sample begins."""
+
+    def progress(self, entry: Entry, stage: str, share: float) -> None:
+        """It has come this far."""
+
+    def ended(self, entry: Entry) -> None:
+        """It is made, kept, failed or left."""
+
+    def note(self, sentence: str) -> None:
+        """Something else worth knowing."""
+
+
+@dataclass
+class _Task:
+    entry: Entry
+    job: Job
+    tries: int = 0
+
+
+class Batch:
+    """One run over the entries of a plan.
+
+    Args:
+        entries: how the samples stand; changed as the work goes on.
+        run: where to work.
+        crew: who works.
+        settings: of the batch.
+        policy: what to do again.
+        show: who watches.
+        page: writes the index; called now and then, and at the end.
+    """
+
+    def __init__(
+        self,
+        entries: Sequence[Entry],
+        run: Run,
+        crew: Crew,
+        settings: BatchSettings,
+        policy: Policy,
+        show: Show,
+        page: Callable[[], None],
+    ) -> None:
+        self._entries, self._run, self._crew = entries, run, crew
+        self._settings, self._policy, self._show, self._page = settings, policy, show, page
+        todo = [entry for entry in entries if entry.state == "todo"]
+        self._waiting = deque(_Task(entry, self._job(entry)) for entry in todo)
+        self._elsewhere: deque[_Task] = deque()
+        self._alone: deque[_Task] = deque()
+        self._tasks: dict[str, _Task] = {}
+        self._stop = ""
+        self._paged = time.monotonic()
+
+    def go(self) -> None:
+        """Until everything is made, kept, failed or left.
+
+        Raises:
+            KeyboardInterrupt: after the workers are stopped and the index is written.
+        """
+        told = False
+        try:
+            while self._waiting or self._alone or self._elsewhere or self._crew.busy():
+                if self._stop:
+                    self._waiting.clear()
+                    self._alone.clear()
+                    self._elsewhere.clear()
+                self._fill()
+                if self._crew.busy():
+                    for event in self._crew.wait(_POLL):
+                        self._happened(event)
+                elif self._elsewhere and not self._waiting and not self._alone:
+                    if not told:
+                        count = len(self._elsewhere)
+                        self._show.note(f"{count} are being made by another run: waiting for it.")
+                    told = True
+                    time.sleep(_POLL)
+                    self._waiting, self._elsewhere = self._elsewhere, deque()
+                if time.monotonic() - self._paged > _PAGE_EVERY:
+                    self._page()
+                    self._paged = time.monotonic()
+        except KeyboardInterrupt:
+            self._stop = self._stop or "interrupted"
+            raise
+        finally:
+            self._crew.close()
+            for entry in self._entries:
+                if entry.state == "todo":
+                    entry.state, entry.reason = "left", self._stop or "the batch ended early"
+            self._page()
+
+    def _job(self, entry: Entry) -> Job:
+        sample, detail = entry.sample, self._settings.detail
+        return Job(sample.name, sample.photos, entry.identity, self._settings, self._run, detail)
+
+    def _fill(self) -> None:
+        """Give every idle worker something to do."""
+        alone = any(task.job.alone for task in self._tasks.values())
+        while self._waiting and not alone and self._crew.busy() < self._crew.size:
+            self._begin(self._waiting.popleft())
+        if self._alone and not self._waiting and not self._crew.busy():
+            self._begin(self._alone.popleft())
+
+    def _begin(self, task: _Task) -> None:
+        entry, name = task.entry, task.job.name
+        if not task.tries:
+            if not self._run.claim(name):
+                self._elsewhere.append(task)
+                return
+            # Another run may have done it since the plan was made.
+            policy = self._policy
+            look_again(entry, self._run.out, force=policy.force, retry_failed=policy.retry_failed)
+            if entry.state != "todo":
+                self._end(task)
+                return
+        room = self._settings.outputs.room
+        if shutil.disk_usage(self._run.out).free < room:
+            self._stop = f"the disk has less than {room / 1e6:.0f} MB left"
+            self._show.note(f"{self._stop}: nothing more is begun. Free some space and go on.")
+            self._run.release(name)
+            return
+        self._show.started(entry)
+        self._tasks[name] = task
+        self._crew.start(task.job)
+
+    def _happened(self, event: Event) -> None:
+        task = self._tasks[event.job.name]
+        if event.kind == "progress":
+            self._show.progress(task.entry, *event.value)
+            return
+        del self._tasks[event.job.name]
+        if event.kind == "died":
+            self._died(task, event.value)
+        elif isinstance(event.value, Failure):
+            self._failed(task, event.value)
+        else:
+            task.entry.state, task.entry.record = "made", event.value
+            self._run.forget_failure(task.job.name)
+            self._end(task)
+
+    def _died(self, task: _Task, code: int) -> None:
+        """A worker's process is gone; the system kills those that take too much memory."""
+        photo = task.entry.sample.photos[0]
+        if code == -signal.SIGKILL:
+            said = f"{photo}: the worker was killed, as happens when memory runs out"
+            failure = Failure("memory", f"{said}; lower --detail, --size or -j.")
+        else:
+            how = f"by signal {-code}" if code < 0 else f"with code {code}"
+            said = f"{photo}: the worker ended {how}"
+            failure = Failure("crash", f"{said}; report it, with the photograph.")
+        self._failed(task, failure, again=True)
+
+    def _failed(self, task: _Task, failure: Failure, *, again: bool = False) -> None:
+        following = self._following(task, failure, again)
+        if following is not None:
+            self._show.note(f"{failure.sentence} Trying again{following[1]}.")
+            self._alone.append(following[0])
+            return
+        task.entry.state, task.entry.reason = "failed", failure.sentence
+        if failure.kind not in _FORGET:
+            about = {"identity": task.entry.identity, "reason": failure.sentence}
+            self._run.write_failure(task.job.name, about)
+        self._end(task)
+        if failure.kind == "disk":
+            self._stop = self._stop or "the disk is full"
+            self._show.note("Nothing more is begun: free some space and go on.")
+        if self._policy.fail_fast:
+            self._stop = self._stop or "a photograph failed before, and --fail-fast was given"
+            self._crew.close()
+            self._tasks.clear()
+
+    def _following(self, task: _Task, failure: Failure, again: bool) -> tuple[_Task, str] | None:
+        """The next try: with nothing beside it, then at half the detail; None to give up."""
+        job, tries = task.job, task.tries + 1
+        if failure.kind == "crash":
+            if again and not job.alone:
+                return _Task(task.entry, replace(job, alone=True), tries), " by itself"
+            return None
+        if failure.kind != "memory":
+            return None
+        if not job.alone and (self._crew.size > 1 or again):
+            return _Task(task.entry, replace(job, alone=True), tries), " by itself"
+        half = job.detail // 2
+        if half < _LEAST_DETAIL or job.detail < self._settings.detail:
+            return None
+        smaller = replace(job, alone=True, detail=half)
+        return _Task(task.entry, smaller, tries), f" at a detail of {half}"
+
+    def _end(self, task: _Task) -> None:
+        self._run.release(task.job.name)
+        self._show.ended(task.entry)
+
+
+def exit_code(entries: Sequence[Entry]) -> ExitCode:
+    """Of a batch that came to its end."""
+    good = sum(entry.state in ("made", "kept") for entry in entries)
+    if good == len(entries):
+        return ExitCode.DONE
+    return ExitCode.SOME_FAILED if good else ExitCode.NOTHING_SUCCEEDED

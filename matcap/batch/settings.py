@@ -1,0 +1,216 @@
+"""What a batch is to do: matcap.toml beside the shoot, and flags that win over it."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from matcap.capture.pipeline import PRESETS, CaptureSettings
+from matcap.cli import values
+from matcap.errors import MatcapError, UsageError
+from matcap.export.outputs import OutputSettings
+
+if TYPE_CHECKING:
+    from matcap.export.mapset import NormalStyle
+
+FILE = "matcap.toml"
+_GROUPS = ("none", "dir", "time")
+_MOST_BYTES = 1_000_000  # of a settings file; nobody writes more
+
+
+@dataclass(frozen=True)
+class BatchSettings:
+    """Everything that can be set; the names are those of the options and of matcap.toml's keys.
+
+    Attributes:
+        preset, steps, time, detail, fov, seed, prior: as in capture; time in seconds.
+        size: (width, height) of the first map sets.
+        tile: their left edge continues their right one, and top and bottom likewise.
+        png, normal: as in capture.
+        group: "none", "dir" or "time".
+        gap: seconds between two photographs of one sample, where grouped by time.
+        jobs: worker processes, or None for as many as cores and memory allow.
+        card: a photograph of a calibration card, "auto" to look for one, or "none".
+    """
+
+    preset: str = "standard"
+    steps: int | None = None
+    time: float | None = None
+    detail: int = 1024
+    fov: float | None = None
+    seed: int = 0
+    prior: str = "auto"
+    size: tuple[int, int] = (1024, 1024)
+    tile: bool = False
+    png: bool = False
+    normal: NormalStyle = "gl"
+    group: str = "none"
+    gap: float = 10.0
+    jobs: int | None = None
+    card: str = "auto"
+
+    @property
+    def capture(self) -> CaptureSettings:
+        """What the capture needs of it."""
+        return CaptureSettings(
+            preset=self.preset,
+            steps=self.steps,
+            time_limit=self.time,
+            detail=self.detail,
+            fov=self.fov,
+            seed=self.seed,
+            prior=self.prior,
+        )
+
+    @property
+    def outputs(self) -> OutputSettings:
+        """What the writing needs of it."""
+        return OutputSettings(self.size, self.seed, self.png, self.normal, self.tile)
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """What a key takes: one of some words, or a number within limits."""
+
+    kinds: tuple[type, ...]
+    least: float = 0.0
+    most: float = float("inf")
+    words: tuple[str, ...] = field(default=())
+
+
+_RULES: Mapping[str, _Rule] = {
+    "preset": _Rule((str,), words=tuple(PRESETS)),
+    "steps": _Rule((int,), 0, 10_000_000),
+    "time": _Rule((str, int, float)),
+    "detail": _Rule((int,), 64, 8192),
+    "fov": _Rule((int, float), 1.0, 170.0),
+    "seed": _Rule((int,), 0, 2**63 - 1),
+    "prior": _Rule((str,)),
+    "size": _Rule((str, int)),
+    "tile": _Rule((bool,)),
+    "png": _Rule((bool,)),
+    "normal": _Rule((str,), words=("gl", "dx")),
+    "group": _Rule((str,), words=_GROUPS),
+    "gap": _Rule((int, float), 0.0, 1e9),
+    "jobs": _Rule((int,), 1, 1024),
+    "card": _Rule((str,)),
+}
+
+
+def settings_of(shoot: Path, flags: Mapping[str, Any]) -> BatchSettings:
+    """matcap.toml of a shoot, where it has one, and flags over it.
+
+    Args:
+        shoot: the folder; its file lies in it or beside it, the one inside wins.
+        flags: by name, None where the user gave none.
+
+    Raises:
+        UsageError: a file that is no TOML; a key or value that there is not, with the nearest.
+    """
+    file = settings_file(shoot)
+    read = read_settings(file) if file else {}
+    given = {name: value for name, value in flags.items() if value is not None}
+    settings = replace(BatchSettings(), **{**read, **_checked(given, "the options")})
+    if settings.tile and any(side % 16 for side in settings.size):
+        raise UsageError(
+            f"{settings.size[0]}x{settings.size[1]} cannot tile",
+            where="size",
+            remedy="give sides that are multiples of 16",
+        )
+    return settings
+
+
+def settings_file(shoot: Path) -> Path | None:
+    """The matcap.toml that holds for a shoot: in it, or beside it."""
+    places = (shoot / FILE, shoot.resolve().parent / FILE)
+    return next((file for file in places if file.is_file()), None)
+
+
+def read_settings(file: Path) -> dict[str, Any]:
+    """The keys that a matcap.toml sets, checked, as BatchSettings has them.
+
+    Paths in it are relative to it.
+
+    Raises:
+        UsageError: no TOML; an unknown key or a wrong value.
+    """
+    remedy = "correct it or take it away"
+    try:
+        if file.stat().st_size > _MOST_BYTES:
+            raise UsageError("the file is too large for settings", where=str(file), remedy=remedy)
+        table = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise UsageError(f"this is not TOML ({error})", where=str(file), remedy=remedy) from error
+    except OSError as error:
+        raise MatcapError(
+            f"the settings cannot be read ({error.strerror})", where=str(file), remedy=remedy
+        ) from error
+    read = _checked(table, str(file))
+    for name, plain in (("prior", ("auto", "none")), ("card", ("auto", "none"))):
+        if name in read and read[name] not in plain:
+            read[name] = str(file.parent / read[name])
+    return read
+
+
+def _checked(table: Mapping[str, Any], where: str) -> dict[str, Any]:
+    checked = {}
+    for key, value in table.items():
+        name = key.replace("-", "_")
+        if name not in _RULES:
+            raise UsageError(
+                f"there is no setting {_short(key)}", where=where, remedy=_nearest(name, _RULES)
+            )
+        checked[name] = _value(name, value, where)
+    return checked
+
+
+def _value(name: str, value: Any, where: str) -> Any:  # noqa: ANN401
+    rule = _RULES[name]
+    if name == "size" and isinstance(value, (tuple, list)):
+        value = "x".join(str(part) for part in value)
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    fits = isinstance(value, rule.kinds) and (bool in rule.kinds or not isinstance(value, bool))
+    if not fits:
+        kinds = " or ".join(
+            {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}[kind]
+            for kind in rule.kinds
+        )
+        raise UsageError(f"{name} is {_short(value)}", where=where, remedy=f"give {kinds}")
+    if rule.words and value not in rule.words:
+        raise UsageError(
+            f"there is no {name} {_short(value)}", where=where, remedy=_nearest(value, rule.words)
+        )
+    if number and not rule.least <= value <= rule.most:
+        raise UsageError(
+            f"{name} is {value:g}, out of range",
+            where=where,
+            remedy=f"give between {rule.least:g} and {rule.most:g}",
+        )
+    try:
+        if name == "size":
+            sides = values.size(str(value))
+            return (sides.width, sides.height)
+        if name == "time":
+            return values.duration(str(value))
+    except typer.BadParameter as error:
+        raise UsageError(str(error), where=where, remedy=f"correct {name}") from error
+    return float(value) if float in rule.kinds and number else value
+
+
+def _nearest(name: str, known: Mapping[str, Any] | tuple[str, ...]) -> str:
+    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
+    return f"the nearest is {close[0]!r}" if close else f"there are {', '.join(known)}"
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+assert set(_RULES) == {f.name for f in fields(BatchSettings)}

@@ -1,0 +1,193 @@
+"""Which photographs a folder holds, and which of them show the same sample."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Literal
+
+from matcap.errors import MatcapError
+
+Grouping = Literal["none", "dir", "time"]
+Taken = Callable[[Path], float | None]
+
+_RAW = (
+    *("dng", "3fr", "arw", "cr2", "cr3", "crw", "dcr", "erf", "fff", "gpr", "iiq", "kdc", "mef"),
+    *("mos", "mrw", "nef", "nrw", "orf", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw"),
+    "x3f",
+)
+_CAMERA = ("jpg", "jpeg", "heic", "heif", "hif")  # what a camera writes beside a RAW
+_OTHER = ("png", "tif", "tiff")
+WORKSPACE = ".matcap-batch"  # a folder that holds this is a batch's output, and no shoot
+# Names whose files would take the place of others in a material's folder.
+_TAKEN = frozenset({"report", "preview", "matcap-batch"})
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What becomes one material.
+
+    Attributes:
+        name: of the material and its folder; unique in the shoot whatever the letters' case.
+        photos: the photographs it is made from.
+        beside: files set aside, because a RAW of the same stem says more.
+    """
+
+    name: str
+    photos: tuple[Path, ...]
+    beside: tuple[Path, ...] = ()
+
+
+def find_samples(
+    shoot: Path,
+    *,
+    group: Grouping = "none",
+    gap: float = 10.0,
+    without: Iterable[Path] = (),
+    taken: Taken | None = None,
+) -> list[Sample]:
+    """All samples of a shoot, in the order of their folders and names.
+
+    Folders are searched to the bottom; hidden ones, links to folders and the output of batches are
+    passed over. A RAW and a camera's JPEG of one stem in one folder are one photograph, the RAW.
+
+    Args:
+        shoot: the folder.
+        group: "none": each photograph is a sample; "dir": those of one folder are one sample;
+            "time": those of one folder taken within `gap` seconds of the one before.
+        gap: in seconds.
+        without: files and folders that are not looked at.
+        taken: when a photograph was taken, in seconds, or None; by default as its Exif says.
+
+    Raises:
+        MatcapError: there is no such folder, it may not be read, or it holds no photographs.
+    """
+    if not shoot.is_dir():
+        what = "this is a file" if shoot.is_file() else "there is no such folder"
+        raise MatcapError(what, where=str(shoot), remedy="give a folder of photographs")
+    passed_over = {path.resolve() for path in without}
+    grouped: list[tuple[Path, str, tuple[Path, ...], tuple[Path, ...]]] = []
+    for folder, names in _folders(shoot, passed_over):
+        files = [folder / name for name in names if (folder / name).resolve() not in passed_over]
+        shots = _pairs(files)
+        if not shots:
+            continue
+        inside = folder.relative_to(shoot)
+        if group == "dir":
+            label = "-".join(inside.parts) or shoot.resolve().name or "shoot"
+            grouped.append((inside, label, *_joined(shots)))
+            continue
+        runs = _runs(shots, gap, taken or taken_at) if group == "time" else [[s] for s in shots]
+        for run in runs:
+            label = "-".join((*inside.parts, run[0][0].stem))
+            grouped.append((inside / run[0][0].name, label, *_joined(run)))
+    if not grouped:
+        raise MatcapError(
+            "there are no photographs in this folder",
+            where=str(shoot),
+            remedy="give a folder of DNG, other RAW, JPEG, HEIC, PNG or TIFF files",
+        )
+    return _named(grouped)
+
+
+def taken_at(path: Path) -> float | None:
+    """Seconds at which a photograph was taken, by its Exif; None where it does not say."""
+    import exifread
+
+    try:
+        with path.open("rb") as file:
+            tags = exifread.process_file(file, details=False, extract_thumbnail=False)
+        text = str(tags["EXIF DateTimeOriginal"].values)
+        return datetime.strptime(text, "%Y:%m:%d %H:%M:%S").timestamp()
+    except Exception:  # exifread raises anything at all on broken tags
+        return None
+
+
+_Shot = tuple[Path, tuple[Path, ...]]  # the photograph, and what was set aside for it
+
+
+def _folders(shoot: Path, passed_over: set[Path]) -> Iterator[tuple[Path, list[str]]]:
+    def refuse(error: OSError) -> None:
+        if Path(error.filename or "") == shoot:
+            raise MatcapError(
+                "the folder may not be read", where=str(shoot), remedy="change its permissions"
+            ) from error
+
+    for root, folders, names in os.walk(shoot, onerror=refuse):
+        folder = Path(root)
+        if (folder / WORKSPACE).is_dir() and folder != shoot:
+            folders.clear()
+            continue
+        folders[:] = sorted(
+            name
+            for name in folders
+            if not name.startswith(".") and (folder / name).resolve() not in passed_over
+        )
+        yield folder, sorted(name for name in names if not name.startswith("."))
+
+
+def _pairs(files: Sequence[Path]) -> list[_Shot]:
+    """The photographs among files of one folder, RAWs in place of their JPEGs."""
+
+    def kind(path: Path) -> str:
+        return path.suffix.lower().lstrip(".")
+
+    raws = {path.stem.casefold(): path for path in files if kind(path) in _RAW}
+    shots: list[_Shot] = []
+    for path in files:
+        raw = raws.get(path.stem.casefold())
+        if kind(path) in _RAW:
+            beside = [
+                other
+                for other in files
+                if kind(other) in _CAMERA and other.stem.casefold() == path.stem.casefold()
+            ]
+            shots.append((path, tuple(beside) if raw == path else ()))
+        elif kind(path) in _OTHER or (kind(path) in _CAMERA and raw is None):
+            shots.append((path, ()))
+    return shots
+
+
+def _runs(shots: Sequence[_Shot], gap: float, taken: Taken) -> list[list[_Shot]]:
+    """Shots in the order they were taken, cut where more than `gap` seconds lie between two."""
+    timed = [(taken(shot[0]), shot) for shot in shots]
+    runs: list[list[_Shot]] = []
+    last: float | None = None
+    for when, shot in sorted(timed, key=lambda item: (item[0] is None, item[0] or 0.0, item[1][0])):
+        if when is not None and last is not None and when - last <= gap:
+            runs[-1].append(shot)
+        else:
+            runs.append([shot])
+        last = when
+    return sorted(runs, key=lambda run: run[0][0])
+
+
+def _joined(shots: Sequence[_Shot]) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
+    return (
+        tuple(photo for photo, _ in shots),
+        tuple(other for _, beside in shots for other in beside),
+    )
+
+
+def _named(
+    grouped: Sequence[tuple[Path, str, tuple[Path, ...], tuple[Path, ...]]],
+) -> list[Sample]:
+    """Names that no two share; a shared one gets a tag that depends on its own path alone.
+
+    So a photograph that is added to the shoot never renames another one's material, unless their
+    names clash.
+    """
+    count: dict[str, int] = {}
+    for _, label, _, _ in grouped:
+        count[label.casefold()] = count.get(label.casefold(), 0) + 1
+    samples = []
+    for place, label, photos, beside in grouped:
+        plain = label.lstrip(".") or "photograph"
+        if count[label.casefold()] > 1 or plain.casefold() in _TAKEN or plain != label:
+            plain += "-" + hashlib.sha256(place.as_posix().encode()).hexdigest()[:6]
+        samples.append(Sample(plain, photos, beside))
+    return samples

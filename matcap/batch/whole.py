@@ -1,0 +1,110 @@
+"""The whole of a batch in two steps: look at everything, then work it off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from matcap.batch.crew import Crew, Processes
+from matcap.batch.identity import prior_hash
+from matcap.batch.index import write_index
+from matcap.batch.memory import crew_size, free_bytes, largest_worker
+from matcap.batch.plan import Entry, make_plan
+from matcap.batch.run import Batch, Policy, Show, exit_code
+from matcap.batch.settings import BatchSettings
+from matcap.batch.shoot import Grouping, find_samples
+from matcap.batch.work import do_job, settle_threads
+from matcap.batch.workspace import open_run
+from matcap.errors import ExitCode, MatcapError
+from matcap.export.staging import check_writable
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A batch that has been looked at.
+
+    Attributes:
+        out: the output folder.
+        settings: of the batch.
+        entries: how every sample stands.
+        worker_bytes: memory that one worker takes at most.
+        workers: how many there will be.
+    """
+
+    out: Path
+    settings: BatchSettings
+    entries: Sequence[Entry]
+    worker_bytes: int
+    workers: int
+
+    @property
+    def todo(self) -> list[Entry]:
+        """What is left to be made."""
+        return [entry for entry in self.entries if entry.state == "todo"]
+
+
+def prepare(
+    shoot: Path, out: Path, settings: BatchSettings, policy: Policy, show: Show
+) -> Prepared:
+    """Find the samples and see what is done; writes nothing.
+
+    Raises:
+        MatcapError: no such folder, no photographs in it, no such prior, an unwritable output.
+    """
+    if settings.prior not in ("auto", "none"):
+        from matcap.prior.store import load_prior
+
+        load_prior(Path(settings.prior))  # one that is broken would fail for every photograph
+    group = cast(Grouping, settings.group)
+    samples = find_samples(shoot, group=group, gap=settings.gap, without=(out,))
+    check_writable(out, settings.outputs.room)
+    entries = make_plan(
+        samples,
+        out,
+        settings,
+        prior=prior_hash(settings.prior),
+        force=policy.force,
+        retry_failed=policy.retry_failed,
+    )
+    todo = [entry for entry in entries if entry.state == "todo"]
+    each = largest_worker(settings, [photo for e in todo for photo in e.sample.photos])
+    workers = crew_size(settings.jobs, each, len(todo))
+    if settings.jobs and workers < min(settings.jobs, len(todo)):
+        show.note(
+            f"Only {workers} of {settings.jobs} workers: each may take {each / 1e9:.1f} GB, "
+            f"and {free_bytes() / 1e9:.1f} GB are free."
+        )
+    return Prepared(out, settings, entries, each, workers)
+
+
+def work_off(prepared: Prepared, policy: Policy, show: Show, crew: Crew | None = None) -> ExitCode:
+    """Make everything that is to be made, and the index.
+
+    Args:
+        prepared: as prepare gives it; its entries change.
+        policy: what to make of failures.
+        show: who watches.
+        crew: who works; by default as many processes as fit.
+
+    Raises:
+        MatcapError: the output cannot be written at all.
+        KeyboardInterrupt: Ctrl-C; what is done is done, the index is written.
+    """
+    out, entries = prepared.out, prepared.entries
+
+    def page() -> None:
+        try:
+            write_index(out, entries)
+        except MatcapError as error:
+            show.note(str(error))  # the materials matter more than their page
+
+    with open_run(out) as run:
+        show.expect(len(entries))
+        for entry in entries:
+            if entry.state != "todo":
+                show.ended(entry)
+        workers = crew or Processes(prepared.workers, do_job, settle_threads)
+        Batch(entries, run, workers, prepared.settings, policy, show, page).go()
+    return exit_code(entries)

@@ -1,0 +1,223 @@
+"""What one worker does with one sample: photograph to folder, whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from matcap.batch.record import write_record
+from matcap.batch.settings import BatchSettings
+from matcap.batch.workspace import Run
+from matcap.errors import MatcapError
+from matcap.export.staging import write_error
+
+if TYPE_CHECKING:
+    from matcap.capture.pipeline import CaptureResult, Progress
+    from matcap.photo.inspect import Inspection
+    from matcap.photo.photo import Photo
+    from matcap.prior.store import Prior
+
+Tell = Callable[[str, float], None]  # stage, share of the whole
+Fault = Literal["photograph", "memory", "disk", "crash"]
+_THUMBNAIL = 192  # pixels along the long side
+# What part of a job each stage takes, about; for the progress bar alone.
+_SHARES = {
+    "coarse fit": (0.02, 0.08),
+    "statistics": (0.08, 0.1),
+    "start": (0.1, 0.12),
+    "fine-tuning": (0.12, 0.92),
+    "rendering": (0.92, 0.95),
+}
+_DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
+
+
+@dataclass(frozen=True)
+class Job:
+    """One sample to be made into one material.
+
+    Attributes:
+        name: of the material.
+        photos: its photographs.
+        identity: recorded with it.
+        settings: of the batch.
+        run: where to work.
+        detail: texels across, less than the settings' where memory ran out.
+        alone: nothing else runs beside it.
+        card: of the shoot, or None.
+    """
+
+    name: str
+    photos: tuple[Path, ...]
+    identity: str
+    settings: BatchSettings
+    run: Run
+    detail: int
+    alone: bool = False
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a sample has become no material.
+
+    Attributes:
+        kind: "photograph": it will never do; the others may pass.
+        sentence: where, what and remedy.
+    """
+
+    kind: Fault
+    sentence: str
+
+
+def do_job(job: Job, tell: Tell) -> dict[str, Any] | Failure:
+    """Make a material, put it in its place, and return its record's summary.
+
+    Whatever goes wrong with this sample comes back as a Failure.
+    """
+    try:
+        return _do(job, tell)
+    except MemoryError:
+        return Failure("memory", _no_memory(job))
+    except MatcapError as error:
+        return Failure(_fault(error), str(error))
+    except OSError as error:
+        told = write_error(job.run.out / job.name, error)
+        return Failure("disk" if error.errno in _DISK else "crash", str(told))
+    except Exception as error:
+        if _is_no_memory(error):
+            return Failure("memory", _no_memory(job))
+        said = f"{job.photos[0]}: internal error ({type(error).__name__}: {error})."
+        return Failure("crash", said)
+
+
+def _fault(error: MatcapError) -> Fault:
+    """Whose fault it was, by what caused it: only a photograph's own is there to stay."""
+    cause = error.__cause__
+    if isinstance(cause, MemoryError):
+        return "memory"
+    if isinstance(cause, OSError) and cause.errno is not None:  # Pillow has some of its own
+        return "disk" if cause.errno in _DISK else "crash"
+    return "photograph"
+
+
+def _do(job: Job, tell: Tell) -> dict[str, Any]:
+    from matcap.capture.pipeline import capture_photo
+    from matcap.export.outputs import write_outputs
+    from matcap.photo.inspect import inspect_photo
+    from matcap.photo.load import load_photo
+
+    started = time.perf_counter()
+    tell("reading", 0.0)
+    settings = job.settings
+    photo = load_photo(job.photos[0], long_side=job.detail, fov=settings.fov)
+    found = inspect_photo(photo, _prior(settings.prior).tilt(photo))
+
+    def progress(now: Progress) -> None:
+        low, high = _SHARES.get(now.stage, (0.0, 0.0))
+        tell(now.stage, low + (high - low) * now.fraction)
+
+    result = capture_photo(photo, replace(settings.capture, detail=job.detail), progress)
+    tell("writing", 0.95)
+    stage = job.run.stage(job.name)
+    write_outputs(result, photo, stage, settings.outputs)
+    about = _about(job, photo, found, result)
+    about["seconds"] = round(time.perf_counter() - started, 3)
+    about["peak_bytes"] = _peak_bytes()
+    write_record(stage, {**about, "thumbnails": _thumbnails(result)})
+    job.run.publish(stage)
+    return about
+
+
+def _about(job: Job, photo: Photo, found: Inspection, result: CaptureResult) -> dict[str, Any]:
+    """What the index tells of a material."""
+    from matcap.capture.report import warnings
+
+    said = list(warnings(result, photo))
+    if job.detail != job.settings.detail:
+        said.append(f"Memory ran out: made at a detail of {job.detail} texels across.")
+    said += [f.line() for f in found.findings if f.verdict.value in ("doubtful", "poor")]
+    tilt = result.material.setup.tilt
+    return {
+        "name": job.name,
+        "identity": job.identity,
+        "photographs": [str(path) for path in job.photos],
+        "detail": job.detail,
+        "error": result.history[-1][2] if result.history else None,
+        "tilt_degrees": [round(angle * 57.29577951, 3) for angle in tilt],
+        "clipped": round(photo.clipped_share, 5),
+        "doubtful": found.doubtful,
+        "warnings": said,
+        "inspection": found.document(),
+        "stage_seconds": {name: round(s, 3) for name, s in result.stage_seconds.items()},
+        "steps": result.history[-1][1] if result.history else 0,
+    }
+
+
+def _thumbnails(result: CaptureResult) -> dict[str, str]:
+    """The sheet's panels, small, as JPEGs that a page can hold."""
+    import base64
+
+    import cv2
+    import numpy as np
+
+    from matcap.capture.preview import panels
+
+    pictures = {}
+    for panel in panels(result):
+        height, width = panel.pixels.shape[:2]
+        scale = min(1.0, _THUMBNAIL / max(height, width))
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        small = cv2.resize(panel.pixels, size, interpolation=cv2.INTER_AREA)
+        code = np.rint(np.clip(small, 0.0, 1.0) * 255.0).astype(np.uint8)[..., ::-1]
+        jpeg = cv2.imencode(".jpg", np.ascontiguousarray(code), [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
+        pictures[panel.label] = base64.b64encode(jpeg.tobytes()).decode()
+    return pictures
+
+
+@lru_cache(maxsize=1)
+def _prior(name: str) -> Prior:
+    """The alignment branch of the batch's prior; of matcap's own where captures use none."""
+    from matcap.prior.store import load_prior
+
+    return load_prior(None if name in ("auto", "none") else Path(name))
+
+
+def _no_memory(job: Job) -> str:
+    return (
+        f"{job.photos[0]}: there is not enough memory for a detail of {job.detail}; "
+        "close other programs, or lower --detail, --size or -j."
+    )
+
+
+def _is_no_memory(error: Exception) -> bool:
+    """How torch and OpenCV say it: as RuntimeError and cv2.error."""
+    text = str(error).lower()
+    return any(
+        words in text for words in ("can't allocate memory", "out of memory", "insufficient memory")
+    )
+
+
+def _peak_bytes() -> int:
+    """The most this process has ever held."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def settle_threads() -> None:
+    """One thread a worker.
+
+    Workers are many where cores are; and results do not depend on how many there were.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    import cv2
+    import torch
+
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)

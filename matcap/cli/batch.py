@@ -1,0 +1,168 @@
+"""`matcap batch`: a whole shoot, overnight."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from matcap.cli import values
+from matcap.cli.options import JsonOption, Normal, QuietOption
+from matcap.errors import ExitCode
+
+if TYPE_CHECKING:
+    from matcap.batch.plan import Entry
+    from matcap.batch.predict import Prediction
+
+
+def batch(
+    shoot: Annotated[Path, typer.Argument(metavar="SHOOT", help="A folder of photographs.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Each sample gets a folder here.")
+    ] = Path("materials"),
+    jobs: Annotated[
+        int | None,
+        typer.Option("-j", "--jobs", min=1, help="Workers; by default as cores and memory allow."),
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="draft, standard (default), high or reference.")
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(min=0, help="Fine-tuning steps, instead of the preset's.")
+    ] = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(
+            "--time", parser=values.duration, metavar="TIME", help="For each sample: 90s, 2m."
+        ),
+    ] = None,
+    detail: Annotated[
+        int | None, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")
+    ] = None,
+    fov: Annotated[
+        float | None,
+        typer.Option(min=1.0, max=170.0, help="Field of view along the long side, degrees."),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of the work and the map sets.")] = None,
+    size: Annotated[
+        values.Size | None,
+        typer.Option(parser=values.size, metavar="WxH", help="Size of the first map sets."),
+    ] = None,
+    tile: Annotated[
+        bool | None, typer.Option("--tile/--no-tile", help="Map sets that repeat without a seam.")
+    ] = None,
+    png: Annotated[
+        bool | None, typer.Option("--png/--no-png", help="16-bit PNGs beside the EXR files.")
+    ] = None,
+    normal: Annotated[
+        Normal | None, typer.Option(help="Normals with +Y up (gl) or down (dx).")
+    ] = None,
+    prior: Annotated[
+        str | None, typer.Option(metavar="auto|none|PATH", help="Trained prior to start from.")
+    ] = None,
+    group: Annotated[
+        str | None,
+        typer.Option(metavar="none|dir|time", help="Which photographs show one sample."),
+    ] = None,
+    gap: Annotated[
+        float | None, typer.Option(min=0.0, help="Seconds between two shots, with --group time.")
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be done, how long and how large.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Make what is done again.")] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Try what could not be used again.")
+    ] = False,
+    fail_fast: Annotated[
+        bool, typer.Option("--fail-fast", help="End at the first failure.")
+    ] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Turn all photographs of a folder into materials, and go on where an earlier run ended.
+
+    Settings come from matcap.toml in or beside the folder; options win over it. Look at
+    index.html in the output folder afterwards.
+    """
+    from matcap.batch.run import Policy
+    from matcap.batch.settings import settings_of
+    from matcap.batch.whole import prepare, work_off
+    from matcap.cli.batch_display import batch_display
+
+    flags = {
+        "jobs": jobs, "preset": preset, "steps": steps, "time": time_limit, "detail": detail,
+        "fov": fov, "seed": seed, "size": str(size) if size else None, "tile": tile, "png": png,
+        "normal": normal.value if normal else None, "prior": prior, "group": group, "gap": gap,
+    }  # fmt: skip
+    settings = settings_of(shoot, flags)
+    policy = Policy(force, retry_failed, fail_fast)
+    with batch_display(quiet=quiet) as shown:
+        prepared = prepare(shoot, out, settings, policy, shown)
+        if dry_run:
+            from matcap.batch.predict import predict
+
+            prediction = predict(prepared)
+        else:
+            try:
+                code = work_off(prepared, policy, shown)
+            except KeyboardInterrupt:
+                code = ExitCode.INTERRUPTED
+    if dry_run:
+        _print_prediction(prepared.entries, prediction, as_json=as_json)
+        raise typer.Exit(ExitCode.DONE)
+    _print_results(prepared.entries, out, as_json=as_json, quiet=quiet)
+    raise typer.Exit(code)
+
+
+def _print_results(entries: Sequence[Entry], out: Path, *, as_json: bool, quiet: bool) -> None:
+    if as_json:
+        rows = [_document(entry, out) for entry in entries]
+        typer.echo(json.dumps({"out": str(out), "materials": rows}, indent=2))
+    counts = {
+        state: sum(entry.state == state for entry in entries)
+        for state in ("made", "kept", "failed", "left")
+    }
+    doubtful = [entry for entry in entries if entry.record.get("doubtful")]
+    if not quiet:
+        said = [f"{counts['made']} made", f"{counts['kept']} done before"]
+        said += [f"{counts[state]} {state}" for state in ("failed", "left") if counts[state]]
+        typer.echo(f"{', '.join(said)}; see {out / 'index.html'}", err=True)
+        if doubtful:
+            names = ", ".join(entry.sample.name for entry in doubtful[:8])
+            more = f" and {len(doubtful) - 8} more" if len(doubtful) > 8 else ""
+            typer.echo(f"{len(doubtful)} doubtful shots: {names}{more}", err=True)
+    bad = [entry for entry in entries if entry.state in ("failed", "left")]
+    left = [entry for entry in bad if entry.state == "left"]
+    for entry in bad:
+        if entry.state == "failed":
+            typer.echo(f"matcap: {entry.reason}", err=True)
+    if left:
+        typer.echo(f"matcap: {len(left)} not begun: {left[0].reason}.", err=True)
+
+
+def _document(entry: Entry, out: Path) -> dict[str, Any]:
+    return {
+        "name": entry.sample.name,
+        "photographs": [str(photo) for photo in entry.sample.photos],
+        "status": {"made": "done", "kept": "done before"}.get(entry.state, entry.state),
+        "folder": str(out / entry.sample.name),
+        "doubtful": bool(entry.record.get("doubtful")),
+        "error": entry.record.get("error"),
+        "seconds": entry.record.get("seconds"),
+        "reason": entry.reason or None,
+    }
+
+
+def _print_prediction(entries: Sequence[Entry], found: Prediction, *, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps(found.document(entries), indent=2))
+        return
+    for entry in entries:
+        state = {"todo": "to do", "kept": "done", "failed": "cannot be used"}[entry.state]
+        photos = ", ".join(photo.name for photo in entry.sample.photos)
+        typer.echo(f"{entry.sample.name}: {state} ({entry.reason or photos})")
+    typer.echo(found.text())
