@@ -187,7 +187,7 @@ def _photograph_row(name: str, count: int, settings: StabilitySettings) -> Row:
         if not finite(result):
             row = replace(row, values=row.values + 1, where=f"seed {asked.seed}, {asked.prior}")
         worst = max([worst, *(error for _, _, error in result.history[-1:])])
-    return replace(row, worst=f"{worst:.2g} of the style's distance" if worst else "")
+    return replace(row, worst=f"style error {worst:.2g}" if worst else "")
 
 
 def _line(row: Row) -> str:

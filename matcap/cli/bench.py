@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from matcap.cli import relight, values
+from matcap.errors import ExitCode
 
 app = typer.Typer(help="Measure matcap on this machine.", no_args_is_help=True)
 app.command("relight")(relight.bench)
@@ -74,3 +75,37 @@ def quality(
     command = shlex.join(["matcap", *sys.argv[1:]])
     write_scores(scores, out, command)
     typer.echo(markdown(scores, command))
+
+
+@app.command()
+def stability(
+    quick: Annotated[
+        bool, typer.Option("--quick", help="5,000 draws of the reflectance, each photograph once.")
+    ] = False,
+    draws: Annotated[
+        int | None, typer.Option(min=1, help="Of the reflectance, of each case; 100,000.")
+    ] = None,
+    photographs: Annotated[
+        int | None, typer.Option(min=0, help="Hard photographs to capture; 500.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of all draws.")] = 0,
+) -> None:
+    """Whether anything ever comes out NaN or infinite, and how right float32 is.
+
+    Draws the reflectance from every corner of its domain, values and gradients, and captures
+    photographs that go wrong in every way known. Prints one table; exits with 4 when anything in
+    it was not finite.
+    """
+    from dataclasses import replace
+
+    from matcap.bench.stability import QUICK, StabilitySettings, markdown, run_stability, unstable
+
+    settings = replace(QUICK if quick else StabilitySettings(), seed=seed)
+    settings = replace(
+        settings,
+        draws=settings.draws if draws is None else draws,
+        photographs=settings.photographs if photographs is None else photographs,
+    )
+    rows = run_stability(settings, tell=lambda line: typer.echo(line, err=True))
+    typer.echo(markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
+    raise typer.Exit(ExitCode.SOME_FAILED if unstable(rows) else ExitCode.DONE)
