@@ -41,13 +41,6 @@ _BRIGHTEST = 0.8  # mean albedo or F0 of the brightest material believed in
 # from independent, since what the model lacks (blotches, and tone mapping where the picture was
 # developed) is smooth.
 _PRIOR_SHARE_DEVELOPED, _PRIOR_SHARE_RADIOMETRIC = 0.15, 0.03
-# A developed picture's tone curve deepens the falloff; a RAW's numbers are the light's own, and
-# only what a lens profile left undone remains.
-_VIGNETTING_RADIOMETRIC = (0.0, 0.05)
-_BRIGHTEST = 0.8  # mean albedo or F0 of the brightest material believed in
-# One prior deviation weighs like residuals of _HUBER in this share of the cells: cells are far
-# from independent, since what the model lacks (tone mapping, large blotches) is smooth.
-_PRIOR_SHARE = 0.02
 
 
 @dataclass(frozen=True)
