@@ -15,8 +15,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from matcap.model.convolve import convolve
 from matcap.model.decoder import DEPTH, Decoder, Layer, Moments, Step, unet
 from matcap.model.noise import WAVE_CHANNELS, RandomField, Wave, random_field
+from matcap.model.spans import Span, Spans
 
 REFERENCE_SIZE = 512  # texels a side of the reference field
 _REFERENCE_SEED = -1  # a field of its own, which no user's seed is likely to ask for
@@ -43,20 +45,30 @@ class FoldedLayer:
     """A convolution with its AdaIN folded in.
 
     Attributes:
-        weight: (out, in, k, k), channels last in memory.
+        weights: (out, in_i, k, k) for each part of what it reads, channels last in memory: on the
+            way up that is the level below, the skip connection and, if any, the waves.
         bias: (out,).
         activate: followed by ReLU.
     """
 
-    weight: Tensor
+    weights: tuple[Tensor, ...]
     bias: Tensor
     activate: bool
 
     def __call__(self, features: Tensor) -> Tensor:
-        """The step; borders are padded with zeros, which a halo cuts off later."""
-        padding = self.weight.shape[-1] // 2
-        features = F.conv2d(features, self.weight, self.bias, padding=padding)
+        """The step on all parts laid side by side; borders are padded with zeros."""
+        weight = torch.cat(self.weights, dim=1)
+        features = F.conv2d(features, weight, self.bias, padding=weight.shape[-1] // 2)
         return features.relu_() if self.activate else features
+
+    def valid(self, *parts: Tensor) -> Tensor:
+        """The step on its parts, only where the kernel lies inside."""
+        return convolve(parts, self.weights, self.bias, activate=self.activate)
+
+    def to(self, target: torch.dtype | torch.device) -> FoldedLayer:
+        """In another precision or on another device."""
+        weights = tuple(weight.to(target) for weight in self.weights)
+        return FoldedLayer(weights, self.bias.to(target), self.activate)
 
 
 @dataclass(frozen=True)
@@ -70,12 +82,74 @@ class FoldedDecoder:
     head: FoldedLayer
 
     def __call__(self, field: RandomField) -> Tensor:
-        """Raw outputs (B, OUTPUTS, H, W); a halo's width at every border is not valid."""
+        """Raw outputs (B, OUTPUTS, H, W) of a whole field; a halo at every border is not valid.
+
+        The plain form, which `decode` is tested against.
+        """
         if not self.has_waves:
             field = RandomField(field.noise, ())
         down: Sequence[Sequence[Step]] = self.down
         up: Sequence[Sequence[Step]] = self.up
         return unet(field, down, up, self.head, periodic=False)
+
+    @property
+    def convolutions(self) -> tuple[int, int]:
+        """3 x 3 convolutions per block on the way down and on the way up."""
+        return len(self.down[0]), len(self.up[0])
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """In which it computes; the head always in float32."""
+        return self.down[0][0].bias.dtype
+
+    @property
+    def device(self) -> torch.device:
+        """Where it computes."""
+        return self.head.bias.device
+
+    def to(self, target: torch.dtype | torch.device) -> FoldedDecoder:
+        """In another precision (the head, which states the maps, keeps its own) or elsewhere."""
+        down = tuple(tuple(layer.to(target) for layer in block) for block in self.down)
+        up = tuple(tuple(layer.to(target) for layer in block) for block in self.up)
+        head = self.head if isinstance(target, torch.dtype) else self.head.to(target)
+        return FoldedDecoder(self.noise_channels, self.has_waves, down, up, head)
+
+    def decode(self, field: RandomField, rows: Spans, columns: Spans) -> Tensor:
+        """Raw outputs (B, OUTPUTS, H, W) over the spans' output, float32, all of them valid.
+
+        Args:
+            field: noise over the spans' down[0] and, if there are any, waves over their joined.
+            rows, columns: of this decoder's convolutions.
+        """
+        features, skips = field.noise.to(self.dtype), []
+        for level, block in enumerate(self.down):
+            if level > 0:
+                features = F.max_pool2d(features, 2)
+            for layer in block:
+                features = layer.valid(features)
+            skips.append(features)
+        covered = (rows.risen[DEPTH], columns.risen[DEPTH])
+        for level, (first, *others) in zip(reversed(range(DEPTH)), self.up, strict=True):
+            joined = (rows.joined[level], columns.joined[level])
+            below = cut(features, (rows.risen[level + 1], columns.risen[level + 1]), covered)
+            beside = cut(skips[level], joined, (rows.skips[level], columns.skips[level]))
+            waves = [field.waves[level].to(self.dtype)] if self.has_waves else []
+            features = first.valid(double(below), beside, *waves)
+            for layer in others:
+                features = layer.valid(features)
+            covered = (joined[0].grown(-1 - len(others)), joined[1].grown(-1 - len(others)))
+        return self.head.valid(cut(features, (rows.output, columns.output), covered).float())
+
+
+def cut(features: Tensor, wanted: tuple[Span, Span], covered: tuple[Span, Span]) -> Tensor:
+    """The part of features over `covered` (rows, columns) that lies in `wanted`, channels last."""
+    rows, columns = (a.within(b) for a, b in zip(wanted, covered, strict=True))
+    return features[..., rows, columns].contiguous(memory_format=torch.channels_last)
+
+
+def double(features: Tensor) -> Tensor:
+    """Twice the size, bilinear; the outermost texel is not valid."""
+    return F.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)
 
 
 def fold(
@@ -85,24 +159,22 @@ def fold(
     with torch.no_grad():
         remaining = iter(moments)
 
-        def folded(layer: Layer) -> FoldedLayer:
+        def folded(layer: Layer, sizes: Sequence[int] = ()) -> FoldedLayer:
             scale, shift = layer.adain.affine_of(code, next(remaining))
             weight = layer.convolution.weight * scale[:, None, None, None]
-            return FoldedLayer(
-                weight.contiguous(memory_format=torch.channels_last), shift, layer.activate
-            )
+            parts = weight.split(list(sizes), dim=1) if sizes else (weight,)
+            if sizes and not has_waves:
+                parts = parts[:-1]
+            weights = (part.contiguous(memory_format=torch.channels_last) for part in parts)
+            return FoldedLayer(tuple(weights), shift, layer.activate)
 
         down = tuple(tuple(folded(layer) for layer in block) for block in decoder.down_layers())
         up = []
-        for block in decoder.up_layers():
-            layers = [folded(layer) for layer in block]
-            if not has_waves:
-                first = layers[0]
-                weight = first.weight[:, :-WAVE_CHANNELS].contiguous(
-                    memory_format=torch.channels_last
-                )
-                layers[0] = FoldedLayer(weight, first.bias, first.activate)
-            up.append(tuple(layers))
+        below = decoder.config.widths[-1]
+        for skip, block in zip(decoder.config.widths[-2::-1], decoder.up_layers(), strict=True):
+            first = folded(block[0], (below, skip, WAVE_CHANNELS))
+            up.append((first, *(folded(layer) for layer in block[1:])))
+            below = skip
         return FoldedDecoder(
             decoder.config.noise_channels, has_waves, down, tuple(up), folded(decoder.head)
         )

@@ -29,9 +29,13 @@ WAVE_CHANNELS = 12
 
 _ORDERS_OF_ONE = ((1,), (2,), (3,), (4,))
 _ORDERS_OF_TWO = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
+# What repeats: texels along x and along y, None for an axis that never does.
+Period = tuple[int | None, int | None]
+
 _FINEST = 0.36  # cycles per texel: finer waves would alias
 _CHANNELS_PER_HASH = 4
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
+_TOP_BITS = 0x8000800080008000  # of the four numbers in a hash
 _MIX_1 = 0xBF58476D1CE4E5B9  # the multipliers of splitmix64's finaliser (Steele et al. 2014)
 _MIX_2 = 0x94D049BB133111EB
 
@@ -65,14 +69,14 @@ def wrap64(value: int) -> int:
 
 def _shift(value: Tensor, bits: int) -> Tensor:
     """Logical right shift of int64."""
-    return (value >> bits) & (2 ** (64 - bits) - 1)
+    return (value >> bits).bitwise_and_(2 ** (64 - bits) - 1)
 
 
 def _scramble(value: Tensor) -> Tensor:
     """splitmix64's finaliser: a bijection of 64-bit integers in which every bit reaches all."""
-    value = (value ^ _shift(value, 30)) * wrap64(_MIX_1)
-    value = (value ^ _shift(value, 27)) * wrap64(_MIX_2)
-    return value ^ _shift(value, 31)
+    value = _shift(value, 30).bitwise_xor_(value).mul_(wrap64(_MIX_1))
+    value = _shift(value, 27).bitwise_xor_(value).mul_(wrap64(_MIX_2))
+    return _shift(value, 31).bitwise_xor_(value)
 
 
 def _keys(seed: int, count: int) -> Tensor:
@@ -90,35 +94,35 @@ def noise_field(
     width: int,
     height: int,
     *,
-    period: tuple[int, int] | None = None,
+    period: Period | None = None,
     device: torch.device | str = "cpu",
 ) -> Tensor:
     """(channels, height, width) float32 uniform noise of zero mean and unit variance.
+
+    In memory channels come last, as the network's convolutions like it.
 
     Args:
         seed: any integer in [-2^63, 2^63).
         channels: how many independent fields.
         x, y: the left top texel; y grows downwards.
         width, height: the rectangle's size in texels.
-        period: (along x, along y) repeat of the field in texels, or None for an endless one.
+        period: (along x, along y) repeat in texels; None for what is endless.
         device: where to compute; the numbers are the same everywhere.
     """
-    columns = torch.arange(x, x + width, dtype=torch.int64, device=device)
-    rows = torch.arange(y, y + height, dtype=torch.int64, device=device)
-    if period is not None:
-        columns, rows = columns.remainder(period[0]), rows.remainder(period[1])
+    columns, rows = _places(x, y, width, height, period, device)
     hashes = -(-channels // _CHANNELS_PER_HASH)
     keys = _keys(seed, 2 * hashes).tolist()
-    fields = []
+    fields = torch.empty(height, width, hashes, _CHANNELS_PER_HASH, device=device)
     for index in range(hashes):
         column_hash = _scramble(columns * wrap64(_GOLDEN) + keys[2 * index])
         row_hash = _scramble(rows * wrap64(_GOLDEN) + keys[2 * index + 1])
         bits = _scramble(column_hash[None, :] ^ row_hash[:, None])
-        for part in range(min(_CHANNELS_PER_HASH, channels - _CHANNELS_PER_HASH * index)):
-            fields.append(_shift(bits, 16 * part) & 0xFFFF)
-    integers = torch.stack(fields).to(torch.float32)
+        # Read as four signed numbers, lowest bits first: k - 2^15, once the top bits are flipped.
+        parts = bits.bitwise_xor_(wrap64(_TOP_BITS)).view(torch.int16)
+        fields[:, :, index] = parts.reshape(height, width, _CHANNELS_PER_HASH)
     # (k + 1/2) / 2^16 - 1/2, times sqrt(12): centred, unit variance.
-    return (integers - 32767.5) * (math.sqrt(12.0) / 65536.0)
+    fields.add_(0.5).mul_(math.sqrt(12.0) / 65536.0)
+    return fields.flatten(2)[..., :channels].permute(2, 0, 1)
 
 
 def wave_field(
@@ -130,7 +134,7 @@ def wave_field(
     height: int,
     *,
     level: int = 0,
-    period: tuple[int, int] | None = None,
+    period: Period | None = None,
     device: torch.device | str = "cpu",
 ) -> Tensor:
     """(WAVE_CHANNELS, height, width) float32: cosine and sine of every wave, unit variance.
@@ -147,11 +151,9 @@ def wave_field(
         device: where to compute; phases are the same everywhere.
     """
     scale = 2**level
-    columns = torch.arange(x, x + width, dtype=torch.int64, device=device)
-    rows = torch.arange(y, y + height, dtype=torch.int64, device=device)
-    if period is not None:
-        columns = columns.remainder(period[0] // scale)
-        rows = rows.remainder(period[1] // scale)
+    along_x, along_y = (None, None) if period is None else period
+    shrunk = (along_x and along_x // scale, along_y and along_y // scale)
+    columns, rows = _places(x, y, width, height, shrunk, device)
     start = _keys(wrap64(seed ^ _MIX_2), 2).tolist()
     field = torch.zeros(WAVE_CHANNELS, height, width, device=device)
     for index, (orders, fx, fy) in enumerate(_harmonics(waves)):
@@ -159,8 +161,8 @@ def wave_field(
             continue
         step_x = step_y = offset = 0
         for order, wave, begin in zip(orders, waves, start, strict=False):
-            step_x += order * _turns(wave.fx, None if period is None else period[0])
-            step_y += order * _turns(wave.fy, None if period is None else period[1])
+            step_x += order * _turns(wave.fx, along_x)
+            step_y += order * _turns(wave.fy, along_y)
             offset += order * begin
         # A texel's centre lies (scale - 1) / 2 texels of level 0 after its first one's.
         centre = wrap64((step_x + step_y) * (scale - 1)) >> 1
@@ -186,7 +188,7 @@ def random_field(
     height: int,
     *,
     levels: int,
-    period: tuple[int, int] | None = None,
+    period: Period | None = None,
     device: torch.device | str = "cpu",
 ) -> RandomField:
     """All the decoder reads for one rectangle, as a batch of one.
@@ -203,6 +205,25 @@ def random_field(
         for k in range(levels)
     )  # fmt: skip
     return RandomField(noise[None], stack)
+
+
+def _places(
+    x: int,
+    y: int,
+    width: int,
+    height: int,
+    period: Period | None,
+    device: torch.device | str,
+) -> tuple[Tensor, Tensor]:
+    """Columns (width,) and rows (height,) of a rectangle, within the first period."""
+    columns = torch.arange(x, x + width, dtype=torch.int64, device=device)
+    rows = torch.arange(y, y + height, dtype=torch.int64, device=device)
+    if period is not None:
+        columns, rows = (
+            places if length is None else places.remainder(length)
+            for places, length in zip((columns, rows), period, strict=True)
+        )
+    return columns, rows
 
 
 def _harmonics(waves: tuple[Wave, ...]) -> list[tuple[tuple[int, ...], float, float]]:

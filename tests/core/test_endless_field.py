@@ -3,17 +3,18 @@
 import random
 import subprocess
 import sys
+import threading
 
 import pytest
 import torch
 
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, maps_from_raw
 from matcap.model.freeze import freeze, reference_field
 from matcap.model.material import Material
-from matcap.model.noise import Wave, noise_field, wave_field
-from matcap.synth import field as synth_field
+from matcap.model.noise import Wave, noise_field, random_field, wave_field
+from matcap.synth.blocks import BLOCK, BLOCK_HEIGHT
 from matcap.synth.field import Field
 
 SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
@@ -48,16 +49,45 @@ def test_whole_pieces_and_lone_rectangle_are_the_same_bits(material, origin):
         assert torch.equal(part, whole[:, top : top + height, left : left + width])
 
 
-def test_halo_reaches_as_far_as_the_network(material, monkeypatch):
-    shipped = Field(material, 1).read(400, 400, 200, 200).stacked()
-    monkeypatch.setattr(synth_field, "HALO", synth_field.HALO + 48)
-    assert torch.allclose(Field(material, 1).read(400, 400, 200, 200).stacked(), shipped, atol=1e-6)
+def test_blocks_are_the_network_that_was_tuned_on_the_whole_torus(material):
+    """Against the decoder that is trained: circular padding, batch normalisation, no blocks."""
+    period = (BLOCK + 64, BLOCK_HEIGHT + 96)
+    found = Field(material, 5, period).read(0, 0, *period).stacked()
+    field = random_field(
+        5, SMALL.noise_channels, material.waves, 0, 0, *period, levels=DEPTH, period=period
+    )
+    with torch.no_grad():
+        raw = material.decoder(field, material.code, material.moments)[0]
+    expected = maps_from_raw(raw, material.texel_size).stacked()
+    assert torch.allclose(found, expected, atol=2e-5)
+    assert not torch.allclose(found, expected.roll(1, -1), atol=1e-2)
 
 
 def test_periodic_field_repeats_exactly(material):
     maps = Field(material, 5, period=(160, 96)).read(-40, 7, 320, 192).stacked()
     assert torch.equal(maps, maps.roll((96, 160), (1, 2)))
     assert not torch.equal(maps, maps.roll((48, 80), (1, 2)))
+
+
+@pytest.mark.parametrize("period", [(160, None), (None, 96)])
+def test_a_field_can_repeat_along_one_axis(material, period):
+    maps = Field(material, 5, period).read(-40, 7, 320, 192).stacked()
+    shifts = (96 if period[1] else 0, 160 if period[0] else 0)
+    assert torch.equal(maps, maps.roll(shifts, (1, 2)))
+    assert not torch.equal(maps, maps.roll((96, 160), (1, 2)))
+
+
+def test_reading_works_in_inference_mode_and_leaves_the_thread_count(material):
+    outside = Field(material, 2).read(0, 0, 40, 40, workers=2)
+    threads = torch.get_num_threads()
+    seen = []
+    watcher = threading.Thread(target=lambda: seen.append(torch.get_num_threads()))
+    with torch.inference_mode():
+        inside = Field(material, 2).read(0, 0, 40, 40, workers=2)
+    watcher.start()
+    watcher.join()
+    assert torch.equal(inside.stacked(), outside.stacked())
+    assert torch.get_num_threads() == threads and seen == [threads]
 
 
 def test_seeds_differ_and_processes_agree(material, tmp_path):

@@ -1,0 +1,38 @@
+"""Threads that compute on one core each, whatever the rest of the process does.
+
+A block is computed on one thread, so that the machine's count of cores changes no bit. How many
+threads PyTorch's operators use is a setting of the calling thread (OpenMP's), beside a number for
+threads yet to come that `torch.set_num_threads` writes too; the caller writes that back before
+any work begins.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import torch
+
+
+@contextmanager
+def single_threaded(workers: int) -> Iterator[ThreadPoolExecutor]:
+    """A pool of so many threads, each of which computes on one core."""
+    threads = torch.get_num_threads()
+    ready = threading.Barrier(workers + 1)
+
+    def prepare() -> None:
+        torch.set_num_threads(1)
+        ready.wait()
+
+    with ThreadPoolExecutor(workers, initializer=prepare) as pool:
+        for _ in range(workers):
+            pool.submit(_nothing)
+        ready.wait()
+        torch.set_num_threads(threads)
+        yield pool
+
+
+def _nothing() -> None:
+    """A task whose submission starts a thread."""
