@@ -4,7 +4,8 @@ Each step decodes fresh noise, renders it as if it lay at a few places of the ph
 compares every rendering's statistics with the photograph's at that same place. The last steps run
 with AdaIN's statistics frozen, so that what is saved is what was optimised.
 
-Anytime: it ends after a number of steps, a time, or an interrupt, and hands back the best so far.
+Anytime: it ends after a number of steps, a time, at an error, or by an interrupt, and hands back
+the best so far.
 A step that goes wrong (a loss or a gradient that is not finite, a loss that explodes) is taken
 back and the rate lowered.
 """
@@ -47,6 +48,7 @@ class TuneSettings:
     Attributes:
         steps: at most so many.
         seconds: and at most so long, or None.
+        target: running error at which only the frozen end is left to be done, or None.
         places: windows rendered per step.
         learning_rate: of Adam, at its highest.
         slope_penalty: of the mean squared slope; relief must pay for itself.
@@ -57,6 +59,7 @@ class TuneSettings:
 
     steps: int
     seconds: float | None = None
+    target: float | None = None
     places: int = 1
     learning_rate: float = 2e-2
     slope_penalty: float = 0.005
@@ -126,11 +129,15 @@ def finetune(
     moments: list[Moments] | None = None
     best = _Best(copy.deepcopy(decoder.state_dict()), math.inf)
     error, rate, step, history = math.nan, settings.learning_rate, 0, []
+    steps = settings.steps
     interrupted = False
     try:
         while True:
             seconds = time.monotonic() - started
-            share = step / settings.steps if settings.steps else 1.0
+            good = settings.target is not None and error <= settings.target
+            if good and moments is None and step >= _WARM_UP:
+                steps = min(steps, math.ceil(step / (1.0 - _FROZEN_SHARE)))
+            share = step / steps if steps else 1.0
             if settings.seconds is not None:
                 share = max(share, seconds / settings.seconds)
             if share >= 1.0:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.anytime import forecast, self_difference
 from matcap.capture.coarse import CoarseFit, fit_coarse
 from matcap.capture.finetune import Scene, TuneSettings, finetune
 from matcap.capture.start import log_contrast, untrained
@@ -36,6 +37,7 @@ from matcap.statistics.lattice import find_lattice
 # Steps of fine-tuning; docs/capture.md has what each costs and buys.
 PRESETS: dict[str, int] = {"draft": 80, "standard": 400, "high": 1000, "reference": 3000}
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
+_FORECAST_EVERY = 20  # steps
 _WINDOW = 160  # texels a side: many cheap steps beat few exact ones (docs/capture.md)
 # From nothing, where a run ends depends on where it starts: the best of a few short runs goes on.
 _AUDITIONS, _AUDITION_STEPS = 3, 40
@@ -50,6 +52,7 @@ class CaptureSettings:
         preset: a key of PRESETS.
         steps: of fine-tuning, instead of the preset's.
         time_limit: of fine-tuning in seconds, or None.
+        target: error to end at, as a multiple of what the photograph's own windows differ by.
         detail: texels across the photograph's long side.
         fov: field of view across the long side in degrees, instead of the photograph's.
         seed: of everything random.
@@ -59,6 +62,7 @@ class CaptureSettings:
     preset: str = "standard"
     steps: int | None = None
     time_limit: float | None = None
+    target: float | None = None
     detail: int = 1024
     fov: float | None = None
     seed: int = 0
@@ -75,6 +79,7 @@ class Progress:
         error: running error of fine-tuning, or None.
         seconds: since the start.
         seconds_left: expected, or None.
+        in_a_minute: error to be expected if it went on for another minute, or None.
     """
 
     stage: str
@@ -82,6 +87,7 @@ class Progress:
     error: float | None
     seconds: float
     seconds_left: float | None
+    in_a_minute: float | None = None
 
 
 @dataclass(frozen=True)
@@ -97,6 +103,7 @@ class CaptureResult:
         stage_seconds: per stage.
         settings: as given.
         interrupted: ended by Ctrl-C, with the best so far.
+        self_difference: error between neighbouring windows of the photograph; NaN if it has none.
     """
 
     material: Material
@@ -107,6 +114,7 @@ class CaptureResult:
     stage_seconds: dict[str, float]
     settings: CaptureSettings
     interrupted: bool
+    self_difference: float = math.nan
 
 
 def capture_photo(
@@ -139,6 +147,8 @@ def capture_photo(
         windows = cut_windows(linear, valid, encoding, bank, _window(linear, photo.name))
         texel_size = 2.0 / linear.shape[-1]
         scene = Scene(windows, coarse.setup, encoding, bank, lattice.waves, texel_size)
+        own = self_difference(windows, scene.weights)
+        target = _target(settings, own, photo.name)
 
     with clock.stage("start"):
         if settings.prior == "none":
@@ -160,6 +170,7 @@ def capture_photo(
             TuneSettings(
                 steps=steps,
                 seconds=settings.time_limit,
+                target=target,
                 learning_rate=rate,
                 seed=settings.seed,
             ),
@@ -190,6 +201,7 @@ def capture_photo(
         stage_seconds=clock.seconds,
         settings=settings,
         interrupted=tuned.interrupted,
+        self_difference=own,
     )
 
 
@@ -200,8 +212,20 @@ def _steps(settings: CaptureSettings) -> int:
         )
     if settings.steps is not None:
         return settings.steps
-    # A time limit alone decides when to stop.
-    return PRESETS["reference" if settings.time_limit is not None else settings.preset]
+    # A time limit or a target alone decides when to stop.
+    alone = settings.time_limit is not None or settings.target is not None
+    return PRESETS["reference" if alone else settings.preset]
+
+
+def _target(settings: CaptureSettings, own: float, name: str) -> float | None:
+    """The error to end at, beside the photograph's own."""
+    if settings.target is not None and math.isnan(own):
+        raise MatcapError(
+            "the picture is too small to be compared with itself",
+            where=name,
+            remedy="raise --detail, or give --steps or --time in place of --target",
+        )
+    return None if settings.target is None else settings.target * own
 
 
 def _window(linear: Tensor, name: str) -> int:
@@ -289,6 +313,8 @@ class _Clock:
         self.seconds: dict[str, float] = {}
         self._progress = progress
         self._started = time.monotonic()
+        self._history: list[tuple[float, int, float]] = []
+        self._ahead: float | None = None
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -301,7 +327,10 @@ class _Clock:
     def tuning(self, share: float, error: float, seconds: float) -> None:
         left = seconds * (1.0 - share) / share if share > 0.01 else None
         elapsed = time.monotonic() - self._started
-        self._tell(Progress("fine-tuning", share, error, elapsed, left))
+        self._history.append((seconds, len(self._history) + 1, error))
+        if len(self._history) % _FORECAST_EVERY == 0:
+            self._ahead = forecast(self._history, 60.0)
+        self._tell(Progress("fine-tuning", share, error, elapsed, left, self._ahead))
 
     def _tell(self, progress: Progress) -> None:
         if self._progress is not None:

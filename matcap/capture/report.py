@@ -12,19 +12,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matcap
+from matcap.capture.anytime import forecast
+from matcap.capture.curve import draw_history
 from matcap.export.staging import staged
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult
     from matcap.photo.photo import Photo
 
+CURVE = "error.png"
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
 # Where a photograph gets doubtful.
 _MUCH_CLIPPED, _MUCH_TILT = 0.05, 10.0
 
 
 def write_report(result: CaptureResult, photo: Photo, path: Path) -> None:
-    """Write the report of a capture.
+    """Write the report of a capture, and beside it error.png, its error over time.
 
     Raises:
         MatcapError: the file cannot be written.
@@ -32,6 +35,7 @@ def write_report(result: CaptureResult, photo: Photo, path: Path) -> None:
     text = json.dumps(_finite(report(result, photo)), indent=2, default=str, allow_nan=False)
     with staged(path.parent) as stage:
         (stage / path.name).write_text(text + "\n")
+        draw_history(result.history, result.self_difference).save(stage / CURVE)
 
 
 def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
@@ -42,6 +46,8 @@ def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
         "name": result.material.name,
         "interrupted": result.interrupted,
         "error": result.history[-1][2] if result.history else None,
+        "self_difference": result.self_difference,
+        "error_after_another_minute": forecast(result.history, 60.0),
         "warnings": list(warnings(result, photo)),
         "notes": list(photo.notes),
         "photograph": {

@@ -46,6 +46,14 @@ def capture(
             "--time", parser=values.duration, metavar="TIME", help="Stop by then: 90s, 2m."
         ),
     ] = None,
+    target: Annotated[
+        float | None,
+        typer.Option(
+            min=0.01,
+            metavar="TIMES",
+            help="Stop at this error, in multiples of what the photograph's own windows differ by.",
+        ),
+    ] = None,
     detail: Annotated[
         int, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")
     ] = 1024,
@@ -82,8 +90,8 @@ def capture(
     from matcap.export.staging import check_writable
 
     settings = CaptureSettings(
-        preset=preset, steps=steps, time_limit=time_limit, detail=detail, fov=fov, seed=seed,
-        prior=prior,
+        preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
+        seed=seed, prior=prior,
     )  # fmt: skip
     outputs = OutputSettings((size.width, size.height), seed, png, normal.value)
     jobs = _jobs(photos, out)

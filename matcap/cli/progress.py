@@ -41,6 +41,8 @@ class Display:
     def progress(self, now: CaptureProgress) -> None:
         """The work has come this far."""
         error = f"error {now.error:.3f}" if now.error is not None else ""
+        if now.in_a_minute is not None:
+            error += f" ({now.in_a_minute:.3f} after another minute)"
         if self._bars is not None and self._task is not None:
             left = f"{now.seconds_left:.0f} s left" if now.seconds_left is not None else ""
             self._bars.update(

@@ -23,7 +23,7 @@ def test_all_outputs_stand_in_a_folder_of_the_photographs_name(matcap, pipeline,
     assert str(out / "leather") in said.err
     exrs = {name for name in mapset_files("leather") if not name.endswith(".png")}
     names = {f.name for f in (out / "leather").iterdir()}
-    assert names == exrs | {"leather.matcap", "preview.png", "report.json"}
+    assert names == exrs | {"leather.matcap", "preview.png", "report.json", "error.png"}
     maps, document = read_mapset(out / "leather")
     assert maps.size == (40, 30)
     assert document["seed"] == 5
@@ -33,12 +33,13 @@ def test_all_outputs_stand_in_a_folder_of_the_photographs_name(matcap, pipeline,
 def test_options_reach_the_pipeline(matcap, pipeline, photo, out):
     matcap(
         "capture", photo, "-o", out, "--preset", "draft", "--steps", 7, "--time", "2m", "--fov", 60,
-        "--detail", 512, "--seed", 3, "--prior", "none", "--size", 16,
+        "--target", 1.3, "--detail", 512, "--seed", 3, "--prior", "none", "--size", 16,
     )  # fmt: skip
     (call,) = pipeline.calls
     assert (call.path, call.long_side, call.fov) == (photo, 512, 60.0)
     asked = call.settings
     assert (asked.preset, asked.steps, asked.time_limit) == ("draft", 7, 120.0)
+    assert asked.target == 1.3
     assert (asked.detail, asked.fov, asked.seed, asked.prior) == (512, 60.0, 3, "none")
 
 

@@ -1,0 +1,71 @@
+"""A capture can end at any time: how good it is, and what more time would buy.
+
+Errors of fine-tuning are distances between texture statistics, whose size says little. Beside the
+photograph's *self-difference*, by how much neighbouring windows of one photograph differ, they do:
+at 1 a rendering differs from the photograph as the photograph does from itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from matcap.capture.windows import Windows
+from matcap.statistics.compare import Weights, distance
+
+History = Sequence[tuple[float, int, float]]  # seconds, step, running error
+
+_LEAST_STEPS = 20  # fewer do not show where the error is going
+
+
+def self_difference(windows: Windows, weights: Weights) -> float:
+    """Mean distance between windows of a photograph that lie side by side.
+
+    They hardly overlap, and are lit and seen nearly alike; their mean colour, which follows the
+    light, is left out. NaN where the photograph holds no two such windows.
+
+    Args:
+        windows: of one photograph.
+        weights: of the statistics.
+    """
+    centres = windows.points[:, :2].mean(dim=(2, 3))
+    texel = float(windows.points[0, 0, 0, 1] - windows.points[0, 0, 0, 0])
+    apart = torch.cdist(centres[None].double(), centres[None].double())[0] / (texel * windows.size)
+    # Side by side is one window's width apart; places are rounded, and at a border closer.
+    first, second = ((apart > 0.85) & (apart < 1.15)).nonzero(as_tuple=True)
+    if not len(first):
+        return math.nan
+    target = windows.target
+    found = distance(
+        target.select(first),
+        target.select(second),
+        replace(weights, mean=0.0),
+    )
+    return float(found.mean())
+
+
+def forecast(history: History, seconds: float) -> float | None:
+    """The running error to be expected after so many more seconds, or None where too early to say.
+
+    Errors of such searches fall about evenly with the logarithm of time; the slope is that of the
+    later half of the time. Never higher than what there is: the best is kept.
+
+    Args:
+        history: of fine-tuning.
+        seconds: from its end.
+    """
+    if not history:
+        return None
+    later = [point for point in history if point[0] >= 0.5 * history[-1][0]]
+    if len(later) < _LEAST_STEPS:
+        return None
+    times = np.log([max(point[0], 1e-3) for point in later])
+    errors = np.array([point[2] for point in later])
+    spread = times - times.mean()
+    slope = float((spread * errors).sum() / max(float((spread**2).sum()), 1e-12))
+    now, error = history[-1][0], history[-1][2]
+    return max(0.0, error + min(0.0, slope) * math.log((now + seconds) / now))
