@@ -1,0 +1,95 @@
+"""The batch command: what it refuses, predicts and prints. test_kills.py runs it for real."""
+
+import io
+import json
+
+import pytest
+from kills import make_shoot
+from rich.console import Console
+
+from matcap.batch.memory import crew_size, photo_pixels, worker_bytes
+from matcap.batch.plan import Entry
+from matcap.batch.settings import BatchSettings
+from matcap.batch.shoot import Sample
+from matcap.cli.batch_display import BatchDisplay
+from matcap.cli.main import main
+from matcap.errors import MatcapError
+
+
+@pytest.fixture
+def shoot(tmp_path):
+    make_shoot(tmp_path / "shoot", 1)
+    return tmp_path / "shoot"
+
+
+def test_a_dry_run_predicts_from_a_trial_and_writes_nothing(shoot, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("matcap.batch.predict._trial", lambda photo, settings: (30.0, 5_000_000))
+    out = tmp_path / "out"
+    assert main(["batch", str(shoot), "-o", str(out), "--dry-run", "--json", "-j", "1"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["todo"], told["seconds"], told["disk_bytes"]) == (1, 30.0, 5_000_000)
+    assert [row["status"] for row in told["materials"]] == ["to do"]
+    assert told["materials"][0]["beside"][0].endswith("leather.jpg")
+    assert not out.exists()
+    assert main(["batch", str(shoot), "-o", str(out), "--dry-run"]) == 0
+    text = capsys.readouterr().out
+    assert "leather: to do" in text and "30 s" in text and "GB of memory" in text
+
+
+def test_a_trial_that_cannot_be_made_leaves_the_speed_unknown(shoot, tmp_path, capsys, monkeypatch):
+    def fail(photo, settings):
+        raise MatcapError("black")
+
+    monkeypatch.setattr("matcap.batch.predict._trial", fail)
+    assert main(["batch", str(shoot), "-o", str(tmp_path / "out"), "--dry-run"]) == 0
+    assert "unknown speed" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "word"),
+    [
+        (["nowhere"], 3, "no such folder"),
+        (["SHOOT", "--preset", "drafd"], 2, "'draft'"),
+        (["SHOOT", "--size", "100", "--tile"], 2, "multiples of 16"),
+        (["SHOOT", "--prior", "nothing.safetensors"], 3, "no such prior"),
+    ],
+)
+def test_what_is_wrong_is_said_before_any_work(shoot, tmp_path, capsys, arguments, code, word):
+    arguments = [str(shoot) if a == "SHOOT" else a for a in arguments]
+    assert main(["batch", *arguments, "-o", str(tmp_path / "out")]) == code
+    assert word in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_fewer_workers_where_memory_or_work_is_short():
+    assert crew_size(4, 1_000, 10, free=100_000) == 4
+    assert crew_size(4, 1_000, 2, free=100_000) == 2
+    assert crew_size(4, 1_000, 10, free=2_500) == 2
+    assert crew_size(4, 1_000, 10, free=10) == 1
+    assert crew_size(None, 1, 1_000, free=100_000) >= 1
+
+
+def test_memory_grows_with_photograph_detail_and_map_set(shoot):
+    base = worker_bytes(BatchSettings(), 12_000_000, raw=False)
+    assert worker_bytes(BatchSettings(), 48_000_000, raw=False) > base
+    assert worker_bytes(BatchSettings(), 12_000_000, raw=True) > base
+    assert worker_bytes(BatchSettings(detail=2048), 12_000_000, raw=False) > base
+    assert worker_bytes(BatchSettings(size=(4096, 4096)), 12_000_000, raw=False) > base
+    assert photo_pixels(shoot / "leather.jpg") == (128 * 96, False)
+    assert photo_pixels(shoot / "leather.dng") == (128 * 96, True)
+
+
+def test_on_a_dumb_terminal_a_line_tells_of_each_end(tmp_path):
+    said = io.StringIO()
+    shown = BatchDisplay(Console(file=said, width=200), None, quiet=False)
+    shown.expect(2)
+    record = {"error": 0.5, "doubtful": True, "seconds": 12.0}
+    good = Entry(Sample("a [b]", (tmp_path / "a.jpg",)), "i", "made", "", record)
+    bad = Entry(Sample("c", (tmp_path / "c.jpg",)), "i", "failed", "black.")
+    for entry in (good, bad):
+        shown.started(entry)
+        shown.progress(entry, "fine-tuning", 0.5)
+        shown.ended(entry)
+    lines = said.getvalue().splitlines()
+    assert lines[0].startswith("[1/2] a [b]: 12 s, error 0.500, doubtful") and "left" in lines[0]
+    assert lines[1] == "[2/2] c: failed"

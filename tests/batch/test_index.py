@@ -1,0 +1,86 @@
+"""The page and its tables."""
+
+import csv
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+
+from matcap.batch.index import write_index
+from matcap.batch.plan import Entry
+from matcap.batch.record import write_record
+from matcap.batch.shoot import Sample
+
+RECORD = {
+    "identity": "i", "photographs": ["/shoot/a & b.jpg"], "error": 0.5, "tilt_degrees": [1.0, -7.5],
+    "clipped": 0.021, "doubtful": True, "seconds": 75.0, "detail": 512,
+    "warnings": ["2.1 % of the picture is clipped. Lower the exposure by one stop."],
+    "thumbnails": {"photograph": "AAAA", "height: -1 to 1": "BBBB"},
+}  # fmt: skip
+
+
+class Reader(HTMLParser):
+    """Rows of the table, and whatever would be fetched."""
+
+    def __init__(self):
+        super().__init__()
+        self.rows, self.sources, self.tags = 0, [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.rows += tag == "tr"
+        for name, value in attrs:
+            if name in ("src", "href", "data", "action") and tag != "a":
+                self.sources.append(value)
+            assert not name.startswith("on")
+
+
+def written(tmp_path):
+    entries = []
+    for name, state, reason in (
+        ("good", "made", ""),
+        ("<script>alert(1)</script>", "failed", '=cmd|"x": <b>black</b>; use the flash.'),
+        ("late", "left", "interrupted"),
+    ):
+        record = {}
+        if state == "made":
+            record = RECORD
+            (tmp_path / name).mkdir()
+            write_record(tmp_path / name, record)
+        sample = Sample(name, (Path(f"/shoot/{state}.jpg"),))
+        entries.append(Entry(sample, "i", state, reason, dict(record)))
+    (tmp_path / "earlier").mkdir()
+    write_record(tmp_path / "earlier", {**RECORD, "doubtful": False})
+    write_index(tmp_path, entries)
+    return tmp_path
+
+
+def test_the_page_fetches_nothing_and_escapes_everything(tmp_path):
+    page = (written(tmp_path) / "index.html").read_text()
+    reader = Reader()
+    reader.feed(page)
+    assert reader.rows == 1 + 4
+    assert reader.sources and all(source.startswith("data:image/jpeg") for source in reader.sources)
+    assert reader.tags.count("script") == 1 and "b" not in reader.tags
+    assert "http://" not in page and "https://" not in page and "@ROWS@" not in page
+
+
+def test_the_tables_hold_every_material_with_the_same_numbers(tmp_path):
+    written(tmp_path)
+    rows = json.loads((tmp_path / "index.json").read_text())["materials"]
+    assert [(row["name"], row["state"]) for row in rows] == [
+        ("good", "done"),
+        ("<script>alert(1)</script>", "failed"),
+        ("late", "not begun"),
+        ("earlier", "done"),
+    ]
+    with (tmp_path / "index.csv").open(newline="", encoding="utf-8") as file:
+        table = list(csv.DictReader(file))
+    assert [row["name"] for row in table] == [row["name"] for row in rows]
+    assert float(table[0]["tilt_y"]) == rows[0]["tilt_y"] == -7.5
+    assert table[1]["reason"].startswith("'=")  # no formula in a spreadsheet
+
+
+def test_doubtful_shots_are_marked(tmp_path):
+    page = (written(tmp_path) / "index.html").read_text()
+    assert page.count('<tr class="doubtful">') == 1 and page.count('<tr class="done">') == 1
+    assert 'data-key="7.5"' in page and "Lower the exposure" in page

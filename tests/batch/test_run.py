@@ -1,0 +1,265 @@
+"""The order of events of a batch, with a crew that does what it is told."""
+
+import errno
+import os
+from dataclasses import replace
+
+import pytest
+
+from matcap.batch.crew import Event
+from matcap.batch.plan import make_plan
+from matcap.batch.record import write_record
+from matcap.batch.run import Batch, Policy, exit_code
+from matcap.batch.settings import BatchSettings
+from matcap.batch.shoot import find_samples
+from matcap.batch.work import Failure, do_job
+from matcap.batch.workspace import open_run
+
+SETTINGS = BatchSettings(detail=512, size=(64, 64))
+
+
+class FakeCrew:
+    """Answers every job by `answer(job)`: a failure, an exit code, or True for a material."""
+
+    def __init__(self, answer, size=2):
+        self.size, self.answer, self.jobs, self.open, self.closed = size, answer, [], [], False
+        self.most = 0
+
+    def busy(self):
+        return len(self.open)
+
+    def start(self, job):
+        self.jobs.append(job)
+        self.open.append(job)
+        self.most = max(self.most, len(self.open))
+        assert not job.alone or len(self.open) == 1
+
+    def wait(self, seconds):
+        job = self.open.pop(0)
+        told = [Event(job, "progress", ("fine-tuning", 0.5))]
+        answer = self.answer(job)
+        if isinstance(answer, int) and not isinstance(answer, bool):
+            return [*told, Event(job, "died", answer)]
+        if isinstance(answer, Failure):
+            return [*told, Event(job, "done", answer)]
+        stage = job.run.stage(job.name)
+        (stage / "preview.png").write_text("made")
+        write_record(stage, {"identity": job.identity, "name": job.name})
+        job.run.publish(stage)
+        return [*told, Event(job, "done", {"name": job.name, "doubtful": False})]
+
+    def close(self):
+        self.open, self.closed = [], True
+
+
+class Watcher:
+    def __init__(self):
+        self.notes, self.ends = [], []
+
+    def expect(self, total):
+        pass
+
+    def started(self, entry):
+        pass
+
+    def progress(self, entry, stage, share):
+        assert 0.0 <= share <= 1.0
+
+    def ended(self, entry):
+        self.ends.append((entry.sample.name, entry.state))
+
+    def note(self, sentence):
+        self.notes.append(sentence)
+
+
+@pytest.fixture
+def shoot(tmp_path):
+    folder = tmp_path / "shoot"
+    folder.mkdir()
+    for name in "abcd":
+        (folder / f"{name}.jpg").write_text(name)
+    return folder
+
+
+@pytest.fixture
+def batch(shoot, tmp_path):
+    """Run a batch whose crew answers so; gives entries, crew and watcher."""
+
+    def go(answer=lambda job: True, policy=None, size=2, settings=SETTINGS):
+        policy, crew, watcher = policy or Policy(), FakeCrew(answer, size), Watcher()
+        entries = make_plan(
+            find_samples(shoot), tmp_path / "out", settings, prior="p", force=policy.force,
+            retry_failed=policy.retry_failed,
+        )  # fmt: skip
+        with open_run(tmp_path / "out") as run:
+            Batch(entries, run, crew, settings, policy, watcher, lambda: None).go()
+        return entries, crew, watcher
+
+    return go
+
+
+def states(entries):
+    return {entry.sample.name: entry.state for entry in entries}
+
+
+def bad(name, kind="photograph"):
+    return lambda job: Failure(kind, f"{job.name} is bad.") if job.name == name else True
+
+
+def test_everything_is_made_once_and_kept_the_next_time(batch):
+    entries, crew, _ = batch()
+    assert set(states(entries).values()) == {"made"} and crew.most == 2
+    assert exit_code(entries) == 0
+    entries, crew, _ = batch()
+    assert set(states(entries).values()) == {"kept"} and not crew.jobs
+    entries, crew, _ = batch(policy=Policy(force=True))
+    assert set(states(entries).values()) == {"made"}
+
+
+def test_what_changes_is_made_again_and_nothing_else(batch, shoot, tmp_path):
+    batch()
+    (shoot / "b.jpg").write_text("changed")
+    (tmp_path / "out/c/preview.png").unlink()
+    entries, crew, _ = batch()
+    assert sorted(job.name for job in crew.jobs) == ["b", "c"]
+    entries, crew, _ = batch(settings=replace(SETTINGS, seed=1))
+    assert len(crew.jobs) == 4
+
+
+def test_the_others_go_on_after_a_failure_which_is_remembered(batch):
+    entries, _, _ = batch(bad("b"))
+    assert states(entries) == {"a": "made", "b": "failed", "c": "made", "d": "made"}
+    assert exit_code(entries) == 4 and entries[1].reason == "b is bad."
+    entries, crew, _ = batch()
+    assert not crew.jobs and entries[1].reason == "b is bad." and exit_code(entries) == 4
+    entries, crew, _ = batch(policy=Policy(retry_failed=True))
+    assert [job.name for job in crew.jobs] == ["b"] and exit_code(entries) == 0
+    entries, crew, _ = batch()
+    assert not crew.jobs and exit_code(entries) == 0
+
+
+def test_a_crash_is_reported_and_tried_again_next_time(batch):
+    entries, _, _ = batch(bad("b", "crash"))
+    assert exit_code(entries) == 4
+    entries, crew, _ = batch()
+    assert [job.name for job in crew.jobs] == ["b"]
+
+
+def test_when_nothing_succeeds_the_code_is_three(batch):
+    entries, _, _ = batch(lambda job: Failure("photograph", "bad."))
+    assert exit_code(entries) == 3
+
+
+def test_fail_fast_ends_at_the_first_failure(batch):
+    entries, crew, _ = batch(bad("a"), Policy(fail_fast=True))
+    assert crew.closed and states(entries)["a"] == "failed"
+    assert "left" in states(entries).values() and exit_code(entries) in (3, 4)
+
+
+def test_out_of_memory_is_tried_alone_then_smaller_then_reported(batch):
+    entries, crew, watcher = batch(bad("b", "memory"))
+    tries = [(job.detail, job.alone) for job in crew.jobs if job.name == "b"]
+    assert tries == [(512, False), (512, True), (256, True)]
+    assert states(entries) == {"a": "made", "b": "failed", "c": "made", "d": "made"}
+    assert any("256" in note for note in watcher.notes)
+
+
+def test_a_worker_killed_by_the_system_counts_as_out_of_memory(batch):
+    def answer(job):
+        return -9 if job.name == "c" and job.detail == 512 else True
+
+    entries, crew, _ = batch(answer)
+    assert [(j.detail, j.alone) for j in crew.jobs if j.name == "c"][-1] == (256, True)
+    assert exit_code(entries) == 0
+    entries, crew, _ = batch()  # done, though smaller: the record has the identity asked for
+    assert not crew.jobs
+
+
+def test_a_worker_that_crashes_is_tried_once_more(batch):
+    entries, crew, _ = batch(lambda job: -11 if job.name == "c" else True)
+    assert [job.alone for job in crew.jobs if job.name == "c"] == [False, True]
+    assert states(entries)["c"] == "failed" and "signal 11" in entries[2].reason
+
+
+def test_a_full_disk_ends_the_batch_and_the_next_goes_on(batch):
+    entries, crew, watcher = batch(bad("b", "disk"), size=1)
+    assert states(entries) == {"a": "made", "b": "failed", "c": "left", "d": "left"}
+    assert any("free some space" in note for note in watcher.notes)
+    entries, crew, _ = batch()
+    assert [job.name for job in crew.jobs] == ["b", "c", "d"] and exit_code(entries) == 0
+
+
+def test_no_room_is_seen_before_the_work(batch, monkeypatch):
+    from collections import namedtuple
+
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr("matcap.batch.run.shutil.disk_usage", lambda path: usage(9, 9, 0))
+    entries, crew, _ = batch()
+    assert not crew.jobs and set(states(entries).values()) == {"left"}
+
+
+def test_two_runs_at_once_share_the_work(shoot, tmp_path):
+    """While the first works on a sample, the second does the others and waits for it."""
+    out = tmp_path / "out"
+
+    def plan():
+        return make_plan(find_samples(shoot), out, SETTINGS, prior="p")
+
+    second_crew = FakeCrew(lambda job: True)
+    with open_run(out) as first:
+        mine = plan()
+
+        def answer(job):
+            if job.name == "a":  # the second run comes while the first is busy with a
+                theirs, watcher = plan(), Watcher()
+                with open_run(out) as second:
+                    other = Batch(
+                        theirs, second, second_crew, SETTINGS, Policy(), watcher, lambda: None
+                    )
+                    done.append((other, theirs))
+                    for _ in range(12):  # by hand: go() would wait for a
+                        other._fill()
+                        while second_crew.busy():
+                            for event in second_crew.wait(0.1):
+                                other._happened(event)
+            return True
+
+        done: list = []
+        crew = FakeCrew(answer, size=1)
+        Batch(mine, first, crew, SETTINGS, Policy(), Watcher(), lambda: None).go()
+    assert [job.name for job in crew.jobs] == ["a"]
+    assert sorted(job.name for job in second_crew.jobs) == ["b", "c", "d"]
+    assert states(mine) == {"a": "made", "b": "kept", "c": "kept", "d": "kept"}
+
+
+def test_an_interrupt_stops_the_crew_and_leaves_the_rest(shoot, tmp_path):
+    def answer(job):
+        if job.name == "b":
+            raise KeyboardInterrupt
+        return True
+
+    crew, pages = FakeCrew(answer, size=1), []
+    entries = make_plan(find_samples(shoot), tmp_path / "out", SETTINGS, prior="p")
+    with open_run(tmp_path / "out") as run, pytest.raises(KeyboardInterrupt):
+        Batch(entries, run, crew, SETTINGS, Policy(), Watcher(), lambda: pages.append(1)).go()
+    assert crew.closed and pages
+    assert states(entries) == {"a": "made", "b": "left", "c": "left", "d": "left"}
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"),
+    [
+        (MemoryError(), "memory"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: 8 bytes"), "memory"),
+        (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), "disk"),
+        (ValueError("a bug"), "crash"),
+    ],
+)
+def test_whatever_goes_wrong_in_a_worker_comes_back_as_a_failure(batch, monkeypatch, error, kind):
+    def fail(*args, **kwargs):
+        raise error
+
+    monkeypatch.setattr("matcap.photo.load.load_photo", fail)
+    _, crew, _ = batch()
+    failure = do_job(crew.jobs[0], lambda stage, share: None)
+    assert failure.kind == kind and failure.sentence.endswith(".")

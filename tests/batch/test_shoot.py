@@ -1,0 +1,91 @@
+"""Which files of a folder become which materials."""
+
+import os
+
+import pytest
+
+from matcap.batch.shoot import WORKSPACE, find_samples, taken_at
+from matcap.errors import MatcapError
+
+
+def touch(folder, *names):
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"x")
+
+
+def names(samples):
+    return [sample.name for sample in samples]
+
+
+def test_a_raw_and_its_jpeg_are_one_photograph(tmp_path):
+    touch(tmp_path, "a.DNG", "A.jpg", "b.jpg", "sub/a.jpg", "notes.txt", "c.heic", "c.nef")
+    found = find_samples(tmp_path)
+    assert names(found) == ["a", "b", "c", "sub-a"]
+    assert found[0].photos == (tmp_path / "a.DNG",)
+    assert found[0].beside == (tmp_path / "A.jpg",)
+    assert found[2].photos == (tmp_path / "c.nef",)
+    assert found[3].beside == ()
+
+
+def test_a_developed_picture_is_a_photograph_of_its_own(tmp_path):
+    """A TIFF beside a RAW was made by somebody for a reason."""
+    touch(tmp_path, "a.dng", "a.tif", "b.png", "b.jpg")
+    found = find_samples(tmp_path)
+    assert len(found) == 4 and len(set(names(found))) == 4
+    assert {sample.photos[0].name for sample in found} == {"a.dng", "a.tif", "b.png", "b.jpg"}
+
+
+def test_names_are_unique_whatever_the_letters_case_and_stay_when_others_come(tmp_path):
+    touch(tmp_path, "x/a.jpg", "x-a.png", "B.jpg", "sub/B.jpg", "report.jpg", ".hidden.jpg")
+    before = {sample.photos[0]: sample.name for sample in find_samples(tmp_path)}
+    assert len({name.casefold() for name in before.values()}) == len(before) == 5
+    assert "report" not in before.values()
+    touch(tmp_path, "C.jpg", "sub/D.jpg")
+    after = {sample.photos[0]: sample.name for sample in find_samples(tmp_path)}
+    assert {photo: after[photo] for photo in before} == before
+
+
+def test_output_of_batches_hidden_folders_and_links_are_passed_over(tmp_path):
+    touch(tmp_path, "a.jpg", "old/b/preview.png", f"old/{WORKSPACE}/x", ".trash/c.jpg")
+    touch(tmp_path, "out/d/preview.png")
+    os.symlink(tmp_path, tmp_path / "round")
+    assert names(find_samples(tmp_path, without=[tmp_path / "out"])) == ["a"]
+
+
+def test_grouped_by_folder(tmp_path):
+    touch(tmp_path, "one/a.jpg", "one/b.jpg", "two/a.dng", "two/a.jpg", "top.jpg")
+    found = find_samples(tmp_path, group="dir")
+    assert [len(sample.photos) for sample in found] == [1, 2, 1]
+    assert names(found) == [tmp_path.name, "one", "two"]
+    assert found[2].beside == (tmp_path / "two/a.jpg",)
+
+
+def test_grouped_by_time(tmp_path):
+    touch(tmp_path, *(f"{letter}.jpg" for letter in "abcdef"))
+    seconds = {"a": 100.0, "b": 104.0, "c": 300.0, "d": 95.0, "e": None, "f": None}
+    found = find_samples(tmp_path, group="time", gap=5.0, taken=lambda path: seconds[path.stem])
+    groups = [[photo.stem for photo in sample.photos] for sample in found]
+    assert groups == [["c"], ["d", "a", "b"], ["e"], ["f"]]
+
+
+def test_the_time_is_read_from_exif(tmp_path):
+    from PIL import Image
+
+    exif = Image.Exif()
+    exif.get_ifd(34665)[36867] = "2024:05:06 07:08:09"
+    for name, tags in (("a.jpg", exif), ("b.jpg", Image.Exif())):
+        Image.new("RGB", (8, 8)).save(tmp_path / name, exif=tags)
+    exif.get_ifd(34665)[36867] = "2024:05:06 07:08:12"
+    Image.new("RGB", (8, 8)).save(tmp_path / "c.jpg", exif=exif)
+    first, later = taken_at(tmp_path / "a.jpg"), taken_at(tmp_path / "c.jpg")
+    assert later - first == 3.0
+    assert taken_at(tmp_path / "b.jpg") is None
+
+
+@pytest.mark.parametrize("name", ["nothing", "a.jpg", "empty"])
+def test_what_holds_no_photographs_is_refused(tmp_path, name):
+    touch(tmp_path, "a.jpg")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(MatcapError, match="give a folder"):
+        find_samples(tmp_path / name)
