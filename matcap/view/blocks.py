@@ -53,7 +53,8 @@ class Blocks:
     def ask(self, place: Place) -> Future[Block]:
         """The block, perhaps still being decoded; its result raises what Subject.read does."""
         with self._lock:
-            if place not in self._kept:
+            kept = self._kept.get(place)
+            if kept is None or (kept.done() and kept.exception() is not None):
                 self._kept[place] = self._pool.submit(self._decode, place)
             self._kept.move_to_end(place)
             if len(self._kept) > _KEPT:

@@ -48,7 +48,7 @@ def serve(
     # A block is computed on one thread (synth/field.py); several blocks side by side must not
     # change that setting under each other.
     torch.set_num_threads(1)
-    listening = _listen(port)
+    listening = listen(port)
     address = new_address(listening.getsockname()[1])
     blocks = Blocks(subject)
     # What will be seen first, begun while the browser starts.
@@ -69,7 +69,12 @@ def serve(
         listening.close()
 
 
-def _listen(port: int) -> socket.socket:
+def listen(port: int) -> socket.socket:
+    """A socket that only this machine reaches; port 0 takes a free one.
+
+    Raises:
+        MatcapError: the port is taken or needs permission.
+    """
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

@@ -3,8 +3,12 @@
 // (column, row) lies in slot (column mod slots, row mod slots), so that moving on overwrites what
 // was left behind, and nothing is ever shifted. Beside each block come its own smaller levels: a
 // block's texels are averaged as matcap/relight/sampling.py averages them, slopes into roughness.
+//
+// Of the surface four numbers are kept: alpha squared, both slopes, and the mean of their squares,
+// from which the texture's fourth, their variance, follows.
 
 const FADE = 180; // milliseconds in which a block appears
+const JOINED = 7; // levels in which sides shared by blocks are set right; coarser, nothing shows
 
 class Window {
   constructor(gl, side, slots) {
@@ -58,17 +62,19 @@ class Window {
         if (h > high) high = h;
       }
     }
+    for (let j = 0; j < 4 * count; j += 4) surface[j + 3] = surface[j + 1] ** 2 + surface[j + 2] ** 2;
     const number = this.slot(column, row);
-    const block = { column, row, born: now, low, high, step, edges: edgesOf(height, surface, side) };
+    const block = { column, row, born: now, low, high, step, edges: edgesOf(height, side) };
     this.blocks.set(number, block);
     const x = (number % this.slots) * side, y = Math.floor(number / this.slots) * side;
     let heights = height;
     for (let level = 0, wide = side; level < this.levels; level++, wide /= 2) {
       if (level > 0) {
         albedo = halved(albedo, wide, 4);
-        surface = halvedSurface(surface, wide);
+        surface = halved(surface, wide, 4);
         heights = halved(heights, wide, 1);
       }
+      if (level < JOINED) keepSides(block.edges, surface, wide);
       const put = (texture, format, data) => {
         gl.bindTexture(gl.TEXTURE_2D, texture);
         gl.texSubImage2D(
@@ -76,7 +82,7 @@ class Window {
         );
       };
       put(this.albedo, gl.RGBA, albedo);
-      put(this.surface, gl.RGBA, surface);
+      put(this.surface, gl.RGBA, level > 0 ? withVariance(surface) : smooth(surface));
       put(this.relief, gl.RED, heights);
     }
     this.#join(block, column - 1, row, "left", "right");
@@ -117,32 +123,33 @@ class Window {
   #join(block, column, row, mine, theirs) {
     if (!this.has(column, row)) return;
     const other = this.blocks.get(this.slot(column, row));
-    const across = mine === "left" || mine === "right";
+    const slope = UPRIGHT[mine] ? 1 : 2;
     const sign = mine === "right" || mine === "top" ? 1 : -1;
     for (const [one, name, far, facing, way] of [
       [block, mine, other, theirs, sign],
       [other, theirs, block, mine, -sign],
     ]) {
-      const edge = one.edges[name], beyond = far.edges[facing];
-      for (let i = 0; i < this.side; i++) {
-        edge.texels[4 * i + (across ? 1 : 2)] = way * (beyond.outer[i] - edge.inner[i]) * one.step;
-      }
-      shareCorners(one.edges, name, this.side);
-      for (const changed of sidesOf(name)) this.#putEdge(one, changed);
+      const edge = one.edges[name], beyond = far.edges[facing].outer;
+      const slopes = edge.inner.map((inner, i) => way * (beyond[i] - inner) * one.step);
+      changeSide(edge.lines, slopes, slope);
+      shareCorners(one.edges, name);
+      const crossing = UPRIGHT[name] ? ["top", "bottom"] : ["left", "right"];
+      for (const changed of [name, ...crossing]) this.#putSide(one, changed);
     }
   }
 
-  #putEdge(block, name) {
+  #putSide(block, name) {
     const { gl, side } = this;
     const number = this.slot(block.column, block.row);
-    const x = (number % this.slots) * side + (name === "right" ? side - 1 : 0);
-    const y = Math.floor(number / this.slots) * side + (name === "bottom" ? side - 1 : 0);
-    const upright = name === "left" || name === "right";
     gl.bindTexture(gl.TEXTURE_2D, this.surface);
-    gl.texSubImage2D(
-      gl.TEXTURE_2D, 0, x, y, upright ? 1 : side, upright ? side : 1, gl.RGBA, gl.FLOAT,
-      block.edges[name].texels,
-    );
+    block.edges[name].lines.forEach((line, level) => {
+      const wide = side >> level;
+      const x = (number % this.slots) * wide + (name === "right" ? wide - 1 : 0);
+      const y = Math.floor(number / this.slots) * wide + (name === "bottom" ? wide - 1 : 0);
+      const [across, down] = UPRIGHT[name] ? [1, wide] : [wide, 1];
+      const data = level > 0 ? withVariance(line) : smooth(line);
+      gl.texSubImage2D(gl.TEXTURE_2D, level, x, y, across, down, gl.RGBA, gl.FLOAT, data);
+    });
   }
 
   #texture(format) {
@@ -172,42 +179,74 @@ class Window {
   }
 }
 
-// For each side of a block: heights of its outermost and second line, and its surface texels.
-function edgesOf(height, surface, side) {
-  const edge = (start, stride, inwards) => {
-    const outer = new Float32Array(side), inner = new Float32Array(side);
-    const texels = new Float32Array(4 * side);
-    for (let i = 0; i < side; i++) {
-      const at = start + i * stride;
-      outer[i] = height[at];
-      inner[i] = height[at + inwards];
-      texels.set(surface.subarray(4 * at, 4 * at + 4), 4 * i);
-    }
-    return { outer, inner, texels };
-  };
+const UPRIGHT = { left: true, right: true, top: false, bottom: false };
+
+// Where a side's texels start in a map of `wide` x `wide`, how far apart they are, and how far it
+// is inwards from them.
+function sideOf(name, wide) {
   return {
-    left: edge(0, side, 1),
-    right: edge(side - 1, side, -1),
-    top: edge(0, 1, side),
-    bottom: edge((side - 1) * side, 1, -side),
-  };
+    left: [0, wide, 1],
+    right: [wide - 1, wide, -1],
+    top: [0, 1, wide],
+    bottom: [(wide - 1) * wide, 1, -wide],
+  }[name];
 }
 
-// A corner texel lies on two sides; the side just changed knows one of its slopes.
-function shareCorners(edges, changed, side) {
-  const last = 4 * (side - 1);
-  const upright = changed === "left" || changed === "right";
-  const [first, second] = upright ? ["top", "bottom"] : ["left", "right"];
-  const end = changed === "right" || changed === "bottom" ? last : 0;
-  const slope = upright ? 1 : 2;
-  edges[first].texels[end + slope] = edges[changed].texels[slope];
-  edges[second].texels[end + slope] = edges[changed].texels[last + slope];
+// For each side of a block: heights of its outermost and its second line, and room for the surface
+// along it, level by level.
+function edgesOf(height, side) {
+  const edges = {};
+  for (const name of Object.keys(UPRIGHT)) {
+    const [start, stride, inwards] = sideOf(name, side);
+    const line = (from) => Float32Array.from({ length: side }, (_, i) => height[from + i * stride]);
+    edges[name] = { outer: line(start), inner: line(start + inwards), lines: [] };
+  }
+  return edges;
 }
 
-function sidesOf(changed) {
-  return changed === "left" || changed === "right"
-    ? [changed, "top", "bottom"]
-    : [changed, "left", "right"];
+function keepSides(edges, surface, wide) {
+  for (const [name, { lines }] of Object.entries(edges)) {
+    const [start, stride] = sideOf(name, wide);
+    const line = new Float32Array(4 * wide);
+    for (let i = 0; i < wide; i++) {
+      const at = 4 * (start + i * stride);
+      line.set(surface.subarray(at, at + 4), 4 * i);
+    }
+    lines.push(line);
+  }
+}
+
+// Give the texels of a side new slopes; every coarser level changes by the mean of its changes.
+function changeSide(lines, slopes, slope) {
+  let change = new Float32Array(slopes.length), squares = new Float32Array(slopes.length);
+  lines.forEach((line, level) => {
+    if (level > 0) [change, squares] = [change, squares].map(halvedChange);
+    for (let i = 0, at = 0; i < change.length; i++, at += 4) {
+      if (level === 0) {
+        change[i] = slopes[i] - line[at + slope];
+        squares[i] = slopes[i] ** 2 - line[at + slope] ** 2;
+      }
+      line[at + slope] += change[i];
+      line[at + 3] += squares[i];
+    }
+  });
+}
+
+// Of the four texels that make one of the next level, two lie on the side.
+function halvedChange(change) {
+  return Float32Array.from({ length: change.length / 2 },
+    (_, i) => 0.25 * (change[2 * i] + change[2 * i + 1]));
+}
+
+// A corner's texel lies on two sides.
+function shareCorners(edges, changed) {
+  const [first, second] = UPRIGHT[changed] ? ["top", "bottom"] : ["left", "right"];
+  edges[changed].lines.forEach((line, level) => {
+    const last = line.length - 4;
+    const end = changed === "right" || changed === "bottom" ? last : 0;
+    edges[first].lines[level].set(line.subarray(0, 4), end);
+    edges[second].lines[level].set(line.subarray(last), end);
+  });
 }
 
 function halved(data, wide, channels) {
@@ -224,18 +263,18 @@ function halved(data, wide, channels) {
   return half;
 }
 
-// What slopes vary among the four is roughness from afar.
-function halvedSurface(data, wide) {
-  const half = halved(data, wide, 4), row = 8 * wide;
-  for (let y = 0, to = 0; y < wide; y++) {
-    for (let x = 0; x < wide; x++, to += 4) {
-      const from = 2 * y * row + 8 * x;
-      let square = 0;
-      for (const at of [from, from + 4, from + row, from + row + 4]) {
-        square += data[at + 1] ** 2 + data[at + 2] ** 2 + data[at + 3];
-      }
-      half[to + 3] = Math.max(0, square / 4 - half[to + 1] ** 2 - half[to + 2] ** 2);
-    }
+// What slopes vary within a coarse texel is roughness from afar.
+function withVariance(surface) {
+  const stored = surface.slice();
+  for (let j = 0; j < stored.length; j += 4) {
+    stored[j + 3] = Math.max(0, stored[j + 3] - stored[j + 1] ** 2 - stored[j + 2] ** 2);
   }
-  return half;
+  return stored;
+}
+
+// Within the finest texels nothing varies.
+function smooth(surface) {
+  const stored = surface.slice();
+  for (let j = 3; j < stored.length; j += 4) stored[j] = 0;
+  return stored;
 }

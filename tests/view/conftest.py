@@ -1,0 +1,150 @@
+"""A small material, its page on a real port, and a browser to open it with."""
+
+import shutil
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+import torch
+
+from matcap.flash.geometry import FlashSetup
+from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.freeze import freeze
+from matcap.model.material import Material
+from matcap.view.blocks import Blocks
+from matcap.view.subject import Materials
+
+SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
+# A software renderer, so that every machine draws the same.
+# Small, because software draws it: a desktop's layout, few texels held.
+WINDOW = {"viewport": {"width": 800, "height": 500}, "screen": {"width": 800, "height": 500}}
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+def small_material(seed: int = 3, name: str = "test") -> Material:
+    """An untrained material with some contrast in every map."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        decoder = Decoder(SMALL)
+        for layer in decoder.layers():
+            layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
+    code = torch.zeros(CODE_SIZE)
+    moments = tuple(freeze(decoder, code, ()))
+    return Material(name, decoder, code, moments, (), 2 / 1024, FlashSetup())
+
+
+@pytest.fixture(scope="session")
+def material() -> Material:
+    return small_material()
+
+
+@pytest.fixture(scope="session")
+def subject(material) -> Materials:
+    return Materials(material, small_material(4, "other"))
+
+
+@pytest.fixture(scope="session")
+def served():
+    """The page of a subject on a free port of this machine: `with served(subject) as address`."""
+    uvicorn = pytest.importorskip("uvicorn", reason="the extra 'view' is not installed")
+    from matcap.view.serve import listen
+    from matcap.view.server import make_app, new_address
+
+    @contextmanager
+    def run(subject, photo=None):
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+        listening = listen(0)
+        address = new_address(listening.getsockname()[1])
+        blocks = Blocks(subject, workers=2)
+        app = make_app(subject.facts, blocks, address, photo)
+        server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
+        thread.start()
+        try:
+            yield address
+        finally:
+            server.should_exit = True
+            thread.join(10)
+            blocks.close()
+            listening.close()
+            torch.set_num_threads(threads)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    """Chromium without a window; the tests are skipped where there is none."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    program = shutil.which("chromium") or shutil.which("chromium-browser")
+    with api.sync_playwright() as play:
+        try:
+            browser = play.chromium.launch(executable_path=program, args=FLAGS)
+        except api.Error as error:
+            pytest.skip(f"no Chromium ({str(error).splitlines()[0]})")
+        yield browser
+        browser.close()
+
+
+class Tab:
+    """A page that must not complain, and must not fetch from anywhere but its own address."""
+
+    def __init__(self, browser, url: str, **options) -> None:
+        self.page = browser.new_page(**WINDOW | options)
+        self.complaints: list[str] = []
+        self.requests: list[str] = []
+        self.page.on("console", lambda message: self.complaints.append(message.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.start = time.perf_counter()
+        self.page.goto(url)
+
+    def shown(self) -> list[str]:
+        """Addresses fetched over a network: data and blobs are the page's own."""
+        return [url for url in self.requests if not url.startswith(("data:", "blob:", "file:"))]
+
+    def ask(self, script: str, argument=None):
+        return self.page.evaluate(script, argument)
+
+    def until(self, script: str, limit: float = 60.0) -> float:
+        """Wait for a condition; gives the seconds since the page was opened."""
+        end = time.perf_counter() + limit
+        while not self.ask(script):
+            assert time.perf_counter() < end, (script, self.complaints)
+            time.sleep(0.02)
+        return time.perf_counter() - self.start
+
+    def loaded(self) -> float:
+        """Wait until all that is seen is there."""
+        return self.until("!!window.matcap && matcap.view.complete && !matcap.view.pending")
+
+
+@contextmanager
+def opened(browser):
+    """Opens pages; at the end nothing may have been complained about."""
+    tabs: list[Tab] = []
+
+    def open_tab(url: str, **options) -> Tab:
+        tabs.append(Tab(browser, url, **options))
+        return tabs[-1]
+
+    yield open_tab
+    for one in tabs:
+        one.page.close()
+        assert one.complaints == []
+
+
+@pytest.fixture
+def tab(chromium):
+    """Open a page of one's own."""
+    with opened(chromium) as open_tab:
+        yield open_tab
+
+
+@pytest.fixture(scope="module")
+def shared_tab(chromium):
+    """Open a page that several tests put into states of their own."""
+    with opened(chromium) as open_tab:
+        yield open_tab

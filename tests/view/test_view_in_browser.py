@@ -1,0 +1,277 @@
+"""The page in a real browser: what it draws is what Python draws, and it talks to nobody else."""
+
+import base64
+import io
+import math
+import os
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from matcap.export.exr import write_exr
+from matcap.relight.pictures import encode
+from matcap.relight.render import relight
+from matcap.relight.scene import EnvironmentLight, Film, PointLight, Scene, Surface
+from matcap.view.document import sealed_page
+from matcap.view.photograph import Picture
+from matcap.view.subject import Maps
+
+# What the page does, and nothing of what it says it does not.
+EFFECTS = "all,-multiscatter,-parallax,-shadows,-visibility,-interreflection"
+WIDTH, HEIGHT = 320, 240
+LAMP = (-0.4, 0.25, 0.9)
+STEP = 1 / 255
+PLANES = [
+    pytest.param(512, 512, WIDTH, 0.0, id="texel for pixel, across block borders"),
+    pytest.param(2**40 - 700, -700, WIDTH, 1.0, id="far away"),
+    pytest.param(512, 0, 2.5 * WIDTH, -0.5, id="filtered"),
+    pytest.param(100, 300, WIDTH / 6, 0.0, id="magnified"),
+]
+
+
+@pytest.fixture(scope="module")
+def address(subject, served):
+    with served(subject) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def page(address, shared_tab):
+    """One page for all that only look at pictures."""
+    return shared_tab(address.url)
+
+
+def picture(tab, **state):
+    """(HEIGHT, WIDTH, 3) codes from 0 to 1 of what the page shows in a state."""
+    tab.until("!!window.matcap")
+    tab.ask("size => Object.assign(matcap.view.canvas, size)", {"width": WIDTH, "height": HEIGHT})
+    tab.ask("state => matcap.set({...matcap.view.initial(), ...state})", state)
+    tab.loaded()
+    data = tab.ask(
+        """async () => {
+          const bytes = new Uint8Array(await (await matcap.view.picture()).arrayBuffer());
+          return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
+        }"""
+    )
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")) / 255.0
+
+
+def expected(maps, shape, span, exposure=0.0, lights=None):
+    """The same by relight, maps around the middle of the view; and where the surface is."""
+    unit = span / 2 * maps.texel_size
+    place, away = LAMP, LAMP[2]
+    if shape != "plane":
+        place = (LAMP[0], LAMP[1], LAMP[2] + 1)
+        away = math.hypot(*place) - 1
+    strength = math.pi * away**2 * unit**2
+    light = PointLight(tuple(c * unit for c in place), (strength,) * 3)
+    film = Film(WIDTH, HEIGHT, exposure)
+    scene = Scene(film=film, surface=Surface(shape, size=2 * unit), lights=lights or (light,))
+    radiance = relight(maps, scene, effects=EFFECTS)
+    return encode(radiance, film), radiance.max(axis=2) > 0
+
+
+def around(material, x, y, side=1024, **which):
+    return material.maps(side, side, x=x - side // 2, y=y - side // 2, **which)
+
+
+def inner(mask, by=2):
+    """Without the outline, where a pixel's own footprint grows without bound."""
+    for axis in (0, 1):
+        mask = mask & np.roll(mask, by, axis) & np.roll(mask, -by, axis)
+    return mask
+
+
+@pytest.mark.parametrize(("x", "y", "span", "exposure"), PLANES)
+def test_plane_as_relight_draws_it(page, material, x, y, span, exposure):
+    shown = picture(page, shape="plane", x=x, y=y, span=span, lamp=LAMP, exposure=exposure)
+    wanted, _ = expected(around(material, x, y), "plane", span, exposure)
+    assert np.abs(shown - wanted).max() <= 2 * STEP
+
+
+@pytest.mark.parametrize("shape", ["sphere", "cylinder"])
+def test_round_surfaces_as_relight_draws_them(page, material, shape):
+    shown = picture(page, shape=shape, x=256, y=256, span=WIDTH, lamp=LAMP)
+    wanted, seen = expected(around(material, 256, 256), shape, WIDTH)
+    assert seen.mean() > 0.2
+    assert np.abs(shown - wanted)[inner(seen)].max() <= 2 * STEP
+
+
+def test_room_as_relight_draws_it(page, material, tmp_path):
+    """Two ways to integrate over surroundings: harmonics and 48 directions, against 640."""
+    # The pointer where it leaves the room as it is.
+    shown = picture(
+        page, shape="sphere", x=256, y=256, span=WIDTH, light="room", lamp=[-0.35, 0.3, 1]
+    )
+    rows, columns = 128, 256
+    latitude = (0.5 - (np.arange(rows) + 0.5) / rows)[:, None] * math.pi
+    # The middle is +z, the right half towards -x (relight/scene.py).
+    longitude = -((np.arange(columns) + 0.5) / columns - 0.5)[None, :] * 2 * math.pi
+    directions = np.stack(
+        np.broadcast_arrays(
+            np.cos(latitude) * np.sin(longitude),
+            np.sin(latitude),
+            np.cos(latitude) * np.cos(longitude),
+        ),
+        axis=-1,
+    )
+    light = page.ask("all => all.map(roomRadiance)", directions.reshape(-1, 3).tolist())
+    room = np.repeat(np.reshape(light, (rows, columns, 1)), 3, axis=2).astype(np.float32)
+    write_exr(tmp_path / "room.exr", room, half=False)
+    lights = (EnvironmentLight(file=tmp_path / "room.exr"),)
+    wanted, seen = expected(around(material, 256, 256), "sphere", WIDTH, lights=lights)
+    off = np.abs(shown - wanted)[inner(seen, 4)]
+    assert off.mean() <= 2 * STEP
+    assert np.quantile(off, 0.99) <= 8 * STEP
+
+
+@pytest.mark.parametrize("map_name", ["diffuse", "specular", "roughness", "height", "normal"])
+def test_each_map_alone(page, material, map_name):
+    shown = picture(page, map=map_name, x=256, y=256, span=WIDTH)
+    maps = material.maps(WIDTH + 2, HEIGHT + 2, x=255 - WIDTH // 2, y=255 - HEIGHT // 2)
+    values = getattr(maps, map_name)[:, 1:-1, 1:-1].movedim(0, -1).numpy()
+    if map_name == "diffuse":
+        values = encode(values, Film())
+    elif map_name == "normal":
+        values = 0.5 + 0.5 * values
+    elif map_name == "height":
+        low, high = page.ask("matcap.view.window.heights()")
+        assert low <= values.min() < values.max() <= high
+        values = (values - low) / (high - low)
+    assert np.abs(shown - values).max() <= 1.01 * STEP
+
+
+def test_another_seed_and_a_blend_are_other_texels(page, material, subject):
+    shown = picture(page, map="diffuse", x=256, y=256, span=WIDTH, seed=5)
+    maps = around(material, 256, 256, seed=5)
+    assert np.abs(shown - expected_diffuse(maps)).max() <= 1.01 * STEP
+    between = picture(page, map="diffuse", x=256, y=256, span=WIDTH, seed=5, share=0.5)
+    maps = subject.read(-256, -256, 1024, 1024, seed=5, share=0.5)
+    assert np.abs(between - expected_diffuse(maps)).max() <= 1.01 * STEP
+
+
+def expected_diffuse(maps):
+    left, top = 512 - WIDTH // 2, 512 - HEIGHT // 2
+    values = maps.diffuse[:, top : top + HEIGHT, left : left + WIDTH].movedim(0, -1).numpy()
+    return encode(values, Film())
+
+
+def test_nothing_is_fetched_from_elsewhere(tab, address):
+    page = tab(address.url)
+    page.loaded()
+    assert {urlsplit(url).netloc for url in page.shown()} == {f"127.0.0.1:{address.port}"}
+    assert all(urlsplit(url).path.startswith(f"/{address.token}/") for url in page.shown())
+
+
+def test_first_picture_within_two_seconds(tab, subject, served):
+    if os.getloadavg()[0] > (os.cpu_count() or 1):
+        pytest.skip("the machine is busy: the clock would measure its other work")
+    with served(subject) as address:
+        page = tab(address.url)
+        assert page.until("!!window.matcap && matcap.view.window.blocks.size > 0") < 2.0
+
+
+def test_keys_pointer_and_wheel(tab, address):
+    page = tab(address.url)
+    page.loaded()
+    before = page.ask("matcap.view.state")
+    page.page.focus("#canvas")
+    for key in ("ArrowRight", "Shift+ArrowUp", "+", "]", "n", "s", "3", "l"):
+        page.page.keyboard.press(key)
+    after = page.ask("matcap.view.state")
+    assert after["x"] == pytest.approx(before["x"] + before["span"] / 20)
+    assert after["lamp"][1] == pytest.approx(before["lamp"][1] + 0.1)
+    assert after["span"] == pytest.approx(before["span"] * 0.8)
+    assert (after["exposure"], after["seed"]) == (0.25, before["seed"] + 1)
+    assert (after["shape"], after["map"], after["light"]) == ("sphere", "specular", "room")
+    page.page.keyboard.press("Home")
+    page.page.mouse.move(130, 250)
+    assert page.ask("matcap.view.state.lamp[0]") < -0.3
+    page.page.mouse.down()
+    page.page.mouse.move(230, 250, steps=3)
+    page.page.mouse.up()
+    assert page.ask("matcap.view.state.x") < before["x"] - 50
+    page.page.mouse.wheel(0, -400)
+    page.until(f"matcap.view.state.span < {before['span'] * 0.6}")
+    page.loaded()
+    assert "texels across" in page.page.get_attribute("#canvas", "aria-label")
+
+
+def test_every_control_has_a_name(page):
+    nameless = page.ask(
+        """() => [...document.querySelectorAll("input, button, canvas, img")].filter((one) =>
+          !(one.labels && one.labels.length) && !one.textContent.trim()
+          && !one.getAttribute("aria-label") && !one.alt && !one.hidden && !one.closest("[hidden]")
+        ).map((one) => one.outerHTML)"""
+    )
+    assert nameless == []
+
+
+def test_saved_picture_is_what_is_shown(tab, address):
+    page = tab(address.url)
+    page.loaded()
+    with page.page.expect_download() as download:
+        page.page.click("#save")
+    saved = download.value
+    assert saved.suggested_filename == "test_plane_lit_seed0.png"
+    size = page.ask("[matcap.view.canvas.width, matcap.view.canvas.height]")
+    with Image.open(saved.path()) as stored:
+        assert stored.size == tuple(size)
+
+
+def test_without_webgl2_the_page_says_so(tab, address):
+    page = tab("about:blank")
+    page.page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    page.page.goto(address.url)
+    assert "WebGL2" in page.page.inner_text("#trouble")
+
+
+def test_a_server_that_has_gone_is_told(tab, served, subject):
+    with served(subject) as address:
+        page = tab(address.url)
+        page.loaded()
+    page.ask("matcap.set({x: 1e6})")
+    page.until("document.getElementById('status').textContent.includes('still running')")
+    page.complaints.clear()  # the browser's own words about the refused connection
+
+
+@pytest.mark.parametrize("size", [{"width": 1280, "height": 800}, {"width": 390, "height": 844}])
+def test_page_fits_its_window(tab, address, size):
+    page = tab(address.url, viewport=size)
+    wide, tall = page.ask("[document.documentElement.scrollWidth, matcap.view.canvas.clientHeight]")
+    assert wide <= size["width"]
+    assert tall >= 0.5 * size["height"]
+
+
+def test_enclosed_page_draws_the_same_and_fetches_nothing(tab, material, subject, tmp_path):
+    path = tmp_path / "page.html"
+    photo = Picture(jpeg(), "image/jpeg")
+    path.write_text(sealed_page(subject, 256, photo), encoding="utf-8")
+    page = tab(path.as_uri())
+    shown = picture(page, x=700, y=-900, span=WIDTH, lamp=LAMP)
+    maps = material.maps(1024, 1024, x=700 - 512, y=-900 - 512, period=(256, 256))
+    wanted, _ = expected(maps, "plane", WIDTH)
+    assert np.abs(shown - wanted).max() <= 2 * STEP
+    page.page.click("#with-photo")
+    page.until("document.getElementById('photo').naturalWidth === 8")
+    assert page.shown() == []
+
+
+def test_map_set_repeats(tab, served, material):
+    with served(Maps(material.maps(200, 150), "bricks")) as address:
+        page = tab(address.url)
+        shown = picture(page, map="diffuse", x=0, y=0, span=WIDTH)
+        assert "200 × 150" in page.page.inner_text("#what")
+        assert not page.page.is_visible("#seed-row")
+    tile = encode(material.maps(200, 150).diffuse.movedim(0, -1).numpy(), Film())
+    rows, columns = np.arange(-120, 120) % 150, np.arange(-160, 160) % 200
+    assert np.abs(shown - tile[rows][:, columns]).max() <= 1.01 * STEP
+
+
+def jpeg():
+    stored = io.BytesIO()
+    Image.fromarray(torch.full((6, 8, 3), 90, dtype=torch.uint8).numpy()).save(stored, "JPEG")
+    return stored.getvalue()
