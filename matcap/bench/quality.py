@@ -14,6 +14,7 @@ import itertools
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -30,7 +31,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.photo.photo import Photo
 from matcap.simulate.dng import write_dng
 from matcap.simulate.examples import EXAMPLES, Example, realisation
-from matcap.simulate.photograph import Camera, Shot, as_photo
+from matcap.simulate.photograph import Camera, Realise, Shot, as_photo
 
 CAPTURE, ALBEDO, PER_TEXEL = "capture", "photo-as-albedo", "per-texel"
 METHODS = (CAPTURE, ALBEDO, PER_TEXEL)
@@ -124,6 +125,9 @@ class Yardstick:
         flash: FlashSetup,
         settings: QualitySettings,
         styles: Sequence[Style],
+        *,
+        pieces: Callable[[int], Realise] | None = None,
+        scene: Scene | None = None,
     ) -> None:
         """Relight the true pieces under the bench's lights.
 
@@ -132,14 +136,17 @@ class Yardstick:
             flash: the true setup of the photograph.
             settings: sizes.
             styles: kinds of statistics.
+            pieces: of a material without a name, by seed.
+            scene: lights other than the bench's.
         """
-        self.scene = bench_scene(flash)
+        self.scene = scene or bench_scene(flash)
+        pieces = pieces or partial(realisation, material)
         self._styles = tuple(styles)
         camera = settings.camera
         pixels, texel = settings.size * _FINER, 2.0 / (settings.detail * _FINER)
         self.pictures = [
             relight_all(
-                realisation(material, seed)(pixels, pixels, texel),
+                pieces(seed)(pixels, pixels, texel),
                 flash.intensity,
                 self.scene,
                 finer=_FINER,

@@ -38,7 +38,6 @@ from matcap.statistics.lattice import find_lattice
 PRESETS: dict[str, int] = {"draft": 80, "standard": 400, "high": 1000, "reference": 3000}
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 _FORECAST_EVERY = 20  # steps
-_WINDOW = 160  # texels a side: many cheap steps beat few exact ones (docs/capture.md)
 # From nothing, where a run ends depends on where it starts: the best of a few short runs goes on.
 _AUDITIONS, _AUDITION_STEPS = 3, 40
 _RATE_FROM_NOTHING, _RATE_FROM_PRIOR = 2e-2, 1e-2
@@ -67,6 +66,25 @@ class CaptureSettings:
     fov: float | None = None
     seed: int = 0
     prior: str = "auto"
+
+
+@dataclass(frozen=True)
+class Method:
+    """How it is done: nothing that users decide, but what `matcap bench capture` measures.
+
+    Attributes:
+        window: texels a side of what is compared; many cheap steps beat few exact ones.
+        features: that textures are compared by.
+        decoder: shape of the decoder, where there is no prior to say it.
+        half_precision: bfloat16 inside the network and the features.
+        places: windows a step.
+    """
+
+    window: int = 160
+    features: FilterBankConfig = FEATURES
+    decoder: DecoderConfig = DecoderConfig()
+    half_precision: bool = True
+    places: int = 1
 
 
 @dataclass(frozen=True)
@@ -121,6 +139,7 @@ def capture_photo(
     photo: Photo,
     settings: CaptureSettings,
     progress: Callable[[Progress], None] | None = None,
+    method: Method | None = None,
 ) -> CaptureResult:
     """A photograph to a material.
 
@@ -128,12 +147,14 @@ def capture_photo(
         photo: as load_photo gives it.
         settings: what the user decides.
         progress: called as the work goes on.
+        method: how to do it; the best known way unless told otherwise.
 
     Raises:
         UsageError: an unknown preset.
         MatcapError: a photograph nothing can be made of, or a prior that cannot be read.
     """
     steps = _steps(settings)
+    method = method or Method()
     clock = _Clock(progress)
 
     with clock.stage("coarse fit"):
@@ -143,8 +164,10 @@ def capture_photo(
         linear, valid = rectify(photo, coarse.setup, settings.detail)
         encoding = fit_encoding(linear, valid)
         lattice = find_lattice(encoding(linear[None])[0], valid)
-        bank = FilterBank(FEATURES)
-        windows = cut_windows(linear, valid, encoding, bank, _window(linear, photo.name))
+        bank = FilterBank(method.features)
+        windows = cut_windows(
+            linear, valid, encoding, bank, _window(linear, method.window, photo.name)
+        )
         texel_size = 2.0 / linear.shape[-1]
         scene = Scene(windows, coarse.setup, encoding, bank, lattice.waves, texel_size)
         own = self_difference(windows, scene.weights)
@@ -155,7 +178,7 @@ def capture_photo(
             rate = _RATE_FROM_NOTHING
             code = torch.zeros(CODE_SIZE)
             contrast = log_contrast(linear, valid)
-            decoder = _audition(coarse, contrast, code, scene, settings, steps)
+            decoder = _audition(coarse, contrast, code, scene, settings, steps, method)
         else:
             rate = _RATE_FROM_PRIOR
             prior = load_prior(None if settings.prior == "auto" else Path(settings.prior))
@@ -171,7 +194,9 @@ def capture_photo(
                 steps=steps,
                 seconds=settings.time_limit,
                 target=target,
+                places=method.places,
                 learning_rate=rate,
+                half_precision=method.half_precision,
                 seed=settings.seed,
             ),
             clock.tuning,
@@ -228,7 +253,7 @@ def _target(settings: CaptureSettings, own: float, name: str) -> float | None:
     return None if settings.target is None else settings.target * own
 
 
-def _window(linear: Tensor, name: str) -> int:
+def _window(linear: Tensor, wanted: int, name: str) -> int:
     """Window size that fits the picture, a multiple of the decoder's alignment."""
     height, width = linear.shape[-2:]
     if min(height, width) < SHORTEST_SIDE:
@@ -237,7 +262,7 @@ def _window(linear: Tensor, name: str) -> int:
             where=name,
             remedy=f"raise --detail, or crop it, until both are at least {SHORTEST_SIDE}",
         )
-    return min(_WINDOW, *(side // ALIGNMENT * ALIGNMENT for side in (height, width)))
+    return min(wanted, *(side // ALIGNMENT * ALIGNMENT for side in (height, width)))
 
 
 def _audition(
@@ -247,6 +272,7 @@ def _audition(
     scene: Scene,
     settings: CaptureSettings,
     steps: int,
+    method: Method,
 ) -> Decoder:
     """The most promising of a few random decoders, each tuned for a moment.
 
@@ -254,12 +280,18 @@ def _audition(
     """
     seeds = range(settings.seed, settings.seed + _AUDITIONS)
     if steps < 4 * _AUDITIONS * _AUDITION_STEPS or settings.time_limit is not None:
-        return untrained(DecoderConfig(), coarse, contrast, settings.seed)
+        return untrained(method.decoder, coarse, contrast, settings.seed)
     best, least = None, math.inf
     for seed in seeds:
-        tune = TuneSettings(steps=_AUDITION_STEPS, learning_rate=_RATE_FROM_NOTHING, seed=seed)
+        tune = TuneSettings(
+            steps=_AUDITION_STEPS,
+            places=method.places,
+            learning_rate=_RATE_FROM_NOTHING,
+            half_precision=method.half_precision,
+            seed=seed,
+        )
         tried = finetune(
-            untrained(DecoderConfig(), coarse, contrast, seed), code, scene, tune, _untold
+            untrained(method.decoder, coarse, contrast, seed), code, scene, tune, _untold
         )
         error = tried.history[-1][2] if tried.history else math.inf
         if best is None or error < least:
