@@ -9,13 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import matcap
+from matcap.export.blender import blender
 from matcap.export.gltf import gltf
 from matcap.export.materialx import materialx
+from matcap.export.mitsuba import mitsuba
 from matcap.export.names import known
 from matcap.export.presets import PRESETS, Choice, pack
 from matcap.export.staging import staged
 from matcap.export.surface import Residual, residual
 from matcap.export.textures import Export, Job
+from matcap.export.usd import usd
 
 FORMAT = "matcap export"
 VERSION = 1
@@ -24,7 +27,13 @@ VERSION = 1
 _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
 
 # Targets with a document of their own.
-DOCUMENTS: dict[str, Callable[[Job], Export]] = {"materialx": materialx, "gltf": gltf}
+DOCUMENTS: dict[str, Callable[[Job], Export]] = {
+    "materialx": materialx,
+    "usd": usd,
+    "gltf": gltf,
+    "blender": blender,
+    "mitsuba": mitsuba,
+}
 
 
 @dataclass(frozen=True)

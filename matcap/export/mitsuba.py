@@ -1,0 +1,135 @@
+"""Scenes for Mitsuba 3: the maps under the light that `matcap relight` calls top.
+
+NAME_exact.xml has matcap's own reflectance, which comes along as a BSDF in Python
+(scripts/matcap_bsdf.py). NAME.xml makes do with what Mitsuba brings: a blend of its `diffuse` and
+its `principled`, which as a metal has Schlick's Fresnel. Per texel, a share w of the blend is
+specular with F0 / w, the rest diffuse; w is as large as the diffuse albedo allows. So diffuse and
+F0 are right, while the reflection ends at w instead of 1 at grazing, and the masking is Mitsuba's
+product of two Smith terms.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from importlib.resources import files as resources
+
+import numpy as np
+
+from matcap.export.stored import Stored
+from matcap.export.surface import Surface
+from matcap.export.textures import Export, Job, Standard, seen, seen_normal
+
+_SCRIPT = "matcap_bsdf.py"
+_LARGEST_SHARE = 0.98
+_LARGEST_FILM = 512
+_VERSION = "3.6.0"
+
+
+def mitsuba(job: Job) -> Export:
+    """NAME.xml, NAME_exact.xml and matcap_bsdf.py beside the textures."""
+    textures = Standard.of(job)
+    diffuse, f0 = job.picture("diffuse"), job.picture("specular")
+    rest = 1.0 - diffuse.max(axis=-1)
+    share = np.clip(rest, np.minimum(f0, _LARGEST_SHARE), _LARGEST_SHARE).astype(np.float32)
+    depth = job.depth_or("16")
+    blend = {
+        "share": Stored(share, depth, meaning="share of the blend that is specular"),
+        "blend_diffuse": Stored(
+            diffuse / (1.0 - share)[..., None], depth, srgb=True, meaning="diffuse / (1 - share)"
+        ),
+        "blend_specular": Stored(f0 / np.maximum(share, 1e-6), depth, meaning="F0 / share"),
+    }
+    standard = textures.files(job.name)
+    names = {kind: f"{job.name}_{kind}{made.suffix}" for kind, made in blend.items()}
+    made = {kind: seen(one) for kind, one in blend.items()}
+    surface = Surface(
+        made["blend_diffuse"] * (1.0 - made["share"]),
+        made["blend_specular"] * made["share"],
+        seen(textures.roughness),
+        seen_normal(textures.normal),
+        f90=made["share"],
+        masking="separable",
+    )
+    diffuse_file, specular_file, roughness_file, normal_file, _ = standard
+    exact = _element("bsdf", "matcap")
+    _texture(exact, "diffuse", diffuse_file, colour=True)
+    _texture(exact, "specular", specular_file)
+    _texture(exact, "roughness", roughness_file)
+    plain = _element("bsdf", "blendbsdf")
+    _texture(plain, "weight", names["share"])
+    base = ET.SubElement(plain, "bsdf", type="diffuse")
+    _texture(base, "reflectance", names["blend_diffuse"], colour=True)
+    gloss = ET.SubElement(plain, "bsdf", type="principled")
+    ET.SubElement(gloss, "float", name="metallic", value="1")
+    _texture(gloss, "base_color", names["blend_specular"])
+    _texture(gloss, "roughness", roughness_file)
+    script = resources("matcap.export.scripts").joinpath(_SCRIPT).read_bytes()
+    return Export(
+        standard | {names[kind]: one for kind, one in blend.items()},
+        {
+            f"{job.name}.xml": _scene(job, plain, normal_file),
+            f"{job.name}_exact.xml": _scene(job, exact, normal_file),
+            _SCRIPT: script,
+        },
+        surface,
+        (f"the residual is of {job.name}.xml; {job.name}_exact.xml with {_SCRIPT} has none",),
+    )
+
+
+def _scene(job: Job, bsdf: ET.Element, normal: str) -> bytes:
+    """A rectangle of the material, seen as photographed, under one point light."""
+    from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
+
+    width, height = job.extent
+    shrunk = min(1.0, _LARGEST_FILM / max(job.maps.size))
+    pixels = [max(1, round(side * shrunk)) for side in job.maps.size]
+    distance = max(width, height) / 2.0 / math.tan(math.radians(22.5))
+    light = NAMED_LIGHTS["top"]
+    scene = ET.Element("scene", version=_VERSION)
+    ET.SubElement(scene, "default", name="spp", value="4")
+    integrator = ET.SubElement(scene, "integrator", type="direct")
+    ET.SubElement(integrator, "integer", name="emitter_samples", value="1")
+    ET.SubElement(integrator, "integer", name="bsdf_samples", value="0")
+    sensor = ET.SubElement(scene, "sensor", type="perspective")
+    ET.SubElement(sensor, "float", name="fov", value="45")
+    ET.SubElement(sensor, "string", name="fov_axis", value="larger")
+    place = ET.SubElement(sensor, "transform", name="to_world")
+    origin = f"0, 0, {distance!r}"
+    ET.SubElement(place, "lookat", origin=origin, target="0, 0, 0", up="0, 1, 0")
+    film = ET.SubElement(sensor, "film", type="hdrfilm")
+    for name, value in zip(("width", "height"), pixels, strict=True):
+        ET.SubElement(film, "integer", name=name, value=str(value))
+    ET.SubElement(film, "rfilter", type="box")
+    sampler = ET.SubElement(sensor, "sampler", type="independent")
+    ET.SubElement(sampler, "integer", name="sample_count", value="$spp")
+    emitter = ET.SubElement(scene, "emitter", type="point")
+    ET.SubElement(emitter, "point", name="position", value=", ".join(str(c) for c in light))
+    intensity = repr(exposing_intensity(light))
+    ET.SubElement(emitter, "rgb", name="intensity", value=intensity)
+    shape = ET.SubElement(scene, "shape", type="rectangle")
+    grown = ET.SubElement(shape, "transform", name="to_world")
+    ET.SubElement(grown, "scale", x=repr(width / 2.0), y=repr(height / 2.0))
+    # Its shadowing term for bent normals is Mitsuba's own idea.
+    bent = ET.SubElement(shape, "bsdf", type="normalmap")
+    ET.SubElement(bent, "boolean", name="use_shadowing_function", value="false")
+    ET.SubElement(bent, "boolean", name="flip_invalid_normals", value="false")
+    _texture(bent, "normalmap", normal)
+    bent.append(bsdf)
+    ET.indent(scene)
+    return ET.tostring(scene, encoding="utf-8") + b"\n"
+
+
+def _element(tag: str, kind: str) -> ET.Element:
+    return ET.Element(tag, type=kind)
+
+
+def _texture(parent: ET.Element, name: str, file: str, *, colour: bool = False) -> None:
+    """A picture; only colours in PNGs carry the sRGB curve."""
+    texture = ET.SubElement(parent, "texture", type="bitmap", name=name)
+    ET.SubElement(texture, "string", name="filename", value=file)
+    raw = "false" if colour and file.endswith(".png") else "true"
+    ET.SubElement(texture, "boolean", name="raw", value=raw)
+    # Mitsuba puts a picture's first row at v = 0, the rectangle's lower border.
+    upright = ET.SubElement(texture, "transform", name="to_uv")
+    ET.SubElement(upright, "scale", x="1", y="-1")
