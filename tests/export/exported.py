@@ -1,0 +1,28 @@
+"""Reading what was exported, without matcap's own code."""
+
+import cv2
+import numpy as np
+import torch
+
+# Rough, polished, and of two kinds.
+MATERIALS = ("leather", "granite", "rust")
+
+
+def picture(path) -> np.ndarray:
+    """(H, W[, C]) code values in [0, 1], channels in RGB order."""
+    stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert stored is not None
+    order = {2: ..., 3: (..., [2, 1, 0]), 4: (..., [2, 1, 0, 3])}
+    colour = stored if stored.ndim == 2 else stored[order[stored.shape[2]]]
+    return colour / np.float64(np.iinfo(stored.dtype).max)
+
+
+def linear(code: np.ndarray) -> np.ndarray:
+    """sRGB decoded, written a second time here."""
+    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+
+
+def channels(array: np.ndarray) -> torch.Tensor:
+    """(C, H, W) float64."""
+    tensor = torch.from_numpy(np.ascontiguousarray(array))
+    return tensor[None] if tensor.ndim == 2 else tensor.movedim(-1, 0)

@@ -1,0 +1,46 @@
+"""What all exports have in common: nothing half-written, and what is lost is told."""
+
+import json
+
+import pytest
+from exported import MATERIALS
+
+from matcap.errors import MatcapError, UsageError
+from matcap.export.targets import DOCUMENTS, write_export
+from matcap.export.textures import Job
+
+
+@pytest.mark.parametrize("target", DOCUMENTS)
+@pytest.mark.parametrize("name", MATERIALS)
+def test_targets_that_know_the_model_keep_it(tmp_path, made, name, target):
+    done = write_export(Job(made[name], name), target, tmp_path / "out")
+    assert done.residual is not None
+    assert done.residual.mean < 0.01
+    assert {file.name for file in (tmp_path / "out").iterdir()} == set(done.files)
+    sidecar = json.loads((tmp_path / "out" / f"{name}_{target}.json").read_text())
+    assert sidecar["residual"]["mean"] == done.residual.mean
+    assert sidecar["tile"] == pytest.approx([2.0, 2.0 * 32 / 48])
+    assert all((tmp_path / "out" / file).is_file() for file in sidecar["files"])
+
+
+@pytest.mark.parametrize("target", DOCUMENTS)
+def test_the_same_maps_give_the_same_bytes(tmp_path, made, target):
+    folders = [tmp_path / "a", tmp_path / "b"]
+    for folder in folders:
+        write_export(Job(made["leather"], "leather"), target, folder)
+    for file in folders[0].iterdir():
+        assert file.read_bytes() == (folders[1] / file.name).read_bytes()
+
+
+@pytest.mark.parametrize("target", DOCUMENTS)
+def test_broken_maps_leave_nothing(tmp_path, made, target):
+    broken = made["leather"].map(lambda map_: map_.clone())
+    broken.specular[0, 3, 4] = float("nan")
+    with pytest.raises(MatcapError, match="not finite"):
+        write_export(Job(broken, "leather"), target, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_unknown_targets_name_the_nearest(tmp_path, made):
+    with pytest.raises(UsageError, match="did you mean 'unreal'"):
+        write_export(Job(made["leather"], "leather"), "unral", tmp_path)
