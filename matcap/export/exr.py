@@ -7,6 +7,8 @@ reports a broken file in words, where OpenEXR prints to the terminal). Tiled str
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +67,7 @@ def read_exr(path: Path, *, size: tuple[int, int] | None = None) -> NDArray[np.f
         raise MatcapError("the file is missing", where=str(path), remedy=remedy)
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        oiio.geterror()  # OpenImageIO keeps it, and complains at exit, until it is fetched
+        forget_error(oiio.geterror)
         raise MatcapError("this is not a readable EXR file", where=str(path), remedy=remedy)
     try:
         spec = source.spec()
@@ -77,7 +79,13 @@ def read_exr(path: Path, *, size: tuple[int, int] | None = None) -> NDArray[np.f
                 remedy=remedy,
             )
         pixels = source.read_image("float")
-        source.geterror()
+        forget_error(source.geterror)
+    except MemoryError as error:
+        raise MatcapError(
+            "there is not enough memory to read it",
+            where=str(path),
+            remedy="free some memory, or write smaller maps",
+        ) from error
     finally:
         source.close()
     if pixels is None:
@@ -85,3 +93,12 @@ def read_exr(path: Path, *, size: tuple[int, int] | None = None) -> NDArray[np.f
     if not np.isfinite(pixels).all():
         raise MatcapError("has values that are not finite", where=str(path), remedy=remedy)
     return np.asarray(pixels, dtype=np.float32)
+
+
+def forget_error(fetch: Callable[[], object]) -> None:
+    """OpenImageIO keeps an error, and complains at exit, until it is fetched.
+
+    It quotes the file's own bytes, which may be no text.
+    """
+    with suppress(UnicodeDecodeError):
+        fetch()

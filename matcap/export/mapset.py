@@ -279,7 +279,12 @@ def _load_document(file: Path) -> dict[str, Any] | None:
 
 def plain_name(name: str) -> str:
     """The name itself when it is a plain file name, so that nothing leaves its folder."""
-    if not name or name.startswith(".") or any(mark in name for mark in "/\\\0"):
+    if (
+        not isinstance(name, str)
+        or not name
+        or name.startswith(".")
+        or any(mark in name for mark in "/\\\0")
+    ):
         raise UsageError("is not a plain file name", where=repr(name), remedy="choose another")
     return name
 

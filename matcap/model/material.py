@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -30,6 +31,18 @@ from matcap.model.noise import Wave
 FORMAT = "matcap-material"
 VERSION = 1
 _LARGEST_WIDTH = 1024  # channels; a stranger's file cannot ask for more memory than this allows
+_MOST_NUMBERS = 64_000_000  # weights; a quarter of a gigabyte
+_NAMED = re.compile(r"[^\w .,()+-]+")
+# What reading JSON raises that is not as it should be.
+DAMAGED = (
+    KeyError,
+    IndexError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
 _REMEDY = "capture the photograph again, or fetch the file again"
 
 
@@ -140,12 +153,12 @@ class Material:
         try:
             with safe_open(path, framework="pt") as file:
                 about = _about(file.metadata(), path)
-                decoder = Decoder(_config(about["decoder"]))
+                decoder = empty_decoder(_config(about["decoder"]))
                 state = {
                     name: _tensor(file, f"decoder.{name}", tuple(value.shape), path)
                     for name, value in decoder.state_dict().items()
                 }
-                decoder.load_state_dict(state)
+                decoder.load_state_dict(state, assign=True)
                 code = _tensor(file, "code", (CODE_SIZE,), path)
                 moments = []
                 for index, layer in enumerate(decoder.layers()):
@@ -154,14 +167,14 @@ class Material:
                     deviation = _tensor(file, f"moments.{index}.deviation", shape, path)
                     moments.append((mean, deviation))
                 return Material(
-                    name=str(about["name"]),
+                    name=_plain(str(about["name"])),
                     decoder=decoder.eval().requires_grad_(False),
                     code=code,
                     moments=tuple(moments),
-                    waves=tuple(Wave(float(w["fx"]), float(w["fy"])) for w in about["waves"][:2]),
-                    texel_size=float(about["texel_size"]),
+                    waves=_waves(about["waves"]),
+                    texel_size=_number(about, "texel_size", 1e-9, 1e3),
                     setup=_setup(about["setup"]),
-                    provenance=about["provenance"],
+                    provenance=dict(about["provenance"]),
                 )
         except (SafetensorError, OSError) as error:
             raise MatcapError(
@@ -169,7 +182,7 @@ class Material:
                 where=str(path),
                 remedy=_REMEDY,
             ) from error
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except DAMAGED as error:
             raise MatcapError(
                 f"the material's description is damaged ({error})",
                 where=str(path),
@@ -214,17 +227,52 @@ def _config(stated: Mapping[str, Any]) -> DecoderConfig:
     return config
 
 
+def empty_decoder(config: DecoderConfig) -> Decoder:
+    """A decoder whose weights take no memory yet, to compare their shapes with.
+
+    Raises:
+        ValueError: there would be too many of them.
+    """
+    with torch.device("meta"):
+        decoder = Decoder(config)
+    count = sum(value.numel() for value in decoder.state_dict().values())
+    if count > _MOST_NUMBERS:
+        raise ValueError(f"{count} weights")
+    return decoder
+
+
+def _plain(name: str) -> str:
+    """The name as one that may be a file's: nothing of it leads to another folder."""
+    return _NAMED.sub("_", name)[:100].strip(" .") or "material"
+
+
+def _waves(stated: list[Mapping[str, Any]]) -> tuple[Wave, ...]:
+    return tuple(Wave(_number(w, "fx", -1.0, 1.0), _number(w, "fy", -1.0, 1.0)) for w in stated[:2])
+
+
 def _setup(stated: Mapping[str, Any]) -> FlashSetup:
-    ox, oy, oz = (float(v) for v in stated["offset"])
-    red, green, blue = (float(v) for v in stated["intensity"])
-    tilt_x, tilt_y = (float(v) for v in stated["tilt"])
+    ox, oy, oz = (_bounded(v, "offset", -1e3, 1e3) for v in stated["offset"])
+    red, green, blue = (_bounded(v, "intensity", 0.0, 1e12) for v in stated["intensity"])
+    tilt_x, tilt_y = (_bounded(v, "tilt", -1.5, 1.5) for v in stated["tilt"])
     return FlashSetup(
-        fov=float(stated["fov"]),
+        fov=_number(stated, "fov", 1.0, 170.0),
         offset=(ox, oy, oz),
         tilt=(tilt_x, tilt_y),
         intensity=(red, green, blue),
-        vignetting=float(stated["vignetting"]),
+        vignetting=_number(stated, "vignetting", -20.0, 20.0),
     )
+
+
+def _number(stated: Mapping[str, Any], name: str, least: float, most: float) -> float:
+    return _bounded(stated[name], name, least, most)
+
+
+def _bounded(value: float, name: str, least: float, most: float) -> float:
+    """A number within limits; NaN is in none."""
+    number = float(value)
+    if not least <= number <= most:
+        raise ValueError(f"{name} is {number:g}")
+    return number
 
 
 def _tensor(file: safe_open, name: str, shape: tuple[int, ...], path: Path) -> Tensor:

@@ -28,7 +28,7 @@ from matcap.model.alignment import WIDTH, Alignment
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.encoder import BACKBONES, Encoder, EncoderConfig
 from matcap.model.freeze import freeze
-from matcap.model.material import Material
+from matcap.model.material import DAMAGED, Material, empty_decoder
 from matcap.photo.photo import Photo
 from matcap.prior.base import VARYING, Base, base_from, base_of, fold
 from matcap.prior.look import describe_windows, numbers, picture, texture
@@ -176,7 +176,7 @@ def load_prior(path: Path | None = None) -> Prior:
             encoder = Encoder(_encoder_config(about["encoder"]))
             prior = Prior(
                 encoder=encoder,
-                decoder=Decoder(_decoder_config(about["decoder"])),
+                decoder=empty_decoder(_decoder_config(about["decoder"])),
                 alignment=Alignment(),
                 habits=Habits(
                     *(
@@ -195,7 +195,8 @@ def load_prior(path: Path | None = None) -> Prior:
                     {
                         name: _tensor(file, f"{part}.{name}", tuple(value.shape), path)
                         for name, value in module.state_dict().items()
-                    }
+                    },
+                    assign=True,
                 )
                 module.eval().requires_grad_(False)
             return prior
@@ -203,7 +204,7 @@ def load_prior(path: Path | None = None) -> Prior:
         raise MatcapError(
             f"this is not a prior, or it is damaged ({error})", where=str(path), remedy=_REMEDY
         ) from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except DAMAGED as error:
         raise MatcapError(
             f"the prior's description is damaged ({error})", where=str(path), remedy=_REMEDY
         ) from error

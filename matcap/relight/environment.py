@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from matcap.errors import MatcapError
+from matcap.export.exr import forget_error
 from matcap.relight.scene import EnvironmentLight
 from matcap.relight.vectors import Array, Vec
 
@@ -198,10 +199,15 @@ def read_picture(path: Path) -> Picture:
         raise MatcapError("no such file", where=where, remedy="check the path")
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        oiio.geterror()
+        forget_error(oiio.geterror)
         raise MatcapError("this is not a readable picture", where=where, remedy=remedy)
-    pixels = source.read_image("float")
-    source.geterror()
+    try:
+        pixels = source.read_image("float")
+    except MemoryError as error:
+        raise MatcapError(
+            "there is not enough memory for it", where=where, remedy=remedy
+        ) from error
+    forget_error(source.geterror)
     source.close()
     if pixels is None:
         raise MatcapError("the file is truncated or corrupt", where=where, remedy=remedy)

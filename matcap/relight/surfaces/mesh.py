@@ -27,6 +27,7 @@ from matcap.relight.vectors import Array
 # Pairs of a triangle and a pixel that are looked at together.
 _PAIRS = 4_000_000
 _ROOM = 1.1
+_FARTHEST_SPOT = 1e6  # repeats of the texture; beyond, single precision tells no texels apart
 
 
 @dataclass(frozen=True)
@@ -141,6 +142,10 @@ def load_mesh(path: Path, size: float) -> Mesh:
     corner_normals = corner_normals / np.maximum(length, 1e-30)
     if (faces[..., 1] >= 0).all() and len(spots):
         places = spots[faces[..., 1]]
+        if not (np.abs(places) < _FARTHEST_SPOT).all():
+            raise MatcapError(
+                "texture coordinates are out of range", where=where, remedy="export it again"
+            )
         d1, d2 = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
         spread = np.abs(d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]).sum()
         places = places * (area.sum() / spread) ** 0.5 if spread > 0.0 else corners[..., :2]
