@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from matcap.cli import values
-from matcap.cli.options import JsonOption, Normal, NormalOption, PngOption, QuietOption
+from matcap.cli.options import (
+    ExportOption,
+    JsonOption,
+    Normal,
+    NormalOption,
+    PngOption,
+    QuietOption,
+)
 from matcap.errors import ExitCode, MatcapError, UsageError
 
 if TYPE_CHECKING:
@@ -73,6 +80,7 @@ def capture(
     ] = values.DEFAULT_SIZE,
     png: PngOption = False,
     normal: NormalOption = Normal.gl,
+    export: ExportOption = None,
     prior: Annotated[
         str, typer.Option(metavar="auto|none|PATH", help="Trained prior to start from.")
     ] = "auto",
@@ -88,12 +96,15 @@ def capture(
     from matcap.cli.progress import display
     from matcap.export.outputs import OutputSettings
     from matcap.export.staging import check_writable
+    from matcap.export.targets import check_targets
 
     settings = CaptureSettings(
         preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
         seed=seed, prior=prior,
     )  # fmt: skip
-    outputs = OutputSettings((size.width, size.height), seed, png, normal.value)
+    targets = check_targets(export or [])
+    side = (size.width, size.height)
+    outputs = OutputSettings(side, seed, png, normal.value, targets=targets)
     jobs = _jobs(photos, out)
     check_writable(out, outputs.room)
     results = []

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from matcap.export.mapset import MapSetInfo, NormalStyle, mapset_bytes, mapset_files, write_mapset
 from matcap.export.staging import staged
+from matcap.export.targets import export_bytes, export_mapset
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult
@@ -26,6 +27,7 @@ class OutputSettings:
         png: 16-bit PNGs beside the EXR files.
         normal: "gl" or "dx".
         tile: the map set repeats without a seam; both sides are multiples of 16 then.
+        targets: what else the map set is written for, each into a folder of its name.
     """
 
     size: tuple[int, int] = (1024, 1024)
@@ -33,17 +35,21 @@ class OutputSettings:
     png: bool = False
     normal: NormalStyle = "gl"
     tile: bool = False
+    targets: tuple[str, ...] = ()
 
     @property
     def room(self) -> int:
         """Bytes of disk that the outputs take at most."""
-        return mapset_bytes(*self.size, png=self.png) + _BESIDES
+        exports = len(self.targets) * export_bytes(*self.size)
+        return mapset_bytes(*self.size, png=self.png) + exports + _BESIDES
 
 
 def write_outputs(
     result: CaptureResult, photo: Photo, folder: Path, settings: OutputSettings
 ) -> Path:
     """Write material, first map set, preview.png and report.json into a folder, all or none.
+
+    Exports to other programs come after them, each all or none.
 
     Args:
         result: of capture_photo.
@@ -69,4 +75,6 @@ def write_outputs(
         write_preview(result, stage / "preview.png")
         write_report(result, photo, stage / "report.json")
         material.save(stage / f"{name}.matcap")
+    for target in settings.targets:
+        export_mapset(folder / f"{name}.json", target)
     return folder / f"{name}.matcap"

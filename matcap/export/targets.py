@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,6 +62,34 @@ def check_target(*, to: str | None = None, preset: str | None = None) -> str:
     if to is not None:
         return known(to, DOCUMENTS, "--to")
     return known(preset or "", PRESETS, "--preset")
+
+
+def check_targets(names: Sequence[str], where: str = "--export") -> tuple[str, ...]:
+    """Names of documents' targets or presets, each once, in their order; "gltf" is the document.
+
+    Raises:
+        UsageError: there is no such name.
+    """
+    return tuple(dict.fromkeys(known(name, (*DOCUMENTS, *PRESETS), where) for name in names))
+
+
+def export_mapset(folder: Path, target: str) -> Exported:
+    """Write the map set of a folder once more, for a target, into a folder of its name inside.
+
+    Args:
+        folder: holds one map set, or is the JSON file of one.
+        target: as write_export.
+
+    Raises:
+        UsageError: no such target.
+        MatcapError: no map set, a full disk, an unwritable folder.
+    """
+    from matcap.export.source import open_tile
+
+    found = open_tile(folder)
+    place = folder if folder.is_dir() else folder.parent
+    job = Job(found.maps, found.name, provenance=found.provenance)
+    return write_export(job, target, place / target)
 
 
 def export_bytes(width: int, height: int) -> int:

@@ -1,0 +1,142 @@
+"""`matcap export` and `--export`: from a material or a map set to another program's files."""
+
+import json
+
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.export.mapset import MapSetInfo, write_mapset
+from matcap.flash.geometry import FlashSetup
+from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.freeze import freeze
+from matcap.model.material import Material
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A map set called moss, in a folder of its own beside which commands run."""
+    generator = torch.Generator().manual_seed(1)
+    stack = torch.rand(6, 16, 24, generator=generator)
+    stack[5] *= 0.01
+    maps = MapSet.from_stacked(stack, 2.0 / 24)
+    write_mapset(maps, tmp_path / "set", MapSetInfo("moss", provenance={"made": "up"}))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def material(tmp_path, monkeypatch):
+    """The smallest material that the format allows."""
+    torch.manual_seed(0)
+    decoder = Decoder(DecoderConfig(noise_channels=1, widths=(4,) * 5, convolutions=(1, 1)))
+    decoder = decoder.eval().requires_grad_(False)
+    code = torch.randn(CODE_SIZE)
+    moments = tuple(freeze(decoder, code, ()))
+    path = tmp_path / "noise.matcap"
+    Material("noise", decoder, code, moments, (), 2 / 64, FlashSetup()).save(path)
+    monkeypatch.chdir(tmp_path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("target", "file"),
+    [
+        ("materialx", "moss.mtlx"),
+        ("usd", "moss.usdz"),
+        ("gltf", "moss.glb"),
+        ("blender", "moss_blender.py"),
+        ("mitsuba", "moss.xml"),
+    ],
+)
+def test_a_map_set_for_every_program(matcap, folder, target, file):
+    said = matcap("export", "set", "--to", target)
+    assert (said.code, said.out) == (0, "")
+    assert (folder / f"moss_{target}" / file).is_file()
+    assert said.err.startswith(f"wrote moss_{target} (")
+    assert "residual: " in said.err
+    sidecar = json.loads((folder / f"moss_{target}" / f"moss_{target}.json").read_text())
+    assert sidecar["provenance"] == {"made": "up"}
+
+
+def test_loose_textures(matcap, folder):
+    said = matcap(
+        "export", "set", "--preset", "polyhaven", "--maps", "diffuse, normal", "--normal", "both",
+        "--name", "{map}", "--bits", "8", "-o", "out", "-q",
+    )  # fmt: skip
+    assert (said.code, said.out, said.err) == (0, "", "")
+    names = {file.name for file in (folder / "out").iterdir()}
+    assert names == {"diff.png", "nor_gl.png", "nor_dx.png", "moss_polyhaven.json"}
+
+
+def test_json_tells_what_is_lost(matcap, folder):
+    said = matcap("export", "set", "--preset", "unity-hdrp", "--json")
+    assert (said.code, said.err) == (0, "")
+    report = json.loads(said.out)
+    assert report["residual"]["worst"] > report["residual"]["mean"] > 0.01
+    assert "moss_MaskMap.png" in report["files"]
+    assert report["folder"] == "moss_unity-hdrp"
+
+
+def test_real_lengths(matcap, folder):
+    assert matcap("export", "set", "--to", "materialx", "--unit", 120).code == 0
+    sidecar = json.loads((folder / "moss_materialx" / "moss_materialx.json").read_text())
+    assert (sidecar["unit"], sidecar["tile"]) == ("mm", pytest.approx([240.0, 160.0]))
+
+
+def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
+    from matcap.export.source import open_tile
+
+    said = matcap("export", material, "--to", "gltf", "--size", "48x32", "--seed", 3)
+    assert said.code == 0
+    assert (tmp_path / "noise_gltf" / "noise.glb").is_file()
+    assert open_tile(material, size=(48, 32), seed=3).maps.periodic
+    assert not open_tile(material, size=(40, 32), seed=3).maps.periodic
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        ([], 2, "give either --to or --preset"),
+        (["--to", "usd", "--preset", "raw"], 2, "give either --to or --preset"),
+        (["--to", "gtlf"], 2, "--to: there is no 'gtlf'; did you mean 'gltf'."),
+        (["--preset", "unral"], 2, "--preset: there is no 'unral'; did you mean 'unreal'."),
+        (["--to", "usd", "--name", "{map}"], 2, "--name: this is for --preset; leave it out."),
+        (["--to", "usd", "--bits", "half"], 2, "--bits: a .usdz holds PNGs only; give 8 or 16."),
+        (["--preset", "raw", "--maps", "rough"], 2, "did you mean 'roughness'."),
+        (["--preset", "raw", "--name", "{stem}"], 2, "put {map} into the name."),
+        (["--to", "usd", "-o", "set/moss.json"], 3, "a file stands where a folder is needed"),
+    ],
+)
+def test_failures_are_one_sentence_and_leave_nothing(matcap, folder, arguments, code, said):
+    before = sorted(folder.rglob("*"))
+    found = matcap("export", "set", *arguments)
+    assert found.code == code
+    assert said in found.err
+    assert found.err.count("\n") == 1
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_folder_without_maps(matcap, tmp_path):
+    found = matcap("export", tmp_path, "--to", "usd", "-o", tmp_path / "out")
+    assert found.code == 3
+    assert "no map set and no material" in found.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_capture_writes_for_other_programs_too(matcap, pipeline, photo, tmp_path):
+    said = matcap(
+        "capture", photo, "-o", tmp_path / "out", "--size", "32", "--export", "gltf",
+        "--export", "unreal",
+    )  # fmt: skip
+    assert said.code == 0
+    assert (tmp_path / "out" / "leather" / "gltf" / "leather.glb").is_file()
+    assert (tmp_path / "out" / "leather" / "unreal" / "T_leather_ORM.png").is_file()
+
+
+def test_capture_refuses_unknown_targets_before_any_work(matcap, pipeline, photo, tmp_path):
+    said = matcap("capture", photo, "-o", tmp_path / "out", "--export", "blendr")
+    assert said.code == 2
+    assert "--export: there is no 'blendr'; did you mean 'blender'." in said.err
+    assert pipeline.calls == []
+    assert not (tmp_path / "out").exists()
