@@ -19,6 +19,7 @@ from matcap.cli import (
     bench,
     blend,
     capture,
+    doctor,
     export,
     inspect,
     prior,
@@ -49,6 +50,7 @@ app.command("export")(export.export)
 app.command("view")(view.view)
 app.command("blend")(blend.blend)
 app.command("sample")(sample.sample)
+app.command("doctor")(doctor.doctor)
 app.add_typer(bench.app, name="bench")
 app.add_typer(prior.app, name="prior")
 

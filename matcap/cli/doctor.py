@@ -1,0 +1,33 @@
+"""`matcap doctor`: what is installed, and whether it works."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from matcap.cli.options import JsonOption
+
+
+def doctor(
+    json: JsonOption = False,
+    self_test: Annotated[
+        bool,
+        typer.Option("--self-test/--no-self-test", help="Also try it all on a small material."),
+    ] = True,
+) -> None:
+    """Tell versions, devices and extras, and try whether all of it works.
+
+    Answers 3 where something is missing or broken.
+    """
+    from matcap.doctor import diagnose
+    from matcap.errors import ExitCode
+
+    found = diagnose(self_test=self_test)
+    if json:
+        from json import dumps
+
+        typer.echo(dumps(found.as_json(), indent=2))
+    else:
+        typer.echo(found.text())
+    raise typer.Exit(ExitCode.DONE if found.healthy else ExitCode.NOTHING_SUCCEEDED)

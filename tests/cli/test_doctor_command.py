@@ -1,0 +1,57 @@
+"""`matcap doctor`: what it finds, and that it finds what is wrong."""
+
+import json
+from importlib.metadata import PackageNotFoundError, version
+
+import pytest
+
+from matcap.errors import MatcapError
+
+
+def test_a_sound_installation(matcap):
+    said = matcap("doctor", "--json")
+    report = json.loads(said.out)
+    assert [check["fault"] for check in report["checks"]] == [None] * 5
+    assert (said.code, said.err, report["healthy"]) == (0, "", True)
+    assert {"torch", "numpy", "typer"} <= {one["name"] for one in report["packages"]}
+    assert report["devices"][0] == "cpu"
+    assert report["prior"] > 100_000
+
+
+def test_text_tells_how_to_install_what_is_missing(matcap, monkeypatch):
+    def without(name):
+        if name == "pillow-heif":
+            raise PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr("matcap.doctor.version", without)
+    said = matcap("doctor", "--no-self-test")
+    assert said.code == 0  # extras are no need
+    assert 'not installed: pip install "matcap[heic]"' in said.out
+    assert "All is well." in said.out
+
+
+def test_a_missing_need_is_a_fault(matcap, monkeypatch):
+    def without(name):
+        if name == "rawpy":
+            raise PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr("matcap.doctor.version", without)
+    said = matcap("doctor")
+    assert said.code == 3
+    assert "rawpy" in said.out
+    assert "MISSING" in said.out
+
+
+@pytest.mark.parametrize("fault", [MatcapError("the prior is damaged"), RuntimeError("no memory")])
+def test_a_fault_ends_the_self_test_and_is_told(matcap, monkeypatch, fault):
+    def broken(path=None):
+        raise fault
+
+    monkeypatch.setattr("matcap.prior.store.load_prior", broken)
+    said = matcap("doctor", "--json")
+    report = json.loads(said.out)
+    assert (said.code, report["healthy"]) == (3, False)
+    (check,) = report["checks"]
+    assert str(fault) in check["fault"]
