@@ -9,11 +9,13 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli import relight, values
+from matcap.cli import bench_time, relight, values
 from matcap.errors import ExitCode
 
 app = typer.Typer(help="Measure matcap on this machine.", no_args_is_help=True)
 app.command("relight")(relight.bench)
+app.command("capture")(bench_time.capture)
+app.command("report")(bench_time.report)
 
 
 @app.callback()
