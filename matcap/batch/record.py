@@ -65,7 +65,7 @@ def is_done(folder: Path, identity: str) -> bool:
 def _size(file: Path) -> int | None:
     try:
         return file.stat().st_size
-    except OSError:
+    except (OSError, ValueError):  # ValueError: a name with a null character
         return None
 
 

@@ -7,6 +7,7 @@ reports a broken file in words, where OpenEXR prints to the terminal). Tiled str
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -63,7 +64,7 @@ def read_exr(path: Path, *, size: tuple[int, int] | None = None) -> NDArray[np.f
     import OpenImageIO as oiio
 
     remedy = "write the map set again"
-    if not path.is_file():
+    if not os.path.isfile(path):  # of a name that cannot be, too: False
         raise MatcapError("the file is missing", where=str(path), remedy=remedy)
     source = oiio.ImageInput.open(str(path))
     if source is None:

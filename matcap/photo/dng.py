@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 _CFA, _LINEAR_RAW = 32803, 34892
 _JPEG_XL = 52546
+_MOST_PAGES = 64  # a damaged file may claim any number of them
 _ACTIVE_AREA, _OPCODES_ON_MOSAIC, _OPCODES_AFTER = 50829, 51009, 51022
 
 
@@ -69,7 +71,8 @@ def read_corrections(path: Path) -> Corrections:
 
 def raw_page(file: Any) -> TiffPage | None:  # noqa: ANN401
     """The largest raw picture of an open tifffile.TiffFile; previews lie beside it."""
-    raws = [page for page in _pages(file) if int(page.photometric) in (_CFA, _LINEAR_RAW)]
+    pages = islice(_pages(file), _MOST_PAGES)
+    raws = [page for page in pages if int(page.photometric) in (_CFA, _LINEAR_RAW)]
     return max(raws, key=lambda page: page.imagewidth * page.imagelength, default=None)
 
 
