@@ -2,13 +2,56 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from matcap.cli import values
 from matcap.cli.options import Normal, NormalOption, PngOption, QuietOption
+from matcap.errors import UsageError
+
+if TYPE_CHECKING:
+    from matcap.model.noise import Period
+    from matcap.synth.blocks import Rectangle
+    from matcap.synth.request import Progress as SynthProgress
+
+_EVERY = 10.0  # seconds between lines of progress where there is no terminal
+
+
+class Tile(Enum):
+    """Along which axes the maps repeat."""
+
+    both = "both"
+    x = "x"
+    y = "y"
+
+
+class Precision(Enum):
+    """How exactly to compute."""
+
+    fp32 = "fp32"
+    bf16 = "bf16"
+    auto = "auto"
+
+
+class SynthCommand(TyperCommand):
+    """Lets `--tile` stand alone, for both axes."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
+        """Give a lone --tile its value."""
+        told = []
+        for index, argument in enumerate(args):
+            after = args[index + 1] if index + 1 < len(args) else ""
+            told.append(argument)
+            if argument == "--tile" and after not in [axis.value for axis in Tile]:
+                told.append(Tile.both.value)
+        return super().parse_args(ctx, told)
 
 
 def synth(
@@ -33,12 +76,57 @@ def synth(
             help="A rectangle anywhere in the endless field (y downwards), not --size.",
         ),
     ] = None,
+    tile: Annotated[
+        Tile | None,
+        typer.Option(help="Repeat exactly along both axes, or along x or y alone."),
+    ] = None,
+    udim: Annotated[
+        values.Size | None,
+        typer.Option(
+            parser=values.size,
+            metavar="CxR",
+            help="A texture set of C columns and R rows, each tile of the given size.",
+        ),
+    ] = None,
+    single: Annotated[bool, typer.Option("--single", help="All maps in one EXR file.")] = False,
+    mip: Annotated[
+        bool, typer.Option("--mip", help="Mip-mapped EXR files, as texture readers like them.")
+    ] = False,
+    blend: Annotated[
+        Path | None,
+        typer.Option(metavar="MATERIAL", help="Grow into this material where --mask is white."),
+    ] = None,
+    mask: Annotated[
+        Path | None,
+        typer.Option(help="Grey picture for --blend, stretched over the rectangle asked for."),
+    ] = None,
+    mask_over: Annotated[
+        values.Region | None,
+        typer.Option(
+            parser=values.region, metavar="x,y,w,h", help="Stretch the mask over this instead."
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Folder; by default a new one named after all this."),
     ] = None,
     png: PngOption = False,
     normal: NormalOption = Normal.gl,
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", "-j", min=1, max=1024, help="Processes; by default one a core."),
+    ] = None,
+    precision: Annotated[
+        Precision,
+        typer.Option(help="auto: as much bf16 as changes no map by half an 8-bit step."),
+    ] = Precision.fp32,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="tcp://HOST:PORT", help="Send blocks to this dask scheduler."),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with what an interrupted run left.")
+    ] = False,
     quiet: QuietOption = False,
 ) -> None:
     """Make more of a material: a map set of any size, seam-free and repeatable.
@@ -46,19 +134,109 @@ def synth(
     The same material, seed and place give the same texels, whatever rectangle they are part of.
     Without a material the prior draws one, another for every seed.
     """
-    from matcap.export.mapset import MapSetInfo, mapset_bytes, write_mapset
-    from matcap.export.staging import check_writable
+    import os
+    from dataclasses import astuple
+
+    from matcap.export.mapset import MapSetInfo
     from matcap.model.material import Material
     from matcap.prior.store import load_prior
-    from matcap.synth.field import Field
+    from matcap.synth.blend import blend_source
+    from matcap.synth.blocks import Rectangle
+    from matcap.synth.mask import read_mask
+    from matcap.synth.precision import choose
+    from matcap.synth.request import Files, Request, Work
+    from matcap.synth.source import check_seed, material_source
+    from matcap.synth.stream import write_field
 
-    area = region or values.Region(0, 0, size.width, size.height)
-    source = load_prior().draw(seed) if material is None else Material.load(material)
-    name = source.name if material is None else material.stem
+    check_seed(seed)
+    _check_blend(blend, mask, mask_over)
+    asked = region or values.Region(0, 0, size.width, size.height)
+    area = Rectangle(asked.x, asked.y, asked.width, asked.height)
+    files = Files(png, normal.value, single, mip, (udim.width, udim.height) if udim else None)
+    whole = files.whole(area)
+    period = _period(tile, whole)
+    subject = load_prior().draw(seed) if material is None else Material.load(material)
+    name = subject.name if material is None else material.stem
+    provenance = dict(subject.provenance)
+    if blend is None or mask is None:
+        choice = choose(material_source(subject, seed, period), precision.value)
+    else:
+        over = Rectangle(*astuple(mask_over)) if mask_over else whole
+        other = Material.load(blend)
+        spread = read_mask(mask, over, period)
+        choice = choose(blend_source(subject, other, spread, seed, period), precision.value)
+        provenance |= {"blend": [subject.name, other.name], "mask_over": list(astuple(over))}
+    if precision is Precision.auto and not quiet:
+        typer.echo(choice.sentence(), err=True)
+    info = MapSetInfo(name, seed, (area.x, area.y), provenance)
+    request = Request(choice.source, area, info, files)
     folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}")
-    check_writable(folder, mapset_bytes(area.width, area.height, png=png))
-    maps = Field(source, seed).read(area.x, area.y, area.width, area.height)
-    info = MapSetInfo(name, seed, (area.x, area.y), dict(source.provenance))
-    document = write_mapset(maps, folder, info, png=png, normal=normal.value)
+    try:
+        with _progress(quiet=quiet) as tell:
+            work = Work(workers or os.cpu_count() or 1, scheduler, resume, tell)
+            document = write_field(request, folder, work)
+    except KeyboardInterrupt:
+        typer.echo("interrupted; the same command with --resume goes on", err=True)
+        raise
     if not quiet:
         typer.echo(f"wrote {document}", err=True)
+
+
+def _period(tile: Tile | None, area: Rectangle) -> Period | None:
+    """What repeats: the whole of what is written."""
+    if tile is None:
+        return None
+    return (
+        None if tile is Tile.y else area.width,
+        None if tile is Tile.x else area.height,
+    )
+
+
+def _check_blend(blend: Path | None, mask: Path | None, over: values.Region | None) -> None:
+    """A blend needs a mask, and the mask's options a blend."""
+    if blend is not None and mask is None:
+        raise UsageError("there is no mask", where="--blend", remedy="give a picture with --mask")
+    for name, option in (("--mask", mask), ("--mask-over", over)):
+        if blend is None and option is not None:
+            raise UsageError("there is nothing to blend with", where=name, remedy="give --blend")
+
+
+@contextmanager
+def _progress(*, quiet: bool) -> Iterator[Callable[[SynthProgress], None]]:
+    """Tell of the work: a bar on a terminal, a line now and then elsewhere."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    console = Console(stderr=True)
+    if quiet or not console.is_terminal:
+        said = time.monotonic()
+
+        def tell(now: SynthProgress) -> None:
+            nonlocal said
+            if not quiet and time.monotonic() - said >= _EVERY:
+                said = time.monotonic()
+                typer.echo(f"  {now.texels / now.total:6.1%}  {_rate(now)}", err=True)
+
+        yield tell
+        return
+    columns = (
+        TextColumn("{task.percentage:>3.0f} %"),
+        BarColumn(),
+        TextColumn("{task.fields[rate]}"),
+    )
+    with Progress(*columns, console=console, transient=True) as bars:
+        task = bars.add_task("texels", total=1.0, rate="")
+        yield lambda now: bars.update(task, completed=now.texels / now.total, rate=_rate(now))
+
+
+def _rate(now: SynthProgress) -> str:
+    """Texels a second, and how long there is to go."""
+    left = now.seconds_left
+    time_left = "" if left is None else f", {_duration(left)} left"
+    return f"{now.rate / 1e6:.2f} million texels/s{time_left}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

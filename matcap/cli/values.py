@@ -40,7 +40,7 @@ def size(text: str | Size) -> Size:
     """'4096x256' to 4096 by 256; '512' to 512 by 512. Typer passes defaults through here too."""
     if isinstance(text, Size):
         return text
-    found = re.fullmatch(r"(\d{1,9})(?:[xX](\d{1,9}))?", text.strip())
+    found = re.fullmatch(r"(\d{1,18})(?:[xX](\d{1,18}))?", text.strip())
     if not found:
         raise typer.BadParameter(f"'{text}' is not a size such as 4096x256")
     sides = Size(int(found[1]), int(found[2] or found[1]))

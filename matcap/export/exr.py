@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -51,12 +51,15 @@ def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
         raise OSError(errno.ENOSPC if full else errno.EIO, str(error)) from error
 
 
-def read_exr(path: Path, *, size: tuple[int, int] | None = None) -> NDArray[np.float32]:
+def read_exr(
+    path: Path, *, size: tuple[int, int] | None = None, channels: Sequence[str] | None = None
+) -> NDArray[np.float32]:
     """Read (H, W, C) float32 from an EXR file.
 
     Args:
         path: the file.
         size: (width, height) that it must have; checked before any pixel is read.
+        channels: names of those to read, in this order; all in the file's own order by default.
 
     Raises:
         MatcapError: missing, not an EXR file, truncated, corrupt, of another size, not finite.
@@ -79,6 +82,11 @@ def read_exr(path: Path, *, size: tuple[int, int] | None = None) -> NDArray[np.f
                 where=str(path),
                 remedy=remedy,
             )
+        missing = [name for name in channels or () if name not in spec.channelnames]
+        if missing:
+            raise MatcapError(
+                f"has no channel {', '.join(missing)}", where=str(path), remedy=remedy
+            )
         pixels = source.read_image("float")
         forget_error(source.geterror)
     except MemoryError as error:
@@ -93,6 +101,8 @@ def read_exr(path: Path, *, size: tuple[int, int] | None = None) -> NDArray[np.f
         raise MatcapError("the file is truncated or corrupt", where=str(path), remedy=remedy)
     if not np.isfinite(pixels).all():
         raise MatcapError("has values that are not finite", where=str(path), remedy=remedy)
+    if channels is not None:
+        pixels = pixels[..., [spec.channelnames.index(name) for name in channels]]
     return np.asarray(pixels, dtype=np.float32)
 
 

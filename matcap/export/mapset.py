@@ -33,14 +33,14 @@ VERSION = 1
 EXR_BYTES = 2 * (3 + 1 + 1 + 3) + 4
 PNG_BYTES = 2 * (3 + 1 + 1 + 1 + 3)
 
-_MEANINGS = {
+MEANINGS = {
     "diffuse": "diffuse albedo, linear Rec.709, D65",
     "specular": "specular albedo F0 of Schlick's Fresnel",
     "roughness": "perceptual roughness; GGX alpha is its square",
     "height": "height in plane units (half the photograph's long side)",
     "normal": "unit normal, each component in [-1, 1]",
 }
-_PNG_ENCODINGS = {
+PNG_ENCODINGS = {
     "diffuse": "sRGB",
     "specular": "linear",
     "roughness": "linear",
@@ -98,19 +98,21 @@ def write_mapset(
     """
     folder, name = Path(folder), plain_name(info.name)
     arrays = _arrays(maps, normal)
-    document = _document(maps, info, normal)
+    document = mapset_document(
+        info, maps.size, maps.texel_size, periodic=maps.periodic, normal=normal
+    )
     with staged(folder, replacing=mapset_files(name)) as stage:
         for kind, pixels in arrays.items():
             file = f"{name}_{kind}.exr"
             write_exr(stage / file, pixels, half=kind != "height")
-            document["maps"][kind] = {"file": file, "meaning": _MEANINGS[kind]}
+            document["maps"][kind] = {"file": file, "meaning": MEANINGS[kind]}
         if png:
             scale, midlevel = height_range(arrays["height"])
             document["png"] = {"height_scale": scale, "height_midlevel": midlevel}
             for kind, pixels in arrays.items():
                 file = f"{name}_{kind}.png"
-                write_png(stage / file, _coded(kind, pixels, scale, midlevel), bits=16)
-                document["maps"][kind] |= {"png": file, "png_encoding": _PNG_ENCODINGS[kind]}
+                write_png(stage / file, coded(kind, pixels, scale, midlevel), bits=16)
+                document["maps"][kind] |= {"png": file, "png_encoding": PNG_ENCODINGS[kind]}
         text = json.dumps(document, indent=2, allow_nan=False, default=str)
         (stage / f"{name}.json").write_text(text + "\n")
     return folder / f"{name}.json"
@@ -141,13 +143,15 @@ def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
         size = (int(document["width"]), int(document["height"]))
         texel_size, periodic = float(document["texel_size"]), bool(document["periodic"])
         files = {kind: plain_name(document["maps"][kind]["file"]) for kind in CHANNELS}
+        # Only where several maps share a file.
+        named = {kind: document["maps"][kind].get("channels") for kind in CHANNELS}
     except (KeyError, TypeError, ValueError, UsageError) as error:
         raise _broken(file, f"the entry {error} is missing or wrong") from error
     if min(size) < 1 or not 0.0 < texel_size < float("inf"):
         raise _broken(file, "a size is not positive")
     maps = {}
     for kind, channels in CHANNELS.items():
-        pixels = read_exr(file.parent / files[kind], size=size)
+        pixels = read_exr(file.parent / files[kind], size=size, channels=named[kind])
         if pixels.shape[2] != channels:
             raise MatcapError(
                 f"has {pixels.shape[2]} channels instead of {channels}",
@@ -160,7 +164,7 @@ def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
 
 def mapset_files(name: str) -> list[str]:
     """Names of all the files that a map set of this name may have."""
-    maps = [f"{name}_{kind}.{suffix}" for kind in _MEANINGS for suffix in ("exr", "png")]
+    maps = [f"{name}_{kind}.{suffix}" for kind in MEANINGS for suffix in ("exr", "png")]
     return [*maps, f"{name}.json"]
 
 
@@ -189,8 +193,16 @@ def _arrays(maps: MapSet, normal: NormalStyle) -> dict[str, NDArray[np.float32]]
     return arrays
 
 
-def _document(maps: MapSet, info: MapSetInfo, normal: NormalStyle) -> dict[str, Any]:
-    width, height = maps.size
+def mapset_document(
+    info: MapSetInfo,
+    size: tuple[int, int],
+    texel_size: float,
+    *,
+    periodic: bool,
+    normal: NormalStyle,
+) -> dict[str, Any]:
+    """The JSON document of a map set, its `maps` still empty."""
+    width, height = size
     up = "up (OpenGL)" if normal == "gl" else "down (DirectX)"
     return {
         "format": FORMAT,
@@ -202,8 +214,8 @@ def _document(maps: MapSet, info: MapSetInfo, normal: NormalStyle) -> dict[str, 
         "x": info.origin[0],
         "y": info.origin[1],
         "seed": info.seed,
-        "periodic": maps.periodic,
-        "texel_size": maps.texel_size,
+        "periodic": periodic,
+        "texel_size": texel_size,
         # What one unit of the EXR height is in plane units.
         "height_scale": 1.0,
         "normal": normal,
@@ -221,7 +233,7 @@ def height_range(height: NDArray[np.float32]) -> tuple[float, float]:
     return 1.0, 0.5 - low
 
 
-def _coded(
+def coded(
     kind: str, pixels: NDArray[np.float32], scale: float, midlevel: float
 ) -> NDArray[np.float32]:
     """What a PNG stores of a map, in [0, 1]."""
@@ -285,7 +297,7 @@ def plain_name(name: str) -> str:
         or name.startswith(".")
         or any(mark in name for mark in "/\\\0")
     ):
-        raise UsageError("is not a plain file name", where=repr(name), remedy="choose another")
+        raise UsageError("is not a plain file name", where=repr(name)[:99], remedy="choose another")
     return name
 
 

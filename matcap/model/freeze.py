@@ -62,7 +62,8 @@ class FoldedLayer:
         return features.relu_() if self.activate else features
 
     def valid(self, *parts: Tensor) -> Tensor:
-        """The step on its parts, only where the kernel lies inside."""
+        """The step on its parts, only where the kernel lies inside, in its own precision."""
+        parts = tuple(part.to(self.bias.dtype) for part in parts)
         return convolve(parts, self.weights, self.bias, activate=self.activate)
 
     def to(self, target: torch.dtype | torch.device) -> FoldedLayer:
@@ -98,21 +99,28 @@ class FoldedDecoder:
         return len(self.down[0]), len(self.up[0])
 
     @property
-    def dtype(self) -> torch.dtype:
-        """In which it computes; the head always in float32."""
-        return self.down[0][0].bias.dtype
-
-    @property
     def device(self) -> torch.device:
         """Where it computes."""
         return self.head.bias.device
 
-    def to(self, target: torch.dtype | torch.device) -> FoldedDecoder:
-        """In another precision (the head, which states the maps, keeps its own) or elsewhere."""
-        down = tuple(tuple(layer.to(target) for layer in block) for block in self.down)
-        up = tuple(tuple(layer.to(target) for layer in block) for block in self.up)
-        head = self.head if isinstance(target, torch.dtype) else self.head.to(target)
-        return FoldedDecoder(self.noise_channels, self.has_waves, down, up, head)
+    def to(self, device: torch.device) -> FoldedDecoder:
+        """On another device."""
+        down = tuple(tuple(layer.to(device) for layer in block) for block in self.down)
+        up = tuple(tuple(layer.to(device) for layer in block) for block in self.up)
+        return FoldedDecoder(self.noise_channels, self.has_waves, down, up, self.head.to(device))
+
+    def lowered(self, finest: int = 0) -> FoldedDecoder:
+        """In bfloat16 from level `finest` on to the coarser ones; never the head.
+
+        The head's few multiplications state the maps, which bfloat16's eight bits could not.
+        """
+
+        def lower(level: int, block: tuple[FoldedLayer, ...]) -> tuple[FoldedLayer, ...]:
+            return tuple(layer.to(torch.bfloat16) for layer in block) if level >= finest else block
+
+        down = tuple(lower(level, block) for level, block in enumerate(self.down))
+        up = tuple(lower(DEPTH - 1 - index, block) for index, block in enumerate(self.up))
+        return FoldedDecoder(self.noise_channels, self.has_waves, down, up, self.head)
 
     def decode(self, field: RandomField, rows: Spans, columns: Spans) -> Tensor:
         """Raw outputs (B, OUTPUTS, H, W) over the spans' output, float32, all of them valid.
@@ -121,7 +129,7 @@ class FoldedDecoder:
             field: noise over the spans' down[0] and, if there are any, waves over their joined.
             rows, columns: of this decoder's convolutions.
         """
-        features, skips = field.noise.to(self.dtype), []
+        features, skips = field.noise, []
         for level, block in enumerate(self.down):
             if level > 0:
                 features = F.max_pool2d(features, 2)
@@ -133,12 +141,12 @@ class FoldedDecoder:
             joined = (rows.joined[level], columns.joined[level])
             below = cut(features, (rows.risen[level + 1], columns.risen[level + 1]), covered)
             beside = cut(skips[level], joined, (rows.skips[level], columns.skips[level]))
-            waves = [field.waves[level].to(self.dtype)] if self.has_waves else []
+            waves = [field.waves[level]] if self.has_waves else []
             features = first.valid(double(below), beside, *waves)
             for layer in others:
                 features = layer.valid(features)
             covered = (joined[0].grown(-1 - len(others)), joined[1].grown(-1 - len(others)))
-        return self.head.valid(cut(features, (rows.output, columns.output), covered).float())
+        return self.head.valid(cut(features, (rows.output, columns.output), covered))
 
 
 def cut(features: Tensor, wanted: tuple[Span, Span], covered: tuple[Span, Span]) -> Tensor:
@@ -175,6 +183,5 @@ def fold(
             first = folded(block[0], (below, skip, WAVE_CHANNELS))
             up.append((first, *(folded(layer) for layer in block[1:])))
             below = skip
-        return FoldedDecoder(
-            decoder.config.noise_channels, has_waves, down, tuple(up), folded(decoder.head)
-        )
+        channels = decoder.config.noise_channels
+        return FoldedDecoder(channels, has_waves, down, tuple(up), folded(decoder.head))

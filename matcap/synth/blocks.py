@@ -38,6 +38,12 @@ class Piece:
     source: tuple[slice, slice]
     target: tuple[slice, slice]
 
+    @property
+    def texels(self) -> int:
+        """How many."""
+        rows, columns = self.target
+        return (rows.stop - rows.start) * (columns.stop - columns.start)
+
 
 def check_rectangle(wanted: Rectangle) -> Rectangle:
     """The rectangle, or a UsageError when it is empty or beyond the coordinate limit."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import torch
@@ -37,6 +37,15 @@ class Source(Protocol):
     @property
     def period(self) -> Period | None:
         """What repeats."""
+        ...
+
+    @property
+    def device(self) -> torch.device:
+        """Where it is computed."""
+        ...
+
+    def lowered(self, finest: int) -> Source:
+        """The same in bfloat16 from level `finest` on to the coarser ones."""
         ...
 
     def maps(self, block: Rectangle) -> Tensor:
@@ -131,6 +140,10 @@ class MaterialSource:
     def device(self) -> torch.device:
         """Where it is computed."""
         return self.decoder.device
+
+    def lowered(self, finest: int) -> MaterialSource:
+        """The same in bfloat16 from level `finest` on to the coarser ones."""
+        return replace(self, decoder=self.decoder.lowered(finest))
 
     def maps(self, block: Rectangle) -> Tensor:
         """Stacked maps (OUTPUTS, height + 2 RING, width + 2 RING) of a block and its ring."""

@@ -1,53 +1,57 @@
-"""`matcap synth`: any rectangle, as a map set; the field itself is a fake."""
+"""`matcap synth`: what it writes and what it refuses, with a small real material."""
 
-from types import SimpleNamespace
+import json
 
+import cv2
+import numpy as np
+import OpenImageIO as oiio
 import pytest
 import torch
 
-from matcap.brdf.maps import MapSet
-from matcap.errors import MatcapError
 from matcap.export.mapset import read_mapset
+from matcap.flash.geometry import FlashSetup
+from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.freeze import freeze
+from matcap.model.material import Material
+from matcap.synth.blocks import BLOCK
+from matcap.synth.field import Field
+
+TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))
+
+
+def a_material(name, seed):
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        decoder = Decoder(TINY).eval().requires_grad_(False)
+    code = torch.zeros(CODE_SIZE)
+    moments = tuple(freeze(decoder, code, ()))
+    return Material(name, decoder, code, moments, (), 2 / 512, FlashSetup(), {"made": "up"})
 
 
 @pytest.fixture
 def material(tmp_path, monkeypatch):
-    """A material whose specular map holds x / 1000 and whose roughness holds the seed / 1000."""
-
-    class Field:
-        def __init__(self, material, seed=0, period=None):
-            self.seed = seed
-
-        def read(self, x, y, width, height):
-            stack = torch.zeros(6, height, width)
-            stack[3] = (x + torch.arange(width)) / 1000
-            stack[4] = self.seed / 1000
-            return MapSet.from_stacked(stack, 2.0 / 512)
-
-    def load(path):
-        if not path.exists():
-            raise MatcapError("no such file", where=str(path), remedy="check the path")
-        return SimpleNamespace(name="leather", provenance={"made": "up"})
-
-    monkeypatch.setattr("matcap.synth.field.Field", Field)
-    monkeypatch.setattr("matcap.model.material.Material.load", load)
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "leather.matcap"
-    path.touch()
+    a_material("leather", 1).save(path)
     return path
+
+
+def assert_stored(maps, field):
+    """Equal but for half float."""
+    for kind in ("diffuse", "specular", "roughness", "height"):
+        assert torch.allclose(getattr(maps, kind), getattr(field, kind), rtol=1e-3, atol=1e-7)
 
 
 def test_a_rectangle_of_the_field(matcap, material, tmp_path):
     said = matcap("synth", material, "--region", "100,-50,24,8", "--seed", 7, "-o", "set")
     assert (said.code, said.out) == (0, "")
     maps, document = read_mapset(tmp_path / "set")
-    assert maps.size == (24, 8)
     assert (document["x"], document["y"], document["seed"]) == (100, -50, 7)
     assert document["provenance"] == {"made": "up"}
-    assert maps.specular[0, 0].tolist() == pytest.approx(
-        [(100 + i) / 1000 for i in range(24)], 1e-3
-    )
-    assert maps.roughness.unique().item() == pytest.approx(0.007, 1e-3)
+    assert_stored(maps, Field(Material.load(material), 7).read(100, -50, 24, 8))
+    names = {"diffuse", "specular", "roughness", "height", "normal"}
+    files = {f"leather_{name}.exr" for name in names} | {"leather.json"}
+    assert {file.name for file in (tmp_path / "set").iterdir()} == files
 
 
 def test_the_default_folder_is_named_after_the_request(matcap, material, tmp_path):
@@ -64,14 +68,97 @@ def test_twice_the_same_gives_the_same_files(matcap, material, tmp_path):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
+@pytest.mark.parametrize(
+    ("tile", "repeats"), [(["--tile"], "xy"), (["--tile", "x"], "x"), (["--tile", "y"], "y")]
+)
+def test_tiles_join(matcap, material, tmp_path, tile, repeats):
+    # The lone --tile stands before the material: it must not take it for its value.
+    assert matcap("synth", *tile, material, "--size", "48x32", "-o", "set", "-q").code == 0
+    maps, document = read_mapset(tmp_path / "set")
+    period = (48 if "x" in repeats else None, 32 if "y" in repeats else None)
+    assert document["period"] == list(period)
+    assert document["periodic"] is maps.periodic is (repeats == "xy")
+    assert_stored(maps, Field(Material.load(material), 0, period).read(0, 0, 48, 32))
+
+
+def test_a_texture_set_is_one_field(matcap, material, tmp_path):
+    options = ["--size", "32x16", "--udim", "2x2", "--region", "5,7,32,16"]
+    assert matcap("synth", material, *options, "-o", "set", "-q").code == 0
+    document = json.loads((tmp_path / "set/leather.json").read_text())
+    assert document["udim"] == [2, 2]
+    field = Field(Material.load(material), 0).read(5, 7, 64, 32).roughness[0].numpy()
+    pattern = str(tmp_path / "set" / document["maps"]["roughness"]["file"])
+    for number, (x, y) in {1001: (0, 16), 1002: (32, 16), 1011: (0, 0), 1012: (32, 0)}.items():
+        tile = oiio.ImageBuf(pattern.replace("<UDIM>", str(number))).get_pixels("float")[..., 0]
+        assert np.allclose(tile, field[y : y + 16, x : x + 32], rtol=1e-3)
+
+
+def test_one_file_of_all_maps_is_read_back(matcap, material, tmp_path):
+    assert matcap("synth", material, "--size", "70x20", "--single", "-o", "set", "-q").code == 0
+    names = {file.name for file in (tmp_path / "set").iterdir()}
+    assert names == {"leather_maps.exr", "leather.json"}
+    maps, _ = read_mapset(tmp_path / "set")
+    assert_stored(maps, Field(Material.load(material), 0).read(0, 0, 70, 20))
+
+
+def test_a_blend_has_both_materials_at_its_ends(matcap, material, tmp_path):
+    a_material("cloth", 2).save(tmp_path / "cloth.matcap")
+    mask = np.repeat(np.array([[0, 0, 255, 255]], np.uint8), 4, axis=0)
+    cv2.imwrite(str(tmp_path / "mask.png"), mask)
+    options = ["--blend", "cloth.matcap", "--mask", "mask.png", "--seed", 3]
+    assert matcap("synth", material, *options, "--size", "160x48", "-o", "set", "-q").code == 0
+    maps, document = read_mapset(tmp_path / "set")
+    assert document["provenance"]["blend"] == ["leather", "cloth"]
+    leather, cloth = (
+        Field(Material.load(tmp_path / f"{name}.matcap"), 3).read(0, 0, 160, 48)
+        for name in ("leather", "cloth")
+    )
+    cloth = cloth.map(lambda m: m)
+    assert_stored(maps.crop(0, 0, 60, 48), leather.crop(0, 0, 60, 48))
+    assert_stored(maps.crop(100, 0, 60, 48), cloth.crop(100, 0, 60, 48))
+    middle = maps.crop(70, 0, 20, 48).diffuse
+    assert not torch.allclose(middle, leather.crop(70, 0, 20, 48).diffuse, atol=0.01)
+
+
+def test_an_interrupted_run_goes_on(matcap, material, tmp_path, monkeypatch):
+    arguments = ["synth", material, "--size", f"{3 * BLOCK}x40", "-j", "1", "-q"]
+    assert matcap(*arguments, "-o", "whole").code == 0
+    from matcap.synth import stream
+
+    done = stream._Clock.done
+
+    def interrupt(self, texels):
+        done(self, texels)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stream._Clock, "done", interrupt)
+    said = matcap(*arguments, "-o", "cut")
+    assert said.code == 130 and "--resume" in said.err
+    assert [file.name for file in (tmp_path / "cut").iterdir()] == [".leather.matcap-part"]
+    monkeypatch.setattr(stream._Clock, "done", done)
+    said = matcap(*arguments, "--seed", "1", "-o", "cut", "--resume")
+    assert said.code == 3 and "other settings" in said.err
+    assert matcap(*arguments, "-o", "cut", "--resume").code == 0
+    for file in (tmp_path / "whole").iterdir():
+        assert file.read_bytes() == (tmp_path / "cut" / file.name).read_bytes()
+    assert len(list((tmp_path / "cut").iterdir())) == 6
+
+
 def test_failures_leave_nothing(matcap, material, tmp_path):
-    for arguments, said in [
-        (["none.matcap", "-o", "set"], "none.matcap: no such file; check the path."),
-        ([material, "-o", "set", "--size", "100000000x10000"], "are needed but the disk has"),
-        ([material, "-o", material / "set"], "a file stands where a folder is needed"),
+    for arguments, said, code in [
+        (["none.matcap", "-o", "set"], "none.matcap: there is no such file", 3),
+        ([material, "-o", "set", "--size", "100000000x10000"], "are needed but the disk has", 3),
+        ([material, "-o", "set", "--size", "99999999999x5"], "more than an OpenEXR file holds", 2),
+        ([material, "-o", "set", "--seed", 2**63], "seed 9223372036854775808 is out of range", 2),
+        ([material, "-o", "set", "--tile", "--size", "100"], "round it to a multiple of 16", 2),
+        ([material, "-o", "set", "--udim", "11x1"], "at most 10 columns", 2),
+        ([material, "-o", "set", "--mask", "mask.png"], "give --blend", 2),
+        ([material, "-o", "set", "--blend", material], "give a picture with --mask", 2),
+        ([material, "-o", material / "set"], "a file stands where a folder is needed", 3),
     ]:
         found = matcap("synth", *arguments)
-        assert found.code == 3
+        assert (found.code, found.err.count("\n")) == (code, 1)
         assert said in found.err
-        assert found.err.count("\n") == 1
+    for size in ("0x5", "-4x5", "5x0", "nonsense"):
+        assert matcap("synth", material, "-o", "set", "--size", size).code == 2
     assert list(tmp_path.iterdir()) == [material]

@@ -1,0 +1,120 @@
+"""A field that grows from one material into another across the plane.
+
+The two surfaces lie over each other, and the share of the way says how far the second has risen
+through the first: whichever is higher at a texel is seen there. So the border runs along the
+relief of both, sharp and without a step in height; two maps that are faded into each other would
+lose their contrast where both are half there.
+
+The share is a function of the texel alone: blocks, order and workers change no bit. Where it is 0
+or 1 the texels are those of the one material.
+
+Not here: prior/blend.py, which makes one material between two others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from matcap.model.material import Material
+from matcap.model.noise import Period
+from matcap.model.spans import Span
+from matcap.synth.blocks import Grid, Rectangle
+from matcap.synth.mask import Mask
+from matcap.synth.source import RING, MaterialSource, material_source
+
+_HEIGHT = 5  # among the stacked maps
+_RISE = 2.5  # deviations that one surface lies below the other at the ends
+_SOFT = 0.2  # deviations within which both are seen
+_ENDS = 8.0  # within an eighth of the way from its end a material cannot be hidden altogether
+_SAMPLE = Rectangle(0, 0, 256, 256)
+
+
+@dataclass(frozen=True)
+class BlendSource:
+    """Between two materials; picklable.
+
+    Attributes:
+        first, second: their fields; one seed, period, grid and texel size.
+        means: of their heights.
+        deviation: of their heights, together.
+        mask: the second one's share of every texel.
+    """
+
+    first: MaterialSource
+    second: MaterialSource
+    means: tuple[float, float]
+    deviation: float
+    mask: Mask
+
+    @property
+    def texel_size(self) -> float:
+        """A texel's side in plane units."""
+        return self.first.texel_size
+
+    @property
+    def grid(self) -> Grid:
+        """The blocks that the plane is cut into."""
+        return self.first.grid
+
+    @property
+    def period(self) -> Period | None:
+        """What repeats."""
+        return self.first.period
+
+    @property
+    def device(self) -> torch.device:
+        """Where it is computed."""
+        return self.first.device
+
+    def lowered(self, finest: int) -> BlendSource:
+        """The same in bfloat16 from level `finest` on to the coarser ones."""
+        first, second = self.first.lowered(finest), self.second.lowered(finest)
+        return replace(self, first=first, second=second)
+
+    def maps(self, block: Rectangle) -> Tensor:
+        """Stacked maps (OUTPUTS, height + 2 RING, width + 2 RING) of a block and its ring."""
+        rows, columns = Span(0, block.height).grown(RING), Span(0, block.width).grown(RING)
+        with torch.inference_mode():
+            share = self.mask.shares(block.x, block.y, rows, columns).to(self.device)
+            for source, end in ((self.first, 0.0), (self.second, 1.0)):
+                if bool((share == end).all()):
+                    return source.maps(block)
+            return self._mix(self.first.maps(block), self.second.maps(block), share)
+
+    def _mix(self, first: Tensor, second: Tensor, share: Tensor) -> Tensor:
+        """Maps of both where they lie at a share (H, W) of the way."""
+        below = first[_HEIGHT] - self.means[0]
+        # How far the second surface has risen above the first one's mean.
+        rise = _RISE * self.deviation * (2.0 * share - 1.0)
+        above = second[_HEIGHT] - self.means[1] + rise
+        seen = torch.sigmoid((above - below) / (_SOFT * self.deviation))
+        # At its ends each material is alone, also where a peak of the other would reach through.
+        seen = seen.clamp(1.0 - _ENDS * (1.0 - share), _ENDS * share)
+        mixed = torch.lerp(first, second, seen)
+        # Where they meet they are as high: no step. What has risen is taken back slowly.
+        level = self.means[0] + (self.means[1] - self.means[0]) * share
+        mixed[_HEIGHT] = torch.lerp(below, above, seen) + level - rise * share
+        return mixed
+
+
+def blend_source(
+    first: Material, second: Material, mask: Mask, seed: int, period: Period | None = None
+) -> BlendSource:
+    """The field that is `first` where the mask is black and `second` where it is white.
+
+    The texel size is the first one's: the second material is drawn at as many texels as it has.
+
+    Raises:
+        UsageError: a seed or period out of range.
+    """
+    start, end = (material_source(material, seed, period) for material in (first, second))
+    end = replace(end, texel_size=start.texel_size)
+    heights = [
+        replace(source, seed=0, period=None).maps(_SAMPLE)[_HEIGHT] for source in (start, end)
+    ]
+    means = (float(heights[0].mean()), float(heights[1].mean()))
+    deviation = max(sum(float(height.std()) for height in heights), 1e-9 * start.texel_size)
+    return BlendSource(start, end, means, deviation, mask)

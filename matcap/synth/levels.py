@@ -1,0 +1,88 @@
+"""The smaller levels of a mip-mapped file: plain averages of the next larger one.
+
+Normals are averaged and brought back to unit length. Roughness is averaged as it is: what the
+slopes lose in a smaller level is not added to it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.synth.exr_tiles import TILE, Layout, Tile, TileFile, encode_tile, stored
+from matcap.synth.pictures import NORMAL_PLANES, Picture
+
+_TOGETHER = 64  # tiles
+
+
+def write_levels(picture: Picture, file: TileFile, workers: int) -> None:
+    """Add all levels but the first, which is there; levels that are there stay."""
+    with ThreadPoolExecutor(workers) as pool:
+        for level in range(1, file.layout.levels):
+            file.flush()
+            missing = (tile for tile in _tiles(file.layout, level) if tile not in file)
+            while some := list(itertools.islice(missing, _TOGETHER)):
+                chunks = pool.map(lambda tile: _average(picture, file, tile), some)
+                for tile, chunk in zip(some, chunks, strict=True):
+                    file.append(tile, chunk)
+
+
+def _average(picture: Picture, file: TileFile, tile: Tile) -> bytes:
+    layout, above = file.layout, tile.level - 1
+    (wide, high), (width, height) = layout.size(above), layout.size(tile.level)
+    rows, columns = layout.area(tile)
+    across, from_column = _weights(columns, width, wide)
+    down, from_row = _weights(rows, height, high)
+    planes = read_planes(file, above, (from_row, from_column))
+    shrunk = [down @ plane.astype(np.float32) @ across.T for plane in planes]
+    normals = [shrunk[i] for i, plane in enumerate(picture.planes) if plane in NORMAL_PLANES]
+    if normals:
+        length = np.sqrt(sum(np.square(one) for one in normals))
+        for one in normals:
+            one /= np.maximum(length, 1e-6)
+    channels = zip(layout.channels, shrunk, strict=True)
+    return encode_tile(layout, tile, [stored(c, plane, picture.file) for c, plane in channels])
+
+
+def _weights(wanted: slice, size: int, larger: int) -> tuple[NDArray[np.float32], slice]:
+    """Shares of the larger level's texels in each wanted one, and which texels those are."""
+    ratio = larger / size
+    edges = np.arange(wanted.start, wanted.stop + 1) * ratio
+    first, last = int(edges[0]), min(int(np.ceil(edges[-1])), larger)
+    texels = np.arange(first, last)
+    overlap = np.minimum(edges[1:, None], texels + 1) - np.maximum(edges[:-1, None], texels)
+    shares = np.clip(overlap, 0.0, None) / ratio
+    return (shares / shares.sum(axis=1, keepdims=True)).astype(np.float32), slice(first, last)
+
+
+def read_planes(
+    file: TileFile, level: int, area: tuple[slice, slice]
+) -> Sequence[NDArray[np.generic]]:
+    """The planes of an area (rows, columns) of a level whose tiles are there."""
+    rows, columns = area
+    shape = (rows.stop - rows.start, columns.stop - columns.start)
+    planes = [np.empty(shape, channel.dtype) for channel in file.layout.channels]
+    for row in range(rows.start // TILE, (rows.stop - 1) // TILE + 1):
+        for column in range(columns.start // TILE, (columns.stop - 1) // TILE + 1):
+            tile = Tile(column, row, level)
+            inner = tuple(
+                slice(max(a.start, b.start), min(a.stop, b.stop))
+                for a, b in zip(file.layout.area(tile), area, strict=True)
+            )
+            into = tuple(
+                slice(i.start - a.start, i.stop - a.start) for i, a in zip(inner, area, strict=True)
+            )
+            origin = (row * TILE, column * TILE)
+            cut = tuple(slice(i.start - o, i.stop - o) for i, o in zip(inner, origin, strict=True))
+            for plane, part in zip(planes, file.read(tile), strict=True):
+                plane[into] = part[cut]
+    return planes
+
+
+def _tiles(layout: Layout, level: int) -> Iterator[Tile]:
+    columns, rows = layout.tiles(level)
+    return (Tile(column, row, level) for row in range(rows) for column in range(columns))

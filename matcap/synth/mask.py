@@ -1,0 +1,101 @@
+"""Where one material grows into another: a grey picture spread over the plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.errors import MatcapError, UsageError
+from matcap.model.noise import Period
+from matcap.model.spans import Span
+from matcap.synth.blocks import Rectangle, check_rectangle
+
+
+@dataclass(frozen=True)
+class Mask:
+    """A share in [0, 1] for every texel of the plane, between pixels bilinear.
+
+    Attributes:
+        pixels: (H, W) uint8 or uint16; black is 0, the largest number 1.
+        over: the rectangle of the plane that the picture is stretched over. Beyond it the border
+            goes on, or, along an axis that repeats, the picture does.
+        period: what repeats; where it does, `over` is as long.
+    """
+
+    pixels: NDArray[Any]
+    over: Rectangle
+    period: Period | None = None
+
+    def shares(self, x: int, y: int, rows: Span, columns: Span) -> Tensor:
+        """(rows, columns) float32 shares at texel centres.
+
+        Args:
+            x, y: texel of the plane that spans are counted from.
+            rows, columns: which texels.
+        """
+        along_x, along_y = self.period or (None, None)
+        height, width = self.pixels.shape
+        left, right, from_right = _neighbours(
+            x - self.over.x, columns, width, self.over.width, along_x
+        )
+        top, bottom, from_bottom = _neighbours(
+            y - self.over.y, rows, height, self.over.height, along_y
+        )
+        scale = float(np.iinfo(self.pixels.dtype).max)
+        upper, lower = (
+            self.pixels[line][:, left] * (1.0 - from_right)
+            + self.pixels[line][:, right] * from_right
+            for line in (top, bottom)
+        )
+        share = upper * (1.0 - from_bottom[:, None]) + lower * from_bottom[:, None]
+        return torch.from_numpy((share / scale).astype(np.float32))
+
+
+def read_mask(path: Path, over: Rectangle, period: Period | None = None) -> Mask:
+    """A mask from a picture file; colours count by their mean, transparency not at all.
+
+    Raises:
+        MatcapError: the file is missing or no picture of 8 or 16 bits.
+        UsageError: an empty rectangle, or one that a repeating field does not repeat with.
+    """
+    import cv2
+
+    check_rectangle(over)
+    for length, side in zip(period or (), (over.width, over.height), strict=False):
+        if length is not None and length != side:
+            raise UsageError(
+                f"the mask covers {side} texels of a field that repeats after {length}",
+                remedy="stretch it over the whole period",
+            )
+    if not path.is_file():
+        raise MatcapError("there is no such file", where=str(path), remedy="give a PNG file")
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if pixels is None or pixels.dtype not in (np.uint8, np.uint16):
+        raise MatcapError(
+            "this is not a picture of 8 or 16 bits", where=str(path), remedy="save it as a PNG"
+        )
+    if pixels.ndim == 3:
+        pixels = pixels[..., :3].mean(axis=2).round().astype(pixels.dtype)
+    return Mask(np.asarray(pixels), over, period)
+
+
+def _neighbours(
+    start: int, span: Span, pixels: int, length: int, period: int | None
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """Pixels before and after every texel's centre, and the share of the one after."""
+    # Twice the centre is a whole number: exact wherever in the plane, and where it repeats.
+    twice = 2 * (start + np.arange(span.start, span.stop, dtype=np.int64)) + 1
+    if period is not None:
+        twice %= 2 * period
+    place = twice * (pixels / (2.0 * length)) - 0.5
+    before = np.floor(place).astype(np.int64)
+    share = place - before
+    if period is None:
+        return np.clip(before, 0, pixels - 1), np.clip(before + 1, 0, pixels - 1), share
+    return before % pixels, (before + 1) % pixels, share

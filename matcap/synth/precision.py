@@ -1,0 +1,120 @@
+"""How exactly to compute: float32, bfloat16, or as much bfloat16 as no eye can see.
+
+bfloat16 takes half the time where the processor multiplies it, and keeps eight bits of every
+feature. What that does to the maps depends on the material: it is measured on a few blocks, in
+8-bit steps of what is looked at (diffuse as sRGB, height in 255ths of its range).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from matcap.errors import MatcapError
+from matcap.export.srgb import srgb_encode
+from matcap.synth.blocks import Rectangle
+from matcap.synth.pictures import KIND_PLANES, stored_planes
+from matcap.synth.single import single_threaded
+from matcap.synth.source import Source
+
+Precision = Literal["fp32", "bf16", "auto"]
+HALF_STEP = 0.5
+# Blocks that are looked at, in blocks from the first one.
+_SAMPLES = ((0, 0), (1001, -77))
+# How many of the finest levels stay in float32, the fastest first.
+_CHOICES = {0: "bf16", 1: "bf16 below full resolution", 2: "bf16 below half resolution"}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A precision.
+
+    Attributes:
+        source: that computes in it.
+        name: "fp32", "bf16" or something between.
+        steps: largest error against fp32 in 8-bit steps for each map, where it was measured.
+    """
+
+    source: Source
+    name: str
+    steps: dict[str, float]
+
+    def sentence(self) -> str:
+        """For people."""
+        if not self.steps:
+            return f"precision {self.name}"
+        worst = max(self.steps, key=lambda kind: self.steps[kind])
+        return f"precision {self.name}: at most {self.steps[worst]:.2f} 8-bit steps off ({worst})"
+
+
+def choose(source: Source, precision: Precision) -> Choice:
+    """The source in a precision.
+
+    Args:
+        source: in float32.
+        precision: "auto" is the fastest whose largest error is below half an 8-bit step in every
+            map of the sample blocks; on processors without bfloat16 that is float32.
+
+    Raises:
+        MatcapError: bfloat16 was asked for and the processor does not multiply it.
+    """
+    if precision == "fp32":
+        return Choice(source, "fp32", {})
+    if not multiplies_bfloat16(source.device):
+        if precision == "auto":
+            return Choice(source, "fp32", {})
+        raise MatcapError(
+            "this processor does not multiply bfloat16", where="--precision", remedy="use fp32"
+        )
+    if precision == "bf16":
+        return Choice(source.lowered(0), "bf16", {})
+    exact = list(_samples(source))
+    for finest, name in _CHOICES.items():
+        cheaper = source.lowered(finest)
+        steps = _largest(exact, _samples(cheaper))
+        if max(steps.values()) < HALF_STEP:
+            return Choice(cheaper, name, steps)
+    return Choice(source, "fp32", {})
+
+
+def multiplies_bfloat16(device: torch.device) -> bool:
+    """Whether a device is faster in bfloat16 than in float32."""
+    if device.type == "cpu":
+        if not torch.backends.mkldnn.is_available():
+            return False
+        return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+    return device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
+
+
+def _samples(source: Source) -> Iterator[Tensor]:
+    """The stored planes of the sample blocks."""
+    grid = source.grid
+    with single_threaded(1) as pool:
+        for column, row in _SAMPLES:
+            block = Rectangle(column * grid.width, row * grid.height, grid.width, grid.height)
+            yield pool.submit(stored_planes, source, block, "gl").result()
+
+
+def _largest(exact: list[Tensor], rough: Iterator[Tensor]) -> dict[str, float]:
+    """Largest difference over all samples, in 8-bit steps, for each map."""
+    heights = torch.cat([planes[list(KIND_PLANES["height"])].flatten() for planes in exact])
+    span = max(float(heights.max() - heights.min()), 1e-12)
+    steps = dict.fromkeys(KIND_PLANES, 0.0)
+    for one, other in zip(exact, rough, strict=True):
+        for kind, places in KIND_PLANES.items():
+            a, b = (_coded(kind, planes[list(places)], span) for planes in (one, other))
+            steps[kind] = max(steps[kind], 255.0 * float((a - b).abs().max()))
+    return steps
+
+
+def _coded(kind: str, values: Tensor, span: float) -> Tensor:
+    """Values as an 8-bit picture would scale them."""
+    if kind == "diffuse":
+        return torch.from_numpy(srgb_encode(values.numpy()))
+    if kind == "height":
+        return values / span
+    return 0.5 * values if kind == "normal" else values

@@ -1,0 +1,261 @@
+"""What is asked of stream.py: which rectangle, which files, by whom; and what that comes to."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+import matcap
+from matcap.errors import UsageError
+from matcap.export.mapset import (
+    EXR_BYTES,
+    MEANINGS,
+    PNG_BYTES,
+    PNG_ENCODINGS,
+    MapSetInfo,
+    NormalStyle,
+    mapset_document,
+    plain_name,
+)
+from matcap.synth.blocks import Piece, Rectangle, check_rectangle, pieces_of
+from matcap.synth.pictures import Picture, channels_of, pictures_of
+from matcap.synth.source import Source
+
+_UDIM_COLUMNS = 10
+_UDIM_ROWS = 900
+_LARGEST_SIDE = 2**31 - 1  # texels, of an OpenEXR file
+_SPARE = 1_000_000  # bytes, for headers and the JSON file
+
+
+@dataclass(frozen=True)
+class Files:
+    """How maps are stored.
+
+    Attributes:
+        png: 16-bit PNGs beside the EXR files.
+        normal: "gl" or "dx".
+        single: one EXR file with all maps.
+        mipmap: with all smaller levels.
+        udim: (columns, rows) of a texture set, or None for one map set.
+    """
+
+    png: bool = False
+    normal: NormalStyle = "gl"
+    single: bool = False
+    mipmap: bool = False
+    udim: tuple[int, int] | None = None
+
+    def whole(self, area: Rectangle) -> Rectangle:
+        """All of a texture set whose left top tile is `area`; otherwise the area itself."""
+        columns, rows = self.udim or (1, 1)
+        return Rectangle(area.x, area.y, area.width * columns, area.height * rows)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run has come.
+
+    Attributes:
+        texels: done, of `total`, counting what was resumed.
+        resumed: texels that were there before.
+        seconds: since the beginning.
+    """
+
+    texels: int
+    total: int
+    resumed: int
+    seconds: float
+
+    @property
+    def rate(self) -> float:
+        """Texels a second."""
+        return (self.texels - self.resumed) / max(self.seconds, 1e-9)
+
+    @property
+    def seconds_left(self) -> float | None:
+        """At this rate; None before there is one."""
+        return (self.total - self.texels) / self.rate if self.texels > self.resumed else None
+
+
+def _silent(_now: Progress) -> None:
+    """Progress that nobody looks at."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """Who does it.
+
+    Attributes:
+        workers: processes (threads for a few blocks); their number changes no bit.
+        scheduler: address of a dask scheduler to send blocks to instead.
+        resume: go on with what an interrupted run of the same request left.
+        progress: called after every block.
+    """
+
+    workers: int = 1
+    scheduler: str | None = None
+    resume: bool = False
+    progress: Callable[[Progress], None] = _silent
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """One map set's worth of a request: the whole of it, or one tile of a texture set."""
+
+    area: Rectangle
+    pictures: tuple[Picture, ...]
+
+
+@dataclass(frozen=True)
+class Request:
+    """A rectangle of a field, as files.
+
+    Attributes:
+        source: of the blocks.
+        area: of the one map set, or of a texture set's left top tile.
+        info: name, seed, provenance.
+        files: how to store them.
+    """
+
+    source: Source
+    area: Rectangle
+    info: MapSetInfo
+    files: Files = field(default_factory=Files)
+
+    def check(self) -> None:
+        """Raise UsageError for an empty or too large rectangle, or a bad name or texture set."""
+        plain_name(self.info.name)
+        columns, rows = self.files.udim or (1, 1)
+        if not (1 <= columns <= _UDIM_COLUMNS and 1 <= rows <= _UDIM_ROWS):
+            raise UsageError(
+                f"a texture set of {columns}x{rows} tiles",
+                remedy=f"ask for at most {_UDIM_COLUMNS} columns and {_UDIM_ROWS} rows",
+            )
+        check_rectangle(self.area)
+        check_rectangle(self.whole)
+        if max(self.area.width, self.area.height) > _LARGEST_SIDE:
+            raise UsageError(
+                f"a side of {max(self.area.width, self.area.height)} texels is more than an "
+                f"OpenEXR file holds",
+                remedy=f"ask for at most {_LARGEST_SIDE}, or for tiles with --udim",
+            )
+
+    @property
+    def whole(self) -> Rectangle:
+        """All of the texture set, or of the one map set."""
+        return self.files.whole(self.area)
+
+    @property
+    def room(self) -> int:
+        """Bytes of disk that the files take at most."""
+        each = EXR_BYTES * (4 / 3 if self.files.mipmap else 1)
+        each += PNG_BYTES if self.files.png else 0
+        return int(self.whole.width * self.whole.height * each) + _SPARE
+
+    @property
+    def key(self) -> str:
+        """The same for requests whose files have the same bytes."""
+        digest = hashlib.sha256()
+        versions = (matcap.__version__, torch.__version__)
+        _feed(digest.update, (versions, self.source, self.area, self.info.name, self.files))
+        return digest.hexdigest()
+
+    def canvases(self) -> list[Canvas]:
+        """The map sets to write, left to right, the lowest row of a texture set first."""
+        name, area = self.info.name, self.area
+        wrap = self._wrap()
+        if self.files.udim is None:
+            return [Canvas(area, self._pictures(f"{name}_{{kind}}", wrap))]
+        columns, rows = self.files.udim
+        return [
+            Canvas(
+                # A texture set's rows are counted upwards.
+                Rectangle(
+                    area.x + column * area.width,
+                    area.y + (rows - 1 - row) * area.height,
+                    area.width,
+                    area.height,
+                ),
+                self._pictures(f"{name}_{{kind}}.{udim_number(column, row)}", wrap),
+            )
+            for row in range(rows)
+            for column in range(columns)
+        ]
+
+    def pieces(self, canvas: Canvas) -> Iterator[Piece]:
+        """What every block gives to a canvas, in order."""
+        return pieces_of(canvas.area, self.source.grid, self.source.period)
+
+    def document(self, heights: tuple[float, float] | None) -> dict[str, Any]:
+        """The JSON document.
+
+        Args:
+            heights: scale and midlevel of height PNGs, where there are any.
+        """
+        files, whole, period = self.files, self.whole, self.source.period
+        document = mapset_document(
+            self.info,
+            (self.area.width, self.area.height),
+            self.source.texel_size,
+            periodic=period == (whole.width, whole.height) and files.udim is None,
+            normal=files.normal,
+        )
+        label = "" if files.udim is None else ".<UDIM>"
+        if files.udim is not None:
+            document |= {"format": "matcap texture set", "udim": list(files.udim)}
+        if period is not None:
+            document["period"] = list(period)
+        name = self.info.name
+        for kind, meaning in MEANINGS.items():
+            file = f"{name}_{'maps' if files.single else kind}{label}.exr"
+            document["maps"][kind] = {"file": file, "meaning": meaning}
+            if files.single:
+                document["maps"][kind]["channels"] = list(channels_of(kind, single=True))
+            if files.png:
+                png = f"{name}_{kind}{label}.png"
+                document["maps"][kind] |= {"png": png, "png_encoding": PNG_ENCODINGS[kind]}
+        if heights is not None:
+            document["png"] = {"height_scale": heights[0], "height_midlevel": heights[1]}
+        return document
+
+    def _pictures(self, name: str, wrap: str) -> tuple[Picture, ...]:
+        size = (self.area.width, self.area.height)
+        files = self.files
+        return pictures_of(name, size, single=files.single, mipmap=files.mipmap, wrap=wrap)
+
+    def _wrap(self) -> str:
+        """How a texture reader continues the picture beyond its borders."""
+        if not self.files.mipmap:
+            return ""
+        whole, period = self.whole, self.source.period or (None, None)
+        sides = zip(period, (whole.width, whole.height), strict=True)
+        modes = ("periodic" if repeat == side else "clamp" for repeat, side in sides)
+        return "clamp,clamp" if self.files.udim else ",".join(modes)
+
+
+def _feed(update: Callable[[bytes], object], value: object) -> None:
+    """Tell a digest of everything that a value is made of."""
+    if is_dataclass(value):
+        value = (type(value).__name__, *(getattr(value, part.name) for part in fields(value)))
+    if isinstance(value, torch.Tensor):
+        update(repr((value.dtype, tuple(value.shape))).encode())
+        update(value.detach().cpu().contiguous().view(torch.uint8).numpy().tobytes())
+    elif isinstance(value, np.ndarray):
+        update(repr((value.dtype, value.shape)).encode() + value.tobytes())
+    elif isinstance(value, tuple):
+        update(b"(")
+        for part in value:
+            _feed(update, part)
+        update(b")")
+    else:
+        update(repr(value).encode() + b",")
+
+
+def udim_number(column: int, row: int) -> int:
+    """The number of a texture set's tile: 1001 is the left bottom one."""
+    return 1001 + column + 10 * row

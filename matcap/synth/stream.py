@@ -1,0 +1,102 @@
+"""Rectangles of any size to files, in memory that does not grow with them.
+
+    blocks -> tiles (in the workers) -> one file a map, tile by tile -> smaller levels, PNGs
+           -> renamed, the JSON file last
+
+The order in which tiles are written follows from the request alone. So a run that was cut off
+goes on after its last whole tile, and the file it ends with has the same bytes.
+
+Read next: request.py, workers.py, exr_tiles.py.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+from matcap.export.staging import check_writable
+from matcap.synth.assemble import Assembly, assembly
+from matcap.synth.levels import write_levels
+from matcap.synth.request import Canvas, Progress, Request, Work
+from matcap.synth.strips import height_coding, write_pngs
+from matcap.synth.unfinished import unfinished, unfinished_bytes
+from matcap.synth.workers import Crew, Job, crew
+
+
+def write_field(request: Request, folder: str | Path, work: Work | None = None) -> Path:
+    """Write a rectangle of a field as a map set or a texture set; returns its JSON file.
+
+    All files appear together, or none. Of a run that is interrupted, or fails for want of room or
+    memory, the finished part stays in a hidden folder, for `work.resume`.
+
+    Raises:
+        UsageError: an empty or too large rectangle, a bad name, an impossible texture set.
+        MatcapError: a full disk, an unwritable folder, another run at work in it, an unfinished
+            run of other settings to resume, a worker that died, values that are not finite.
+    """
+    request.check()
+    work = work or Work()
+    folder, name = Path(folder), request.info.name
+    left = unfinished_bytes(folder, name) if work.resume else 0
+    check_writable(folder, max(request.room - left, 0))
+    canvases = request.canvases()
+    with (
+        unfinished(folder, name, request.key, resume=work.resume) as stage,
+        ExitStack() as stack,
+    ):
+        clock = _Clock(request.whole.width * request.whole.height, work.progress)
+        blocks = sum(1 for canvas in canvases for _ in request.pieces(canvas))
+        ready = stack.enter_context(crew(request.source, work.workers, blocks, work.scheduler))
+        sets = []
+        for canvas in canvases:
+            files = stack.enter_context(assembly(stage, canvas.pictures))
+            _fill(request, canvas, files, ready, clock)
+            for picture, file in zip(canvas.pictures, files.files, strict=True):
+                write_levels(picture, file, work.workers)
+                file.finish()
+            sets.append(files)
+        heights = height_coding(sets) if request.files.png else None
+        if heights is not None:
+            for files in sets:
+                write_pngs(stage, files, heights)
+        text = json.dumps(request.document(heights), indent=2, allow_nan=False, default=str)
+        (stage / f"{name}.json").write_text(text + "\n")
+    return folder / f"{name}.json"
+
+
+def _fill(request: Request, canvas: Canvas, files: Assembly, ready: Crew, clock: _Clock) -> None:
+    """Compute all blocks of a canvas whose tiles are not there yet."""
+
+    def missing() -> Iterator[Job]:
+        for piece in request.pieces(canvas):
+            if files.lacks(piece):
+                yield Job(piece, canvas.pictures, request.files.normal)
+            else:
+                clock.skip(piece.texels)
+
+    for job, rendered in ready.run(missing()):
+        files.add(rendered)
+        clock.done(job.piece.texels)
+
+
+class _Clock:
+    """Counts texels and tells of them."""
+
+    def __init__(self, total: int, tell: Callable[[Progress], None]) -> None:
+        self._total, self._tell = total, tell
+        self._texels = self._resumed = 0
+        self._start = time.monotonic()
+
+    def skip(self, texels: int) -> None:
+        """These were there."""
+        self._resumed += texels
+        self.done(texels)
+
+    def done(self, texels: int) -> None:
+        """These are there now."""
+        self._texels += texels
+        seconds = time.monotonic() - self._start
+        self._tell(Progress(self._texels, self._total, self._resumed, seconds))

@@ -1,0 +1,81 @@
+"""16-bit PNGs from finished tile files, a row of tiles at a time.
+
+They hold what the EXR files hold: half floats, and a height scaled by its own range.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from matcap.errors import MatcapError
+from matcap.export.mapset import MEANINGS, coded
+from matcap.synth.assemble import Assembly
+from matcap.synth.exr_tiles import TILE, TileFile
+from matcap.synth.levels import read_planes
+from matcap.synth.pictures import KIND_PLANES, Picture
+
+
+def height_coding(assemblies: Sequence[Assembly]) -> tuple[float, float]:
+    """(scale, midlevel) such that height = (value - midlevel) * scale fills [0, 1] over all."""
+    low, high = np.inf, -np.inf
+    for assembly in assemblies:
+        picture, file = _holding("height", assembly)
+        place = picture.planes.index(KIND_PLANES["height"][0])
+        for rows in _strips(file):
+            height = read_planes(file, 0, (rows, slice(0, file.layout.width)))[place]
+            low, high = min(low, float(height.min())), max(high, float(height.max()))
+    if high > low:
+        return high - low, -low / (high - low)
+    return 1.0, 0.5 - low
+
+
+def write_pngs(stage: Path, assembly: Assembly, heights: tuple[float, float]) -> None:
+    """Write a PNG of every map beside its EXR file.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    for kind in MEANINGS:
+        picture, file = _holding(kind, assembly)
+        name = picture.file.replace("_maps", f"_{kind}").removesuffix(".exr") + ".png"
+        _write_png(stage / name, kind, picture, file, heights)
+
+
+def _write_png(
+    path: Path, kind: str, picture: Picture, file: TileFile, heights: tuple[float, float]
+) -> None:
+    import OpenImageIO as oiio
+
+    layout, planes = file.layout, KIND_PLANES[kind]
+    output = oiio.ImageOutput.create(str(path))
+    spec = oiio.ImageSpec(layout.width, layout.height, len(planes), "uint16")
+    spec.attribute("oiio:ColorSpace", "sRGB" if kind == "diffuse" else "linear")
+    spec.attribute("png:compressionLevel", 3)
+    if output is None or not output.open(str(path), spec):
+        raise OSError(errno.EIO, oiio.geterror())
+    done = True
+    for rows in _strips(file):
+        found = read_planes(file, 0, (rows, slice(0, layout.width)))
+        pixels = np.stack([found[picture.planes.index(plane)] for plane in planes], axis=-1)
+        values = coded(kind, pixels.astype(np.float32), *heights)
+        whole = np.rint(np.clip(values, 0.0, 1.0) * 65535.0).astype(np.uint16)
+        done = done and output.write_scanlines(rows.start, rows.stop, 0, whole)
+    if not (output.close() and done):
+        raise OSError(errno.EIO, output.geterror())
+
+
+def _holding(kind: str, assembly: Assembly) -> tuple[Picture, TileFile]:
+    """The picture with a map, and its file."""
+    for picture, file in zip(assembly.pictures, assembly.files, strict=True):
+        if KIND_PLANES[kind][0] in picture.planes:
+            return picture, file
+    raise MatcapError(f"there is no {kind} map")
+
+
+def _strips(file: TileFile) -> Iterable[slice]:
+    height = file.layout.height
+    return (slice(y, min(y + TILE, height)) for y in range(0, height, TILE))

@@ -1,0 +1,125 @@
+"""Files of a run until all of them are complete: in a hidden folder, then in their place.
+
+Unlike export/staging.py, what an interrupted run leaves is kept and gone on with.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from matcap.errors import MatcapError
+from matcap.export.mapset import MEANINGS, mapset_files
+from matcap.export.staging import write_error
+from matcap.synth.workers import WorkerLost
+
+_KEY, _LOCK = ".request", ".lock"
+
+
+@contextmanager
+def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[Path]:
+    """A folder to write into; when the block ends, its files stand in `folder`.
+
+    After an interruption, a full disk or a killed worker the files stay where they are; after
+    another failure they go.
+
+    Args:
+        folder: where the files belong; made when missing.
+        name: of the map set.
+        key: of the request; other settings have another.
+        resume: begin with what an earlier run left, if it had the same key; otherwise with none.
+
+    Raises:
+        MatcapError: another run is at work here, an earlier run had other settings, the disk is
+            full, the folder cannot be written.
+    """
+    stage = _stage(folder, name)
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    keep = False
+    try:
+        stage.mkdir(parents=True, exist_ok=True)
+        with _locked(stage):
+            keep = True
+            _open(stage, key, resume=resume)
+            try:
+                yield stage
+                _publish(stage, folder, name)
+                keep = False
+            except (MatcapError, Exception) as error:
+                keep = isinstance(error, (OSError, WorkerLost))
+                raise
+            finally:
+                if not keep:
+                    shutil.rmtree(stage, ignore_errors=True)
+    except OSError as error:
+        raise write_error(folder, error) from error
+    finally:
+        for path in made:
+            with suppress(OSError):
+                path.rmdir()
+
+
+def unfinished_bytes(folder: Path, name: str) -> int:
+    """What an earlier run left, on disk."""
+    return sum(file.stat().st_size for file in _stage(folder, name).glob("*") if file.is_file())
+
+
+def _stage(folder: Path, name: str) -> Path:
+    return folder / f".{name}.matcap-part"
+
+
+@contextmanager
+def _locked(stage: Path) -> Iterator[None]:
+    with (stage / _LOCK).open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise MatcapError(
+                "another matcap is writing these maps",
+                where=str(stage.parent),
+                remedy="wait for it, or choose another folder with -o",
+            ) from error
+        yield
+
+
+def _open(stage: Path, key: str, *, resume: bool) -> None:
+    """Make sure that what lies in the folder is of this request, or nothing does."""
+    file = stage / _KEY
+    if resume and file.exists() and file.read_text() != key:
+        raise MatcapError(
+            "the unfinished maps here were begun with another material or other settings",
+            where=str(stage),
+            remedy="repeat the command that began them, or leave --resume out to begin anew",
+        )
+    if not resume or not file.exists():
+        for old in stage.iterdir():
+            if old.name != _LOCK:
+                old.unlink()
+        file.write_text(key)
+
+
+def _publish(stage: Path, folder: Path, name: str) -> None:
+    """Move everything to its place, the JSON file last; what it replaces and is no more, goes."""
+    files = sorted(
+        (file for file in stage.iterdir() if file.name not in (_KEY, _LOCK)),
+        key=lambda file: (file.suffix == ".json", file.name),
+    )
+    fresh = {file.name for file in files}
+    for file in files:
+        os.replace(file, folder / file.name)
+    for old in _files_of(folder, name):
+        if old not in fresh:
+            (folder / old).unlink(missing_ok=True)
+
+
+def _files_of(folder: Path, name: str) -> list[str]:
+    """Names that files of an older map set or texture set of this name may have."""
+    kinds = (*MEANINGS, "maps")
+    tiles = [
+        file.name for kind in kinds for file in folder.glob(f"{name}_{kind}.1[0-9][0-9][0-9].*")
+    ]
+    return [*mapset_files(name), f"{name}_maps.exr", *tiles]
