@@ -1,0 +1,51 @@
+"""USD stages and packages through usd-core: validity and what the material reads."""
+
+import cv2
+import numpy as np
+from exported import channels, linear
+from pxr import Ar, Usd, UsdShade, UsdValidation
+
+from matcap.export.surface import Surface
+
+
+def complaints(path) -> list[str]:
+    """Everything that the validators of usd-core find wrong."""
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 20
+    context = UsdValidation.ValidationContext(validators)
+    return [error.GetMessage() for error in context.Validate(Usd.Stage.Open(str(path)))]
+
+
+def shader(stage) -> UsdShade.Shader:
+    """The surface shader bound to the stage's plane."""
+    mesh = stage.GetDefaultPrim().GetChild("Plane")
+    material, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()
+    return material.ComputeSurfaceSource()[0]
+
+
+def read(shader_, input_):
+    """(C, H, W) of what a UsdUVTexture gives to an input."""
+    source = shader_.GetInput(input_).GetConnectedSources()[0][0]
+    texture = UsdShade.Shader(source.source.GetPrim())
+    assert source.sourceName in ("r", "rgb")
+    place = Ar.ResolvedPath(texture.GetInput("file").Get().resolvedPath)
+    raw = np.frombuffer(bytes(Ar.GetResolver().OpenAsset(place).GetBuffer()), dtype=np.uint8)
+    stored = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED)
+    coded = stored / np.float64(np.iinfo(stored.dtype).max)
+    coded = coded[..., ::-1] if coded.ndim == 3 else coded
+    if texture.GetInput("sourceColorSpace").Get() == "sRGB":
+        coded = linear(coded)
+    if texture.GetInput("scale"):
+        coded = coded * texture.GetInput("scale").Get()[0] + texture.GetInput("bias").Get()[0]
+    return channels(coded)
+
+
+def surface(path) -> Surface:
+    """As UsdPreviewSurface has it with its specular workflow."""
+    stage = Usd.Stage.Open(str(path))
+    bound = shader(stage)
+    assert bound.GetIdAttr().Get() == "UsdPreviewSurface"
+    assert bound.GetInput("useSpecularWorkflow").Get() == 1
+    f0 = read(bound, "specularColor")
+    base, rough, normal = (read(bound, i) for i in ("diffuseColor", "roughness", "normal"))
+    return Surface(base, f0, rough, normal, layer=f0)

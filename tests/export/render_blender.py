@@ -1,0 +1,47 @@
+"""Run by Blender's Python: build the exported material by its own script and render it.
+
+    python render_blender.py FOLDER NAME COLUMNS ROWS EXTENT PICTURE.exr
+
+One texel a pixel, under the point light that `matcap relight` calls top, of 1000 W.
+"""
+
+import math
+import runpy
+import sys
+from pathlib import Path
+
+import bpy
+
+folder, name, columns, rows, extent, out = sys.argv[-6:]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+runpy.run_path(str(Path(folder) / f"{name}_blender.py"), run_name="__main__")
+for material in bpy.data.materials:
+    for node in material.node_tree.nodes:
+        if node.type == "TEX_IMAGE":
+            node.interpolation = "Closest"
+scene = bpy.context.scene
+scene.world = bpy.data.worlds.new("black")
+scene.world.node_tree.nodes.clear()
+camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+camera.data.angle = math.radians(45.0)
+camera.location = (0.0, 0.0, float(extent) / 2.0 / math.tan(math.radians(22.5)))
+light = bpy.data.objects.new("light", bpy.data.lights.new("light", "POINT"))
+light.data.energy = 1000.0
+light.data.shadow_soft_size = 0.0
+light.location = (0.0, 2.0, 1.2)
+for one in (camera, light):
+    scene.collection.objects.link(one)
+scene.camera = camera
+scene.render.engine = "CYCLES"
+scene.cycles.device = "CPU"
+scene.cycles.samples = 16
+scene.cycles.max_bounces = 0
+scene.cycles.use_denoising = False
+scene.cycles.pixel_filter_type = "BOX"
+scene.render.threads_mode = "FIXED"
+scene.render.threads = 1
+scene.render.resolution_x, scene.render.resolution_y = int(columns), int(rows)
+scene.render.image_settings.file_format = "OPEN_EXR"
+scene.render.image_settings.color_depth = "32"
+scene.render.filepath = out
+bpy.ops.render.render(write_still=True)

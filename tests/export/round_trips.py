@@ -1,0 +1,161 @@
+"""Measure all exports: `python tests/export/round_trips.py [-r] [MATERIAL.matcap ...]`.
+
+Each material (by default the procedural ones that matcap simulates) is exported to every target,
+checked by the target's validator, read back by its library and compared with matcap; with -r also
+rendered: MaterialX's shader in Chromium, Mitsuba, and Blender where BLENDER_PYTHON names a Python
+with bpy. Prints the table of docs/exports.md: light that differs, as a share of all light, mean and
+worst of the materials. What is not installed is left out and said.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+import matcap
+from matcap.export.exr import read_exr
+from matcap.export.presets import PRESETS
+from matcap.export.source import open_tile
+from matcap.export.surface import residual
+from matcap.export.targets import DOCUMENTS, write_export, write_preset
+from matcap.export.textures import Job
+from matcap.relight.scene import DirectionalLight, Scene, Surface, exposing_intensity
+from matcap.simulate.materials import MATERIALS, realise
+
+SIZE = 64
+LOBES = "none,+diffuse,+specular,+falloff"
+DIRECTION = (0.0, 0.6, 0.8)
+
+
+def difference(found, true) -> float:
+    return float(np.abs(found - true).sum() / true.sum())
+
+
+def lit(maps) -> np.ndarray:
+    """Under the light called top."""
+    return matcap.relight(maps, "top", effects=LOBES)
+
+
+def checked(target, folder, name):
+    """(complaints, surface) of the target's own library; None where it is not installed."""
+    if target == "materialx" and find_spec("MaterialX"):
+        import read_materialx as library
+
+        file = folder / f"{name}.mtlx"
+    elif target == "usd" and find_spec("pxr"):
+        import read_usd as library
+
+        file = folder / f"{name}.usdz"
+    elif target == "gltf":
+        import read_gltf as library
+
+        file = folder / f"{name}.glb"
+        if not library.has_validator():
+            return None, library.surface(file)
+    else:
+        return None, None
+    return library.complaints(file), library.surface(file)
+
+
+def rendered(target, folder, name, maps):
+    """{what: difference} of pictures; empty where nothing that renders is installed."""
+    if target == "materialx" and find_spec("MaterialX") and find_spec("playwright"):
+        from read_materialx import render
+
+        light = DirectionalLight(DIRECTION, (3.0, 3.0, 3.0))
+        scene = Scene(film=None, surface=Surface(size=None), lights=(light,))
+        true = matcap.relight(maps, scene, effects="none,+diffuse,+specular")
+        return {
+            f"materialx, {what}": difference(
+                render(folder / f"{name}.mtlx", maps, DIRECTION, 3.0, compensated=full), true
+            )
+            for what, full in (("one bounce", False), ("its own bounces", True))
+        }
+    if target == "mitsuba" and find_spec("mitsuba"):
+        return {
+            f"mitsuba, {what}": difference(mitsuba_picture(folder, file), lit(maps))
+            for what, file in (("plain", f"{name}.xml"), ("exact", f"{name}_exact.xml"))
+        }
+    if target == "blender" and "BLENDER_PYTHON" in os.environ:
+        return {"blender, Cycles": difference(blender_picture(folder, name, maps), lit(maps))}
+    return {}
+
+
+def mitsuba_picture(folder, file) -> np.ndarray:
+    """One texel a pixel: what is measured is reflectance, not how pictures are filtered."""
+    import mitsuba as mi
+
+    mi.set_variant("scalar_rgb")
+    if "matcap_bsdf" not in sys.modules:
+        sys.path.insert(0, str(folder))
+        import matcap_bsdf  # noqa: F401
+    nearest = '<string name="filter_type" value="nearest"/><boolean name="raw"'
+    text = (folder / file).read_text().replace('<boolean name="raw"', nearest)
+    (folder / "nearest.xml").write_text(text)
+    picture = mi.render(mi.load_file(str(folder / "nearest.xml")), spp=16)
+    return np.array(picture)[..., :3]
+
+
+def blender_picture(folder, name, maps) -> np.ndarray:
+    """Cycles' picture, in the units of the light called top."""
+    width, height = maps.size
+    out = folder / "blender.exr"
+    extent = max(width, height) * maps.texel_size
+    script = Path(__file__).with_name("render_blender.py")
+    words = [os.environ["BLENDER_PYTHON"], "-W", "ignore", script, folder, name, width, height]
+    subprocess.run([str(w) for w in (*words, extent, out)], check=True, capture_output=True)
+    # A lamp of P watts has a radiant intensity of P / (4 pi).
+    scale = exposing_intensity((0.0, 2.0, 1.2)) * 4.0 * np.pi / 1000.0
+    return read_exr(out)[..., :3] * scale
+
+
+def materials(paths):
+    """(name, maps) of each."""
+    if not paths:
+        for name in MATERIALS:
+            yield name, realise(name, SIZE, SIZE, 1, 2.0 / SIZE).map(lambda map_: map_.float())
+    for path in paths:
+        yield f"m{len(path.stem)}", open_tile(path, size=(SIZE, SIZE)).maps
+
+
+def main(words) -> None:
+    rows: dict[str, list[float]] = {}
+    faults: dict[str, list[str]] = {}
+    count = 0
+    with tempfile.TemporaryDirectory() as place:
+        for name, maps in materials([Path(word) for word in words if word != "-r"]):
+            count += 1
+            for target in DOCUMENTS:
+                folder = Path(place) / f"{count}_{target}"
+                done = write_export(Job(maps, name), target, folder)
+                rows.setdefault(f"{target}, residual told", []).append(done.residual.mean)
+                found, surface = checked(target, folder, name)
+                if found is not None:
+                    faults.setdefault(target, []).extend(found)
+                if surface is not None:
+                    off = residual(maps, surface).mean
+                    rows.setdefault(f"{target}, read back", []).append(off)
+                if "-r" in words:
+                    for what, off in rendered(target, folder, name, maps).items():
+                        rows.setdefault(f"{what}, rendered", []).append(off)
+            for preset, about in PRESETS.items():
+                if about.metallic:
+                    done = write_preset(Job(maps, name), preset, Path(place) / f"{count}_{preset}p")
+                    rows.setdefault(f"preset {preset}", []).append(done.residual.mean)
+    print(f"{count} materials of {SIZE} x {SIZE} texels\n")
+    print("| target | mean | worst material |\n| --- | --- | --- |")
+    for what, values in rows.items():
+        print(f"| {what} | {np.mean(values):.3%} | {max(values):.3%} |")
+    for target in ("materialx", "usd", "gltf"):
+        said = f"{len(faults[target])} complaints" if target in faults else "not installed"
+        print(f"\n{target} validator: {said}")
+        for fault in faults.get(target, []):
+            print(f"  {fault}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
