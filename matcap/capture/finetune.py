@@ -28,9 +28,8 @@ from matcap.flash.render import render_flash
 from matcap.model.decoder import ALIGNMENT, DEPTH, Decoder, Moments, maps_from_raw
 from matcap.model.freeze import freeze
 from matcap.model.noise import RandomField, Wave, random_field, wrap64
-from matcap.statistics.compare import Weights, describe, distance
+from matcap.statistics.compare import Features, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
-from matcap.statistics.filterbank import FilterBank
 
 _WARM_UP = 10  # steps
 _FLOOR = 0.05  # of the learning rate, at the end of the cosine
@@ -85,7 +84,7 @@ class Scene:
     windows: Windows
     setup: FlashSetup
     encoding: Encoding
-    bank: FilterBank
+    bank: Features
     waves: tuple[Wave, ...]
     texel_size: float
     weights: Weights = Weights()

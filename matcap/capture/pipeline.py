@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +30,11 @@ from matcap.model.material import Material
 from matcap.photo.photo import Photo
 from matcap.photo.refusals import SHORTEST_SIDE
 from matcap.prior.store import load_prior
+from matcap.statistics.compare import Features
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import find_lattice
+from matcap.statistics.vgg import Vgg19
 
 # Steps of fine-tuning; docs/capture.md has what each costs and buys.
 PRESETS: dict[str, int] = {"draft": 80, "standard": 400, "high": 1000, "reference": 3000}
@@ -56,6 +58,8 @@ class CaptureSettings:
         fov: field of view across the long side in degrees, instead of the photograph's.
         seed: of everything random.
         prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
+        statistics: that textures are compared by: "filterbank", or "vgg19=FILE" with
+            torchvision's weights.
     """
 
     preset: str = "standard"
@@ -66,6 +70,7 @@ class CaptureSettings:
     fov: float | None = None
     seed: int = 0
     prior: str = "auto"
+    statistics: str = "filterbank"
 
 
 @dataclass(frozen=True)
@@ -158,13 +163,13 @@ def capture_photo(
     clock = _Clock(progress)
 
     with clock.stage("coarse fit"):
-        coarse = fit_coarse(photo)
+        coarse = _with_known_flash(fit_coarse(photo), photo.flash_intensity)
 
     with clock.stage("statistics"):
         linear, valid = rectify(photo, coarse.setup, settings.detail)
         encoding = fit_encoding(linear, valid)
         lattice = find_lattice(encoding(linear[None])[0], valid)
-        bank = FilterBank(method.features)
+        bank = _features(settings.statistics, method)
         windows = cut_windows(
             linear, valid, encoding, bank, _window(linear, method.window, photo.name)
         )
@@ -230,6 +235,20 @@ def capture_photo(
     )
 
 
+def _with_known_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
+    """The same picture under the flash that a calibration card told: albedo becomes absolute."""
+    if intensity is None:
+        return coarse
+    dimmer = coarse.setup.intensity[1] / intensity
+    red, green, blue = (min(value * dimmer, 0.98) for value in coarse.diffuse)
+    return replace(
+        coarse,
+        diffuse=(red, green, blue),
+        specular=min(coarse.specular * dimmer, 0.98),
+        setup=coarse.setup.with_intensity((intensity,) * 3),
+    )
+
+
 def _steps(settings: CaptureSettings) -> int:
     if settings.preset not in PRESETS:
         raise UsageError(
@@ -240,6 +259,19 @@ def _steps(settings: CaptureSettings) -> int:
     # A time limit or a target alone decides when to stop.
     alone = settings.time_limit is not None or settings.target is not None
     return PRESETS["reference" if alone else settings.preset]
+
+
+def _features(statistics: str, method: Method) -> Features:
+    """What textures are compared by."""
+    name, _, path = statistics.partition("=")
+    if name == "vgg19" and path:
+        return Vgg19.load(Path(path))
+    if statistics != "filterbank":
+        raise UsageError(
+            f"there are no statistics {statistics!r}",
+            remedy="choose filterbank, or vgg19=FILE with torchvision's weights",
+        )
+    return FilterBank(method.features)
 
 
 def _target(settings: CaptureSettings, own: float, name: str) -> float | None:

@@ -14,9 +14,8 @@ import torch
 from torch import Tensor
 
 from matcap.flash.geometry import plane_points
-from matcap.statistics.compare import Descriptor, describe
+from matcap.statistics.compare import Descriptor, Features, describe
 from matcap.statistics.encoding import Encoding
-from matcap.statistics.filterbank import FilterBank
 
 _LEAST_SEEN = 0.3  # share of a window's texels that must be inside the picture and not clipped
 
@@ -42,7 +41,7 @@ class Windows:
 
 
 def cut_windows(
-    linear: Tensor, valid: Tensor, encoding: Encoding, bank: FilterBank, size: int
+    linear: Tensor, valid: Tensor, encoding: Encoding, bank: Features, size: int
 ) -> Windows:
     """Windows all over a rectified picture, overlapping by about half.
 

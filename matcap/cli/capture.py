@@ -84,6 +84,10 @@ def capture(
     prior: Annotated[
         str, typer.Option(metavar="auto|none|PATH", help="Trained prior to start from.")
     ] = "auto",
+    statistics: Annotated[
+        str,
+        typer.Option(metavar="filterbank|vgg19=FILE", help="What textures are compared by."),
+    ] = "filterbank",
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -100,7 +104,7 @@ def capture(
 
     settings = CaptureSettings(
         preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
-        seed=seed, prior=prior,
+        seed=seed, prior=prior, statistics=statistics,
     )  # fmt: skip
     targets = check_targets(export or [])
     side = (size.width, size.height)

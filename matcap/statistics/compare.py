@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from matcap.statistics.encoding import Encoding
-from matcap.statistics.filterbank import FilterBank, pyramid
+from matcap.statistics.filterbank import pyramid
 from matcap.statistics.gram import gram
 from matcap.statistics.spectrum import autocorrelation
 
@@ -26,6 +27,19 @@ _LARGEST = 144  # texels a side of what is looked at on one level
 # by: a tenth of the faintest found in photographs of textures. Without it a plain photograph's
 # error is a division by nothing.
 _UNSEEN = 1e-3
+
+
+class Features(Protocol):
+    """What textures are compared by: a FilterBank, or a trained network (vgg.py)."""
+
+    @property
+    def levels(self) -> int:
+        """Of the pyramid of colours."""
+        ...
+
+    def maps(self, linear: Tensor, colours: Sequence[Tensor]) -> list[Tensor]:
+        """Responses (B, C, h, w), several, to radiance (B, 3, H, W) and its pyramid of colours."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -44,8 +58,8 @@ class Descriptor:
 
     Attributes:
         mean: (B, 3) mean log colour.
-        grams: per level (B, F + 1, F + 1); the last feature is the constant 1, so the last
-            column holds the features' means.
+        grams: per map of the features (B, F + 1, F + 1); the last feature is the constant 1, so
+            the last column holds the features' means.
         spectra: per level (B, 3, lags, lags).
         quantiles: per level (B, 3, Q) of the colours about their mean.
     """
@@ -75,33 +89,31 @@ class Descriptor:
         )
 
 
-def describe(linear: Tensor, encoding: Encoding, bank: FilterBank) -> Descriptor:
+def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
     """Descriptor of scene-linear windows (B, 3, H, W)."""
     log = encoding.log(linear)
     colour = torch.einsum("ij,bjhw->bihw", encoding.matrix.to(log), log)
-    levels = pyramid(colour, bank.config.levels)
-    grams, spectra, quantiles = [], [], []
-    for level in levels:
-        level = _middle(level)
-        features = bank.features(level.contiguous(memory_format=torch.channels_last))
-        grams.append(gram(features))
-        spectra.append(autocorrelation(level, min(_REACH, min(level.shape[-2:]) // 2 - 1)))
-        quantiles.append(_quantiles(level))
-    return Descriptor(log.mean(dim=(2, 3)), tuple(grams), tuple(spectra), tuple(quantiles))
+    levels = [_middle(level) for level in pyramid(colour, bank.levels)]
+    return Descriptor(
+        mean=log.mean(dim=(2, 3)),
+        grams=tuple(gram(features) for features in bank.maps(linear, levels)),
+        spectra=tuple(
+            autocorrelation(level, min(_REACH, min(level.shape[-2:]) // 2 - 1)) for level in levels
+        ),
+        quantiles=tuple(_quantiles(level) for level in levels),
+    )
 
 
 def distance(found: Descriptor, target: Descriptor, weights: Weights) -> Tensor:
     """(B,) how far apart windows look; 0 for the same statistics, about 1 for unlike textures."""
-    levels = len(target.grams)
     total = weights.mean * (found.mean - target.mean).abs().mean(dim=1)
-    for level in range(levels):
-        total = total + weights.gram / levels * _relative(found.grams[level], target.grams[level])
-        total = total + weights.spectrum / levels * _relative(
-            found.spectra[level], target.spectra[level]
-        )
-        total = total + weights.histogram / levels * _relative(
-            found.quantiles[level], target.quantiles[level]
-        )
+    for weight, ours, theirs in (
+        (weights.gram, found.grams, target.grams),
+        (weights.spectrum, found.spectra, target.spectra),
+        (weights.histogram, found.quantiles, target.quantiles),
+    ):
+        for one, other in zip(ours, theirs, strict=True):
+            total = total + weight / len(theirs) * _relative(one, other)
     return total
 
 

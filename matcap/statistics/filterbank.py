@@ -7,6 +7,7 @@ pyramid. Gram matrices of such features already describe a texture well (Ustyuzh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -43,6 +44,18 @@ class FilterBank:
             weight = weight - weight.mean(dim=(2, 3), keepdim=True)
             weight = weight / weight.flatten(1).norm(dim=1)[:, None, None, None]
             self.weights.append(weight.contiguous(memory_format=torch.channels_last))
+
+    @property
+    def levels(self) -> int:
+        """Of the pyramid."""
+        return self.config.levels
+
+    def maps(self, linear: Tensor, colours: Sequence[Tensor]) -> list[Tensor]:
+        """Features of every level of a pyramid of colours."""
+        del linear
+        return [
+            self.features(level.contiguous(memory_format=torch.channels_last)) for level in colours
+        ]
 
     def features(self, image: Tensor) -> Tensor:
         """(B, filters * sizes, h, w) rectified responses of one pyramid level (B, C, H, W).
