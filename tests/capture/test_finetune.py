@@ -128,7 +128,7 @@ WAYS = [poisoned_gradient, nan_penalty, infinite_loss, explosion]
 
 
 @pytest.mark.parametrize("how", WAYS)
-@pytest.mark.parametrize("steps", [{30}, {0}, {39}, {10, 11, 12, 35}], ids=str)
+@pytest.mark.parametrize("steps", [{0}, {10, 11, 30, 39}], ids=str)
 def test_a_step_that_goes_wrong_is_taken_back(monkeypatch, how, steps):
     Sabotage(monkeypatch, steps, how)
     tuned = tune(steps=40)

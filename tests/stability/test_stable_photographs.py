@@ -75,8 +75,9 @@ def test_whatever_looks_at_a_photograph_gives_finite_numbers(name):
         numbers = [linear, encoding.matrix, windows.target.mean, *windows.target.grams]
         numbers += [*windows.target.spectra, *windows.target.quantiles]
         assert all(bool(torch.isfinite(n).all()) for n in numbers)
-        colour = encoding(linear[None])[0].repeat(1, 4, 4)
-        assert len(find_lattice(colour, valid.repeat(4, 4)).waves) <= 2
+    # Tiled to the least size that is looked at.
+    colour = encoding(linear[None])[0].repeat(1, 4, 3)[:, :256, :256]
+    assert len(find_lattice(colour, valid.repeat(4, 3)[:256, :256]).waves) <= 2
 
 
 @pytest.fixture(scope="module")

@@ -57,7 +57,7 @@ def test_a_weave_is_two_waves_that_generate_both_of_its_own(turn):
         assert generates(lattice.waves, wanted) < MISS
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_there_is_no_order_in_noise_fine_or_coarse(seed):
     assert find_lattice(noise(seed), ALL).waves == ()
     coarse = torch.nn.functional.avg_pool2d(noise(seed)[None], 9, 1, 4)[0]
