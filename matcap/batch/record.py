@@ -29,11 +29,15 @@ def write_record(folder: Path, about: Mapping[str, Any]) -> None:
     Raises:
         OSError: a full disk and the like.
     """
-    files = {file.name: file.stat().st_size for file in sorted(folder.iterdir())}
+    files = {
+        file.relative_to(folder).as_posix(): file.stat().st_size
+        for file in sorted(folder.rglob("*"))
+        if file.is_file()
+    }
     document = {"format": FORMAT, "version": VERSION, **about, "files": files}
     text = json.dumps(document, indent=1, allow_nan=False)
     (folder / FILE).write_text(text + "\n", encoding="utf-8")
-    for file in folder.iterdir():
+    for file in folder.rglob("*"):
         _flush(file)
     _flush(folder)
 

@@ -20,6 +20,7 @@ from matcap.batch.settings import BatchSettings
 from matcap.batch.work import Failure, Job
 from matcap.batch.workspace import Run
 from matcap.errors import ExitCode
+from matcap.photo.calibrate import Calibration
 
 _POLL = 1.0  # seconds between two looks at what another run is doing
 _PAGE_EVERY = 20.0  # seconds between two pages, at least
@@ -79,6 +80,7 @@ class Batch:
         policy: what to do again.
         show: who watches.
         page: writes the index; called now and then, and at the end.
+        card: what the calibration card of the shoot told, or None.
     """
 
     def __init__(
@@ -90,7 +92,9 @@ class Batch:
         policy: Policy,
         show: Show,
         page: Callable[[], None],
+        card: Calibration | None = None,
     ) -> None:
+        self._card = card
         self._entries, self._run, self._crew = entries, run, crew
         self._settings, self._policy, self._show, self._page = settings, policy, show, page
         todo = [entry for entry in entries if entry.state == "todo"]
@@ -140,7 +144,15 @@ class Batch:
 
     def _job(self, entry: Entry) -> Job:
         sample, detail = entry.sample, self._settings.detail
-        return Job(sample.name, sample.photos, entry.identity, self._settings, self._run, detail)
+        return Job(
+            sample.name,
+            sample.photos,
+            entry.identity,
+            self._settings,
+            self._run,
+            detail,
+            card=self._card,
+        )
 
     def _fill(self) -> None:
         """Give every idle worker something to do."""

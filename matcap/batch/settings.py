@@ -15,6 +15,7 @@ from matcap.capture.pipeline import PRESETS, CaptureSettings
 from matcap.cli import values
 from matcap.errors import MatcapError, UsageError
 from matcap.export.outputs import OutputSettings
+from matcap.export.targets import check_targets
 
 if TYPE_CHECKING:
     from matcap.export.mapset import NormalStyle
@@ -29,19 +30,21 @@ class BatchSettings:
     """Everything that can be set; the names are those of the options and of matcap.toml's keys.
 
     Attributes:
-        preset, steps, time, detail, fov, seed, prior: as in capture; time in seconds.
+        preset, steps, time, target, detail, fov, seed, prior: as in capture; time in seconds.
         size: (width, height) of the first map sets.
         tile: their left edge continues their right one, and top and bottom likewise.
-        png, normal: as in capture.
+        png, normal, export: as in capture.
         group: "none", "dir" or "time".
         gap: seconds between two photographs of one sample, where grouped by time.
         jobs: worker processes, or None for as many as cores and memory allow.
-        card: a photograph of a calibration card, "auto" to look for one, or "none".
+        card: a photograph of a calibration card, "auto" for the one in the shoot whose name begins
+            with "card", or "none".
     """
 
     preset: str = "standard"
     steps: int | None = None
     time: float | None = None
+    target: float | None = None
     detail: int = 1024
     fov: float | None = None
     seed: int = 0
@@ -50,6 +53,7 @@ class BatchSettings:
     tile: bool = False
     png: bool = False
     normal: NormalStyle = "gl"
+    export: tuple[str, ...] = ()
     group: str = "none"
     gap: float = 10.0
     jobs: int | None = None
@@ -62,6 +66,7 @@ class BatchSettings:
             preset=self.preset,
             steps=self.steps,
             time_limit=self.time,
+            target=self.target,
             detail=self.detail,
             fov=self.fov,
             seed=self.seed,
@@ -71,7 +76,14 @@ class BatchSettings:
     @property
     def outputs(self) -> OutputSettings:
         """What the writing needs of it."""
-        return OutputSettings(self.size, self.seed, self.png, self.normal, self.tile)
+        return OutputSettings(
+            size=self.size,
+            seed=self.seed,
+            png=self.png,
+            normal=self.normal,
+            tile=self.tile,
+            targets=self.export,
+        )
 
 
 @dataclass(frozen=True)
@@ -84,10 +96,14 @@ class _Rule:
     words: tuple[str, ...] = field(default=())
 
 
+_KINDS = {
+    str: "a text", int: "a whole number", float: "a number", bool: "true or false", list: "a list",
+}  # fmt: skip
 _RULES: Mapping[str, _Rule] = {
     "preset": _Rule((str,), words=tuple(PRESETS)),
     "steps": _Rule((int,), 0, 10_000_000),
     "time": _Rule((str, int, float)),
+    "target": _Rule((int, float), 0.01, 1e6),
     "detail": _Rule((int,), 64, 8192),
     "fov": _Rule((int, float), 1.0, 170.0),
     "seed": _Rule((int,), 0, 2**63 - 1),
@@ -96,6 +112,7 @@ _RULES: Mapping[str, _Rule] = {
     "tile": _Rule((bool,)),
     "png": _Rule((bool,)),
     "normal": _Rule((str,), words=("gl", "dx")),
+    "export": _Rule((str, list, tuple)),
     "group": _Rule((str,), words=_GROUPS),
     "gap": _Rule((int, float), 0.0, 1e9),
     "jobs": _Rule((int,), 1, 1024),
@@ -177,10 +194,7 @@ def _value(name: str, value: Any, where: str) -> Any:  # noqa: ANN401
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     fits = isinstance(value, rule.kinds) and (bool in rule.kinds or not isinstance(value, bool))
     if not fits:
-        kinds = " or ".join(
-            {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}[kind]
-            for kind in rule.kinds
-        )
+        kinds = " or ".join(_KINDS[kind] for kind in rule.kinds if kind in _KINDS)
         raise UsageError(f"{name} is {_short(value)}", where=where, remedy=f"give {kinds}")
     if rule.words and value not in rule.words:
         raise UsageError(
@@ -192,6 +206,9 @@ def _value(name: str, value: Any, where: str) -> Any:  # noqa: ANN401
             where=where,
             remedy=f"give between {rule.least:g} and {rule.most:g}",
         )
+    if name == "export":
+        names = [value] if isinstance(value, str) else [str(each) for each in value]
+        return check_targets(names, where)
     try:
         if name == "size":
             sides = values.size(str(value))

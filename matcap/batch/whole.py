@@ -19,6 +19,7 @@ from matcap.batch.work import do_job, settle_threads
 from matcap.batch.workspace import open_run
 from matcap.errors import ExitCode, MatcapError
 from matcap.export.staging import check_writable
+from matcap.photo.calibrate import Calibration, card_sentence, read_card
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Prepared:
         entries: how every sample stands.
         worker_bytes: memory that one worker takes at most.
         workers: how many there will be.
+        card: what the shoot's calibration card told, or None.
     """
 
     out: Path
@@ -38,6 +40,7 @@ class Prepared:
     entries: Sequence[Entry]
     worker_bytes: int
     workers: int
+    card: Calibration | None = None
 
     @property
     def todo(self) -> list[Entry]:
@@ -58,13 +61,17 @@ def prepare(
 
         load_prior(Path(settings.prior))  # one that is broken would fail for every photograph
     group = cast(Grouping, settings.group)
-    samples = find_samples(shoot, group=group, gap=settings.gap, without=(out,))
+    cards = _cards(shoot, settings.card, out)
+    samples = find_samples(shoot, group=group, gap=settings.gap, without=(out, *cards))
+    card = read_card(cards[0], fov=settings.fov) if cards else None
+    show.note(card_sentence(card))
     check_writable(out, settings.outputs.room)
     entries = make_plan(
         samples,
         out,
         settings,
         prior=prior_hash(settings.prior),
+        card=card.digest if card else "",
         force=policy.force,
         retry_failed=policy.retry_failed,
     )
@@ -76,7 +83,22 @@ def prepare(
             f"Only {workers} of {settings.jobs} workers: each may take {each / 1e9:.1f} GB, "
             f"and {free_bytes() / 1e9:.1f} GB are free."
         )
-    return Prepared(out, settings, entries, each, workers)
+    return Prepared(out, settings, entries, each, workers, card)
+
+
+def _cards(shoot: Path, wanted: str, out: Path) -> list[Path]:
+    """The photograph of the card, first, and files of it that are no samples either."""
+    if wanted not in ("auto", "none"):
+        return [Path(wanted)]
+    if wanted == "none" or not shoot.is_dir():
+        return []
+    found = [
+        file
+        for sample in find_samples(shoot, without=(out,))
+        if sample.photos[0].stem.casefold().startswith("card")
+        for file in (*sample.photos, *sample.beside)
+    ]
+    return found
 
 
 def work_off(prepared: Prepared, policy: Policy, show: Show, crew: Crew | None = None) -> ExitCode:
@@ -106,5 +128,5 @@ def work_off(prepared: Prepared, policy: Policy, show: Show, crew: Crew | None =
             if entry.state != "todo":
                 show.ended(entry)
         workers = crew or Processes(prepared.workers, do_job, settle_threads)
-        Batch(entries, run, workers, prepared.settings, policy, show, page).go()
+        Batch(entries, run, workers, prepared.settings, policy, show, page, prepared.card).go()
     return exit_code(entries)

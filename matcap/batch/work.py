@@ -18,6 +18,7 @@ from matcap.batch.settings import BatchSettings
 from matcap.batch.workspace import Run
 from matcap.errors import MatcapError
 from matcap.export.staging import write_error
+from matcap.photo.calibrate import Calibration, calibrated
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult, Progress
@@ -51,7 +52,7 @@ class Job:
         run: where to work.
         detail: texels across, less than the settings' where memory ran out.
         alone: nothing else runs beside it.
-        card: of the shoot, or None.
+        card: what the shoot's card told, or None.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Job:
     run: Run
     detail: int
     alone: bool = False
+    card: Calibration | None = None
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,8 @@ def _do(job: Job, tell: Tell) -> dict[str, Any]:
     tell("reading", 0.0)
     settings = job.settings
     photo = load_photo(job.photos[0], long_side=job.detail, fov=settings.fov)
+    if job.card is not None:
+        photo = calibrated(photo, job.photos[0], job.card)
     found = inspect_photo(photo, _prior(settings.prior).tilt(photo))
 
     def progress(now: Progress) -> None:
@@ -155,6 +159,8 @@ def _about(job: Job, photo: Photo, found: Inspection, result: CaptureResult) -> 
         "doubtful": found.doubtful,
         "warnings": said,
         "inspection": found.document(),
+        "albedo": "absolute" if photo.flash_intensity is not None else "relative",
+        "card": job.card.document() if job.card else None,
         "stage_seconds": {name: round(s, 3) for name, s in result.stage_seconds.items()},
         "steps": result.history[-1][1] if result.history else 0,
     }

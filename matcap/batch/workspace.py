@@ -245,8 +245,9 @@ def _drop_stale_claims(out: Path, run: str) -> None:
 def _keep_foreign(old: Path, new: Path) -> None:
     """Move files that matcap did not write from an old folder to the new one."""
     record = read_record(old)
-    ours = {RECORD, "report.json", "preview.png", f"{old.name}.matcap", *mapset_files(old.name)}
-    ours |= set(record["files"]) if record else set()
+    ours = {RECORD, "report.json", "error.png", "preview.png", f"{old.name}.matcap"}
+    ours |= set(mapset_files(old.name))
+    ours |= {file.split("/")[0] for file in record["files"]} if record else set()
     for file in old.iterdir():
         if file.name not in ours and not (new / file.name).exists():
             os.rename(file, new / file.name)

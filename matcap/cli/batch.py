@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from matcap.cli import values
-from matcap.cli.options import JsonOption, Normal, QuietOption
+from matcap.cli.options import ExportOption, JsonOption, Normal, QuietOption
 from matcap.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -39,6 +39,10 @@ def batch(
             "--time", parser=values.duration, metavar="TIME", help="For each sample: 90s, 2m."
         ),
     ] = None,
+    target: Annotated[
+        float | None,
+        typer.Option(min=0.01, metavar="TIMES", help="Stop at this error, as in capture."),
+    ] = None,
     detail: Annotated[
         int | None, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")
     ] = None,
@@ -60,6 +64,7 @@ def batch(
     normal: Annotated[
         Normal | None, typer.Option(help="Normals with +Y up (gl) or down (dx).")
     ] = None,
+    export: ExportOption = None,
     prior: Annotated[
         str | None, typer.Option(metavar="auto|none|PATH", help="Trained prior to start from.")
     ] = None,
@@ -69,6 +74,10 @@ def batch(
     ] = None,
     gap: Annotated[
         float | None, typer.Option(min=0.0, help="Seconds between two shots, with --group time.")
+    ] = None,
+    card: Annotated[
+        str | None,
+        typer.Option(metavar="auto|none|PATH", help="Photograph of a calibration card."),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what would be done, how long and how large.")
@@ -97,6 +106,7 @@ def batch(
         "jobs": jobs, "preset": preset, "steps": steps, "time": time_limit, "detail": detail,
         "fov": fov, "seed": seed, "size": str(size) if size else None, "tile": tile, "png": png,
         "normal": normal.value if normal else None, "prior": prior, "group": group, "gap": gap,
+        "target": target, "export": export or None, "card": card,
     }  # fmt: skip
     settings = settings_of(shoot, flags)
     policy = Policy(force, retry_failed, fail_fast)

@@ -19,6 +19,7 @@ from matcap.cli import (
     bench,
     blend,
     capture,
+    card,
     doctor,
     export,
     inspect,
@@ -44,6 +45,7 @@ app = typer.Typer(
 app.command("capture")(capture.capture)
 app.command("batch")(batch.batch)
 app.command("inspect")(inspect.inspect)
+app.command("card")(card.card)
 app.command("synth", cls=synth.SynthCommand)(synth.synth)
 app.command("relight")(relight.relight)
 app.command("export")(export.export)

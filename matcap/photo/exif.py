@@ -42,6 +42,30 @@ def read_exif(source: Path | bytes) -> Exif:
     return _interpret(_tags(io.BytesIO(source.removeprefix(b"Exif\0\0"))))
 
 
+def read_exposure(path: Path) -> float | None:
+    """How much light a photograph took in, in units that compare within a shoot.
+
+    Exposure time times sensitivity over the squared f-number; None where the file lacks one.
+    """
+    with path.open("rb") as file:
+        tags = _tags(file)
+    time = _ratio(tags, "EXIF ExposureTime")
+    sensitivity = _ratio(tags, "EXIF ISOSpeedRatings")
+    aperture = _ratio(tags, "EXIF FNumber")
+    if time is None or sensitivity is None or aperture is None:
+        return None
+    return time * sensitivity / aperture**2
+
+
+def _ratio(tags: dict[str, Any], name: str) -> float | None:
+    """The tag's first value, where it is a positive number."""
+    try:
+        value = float(tags[name].values[0])
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError):
+        return None
+    return value if 0.0 < value < 1e9 else None
+
+
 def _tags(file: BinaryIO) -> dict[str, Any]:
     import exifread
 

@@ -30,6 +30,8 @@ class Photo:
         notes: plain sentences for the report (profile converted, gain map present, ...).
         stored_clipped_share: share of the file's own pixels at the clip level, where known:
             `clipped` overstates it, for a shrunk pixel counts when a quarter of it was clipped.
+        flash_intensity: radiant intensity of the flash in the units of `pixels`, where a
+            calibration card told it: albedo is absolute then.
     """
 
     pixels: NDArray[np.float32]
@@ -44,6 +46,7 @@ class Photo:
     gain_map_applied: bool = False
     notes: tuple[str, ...] = ()
     stored_clipped_share: float | None = None
+    flash_intensity: float | None = None
 
     @property
     def clipped_share(self) -> float:

@@ -12,6 +12,7 @@ test_kills.py runs a shorter form.
 from __future__ import annotations
 
 import argparse
+import difflib
 import hashlib
 import json
 import os
@@ -34,8 +35,10 @@ from matcap.simulate.photograph import Camera, take
 
 COMMAND = (sys.executable, "-c", "from matcap.cli.main import run; run()", "batch")
 SMALL = ("--steps", "2", "--detail", "128", "--size", "64")
-# What differs from run to run: times, memory, and so the size of the report that tells them.
-_TIMES = ("seconds", "stage_seconds", "error_over_time", "peak_bytes", "report.json")
+# What differs from run to run: times, memory, and the sizes of files that tell of times.
+_TIMES = (
+    "seconds", "stage_seconds", "error_over_time", "peak_bytes", "report.json", "error.png",
+)  # fmt: skip
 _PATIENCE = 600.0  # seconds that any batch may take
 
 
@@ -73,8 +76,11 @@ def contents(out: Path) -> dict[str, str]:
         except FileNotFoundError:
             continue  # the folder just made room for its successor
         if file.name in ("report.json", "matcap-batch.json"):
-            data = json.dumps(_timeless(json.loads(data)), sort_keys=True).encode()
-        found[name] = hashlib.sha256(data).hexdigest()
+            found[name] = json.dumps(_timeless(json.loads(data)), sort_keys=True, indent=0)
+        elif file.name == "error.png":  # a curve over time
+            found[name] = "whole" if data.endswith(b"IEND\xaeB`\x82") else "torn"
+        else:
+            found[name] = hashlib.sha256(data).hexdigest()
     return found
 
 
@@ -152,8 +158,11 @@ def _killed(shoot: Path, out: Path, jobs: int, chance: random.Random, usual: flo
 
 def _check(out: Path, truth: dict[str, str]) -> None:
     """Whatever bears a final name is whole: it is the undisturbed run's, bit for bit."""
-    for name, digest in contents(out).items():
-        assert truth.get(name) == digest, f"{name} is not as the undisturbed run left it"
+    for name, found in contents(out).items():
+        if truth.get(name) != found:
+            lines = difflib.unified_diff(truth.get(name, "").split("\n"), found.split("\n"), n=0)
+            told = "\n".join(line[:200] for line in lines)
+            raise AssertionError(f"{name} is not as the undisturbed run left it:\n{told}")
     page = out / "index.html"
     if page.exists():
         assert page.read_text().rstrip().endswith("</html>"), "index.html is torn"

@@ -93,3 +93,30 @@ def test_on_a_dumb_terminal_a_line_tells_of_each_end(tmp_path):
     lines = said.getvalue().splitlines()
     assert lines[0].startswith("[1/2] a [b]: 12 s, error 0.500, doubtful") and "left" in lines[0]
     assert lines[1] == "[2/2] c: failed"
+
+
+def test_a_card_in_the_shoot_is_no_sample_and_what_it_tells_is_part_of_the_identity(
+    shoot, tmp_path, monkeypatch
+):
+    from matcap.batch.run import Policy
+    from matcap.batch.settings import BatchSettings
+    from matcap.batch.whole import prepare
+    from matcap.photo.calibrate import Calibration
+
+    seen = []
+
+    def read(path, fov=None):
+        seen.append(path.name)
+        return Calibration(path.name, "digest", millimetres_per_unit=120.0, tilt=1.0)
+
+    monkeypatch.setattr("matcap.batch.whole.read_card", read)
+    shown = BatchDisplay(Console(file=io.StringIO()), None, quiet=True)
+    without = prepare(shoot, tmp_path / "out", BatchSettings(), Policy(), shown)
+    (shoot / "Card 1.dng").write_bytes(b"x")
+    (shoot / "Card 1.jpg").write_bytes(b"x")
+    card = prepare(shoot, tmp_path / "out", BatchSettings(), Policy(), shown)
+    assert seen == ["Card 1.dng"]
+    assert [entry.sample.name for entry in card.entries] == ["leather"]
+    assert card.entries[0].identity != without.entries[0].identity
+    none = prepare(shoot, tmp_path / "out", BatchSettings(card="none"), Policy(), shown)
+    assert len(none.entries) == 2
