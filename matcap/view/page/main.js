@@ -57,14 +57,13 @@
   const number = (value, digits = 3) => Number(value.toPrecision(digits)).toString();
   const legend = () => {
     const { map, light, span, shape, x, y } = view.state;
-    const [low, high] = view.window.heights();
+    const [low, high] = view.range().map((value) => number(value));
     const said = {
       lit: light === "point" ? "point light" : "a made-up room: two soft lamps, dim below",
       diffuse: "diffuse albedo, sRGB",
-      specular: "specular albedo F0, black 0 to white 1",
-      roughness: "roughness, black 0 to white 1",
-      height: Number.isFinite(low)
-        ? `height, black ${number(low)} to white ${number(high)} plane units` : "height",
+      specular: `specular albedo F0, black ${low} to white ${high}`,
+      roughness: `roughness, black ${low} to white ${high}`,
+      height: `height, black ${low} to white ${high} plane units`,
       normal: "normal, +x right in red, +y up in green",
     }[map];
     const where = shape === "plane"
@@ -146,25 +145,19 @@
       -(event.clientY - box.top - box.height / 2) / half,
     ];
   };
-  // Of the plane or the sphere's middle: a picture of a sphere leaves room around it.
-  const spread = () => {
-    if (view.state.shape === "plane") return 1;
-    const { width, height } = canvas;
-    return (1.25 * Math.max(width, height)) / Math.min(width, height);
-  };
   const aim = (event) => {
-    const [x, y] = units(event).map((value) => value * spread());
+    const [x, y] = units(event).map((value) => value * view.spread);
     set({ lamp: [x, y, view.state.lamp[2]] });
   };
   const move = (dx, dy) => {
-    const scale = view.scale * spread();
+    const scale = view.scale * view.spread;
     set({ x: view.state.x - dx * scale, y: view.state.y + dy * scale });
   };
   const zoom = (factor, [x, y] = [0, 0]) => {
-    const before = view.scale * spread();
+    const before = view.scale * view.spread;
     set({ span: view.state.span * factor });
     if (view.state.shape !== "plane") return;
-    const less = before - view.scale * spread(); // what is under the pointer stays there
+    const less = before - view.scale * view.spread; // what is under the pointer stays there
     set({ x: view.state.x + x * less, y: view.state.y - y * less });
   };
   const fingers = new Map();

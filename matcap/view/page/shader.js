@@ -26,7 +26,7 @@ uniform bool room;            // surroundings, not the point light
 uniform vec3 lightPlace;
 uniform float intensity;
 uniform float gain;
-uniform vec2 heights;         // lowest and highest
+uniform vec2 range;           // of the map shown, black to white
 uniform mat3 turned;          // scene to room
 uniform vec3 harmonics[9];    // of the room's irradiance
 out vec4 colour;
@@ -40,6 +40,10 @@ ROOM_RADIANCE
 vec3 encode(vec3 light) {
   vec3 c = clamp(light, 0.0, 1.0);
   return mix(1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, 12.92 * c, lessThanEqual(c, vec3(0.0031308)));
+}
+
+vec3 stretched(float value) {
+  return vec3((value - range.x) / (range.y - range.x));
 }
 
 // D G / (4 (n.l)(n.v)), and l.h in y.
@@ -119,7 +123,7 @@ void main() {
     footprint = 1.0 / half_;
   } else {
     float sides = max(size.x, size.y) / min(size.x, size.y);
-    eye = vec3(0.0, 0.0, 1.25 * sides * away);
+    eye = vec3(0.0, 0.0, (shape == 1 ? 1.25 : 1.6) * sides * away);
     vec3 direction = normalize(vec3(s * REACH, -1.0));
     bool upright = shape == 2;
     vec3 flat_ = upright ? vec3(1, 0, 1) : vec3(1);
@@ -150,9 +154,9 @@ void main() {
   vec3 n = normalize(vec3(-b.yz, 1.0));
   vec3 shown;
   if (map == 1) shown = encode(a.rgb);
-  else if (map == 2) shown = vec3(a.a);
-  else if (map == 3) shown = vec3(sqrt(sqrt(b.x)));
-  else if (map == 4) shown = vec3((textureLod(relief, at, level).r - heights.x) / (heights.y - heights.x));
+  else if (map == 2) shown = stretched(a.a);
+  else if (map == 3) shown = stretched(sqrt(sqrt(b.x)));
+  else if (map == 4) shown = stretched(textureLod(relief, at, level).r);
   else if (map == 5) shown = 0.5 + 0.5 * n;
   else {
     vec3 v = normalize(eye - point) * frame;

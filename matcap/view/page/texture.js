@@ -8,6 +8,8 @@
 // from which the texture's fourth, their variance, follows.
 
 const FADE = 180; // milliseconds in which a block appears
+// A map's shown range is never narrower, or a flat map would show its rounding noise.
+const LEAST_RANGE = { specular: 0.02, roughness: 0.05, height: 0.002 };
 const JOINED = 7; // levels in which sides shared by blocks are set right; coarser, nothing shows
 
 class Window {
@@ -41,7 +43,6 @@ class Window {
     const count = side * side;
     const height = planes.subarray(5 * count);
     let albedo = new Float32Array(4 * count), surface = new Float32Array(4 * count);
-    let low = Infinity, high = -Infinity;
     const step = 0.5 / texelSize;
     for (let y = 0, i = 0; y < side; y++) {
       const up = y > 0 ? -side : 0, down = y < side - 1 ? side : 0;
@@ -57,14 +58,15 @@ class Window {
         const left = x > 0 ? -1 : 0, right = x < side - 1 ? 1 : 0;
         surface[j + 1] = (height[i + right] - height[i + left]) * (right - left === 2 ? step : 2 * step);
         surface[j + 2] = (height[i + up] - height[i + down]) * rise;
-        const h = height[i];
-        if (h < low) low = h;
-        if (h > high) high = h;
       }
     }
     for (let j = 0; j < 4 * count; j += 4) surface[j + 3] = surface[j + 1] ** 2 + surface[j + 2] ** 2;
     const number = this.slot(column, row);
-    const block = { column, row, born: now, low, high, step, edges: edgesOf(height, side) };
+    const ends = { specular: 3, roughness: 4, height: 5 };
+    for (const [map, plane] of Object.entries(ends)) {
+      ends[map] = endsOf(planes.subarray(plane * count, (plane + 1) * count));
+    }
+    const block = { column, row, born: now, ends, step, edges: edgesOf(height, side) };
     this.blocks.set(number, block);
     const x = (number % this.slots) * side, y = Math.floor(number / this.slots) * side;
     let heights = height;
@@ -110,13 +112,16 @@ class Window {
     return appearing;
   }
 
-  heights() {
+  // Lowest and highest value of a map in all blocks, and never less apart than can be told.
+  range(map) {
     let low = Infinity, high = -Infinity;
-    for (const block of this.blocks.values()) {
-      low = Math.min(low, block.low);
-      high = Math.max(high, block.high);
+    for (const { ends } of this.blocks.values()) {
+      low = Math.min(low, ends[map][0]);
+      high = Math.max(high, ends[map][1]);
     }
-    return high > low ? [low, high] : [low - 0.5, low + 0.5];
+    if (high < low) return [0, 1];
+    const short = Math.max(LEAST_RANGE[map] - (high - low), 0);
+    return [low - short / 2, high + short / 2];
   }
 
   // Slopes along a side that two blocks share, now that the heights on both are known.
@@ -177,6 +182,15 @@ class Window {
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     return texture; // wrapping around is WebGL's default
   }
+}
+
+function endsOf(values) {
+  let low = Infinity, high = -Infinity;
+  for (const value of values) {
+    if (value < low) low = value;
+    if (value > high) high = value;
+  }
+  return [low, high];
 }
 
 const UPRIGHT = { left: true, right: true, top: false, bottom: false };

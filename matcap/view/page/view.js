@@ -3,6 +3,8 @@
 
 const SHAPES = ["plane", "sphere", "cylinder"];
 const MAPS = ["lit", "diffuse", "specular", "roughness", "height", "normal"];
+// As the shader has it: a sphere as matcap relight frames it, a cylinder with its whole height.
+const ROOM_AROUND = { sphere: 1.25, cylinder: 1.6 };
 const FLASH = 1 / Math.tan(Math.PI / 8);
 
 class View {
@@ -115,11 +117,24 @@ class View {
     gl.uniform3f(places.lightPlace, ...place);
     gl.uniform1f(places.intensity, intensity);
     gl.uniform1f(places.gain, 2 ** state.exposure);
-    gl.uniform2f(places.heights, ...this.window.heights());
+    gl.uniform2f(places.range, ...this.range());
     gl.uniformMatrix3fv(places.turned, false, this.#turned());
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     this.drawn += 1;
     return appearing;
+  }
+
+  // What black and white mean in the map shown.
+  range() {
+    const { map } = this.state;
+    return map in LEAST_RANGE ? this.window.range(map) : [0, 1];
+  }
+
+  // What the picture shows at the surface's middle, in units: half its long side.
+  get spread() {
+    if (this.state.shape === "plane") return 1;
+    const { width, height } = this.canvas;
+    return (ROOM_AROUND[this.state.shape] * Math.max(width, height)) / Math.min(width, height);
   }
 
   // Where the lamp is and its radiant intensity: white shows as white where it is nearest.
