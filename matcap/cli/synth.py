@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperCommand
 
 from matcap.cli import values
-from matcap.cli.options import Normal, NormalOption, PngOption, QuietOption
+from matcap.cli.options import ExportOption, Normal, NormalOption, PngOption, QuietOption
 from matcap.errors import UsageError
 
 if TYPE_CHECKING:
@@ -112,6 +112,7 @@ def synth(
     ] = None,
     png: PngOption = False,
     normal: NormalOption = Normal.gl,
+    export: ExportOption = None,
     workers: Annotated[
         int | None,
         typer.Option("--workers", "-j", min=1, max=1024, help="Processes; by default one a core."),
@@ -138,6 +139,7 @@ def synth(
     from dataclasses import astuple
 
     from matcap.export.mapset import MapSetInfo
+    from matcap.export.targets import check_targets, export_mapset
     from matcap.model.material import Material
     from matcap.prior.store import load_prior
     from matcap.synth.blend import blend_source
@@ -149,6 +151,11 @@ def synth(
     from matcap.synth.stream import write_field
 
     check_seed(seed)
+    targets = check_targets(export or [])
+    if targets and (single or udim):
+        raise UsageError(
+            "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
+        )
     _check_blend(blend, mask, mask_over)
     asked = region or values.Region(0, 0, size.width, size.height)
     area = Rectangle(asked.x, asked.y, asked.width, asked.height)
@@ -178,6 +185,8 @@ def synth(
     except KeyboardInterrupt:
         typer.echo("interrupted; the same command with --resume goes on", err=True)
         raise
+    for target in targets:
+        export_mapset(document, target)
     if not quiet:
         typer.echo(f"wrote {document}", err=True)
 

@@ -124,6 +124,19 @@ def test_a_folder_without_maps(matcap, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_synth_writes_for_other_programs_too(matcap, material, tmp_path):
+    said = matcap(
+        "synth", material, "--size", "48x32", "--tile", "--mip", "-o", "set", "--export",
+        "materialx", "-j", "1",
+    )  # fmt: skip
+    assert said.code == 0, said.err
+    assert (tmp_path / "set" / "materialx" / "noise.mtlx").is_file()
+    said = matcap("synth", material, "--single", "--export", "raw", "-o", "other")
+    assert said.code == 2
+    assert "only plain map sets are exported" in said.err
+    assert not (tmp_path / "other").exists()
+
+
 def test_capture_writes_for_other_programs_too(matcap, pipeline, photo, tmp_path):
     said = matcap(
         "capture", photo, "-o", tmp_path / "out", "--size", "32", "--export", "gltf",
