@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from tuning import scene, tune
 
-from matcap.bench.stability import capture_array
-from matcap.bench.stability_photographs import textured
 from matcap.capture.anytime import forecast, self_difference
 from matcap.capture.curve import draw_history
-from matcap.capture.pipeline import CaptureSettings
+from matcap.capture.pipeline import CaptureSettings, _target
 from matcap.errors import MatcapError
 from matcap.statistics.compare import Weights, distance
 
@@ -41,13 +39,13 @@ def test_one_window_has_no_self_difference():
 
 
 def test_tuning_ends_soon_after_its_target_with_a_frozen_end():
-    long = tune(steps=80)
-    halfway = long.history[30][2]
-    short = tune(steps=80, target=halfway)
+    long = tune(steps=60)
+    halfway = long.history[25][2]
+    short = tune(steps=60, target=halfway)
     reached = next(step for _, step, error in short.history if error <= halfway)
-    assert reached <= 40
+    assert reached <= 35
     assert reached < len(short.history) <= 1.2 * reached + 2
-    assert [p[1:] for p in short.history[:30]] == [p[1:] for p in long.history[:30]]
+    assert [p[1:] for p in short.history[:25]] == [p[1:] for p in long.history[:25]]
 
 
 def test_a_target_out_of_reach_changes_nothing():
@@ -91,8 +89,9 @@ def test_any_history_can_be_drawn(history):
     assert draw_history(history, math.nan).size == draw_history(falling(10), 0.3).size
 
 
-@pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
 def test_a_target_for_a_picture_of_one_window_is_refused():
-    asked = CaptureSettings(steps=1, detail=64, prior="none", target=1.3)
+    asked = CaptureSettings(target=1.3)
+    assert _target(asked, 0.5, "photo") == pytest.approx(0.65)
+    assert _target(CaptureSettings(), math.nan, "photo") is None
     with pytest.raises(MatcapError, match="too small to be compared with itself"):
-        capture_array(textured(64, 64, 1), asked, "small")
+        _target(asked, math.nan, "photo")
