@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Sequence
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -63,19 +65,35 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def _tell_cost(start: float) -> None:
+    """What a command took, on stderr."""
+    cost = f"matcap {matcap.__version__}: {time.perf_counter() - start:.1f} s"
+    if sys.platform == "linux":
+        import resource
+
+        cost += f", at most {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB"
+    typer.echo(cost, err=True)
+
+
 @app.callback()
 def _matcap(
+    context: typer.Context,
     version: Annotated[
         bool,
         typer.Option(
             "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
         ),
     ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Tell what the command took, at its end.")
+    ] = False,
     debug: Annotated[
         bool,
         typer.Option("--debug", help="Show tracebacks of failures, as MATCAP_DEBUG=1 does."),
     ] = False,
 ) -> None:
+    if verbose:
+        context.call_on_close(partial(_tell_cost, time.perf_counter()))
     del debug  # main() looks for it itself: a failed command leaves no context to ask
 
 

@@ -79,7 +79,7 @@ class Display:
 def display(*, quiet: bool) -> Iterator[Display]:
     """A display on stderr while the block runs."""
     console = Console(stderr=True)
-    if quiet or not console.is_terminal:
+    if quiet or not console.is_terminal or console.is_dumb_terminal:
         yield Display(console, None, quiet=quiet)
         return
     columns = (

@@ -217,7 +217,7 @@ def _progress(*, quiet: bool) -> Iterator[Callable[[SynthProgress], None]]:
     from rich.progress import BarColumn, Progress, TextColumn
 
     console = Console(stderr=True)
-    if quiet or not console.is_terminal:
+    if quiet or not console.is_terminal or console.is_dumb_terminal:
         said = time.monotonic()
 
         def tell(now: SynthProgress) -> None:
