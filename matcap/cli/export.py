@@ -80,6 +80,9 @@ def export(
             help="Of a preset: normals with +Y up (gl), down (dx), or both.",
         ),
     ] = None,
+    onnx: Annotated[
+        bool, typer.Option("--onnx", help="A material's network as an ONNX file instead.")
+    ] = False,
     json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -94,8 +97,11 @@ def export(
     from matcap.export.targets import check_target, export_bytes, write_export, write_preset
     from matcap.export.textures import Job
 
-    if (to is None) == (preset is None):
-        raise UsageError("give either --to or --preset", where="matcap export")
+    if onnx and to is None and preset is None:
+        _export_onnx(path, out or Path("."), as_json=json, quiet=quiet)
+        return
+    if onnx or (to is None) == (preset is None):
+        raise UsageError("give one of --to, --preset and --onnx", where="matcap export")
     asked = {"--name": name, "--maps": maps, "--normal": normal}
     for option in (option for option, value in asked.items() if to and value is not None):
         raise UsageError("this is for --preset", where=option, remedy="leave it out")
@@ -112,6 +118,24 @@ def export(
         chosen = [one.strip() for one in maps.split(",")] if maps else []
         done = write_preset(job, target, folder, Choice(name, chosen, normal and normal.value))
     _report(done, as_json=json, quiet=quiet)
+
+
+def _export_onnx(path: Path, folder: Path, *, as_json: bool, quiet: bool) -> None:
+    from matcap.export.onnx import write_onnx
+    from matcap.export.staging import check_writable
+    from matcap.model.material import Material
+
+    material = Material.load(path)
+    check_writable(folder, path.stat().st_size)
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / f"{path.stem}.onnx"
+    error = write_onnx(material, file)
+    if as_json:
+        from json import dumps
+
+        typer.echo(dumps({"file": str(file), "error": error}, indent=2))
+    elif not quiet:
+        typer.echo(f"wrote {file}; onnxruntime's maps differ by at most {error:.1e}", err=True)
 
 
 def _report(done: Exported, *, as_json: bool, quiet: bool) -> None:

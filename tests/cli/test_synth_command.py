@@ -162,3 +162,11 @@ def test_failures_leave_nothing(matcap, material, tmp_path):
     for size in ("0x5", "-4x5", "5x0", "nonsense"):
         assert matcap("synth", material, "-o", "set", "--size", size).code == 2
     assert list(tmp_path.iterdir()) == [material]
+
+
+def test_the_network_is_exported(matcap, material, tmp_path):
+    pytest.importorskip("onnxruntime", reason="needs the extra `onnx`")
+    said = matcap("export", material, "--onnx", "--json", "-o", "net")
+    assert said.code == 0 and json.loads(said.out)["error"] < 1e-5
+    assert [file.name for file in (tmp_path / "net").iterdir()] == ["leather.onnx"]
+    assert matcap("export", material, "--onnx", "--to", "gltf").code == 2

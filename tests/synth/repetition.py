@@ -1,0 +1,41 @@
+"""Whether a field repeats: its autocorrelation beside the correlation of independent seeds.
+
+Texels farther apart than twice the network's reach share no noise. What correlation is left there
+is the noise of a finite map, which maps of two seeds have as well.
+
+    python tests/synth/repetition.py leather.matcap 4096
+"""
+
+import sys
+
+import numpy as np
+
+from matcap.model.material import Material
+from matcap.model.spans import Span, spans_of
+from matcap.synth.field import Field
+
+
+def reach(material):
+    """Texels that a texel's value depends on, to each side."""
+    return -spans_of(Span(0, 512), material.decoder.config.convolutions).down[0].start
+
+
+def correlations(material, size, seeds=(1, 2, 3)):
+    """Largest correlation of a map with itself beyond the reach, and of maps of two seeds."""
+    maps = [Field(material, seed).read(0, 0, size, size).roughness[0].numpy() for seed in seeds]
+    spectra = [np.fft.rfft2((m - m.mean()) / m.std()) for m in maps]
+    lag = np.minimum(np.arange(size), size - np.arange(size))
+    far = np.maximum(lag[:, None], lag[None, :]) > 2 * reach(material)
+
+    def largest(a, b):
+        return float(np.abs(np.fft.irfft2(a * b.conj(), s=(size, size)) / size**2)[far].max())
+
+    own = [largest(a, a) for a in spectra]
+    others = [largest(spectra[i], spectra[i - 1]) for i in range(len(seeds))]
+    return own, others
+
+
+if __name__ == "__main__":
+    found, noise = correlations(Material.load(sys.argv[1]), int(sys.argv[2]))
+    print("with itself:", *(f"{value:.4f}" for value in found))
+    print("of two seeds:", *(f"{value:.4f}" for value in noise))

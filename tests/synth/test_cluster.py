@@ -1,0 +1,61 @@
+"""A dask cluster gives the same bytes, and losing a worker changes none."""
+
+import os
+import signal
+from dataclasses import replace
+
+import pytest
+
+from matcap.errors import MatcapError
+from matcap.export.mapset import MapSetInfo
+from matcap.synth.blocks import Grid, Rectangle
+from matcap.synth.request import Request, Work
+from matcap.synth.source import material_source
+from matcap.synth.stream import write_field
+
+distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # dask's own, on a busy machine
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        silence_logs=50,
+        worker_class=distributed.Nanny,
+    ) as running:
+        yield running
+
+
+def test_a_worker_is_killed_half_way(material, tmp_path, cluster):
+    area = Rectangle(0, 0, 5 * 128, 8 * 64)
+    source = replace(material_source(material, 2), grid=Grid(128, 64))
+    request = Request(source, area, MapSetInfo("m", 2))
+    killed = []
+
+    def kill(now):
+        if not killed and now.texels * 2 >= now.total:
+            pid = next(iter(cluster.workers.values())).pid
+            os.kill(pid, signal.SIGKILL)
+            killed.append(pid)
+
+    work = Work(scheduler=cluster.scheduler_address, progress=kill)
+    write_field(request, tmp_path / "cluster", work)
+    assert killed
+    write_field(request, tmp_path / "here")
+    for file in (tmp_path / "here").iterdir():
+        assert file.read_bytes() == (tmp_path / "cluster" / file.name).read_bytes()
+
+
+def test_nobody_answers(material, tmp_path, monkeypatch):
+    from matcap.synth import cluster as module
+
+    monkeypatch.setattr(module, "_PATIENCE", 0.5)
+    request = Request(material_source(material, 2), Rectangle(0, 0, 8, 8), MapSetInfo("m", 2))
+    with pytest.raises(MatcapError, match="no dask scheduler answers"):
+        write_field(request, tmp_path / "out", Work(scheduler="tcp://127.0.0.1:9"))
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,111 @@
+"""The field is one function, however it is read, and never repeats unless asked to."""
+
+import numpy as np
+import pytest
+import torch
+from draws import run
+from repetition import correlations
+
+from matcap.model.noise import noise_field
+from matcap.synth.blend import blend_source
+from matcap.synth.blocks import BLOCK, Rectangle
+from matcap.synth.field import Field, read_source
+from matcap.synth.mask import Mask
+from matcap.synth.source import material_source
+
+
+def test_random_rectangles_orders_and_workers_give_the_same_bits(material):
+    assert run(material, 60) == 60
+
+
+def test_waves_are_the_same_bits_too(wavy):
+    assert run(wavy, 20, seed=1) == 20
+
+
+def test_a_periodic_field_is_itself_rolled(material):
+    maps = Field(material, 3, (BLOCK + 16, 48)).read(0, 0, 2 * (BLOCK + 16), 96)
+    for kind in ("diffuse", "specular", "roughness", "height"):
+        one = getattr(maps, kind)
+        assert torch.equal(one, one.roll((48, BLOCK + 16), (1, 2)))
+
+
+def test_nothing_repeats(material):
+    own, others = correlations(material, 768)
+    assert max(own) < 1.2 * max(others)
+
+
+def test_repetition_would_be_found(material):
+    # A field of period 256 read as if it were endless.
+    def read(seed):
+        return Field(material, seed, (256, 256)).read(0, 0, 768, 768).roughness[0].numpy()
+
+    one = read(1) - read(1).mean()
+    correlation = np.fft.irfft2(np.abs(np.fft.rfft2(one)) ** 2, s=one.shape) / one.size / one.var()
+    assert correlation[0, 256] > 0.99
+
+
+@pytest.mark.parametrize("place", [0, 2**31, 2**40 - 256])
+def test_the_hash_is_uniform_and_independent(place):
+    """Chi-square, correlation and the sign patterns of neighbours, within five deviations."""
+    noise = noise_field(5, 6, place, -place, 256, 256).numpy()
+    levels = np.floor((noise / 12**0.5 + 0.5) * 64).astype(int)
+    for channel in levels:
+        counts = np.bincount(channel.ravel(), minlength=64)
+        expected = channel.size / 64
+        assert abs(((counts - expected) ** 2 / expected).sum() - 63) < 5 * (2 * 63) ** 0.5
+    deviation = 1 / 256
+    others = noise_field(6, 6, place, -place, 256, 256).numpy()
+    for a in range(6):
+        for shift in ((0, 1), (1, 0), (1, 1), (16, 0), (0, 64)):
+            assert abs((noise[a] * np.roll(noise[a], shift, (0, 1))).mean()) < 5 * deviation
+        assert abs((noise[a] * others[a]).mean()) < 5 * deviation
+        for b in range(a):
+            assert abs((noise[a] * noise[b]).mean()) < 5 * deviation
+
+
+def test_every_bit_of_seed_and_place_changes_half_of_the_hash():
+    one = noise_field(0, 4, 0, 0, 32, 32)
+    for bit in (5, 20, 31, 39):
+        for changed in (
+            noise_field(2**bit, 4, 0, 0, 32, 32),
+            noise_field(0, 4, 2**bit, 0, 32, 32),
+            noise_field(0, 4, 0, -(2**bit), 32, 32),
+        ):
+            # The sign is a hash's top bit: it should be a coin's toss.
+            assert abs(float((one.sign() != changed.sign()).float().mean()) - 0.5) < 0.05
+
+
+def test_blends_are_the_same_bits_however_they_are_read(material, wavy):
+    pixels = np.random.default_rng(1).integers(0, 256, (7, 9)).astype(np.uint8)
+    mask = Mask(pixels, Rectangle(-100, 0, 800, 300))
+    source = blend_source(material, wavy, mask, 4)
+    whole = read_source(source, Rectangle(-60, 20, 700, 300), 2).stacked()
+    part = read_source(source, Rectangle(400, 100, 180, 190), 1).stacked()
+    assert torch.equal(part, whole[:, 80:270, 460:640])
+
+
+def test_a_periodic_blend_repeats(material, wavy):
+    pixels = np.random.default_rng(1).integers(0, 256, (5, 4)).astype(np.uint8)
+    area = Rectangle(0, 0, 96, 64)
+    source = blend_source(material, wavy, Mask(pixels, area, (96, 64)), 4, (96, 64))
+    maps = read_source(source, Rectangle(-10, 5, 192, 128), 1).stacked()
+    assert torch.equal(maps, maps.roll((64, 96), (1, 2)))
+
+
+def test_masks_are_stretched_and_go_on_beyond_their_border():
+    from matcap.model.spans import Span
+
+    mask = Mask(np.array([[0, 255]], np.uint8), Rectangle(10, 0, 8, 4))
+    shares = mask.shares(6, 0, Span(0, 16), Span(0, 16))[0]
+    assert shares[:6].max() == 0 and shares[10:].min() == 1
+    assert torch.allclose(shares[6:10], torch.tensor([1, 3, 5, 7]) / 8)
+
+
+def test_where_one_material_is_alone_it_is_itself(material, wavy):
+    pixels = np.array([[0, 0, 0, 255, 255, 255]], np.uint8)
+    area = Rectangle(0, 0, 600, 64)
+    source = blend_source(material, wavy, Mask(pixels, area), 4)
+    maps = read_source(source, area, 1).stacked()
+    for end, columns in ((material, slice(0, 200)), (wavy, slice(400, 600))):
+        alone = read_source(material_source(end, 4), area, 1).stacked()
+        assert torch.allclose(maps[..., columns], alone[..., columns], atol=1e-6)
