@@ -101,10 +101,13 @@ def export(
         _export_onnx(path, out or Path("."), as_json=json, quiet=quiet)
         return
     if onnx or (to is None) == (preset is None):
-        raise UsageError("give one of --to, --preset and --onnx", where="matcap export")
+        raise UsageError("give either --to or --preset, or --onnx", where="matcap export")
     asked = {"--name": name, "--maps": maps, "--normal": normal}
-    for option in (option for option, value in asked.items() if to and value is not None):
+    for option in (option for option, value in asked.items() if not preset and value is not None):
         raise UsageError("this is for --preset", where=option, remedy="leave it out")
+    if onnx:
+        _export_onnx(path, out or Path("."), as_json=json, quiet=quiet)
+        return
     target = check_target(to=to, preset=preset)
     if out is not None:
         check_writable(out, export_bytes(size.width, size.height))

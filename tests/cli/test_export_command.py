@@ -97,8 +97,10 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ([], 2, "give either --to or --preset"),
-        (["--to", "usd", "--preset", "raw"], 2, "give either --to or --preset"),
+        ([], 2, "give one of --to, --preset and --onnx"),
+        (["--to", "usd", "--preset", "raw"], 2, "give one of --to, --preset and --onnx"),
+        (["--onnx", "--maps", "diffuse"], 2, "--maps: this is for --preset; leave it out."),
+        (["--onnx"], 3, "give a .matcap file"),
         (["--to", "gtlf"], 2, "--to: there is no 'gtlf'; did you mean 'gltf'."),
         (["--preset", "unral"], 2, "--preset: there is no 'unral'; did you mean 'unreal'."),
         (["--to", "usd", "--name", "{map}"], 2, "--name: this is for --preset; leave it out."),
