@@ -97,10 +97,7 @@ def export(
     from matcap.export.targets import check_target, export_bytes, write_export, write_preset
     from matcap.export.textures import Job
 
-    if onnx and to is None and preset is None:
-        _export_onnx(path, out or Path("."), as_json=json, quiet=quiet)
-        return
-    if onnx or (to is None) == (preset is None):
+    if [onnx, to is not None, preset is not None].count(True) != 1:
         raise UsageError("give either --to or --preset, or --onnx", where="matcap export")
     asked = {"--name": name, "--maps": maps, "--normal": normal}
     for option in (option for option, value in asked.items() if not preset and value is not None):

@@ -97,8 +97,8 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ([], 2, "give one of --to, --preset and --onnx"),
-        (["--to", "usd", "--preset", "raw"], 2, "give one of --to, --preset and --onnx"),
+        ([], 2, "give either --to or --preset, or --onnx"),
+        (["--to", "usd", "--preset", "raw"], 2, "give either --to or --preset, or --onnx"),
         (["--onnx", "--maps", "diffuse"], 2, "--maps: this is for --preset; leave it out."),
         (["--onnx"], 3, "give a .matcap file"),
         (["--to", "gtlf"], 2, "--to: there is no 'gtlf'; did you mean 'gltf'."),
