@@ -31,7 +31,7 @@ thead button { font: inherit; font-weight: 600; color: inherit; background: none
 thead button:focus-visible, a:focus-visible { outline: 2px solid var(--doubt); }
 th[aria-sort=ascending] button::after { content: " \\2191"; }
 th[aria-sort=descending] button::after { content: " \\2193"; }
-tbody th { overflow-wrap: anywhere; min-width: 7rem; max-width: 12rem; }
+tbody th { overflow-wrap: anywhere; min-width: 9.5rem; max-width: 14rem; }
 small { display: block; color: var(--soft); font-weight: 400; }
 a { color: inherit; }
 .number { font-variant-numeric: tabular-nums; white-space: nowrap; }

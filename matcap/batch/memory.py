@@ -12,7 +12,7 @@ from pathlib import Path
 
 from matcap.batch.settings import BatchSettings
 
-_LIBRARIES = 700_000_000
+_LIBRARIES = 1_150_000_000  # and one window being tuned
 _BY_PIXEL = {"raw": 22, "other": 12}  # bytes a pixel of the file
 _BY_TEXEL = 250  # of the photograph as it is used, detail x 3/4 detail
 _BY_MAP_TEXEL = 110

@@ -7,7 +7,7 @@ import os
 import resource
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -118,20 +118,23 @@ def _do(job: Job, tell: Tell) -> dict[str, Any]:
     started = time.perf_counter()
     tell("reading", 0.0)
     settings = job.settings
-    photo = load_photo(job.photos[0], long_side=job.detail, fov=settings.fov)
-    if job.card is not None:
-        photo = calibrated(photo, job.photos[0], job.card)
-    found = inspect_photo(photo, _prior(settings.prior).tilt(photo))
+    photos = []
+    for path in job.photos:
+        photo = load_photo(path, long_side=job.detail, fov=settings.fov)
+        photos.append(photo if job.card is None else calibrated(photo, path, job.card))
+    looked_at = [inspect_photo(photo, _prior(settings.prior).tilt(photo)) for photo in photos]
 
     def progress(now: Progress) -> None:
         low, high = _SHARES.get(now.stage, (0.0, 0.0))
         tell(now.stage, low + (high - low) * now.fraction)
 
-    result = capture_photo(photo, replace(settings.capture, detail=job.detail), progress)
+    photo = photos[0]
+    chosen = replace(settings.capture, detail=job.detail)
+    result = capture_photo(photo, chosen, progress, others=photos[1:])
     tell("writing", 0.95)
     stage = job.run.stage(job.name)
     write_outputs(result, photo, stage, settings.outputs)
-    about = _about(job, photo, found, result)
+    about = _about(job, photo, looked_at, result)
     about["seconds"] = round(time.perf_counter() - started, 3)
     about["peak_bytes"] = _peak_bytes()
     write_record(stage, {**about, "thumbnails": _thumbnails(result)})
@@ -139,14 +142,19 @@ def _do(job: Job, tell: Tell) -> dict[str, Any]:
     return about
 
 
-def _about(job: Job, photo: Photo, found: Inspection, result: CaptureResult) -> dict[str, Any]:
+def _about(
+    job: Job, photo: Photo, looked_at: Sequence[Inspection], result: CaptureResult
+) -> dict[str, Any]:
     """What the index tells of a material."""
     from matcap.capture.report import warnings
 
     said = list(warnings(result, photo))
     if job.detail != job.settings.detail:
         said.append(f"Memory ran out: made at a detail of {job.detail} texels across.")
-    said += [f.line() for f in found.findings if f.verdict.value in ("doubtful", "poor")]
+    for found in looked_at:
+        of = f"{found.name}: " if len(looked_at) > 1 else ""
+        doubts = [f.line() for f in found.findings if f.verdict.value in ("doubtful", "poor")]
+        said += [f"{of}{doubt}" for doubt in doubts]
     tilt = result.material.setup.tilt
     return {
         "name": job.name,
@@ -156,9 +164,9 @@ def _about(job: Job, photo: Photo, found: Inspection, result: CaptureResult) -> 
         "error": result.history[-1][2] if result.history else None,
         "tilt_degrees": [round(angle * 57.29577951, 3) for angle in tilt],
         "clipped": round(photo.clipped_share, 5),
-        "doubtful": found.doubtful,
+        "doubtful": any(found.doubtful for found in looked_at),
         "warnings": said,
-        "inspection": found.document(),
+        "inspection": [found.document() for found in looked_at],
         "albedo": "absolute" if photo.flash_intensity is not None else "relative",
         "card": job.card.document() if job.card else None,
         "stage_seconds": {name: round(s, 3) for name, s in result.stage_seconds.items()},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -19,6 +19,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.anytime import forecast, self_difference
 from matcap.capture.coarse import CoarseFit, fit_coarse
 from matcap.capture.finetune import Scene, TuneSettings, finetune
+from matcap.capture.joint import join
 from matcap.capture.start import log_contrast, untrained
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError, UsageError
@@ -145,14 +146,16 @@ def capture_photo(
     settings: CaptureSettings,
     progress: Callable[[Progress], None] | None = None,
     method: Method | None = None,
+    others: Sequence[Photo] = (),
 ) -> CaptureResult:
-    """A photograph to a material.
+    """A photograph to a material; or several of one sample, tuned to all of them together.
 
     Args:
         photo: as load_photo gives it.
         settings: what the user decides.
         progress: called as the work goes on.
         method: how to do it; the best known way unless told otherwise.
+        others: more photographs of the same sample (joint.py); the result shows the first.
 
     Raises:
         UsageError: an unknown preset.
@@ -175,6 +178,8 @@ def capture_photo(
         )
         texel_size = 2.0 / linear.shape[-1]
         scene = Scene(windows, coarse.setup, encoding, bank, lattice.waves, texel_size)
+        scene, joined = join(scene, coarse, others, settings.detail) if others else (scene, [])
+        windows = scene.windows
         own = self_difference(windows, scene.weights)
         target = _target(settings, own, photo.name)
 
@@ -216,7 +221,8 @@ def capture_photo(
             waves=lattice.waves,
             texel_size=texel_size,
             setup=coarse.setup,
-            provenance=_provenance(photo, settings, coarse, steps),
+            provenance=_provenance(photo, settings, coarse, steps)
+            | ({"others": joined} if joined else {}),
         )
         height, width = linear.shape[-2:]
         maps = material.maps(width, height, seed=settings.seed)

@@ -29,7 +29,7 @@ _HOT_EDGE = 0.12  # nearer the border than this part of a side, the highlight is
 _FALLOFF = 1.12  # the hot spot over the border: less is no light beside the lens
 # Clipped shares (of the whole picture) that are worth a word, and that hurt.
 _CLIPPED, _MUCH_CLIPPED = 0.01, 0.05
-_TILTED, _MUCH_TILTED = 6.0, 12.0  # degrees; either angle of the branch errs by 1 to 3
+_TILTED, _MUCH_TILTED = 8.0, 14.0  # degrees; real lenses shift the branch by a few
 _SOFT, _BLURRED = 1.5, 2.6  # pixels of the photograph as it is used
 _SHARPEST = 0.25  # quantile over tiles: what is smooth by nature says nothing of focus
 _UNEVEN, _MIXED = 2.0, 3.2  # in deviations of _USUAL

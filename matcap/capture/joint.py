@@ -1,0 +1,85 @@
+"""Several photographs of one sample: one decoder is tuned to the windows of all of them.
+
+Every photograph keeps its own tilt, flash offset and vignetting, as its coarse fit finds them. Its
+gain is its own, too: it is brought to the first one's, so that both are of the same albedo. The
+first photograph gives code, encoding and regular order.
+
+What it takes for granted: the same sample from about the same distance, so that a texel has one
+size. Which windows lie on the same spot is not asked; style needs no correspondence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from matcap.capture.coarse import CoarseFit, fit_coarse
+from matcap.capture.finetune import Scene
+from matcap.capture.windows import Windows, cut_windows
+from matcap.errors import MatcapError
+from matcap.flash.geometry import JointSetup
+from matcap.flash.rectify import rectify
+from matcap.photo.photo import Photo
+from matcap.statistics.compare import Descriptor
+
+
+def join(
+    scene: Scene, coarse: CoarseFit, others: Sequence[Photo], detail: int
+) -> tuple[Scene, list[dict[str, Any]]]:
+    """A scene that holds the windows of other photographs, too, and what was found of each.
+
+    Args:
+        scene: of the first photograph.
+        coarse: its fit.
+        others: more photographs of the same sample.
+        detail: texels across each.
+
+    Raises:
+        MatcapError: a photograph is too narrow to hold a window.
+    """
+    windows, setups, told = [_numbered(scene.windows, 0)], [scene.setup], []
+    for number, photo in enumerate(others, start=1):
+        fit = fit_coarse(photo)
+        linear, valid = rectify(photo, fit.setup, detail)
+        if min(linear.shape[-2:]) < scene.windows.size:
+            raise MatcapError(
+                f"at {linear.shape[-1]} x {linear.shape[-2]} texels it is too narrow",
+                where=photo.name,
+                remedy="raise --detail, or take it out of the group",
+            )
+        gain = _brightness(coarse) / _brightness(fit)
+        cut = cut_windows(linear * gain, valid, scene.encoding, scene.bank, scene.windows.size)
+        windows.append(_numbered(cut, number))
+        setups.append(fit.setup.with_intensity(scene.setup.intensity))
+        told.append(
+            {
+                "photograph": photo.name,
+                "tilt_degrees": [math.degrees(angle) for angle in fit.setup.tilt],
+                "flash_offset": list(fit.setup.offset),
+                "vignetting": fit.setup.vignetting,
+                "gain": gain,
+            }
+        )
+    joined = Windows(
+        scene.windows.size,
+        torch.cat([each.points for each in windows]),
+        Descriptor.joined([each.target for each in windows]),
+    )
+    return replace(scene, windows=joined, setup=JointSetup.of(setups)), told
+
+
+def _brightness(fit: CoarseFit) -> float:
+    """What albedo and flash come to together: all that a photograph tells of either."""
+    return sum(fit.diffuse) / 3.0 * fit.setup.intensity[1]
+
+
+def _numbered(windows: Windows, number: int) -> Windows:
+    """The same windows; a fourth channel of their points tells the photograph (JointSetup)."""
+    points = windows.points
+    which: Tensor = torch.full_like(points[:, :1], float(number))
+    return replace(windows, points=torch.cat([points, which], dim=1))
