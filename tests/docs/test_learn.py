@@ -1,0 +1,146 @@
+"""What the documentation shows: commands parse, cheap ones run, snippets work, links hold."""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+import typer
+
+from matcap.cli.main import app, main
+from matcap.flash.geometry import FlashSetup
+from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.freeze import freeze
+from matcap.model.material import Material
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
+SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
+# What takes long, listens, trains, or needs what is not here.
+LONG = {"capture", "batch", "bench", "prior", "sample", "doctor", "card"}
+
+
+def commands(page: Path) -> list[str]:
+    """Lines of shell blocks, and of indented ones, that begin with matcap."""
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(r"```(?:sh|console|bash)\n(.*?)```", text, re.DOTALL)
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    lines += [line[4:] for line in text.splitlines() if line.startswith("    matcap ")]
+    # Two spaces and a word are a remark beside the command.
+    kept = [re.split(r"\s{2,}(?=\S)|\s+[#>]", line)[0].strip() for line in lines]
+    return [line for line in kept if re.match(r"(\$ )?matcap [a-z]", line)]
+
+
+SHOWN = sorted({(str(p.relative_to(ROOT)), line) for p in PAGES for line in commands(p)})
+
+
+@pytest.fixture(scope="module")
+def small():
+    """An untrained material of the right form."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(3)
+        decoder = Decoder(SMALL)
+    code = torch.zeros(CODE_SIZE)
+    moments = tuple(freeze(decoder, code, ()))
+    return Material("leather", decoder, code, moments, (), 2 / 256, FlashSetup())
+
+
+@pytest.mark.parametrize(("page", "line"), SHOWN)
+def test_every_command_shown_parses(page, line):
+    words = shlex.split(line.removeprefix("$ "))[1:]
+    command, context, name = typer.main.get_command(app), None, "matcap"
+    # By what they can do: typer brings a click of its own, or does not, as its version will.
+    while hasattr(command, "get_command"):
+        context = command.make_context(name, words[:1], parent=context, resilient_parsing=True)
+        name, *words = words
+        found = command.get_command(context, name)
+        assert found is not None, f"there is no {name}"
+        command = found
+    try:
+        command.make_context(name, words, parent=context)
+    except Exception as error:
+        pytest.fail(f"{page}: {line}\n{getattr(error, 'message', error)}")
+
+
+def test_the_readme_and_its_pages_show_commands():
+    assert len(SHOWN) > 20
+
+
+def cheap(line: str) -> bool:
+    words = line.split()
+    if words[1] == "view":
+        return "--html" in words
+    if words[1] == "synth" and words[2].startswith("-"):
+        return False  # drawn by the prior, whose network is no small one
+    return words[1] not in LONG and not re.search(r"[A-Z]{4,}|\.dng|\.jpg|scene\.toml|bricks", line)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/viewing.md"])
+def test_cheap_commands_run(page, small, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in ("leather", "cloth", "tile"):
+        (tmp_path / "out" / name).mkdir(parents=True)
+        small.save(tmp_path / "out" / name / f"{name}.matcap")
+    ran = 0
+    for line in commands(ROOT / page):
+        if cheap(line):
+            # As shown but for the size: a strip of half the length is as good a test.
+            code = main(shlex.split(line.replace("4096x256", "600x256"))[1:])
+            assert code == 0, (line, capsys.readouterr().err)
+            ran += 1
+    assert ran > 0
+
+
+def test_python_guide_runs_from_top_to_bottom(small, tmp_path, monkeypatch):
+    """Everything is real but the tuning of the network."""
+    from types import SimpleNamespace
+
+    monkeypatch.setattr(
+        "matcap.capture.pipeline.capture_photo",
+        lambda photo, settings, progress=None: SimpleNamespace(material=small, history=()),
+    )
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "examples/photos/leather.dng", tmp_path)
+    text = (ROOT / "docs/python.md").read_text(encoding="utf-8")
+    snippets = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    names: dict = {}
+    for snippet in snippets:
+        exec(compile(snippet, "docs/python.md", "exec"), names)
+    assert len(snippets) > 10 and Path("leather.html").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_links_and_pictures_lead_somewhere(name):
+    page = ROOT / name
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if target.startswith(("http://", "https://")):
+            continue
+        path, _, anchor = target.partition("#")
+        file = page.parent / path if path else page
+        assert file.is_file(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+            slugs = [re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings]
+            assert anchor in slugs, target
+
+
+@pytest.mark.parametrize("folder", ["view", "gallery", "shooting"])
+def test_pictures_are_small_and_shown(folder):
+    pictures = sorted((ROOT / "docs/images" / folder).iterdir())
+    shown = " ".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert pictures
+    for picture in pictures:
+        assert picture.stat().st_size < 150_000, picture.name
+        assert f"images/{folder}/{picture.name}" in shown, picture.name
+
+
+def test_files_named_in_the_documentation_exist():
+    for page in PAGES:
+        for path in re.findall(
+            r"`((?:matcap|tests|examples|docs)/[\w/.-]+\.\w+)`", page.read_text()
+        ):
+            assert (ROOT / path).exists(), f"{page.name}: {path}"
