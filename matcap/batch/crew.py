@@ -20,6 +20,7 @@ from typing import Any, Literal, Protocol
 
 Tell = Callable[[str, float], None]
 Work = Callable[[Any, Tell], Any]
+Prepare = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Processes:
         prepare: called once in every new process.
     """
 
-    def __init__(self, size: int, work: Work, prepare: Callable[[], None]) -> None:
+    def __init__(self, size: int, work: Work, prepare: Prepare) -> None:
         self.size = size
         self._work, self._prepare = work, prepare
         self._idle: list[_Worker] = []
@@ -112,7 +113,7 @@ class Processes:
 
 
 class _Worker:
-    def __init__(self, work: Work, prepare: Callable[[], None]) -> None:
+    def __init__(self, work: Work, prepare: Prepare) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self._process: SpawnProcess = context.Process(
@@ -143,7 +144,7 @@ class _Worker:
         self.pipe.close()
 
 
-def _serve(pipe: Connection, work: Work, prepare: Callable[[], None]) -> None:
+def _serve(pipe: Connection, work: Work, prepare: Prepare) -> None:
     # Ctrl-C reaches every process of the terminal; the main one decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()

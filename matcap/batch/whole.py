@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
+from matcap.batch.cluster import Cluster
 from matcap.batch.crew import Crew, Processes
 from matcap.batch.identity import prior_hash
 from matcap.batch.index import write_index
@@ -101,17 +102,19 @@ def _cards(shoot: Path, wanted: str, out: Path) -> list[Path]:
     return found
 
 
-def work_off(prepared: Prepared, policy: Policy, show: Show, crew: Crew | None = None) -> ExitCode:
+def work_off(
+    prepared: Prepared, policy: Policy, show: Show, scheduler: str | None = None
+) -> ExitCode:
     """Make everything that is to be made, and the index.
 
     Args:
         prepared: as prepare gives it; its entries change.
         policy: what to make of failures.
         show: who watches.
-        crew: who works; by default as many processes as fit.
+        scheduler: of a dask cluster that works; by default as many processes as fit.
 
     Raises:
-        MatcapError: the output cannot be written at all.
+        MatcapError: the output cannot be written at all, or no such scheduler.
         KeyboardInterrupt: Ctrl-C; what is done is done, the index is written.
     """
     out, entries = prepared.out, prepared.entries
@@ -127,6 +130,11 @@ def work_off(prepared: Prepared, policy: Policy, show: Show, crew: Crew | None =
         for entry in entries:
             if entry.state != "todo":
                 show.ended(entry)
-        workers = crew or Processes(prepared.workers, do_job, settle_threads)
-        Batch(entries, run, workers, prepared.settings, policy, show, page, prepared.card).go()
+        crew: Crew
+        if scheduler is None:
+            crew = Processes(prepared.workers, do_job, settle_threads)
+        else:
+            crew = Cluster(scheduler, do_job, settle_threads)
+        settings, card = prepared.settings, prepared.card
+        Batch(entries, run, crew, settings, policy, show, page, card).go()
     return exit_code(entries)

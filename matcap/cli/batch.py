@@ -79,6 +79,10 @@ def batch(
         str | None,
         typer.Option(metavar="auto|none|PATH", help="Photograph of a calibration card."),
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A dask scheduler's, tcp://host:8786; see docs."),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what would be done, how long and how large.")
     ] = False,
@@ -111,6 +115,8 @@ def batch(
     settings = settings_of(shoot, flags)
     policy = Policy(force, retry_failed, fail_fast)
     with batch_display(quiet=quiet) as shown:
+        if scheduler:  # other machines stand in other folders
+            shoot, out = shoot.resolve(), out.resolve()
         prepared = prepare(shoot, out, settings, policy, shown)
         if dry_run:
             from matcap.batch.predict import predict
@@ -118,7 +124,7 @@ def batch(
             prediction = predict(prepared)
         else:
             try:
-                code = work_off(prepared, policy, shown)
+                code = work_off(prepared, policy, shown, scheduler)
             except KeyboardInterrupt:
                 code = ExitCode.INTERRUPTED
     if dry_run:

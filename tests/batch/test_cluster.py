@@ -1,0 +1,61 @@
+"""A crew of dask.distributed workers, in threads of this process."""
+
+import time
+
+import pytest
+
+from matcap.batch.cluster import Cluster
+from matcap.errors import MatcapError
+
+distributed = pytest.importorskip("distributed", reason='needs pip install "matcap[cluster]"')
+pytestmark = pytest.mark.filterwarnings("ignore")  # dask's own, about ports and threads
+
+
+def work(job, tell):
+    tell("begun", 0.5)
+    if job == "fault":
+        raise RuntimeError("a lost worker looks like this")
+    return f"did {job}"
+
+
+def prepare():
+    pass
+
+
+@pytest.fixture(scope="module")
+def address():
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None,
+        protocol="tcp",
+    ) as cluster:  # fmt: skip
+        yield cluster.scheduler_address
+
+
+def test_jobs_are_done_and_losses_are_told(address):
+    crew = Cluster(address, work, prepare)
+    try:
+        assert crew.size == 2
+        crew.start("a")
+        crew.start("fault")
+        ends, limit = {}, time.monotonic() + 30.0
+        while len(ends) < 2 and time.monotonic() < limit:
+            ends |= {event.job: (event.kind, event.value) for event in crew.wait(1.0)}
+        assert ends == {"a": ("done", "did a"), "fault": ("died", 1)}
+        assert crew.busy() == 0
+    finally:
+        crew.close()
+
+
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
+    monkeypatch.setattr("matcap.batch.cluster._PATIENCE", 0.2)
+    with pytest.raises(MatcapError, match="no dask scheduler answers"):
+        Cluster("tcp://127.0.0.1:9", work, prepare)
+
+
+def test_without_the_extra_the_remedy_is_its_installation(monkeypatch):
+    def missing(name):
+        raise ImportError(name)
+
+    monkeypatch.setattr("matcap.batch.cluster.import_module", missing)
+    with pytest.raises(MatcapError, match=r"matcap\[cluster\]"):
+        Cluster("tcp://127.0.0.1:9", work, prepare)
