@@ -21,6 +21,8 @@ for material in bpy.data.materials:
             node.interpolation = "Closest"
 scene = bpy.context.scene
 scene.world = bpy.data.worlds.new("black")
+if bpy.app.version < (5, 0, 0):
+    scene.world.use_nodes = True
 scene.world.node_tree.nodes.clear()
 camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
 camera.data.angle = math.radians(45.0)

@@ -1,0 +1,56 @@
+"""Every command of docs/exports.md runs and leaves the files that the page names."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from matcap.cli.main import main
+from matcap.export.mapset import MapSetInfo, write_mapset
+from matcap.export.presets import PRESETS
+
+PAGE = (Path(__file__).parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
+SHELL = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)).splitlines()
+EXPORTS = [line for line in SHELL if line.startswith("matcap export") and "--onnx" not in line]
+
+
+@pytest.fixture
+def captured(tmp_path, monkeypatch, made):
+    """What a capture leaves, but for its size."""
+    write_mapset(made["leather"], tmp_path / "out" / "leather", MapSetInfo("leather"))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("line", EXPORTS)
+def test_commands_run(captured, line):
+    assert main(shlex.split(line)[1:]) == 0
+
+
+@pytest.mark.parametrize("target", ["materialx", "gltf", "usd", "blender", "mitsuba"])
+def test_files_are_called_as_the_page_says(captured, target):
+    assert any(f"--to {target}" in line for line in EXPORTS)
+    assert main(["export", "out/leather", "--to", target, "-q"]) == 0
+    there = {file.name for file in (captured / f"leather_{target}").iterdir()}
+    named = re.findall(r"`(leather[\w.]*\.(?:mtlx|glb|usd[az]|py|xml))`", PAGE)
+    ends = {
+        "materialx": ".mtlx",
+        "gltf": ".glb",
+        "usd": ".usd",
+        "blender": ".py",
+        "mitsuba": ".xml",
+    }
+    mine = [name for name in named if ends[target] in name]
+    assert mine
+    assert set(mine) <= there
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_files_of_presets_are_called_as_the_table_says(captured, preset):
+    (row,) = re.findall(rf"^\| `{preset}` \| (.*?) \|", PAGE, re.MULTILINE)
+    assert main(["export", "out/leather", "--preset", preset, "-q"]) == 0
+    there = " ".join(file.name for file in (captured / f"leather_{preset}").iterdir())
+    for part in re.findall(r"`([^`]+)`", row):
+        wanted = re.sub("1k", "48", part, flags=re.IGNORECASE)  # 48 texels here, 1024 there
+        assert wanted.split(".")[0] in there
