@@ -10,11 +10,13 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from matcap.errors import MatcapError
 from matcap.export.exr import forget_error
+from matcap.relight.octahedron import Octahedra, octahedra
 from matcap.relight.scene import EnvironmentLight
 from matcap.relight.vectors import Array, Vec
 
@@ -25,7 +27,17 @@ _SUMMED = 256
 # Normals that irradiance is tabulated for, along each axis of their octahedron.
 _NORMALS = 64
 
+# Suns are gathered in cells of 5.6 degrees, and there are no more than so many.
+_PLACES, _SUNS = 32, 16
+
 Picture = Array
+
+
+class Sun(NamedTuple):
+    """A small bright spot: direction in the scene, and irradiance on a surface facing it."""
+
+    direction: tuple[float, float, float]
+    irradiance: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -58,11 +70,58 @@ class Environment:
         """By how much the radiance differs from its mean, at most."""
         return float(np.abs(self.levels[0] - self.mean).max())
 
+    @cached_property
+    def _parted(self) -> tuple[Environment, tuple[Sun, ...]]:
+        """What is left without suns, and these."""
+        top = self.levels[0]
+        height, width = top.shape[:2]
+        rows = np.minimum(np.arange(height) * _PLACES // height, _PLACES - 1)
+        columns = np.arange(width) * 2 * _PLACES // width
+        cell = rows[:, None] * 2 * _PLACES + columns
+        limit = 4.0 * self.mean.max()
+        while True:
+            over = (top > limit).any(axis=2)
+            if len(np.unique(cell[over])) <= _SUNS:
+                break
+            limit *= 1.5
+        if not over.any():
+            return self, ()
+        calm = np.minimum(top, np.float32(limit))
+        towards = self.texel_directions(*np.nonzero(over))
+        edges = np.cos(np.arange(height + 1) * math.pi / height)
+        solid = (edges[:-1] - edges[1:]) * 2.0 * math.pi / width
+        power = (top - calm)[over] * solid[np.nonzero(over)[0]][:, None]
+        suns = []
+        for one in np.unique(cell[over]):
+            part = cell[over] == one
+            middle = (towards[part] * power[part].sum(axis=1, keepdims=True)).sum(axis=0)
+            x, y, z = (float(c) for c in middle / np.linalg.norm(middle))
+            r, g, b = (float(c) for c in power[part].sum(axis=0))
+            suns.append(Sun((x, y, z), (r, g, b)))
+        return Environment(_pyramid(calm), self.rotation), tuple(suns)
+
     @property
-    def texel_angle(self) -> float:
-        """Solid angle of a texel at the horizon, in sr."""
+    def calm(self) -> Environment:
+        """The surroundings without their suns: no texel brighter than a few times the mean."""
+        return self._parted[0]
+
+    @property
+    def suns(self) -> tuple[Sun, ...]:
+        """Small bright spots, 16 at most, that `calm` lacks."""
+        return self._parted[1]
+
+    def texel_directions(self, rows: Array, columns: Array) -> Array:
+        """(N, 3) directions of the scene of texels' centres."""
         height, width = self.levels[0].shape[:2]
-        return 2.0 * math.pi * math.pi / (width * height)
+        azimuth = ((columns + 0.5) / width - 0.5) * 2.0 * math.pi - self.rotation
+        polar = (rows + 0.5) * math.pi / height
+        ring = np.sin(polar)
+        return np.stack([-np.sin(azimuth) * ring, np.cos(polar), np.cos(azimuth) * ring], axis=-1)
+
+    @cached_property
+    def octahedra(self) -> Octahedra:
+        """The same, to be looked up quickly."""
+        return octahedra(self.radiance, len(self.levels[0]))
 
     @cached_property
     def _texels(self) -> tuple[Picture, Array, Array]:

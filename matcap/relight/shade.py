@@ -36,7 +36,7 @@ from matcap.relight.scene import (
 from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
 from matcap.relight.tables import albedo
 from matcap.relight.vectors import Array, Vec, add, dot, scale, subtract, unit3, vec
-from matcap.relight.visible_normals import mirrored
+from matcap.relight.visible_normals import lattice, lobe_of
 
 _ZERO: Any = np.float32(0.0)
 _ONE: Any = np.float32(1.0)
@@ -206,14 +206,15 @@ class _Block:
             seen: share of it that shadows leave.
         """
         hits, sample = self.hits, self.sample
-        step = seen * np.float32(1.0 / area.SAMPLES)
-        for one in mirrored(sample, hits.to_view, self.n_dot_v, area.SAMPLES):
+        lobe = lobe_of(sample, hits.to_view, self.n_dot_v)
+        for point in lattice(area.SAMPLES):
+            one = lobe.mirrored(point)
             direction = to_scene(one.to_light, hits.frame)
             met, _ = area.seen_along(light, hits.point, direction)
-            met = met & (one.to_light[2] > 0.0) & self.facing
+            met = met & (one.rise > 0.0) & self.facing
             if not met.any():
                 continue
-            share = one.weight * met * step
+            share = one.weight * met * seen
             for channel in range(3):
                 f0 = sample.specular[channel if len(sample.specular) == 3 else 0]
                 fresnel = f0 + (1.0 - f0) * one.fresnel

@@ -217,8 +217,10 @@ def centres():
 
 
 def corners(width=1024, height=513):
-    """The same as Mitsuba reads pictures: first and last row are the poles, column 0 is u = 0."""
-    return sky((np.arange(width) / width)[None, :], (np.arange(height) / (height - 1))[:, None])
+    """The same as Mitsuba reads pictures: centres of columns, but first and last row the poles."""
+    return sky(
+        ((np.arange(width) + 0.5) / width)[None, :], (np.arange(height) / (height - 1))[:, None]
+    )
 
 
 def sky_emitter(picture):

@@ -10,7 +10,7 @@ from matcap.errors import MatcapError
 from matcap.export.exr import write_exr
 from matcap.relight.environment import environment_of
 from matcap.relight.render import Renderer, relight
-from matcap.relight.scene import EnvironmentLight, Film, Scene, Surface
+from matcap.relight.scene import DirectionalLight, EnvironmentLight, Film, Scene, Surface
 from matcap.relight.vectors import vec
 
 
@@ -98,3 +98,53 @@ def test_broken_pictures(tmp_path):
     file = sky_file(tmp_path, np.full((16, 32, 3), -1.0))
     with pytest.raises(MatcapError, match="no radiance"):
         environment_of(EnvironmentLight(file))
+
+
+def test_a_small_sun_is_reflected_as_a_directional_light_would_be(tmp_path):
+    """Its power in one texel, on a rough mirror: the lattice alone would miss or overrate it."""
+    picture = np.full((64, 128, 3), 0.02)
+    picture[30, 70] = 500.0
+    sky = environment_of(EnvironmentLight(sky_file(tmp_path, picture)))
+    (sun,) = sky.suns
+    np.testing.assert_allclose(np.linalg.norm(sun.direction), 1.0, rtol=1e-6)
+    edges = np.cos(np.array([30, 31]) * math.pi / 64)
+    solid = (edges[0] - edges[1]) * 2 * math.pi / 128
+    limit = float(sky.calm.brightest)
+    np.testing.assert_allclose(sun.irradiance, (500.0 - limit) * solid, rtol=1e-3)
+    surface, film = Surface(displacement=0.0), Film(16, 16)
+    lights = (
+        (EnvironmentLight(sky_file(tmp_path, picture)),),
+        (
+            DirectionalLight(sun.direction, (500.0 * solid,) * 3),
+            EnvironmentLight(radiance=(0.02,) * 3),
+        ),
+    )
+    mirror = flat(diffuse=0.0, specular=0.9, roughness=0.5)
+    effects = "all,-multiscatter"  # which surroundings cause as if they were even
+    found, expected = (
+        relight(mirror, Scene(film, None, surface, light), effects=effects) for light in lights
+    )
+    np.testing.assert_allclose(found, expected, rtol=0.01)
+
+
+def test_octahedra_agree_with_the_picture_they_are_made_from(tmp_path):
+    v = (np.arange(64) + 0.5) / 64 * math.pi
+    u = ((np.arange(128) + 0.5) / 128 - 0.5) * 2 * math.pi
+    smooth = 1.0 + np.sin(v)[:, None] * np.cos(u - 0.7)[None, :] * np.cos(v)[:, None]
+    sky = environment_of(EnvironmentLight(sky_file(tmp_path, np.repeat(smooth[..., None], 3, 2))))
+    towards = np.random.default_rng(0).normal(size=(3, 500))
+    towards = tuple((towards / np.linalg.norm(towards, axis=0)).astype(np.float32))
+    exact = sky.radiance(towards)
+    for wide, rms in ((0.01, 5e-4), (0.1, 3e-3), (0.2, 1e-2)):
+        found = sky.octahedra.radiance(towards, np.full(500, wide, dtype=np.float32))
+        assert np.sqrt(((found - exact) ** 2).mean()) < rms
+
+
+def test_octahedra_keep_all_light(tmp_path):
+    picture = np.random.default_rng(1).random((32, 64, 3))
+    octahedra = environment_of(EnvironmentLight(sky_file(tmp_path, picture))).octahedra
+    flat_mean = [
+        octahedra.atlas[int(top) + 1 : int(top + side) + 1, 1 : int(side) + 1].mean()
+        for top, side in zip(octahedra.tops, octahedra.sides, strict=True)
+    ]
+    np.testing.assert_allclose(flat_mean, flat_mean[0], rtol=0.02)

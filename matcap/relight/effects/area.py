@@ -3,7 +3,7 @@
 Rectangle: a Gauss-Legendre product rule over its area. Sphere: the cone it fills, Gauss-Legendre
 in the cosine and even in azimuth. The rule grows with the light's size against the sharpest lobe
 of the block, from 3 x 3 to 16 x 16 points. Where even that is too coarse (a large light in a
-near-mirror) the specular lobe is sampled instead, at 128 visible normals, each of which sees the
+near-mirror) the specular lobe is sampled instead, at 144 visible normals, each of which sees the
 light or does not. A light that sets behind the horizon of a point makes the integrand bend, which
 costs accuracy there.
 
@@ -27,7 +27,7 @@ from matcap.relight.vectors import Array, Vec, add, cross, dot, scale, subtract,
 from matcap.relight.visible_normals import basis
 
 AreaLight = RectangleLight | SphereLight
-SAMPLES = 128
+SAMPLES = 144
 _LARGEST_ORDER = 16
 # Points of the rule to the angle of a lobe, alpha: measured errors stay below 4e-4.
 _DENSITY = 1.5

@@ -32,25 +32,30 @@ def bound(facts: Facts) -> Bound:
     return Bound(environment.brightest(facts), f"horizons of up to {slope:.3g} degrees")
 
 
-def horizon_test(horizons: Horizons, texel: Array) -> Callable[[Vec], Array]:
+def horizon_test(horizons: Horizons, texel: Array) -> Callable[[Vec, Array | None], Array]:
     """Whether directions in the material's frame are above the horizon of texels.
 
     Args:
         horizons: of the material.
         texel: index of each pixel's nearest texel.
+
+    Returns:
+        A function of directions and of which pixels they belong to, counted row by row; None is
+        all of them.
     """
     flat = horizons.tangents.ravel()
     base = texel * AZIMUTHS
 
-    def clear(direction: Vec) -> Array:
+    def clear(direction: Vec, some: Array | None) -> Array:
         x, y, z = direction
+        start = base if some is None else np.take(base, some)
         turn = np.arctan2(y, x) * np.float32(AZIMUTHS / (2.0 * math.pi))
         low = np.floor(turn)
         share = turn - low
         first = np.mod(low.astype(np.int64), AZIMUTHS)
         second = np.where(first + 1 == AZIMUTHS, 0, first + 1)
-        t0 = flat[base + first]
-        tangent: Array = t0 + share * (flat[base + second] - t0)
+        t0 = flat[start + first]
+        tangent: Array = t0 + share * (flat[start + second] - t0)
         above: Array = z > tangent * np.sqrt(x * x + y * y)
         return above
 

@@ -1,0 +1,130 @@
+"""Surroundings folded onto octahedra, one for each width of lobe: quick to look up.
+
+A direction's place on the unfolded octahedron takes a few divisions (Engelhardt and Dachsbacher
+2008), no angles. Each level is half as large as the one before; a lookup reads between four of its
+texels. Averaging over texels and reading between them widens what is looked up by a quarter of a
+texel's square along each axis, which blunts a smooth light's top; each level is sharpened by just
+that, so that a lookup is exact for what is quadratic nearby and still misses no small sun.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from matcap.relight.vectors import Array, Vec
+
+_FINEST, _COARSEST = 1024, 4
+# Rays a texel's side when the finest level is averaged.
+_RAYS = 2
+
+Picture = Array
+
+
+@dataclass(frozen=True)
+class Octahedra:
+    """The levels one above the other, each with a border that goes on around its edges.
+
+    Attributes:
+        atlas: (h, w, 3) float32.
+        tops: the row where each level begins, and
+        sides: how many texels it has along a side.
+    """
+
+    atlas: Picture
+    tops: Array
+    sides: Array
+
+    @property
+    def finest(self) -> float:
+        """Side of a texel of the finest level, in radians, on average."""
+        return math.sqrt(4.0 * math.pi) / float(self.sides[0])
+
+    def radiance(self, direction: Vec, wide: Array) -> Picture:
+        """(3, ...) radiance along unit directions of the scene, averaged over `wide` radians.
+
+        Args:
+            direction: arrays of one shape, of one or two dimensions.
+            wide: square root of a solid angle, of the same shape.
+        """
+        import cv2
+
+        u, v = folded(direction)
+        # The exponent of wide / finest, rounded to the nearest: floor(log2(sqrt(2) x)).
+        ratio = wide * np.float32(math.sqrt(2.0) / self.finest)
+        level = (ratio.astype(np.float32).view(np.int32) >> 23) - 127
+        np.clip(level, 0, len(self.sides) - 1, out=level)
+        half = self.sides[level] * np.float32(0.5)
+        # Texel i is centred at i + 0.5, one further for the border.
+        column = (u + 1.0) * half + np.float32(0.5)
+        row = (v + 1.0) * half + (self.tops[level] + np.float32(0.5))
+        flat = column.ndim == 1
+        if flat:
+            column, row = column[None], row[None]
+        found = np.asarray(cv2.remap(self.atlas, column, row, cv2.INTER_LINEAR))
+        return np.moveaxis(found[0] if flat else found, -1, 0)
+
+
+def folded(direction: Vec) -> tuple[Array, Array]:
+    """Place of directions on the unfolded octahedron, in [-1, 1] twice; +z is its middle."""
+    x, y, z = direction
+    u, v, w = np.abs(x), np.abs(y), np.abs(z)
+    inverse = 1.0 / (u + v + w)
+    below = z < 0.0
+    if below.any():
+        u, v = u * inverse, v * inverse
+        u, v = np.where(below, 1.0 - v, u), np.where(below, 1.0 - u, v)
+        return np.copysign(u, x), np.copysign(v, y)
+    return x * inverse, y * inverse
+
+
+def unfolded(u: Array, v: Array) -> Vec:
+    """Unit directions of places on the unfolded octahedron."""
+    z = 1.0 - np.abs(u) - np.abs(v)
+    fold = np.maximum(-z, 0.0)
+    x, y = u - np.copysign(fold, u), v - np.copysign(fold, v)
+    inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
+    return x * inverse, y * inverse, z * inverse
+
+
+def octahedra(radiance: Callable[[Vec], Picture], rows: int) -> Octahedra:
+    """The octahedra of surroundings.
+
+    Args:
+        radiance: (3, ...) radiance along unit directions.
+        rows: of the latitude-longitude picture behind it: the finest level is about as fine.
+    """
+    side = min(max(2 ** math.ceil(math.log2(1.13 * rows)), 2 * _COARSEST), _FINEST)
+    level = np.zeros((side, side, 3), dtype=np.float32)
+    for i in range(_RAYS):
+        for j in range(_RAYS):
+            at = [((np.arange(side) + (k + 0.5) / _RAYS) / side * 2.0 - 1.0) for k in (i, j)]
+            u, v = np.meshgrid(at[1].astype(np.float32), at[0].astype(np.float32))
+            level += np.moveaxis(radiance(unfolded(u, v)), 0, -1) / np.float32(_RAYS**2)
+    levels = [_bordered(level)]
+    while side > _COARSEST:
+        side //= 2
+        level = level.reshape(side, 2, side, 2, 3).mean(axis=(1, 3))
+        levels.append(_bordered(level))
+    sides = np.array([len(one) - 2 for one in levels], dtype=np.float32)
+    tops = np.cumsum([0, *(len(one) for one in levels[:-1])]).astype(np.float32)
+    atlas = np.zeros((sum(len(one) for one in levels), len(levels[0]), 3), dtype=np.float32)
+    for top, one in zip(tops.astype(int), levels, strict=True):
+        atlas[top : top + len(one), : len(one)] = one
+    return Octahedra(atlas, tops, sides)
+
+
+def _bordered(level: Picture) -> Picture:
+    """A level sharpened, with a border."""
+    around = _wrapped(level)
+    near = around[:-2, 1:-1] + around[2:, 1:-1] + around[1:-1, :-2] + around[1:-1, 2:]
+    return _wrapped(np.float32(1.5) * level - np.float32(0.125) * near)
+
+
+def _wrapped(level: Picture) -> Picture:
+    """One more texel around: across an edge lies the same edge, the other way round."""
+    wide = np.concatenate([level[::-1, :1], level, level[::-1, -1:]], axis=1)
+    return np.concatenate([wide[:1, ::-1], wide, wide[-1:, ::-1]], axis=0)
