@@ -108,9 +108,9 @@ class _Block:
         self.scatter: list[tuple[Array, Array]] = []
         if self.plan.on("multiscatter"):
             with job.clock.on("multiscatter"):
-                self.rows = albedo().rows(sample.alpha)
+                self.near = albedo().near(sample.alpha)
                 self.scatter = [
-                    multiscatter.terms(f0, sample.alpha, self.n_dot_v) for f0 in sample.specular
+                    multiscatter.terms(f0, self.near, self.n_dot_v) for f0 in sample.specular
                 ]
         # For each colour the sum of irradiance times direction, for interreflection.
         self.flow: list[Vec] = [(_ZERO, _ZERO, _ZERO)] * 3 if self.bounces else []
@@ -131,6 +131,8 @@ class _Block:
         if self.bounces:
             with self.job.clock.on("interreflection"):
                 self.add_bounce()
+        if not self.facing.all():
+            self.total *= self.facing
         return self.total
 
     def add_point(self, light: PointLight | DirectionalLight) -> None:
@@ -211,7 +213,7 @@ class _Block:
             one = lobe.mirrored(point)
             direction = to_scene(one.to_light, hits.frame)
             met, _ = area.seen_along(light, hits.point, direction)
-            met = met & (one.rise > 0.0) & self.facing
+            met = met & (one.rise > 0.0)
             if not met.any():
                 continue
             share = one.weight * met * seen
@@ -239,11 +241,17 @@ class _Block:
             lobe: whether the specular lobe is lit too.
         """
         sample = self.sample
-        n_dot_l = np.maximum(dot(sample.normal, to_light), _ZERO)
-        arriving = received * (to_light[2] > 0.0)
+        n_dot_l = dot(sample.normal, to_light)
+        np.maximum(n_dot_l, _ZERO, out=n_dot_l)
+        risen = to_light[2] > 0.0
+        if not risen.all():
+            received = received * risen
         if self.bounces:
-            self.collect(scale(to_light, arriving), colour)
-        light = n_dot_l * arriving * self.facing
+            self.collect(scale(to_light, received), colour)
+        light = n_dot_l * received
+        grey = colour[0] == colour[1] == colour[2]
+        if grey:
+            light *= np.float32(colour[0])
         glare: list[Array] = []
         if lobe and self.plan.on("specular"):
             with self.job.clock.on("specular"):
@@ -251,25 +259,25 @@ class _Block:
                     sample.normal, self.hits.to_view, to_light, self.n_dot_v, n_dot_l, sample.alpha
                 )
                 mirror *= light
-                weight = schlick_weight(l_dot_h)
-                glare = [(f0 + (1.0 - f0) * weight) * mirror for f0 in sample.specular]
+                # F0 + (1 - F0) weight, times mirror.
+                weight = schlick_weight(l_dot_h) * mirror
+                mirror -= weight
+                glare = [f0 * mirror for f0 in sample.specular]
+                for one in glare:
+                    one += weight
         if self.scatter:
             with self.job.clock.on("multiscatter"):
-                lost = multiscatter.missing(self.rows, n_dot_l) * light
+                lost = albedo().missing(self.near, n_dot_l)
+                lost *= light
                 extra = [strength * lost for strength, _ in self.scatter]
                 glare = [a + b for a, b in zip(glare, extra, strict=True)] if glare else extra
         with self.job.clock.on("diffuse"):
-            lambert = light * np.float32(1.0 / math.pi) if self.plan.on("diffuse") else None
+            light *= np.float32(1.0 / math.pi)
             for channel in range(3):
-                power = np.float32(colour[channel])
-                if lambert is not None:
-                    value = sample.diffuse[channel] * lambert
-                    if glare:
-                        value += glare[channel if len(glare) == 3 else 0]
-                    value *= power
-                    self.total[channel] += value
-                elif glare:
-                    self.total[channel] += glare[channel if len(glare) == 3 else 0] * power
+                value = glare[channel if len(glare) == 3 else 0] if glare else _ZERO
+                if self.plan.on("diffuse"):
+                    value = sample.diffuse[channel] * light + value
+                self.total[channel] += value if grey else value * np.float32(colour[channel])
 
     def collect(self, flow: Vec, colour: Colour) -> None:
         """Remember light, irradiance times direction, that neighbours receive."""
@@ -293,7 +301,7 @@ class _Block:
                 irradiance = environment.diffuse_irradiance(sky, sample.normal, hits)
             else:
                 irradiance = environment.uniform_irradiance(sky)
-            irradiance = irradiance * (self.facing * seen)
+            irradiance = irradiance * seen
             if self.plan.on("diffuse"):
                 for channel in range(3):
                     lambert = sample.diffuse[channel] * np.float32(1.0 / math.pi)
@@ -309,7 +317,7 @@ class _Block:
                 for channel in range(3):
                     f0 = sample.specular[channel if len(sample.specular) == 3 else 0]
                     mirror = f0 * parts[0][channel] + parts[1][channel]
-                    self.total[channel] += mirror * self.facing
+                    self.total[channel] += mirror
         if self.scatter:
             with job.clock.on("multiscatter"):
                 for channel in range(3):
@@ -326,7 +334,7 @@ class _Block:
         arriving = interreflection.received(bounced, self.flow)
         for channel in range(3):
             lambert = self.sample.diffuse[channel] * np.float32(1.0 / math.pi)
-            self.total[channel] += lambert * arriving[channel] * self.facing
+            self.total[channel] += lambert * arriving[channel]
 
 
 def _cell(light: SphereLight | RectangleLight, place: tuple[float, float]) -> tuple[int, int]:

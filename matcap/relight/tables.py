@@ -18,6 +18,8 @@ from matcap.relight.visible_normals import Point, lattice
 _SIZE = 64
 _POINTS = 987
 _FINE = 1024
+# Places where the energy that is lost is tabulated, for the nearest to be taken.
+_ALPHAS, _COSINES = 512, 1024
 
 
 @dataclass(frozen=True)
@@ -60,18 +62,34 @@ class Albedo:
         """Bias likewise."""
         return _fine(self.bias)
 
-    def mean(self, rows: Array) -> Array:
-        """The average of rows()."""
-        return np.take(self._fine_average, np.rint(rows * np.float32(1.0 / _SIZE)).astype(np.intp))
+    def near(self, alpha: Array) -> Array:
+        """Where missing() begins for alphas: the nearest of 512, whole numbers as float32."""
+        return np.rint(alpha * np.float32(_ALPHAS - 1)) * np.float32(_COSINES)
+
+    def missing(self, near: Array, mu: Array) -> Array:
+        """1 - total at cosines, the nearest of those tabulated: within 1e-3, and quick."""
+        index = mu * np.float32(_COSINES - 1) + (near + np.float32(0.5))
+        return np.take(self._missing, index.astype(np.intp), mode="clip")
+
+    def average_at(self, near: Array) -> Array:
+        """The average for alphas."""
+        return np.take(self._averages, (near * np.float32(1.0 / _COSINES)).astype(np.intp))
 
     @cached_property
-    def _fine_average(self) -> Array:
-        return _between(self.average[:, None])[:, 0]
+    def _missing(self) -> Array:
+        roughness = np.sqrt(np.linspace(0.0, 1.0, _ALPHAS))
+        root_mu = np.sqrt(np.linspace(0.0, 1.0, _COSINES))
+        total = _between(_between(self.total, roughness).T, root_mu).T
+        return np.ascontiguousarray(np.maximum(1.0 - total, 0.0)).ravel()
+
+    @cached_property
+    def _averages(self) -> Array:
+        return _between(self.average[:, None], np.sqrt(np.linspace(0.0, 1.0, _ALPHAS)))[:, 0]
 
 
-def _between(table: Array) -> Array:
-    """The rows of a table, and straight lines between them, at 1024 roughnesses."""
-    y = np.linspace(0.0, _SIZE - 1.0, _FINE)
+def _between(table: Array, places: Array) -> Array:
+    """The rows of a table, and straight lines between them, at places in [0, 1]."""
+    y = places * (_SIZE - 1.0)
     i = np.minimum(y.astype(np.intp), _SIZE - 2)
     share = (y - i)[:, None]
     rows: Array = (table[i] * (1.0 - share) + table[i + 1] * share).astype(np.float32)
@@ -79,7 +97,7 @@ def _between(table: Array) -> Array:
 
 
 def _fine(table: Array) -> Array:
-    rows = _between(table)
+    rows = _between(table, np.linspace(0.0, 1.0, _FINE))
     steps = np.diff(rows, axis=1, append=rows[:, -1:])
     return np.ascontiguousarray(rows + 1j * steps, dtype=np.complex64).ravel()
 

@@ -58,8 +58,9 @@ def directional_albedo(mu, roughness, *, compensated):
         nodes, weights = np.polynomial.legendre.leggauss(200)
         cosine = ((nodes + 1.0) / 2.0) ** 2
         slender = (nodes + 1.0) / 2.0 * weights  # d cosine
-        strength, _ = multiscatter.terms(np.ones(1), np.full(1, roughness**2), np.full(1, mu))
-        lost = multiscatter.missing(albedo().rows(np.full(200, roughness**2)), cosine)
+        near = albedo().near(np.full(200, roughness**2))
+        strength, _ = multiscatter.terms(np.ones(1), near[:1], np.full(1, mu))
+        lost = albedo().missing(near, cosine)
         total += (2.0 * math.pi * strength[0] * lost * cosine * slender).sum()
     return total
 
@@ -87,8 +88,9 @@ def test_compensation_is_reciprocal():
     mu_v, mu_l, alpha = generator.random((3, 1000))
 
     def lobe(view, light):
-        strength, _ = multiscatter.terms(np.full(1000, 0.9), alpha, view)
-        return strength * multiscatter.missing(albedo().rows(alpha), light)
+        near = albedo().near(alpha)
+        strength, _ = multiscatter.terms(np.full(1000, 0.9), near, view)
+        return strength * albedo().missing(near, light)
 
     np.testing.assert_allclose(lobe(mu_v, mu_l), lobe(mu_l, mu_v), rtol=1e-6, atol=1e-9)
 

@@ -41,28 +41,22 @@ def bound(facts: Facts) -> Bound:
     return Bound(1.02 * (lobe / math.pi * light + share * facts.sky), reason)
 
 
-def terms(specular: Array, alpha: Array, n_dot_v: Array) -> tuple[Array, Array]:
+def terms(specular: Array, near: Array, n_dot_v: Array) -> tuple[Array, Array]:
     """What a pixel needs for all its lights.
+
+    Args:
+        specular: F0.
+        near: Albedo.near() of its alpha.
+        n_dot_v: cosine, not negative.
 
     Returns:
         Fms (1 - E(n.v)) / (pi (1 - Eavg)), which (1 - E(n.l)) n.l is multiplied by; and
         Fms (1 - E(n.v)), the albedo of the lobe.
     """
     tables = albedo()
-    rows = tables.rows(alpha)
-    mean = tables.mean(rows)
-    total = tables.lookup(tables.fine_total, n_dot_v, rows)
-    missing = np.maximum(1.0 - total, np.float32(0.0))
-    share = _strength(specular, mean) * missing
+    mean = tables.average_at(near)
+    share = _strength(specular, mean) * tables.missing(near, n_dot_v)
     return share / (np.maximum(1.0 - mean, np.float32(1e-6)) * np.float32(math.pi)), share
-
-
-def missing(rows: Array, n_dot_l: Array) -> Array:
-    """1 - E(n.l) for alphas whose rows of the tables are known."""
-    tables = albedo()
-    total = tables.lookup(tables.fine_total, n_dot_l, rows)
-    lost: Array = np.maximum(1.0 - total, np.float32(0.0))
-    return lost
 
 
 def _strength(specular: Array | np.float32, mean: Array) -> Array:
