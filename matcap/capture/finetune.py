@@ -37,6 +37,10 @@ _FROZEN_SHARE = 0.15  # of the work, at the end, done with frozen statistics
 _SMOOTHING = 0.05  # of the running error
 _EXPLODED = 4.0  # times the running error
 _SNAPSHOT_EVERY = 20  # steps
+# How far the coarse fit's diffuse albedo, F0 and roughness are believed, in logits: the texture's
+# bumps widen the highlight, so its roughness tells little.
+_BELIEF = (0.4, 0.4, 0.4, 0.6, 2.0)
+_LOGIT_EPSILON = 1e-4
 _STEEP = 1.0  # slopes beyond 45 degrees are not relief a flash photograph shows
 
 
@@ -51,6 +55,9 @@ class TuneSettings:
         places: windows rendered per step.
         learning_rate: of Adam, at its highest.
         slope_penalty: of the mean squared slope; relief must pay for itself.
+        specular_penalty, roughness_penalty: of their logits' variance; what diffuse albedo
+            explains as well is not to become blotches of gloss.
+        departure_penalty: of mean maps that leave the coarse fit, in its squared deviations.
         steep_penalty: of squared slopes beyond 45 degrees.
         half_precision: bfloat16 inside the network and the features.
         seed: of noise and order.
@@ -62,6 +69,9 @@ class TuneSettings:
     places: int = 1
     learning_rate: float = 2e-2
     slope_penalty: float = 0.005
+    specular_penalty: float = 0.02
+    roughness_penalty: float = 0.01
+    departure_penalty: float = 0.003
     steep_penalty: float = 0.3
     half_precision: bool = True
     seed: int = 0
@@ -79,6 +89,7 @@ class Scene:
         waves: of its regular order.
         texel_size: in plane units.
         weights: of the statistics.
+        expected: (5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None.
     """
 
     windows: Windows
@@ -88,6 +99,7 @@ class Scene:
     waves: tuple[Wave, ...]
     texel_size: float
     weights: Weights = Weights()
+    expected: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -212,7 +224,7 @@ def _step_loss(
     places: Tensor,
     step: int,
 ) -> tuple[Tensor, Tensor]:
-    """Mean distance at some places, and the relief's penalty."""
+    """Mean distance at some places, and what the maps pay for being what they need not be."""
     maps = decode_window(
         decoder,
         code,
@@ -225,11 +237,25 @@ def _step_loss(
     with torch.autocast("cpu", torch.bfloat16, enabled=settings.half_precision):
         found = describe(rendered, scene.encoding, scene.bank)
     loss = distance(found, scene.windows.target.select(places), scene.weights).mean()
+    return loss, _penalty(maps, scene.expected, settings)
+
+
+def _penalty(maps: MapSet, expected: Tensor | None, settings: TuneSettings) -> Tensor:
+    """Relief, and variation of F0 and roughness, that diffuse albedo explains as well."""
     normal = maps.normal
     squared = (normal[:, :2] / normal[:, 2:]).square().sum(dim=1)
     steep = torch.relu((squared + 1e-6).sqrt() - _STEEP).square().mean()
     penalty = settings.slope_penalty * squared.mean() + settings.steep_penalty * steep
-    return loss, penalty
+    specular = torch.logit(maps.specular, eps=_LOGIT_EPSILON)
+    roughness = torch.logit(maps.roughness, eps=_LOGIT_EPSILON)
+    penalty = penalty + settings.specular_penalty * specular.var()
+    penalty = penalty + settings.roughness_penalty * roughness.var()
+    if expected is not None:
+        diffuse = torch.logit(maps.diffuse, eps=_LOGIT_EPSILON)
+        means = torch.cat([diffuse, specular, roughness], dim=1).mean(dim=(0, 2, 3))
+        departure = ((means - expected) / expected.new_tensor(_BELIEF)).square().sum()
+        penalty = penalty + settings.departure_penalty * departure
+    return penalty
 
 
 def decode_window(

@@ -20,7 +20,7 @@ from matcap.capture.anytime import forecast, self_difference
 from matcap.capture.coarse import CoarseFit, fit_coarse
 from matcap.capture.finetune import Scene, TuneSettings, finetune
 from matcap.capture.joint import join
-from matcap.capture.start import log_contrast, untrained
+from matcap.capture.start import log_contrast, logits, untrained
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup, plane_points
@@ -38,7 +38,13 @@ from matcap.statistics.lattice import find_lattice
 from matcap.statistics.vgg import Vgg19
 
 # Steps of fine-tuning; docs/capture.md has what each costs and buys.
-PRESETS: dict[str, int] = {"draft": 80, "standard": 400, "high": 1000, "reference": 3000}
+PRESETS: dict[str, int] = {
+    "instant": 0,
+    "draft": 80,
+    "standard": 400,
+    "high": 1000,
+    "reference": 3000,
+}
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 _FORECAST_EVERY = 20  # steps
 # From nothing, where a run ends depends on where it starts: the best of a few short runs goes on.
@@ -174,10 +180,23 @@ def capture_photo(
         lattice = find_lattice(encoding(linear[None])[0], valid)
         bank = _features(settings.statistics, method)
         windows = cut_windows(
-            linear, valid, encoding, bank, _window(linear, method.window, photo.name)
+            linear,
+            valid,
+            encoding,
+            bank,
+            _window(linear, method.window, photo.name),
+            most=None if steps else 1,  # nothing will be compared
         )
         texel_size = 2.0 / linear.shape[-1]
-        scene = Scene(windows, coarse.setup, encoding, bank, lattice.waves, texel_size)
+        scene = Scene(
+            windows,
+            coarse.setup,
+            encoding,
+            bank,
+            lattice.waves,
+            texel_size,
+            expected=logits(coarse),
+        )
         scene, joined = join(scene, coarse, others, settings.detail) if others else (scene, [])
         windows = scene.windows
         own = self_difference(windows, scene.weights)

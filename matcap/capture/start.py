@@ -29,9 +29,8 @@ def head_start(coarse: CoarseFit, contrast: Tensor) -> tuple[Tensor, Tensor]:
         coarse: the uniform material.
         contrast: (3,) standard deviation of the photograph's log colour; see log_contrast.
     """
-    means = torch.tensor([*coarse.diffuse, coarse.specular, coarse.roughness])
     return (
-        torch.cat([torch.logit(means, eps=1e-4), torch.zeros(1)]),
+        torch.cat([logits(coarse), torch.zeros(1)]),
         torch.cat(
             [
                 contrast * _CONTRAST_GAIN,
@@ -39,6 +38,11 @@ def head_start(coarse: CoarseFit, contrast: Tensor) -> tuple[Tensor, Tensor]:
             ]
         ),
     )
+
+
+def logits(coarse: CoarseFit) -> Tensor:
+    """(5,) raw outputs of the uniform material: diffuse albedo, F0, roughness."""
+    return torch.logit(torch.tensor([*coarse.diffuse, coarse.specular, coarse.roughness]), eps=1e-4)
 
 
 def log_contrast(linear: Tensor, valid: Tensor) -> Tensor:

@@ -41,7 +41,13 @@ class Windows:
 
 
 def cut_windows(
-    linear: Tensor, valid: Tensor, encoding: Encoding, bank: Features, size: int
+    linear: Tensor,
+    valid: Tensor,
+    encoding: Encoding,
+    bank: Features,
+    size: int,
+    *,
+    most: int | None = None,
 ) -> Windows:
     """Windows all over a rectified picture, overlapping by about half.
 
@@ -51,6 +57,7 @@ def cut_windows(
         encoding: of this photograph.
         bank: features to describe with.
         size: of the windows; not larger than the picture.
+        most: so many at most, the first; None for all.
     """
     height, width = linear.shape[-2:]
     places = [(x, y) for y in _steps(height, size) for x in _steps(width, size)]
@@ -59,7 +66,7 @@ def cut_windows(
         for x, y in places
         if float(valid[y : y + size, x : x + size].float().mean()) >= _LEAST_SEEN
     ]
-    places = seen or places
+    places = (seen or places)[:most]
     with torch.no_grad():
         described = [
             describe(linear[None, :, y : y + size, x : x + size], encoding, bank) for x, y in places

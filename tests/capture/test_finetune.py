@@ -6,6 +6,7 @@ import pytest
 import torch
 from tuning import CODE, CONFIG, WINDOW, scene, start, tune
 
+from matcap.brdf.maps import MapSet
 from matcap.capture import finetune as module
 from matcap.flash.render import render_flash
 from matcap.model.decoder import DEPTH, maps_from_raw
@@ -155,3 +156,20 @@ def test_a_rate_that_diverges_is_lowered_until_it_does_not():
     assert all(bool(torch.isfinite(value).all()) for value in state_of(tuned).values())
     assert math.isfinite(tuned.history[-1][2])
     assert error_of(tuned.decoder, list(tuned.moments)) < 4.0 * error_of(start())
+
+
+def test_gloss_that_varies_for_nothing_is_paid_for():
+    even = torch.full((1, 1, 16, 16), 0.3)
+    uneven = even + 0.1 * torch.rand((1, 1, 16, 16), generator=torch.Generator().manual_seed(1))
+    diffuse = torch.full((1, 3, 16, 16), 0.3)
+    expected = torch.logit(torch.tensor([0.3] * 5))
+    settings = module.TuneSettings(steps=1)
+
+    def paid(specular, roughness, wanted=None):
+        maps = MapSet(diffuse, specular, roughness, 0.0 * even, 0.01)
+        return float(module._penalty(maps, wanted, settings))
+
+    flat = paid(even, even)
+    assert paid(uneven, even) > flat and paid(even, uneven) > flat
+    assert paid(even, even, expected) == pytest.approx(flat, abs=1e-7)
+    assert paid(even + 0.2, even, expected) > paid(even + 0.1, even, expected) > flat
