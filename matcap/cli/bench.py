@@ -9,13 +9,14 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli import bench_time, relight, values
+from matcap.cli import bench_time, relight, synth, values
 from matcap.errors import ExitCode
 
 app = typer.Typer(help="Measure matcap on this machine.", no_args_is_help=True)
 app.command("relight")(relight.bench)
 app.command("capture")(bench_time.capture)
 app.command("report")(bench_time.report)
+app.command("synth")(synth.bench)
 
 
 @app.callback()

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matcap.synth.blocks import Rectangle
     from matcap.synth.request import Progress as SynthProgress
 
+_STRIP = values.Size(4096, 256)  # the paper's own example
 _EVERY = 10.0  # seconds between lines of progress where there is no terminal
 
 
@@ -249,3 +250,61 @@ def _duration(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def bench(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the tables.")] = Path(
+        "bench/synth"
+    ),
+    size: Annotated[
+        values.Size,
+        typer.Option(
+            parser=values.size, metavar="WxH", show_default="4096x256", help="Of the map."
+        ),
+    ] = _STRIP,
+    network: Annotated[
+        list[str] | None, typer.Option(help="shipped or paper; both by default.")
+    ] = None,
+    block: Annotated[
+        list[str] | None,
+        typer.Option(metavar="WxH", help="Of the field; may be given several times."),
+    ] = None,
+    workers: Annotated[
+        list[int] | None, typer.Option("--workers", "-j", min=1, help="Threads; 1 and 2.")
+    ] = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Of which the median counts.")] = 3,
+) -> None:
+    """What the endless field costs, beside the paper's form of the same network.
+
+    Writes synth.md and synth.csv; prints the table. The paper's network takes a few gigabytes.
+    """
+    import shlex
+    import sys
+
+    from matcap.bench.synth import BLOCKS, NETWORKS, Settings, markdown, run_synth, write_report
+    from matcap.export.staging import check_writable
+    from matcap.model.decoder import ALIGNMENT
+
+    for name in network or ():
+        if name not in NETWORKS:
+            raise UsageError(
+                "there is no such network", where=name, remedy=f"use {' or '.join(NETWORKS)}"
+            )
+    blocks = [values.size(one) for one in block or BLOCKS]
+    for side in (side for one in (size, *blocks) for side in (one.width, one.height)):
+        if side % ALIGNMENT:
+            raise UsageError(
+                f"{side} is not a multiple of {ALIGNMENT}", remedy="round the sizes to multiples"
+            )
+    check_writable(out, 1_000_000)
+    settings = Settings(
+        (size.width, size.height),
+        tuple(network or NETWORKS),
+        tuple(str(one) for one in blocks),
+        tuple(workers or (1, 2)),
+        repeats,
+    )
+    report = run_synth(settings, lambda line: typer.echo(line, err=True))
+    command = shlex.join(["matcap", *sys.argv[1:]])
+    write_report(report, out, command)
+    typer.echo(markdown(report, command))

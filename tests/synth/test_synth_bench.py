@@ -1,0 +1,64 @@
+"""The benchmark's yardsticks: the paper's form is the network, and every step is counted."""
+
+import csv
+import io
+
+import pytest
+import torch
+
+from matcap.bench import synth
+from matcap.bench.synth import Settings, comma_separated, efficiency, markdown, paper_form
+from matcap.model.decoder import PAPER_CONFIG, Decoder
+from matcap.model.noise import noise_field
+
+
+def test_the_papers_network_has_its_size():
+    decoder = Decoder(PAPER_CONFIG)
+    weights = [layer.convolution.weight for layer in decoder.layers()]
+    skipped = 4 * 9 * 12  # weights of waves, per channel of the four levels on the way up
+    waves = sum(skipped // 4 * width for width in PAPER_CONFIG.widths[:-1])
+    count = sum(w.numel() for w in weights) - waves
+    affine = sum(p.numel() for p in decoder.parameters()) - sum(w.numel() for w in weights)
+    assert 2.0e6 < count + affine < 3.0e6
+
+
+def test_the_papers_form_is_the_decoder_but_for_the_blur(material, monkeypatch):
+    monkeypatch.setattr(synth, "_blurred", lambda features: features)
+    noise = noise_field(1, 2, 0, 0, 96, 64)[None]
+    from matcap.model.noise import random_field
+
+    field = random_field(1, 2, (), 0, 0, 96, 64, levels=4, period=(96, 64))
+    with torch.no_grad():
+        found = paper_form(material.decoder, material.code, noise.contiguous())
+        expected = material.decoder(field, material.code)
+    # Its upsampling does not know that the field is periodic: only the inside is alike.
+    inner = (..., slice(24, 40), slice(24, 72))
+    assert float((found - expected)[inner].abs().mean()) < 0.3 * float(expected.std())
+
+
+def test_a_short_run_fills_the_tables(monkeypatch):
+    monkeypatch.setattr(synth, "keep_memory", lambda: None)  # would hold for all other tests
+    monkeypatch.setattr(synth, "_precisions", lambda: ("fp32",))
+    settings = Settings((64, 32), ("shipped",), ("64x32",), (1,), 1)
+    said = []
+    threads = torch.get_num_threads()
+    report = synth.run_synth(settings, said.append)
+    assert torch.get_num_threads() == threads
+    assert [row.allocator for row in report.rows] == ["as it comes", "kept"] and len(said) == 3
+    for row in csv.DictReader(io.StringIO(comma_separated(report))):
+        seconds, paper = float(row["seconds"]), float(row["paper_seconds"])
+        assert float(row["ratio"]) == pytest.approx(paper / seconds)
+    assert "matcap bench synth" in markdown(report, "matcap bench synth")
+
+
+def test_counted_multiplications_are_those_of_the_network(material):
+    """By hand: one level-0 convolution of the head, 2 channels to 6, on the block and its ring."""
+    from matcap.synth.blocks import Rectangle
+    from matcap.synth.source import area_of, material_source
+
+    decoder = material_source(material, 0).decoder
+    found = list(synth._convolutions(decoder, area_of(Rectangle(0, 0, 64, 32), (1, 1))))
+    assert [tuple(t.shape) for t in found[0]] == [(1, 2, 34, 66), (6, 2, 1, 1)]
+    assert len(found) == 1 + 5 + 4 * 2
+    one = efficiency("tiny", material, "fp32", 1)
+    assert one.field > 0 and one.share == one.field / one.plain
