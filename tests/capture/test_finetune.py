@@ -43,7 +43,7 @@ def test_the_error_falls_on_noise_it_has_never_seen():
 
 def test_what_it_hands_back_is_what_it_optimised():
     """Frozen statistics belong to the decoder: folded, it is the same network."""
-    tuned = tune(steps=40)
+    tuned = tune(steps=80)
     folded = fold(tuned.decoder, CODE, tuned.moments, has_waves=False)
     field = random_field(7, CONFIG.noise_channels, (), 0, 0, 256, 256, levels=DEPTH)
     with torch.no_grad():
