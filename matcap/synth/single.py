@@ -23,6 +23,9 @@ def single_threaded(workers: int) -> Iterator[ThreadPoolExecutor]:
     ready = threading.Barrier(workers + 1)
 
     def prepare() -> None:
+        # The first question makes PyTorch adopt the number for new threads; unasked, it would do
+        # so at the first operator, after that number has been written back.
+        torch.get_num_threads()
         torch.set_num_threads(1)
         ready.wait()
 

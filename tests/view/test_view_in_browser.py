@@ -175,6 +175,7 @@ def test_first_picture_within_two_seconds(tab, subject, served):
     with served(subject) as address:
         page = tab(address.url)
         assert page.until("!!window.matcap && matcap.view.window.blocks.size > 0") < 2.0
+        page.loaded()  # what is still asked for, before nobody answers any more
 
 
 def test_keys_pointer_and_wheel(tab, address):
