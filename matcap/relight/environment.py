@@ -61,6 +61,8 @@ class Environment:
     def mean(self) -> Array:
         """(3,) radiance averaged over all directions."""
         top = self.levels[0]
+        if (top == top[0, 0]).all():
+            return top[0, 0]  # exactly
         weights = np.sin((np.arange(len(top)) + 0.5) * math.pi / len(top))
         mean: Array = (top.mean(axis=1) * weights[:, None]).sum(0) / weights.sum()
         return mean
@@ -200,6 +202,8 @@ class Environment:
         return self._irradiance(x, y, z, clip=False)
 
     def _irradiance(self, x: Array, y: Array, z: Array, *, clip: bool) -> Picture:
+        if self.varying == 0.0:
+            return np.zeros((*x.shape, 3), dtype=np.float32)
         normal = np.stack([x, y, z], axis=-1).reshape(-1, 3)
         normal = (normal / np.linalg.norm(normal, axis=1, keepdims=True)).astype(np.float32)
         towards, power = self.directions

@@ -154,11 +154,6 @@ class Mirrored:
         return x, y, self.rise
 
     @cached_property
-    def _tilt(self) -> Array:
-        """n.h |h|."""
-        return np.maximum(self.cap[2] + self.lobe.stretched[2], np.float32(1e-9))
-
-    @cached_property
     def wide(self) -> Array:
         """Square root of the solid angle that the direction stands for."""
         vx, vy, vz = self.lobe.stretched
@@ -168,6 +163,12 @@ class Mirrored:
         alpha = self.lobe.alpha
         spread = apart * self.inverse * (alpha * alpha)
         return spread * self.lobe.size * np.float32(math.sqrt(self.point.weight))
+
+    @cached_property
+    def n_dot_l(self) -> Array:
+        """Cosine between the shading normal and the direction, of either sign."""
+        tilt = np.maximum(self.cap[2] + self.lobe.stretched[2], np.float32(1e-9))
+        return self.reach * tilt - self.lobe.n_dot_v
 
     @property
     def above(self) -> Array:
@@ -179,14 +180,12 @@ class Mirrored:
     def weight(self) -> Array:
         """G2 / G1 times the lattice's weight; 0 below the shading normal's horizon."""
         lobe = self.lobe
-        n_dot_l = self.reach * self._tilt - lobe.n_dot_v
-        shining = n_dot_l > 0.0
-        n_dot_l = np.maximum(n_dot_l, np.float32(1e-6))
+        n_dot_l = np.maximum(self.n_dot_l, np.float32(1e-6))
         squared = lobe.alpha * lobe.alpha
         light_term = np.sqrt(squared + (1.0 - squared) * n_dot_l * n_dot_l)
         ratio = n_dot_l * (lobe.n_dot_v + lobe.view_term)
         ratio /= n_dot_l * lobe.view_term + lobe.n_dot_v * light_term
-        return ratio * (shining * np.float32(self.point.weight))
+        return ratio * ((self.n_dot_l > 0.0) * np.float32(self.point.weight))
 
     @property
     def fresnel(self) -> Array:

@@ -168,7 +168,8 @@ def hidden(lobe: Lobe, samples: int, horizon: Horizon | None) -> tuple[Array, Ar
         lost = ~one.above
         if horizon is not None:
             lost |= ~horizon(one.to_light, None)
-        index = np.flatnonzero(lost)
+        # Many of these are below the shading normal's horizon too, and count nothing.
+        index = np.flatnonzero(lost & (one.n_dot_l > 0.0))
         if len(index):
             some = lobe.take(index).mirrored(point)
             mixed = some.weight * some.fresnel
