@@ -33,6 +33,7 @@ _CELLS = 64
 _KNEE_DEVELOPED, _KNEE_RADIOMETRIC = 0.6, 0.95
 _HUBER = 0.1  # in log radiance: beyond 10 % a residual counts linearly
 _ITERATIONS = 40
+_STEP = 1e-5  # of a parameter, all of which are of order 1
 # A developed picture's tone curve deepens the falloff; a RAW's numbers are the light's own, and
 # only what a lens profile left undone remains.
 _VIGNETTING_RADIOMETRIC = (0.0, 0.05)
@@ -213,7 +214,7 @@ def _levenberg_marquardt(
     cost = cost_of(parameters)
     for _ in range(_ITERATIONS):
         r = residuals(parameters)
-        jacobian = torch.func.jacfwd(residuals)(parameters)
+        jacobian = _jacobian(residuals, parameters)
         weight = _HUBER / r.abs().clamp_min(_HUBER)
         normal = (jacobian * weight[:, None]).T @ jacobian + torch.diag(precision)
         gradient = jacobian.T @ (weight * r) + precision * (parameters - prior)
@@ -230,3 +231,15 @@ def _levenberg_marquardt(
         if converged:
             break
     return cost, parameters
+
+
+def _jacobian(residuals: Callable[[Tensor], Tensor], parameters: Tensor) -> Tensor:
+    """(residuals, parameters) derivatives by central differences, right to 1e-8 in float64.
+
+    Twice as fast as `torch.func.jacfwd` for so few parameters, and spares the two seconds in which
+    that imports PyTorch's compiler.
+    """
+    steps = _STEP * torch.eye(len(parameters), dtype=parameters.dtype)
+    moved = torch.vmap(residuals)(torch.cat([parameters + steps, parameters - steps]))
+    forward, back = moved.chunk(2)
+    return (forward - back).T / (2.0 * _STEP)

@@ -134,6 +134,9 @@ def finetune(
         settings: how long and how fast.
         report: called after every step.
     """
+    if not settings.steps:
+        # Not even an optimiser: making one imports PyTorch's compiler, a second's work.
+        return Tuned(decoder, tuple(freeze(decoder, code, scene.waves)), (), False)
     started = time.monotonic()
     optimiser = _adam(decoder, settings.learning_rate)
     order = _places(scene.windows.count, settings.seed)
@@ -148,7 +151,7 @@ def finetune(
             good = settings.target is not None and error <= settings.target
             if good and moments is None and step >= _WARM_UP:
                 steps = min(steps, math.ceil(step / (1.0 - _FROZEN_SHARE)))
-            share = step / steps if steps else 1.0
+            share = step / steps
             if settings.seconds is not None:
                 share = max(share, seconds / settings.seconds)
             if share >= 1.0:

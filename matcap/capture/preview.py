@@ -48,7 +48,7 @@ def write_preview(result: CaptureResult, path: Path) -> None:
     """
     sheet = draw_sheet(result)
     with staged(path.parent) as stage, (stage / path.name).open("wb") as file:
-        sheet.save(file, "PNG")
+        sheet.save(file, "PNG", compress_level=3)  # twice as fast as 6, a tenth larger
 
 
 def draw_sheet(result: CaptureResult) -> Image.Image:

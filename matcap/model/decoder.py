@@ -16,6 +16,7 @@ the caller (synth/field.py).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -61,7 +62,7 @@ class AdaIN(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.affine = nn.Linear(CODE_SIZE, 2 * channels)
-        nn.init.normal_(self.affine.weight, std=0.05)
+        _draw(self.affine.weight, 0.05)
         nn.init.zeros_(self.affine.bias)
         self.affine.bias.data[channels:] = 1.0
 
@@ -112,7 +113,7 @@ class Layer(nn.Module):
         super().__init__()
         # AdaIN takes the mean away, so a bias would do nothing.
         self.convolution = nn.Conv2d(inputs, outputs, kernel, bias=False)
-        nn.init.kaiming_normal_(self.convolution.weight)
+        _draw(self.convolution.weight, math.sqrt(2.0 / (inputs * kernel * kernel)))
         # The layout in which the processor's convolutions run fastest.
         weight = self.convolution.weight.data.contiguous(memory_format=torch.channels_last)
         self.convolution.weight.data = weight
@@ -268,6 +269,15 @@ def maps_from_raw(raw: Tensor, texel_size: float, *, periodic: bool = False) -> 
         texel_size=texel_size,
         periodic=periodic,
     )
+
+
+def _draw(weight: Tensor, deviation: float) -> None:
+    """Draw from a normal distribution, unless the weight takes no memory (the meta device).
+
+    There it would change nothing but import PyTorch's compiler, two seconds' work.
+    """
+    if not weight.is_meta:
+        nn.init.normal_(weight, std=deviation)
 
 
 def _block(inputs: int, outputs: int, convolutions: int) -> nn.Sequential:

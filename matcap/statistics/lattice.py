@@ -101,7 +101,6 @@ def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
     middle = _WINDOW // 2
     around = F.pad(full[None, None], (7, 7, 7, 7), mode="circular")
     patches = F.unfold(around, 15).view(225, _WINDOW, _WINDOW)
-    background = patches.median(dim=0).values
     highest = F.max_pool2d(full[None, None], 5, stride=1, padding=2)[0, 0]
     rows, columns = torch.meshgrid(
         torch.arange(_WINDOW) - middle, torch.arange(_WINDOW) - middle, indexing="ij"
@@ -109,19 +108,17 @@ def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
     radius = (rows.square() + columns.square()).sqrt()
     texture = radius >= _WINDOW / _LONGEST
     total = float(full[texture].sum())
-    mass = F.avg_pool2d(full[None, None], 3, stride=1, padding=1)[0, 0] * 9.0 - 9.0 * background
+    sums = F.avg_pool2d(full[None, None], 3, stride=1, padding=1)[0, 0] * 9.0
     half = (columns > 0) | ((columns == 0) & (rows > 0))
-    found = (
-        (full == highest)
-        & texture
-        & half
-        & (full > _PEAK_RATIO * background)
-        & (2.0 * mass > _LEAST_SHARE * total)
-    )
+    row, column = ((full == highest) & texture & half).nonzero(as_tuple=True)
+    # A median is dear: only where there is a maximum.
+    background = patches[:, row, column].median(dim=0).values
+    mass = sums[row, column] - 9.0 * background
+    found = (full[row, column] > _PEAK_RATIO * background) & (2.0 * mass > _LEAST_SHARE * total)
     peaks = []
-    for row, column in found.nonzero().tolist():
-        fy, fx = _refine(full, row, column)
-        peaks.append((fx - middle, fy - middle, 2.0 * float(mass[row, column])))
+    for y, x, power in zip(*(v[found].tolist() for v in (row, column, mass)), strict=True):
+        fy, fx = _refine(full, y, x)
+        peaks.append((fx - middle, fy - middle, 2.0 * power))
     peaks.sort(key=lambda peak: -peak[2])
     return peaks[:_MOST_PEAKS], total
 
