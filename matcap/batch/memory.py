@@ -30,10 +30,11 @@ def worker_bytes(settings: BatchSettings, pixels: int, *, raw: bool) -> int:
         raw: whether it has to be developed.
     """
     width, height = settings.size
+    detail = settings.capture.most_detail
     return (
         _LIBRARIES
         + _BY_PIXEL["raw" if raw else "other"] * pixels
-        + _BY_TEXEL * settings.detail * settings.detail * 3 // 4
+        + _BY_TEXEL * detail * detail * 3 // 4
         + _BY_MAP_TEXEL * width * height
     )
 

@@ -127,7 +127,7 @@ def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
         record = read_record(file.parent)
         if record and (record.get("steps"), record.get("detail")) == (
             steps,
-            prepared.settings.detail,
+            prepared.settings.capture.most_detail,
         ):
             found.append((float(record["seconds"]), sum(record["files"].values())))
     if not found:
@@ -144,7 +144,7 @@ def _trial(photo: Path, settings: BatchSettings) -> tuple[float, int]:
 
     settle_threads()
     began = time.perf_counter()
-    picture = load_photo(photo, long_side=settings.detail, fov=settings.fov)
+    picture = load_photo(photo, long_side=settings.capture.most_detail, fov=settings.fov)
     short = replace(settings.capture, steps=_TRIAL_STEPS, time_limit=None)
     result = capture_photo(picture, short)
     with tempfile.TemporaryDirectory(prefix="matcap-") as folder:

@@ -143,7 +143,7 @@ class Batch:
             self._page()
 
     def _job(self, entry: Entry) -> Job:
-        sample, detail = entry.sample, self._settings.detail
+        sample, detail = entry.sample, self._settings.capture.most_detail
         return Job(
             sample.name,
             sample.photos,
@@ -242,7 +242,7 @@ class Batch:
         if not job.alone and (self._crew.size > 1 or again):
             return _Task(task.entry, replace(job, alone=True), tries), " by itself"
         half = job.detail // 2
-        if half < _LEAST_DETAIL or job.detail < self._settings.detail:
+        if half < _LEAST_DETAIL or job.detail < self._settings.capture.most_detail:
             return None
         smaller = replace(job, alone=True, detail=half)
         return _Task(task.entry, smaller, tries), f" at a detail of {half}"

@@ -45,7 +45,7 @@ class BatchSettings:
     steps: int | None = None
     time: float | None = None
     target: float | None = None
-    detail: int = 1024
+    detail: int | None = None
     fov: float | None = None
     seed: int = 0
     prior: str = "auto"

@@ -129,7 +129,9 @@ def _do(job: Job, tell: Tell) -> dict[str, Any]:
         tell(now.stage, low + (high - low) * now.fraction)
 
     photo = photos[0]
-    chosen = replace(settings.capture, detail=job.detail)
+    chosen = settings.capture
+    if job.detail != chosen.most_detail:
+        chosen = replace(chosen, detail=job.detail)
     result = capture_photo(photo, chosen, progress, others=photos[1:])
     tell("writing", 0.95)
     stage = job.run.stage(job.name)
@@ -149,7 +151,7 @@ def _about(
     from matcap.capture.report import warnings
 
     said = list(warnings(result, photo))
-    if job.detail != job.settings.detail:
+    if job.detail != job.settings.capture.most_detail:
         said.append(f"Memory ran out: made at a detail of {job.detail} texels across.")
     for found in looked_at:
         of = f"{found.name}: " if len(looked_at) > 1 else ""

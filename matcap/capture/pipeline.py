@@ -18,6 +18,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.anytime import forecast, self_difference
 from matcap.capture.coarse import CoarseFit, fit_coarse
+from matcap.capture.detail import DETAIL, detail_for
 from matcap.capture.finetune import Scene, TuneSettings, finetune
 from matcap.capture.joint import join
 from matcap.capture.start import log_contrast, logits, untrained
@@ -61,7 +62,8 @@ class CaptureSettings:
         steps: of fine-tuning, instead of the preset's.
         time_limit: of fine-tuning in seconds, or None.
         target: error to end at, as a multiple of what the photograph's own windows differ by.
-        detail: texels across the photograph's long side.
+        detail: texels across the photograph's long side; by default DETAIL, or half of it where
+            the texture is coarse (detail.py).
         fov: field of view across the long side in degrees, instead of the photograph's.
         seed: of everything random.
         prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
@@ -73,11 +75,16 @@ class CaptureSettings:
     steps: int | None = None
     time_limit: float | None = None
     target: float | None = None
-    detail: int = 1024
+    detail: int | None = None
     fov: float | None = None
     seed: int = 0
     prior: str = "auto"
     statistics: str = "filterbank"
+
+    @property
+    def most_detail(self) -> int:
+        """Texels along the long side that a photograph has to be read with."""
+        return self.detail or DETAIL
 
 
 @dataclass(frozen=True)
@@ -175,9 +182,17 @@ def capture_photo(
         coarse = _with_known_flash(fit_coarse(photo), photo.flash_intensity)
 
     with clock.stage("statistics"):
-        linear, valid = rectify(photo, coarse.setup, settings.detail)
+        detail = settings.most_detail
+        linear, valid = rectify(photo, coarse.setup, detail)
         encoding = fit_encoding(linear, valid)
         lattice = find_lattice(encoding(linear[None])[0], valid)
+        if settings.detail is None and not lattice.waves:
+            # A lattice is told to the network outright, however long its period.
+            suited = detail_for(linear, valid)
+            if suited != detail:
+                detail = suited
+                linear, valid = rectify(photo, coarse.setup, detail)
+                encoding = fit_encoding(linear, valid)
         bank = _features(settings.statistics, method)
         windows = cut_windows(
             linear,
@@ -197,7 +212,7 @@ def capture_photo(
             texel_size,
             expected=logits(coarse),
         )
-        scene, joined = join(scene, coarse, others, settings.detail) if others else (scene, [])
+        scene, joined = join(scene, coarse, others, detail) if others else (scene, [])
         windows = scene.windows
         own = self_difference(windows, scene.weights)
         target = _target(settings, own, photo.name)

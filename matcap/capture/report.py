@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import matcap
 from matcap.capture.anytime import forecast
 from matcap.capture.curve import draw_history
+from matcap.capture.detail import DETAIL
 from matcap.export.staging import staged
 
 if TYPE_CHECKING:
@@ -98,6 +99,12 @@ def warnings(result: CaptureResult, photo: Photo) -> Iterable[str]:
         )
     if photo.flash_fired is False:
         yield "The file says that the flash did not fire: photograph again with the flash on."
+    detail = result.rectified.shape[1]
+    if result.settings.detail is None and detail < DETAIL:
+        yield (
+            f"The texture is coarse, so it is captured with {detail} texels across; "
+            f"--detail {DETAIL} keeps finer grain and loses what is large."
+        )
     tilt = max(abs(math.degrees(angle)) for angle in result.material.setup.tilt)
     if tilt > _MUCH_TILT:
         yield f"The camera was tilted by {tilt:.0f} degrees: hold it parallel to the sample."

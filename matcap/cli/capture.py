@@ -62,8 +62,14 @@ def capture(
         ),
     ] = None,
     detail: Annotated[
-        int, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")
-    ] = 1024,
+        int | None,
+        typer.Option(
+            min=64,
+            max=8192,
+            help="Texels along the photograph's long side. By default 1024, or 512 where the "
+            "texture is so coarse that this comes out better.",
+        ),
+    ] = None,
     fov: Annotated[
         float | None,
         typer.Option(min=1.0, max=170.0, help="Field of view along the long side, degrees."),
@@ -166,7 +172,7 @@ def _capture(
     from matcap.photo.load import load_photo
 
     shown.started(job.photo)
-    photo = load_photo(job.photo, long_side=settings.detail, fov=settings.fov)
+    photo = load_photo(job.photo, long_side=settings.most_detail, fov=settings.fov)
     result = capture_photo(photo, settings, shown.progress)
     material = write_outputs(result, photo, job.folder, outputs)
     return {

@@ -16,7 +16,7 @@ from matcap.flash.geometry import FlashSetup
 def captured(pipeline, photo):
     """(result, photograph) without anything to warn of."""
     loaded = pipeline.load_photo(photo)
-    return pipeline.capture_photo(loaded, CaptureSettings()), loaded
+    return pipeline.capture_photo(loaded, CaptureSettings(detail=96)), loaded
 
 
 def test_a_good_capture_has_no_warnings(captured):
@@ -32,6 +32,8 @@ def test_each_warning_says_what_to_do(captured):
     tilted = replace(result.material, setup=FlashSetup(tilt=(0.0, -0.25)))
     (said,) = warnings(replace(result, material=tilted), photo)
     assert "tilted by 14 degrees: hold it parallel" in said
+    (said,) = warnings(replace(result, settings=CaptureSettings()), photo)
+    assert said.startswith("The texture is coarse") and "--detail 1024" in said
 
 
 def test_angles_are_in_degrees(captured):

@@ -1,0 +1,48 @@
+"""How many texels across a photograph is captured with, where the user does not say.
+
+The network joins what lies within some hundred texels, and windows of 160 are compared. What is
+coarser comes out as grain of the right colours, wood as sawdust; with half as many texels across
+the same pattern spans half as many, and the capture holds it. Figures in docs/capture.md.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from torch import Tensor
+
+DETAIL = 1024
+_SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # texels: deviations of the blurs between the bands
+_COARSE = 1  # bands at the end that are coarse: waves from some 100 to 200 texels
+_MOST_COARSE = 0.08  # share of the variance
+_FAINTEST, _STRONGEST = 1e-4, 3.0  # linear; in log radiance from the median
+
+
+def coarse_share(linear: Tensor, valid: Tensor) -> float:
+    """Share of a texture's variance that lies in its coarse bands, in [0, 1].
+
+    Of log luminance, so that bright and dim regions count alike. Coarser still is shading.
+
+    Args:
+        linear: (3, H, W) picture of the plane, DETAIL texels across.
+        valid: (H, W) bool, texels seen and not clipped.
+    """
+    seen = valid.numpy().astype(np.float32)
+    if not seen.any():
+        return 0.0
+    log = np.log(np.maximum(linear.mean(0).numpy(), _FAINTEST))
+    middle = float(np.median(log[seen > 0.0]))
+    finer = (log - middle).clip(-_STRONGEST, _STRONGEST)
+    variances = []
+    for scale in _SCALES:
+        weight = np.maximum(cv2.GaussianBlur(seen, (0, 0), scale), 1e-3)
+        blurred = cv2.GaussianBlur(finer * seen, (0, 0), scale) / weight
+        variances.append(float(np.square((finer - blurred)[seen > 0.0]).mean()))
+        finer = blurred
+    whole = sum(variances)
+    return sum(variances[-_COARSE:]) / whole if whole > 0.0 else 0.0
+
+
+def detail_for(linear: Tensor, valid: Tensor) -> int:
+    """Texels across that suit a texture without a lattice: DETAIL, or half of it if coarse."""
+    return DETAIL // 2 if coarse_share(linear, valid) > _MOST_COARSE else DETAIL

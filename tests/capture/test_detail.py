@@ -1,0 +1,54 @@
+"""Coarse textures are captured with half the texels, so that the network holds what is large."""
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from matcap.capture.detail import DETAIL, coarse_share, detail_for
+
+HEIGHT = 768
+
+
+def noise(scale, contrast=0.3, seed=0):
+    """(3, H, W) grey light whose log varies over about so many texels."""
+    white = np.random.default_rng(seed).standard_normal((HEIGHT, DETAIL)).astype(np.float32)
+    smooth = cv2.GaussianBlur(white, (0, 0), scale)
+    light = 0.2 * np.exp(contrast * smooth / smooth.std())
+    return torch.from_numpy(light).expand(3, -1, -1)
+
+
+SEEN = torch.ones(HEIGHT, DETAIL, dtype=torch.bool)
+
+
+@pytest.mark.parametrize(
+    ("scale", "detail"), [(1, 1024), (3, 1024), (4, 1024), (20, 512), (30, 512)]
+)
+def test_blotches_too_large_for_the_network_halve_the_detail(scale, detail):
+    assert detail_for(noise(scale), SEEN) == detail
+
+
+def test_the_share_grows_with_the_size_and_neither_with_contrast_nor_exposure():
+    shares = [coarse_share(noise(scale), SEEN) for scale in (2, 5, 10, 20)]
+    assert shares == sorted(shares) and 0.0 <= shares[0] < shares[-1] <= 1.0
+    strong = coarse_share(7.0 * noise(10, contrast=0.6), SEEN)
+    assert strong == pytest.approx(shares[2], abs=0.02)
+
+
+def test_the_flash_alone_is_not_a_coarse_texture():
+    """Shading and highlight are far wider than what is counted."""
+    x, y = torch.meshgrid(
+        torch.linspace(-1, 1, DETAIL), torch.linspace(-0.75, 0.75, HEIGHT), indexing="xy"
+    )
+    squared = x.square() + y.square()
+    lit = noise(2) * (1.2**2 / (1.2**2 + squared)) ** 2 + 0.3 * torch.exp(-squared / 0.08)
+    assert detail_for(lit, SEEN) == DETAIL
+
+
+def test_what_was_not_seen_does_not_count():
+    picture, seen = noise(2).clone(), SEEN.clone()
+    picture[:, 200:500, 300:700] = 30.0
+    seen[200:500, 300:700] = False
+    assert coarse_share(picture, seen) == pytest.approx(coarse_share(noise(2), SEEN), abs=0.02)
+    assert coarse_share(picture, torch.zeros_like(seen)) == 0.0
+    assert coarse_share(torch.full((3, HEIGHT, DETAIL), 0.2), SEEN) == 0.0
