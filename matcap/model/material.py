@@ -16,7 +16,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
@@ -24,25 +23,14 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, Moments
+from matcap.model.decoder import CODE_SIZE, Decoder, Moments
 from matcap.model.freeze import FoldedDecoder, fold
 from matcap.model.noise import Wave
+from matcap.model.stored import DAMAGED, Stored, decoder_config, empty_decoder
 
 FORMAT = "matcap-material"
 VERSION = 1
-_LARGEST_WIDTH = 1024  # channels; a stranger's file cannot ask for more memory than this allows
-_MOST_NUMBERS = 64_000_000  # weights; a quarter of a gigabyte
 _NAMED = re.compile(r"[^\w .,()+-]+")
-# What reading JSON raises that is not as it should be.
-DAMAGED = (
-    KeyError,
-    IndexError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-)
 _REMEDY = "capture the photograph again, or fetch the file again"
 
 
@@ -153,18 +141,19 @@ class Material:
         try:
             with safe_open(path, framework="pt") as file:
                 about = _about(file.metadata(), path)
-                decoder = empty_decoder(_config(about["decoder"]))
+                stored = Stored(file, path, _REMEDY)
+                decoder = empty_decoder(decoder_config(about["decoder"]))
                 state = {
-                    name: _tensor(file, f"decoder.{name}", tuple(value.shape), path)
+                    name: stored.tensor(f"decoder.{name}", tuple(value.shape))
                     for name, value in decoder.state_dict().items()
                 }
                 decoder.load_state_dict(state, assign=True)
-                code = _tensor(file, "code", (CODE_SIZE,), path)
+                code = stored.tensor("code", (CODE_SIZE,))
                 moments = []
                 for index, layer in enumerate(decoder.layers()):
                     shape = (layer.convolution.weight.shape[0],)
-                    mean = _tensor(file, f"moments.{index}.mean", shape, path)
-                    deviation = _tensor(file, f"moments.{index}.deviation", shape, path)
+                    mean = stored.tensor(f"moments.{index}.mean", shape)
+                    deviation = stored.tensor(f"moments.{index}.deviation", shape)
                     moments.append((mean, deviation))
                 return Material(
                     name=_plain(str(about["name"])),
@@ -213,34 +202,6 @@ def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
     return about
 
 
-def _config(stated: Mapping[str, Any]) -> DecoderConfig:
-    config = DecoderConfig(
-        noise_channels=int(stated["noise_channels"]),
-        widths=tuple(int(width) for width in stated["widths"]),
-        convolutions=(int(stated["convolutions"][0]), int(stated["convolutions"][1])),
-    )
-    sizes = (config.noise_channels, *config.widths)
-    if len(config.widths) != DEPTH + 1 or not all(1 <= s <= _LARGEST_WIDTH for s in sizes):
-        raise ValueError(f"widths {config.widths} are not {DEPTH + 1} of at most {_LARGEST_WIDTH}")
-    if not all(1 <= count <= 4 for count in config.convolutions):
-        raise ValueError(f"{config.convolutions} convolutions a block")
-    return config
-
-
-def empty_decoder(config: DecoderConfig) -> Decoder:
-    """A decoder whose weights take no memory yet, to compare their shapes with.
-
-    Raises:
-        ValueError: there would be too many of them.
-    """
-    with torch.device("meta"):
-        decoder = Decoder(config)
-    count = sum(value.numel() for value in decoder.state_dict().values())
-    if count > _MOST_NUMBERS:
-        raise ValueError(f"{count} weights")
-    return decoder
-
-
 def _plain(name: str) -> str:
     """The name as one that may be a file's: nothing of it leads to another folder."""
     return _NAMED.sub("_", name)[:100].strip(" .") or "material"
@@ -273,25 +234,3 @@ def _bounded(value: float, name: str, least: float, most: float) -> float:
     if not least <= number <= most:
         raise ValueError(f"{name} is {number:g}")
     return number
-
-
-def _tensor(file: safe_open, name: str, shape: tuple[int, ...], path: Path) -> Tensor:
-    """One float32 tensor, its shape checked before it is read."""
-    try:
-        found = tuple(file.get_slice(name).get_shape())
-    except SafetensorError as error:
-        raise MatcapError(
-            f"the tensor {name} is missing", where=str(path), remedy=_REMEDY
-        ) from error
-    if found != shape:
-        raise MatcapError(
-            f"the tensor {name} has shape {found}, expected {shape}",
-            where=str(path),
-            remedy=_REMEDY,
-        )
-    value = file.get_tensor(name).to(torch.float32)
-    if not bool(torch.isfinite(value).all()):
-        raise MatcapError(
-            f"the tensor {name} holds NaN or infinity", where=str(path), remedy=_REMEDY
-        )
-    return value

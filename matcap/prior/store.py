@@ -25,10 +25,11 @@ from matcap.capture.start import log_contrast
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.model.alignment import WIDTH, Alignment
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.decoder import CODE_SIZE, Decoder
 from matcap.model.encoder import BACKBONES, Encoder, EncoderConfig
 from matcap.model.freeze import freeze
-from matcap.model.material import DAMAGED, Material, empty_decoder
+from matcap.model.material import Material
+from matcap.model.stored import DAMAGED, Stored, decoder_config, empty_decoder
 from matcap.photo.photo import Photo
 from matcap.prior.base import VARYING, Base, base_from, base_of, fold
 from matcap.prior.look import describe_windows, numbers, picture, texture
@@ -173,14 +174,15 @@ def load_prior(path: Path | None = None) -> Prior:
     try:
         with safe_open(path, framework="pt") as file:
             about = _about(file.metadata(), path)
+            stored = Stored(file, path, _REMEDY)
             encoder = Encoder(_encoder_config(about["encoder"]))
             prior = Prior(
                 encoder=encoder,
-                decoder=empty_decoder(_decoder_config(about["decoder"])),
+                decoder=empty_decoder(decoder_config(about["decoder"])),
                 alignment=Alignment(),
                 habits=Habits(
                     *(
-                        _tensor(file, f"habits.{name}", shape, path)
+                        stored.tensor(f"habits.{name}", shape)
                         for name, shape in (
                             ("matrix", (VARYING, CODE_SIZE)),
                             ("offset", (VARYING,)),
@@ -193,7 +195,7 @@ def load_prior(path: Path | None = None) -> Prior:
             for part, module in prior._modules().items():
                 module.load_state_dict(
                     {
-                        name: _tensor(file, f"{part}.{name}", tuple(value.shape), path)
+                        name: stored.tensor(f"{part}.{name}", tuple(value.shape))
                         for name, value in module.state_dict().items()
                     },
                     assign=True,
@@ -234,37 +236,3 @@ def _encoder_config(stated: Mapping[str, Any]) -> EncoderConfig:
     if config.backbone not in BACKBONES or not 32 <= config.width <= 2048:
         raise ValueError(f"encoder {config}")
     return config
-
-
-def _decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:
-    widths = tuple(int(width) for width in stated["widths"])
-    down, up = (int(count) for count in stated["convolutions"])
-    config = DecoderConfig(int(stated["noise_channels"]), widths, (down, up))
-    sizes = (config.noise_channels, *widths)
-    if len(widths) != len(DecoderConfig().widths) or not all(1 <= s <= 1024 for s in sizes):
-        raise ValueError(f"widths {widths}")
-    if not (1 <= down <= 4 and 1 <= up <= 4):
-        raise ValueError(f"{down} and {up} convolutions a block")
-    return config
-
-
-def _tensor(file: safe_open, name: str, shape: tuple[int, ...], path: Path) -> Tensor:
-    """One tensor as float32, its shape checked before it is read."""
-    try:
-        found = tuple(file.get_slice(name).get_shape())
-    except SafetensorError as error:
-        raise MatcapError(
-            f"the tensor {name} is missing", where=str(path), remedy=_REMEDY
-        ) from error
-    if found != shape:
-        raise MatcapError(
-            f"the tensor {name} has shape {found}, expected {shape}",
-            where=str(path),
-            remedy=_REMEDY,
-        )
-    value = file.get_tensor(name).to(torch.float32)
-    if not bool(torch.isfinite(value).all()):
-        raise MatcapError(
-            f"the tensor {name} holds NaN or infinity", where=str(path), remedy=_REMEDY
-        )
-    return value
