@@ -50,7 +50,7 @@ class DecoderConfig:
     convolutions: tuple[int, int] = (1, 2)
 
 
-# The paper's decoder: 2.8 million parameters at width 32.
+# The paper's shape at width 32; 2.2 million parameters.
 PAPER_CONFIG = DecoderConfig(noise_channels=6, widths=(32, 64, 128, 128, 128), convolutions=(2, 2))
 
 Moments = tuple[Tensor, Tensor]  # mean and deviation, (channels,) each
