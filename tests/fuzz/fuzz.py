@@ -135,7 +135,7 @@ def _settings(path: Path) -> None:
     from matcap.batch.settings import BatchSettings, read_settings
 
     settings = BatchSettings(**read_settings(path))
-    assert settings.capture.detail >= 64 and settings.outputs.room > 0
+    assert settings.capture.most_detail >= 64 and settings.outputs.room > 0
 
 
 def _record(path: Path) -> None:
