@@ -41,6 +41,11 @@ _SNAPSHOT_EVERY = 20  # steps
 # bumps widen the highlight, so its roughness tells little.
 _BELIEF = (0.4, 0.4, 0.4, 0.6, 2.0)
 _LOGIT_EPSILON = 1e-4
+# Specks are paid for once half of the work is done: what belongs there, as metal between rust,
+# begins as specks too, and has spread by then.
+_OUTLIERS_FROM = 0.5  # share of the work
+_OUTLIER = 4.0  # standard deviations of a map
+_EVEN = 0.05  # added to the standard deviation: an even map has none
 _STEEP = 1.0  # slopes beyond 45 degrees are not relief a flash photograph shows
 
 
@@ -57,6 +62,8 @@ class TuneSettings:
         slope_penalty: of the mean squared slope; relief must pay for itself.
         specular_penalty, roughness_penalty: of their logits' variance; what diffuse albedo
             explains as well is not to become blotches of gloss.
+        outlier_penalty: of texels beyond _OUTLIER standard deviations of diffuse albedo, F0 or
+            roughness, in their squared excess; few of them do not show in the statistics.
         departure_penalty: of mean maps that leave the coarse fit, in its squared deviations.
         steep_penalty: of squared slopes beyond 45 degrees.
         half_precision: bfloat16 inside the network and the features.
@@ -72,6 +79,7 @@ class TuneSettings:
     specular_penalty: float = 0.02
     roughness_penalty: float = 0.01
     departure_penalty: float = 0.003
+    outlier_penalty: float = 0.05
     steep_penalty: float = 0.3
     half_precision: bool = True
     seed: int = 0
@@ -162,7 +170,7 @@ def finetune(
             for group in optimiser.param_groups:
                 group["lr"] = rate * _schedule(step, share)
             places = torch.tensor([next(order) for _ in range(settings.places)])
-            loss, penalty = _step_loss(decoder, code, scene, settings, moments, places, step)
+            loss, penalty = _step_loss(decoder, code, scene, settings, moments, places, step, share)
             value = float(loss.detach())
             slope = math.nan
             if math.isfinite(value) and not value > _EXPLODED * max(error, 0.1):
@@ -226,6 +234,7 @@ def _step_loss(
     moments: list[Moments] | None,
     places: Tensor,
     step: int,
+    share: float,
 ) -> tuple[Tensor, Tensor]:
     """Mean distance at some places, and what the maps pay for being what they need not be."""
     maps = decode_window(
@@ -240,11 +249,11 @@ def _step_loss(
     with torch.autocast("cpu", torch.bfloat16, enabled=settings.half_precision):
         found = describe(rendered, scene.encoding, scene.bank)
     loss = distance(found, scene.windows.target.select(places), scene.weights).mean()
-    return loss, _penalty(maps, scene.expected, settings)
+    return loss, _penalty(maps, scene.expected, settings, share)
 
 
-def _penalty(maps: MapSet, expected: Tensor | None, settings: TuneSettings) -> Tensor:
-    """Relief, and variation of F0 and roughness, that diffuse albedo explains as well."""
+def _penalty(maps: MapSet, expected: Tensor | None, settings: TuneSettings, share: float) -> Tensor:
+    """Relief, variation of F0 and roughness that diffuse albedo explains as well, and specks."""
     normal = maps.normal
     squared = (normal[:, :2] / normal[:, 2:]).square().sum(dim=1)
     steep = torch.relu((squared + 1e-6).sqrt() - _STEEP).square().mean()
@@ -253,9 +262,15 @@ def _penalty(maps: MapSet, expected: Tensor | None, settings: TuneSettings) -> T
     roughness = torch.logit(maps.roughness, eps=_LOGIT_EPSILON)
     penalty = penalty + settings.specular_penalty * specular.var()
     penalty = penalty + settings.roughness_penalty * roughness.var()
+    diffuse = torch.logit(maps.diffuse, eps=_LOGIT_EPSILON)
+    reflectance = torch.cat([diffuse, specular, roughness], dim=1)
+    means = reflectance.mean(dim=(0, 2, 3))
+    if share > _OUTLIERS_FROM:
+        apart = reflectance - means[:, None, None]
+        variance = apart.square().mean(dim=(0, 2, 3), keepdim=True)
+        outlying = torch.relu(apart.abs() / (variance + _EVEN**2).sqrt() - _OUTLIER)
+        penalty = penalty + settings.outlier_penalty * outlying.square().mean((0, 2, 3)).sum()
     if expected is not None:
-        diffuse = torch.logit(maps.diffuse, eps=_LOGIT_EPSILON)
-        means = torch.cat([diffuse, specular, roughness], dim=1).mean(dim=(0, 2, 3))
         departure = ((means - expected) / expected.new_tensor(_BELIEF)).square().sum()
         penalty = penalty + settings.departure_penalty * departure
     return penalty

@@ -167,9 +167,33 @@ def test_gloss_that_varies_for_nothing_is_paid_for():
 
     def paid(specular, roughness, wanted=None):
         maps = MapSet(diffuse, specular, roughness, 0.0 * even, 0.01)
-        return float(module._penalty(maps, wanted, settings))
+        return float(module._penalty(maps, wanted, settings, 0.0))
 
     flat = paid(even, even)
     assert paid(uneven, even) > flat and paid(even, uneven) > flat
     assert paid(even, even, expected) == pytest.approx(flat, abs=1e-7)
     assert paid(even + 0.2, even, expected) > paid(even + 0.1, even, expected) > flat
+
+
+def test_specks_are_paid_for_in_the_second_half_and_patches_never():
+    settings = module.TuneSettings(steps=1, specular_penalty=0.0)
+    row = torch.arange(64)
+    everywhere = torch.full((1, 3, 64, 64), 0.3)
+
+    def paid(metal, share):
+        """Where there is metal; its gradient too, which must be finite on even maps."""
+        specular = torch.where(metal, 0.7, 0.04)[None, None].requires_grad_(True)
+        flat = torch.full((1, 1, 64, 64), 0.3)
+        maps = MapSet(everywhere, specular, flat, 0.0 * flat, 0.01)
+        penalty = module._penalty(maps, None, settings, share)
+        (gradient,) = torch.autograd.grad(penalty, specular, allow_unused=True)
+        assert gradient is None or torch.isfinite(gradient).all()
+        return float(penalty.detach())
+
+    none = torch.zeros(64, 64, dtype=torch.bool)
+    patches = (row[:, None] // 16 + row // 16) % 3 == 0
+    specks = (row[:, None] % 16 == 3) & (row % 16 == 5)
+    assert (
+        paid(specks, 0.4) == paid(none, 0.4) == paid(none, 0.6) == pytest.approx(paid(patches, 0.6))
+    )
+    assert paid(specks, 0.6) > paid(none, 0.6) + 0.01
