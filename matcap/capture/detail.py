@@ -13,13 +13,12 @@ from torch import Tensor
 
 DETAIL = 1024
 _SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # texels: deviations of the blurs between the bands
-_COARSE = 1  # bands at the end that are coarse: waves from some 100 to 200 texels
-_MOST_COARSE = 0.08  # share of the variance
+_MOST_COARSE = 0.08  # share of the variance in the last band: waves from some 100 to 200 texels
 _FAINTEST, _STRONGEST = 1e-4, 3.0  # linear; in log radiance from the median
 
 
 def coarse_share(linear: Tensor, valid: Tensor) -> float:
-    """Share of a texture's variance that lies in its coarse bands, in [0, 1].
+    """Share of a texture's variance that lies in its coarsest band, in [0, 1].
 
     Of log luminance, so that bright and dim regions count alike. Coarser still is shading.
 
@@ -40,7 +39,7 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
         variances.append(float(np.square((finer - blurred)[seen > 0.0]).mean()))
         finer = blurred
     whole = sum(variances)
-    return sum(variances[-_COARSE:]) / whole if whole > 0.0 else 0.0
+    return variances[-1] / whole if whole > 0.0 else 0.0
 
 
 def detail_for(linear: Tensor, valid: Tensor) -> int:
