@@ -36,7 +36,7 @@ def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
     from matcap.photo.load import load_photo
 
     chosen = CaptureSettings(**settings)
-    photo = load_photo(path, long_side=chosen.most_detail, fov=chosen.fov)
+    photo = load_photo(path, long_side=chosen.most_detail, fov=chosen.fov, noise=chosen.tunes)
     return capture_photo(photo, chosen).material
 
 

@@ -120,7 +120,9 @@ def _do(job: Job, tell: Tell) -> dict[str, Any]:
     settings = job.settings
     photos = []
     for path in job.photos:
-        photo = load_photo(path, long_side=job.detail, fov=settings.fov)
+        photo = load_photo(
+            path, long_side=job.detail, fov=settings.fov, noise=settings.capture.tunes
+        )
         photos.append(photo if job.card is None else calibrated(photo, path, job.card))
     looked_at = [inspect_photo(photo, _prior(settings.prior).tilt(photo)) for photo in photos]
 

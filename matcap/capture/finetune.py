@@ -1,7 +1,8 @@
 """Fine-tuning: the decoder learns to look like the photograph, window by window (paper, 4.6).
 
 Each step decodes fresh noise, renders it as if it lay at a few places of the photograph, and
-compares every rendering's statistics with the photograph's at that same place. The last steps run
+compares every rendering's statistics with the photograph's at that same place. The sensor's noise
+is added to the rendering first, so that the material need not imitate it. The last steps run
 with AdaIN's statistics frozen, so that what is saved is what was optimised.
 
 Anytime: it ends after a number of steps, a time, at an error, or by an interrupt, and hands back
@@ -22,7 +23,7 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.windows import Windows
+from matcap.capture.windows import Windows, shot_deviation
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_flash
 from matcap.model.decoder import ALIGNMENT, DEPTH, Decoder, Moments, maps_from_raw
@@ -246,10 +247,23 @@ def _step_loss(
         half_precision=settings.half_precision,
     )
     rendered = render_flash(maps, scene.setup, scene.windows.points[places])
+    if scene.windows.noise is not None:
+        rendered = with_noise(rendered, scene.windows.noise[places], step)
     with torch.autocast("cpu", torch.bfloat16, enabled=settings.half_precision):
         found = describe(rendered, scene.encoding, scene.bank)
     loss = distance(found, scene.windows.target.select(places), scene.weights).mean()
     return loss, _penalty(maps, scene.expected, settings, share)
+
+
+def with_noise(rendered: Tensor, noise: Tensor, step: int) -> Tensor:
+    """Renderings (B, 3, size, size) as the sensor saw them.
+
+    The noise (Windows.noise) is another one at every step: moved around, and its sign drawn.
+    """
+    generator = torch.Generator().manual_seed(step)
+    down, across, sign = torch.randint(noise.shape[-1], (3,), generator=generator).tolist()
+    moved = noise.roll((down, across), dims=(-2, -1)) * (1.0 if sign % 2 else -1.0)
+    return rendered + moved * shot_deviation(rendered.detach())
 
 
 def _penalty(maps: MapSet, expected: Tensor | None, settings: TuneSettings, share: float) -> Tensor:

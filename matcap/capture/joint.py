@@ -23,7 +23,7 @@ from matcap.capture.finetune import Scene
 from matcap.capture.windows import Windows, cut_windows
 from matcap.errors import MatcapError
 from matcap.flash.geometry import JointSetup
-from matcap.flash.rectify import rectify
+from matcap.flash.rectify import rectify, rectify_noise
 from matcap.photo.photo import Photo
 from matcap.statistics.compare import Descriptor
 
@@ -53,7 +53,15 @@ def join(
                 remedy="raise --detail, or take it out of the group",
             )
         gain = _brightness(coarse) / _brightness(fit)
-        cut = cut_windows(linear * gain, valid, scene.encoding, scene.bank, scene.windows.size)
+        noise = rectify_noise(photo, fit.setup, detail)
+        cut = cut_windows(
+            linear * gain,
+            valid,
+            scene.encoding,
+            scene.bank,
+            scene.windows.size,
+            noise=None if noise is None else noise * gain,
+        )
         windows.append(_numbered(cut, number))
         setups.append(fit.setup.with_intensity(scene.setup.intensity))
         told.append(
@@ -69,8 +77,21 @@ def join(
         scene.windows.size,
         torch.cat([each.points for each in windows]),
         Descriptor.joined([each.target for each in windows]),
+        _joined_noise(windows),
     )
     return replace(scene, windows=joined, setup=JointSetup.of(setups)), told
+
+
+def _joined_noise(windows: Sequence[Windows]) -> Tensor | None:
+    """Of all; none where it is unknown."""
+    if all(each.noise is None for each in windows):
+        return None
+    return torch.cat(
+        [
+            torch.zeros_like(each.points[:, :3]) if each.noise is None else each.noise
+            for each in windows
+        ]
+    )
 
 
 def _brightness(fit: CoarseFit) -> float:

@@ -25,7 +25,7 @@ from matcap.capture.start import log_contrast, logits, untrained
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup, plane_points
-from matcap.flash.rectify import rectify
+from matcap.flash.rectify import rectify, rectify_noise
 from matcap.flash.render import render_flash
 from matcap.model.decoder import ALIGNMENT, CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.material import Material
@@ -85,6 +85,11 @@ class CaptureSettings:
     def most_detail(self) -> int:
         """Texels along the long side that a photograph has to be read with."""
         return self.detail or DETAIL
+
+    @property
+    def tunes(self) -> bool:
+        """Whether anything is compared with the photograph, whose noise must be known then."""
+        return _steps(self) > 0
 
 
 @dataclass(frozen=True)
@@ -184,7 +189,8 @@ def capture_photo(
     with clock.stage("statistics"):
         detail = settings.most_detail
         linear, valid = rectify(photo, coarse.setup, detail)
-        encoding = fit_encoding(linear, valid)
+        noise = rectify_noise(photo, coarse.setup, detail)
+        encoding = fit_encoding(linear, valid, noise)
         lattice = find_lattice(encoding(linear[None])[0], valid)
         if settings.detail is None and not lattice.waves:
             # A lattice is told to the network outright, however long its period.
@@ -192,7 +198,8 @@ def capture_photo(
             if suited != detail:
                 detail = suited
                 linear, valid = rectify(photo, coarse.setup, detail)
-                encoding = fit_encoding(linear, valid)
+                noise = rectify_noise(photo, coarse.setup, detail)
+                encoding = fit_encoding(linear, valid, noise)
         bank = _features(settings.statistics, method)
         windows = cut_windows(
             linear,
@@ -200,6 +207,7 @@ def capture_photo(
             encoding,
             bank,
             _window(linear, method.window, photo.name),
+            noise=noise,
             most=None if steps else 1,  # nothing will be compared
         )
         texel_size = 2.0 / linear.shape[-1]

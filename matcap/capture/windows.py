@@ -17,6 +17,7 @@ from matcap.flash.geometry import plane_points
 from matcap.statistics.compare import Descriptor, Features, describe
 from matcap.statistics.encoding import Encoding
 
+_HISS = 2e-3  # of the clip level
 _LEAST_SEEN = 0.3  # share of a window's texels that must be inside the picture and not clipped
 
 
@@ -28,11 +29,14 @@ class Windows:
         size: of the square windows, in texels.
         points: (B, 3, size, size) their plane points.
         target: their descriptors in the photograph.
+        noise: (B, 3, size, size) one more draw of the sensor's noise there, as a share of what
+            shot noise deviates by (`shot_deviation`), or None.
     """
 
     size: int
     points: Tensor
     target: Descriptor
+    noise: Tensor | None = None
 
     @property
     def count(self) -> int:
@@ -47,6 +51,7 @@ def cut_windows(
     bank: Features,
     size: int,
     *,
+    noise: Tensor | None = None,
     most: int | None = None,
 ) -> Windows:
     """Windows all over a rectified picture, overlapping by about half.
@@ -57,6 +62,7 @@ def cut_windows(
         encoding: of this photograph.
         bank: features to describe with.
         size: of the windows; not larger than the picture.
+        noise: (3, H, W) of the picture, in its units, or None.
         most: so many at most, the first; None for all.
     """
     height, width = linear.shape[-2:]
@@ -74,7 +80,16 @@ def cut_windows(
     points = [
         plane_points(x, y, size, size, (width, height), dtype=torch.float32) for x, y in places
     ]
-    return Windows(size, torch.stack(points), Descriptor.joined(described))
+    noisy = None
+    if noise is not None:
+        noise = noise / shot_deviation(linear)
+        noisy = torch.stack([noise[:, y : y + size, x : x + size] for x, y in places])
+    return Windows(size, torch.stack(points), Descriptor.joined(described), noisy)
+
+
+def shot_deviation(linear: Tensor) -> Tensor:
+    """What shot noise grows with: the root of radiance; not 0 in the dark, where sensors hiss."""
+    return (linear.clamp_min(0.0) + _HISS).sqrt()
 
 
 def _steps(length: int, size: int) -> list[int]:

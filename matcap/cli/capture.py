@@ -172,7 +172,9 @@ def _capture(
     from matcap.photo.load import load_photo
 
     shown.started(job.photo)
-    photo = load_photo(job.photo, long_side=settings.most_detail, fov=settings.fov)
+    photo = load_photo(
+        job.photo, long_side=settings.most_detail, fov=settings.fov, noise=settings.tunes
+    )
     result = capture_photo(photo, settings, shown.progress)
     material = write_outputs(result, photo, job.folder, outputs)
     return {

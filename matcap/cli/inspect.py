@@ -65,7 +65,7 @@ def _inspected(path: Path, detail: int, fov: float | None, prior: Prior) -> Insp
     from matcap.photo.inspect import inspect_photo
     from matcap.photo.load import load_photo
 
-    photo = load_photo(path, long_side=detail, fov=fov)
+    photo = load_photo(path, long_side=detail, fov=fov, noise=False)
     return inspect_photo(photo, prior.tilt(photo))
 
 

@@ -88,7 +88,7 @@ def read_card(path: Path, *, fov: float | None = None) -> Calibration:
     Raises:
         MatcapError: it cannot be read, or shows neither.
     """
-    photo = load_photo(path, long_side=_WIDTH, fov=fov)
+    photo = load_photo(path, long_side=_WIDTH, fov=fov, noise=False)
     code = (srgb_encode(np.clip(photo.pixels, 0.0, 1.0).astype(np.float64)) * 255.0).round()
     picture = code.astype(np.uint8)
     found = Calibration(photo.name, "")
@@ -123,14 +123,15 @@ def calibrated(photo: Photo, path: Path, calibration: Calibration) -> Photo:
     if calibration.matrix is None or not photo.radiometric:
         return photo
     matrix = np.array(calibration.matrix, np.float32)
-    pixels = np.maximum(photo.pixels @ matrix.T, 0.0)
+    noise = None if photo.noise is None else photo.noise @ matrix.T
+    photo = replace(photo, pixels=np.maximum(photo.pixels @ matrix.T, 0.0), noise=noise)
     exposure, white = read_exposure(path), calibration.white
     if white is None or exposure is None or calibration.exposure is None:
-        return replace(photo, pixels=pixels)
+        return photo
     # White reflects I / (pi d^2) where it lies squarely under the flash.
     distance = 1.0 / math.tan(math.radians(photo.fov) / 2.0)
     flash = math.pi * distance**2 * white * exposure / calibration.exposure
-    return replace(photo, pixels=pixels, flash_intensity=flash)
+    return replace(photo, flash_intensity=flash)
 
 
 @dataclass(frozen=True)

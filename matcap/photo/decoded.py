@@ -22,6 +22,7 @@ class Decoded:
         notes: sentences for the report.
         clipped_share: of the stored pixels (of a RAW: of the photosites of the colour that clips
             most), before shrinking, or None where only `clipped` tells.
+        noise: like pixels, see Photo.
     """
 
     pixels: NDArray[np.float32]
@@ -32,3 +33,4 @@ class Decoded:
     gain_map_applied: bool = False
     notes: tuple[str, ...] = ()
     clipped_share: float | None = None
+    noise: NDArray[np.float32] | None = None

@@ -27,7 +27,11 @@ _MOST_CLIPPED = 0.95  # share of clipped pixels beyond which there is nothing to
 
 
 def load_photo(
-    path: str | Path, *, long_side: int | None = None, fov: float | None = None
+    path: str | Path,
+    *,
+    long_side: int | None = None,
+    fov: float | None = None,
+    noise: bool = True,
 ) -> Photo:
     """Read a photograph, whatever it is stored as.
 
@@ -35,6 +39,7 @@ def load_photo(
         path: DNG or other RAW, JPEG, PNG, TIFF (8, 16 bits or float), HEIC (extra `heic`).
         long_side: average down to this many pixels along the long side; never up.
         fov: field of view across the long side, degrees; by default the file's, or 45.
+        noise: draw a RAW's noise once more (Photo.noise), for which it is developed twice.
 
     Returns:
         The photograph in linear light, its long side along x.
@@ -48,7 +53,7 @@ def load_photo(
     path = Path(path)
     _check_request(long_side, fov)
     with quiet_decoders():
-        picture, exif = _read(path, long_side)
+        picture, exif = _read(path, long_side, noise)
     return _photo(picture, exif, fov, str(path), path.name)
 
 
@@ -89,7 +94,7 @@ def photo_from_array(
     return _photo(picture, Exif(), fov, name, name, radiometric)
 
 
-def _read(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
+def _read(path: Path, long_side: int | None, noise: bool) -> tuple[Decoded, Exif]:
     kind = file_kind(path)
     if kind is Kind.JPEG:
         return read_jpeg(path, long_side)
@@ -98,8 +103,9 @@ def _read(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
     if kind in (Kind.PNG, Kind.TIFF):
         return read_png_or_tiff(path, kind.value, long_side)
     corrections = read_corrections(path) if kind is Kind.DNG else Corrections()
-    read = read_jxl if corrections.jpeg_xl else read_raw
-    return read(path, long_side, corrections), read_exif(path)
+    if corrections.jpeg_xl:
+        return read_jxl(path, long_side, corrections), read_exif(path)
+    return read_raw(path, long_side, corrections, noise=noise), read_exif(path)
 
 
 def _photo(
@@ -112,16 +118,17 @@ def _photo(
 ) -> Photo:
     """Turn the picture upright and its long side along x, and judge it."""
     _check_light(picture, where)
-    pixels = upright(picture.pixels, picture.orientation)
-    clipped = upright(picture.clipped, picture.orientation)
     size = picture.size if picture.orientation < 5 else picture.size[::-1]
     turned = size[1] > size[0]
-    if turned:
-        pixels, clipped = quarter_turn(pixels), quarter_turn(clipped)
+
+    def lying(stored: NDArray[Any]) -> NDArray[Any]:
+        standing = upright(stored, picture.orientation)
+        return np.ascontiguousarray(quarter_turn(standing) if turned else standing)
+
     known, source = (fov, "given") if fov is not None else (exif.fov, "exif")
     return Photo(
-        pixels=np.ascontiguousarray(pixels),
-        clipped=np.ascontiguousarray(clipped),
+        pixels=lying(picture.pixels),
+        clipped=lying(picture.clipped),
         fov=DEFAULT_FOV if known is None else known,
         fov_source="assumed" if known is None else source,
         radiometric=picture.radiometric if radiometric is None else radiometric,
@@ -132,6 +139,7 @@ def _photo(
         gain_map_applied=picture.gain_map_applied,
         notes=picture.notes,
         stored_clipped_share=picture.clipped_share,
+        noise=None if picture.noise is None else lying(picture.noise),
     )
 
 

@@ -32,6 +32,8 @@ class Photo:
             `clipped` overstates it, for a shrunk pixel counts when a quarter of it was clipped.
         flash_intensity: radiant intensity of the flash in the units of `pixels`, where a
             calibration card told it: albedo is absolute then.
+        noise: (H, W, 3) float32, what one more draw of the sensor's noise would have added to
+            `pixels`; None where it is unknown or has averaged out.
     """
 
     pixels: NDArray[np.float32]
@@ -47,6 +49,7 @@ class Photo:
     notes: tuple[str, ...] = ()
     stored_clipped_share: float | None = None
     flash_intensity: float | None = None
+    noise: NDArray[np.float32] | None = None
 
     @property
     def clipped_share(self) -> float:

@@ -3,6 +3,9 @@
 LibRaw ignores a DNG's lens-shading maps, so they are applied to its mosaic before it develops it.
 White balance makes the channels clip at different numbers, so what was clipped is read off the
 mosaic. JPEG-XL DNGs, which it cannot open, go to `jxl`.
+
+The sensor's noise is drawn once more on the mosaic and developed in the same way: what it looks
+like in the picture, after demosaicing, colours and shrinking, needs no further model.
 """
 
 from __future__ import annotations
@@ -18,29 +21,33 @@ from matcap.errors import MatcapError
 from matcap.photo.decoded import Decoded
 from matcap.photo.dng import Corrections
 from matcap.photo.gainmap import GainMap, Shading
+from matcap.photo.noise import SensorNoise, find_noise
 from matcap.photo.refusals import check_size, decoding, unreadable
 from matcap.photo.shrink import Rows, shrink
 
 # Photosites saturate one by one a little below the white level.
 CLIP_SHARE = 0.99
 _FULL = 65535
+_AVERAGED = 6.0  # stored pixels along a pixel's side at which noise has averaged out
+_SEED = 0
 # LibRaw's flip (bits: mirror columns, mirror rows, transpose) to EXIF's orientation.
 _ORIENTATION = {0: 1, 1: 2, 2: 4, 3: 3, 4: 5, 5: 8, 6: 6, 7: 7}
 
 
-def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Decoded:
+def read_raw(
+    path: Path, long_side: int | None, corrections: Corrections, *, noise: bool = True
+) -> Decoded:
     """Develop a RAW file.
 
     Args:
         path: what LibRaw can open.
         long_side: of the result; at most half the sensor's, the mosaic is taken two by two.
         corrections: of a DNG; Corrections() for other files.
+        noise: draw the sensor's noise once more; the file is developed twice then.
 
     Raises:
         MatcapError: truncated, damaged, not supported or too small.
     """
-    import rawpy
-
     with decoding(path, "RAW"), _opened(path) as raw:
         width, height = raw.sizes.width, raw.sizes.height
         check_size(path, width, height)
@@ -50,19 +57,18 @@ def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Dec
         # LibRaw forgets the flip once it has developed without it.
         orientation = _ORIENTATION[raw.sizes.flip]
         saturated, share = _saturated(raw, bayer, half)
-        headroom, white = _prepare(raw, corrections)
-        developed = raw.postprocess(
-            gamma=(1, 1),
-            no_auto_bright=True,
-            output_bps=16,
-            output_color=rawpy.ColorSpace.sRGB,
-            use_camera_wb=True,
-            adjust_maximum_thr=0,
-            user_flip=0,
-            half_size=half,
-            user_sat=white,
-        )[: height // 2 if half else height, : width // 2 if half else width]
+        if bayer and noise and max(width, height) < _AVERAGED * (long_side or max(width, height)):
+            noisy = _noisy(raw)
+        else:
+            noisy = None
+        developed, headroom = _develop(raw, corrections, half)
         balanced = _positive(raw.camera_whitebalance) is not None
+    again = None
+    if noisy is not None:
+        # Opened once more: what LibRaw shows of a mosaic changes when it has developed it.
+        with decoding(path, "RAW"), _opened(path) as raw:
+            raw.raw_image_visible[...] = noisy
+            again, _ = _develop(raw, corrections, half)
     if developed.shape != (*saturated.shape, 3):
         raise MatcapError(
             "the camera's sensor is not laid out in rows and columns of square pixels",
@@ -75,7 +81,13 @@ def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Dec
         clipped = saturated[top:bottom] | (rows == _FULL).any(axis=-1)
         return rows * np.float32(headroom / _FULL), clipped
 
-    pixels, clipped = shrink(read, developed.shape[1], developed.shape[0], long_side)
+    def read_noise(top: int, bottom: int) -> Rows:
+        assert again is not None
+        difference = again[top:bottom].astype(np.float32) - developed[top:bottom]
+        return difference * np.float32(headroom / _FULL), saturated[top:bottom]
+
+    size = developed.shape[1], developed.shape[0]
+    pixels, clipped = shrink(read, *size, long_side)
     unbalanced = "The file states no white balance: daylight assumed."
     return Decoded(
         pixels,
@@ -86,7 +98,40 @@ def read_raw(path: Path, long_side: int | None, corrections: Corrections) -> Dec
         gain_map_applied=corrections.has_maps,
         notes=corrections.notes + (() if balanced else (unbalanced,)),
         clipped_share=share,
+        noise=None if again is None else shrink(read_noise, *size, long_side)[0],
     )
+
+
+def _noisy(raw: Any) -> NDArray[np.uint16] | None:  # noqa: ANN401
+    """The mosaic with one more draw of its own noise."""
+    mosaic = raw.raw_image_visible
+    black = np.array(raw.black_level_per_channel, np.float64)[raw.raw_colors_visible[:2, :2]]
+    found: SensorNoise | None = find_noise(mosaic, black, float(raw.white_level))
+    return None if found is None else found.added(mosaic, black, _SEED)
+
+
+def _develop(
+    raw: Any,  # noqa: ANN401
+    corrections: Corrections,
+    half: bool,
+) -> tuple[NDArray[np.uint16], float]:
+    """(H, W, 3), or half of it, linear; and what its largest number stands for, 1 at white."""
+    import rawpy
+
+    width, height = raw.sizes.width, raw.sizes.height
+    headroom, white = _prepare(raw, corrections)
+    developed = raw.postprocess(
+        gamma=(1, 1),
+        no_auto_bright=True,
+        output_bps=16,
+        output_color=rawpy.ColorSpace.sRGB,
+        use_camera_wb=True,
+        adjust_maximum_thr=0,
+        user_flip=0,
+        half_size=half,
+        user_sat=white,
+    )[: height // 2 if half else height, : width // 2 if half else width]
+    return developed, headroom
 
 
 def _opened(path: Path) -> Any:  # noqa: ANN401

@@ -19,6 +19,8 @@ _TOE = 0.05
 _FAINTEST = 0.2
 # A texture of smaller log contrast than this is not amplified to full scale: it is noise.
 _LEAST_CONTRAST = 0.02
+# Share of a colour direction's variance that is signal: counted as no less than this.
+_LEAST_SIGNAL = 0.05
 _LEAST_TEXELS = 64  # fewer have no covariance worth the name
 _SHADING_SCALE = 48  # texels; variation slower than this is shading, not texture
 
@@ -44,13 +46,15 @@ class Encoding:
         return torch.log((linear.clamp(0.0, 1.0) / self.median + _TOE) / (1.0 + _TOE))
 
 
-def fit_encoding(linear: Tensor, valid: Tensor) -> Encoding:
+def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> Encoding:
     """The encoding of a photograph.
 
     Args:
         linear: (3, H, W) scene-linear picture.
         valid: (H, W) bool, texels that were seen and not clipped; where there are hardly any, all
             are looked at.
+        noise: (3, H, W) another draw of what the picture holds of it; colour directions that
+            hold little else count for little.
     """
     if int(valid.sum()) < _LEAST_TEXELS:
         valid = torch.ones_like(valid)
@@ -62,6 +66,10 @@ def fit_encoding(linear: Tensor, valid: Tensor) -> Encoding:
     values, vectors = torch.linalg.eigh(torch.cov(texture.double()))
     strongest = values[-1].clamp_min(_LEAST_CONTRAST**2)
     scale = torch.rsqrt(values.clamp_min(_FAINTEST**2 * strongest))
+    if noise is not None:
+        added = (plain.log((linear + noise)[None]) - log)[0][:, valid]
+        noisy = (vectors * (torch.cov(added.double()) @ vectors)).sum(dim=0)
+        scale = scale * (1.0 - noisy / values.clamp_min(1e-12)).clamp_min(_LEAST_SIGNAL).sqrt()
     return Encoding(median, (vectors * scale).T.float().contiguous())
 
 

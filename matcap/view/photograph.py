@@ -51,7 +51,7 @@ def browser_picture(file: Path) -> Picture:
     from matcap.export.srgb import srgb_encode
     from matcap.photo.load import load_photo
 
-    pixels = srgb_encode(load_photo(file, long_side=_LONG_SIDE).pixels)
+    pixels = srgb_encode(load_photo(file, long_side=_LONG_SIDE, noise=False).pixels)
     stored = io.BytesIO()
     Image.fromarray(np.rint(pixels * 255.0).astype(np.uint8)).save(stored, "JPEG", quality=90)
     return Picture(stored.getvalue(), "image/jpeg")

@@ -59,7 +59,7 @@ class FakePipeline:
     interrupt: bool = False
     failure: BaseException | None = None
 
-    def load_photo(self, path, *, long_side=None, fov=None):
+    def load_photo(self, path, *, long_side=None, fov=None, noise=True):
         self.calls.append(SimpleNamespace(path=Path(path), long_side=long_side, fov=fov))
         return fake_photo(Path(path))
 

@@ -1,0 +1,173 @@
+"""The sensor's noise: how strong it is, told from the mosaic itself, and another draw of it.
+
+Light comes in photons, and amplifiers hiss: a photosite's variance is a straight line in its
+signal (Foi et al., "Practical Poissonian-Gaussian noise modeling and fitting for single-image
+raw-data", 2008). Noise is independent from one photosite to the next; what a lens draws is not.
+So the finest structure, that of a checkerboard of single photosites, is nearly all noise, and where
+the picture is plainest it is nothing else.
+
+A capture needs it because noise looks like texture: renderings get the same noise before they are
+compared, and the material need not imitate it (capture/finetune.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+# Mixed second difference: 0 on whatever bends along one direction only, of unit gain for noise
+# (Immerkaer, "Fast noise variance estimation", 1996).
+_CHECKER = np.outer((1.0, -2.0, 1.0), (1.0, -2.0, 1.0)).astype(np.float32) / 6.0
+_SMOOTH = 1.5  # photosites of one colour: standard deviation of the blur that tells the signal
+_BLOCK = 16  # photosites a side of what a variance is measured in
+_TILE = 256  # photosites a side of what is looked at in one piece
+_TILES = 48  # looked at, at most
+_BINS, _BLOCKS_IN_BIN = 16, 20
+_PLAIN = 0.1  # share of the blocks of one brightness that is taken to be plain
+# What the plainest tenth of a flat field's blocks vary by, as a share of its noise's variance; the
+# smoothing's own noise is part of it.
+_FLAT_FIELD = 0.69
+_AGREES = 1.05  # bins farther above the line than this hold texture
+_LEAST_BINS = 4
+_ROUNDING = 1 / 12  # variance of whole numbers
+_DARKEST = 1 / 500  # of the white level; below it relative noise means nothing
+_STRIP_PHOTOSITES = 1 << 20
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Variance of a photosite: shot * signal + read, in the file's numbers above black.
+
+    Attributes:
+        shot: numbers that one photon counts for.
+        read: variance in the dark.
+    """
+
+    shot: float
+    read: float
+
+    def added(
+        self, mosaic: NDArray[np.uint16], black: NDArray[np.float64], seed: int
+    ) -> NDArray[np.uint16]:
+        """The mosaic (H, W) with one more draw of the noise; black as in `find_noise`."""
+        generator = np.random.default_rng(seed)
+        result = np.empty_like(mosaic)
+        step = max(2, _STRIP_PHOTOSITES // mosaic.shape[1] // 2 * 2)
+        for top in range(0, len(mosaic), step):
+            stored = mosaic[top : top + step].astype(np.float32)
+            signal = np.maximum(stored - _tiled(black, stored.shape), 0.0)
+            stored += np.sqrt(self.shot * signal + self.read) * generator.standard_normal(
+                stored.shape, np.float32
+            )
+            result[top : top + step] = np.rint(stored).clip(0, np.iinfo(np.uint16).max)
+        return result
+
+
+def find_noise(
+    mosaic: NDArray[np.uint16], black: NDArray[np.float64], white: float
+) -> SensorNoise | None:
+    """The noise in a Bayer mosaic; an upper bound where all of it is finest texture.
+
+    Args:
+        mosaic: (H, W) the file's numbers.
+        black: (2, 2) black level of each place in the pattern.
+        white: the level at which photosites saturate.
+
+    Returns:
+        The noise, or None of a mosaic with too little that is exposed well.
+    """
+    pieces = [_measured(tile, black, white) for tile in _tiles(mosaic)]
+    variance, shot, read = np.concatenate(pieces, axis=1) if pieces else np.empty((3, 0))
+    bins = min(_BINS, variance.size // _BLOCKS_IN_BIN)
+    if bins == 0:
+        return None
+    # Of photosites of different colours it is the noisy, dark ones that count.
+    signal = shot / read
+    order = np.argsort(signal)
+    edges = np.linspace(0, order.size, bins + 1).astype(int)
+    found = []
+    for first, last in pairwise(edges):
+        at = order[first:last]
+        plainest = np.quantile(variance[at] / shot[at], _PLAIN) / _FLAT_FIELD
+        found.append((signal[at].mean(), max(plainest * signal[at].mean(), _ROUNDING)))
+    return _lower_line(np.array(found))
+
+
+def _tiles(mosaic: NDArray[np.uint16]) -> list[NDArray[np.uint16]]:
+    """Evenly spread pieces, each beginning with the pattern."""
+    height, width = (side // 2 * 2 for side in mosaic.shape)
+    rows, columns = (max(1, side // _TILE) for side in (height, width))
+    places = [(row, column) for row in range(rows) for column in range(columns)]
+    every = -(-len(places) // _TILES)
+    tall, wide = min(_TILE, height), min(_TILE, width)
+    return [
+        mosaic[row * _TILE : row * _TILE + tall, column * _TILE : column * _TILE + wide]
+        for row, column in places[::every]
+    ]
+
+
+def _measured(
+    tile: NDArray[np.uint16], black: NDArray[np.float64], white: float
+) -> NDArray[np.float64]:
+    """(3, blocks): relative variance, and what it would be of shot noise and read noise of 1."""
+    numbers = tile.astype(np.float32)
+    signal = numbers - _tiled(black, tile.shape)
+    smooth = np.empty_like(signal)
+    for row in (0, 1):
+        for column in (0, 1):
+            sites = np.s_[row::2, column::2]
+            smooth[sites] = cv2.GaussianBlur(signal[sites], (0, 0), _SMOOTH)
+    smooth = np.maximum(smooth, np.float32(_DARKEST * (white - black.max())))
+    checker = cv2.filter2D(signal / smooth, -1, _CHECKER)
+    shot, read = (cv2.filter2D(smooth**-power, -1, _CHECKER**2) for power in (1, 2))
+    saturated = cv2.dilate((numbers >= 0.97 * white).astype(np.float32), np.ones((9, 9)))
+    usable = _blocks(saturated) == 0.0
+    return np.stack([_blocks(checker**2)[usable], _blocks(shot)[usable], _blocks(read)[usable]])
+
+
+def _blocks(picture: NDArray[Any]) -> NDArray[np.float64]:
+    """Means of whole blocks, in one row."""
+    height, width = (side // _BLOCK for side in picture.shape)
+    whole = picture[: height * _BLOCK, : width * _BLOCK]
+    shaped = whole.reshape(height, _BLOCK, width, _BLOCK)
+    return np.asarray(shaped.mean(axis=(1, 3), dtype=np.float64)).ravel()
+
+
+def _lower_line(found: NDArray[np.float64]) -> SensorNoise:
+    """The straight line through those (signal, variance) that hold no texture: the lowest."""
+    signal, variance = found.T
+    kept = np.ones(len(found), bool)
+    while True:
+        line = _line(signal[kept], variance[kept])
+        above = variance / (line.shot * signal + line.read)
+        allowed = max(_AGREES, np.sort(above)[min(_LEAST_BINS, len(above)) - 1])
+        remaining = kept & (above <= allowed)
+        if remaining.sum() == kept.sum() or not remaining.any():
+            return line
+        kept = remaining
+
+
+def _line(signal: NDArray[np.float64], variance: NDArray[np.float64]) -> SensorNoise:
+    """Least relative squares with neither shot nor read noise negative."""
+    terms = np.stack([signal, np.ones_like(signal)], axis=1) / variance[:, None]
+    ones = np.ones_like(signal)
+    if len(signal) > 1:
+        shot, read = np.linalg.lstsq(terms, ones)[0]
+        if shot >= 0.0 and read >= 0.0:
+            return SensorNoise(float(shot), float(read))
+    alone = terms.sum(axis=0) / np.square(terms).sum(axis=0)
+    worse = np.square(terms * alone - ones[:, None]).sum(axis=0)
+    if worse[0] <= worse[1]:
+        return SensorNoise(float(alone[0]), 0.0)
+    return SensorNoise(0.0, float(alone[1]))
+
+
+def _tiled(black: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """(H, W) black levels by place."""
+    rows, columns = np.arange(shape[0])[:, None] % 2, np.arange(shape[1])[None, :] % 2
+    return black.astype(np.float32)[rows, columns]
