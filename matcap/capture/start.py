@@ -56,11 +56,17 @@ def log_contrast(linear: Tensor, valid: Tensor) -> Tensor:
     return texture.std(dim=1, correction=0).clamp(0.02, 1.5)
 
 
-def untrained(config: DecoderConfig, coarse: CoarseFit, contrast: Tensor, seed: int) -> Decoder:
-    """A random decoder whose mean maps are the coarse fit's; its code is zero."""
+def untrained(
+    config: DecoderConfig,
+    coarse: CoarseFit,
+    contrast: Tensor,
+    seed: int,
+    kind: type[Decoder] = Decoder,
+) -> Decoder:
+    """A random decoder of a kind whose mean maps are the coarse fit's; its code is zero."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        decoder = Decoder(config)
+        decoder = kind(config)
     with torch.no_grad():
         affine = decoder.head.adain.affine
         affine.weight.zero_()

@@ -201,6 +201,10 @@ class Decoder(nn.Module):
         self._run(field, adapt, periodic=True)
         return recorded
 
+    def way_down(self, noise: Tensor, step: Callable[[Layer], Step]) -> list[Tensor]:
+        """What the way up reads at every level, full resolution first."""
+        return descend(noise, [[step(layer) for layer in block] for block in self.down_layers()])
+
     def _run(
         self, field: RandomField, adapt: Callable[[Layer, Tensor], Tensor], periodic: bool
     ) -> Tensor:
@@ -211,9 +215,9 @@ class Decoder(nn.Module):
 
             return apply
 
-        down = [[step(layer) for layer in block] for block in self.down_layers()]
         up = [[step(layer) for layer in block] for block in self.up_layers()]
-        return unet(field, down, up, step(self.head), periodic=periodic).float()
+        skips = self.way_down(field.noise, step)
+        return ascend(skips, field.waves, up, step(self.head), periodic=periodic).float()
 
 
 Step = Callable[[Tensor], Tensor]
@@ -228,7 +232,12 @@ def unet(
     periodic: bool,
 ) -> Tensor:
     """The network's wiring, whatever its steps are made of (training layers or folded ones)."""
-    features = field.noise.contiguous(memory_format=torch.channels_last)
+    return ascend(descend(field.noise, down), field.waves, up, head, periodic=periodic)
+
+
+def descend(noise: Tensor, down: Sequence[Sequence[Step]]) -> list[Tensor]:
+    """The way down: features of every level, full resolution first."""
+    features = noise.contiguous(memory_format=torch.channels_last)
     skips = []
     for level, block in enumerate(down):
         if level > 0:
@@ -236,10 +245,23 @@ def unet(
         for step in block:
             features = step(features)
         skips.append(features)
+    return skips
+
+
+def ascend(
+    skips: Sequence[Tensor],
+    waves: Sequence[Tensor],
+    up: Sequence[Sequence[Step]],
+    head: Step,
+    *,
+    periodic: bool,
+) -> Tensor:
+    """The way up: from the coarsest features, joined at every level by its own and its waves."""
+    features = skips[-1]
     for level, block in zip(reversed(range(DEPTH)), up, strict=True):
         parts = [upsample(features, periodic), skips[level]]
-        if field.waves:
-            parts.append(field.waves[level].to(features))
+        if waves:
+            parts.append(waves[level].to(features))
         features = torch.cat(parts, dim=1)
         for step in block:
             features = step(features)
