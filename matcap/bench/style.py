@@ -137,6 +137,11 @@ class RandomFilters:
             groups[f"means {level}"] = Group(means, 0.0)
         return groups
 
+    @torch.no_grad()
+    def features(self, pictures: Tensor) -> list[Tensor]:
+        """Rectified responses (B, filters, h, w) at every level of (B, 3, H, W), place by place."""
+        return self._bank.maps(pictures, pyramid(pictures, self._bank.config.levels))
+
 
 def _relative(first: Group, second: Group) -> Tensor:
     """(B,) relative L1 difference of a group."""
