@@ -108,15 +108,21 @@ def finish(
 def evaluate(
     pack: PackArgument,
     prior: PriorOption = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for prior.md and prior.png.")] = (
-        Path("docs")
-    ),
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
+    ] = Path("docs"),
     steps: Annotated[int, typer.Option(min=1, help="Fine-tuning steps from the prior.")] = 100,
     longer: Annotated[int, typer.Option(min=1, help="Steps from nothing beside them.")] = 1000,
     materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
     quiet: QuietOption = False,
 ) -> None:
-    """Measure a prior on held-out photographs and unseen simulated materials."""
+    """Measure a prior on held-out photographs and unseen simulated materials.
+
+    Every result is kept in a folder beside the table as soon as it is there; the same command again
+    goes on from them. They are told apart by photograph, prior and options, not by the version of
+    matcap: after changing that, remove the folder.
+    """
     import shlex
     import sys
 
@@ -137,13 +143,17 @@ def ablate(
     pack: PackArgument,
     prior: PriorOption = None,
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for the table and the picture.")
+        Path,
+        typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
     ] = Path("docs"),
     steps: Annotated[int, typer.Option(min=1, help="Of fine-tuning.")] = 350,
     materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
     quiet: QuietOption = False,
 ) -> None:
-    """Measure captures of held-out photographs without one part of the method each."""
+    """Measure captures of held-out photographs without one part of the method each.
+
+    Results are kept and gone on from as `prior evaluate` does.
+    """
     import shlex
     import sys
 

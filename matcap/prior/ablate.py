@@ -1,37 +1,31 @@
-"""What each part of the method is worth: the same captures without it (paper, section 5).
+"""What each part of the method is worth: the same captures without it (paper, section 5.4).
 
 FULL starts from the prior and fine-tunes. SINGLE starts from nothing. NONTUNED does not fine-tune.
-FOURIER leaves the power spectrum out of fine-tuning. LIGHT leaves the tilt out: the photograph
-counts as taken from straight above. DECODERONLY, a decoder without its way down, would need a
-training of its own and is not here.
+DECODERONLY starts from nothing, too, and has no way down (decoder_only.py). FOURIER leaves the
+power spectrum out of fine-tuning. LIGHT leaves the tilt out: the photograph counts as taken from
+straight above.
 """
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from torch import Tensor, zeros
-
-from matcap.capture.start import log_contrast, untrained
 from matcap.export.picture import write_picture
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.prior.evaluate import (
-    PHOTOGRAPH,
-    Photographed,
-    Result,
-    capture_once,
-    photographed,
-    sheet,
-)
+from matcap.prior.decoder_only import DecoderOnly
+from matcap.prior.evaluate import Begin, Way, from_nothing, from_prior, measure_all
 from matcap.prior.journal import first_of_each
-from matcap.prior.pack import Entry, Pack
+from matcap.prior.kept import prior_key
+from matcap.prior.measure import Made, Photographed, Result, capture, photographed
+from matcap.prior.pack import Pack
+from matcap.prior.pages import COLUMNS, median, names, sheet, table
 from matcap.prior.store import Prior
 from matcap.statistics.compare import Weights
 
-VARIANTS = ("FULL", "SINGLE", "NONTUNED", "FOURIER", "LIGHT")
+FULL, SINGLE, DECODER_ONLY = "FULL", "SINGLE", "DECODERONLY"
+_REALISATIONS = 3
 
 
 def run_ablation(
@@ -43,63 +37,84 @@ def run_ablation(
     command: str,
     tell: Callable[[str], None] = lambda line: None,
 ) -> str:
-    """Measure, write prior-ablation.md and .png into a folder, and return the table."""
-    results: list[Result] = []
-    for entry in first_of_each(pack.reporting)[:materials]:
-        shown = photographed(entry)
-        results.append(Result(entry.material, PHOTOGRAPH, 0.0, 0.0, shown.truth))
-        for variant in VARIANTS:
-            results.append(_capture(prior, entry, shown, variant, steps))
-            tell(f"{entry.material}  {variant}: {results[-1].style:.3f}")
-    table = _markdown(results, steps, command)
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "prior-ablation.md").write_text(table)
+    """Measure, write prior-ablation.md and .png into a folder, and return the table.
+
+    Results are kept in its folder prior-ablation; see kept.py.
+    """
+    entries = first_of_each(pack.reporting)[:materials]
+    results = measure_all(variants(prior, steps), entries, out / "prior-ablation", tell)
+    page = _markdown(results, steps, command)
+    (out / "prior-ablation.md").write_text(page)
     write_picture(sheet(results), out / "prior-ablation.png")
-    return table
+    return page
 
 
-def _capture(prior: Prior, entry: Entry, shown: Photographed, variant: str, steps: int) -> Result:
-    if variant == "LIGHT":
-        coarse = replace(entry.coarse, setup=replace(entry.coarse.setup, tilt=(0.0, 0.0)))
-        entry = replace(entry, coarse=coarse)
-        tuned = photographed(entry)
-    else:
-        tuned = shown
-    if variant == "FOURIER":
-        tuned = replace(tuned, scene=replace(tuned.scene, weights=Weights(spectrum=0.0)))
+def variants(prior: Prior, steps: int) -> list[Way]:
+    """FULL and what is left without one part each."""
+    start, known = partial(from_prior, prior), prior_key(prior)
 
-    def begin() -> tuple[Decoder, Tensor]:
-        if variant == "SINGLE":
-            contrast = log_contrast(tuned.linear, tuned.valid)
-            return untrained(DecoderConfig(), entry.coarse, contrast, 0), zeros(CODE_SIZE)
-        return prior.start(tuned.photo, entry.coarse, tuned.linear, tuned.valid)
+    def way(
+        name: str, begin: Begin, view: Callable[[Photographed], Photographed] | None = None
+    ) -> Way:
+        def run(shown: Photographed) -> Made:
+            # Every variant is compared with the photograph as it is, however it sees it itself.
+            tuned = view(shown) if view else shown
+            return capture(tuned, partial(begin, tuned), taken, _REALISATIONS)
 
-    # Every variant is compared with the photograph as it is.
-    return capture_once(tuned, shown, variant, begin, 0 if variant == "NONTUNED" else steps)
+        taken = 0 if name == "NONTUNED" else steps
+        trained = (known,) if begin is start else ()
+        return Way(name, run, (taken, _REALISATIONS, *trained))
+
+    return [
+        way(FULL, start),
+        way(SINGLE, from_nothing),
+        way("NONTUNED", start),
+        way(DECODER_ONLY, partial(from_nothing, kind=DecoderOnly)),
+        way("FOURIER", start, _without_spectrum),
+        way("LIGHT", start, _without_tilt),
+    ]
+
+
+def _without_spectrum(shown: Photographed) -> Photographed:
+    return replace(shown, scene=replace(shown.scene, weights=Weights(spectrum=0.0)))
+
+
+def _without_tilt(shown: Photographed) -> Photographed:
+    coarse = shown.entry.coarse
+    straight = replace(coarse, setup=replace(coarse.setup, tilt=(0.0, 0.0)))
+    return photographed(replace(shown.entry, coarse=straight))
 
 
 def _markdown(results: list[Result], steps: int, command: str) -> str:
-    medians = {
-        variant: statistics.median(r.style for r in results if r.method == variant)
-        for variant in VARIANTS
-    }
-    count = len({r.material for r in results})
+    def style(variant: str) -> float:
+        return median(results, variant, lambda r: r.style)
+
+    full = style(FULL)
+    rows = [
+        [
+            variant,
+            f"{style(variant):.3f}",
+            f"{100.0 * style(variant) / full:.0f} %",
+            f"{median(results, variant, lambda r: r.xyz):.3f}",
+            f"{median(results, variant, lambda r: r.diversity):.3f}",
+        ]
+        for variant in names(results, lambda r: r.method)
+    ]
+    count = len(names(results, lambda r: r.material))
+    beside_single = 100.0 * style(DECODER_ONLY) / style(SINGLE)
     lines = [
         "# What each part is worth",
         "",
-        f"Made by `{command}`: {count} held-out photographs, {steps} steps of fine-tuning, style",
-        "error under the photograph's own flash by random filters that no capture optimises.",
+        f"Made by `{command}`: {count} held-out photographs, {steps} steps of fine-tuning.",
         "",
-        "| variant | median error | of FULL |",
-        "|---|---:|---:|",
-    ]
-    for variant, median in medians.items():
-        lines.append(f"| {variant} | {median:.3f} | {100.0 * median / medians['FULL']:.0f} % |")
-    lines += [
+        *table(["variant", "style", "of FULL", "XYZ", "diversity"], rows),
         "",
-        "DECODERONLY is not measured: it needs a training of its own.",
+        COLUMNS,
         "",
-        "![Rows: the variants in this order.](prior-ablation.png)",
+        f"{DECODER_ONLY} has no prior of its own and starts from nothing, so it is to be compared",
+        f"with {SINGLE}: it has {beside_single:.0f} % of its style error.",
+        "",
+        "![Columns: the materials. Rows: the variants in this order.](prior-ablation.png)",
         "",
     ]
     return "\n".join(lines)
