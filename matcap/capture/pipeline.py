@@ -41,10 +41,10 @@ from matcap.statistics.vgg import Vgg19
 # Steps of fine-tuning; docs/capture.md has what each costs and buys.
 PRESETS: dict[str, int] = {
     "instant": 0,
-    "draft": 80,
-    "standard": 400,
-    "high": 1000,
-    "reference": 3000,
+    "draft": 40,
+    "standard": 240,
+    "high": 640,
+    "reference": 1280,
 }
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 _FORECAST_EVERY = 20  # steps
