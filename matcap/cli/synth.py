@@ -41,6 +41,14 @@ class Precision(Enum):
     auto = "auto"
 
 
+class Device(Enum):
+    """Where to compute."""
+
+    auto = "auto"
+    cpu = "cpu"
+    cuda = "cuda"
+
+
 class SynthCommand(TyperCommand):
     """Lets `--tile` stand alone, for both axes."""
 
@@ -122,6 +130,9 @@ def synth(
         Precision,
         typer.Option(help="auto: as much bf16 as changes no map by half an 8-bit step."),
     ] = Precision.fp32,
+    device: Annotated[
+        Device, typer.Option(help="auto: a CUDA device where PyTorch sees one.")
+    ] = Device.auto,
     scheduler: Annotated[
         str | None,
         typer.Option(metavar="tcp://HOST:PORT", help="Send blocks to this dask scheduler."),
@@ -145,6 +156,7 @@ def synth(
     from matcap.prior.store import load_prior
     from matcap.synth.blend import blend_source
     from matcap.synth.blocks import Rectangle
+    from matcap.synth.device import find_device
     from matcap.synth.mask import read_mask
     from matcap.synth.precision import choose
     from matcap.synth.request import Files, Request, Work
@@ -158,6 +170,8 @@ def synth(
             "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
         )
     _check_blend(blend, mask, mask_over)
+    # A cluster's machines may have no CUDA device, and their blocks must be alike.
+    place = find_device("cpu" if scheduler and device is Device.auto else device.value)
     asked = region or values.Region(0, 0, size.width, size.height)
     area = Rectangle(asked.x, asked.y, asked.width, asked.height)
     files = Files(png, normal.value, single, mip, (udim.width, udim.height) if udim else None)
@@ -167,12 +181,13 @@ def synth(
     name = subject.name if material is None else material.stem
     provenance = dict(subject.provenance)
     if blend is None or mask is None:
-        choice = choose(material_source(subject, seed, period), precision.value)
+        choice = choose(material_source(subject, seed, period, place), precision.value)
     else:
         over = Rectangle(*astuple(mask_over)) if mask_over else whole
         other = Material.load(blend)
         spread = read_mask(mask, over, period)
-        choice = choose(blend_source(subject, other, spread, seed, period), precision.value)
+        between = blend_source(subject, other, spread, seed, period, place)
+        choice = choose(between, precision.value)
         provenance |= {"blend": [subject.name, other.name], "mask_over": list(astuple(over))}
     if precision is Precision.auto and not quiet:
         typer.echo(choice.sentence(), err=True)

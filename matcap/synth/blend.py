@@ -30,6 +30,7 @@ _RISE = 2.5  # deviations that one surface lies below the other at the ends
 _SOFT = 0.2  # deviations within which both are seen
 _ENDS = 8.0  # within an eighth of the way from its end a material cannot be hidden altogether
 _SAMPLE = Rectangle(0, 0, 256, 256)
+_CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,12 @@ class BlendSource:
 
 
 def blend_source(
-    first: Material, second: Material, mask: Mask, seed: int, period: Period | None = None
+    first: Material,
+    second: Material,
+    mask: Mask,
+    seed: int,
+    period: Period | None = None,
+    device: torch.device = _CPU,
 ) -> BlendSource:
     """The field that is `first` where the mask is black and `second` where it is white.
 
@@ -110,7 +116,7 @@ def blend_source(
     Raises:
         UsageError: a seed or period out of range.
     """
-    start, end = (material_source(material, seed, period) for material in (first, second))
+    start, end = (material_source(material, seed, period, device) for material in (first, second))
     end = replace(end, texel_size=start.texel_size)
     heights = [
         replace(source, seed=0, period=None).maps(_SAMPLE)[_HEIGHT] for source in (start, end)

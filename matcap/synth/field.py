@@ -19,6 +19,7 @@ from matcap.brdf.maps import MapSet
 from matcap.model.decoder import OUTPUTS
 from matcap.model.noise import Period
 from matcap.synth.blocks import BLOCK, Piece, Rectangle, check_rectangle, pieces_of
+from matcap.synth.device import DeviceName, find_device
 from matcap.synth.single import single_threaded
 from matcap.synth.source import RING, Source, material_source
 
@@ -36,13 +37,22 @@ class Field:
         seed: which realisation, in [-2^63, 2^63).
         period: repeat in texels along (x, y), multiples of ALIGNMENT; None, for both or for one
             of them, is endless.
+        device: where to compute: "cpu", "cuda", or "auto" for CUDA where it is there. The maps
+            come back to the processor. Devices differ in the last bits.
 
     Raises:
-        UsageError: a seed or period out of range.
+        UsageError: a seed or period out of range, or no CUDA device where one was asked for.
     """
 
-    def __init__(self, material: Material, seed: int = 0, period: Period | None = None) -> None:
-        self.source: Source = material_source(material, seed, period)
+    def __init__(
+        self,
+        material: Material,
+        seed: int = 0,
+        period: Period | None = None,
+        *,
+        device: DeviceName = "cpu",
+    ) -> None:
+        self.source: Source = material_source(material, seed, period, find_device(device))
 
     def read(
         self, x: int, y: int, width: int, height: int, *, workers: int | None = None
@@ -68,7 +78,8 @@ def read_source(source: Source, wanted: Rectangle, workers: int) -> MapSet:
     def fill(piece: Piece) -> None:
         # Whether the caller's tensors are for inference only or not, they are so here.
         with torch.inference_mode():
-            stacked[(..., *piece.target)] = inner(source.maps(piece.block))[(..., *piece.source)]
+            found = inner(source.maps(piece.block))[(..., *piece.source)]
+            stacked[(..., *piece.target)] = found.cpu()
 
     with single_threaded(min(workers, len(pieces))) as pool:
         list(pool.map(fill, pieces))

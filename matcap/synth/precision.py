@@ -1,6 +1,6 @@
 """How exactly to compute: float32, bfloat16, or as much bfloat16 as no eye can see.
 
-bfloat16 takes half the time where the processor multiplies it, and keeps eight bits of every
+bfloat16 takes half the time where the device multiplies it, and keeps eight bits of every
 feature. What that does to the maps depends on the material: it is measured on a few blocks, in
 8-bit steps of what is looked at (diffuse as sRGB, height in 255ths of its range).
 """
@@ -57,10 +57,10 @@ def choose(source: Source, precision: Precision) -> Choice:
     Args:
         source: in float32.
         precision: "auto" is the fastest whose largest error is below half an 8-bit step in every
-            map of the sample blocks; on processors without bfloat16 that is float32.
+            map of the sample blocks; on devices without bfloat16 that is float32.
 
     Raises:
-        MatcapError: bfloat16 was asked for and the processor does not multiply it.
+        MatcapError: bfloat16 was asked for and the device does not multiply it.
     """
     if precision == "fp32":
         return Choice(source, "fp32", {})
@@ -68,7 +68,7 @@ def choose(source: Source, precision: Precision) -> Choice:
         if precision == "auto":
             return Choice(source, "fp32", {})
         raise MatcapError(
-            "this processor does not multiply bfloat16", where="--precision", remedy="use fp32"
+            "this device does not multiply bfloat16", where="--precision", remedy="use fp32"
         )
     if precision == "bf16":
         return Choice(source.lowered(0), "bf16", {})

@@ -91,7 +91,7 @@ class Work:
     """Who does it.
 
     Attributes:
-        workers: processes (threads for a few blocks); their number changes no bit.
+        workers: processes (threads for a few blocks, and on CUDA); their number changes no bit.
         scheduler: address of a dask scheduler to send blocks to instead.
         resume: go on with what an interrupted run of the same request left.
         progress: called after every block.
@@ -101,6 +101,15 @@ class Work:
     scheduler: str | None = None
     resume: bool = False
     progress: Callable[[Progress], None] = _silent
+
+    def check(self, device: torch.device) -> None:
+        """Raise UsageError for a source whose device a cluster may not have."""
+        if self.scheduler is not None and device.type != "cpu":
+            raise UsageError(
+                "a cluster computes on its processors",
+                where="--scheduler",
+                remedy="leave --device out, or --scheduler",
+            )
 
 
 @dataclass(frozen=True)
@@ -159,11 +168,11 @@ class Request:
 
     @property
     def key(self) -> str:
-        """The same for requests whose files have the same bytes."""
+        """The same for requests whose files have the same bytes: a digest, and the device."""
         digest = hashlib.sha256()
         versions = (matcap.__version__, torch.__version__)
         _feed(digest.update, (versions, self.source, self.area, self.info.name, self.files))
-        return digest.hexdigest()
+        return f"{digest.hexdigest()} {self.source.device.type}"
 
     def canvases(self) -> list[Canvas]:
         """The map sets to write, left to right, the lowest row of a texture set first."""

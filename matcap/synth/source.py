@@ -14,11 +14,13 @@ from matcap.model.freeze import FoldedDecoder
 from matcap.model.noise import SEED_LIMIT, Period, RandomField, Wave, noise_field, wave_field
 from matcap.model.spans import Span, Spans, spans_of
 from matcap.synth.blocks import Grid, Rectangle
+from matcap.synth.device import repeatable
 
 if TYPE_CHECKING:
     from matcap.model.material import Material
 
 RING = 1  # texels around a block that its normals look at
+_CPU = torch.device("cpu")
 
 
 class Source(Protocol):
@@ -148,7 +150,7 @@ class MaterialSource:
     def maps(self, block: Rectangle) -> Tensor:
         """Stacked maps (OUTPUTS, height + 2 RING, width + 2 RING) of a block and its ring."""
         area = area_of(block, self.decoder.convolutions)
-        with torch.inference_mode():
+        with torch.inference_mode(), repeatable(self.device):
             field = RandomField(
                 read_noise(self, area, self.decoder.noise_channels),
                 read_waves(self, area, self.waves),
@@ -159,15 +161,18 @@ class MaterialSource:
             return maps_from_raw(raw, self.texel_size).stacked()
 
 
-def material_source(material: Material, seed: int, period: Period | None = None) -> MaterialSource:
-    """The source of a material's field.
+def material_source(
+    material: Material, seed: int, period: Period | None = None, device: torch.device = _CPU
+) -> MaterialSource:
+    """The source of a material's field, computed on a device.
 
     Raises:
         UsageError: a seed or period out of range.
     """
     check_seed(seed)
     check_period(period)
-    return MaterialSource(material.folded(), material.waves, material.texel_size, seed, period)
+    decoder = material.folded().to(device)
+    return MaterialSource(decoder, material.waves, material.texel_size, seed, period)
 
 
 def check_seed(seed: int) -> int:

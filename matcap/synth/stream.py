@@ -33,12 +33,14 @@ def write_field(request: Request, folder: str | Path, work: Work | None = None) 
     memory, the finished part stays in a hidden folder, for `work.resume`.
 
     Raises:
-        UsageError: an empty or too large rectangle, a bad name, an impossible texture set.
+        UsageError: an empty or too large rectangle, a bad name, an impossible texture set, a
+            cluster for a source on CUDA.
         MatcapError: a full disk, an unwritable folder, another run at work in it, an unfinished
             run of other settings to resume, a worker that died, values that are not finite.
     """
     request.check()
     work = work or Work()
+    work.check(request.source.device)
     folder, name = Path(folder), request.info.name
     left = unfinished_bytes(folder, name) if work.resume else 0
     check_writable(folder, max(request.room - left, 0))

@@ -30,7 +30,7 @@ def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[P
     Args:
         folder: where the files belong; made when missing.
         name: of the map set.
-        key: of the request; other settings have another.
+        key: of the request: a digest, a space, the device. Other settings have another.
         resume: begin with what an earlier run left, if it had the same key; otherwise with none.
 
     Raises:
@@ -89,7 +89,15 @@ def _locked(stage: Path) -> Iterator[None]:
 def _open(stage: Path, key: str, *, resume: bool) -> None:
     """Make sure that what lies in the folder is of this request, or nothing does."""
     file = stage / _KEY
-    if resume and file.exists() and file.read_text() != key:
+    begun = file.read_text() if resume and file.exists() else key
+    before, now = (one.partition(" ")[2] for one in (begun, key))
+    if before not in ("", now):
+        raise MatcapError(
+            f"the unfinished maps here were begun on {before}; {now} rounds differently",
+            where=str(stage),
+            remedy=f"give --device {before}, or leave --resume out to begin anew",
+        )
+    if begun != key:
         raise MatcapError(
             "the unfinished maps here were begun with another material or other settings",
             where=str(stage),

@@ -105,6 +105,8 @@ class Crew:
 def crew(source: Source, workers: int, jobs: int, scheduler: str | None = None) -> Iterator[Crew]:
     """Workers for so many jobs: a cluster's, processes, or threads where that is faster.
 
+    A CUDA device serves one process: threads take turns at it and encode tiles side by side.
+
     Args:
         source: what they compute.
         workers: how many processes or threads.
@@ -119,7 +121,7 @@ def crew(source: Source, workers: int, jobs: int, scheduler: str | None = None) 
 
         with cluster(scheduler, pack(source)) as ready:
             yield ready
-    elif workers == 1 or jobs <= _FEW:
+    elif workers == 1 or jobs <= _FEW or source.device.type != "cpu":
         with single_threaded(workers) as pool:
             yield Crew(
                 lambda job: pool.submit(render, source, job.piece, job.pictures, job.normal),

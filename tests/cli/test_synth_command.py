@@ -171,3 +171,10 @@ def test_the_network_is_exported(matcap, material, tmp_path):
     assert said.code == 0 and json.loads(said.out)["error"] < 1e-5
     assert [file.name for file in (tmp_path / "net").iterdir()] == ["leather.onnx"]
     assert matcap("export", material, "--onnx", "--to", "gltf").code == 2
+
+
+def test_cuda_where_there_is_none(matcap, material, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    said = matcap("synth", material, "--size", "8x8", "--device", "cuda")
+    assert said.code == 2 and "--device: PyTorch sees no CUDA device; use cpu" in said.err
+    assert matcap("synth", material, "--size", "8x8", "--device", "auto", "-o", "set").code == 0
