@@ -1,17 +1,44 @@
-"""One step of the frozen network: convolutions without padding, their sum, a bias, a ReLU.
+"""The steps of the frozen network, above all: convolutions without padding, a bias, a ReLU.
 
 A convolution of features laid side by side is the sum of the convolutions of its parts: nothing
 is copied together. On processors that oneDNN knows, bias, sum and ReLU happen as the convolution
-writes its result; elsewhere in separate steps.
+writes its result; elsewhere in separate steps. Wide networks have other steps: winograd.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+
+
+class Convolve(Protocol):
+    """See `convolve`."""
+
+    def __call__(
+        self, parts: Sequence[Tensor], weights: Sequence[Tensor], bias: Tensor, *, activate: bool
+    ) -> Tensor:
+        """ReLU(bias + sum of parts[i] * weights[i]); only where the kernel lies inside."""
+        ...
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What a network is computed by: operations that agree on how features lie in memory.
+
+    Attributes:
+        convolve: as `convolve`.
+        halve: (B, C, H, W) to (B, C, H / 2, W / 2), the largest of every four.
+        lay: a part of features as the others want it.
+    """
+
+    convolve: Convolve
+    halve: Callable[[Tensor], Tensor]
+    lay: Callable[[Tensor], Tensor]
 
 
 def convolve(
@@ -59,3 +86,14 @@ def _convolve_fused(
             total, part, weight, None, *shape, "add", 1.0, unary, [], None
         )
     return total
+
+
+def _halve(features: Tensor) -> Tensor:
+    return F.max_pool2d(features, 2)
+
+
+def _lay(features: Tensor) -> Tensor:
+    return features.contiguous(memory_format=torch.channels_last)
+
+
+CHANNELS_LAST = Steps(convolve, _halve, _lay)

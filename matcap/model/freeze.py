@@ -15,7 +15,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.model.convolve import convolve
+from matcap.model import winograd
+from matcap.model.convolve import CHANNELS_LAST, Steps
 from matcap.model.decoder import DEPTH, Decoder, Layer, Moments, Step, unet
 from matcap.model.noise import WAVE_CHANNELS, RandomField, Wave, random_field
 from matcap.model.spans import Span, Spans
@@ -40,6 +41,9 @@ def freeze(decoder: Decoder, code: Tensor, waves: tuple[Wave, ...]) -> list[Mome
         return decoder.reference_moments(field, code)
 
 
+_Area = tuple[Span, Span]  # rows, columns
+
+
 @dataclass(frozen=True)
 class FoldedLayer:
     """A convolution with its AdaIN folded in.
@@ -61,10 +65,10 @@ class FoldedLayer:
         features = F.conv2d(features, weight, self.bias, padding=weight.shape[-1] // 2)
         return features.relu_() if self.activate else features
 
-    def valid(self, *parts: Tensor) -> Tensor:
+    def valid(self, steps: Steps, *parts: Tensor) -> Tensor:
         """The step on its parts, only where the kernel lies inside, in its own precision."""
         parts = tuple(part.to(self.bias.dtype) for part in parts)
-        return convolve(parts, self.weights, self.bias, activate=self.activate)
+        return steps.convolve(parts, self.weights, self.bias, activate=self.activate)
 
     def to(self, target: torch.dtype | torch.device) -> FoldedLayer:
         """In another precision or on another device."""
@@ -122,6 +126,14 @@ class FoldedDecoder:
         up = tuple(lower(DEPTH - 1 - index, block) for index, block in enumerate(self.up))
         return FoldedDecoder(self.noise_channels, self.has_waves, down, up, self.head)
 
+    @property
+    def steps(self) -> Steps:
+        """How it is computed; a matter of its shape, its precision and the processor."""
+        (_, *inner), *down = self.down
+        layers = [*inner, *(layer for block in (*down, *self.up) for layer in block)]
+        wide = all(winograd.is_wide(layer.weights) for layer in layers)
+        return winograd.WINOGRAD if wide and winograd.available() else CHANNELS_LAST
+
     def decode(self, field: RandomField, rows: Spans, columns: Spans) -> Tensor:
         """Raw outputs (B, OUTPUTS, H, W) over the spans' output, float32, all of them valid.
 
@@ -129,12 +141,19 @@ class FoldedDecoder:
             field: noise over the spans' down[0] and, if there are any, waves over their joined.
             rows, columns: of this decoder's convolutions.
         """
+        steps = self.steps
+
+        def cut(features: Tensor, wanted: _Area, covered: _Area) -> Tensor:
+            """The part of features over `covered` that lies in `wanted`."""
+            high, wide = (a.within(b) for a, b in zip(wanted, covered, strict=True))
+            return steps.lay(features[..., high, wide])
+
         features, skips = field.noise, []
         for level, block in enumerate(self.down):
             if level > 0:
-                features = F.max_pool2d(features, 2)
+                features = steps.halve(features)
             for layer in block:
-                features = layer.valid(features)
+                features = layer.valid(steps, features)
             skips.append(features)
         covered = (rows.risen[DEPTH], columns.risen[DEPTH])
         for level, (first, *others) in zip(reversed(range(DEPTH)), self.up, strict=True):
@@ -142,17 +161,11 @@ class FoldedDecoder:
             below = cut(features, (rows.risen[level + 1], columns.risen[level + 1]), covered)
             beside = cut(skips[level], joined, (rows.skips[level], columns.skips[level]))
             waves = [field.waves[level]] if self.has_waves else []
-            features = first.valid(double(below), beside, *waves)
+            features = first.valid(steps, double(below), beside, *waves)
             for layer in others:
-                features = layer.valid(features)
+                features = layer.valid(steps, features)
             covered = (joined[0].grown(-1 - len(others)), joined[1].grown(-1 - len(others)))
-        return self.head.valid(cut(features, (rows.output, columns.output), covered))
-
-
-def cut(features: Tensor, wanted: tuple[Span, Span], covered: tuple[Span, Span]) -> Tensor:
-    """The part of features over `covered` (rows, columns) that lies in `wanted`, channels last."""
-    rows, columns = (a.within(b) for a, b in zip(wanted, covered, strict=True))
-    return features[..., rows, columns].contiguous(memory_format=torch.channels_last)
+        return self.head.valid(steps, cut(features, (rows.output, columns.output), covered))
 
 
 def double(features: Tensor) -> Tensor:

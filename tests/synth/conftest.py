@@ -32,3 +32,9 @@ def material():
 @pytest.fixture(scope="session")
 def wavy():
     return a_material("wavy", waves=(Wave(1 / 16.7, 0.003), Wave(0.002, 1 / 9.3)))
+
+
+@pytest.fixture(scope="session")
+def make_material():
+    """For materials of other shapes."""
+    return a_material
