@@ -162,7 +162,9 @@ def synth(
     from matcap.synth.request import Files, Request, Work
     from matcap.synth.source import check_seed, material_source
     from matcap.synth.stream import write_field
+    from matcap.synth.workers import keep_memory
 
+    keep_memory()  # this process is matcap's own
     check_seed(seed)
     targets = check_targets(export or [])
     if targets and (single or udim):

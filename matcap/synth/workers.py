@@ -32,7 +32,7 @@ from matcap.synth.source import Source
 
 _AHEAD = 2  # blocks in flight for each worker: one computed, one waiting
 _FEW = 24  # blocks that are done before processes have started
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # malloc.h
 
 T_co = TypeVar("T_co", covariant=True)
 
@@ -187,9 +187,12 @@ def _follow(parent: BaseProcess) -> None:
 def keep_memory() -> None:
     """Tell glibc to reuse large buffers rather than to fetch them fresh from the system.
 
-    For a process of its own: it holds for all of it. Elsewhere than on glibc nothing happens.
+    For a process of its own: it holds for all of it, and for threads that are yet to come.
+    Elsewhere than on glibc nothing happens.
     """
     library: Any = ctypes.CDLL(None)
     if hasattr(library, "mallopt"):
         library.mallopt(_M_MMAP_THRESHOLD, 1 << 30)
         library.mallopt(_M_TRIM_THRESHOLD, 1 << 30)
+        # A thread's own heap holds 64 MB at most: larger buffers would be fetched fresh again.
+        library.mallopt(_M_ARENA_MAX, 1)

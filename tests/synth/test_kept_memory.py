@@ -1,0 +1,37 @@
+"""Large buffers are used again, in threads too: fresh pages can cost as much as the computing."""
+
+import platform
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import resource, sys
+from matcap.bench.synth import material
+from matcap.model.decoder import DecoderConfig
+from matcap.synth.blocks import Rectangle
+from matcap.synth.single import single_threaded
+from matcap.synth.source import material_source
+from matcap.synth.workers import keep_memory
+
+if sys.argv[1] == "kept":
+    keep_memory()
+source = material_source(material(DecoderConfig(2, (32, 32, 32, 32, 32), (1, 1))), 0)
+faults = []
+with single_threaded(1) as pool:
+    for _ in range(6):
+        pool.submit(source.maps, Rectangle(0, 0, 512, 256)).result()
+        faults.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt)
+print(faults[-1] - faults[2])
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the settings are glibc's")
+def test_the_buffers_of_one_block_serve_the_next():
+    fetched = {}
+    for name in ("as it comes", "kept"):
+        command = [sys.executable, "-c", PROGRAM, name]
+        run = subprocess.run(command, capture_output=True, check=True, text=True)
+        fetched[name] = int(run.stdout)
+    assert fetched["kept"] < 0.1 * fetched["as it comes"]
