@@ -2,9 +2,10 @@
 
 The paper's form: instance normalisation over the whole picture, circular padding, a blur after
 each upsampling, channels first, weights that nothing is folded into; at matcap's own widths and at
-the paper's (width 32, 2.2 million parameters). Everything runs in one process, the two forms
-in turn, so that their ratio holds whatever else the machine does; first with the allocator as it
-comes, then with memory kept for both.
+the paper's (width 32, 2.2 million parameters). The two forms run in one process, in turn, so that
+their ratio holds whatever else the machine does: in one with the allocator as it comes, then in
+another with memory kept for both. With several workers, the field's blocks are computed side by
+side on one thread each, and the paper's form uses as many threads for every operator.
 
 Convolution efficiency: multiply-adds a second of a whole block, beside those of plain 3 x 3
 convolutions of the same shapes alone.
@@ -19,7 +20,9 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields, replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import torch
@@ -128,7 +131,7 @@ class Report:
     Attributes:
         rows: the table.
         efficiencies: one a network and precision.
-        megabytes: of memory at most, paper's form and all.
+        megabytes: of memory at most, of one process, paper's form and all.
     """
 
     rows: list[Row]
@@ -137,25 +140,36 @@ class Report:
 
 
 def run_synth(settings: Settings, tell: Callable[[str], None]) -> Report:
-    """Measure; calls `tell` with a line for each row."""
-    rows, efficiencies = [], []
+    """Measure; calls `tell` with a line for each row, when all of an allocator are there."""
+    halves = []
+    for allocator in ("as it comes", "kept"):
+        # A process each: heaps that threads once had are used again, whatever is set later.
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
+            half = alone.submit(_measure, settings, allocator).result()
+        for row in half.rows:
+            tell(_line(row))
+        for one in half.efficiencies:
+            tell(f"{one.network} {one.precision}: {one.share:.0%} of plain convolutions")
+        halves.append(half)
+    return Report(
+        [row for half in halves for row in half.rows],
+        [one for half in halves for one in half.efficiencies],
+        max(half.megabytes for half in halves),
+    )
+
+
+def _measure(settings: Settings, allocator: str) -> Report:
+    """All rows of an allocator; where memory is kept, the efficiencies too."""
+    if allocator == "kept":
+        keep_memory()
     materials = {name: material(NETWORKS[name]) for name in settings.networks}
-    threads = torch.get_num_threads()
-    try:
-        for allocator in ("as it comes", "kept"):
-            if allocator == "kept":
-                keep_memory()
-            for name, one in materials.items():
-                for row in _rows(name, one, allocator, settings):
-                    tell(_line(row))
-                    rows.append(row)
-        for name, one in materials.items():
-            for precision in _precisions():
-                found = efficiency(name, one, precision, settings.repeats)
-                tell(f"{name} {precision}: {found.share:.0%} of plain convolutions")
-                efficiencies.append(found)
-    finally:
-        torch.set_num_threads(threads)
+    rows = [row for name, one in materials.items() for row in _rows(name, one, allocator, settings)]
+    efficiencies = [
+        efficiency(name, one, precision, settings.repeats)
+        for name, one in materials.items()
+        for precision in _precisions()
+        if allocator == "kept"
+    ]
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return Report(rows, efficiencies, peak / (1e6 if sys.platform == "darwin" else 1e3))
 
