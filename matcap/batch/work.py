@@ -164,7 +164,7 @@ def _about(
         "name": job.name,
         "identity": job.identity,
         "photographs": [str(path) for path in job.photos],
-        "detail": job.detail,
+        "detail": round(2.0 / result.material.texel_size),
         "error": result.history[-1][2] if result.history else None,
         "tilt_degrees": [round(angle * 57.29577951, 3) for angle in tilt],
         "clipped": round(photo.clipped_share, 5),

@@ -1,5 +1,4 @@
 import pytest
-import torch
 
 from matcap.bench.quality import QualitySettings
 from matcap.simulate.photograph import Camera
@@ -11,11 +10,3 @@ def settings():
     return QualitySettings(
         detail=512, size=192, camera=Camera(width=512, height=384, supersampling=1)
     )
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
