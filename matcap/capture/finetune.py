@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.optim.adam import adam
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.windows import Windows, shot_deviation
@@ -144,10 +145,9 @@ def finetune(
         report: called after every step.
     """
     if not settings.steps:
-        # Not even an optimiser: making one imports PyTorch's compiler, a second's work.
         return Tuned(decoder, tuple(freeze(decoder, code, scene.waves)), (), False)
     started = time.monotonic()
-    optimiser = _adam(decoder, settings.learning_rate)
+    optimiser = _Adam(decoder)
     order = _places(scene.windows.count, settings.seed)
     moments: list[Moments] | None = None
     best = _Best(copy.deepcopy(decoder.state_dict()), math.inf)
@@ -168,14 +168,12 @@ def finetune(
             if moments is None and share >= 1.0 - _FROZEN_SHARE:
                 moments = freeze(decoder, code, scene.waves)
                 best = _Best(copy.deepcopy(decoder.state_dict()), math.inf)
-            for group in optimiser.param_groups:
-                group["lr"] = rate * _schedule(step, share)
             places = torch.tensor([next(order) for _ in range(settings.places)])
             loss, penalty = _step_loss(decoder, code, scene, settings, moments, places, step, share)
             value = float(loss.detach())
             slope = math.nan
             if math.isfinite(value) and not value > _EXPLODED * max(error, 0.1):
-                optimiser.zero_grad(set_to_none=True)
+                decoder.zero_grad(set_to_none=True)
                 (loss + penalty).backward()
                 slope = float(torch.nn.utils.clip_grad_norm_(decoder.parameters(), 1.0))
             if not math.isfinite(slope):
@@ -183,10 +181,10 @@ def finetune(
                 decoder.load_state_dict(best.state)
                 error = best.error if math.isfinite(best.error) else math.nan
                 rate *= 0.5
-                optimiser = _adam(decoder, rate)
+                optimiser = _Adam(decoder)
                 step += 1
                 continue
-            optimiser.step()
+            optimiser.step(rate * _schedule(step, share))
             step += 1
             smoothing = max(_SMOOTHING, 1.0 / step)
             error = value if math.isnan(error) else error + smoothing * (value - error)
@@ -210,8 +208,35 @@ class _Best:
     error: float
 
 
-def _adam(decoder: Decoder, rate: float) -> torch.optim.Adam:
-    return torch.optim.Adam(decoder.parameters(), lr=rate, betas=(0.9, 0.99), fused=True)
+class _Adam:
+    """torch.optim.Adam's function without its class, which imports PyTorch's compiler: a second."""
+
+    def __init__(self, decoder: Decoder) -> None:
+        self._parameters = [p for p in decoder.parameters() if p.requires_grad]
+        self._means = [torch.zeros_like(p) for p in self._parameters]
+        self._squares = [torch.zeros_like(p) for p in self._parameters]
+        self._steps = [torch.zeros(()) for _ in self._parameters]
+
+    @torch.no_grad()
+    def step(self, rate: float) -> None:
+        """One step along the gradients there are."""
+        had = [i for i, p in enumerate(self._parameters) if p.grad is not None]
+        adam(
+            [self._parameters[i] for i in had],
+            [self._parameters[i].grad for i in had],  # type: ignore[misc]
+            [self._means[i] for i in had],
+            [self._squares[i] for i in had],
+            [],
+            [self._steps[i] for i in had],
+            fused=True,
+            amsgrad=False,
+            beta1=0.9,
+            beta2=0.99,
+            lr=rate,
+            weight_decay=0.0,
+            eps=1e-8,
+            maximize=False,
+        )
 
 
 def _schedule(step: int, share: float) -> float:
