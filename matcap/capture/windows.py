@@ -18,6 +18,7 @@ from matcap.statistics.compare import Descriptor, Features, describe
 from matcap.statistics.encoding import Encoding
 
 _HISS = 2e-3  # of the clip level
+_TOGETHER = 4  # windows described at a time: more outgrow the processor's caches
 _LEAST_SEEN = 0.3  # share of a window's texels that must be inside the picture and not clipped
 
 
@@ -73,10 +74,9 @@ def cut_windows(
         if float(valid[y : y + size, x : x + size].float().mean()) >= _LEAST_SEEN
     ]
     places = (seen or places)[:most]
+    cut = torch.stack([linear[:, y : y + size, x : x + size] for x, y in places])
     with torch.no_grad():
-        described = [
-            describe(linear[None, :, y : y + size, x : x + size], encoding, bank) for x, y in places
-        ]
+        described = [describe(some, encoding, bank) for some in cut.split(_TOGETHER)]
     points = [
         plane_points(x, y, size, size, (width, height), dtype=torch.float32) for x, y in places
     ]
