@@ -70,7 +70,7 @@ def _base(**changed: Any) -> CaptureSettings:  # noqa: ANN401
 def _ways() -> dict[str, Way]:
     ways = {f"{name}": Way("preset", CaptureSettings(preset=name)) for name in PRESETS}
     # The presets' own numbers lie between.
-    for steps in (10, 20, 80, _BASE_STEPS, 400, 900):
+    for steps in (10, 20, 80, _BASE_STEPS, 400):
         ways[f"{steps} steps"] = Way("steps", _base(steps=steps))
     for seconds in (2.0, 5.0, 10.0, 20.0, 40.0):
         ways[f"{seconds:.0f} s"] = Way("time", CaptureSettings(time_limit=seconds))

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import torch
 
-from matcap.capture.windows import Windows
+from matcap.capture.windows import Windows, side_by_side
 from matcap.statistics.compare import Weights, distance
 
 History = Sequence[tuple[float, int, float]]  # seconds, step, running error
@@ -25,18 +24,14 @@ _LEAST_STEPS = 20  # fewer do not show where the error is going
 def self_difference(windows: Windows, weights: Weights) -> float:
     """Mean distance between windows of a photograph that lie side by side.
 
-    They hardly overlap, and are lit and seen nearly alike; their mean colour, which follows the
-    light, is left out. NaN where the photograph holds no two such windows.
+    Their mean colour, which follows the light, is left out. NaN where the photograph holds no two
+    such windows.
 
     Args:
         windows: of one photograph.
         weights: of the statistics.
     """
-    centres = windows.points[:, :2].mean(dim=(2, 3))
-    texel = float(windows.points[0, 0, 0, 1] - windows.points[0, 0, 0, 0])
-    apart = torch.cdist(centres[None].double(), centres[None].double())[0] / (texel * windows.size)
-    # Side by side is one window's width apart; places are rounded, and at a border closer.
-    first, second = ((apart > 0.85) & (apart < 1.15)).nonzero(as_tuple=True)
+    first, second = side_by_side(windows.points, windows.size)
     if not len(first):
         return math.nan
     target = windows.target

@@ -44,7 +44,7 @@ PRESETS: dict[str, int] = {
     "draft": 40,
     "standard": 240,
     "high": 640,
-    "reference": 1280,
+    "reference": 1000,
 }
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 _FORECAST_EVERY = 20  # steps

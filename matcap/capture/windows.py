@@ -8,17 +8,19 @@ tells them apart.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from matcap.flash.geometry import plane_points
-from matcap.statistics.compare import Descriptor, Features, describe
+from matcap.statistics.compare import UNSEEN, Descriptor, Features, describe
 from matcap.statistics.encoding import Encoding
 
 _HISS = 2e-3  # of the clip level
 _TOGETHER = 4  # windows described at a time: more outgrow the processor's caches
+_PAIRS = 64  # of windows that tell how much statistics scatter
+_LEAST_SCALE = 0.7
 _LEAST_SEEN = 0.3  # share of a window's texels that must be inside the picture and not clipped
 
 
@@ -29,7 +31,7 @@ class Windows:
     Attributes:
         size: of the square windows, in texels.
         points: (B, 3, size, size) their plane points.
-        target: their descriptors in the photograph.
+        target: their descriptors in the photograph, raised by what an L1 distance falls short of.
         noise: (B, 3, size, size) one more draw of the sensor's noise there, as a share of what
             shot noise deviates by (`shot_deviation`), or None.
     """
@@ -84,7 +86,55 @@ def cut_windows(
     if noise is not None:
         noise = noise / shot_deviation(linear)
         noisy = torch.stack([noise[:, y : y + size, x : x + size] for x, y in places])
-    return Windows(size, torch.stack(points), Descriptor.joined(described), noisy)
+    stacked = torch.stack(points)
+    target = _raised(Descriptor.joined(described), *side_by_side(stacked, size))
+    return Windows(size, stacked, target, noisy)
+
+
+def side_by_side(points: Tensor, size: int) -> tuple[Tensor, Tensor]:
+    """Numbers of windows that lie about a window's width apart: all pairs, both ways round.
+
+    They hardly overlap, and are lit and seen nearly alike.
+    """
+    centres = points[:, :2].mean(dim=(2, 3))[None].double()
+    texel = float(points[0, 0, 0, 1] - points[0, 0, 0, 0])
+    apart = torch.cdist(centres, centres)[0] / (texel * size)
+    # Places are rounded, and at a border closer.
+    first, second = ((apart > 0.85) & (apart < 1.15)).nonzero(as_tuple=True)
+    return first, second
+
+
+def _raised(found: Descriptor, first: Tensor, second: Tensor) -> Descriptor:
+    """Targets that an L1 distance leads to the photograph's own contrast.
+
+    Statistics of single windows scatter, and the mean L1 distance between two draws of the same
+    kind is least when one of them is a little too faint. How much, the photograph's own windows
+    tell; by as much the targets are raised. Autocorrelations stay as they are: most of their
+    numbers are nothing but scatter.
+    """
+    if not len(first):
+        return found
+    some = torch.randperm(len(first), generator=torch.Generator().manual_seed(0))[:_PAIRS]
+
+    def raised(level: Tensor) -> Tensor:
+        return level / _best_scale(level[first[some]], level[second[some]])
+
+    grams, quantiles = (tuple(map(raised, kind)) for kind in (found.grams, found.quantiles))
+    return replace(found, grams=grams, quantiles=quantiles)
+
+
+def _best_scale(found: Tensor, target: Tensor) -> float:
+    """The s, of _LEAST_SCALE to 1, for which the mean of |s found - target| is least.
+
+    A weighted median: every quotient target / found counts by what it is a quotient of.
+    """
+    size = target.abs().flatten(1).mean(dim=1).clamp_min(UNSEEN)
+    weight = (found.abs().flatten(1) / size[:, None]).flatten()
+    quotient = torch.where(found == 0.0, 0.0, target / found).flatten()
+    ordered, order = quotient.sort()
+    heavier = weight[order].double().cumsum(0)
+    middle = int(torch.searchsorted(heavier, 0.5 * heavier[-1]))
+    return min(1.0, max(_LEAST_SCALE, float(ordered[min(middle, len(ordered) - 1)])))
 
 
 def shot_deviation(linear: Tensor) -> Tensor:

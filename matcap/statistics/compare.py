@@ -26,7 +26,7 @@ _LARGEST = 144  # texels a side of what is looked at on one level
 # Mean size below which a target's statistic cannot be seen, and is not what others are measured
 # by: a tenth of the faintest found in photographs of textures. Without it a plain photograph's
 # error is a division by nothing.
-_UNSEEN = 1e-3
+UNSEEN = 1e-3
 
 
 class Features(Protocol):
@@ -127,7 +127,7 @@ def _middle(level: Tensor) -> Tensor:
 def _relative(found: Tensor, target: Tensor) -> Tensor:
     """(B,) L1 difference as a share of the target's L1 size."""
     size = target.abs().flatten(1).mean(dim=1)
-    return (found - target).abs().flatten(1).mean(dim=1) / size.clamp_min(_UNSEEN)
+    return (found - target).abs().flatten(1).mean(dim=1) / size.clamp_min(UNSEEN)
 
 
 def _quantiles(level: Tensor) -> Tensor:

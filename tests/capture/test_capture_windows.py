@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from matcap.capture.windows import cut_windows
+from matcap.capture.windows import _best_scale, cut_windows
 from matcap.flash.geometry import plane_points
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import fit_encoding
@@ -37,7 +37,44 @@ def test_every_window_has_the_points_and_the_picture_of_its_own_place():
         expected = plane_points(x, y, SIZE, SIZE, (WIDTH, HEIGHT), dtype=torch.float32)
         assert torch.allclose(windows.points[index], expected, atol=1e-6)
         here = describe(linear[None, :, y : y + SIZE, x : x + SIZE], encoding, BANK)
-        assert float(distance(windows.target.select([index]), here, Weights())) < 1e-5
+        target = windows.target.select([index])
+        assert torch.equal(target.mean, here.mean)
+        assert float(distance(target, here, Weights(gram=0.0, histogram=0.0))) < 1e-5
+        for kind in ("grams", "quantiles"):
+            for raised, plain in zip(getattr(target, kind), getattr(here, kind), strict=True):
+                scale = float((raised * plain).sum() / plain.square().sum())
+                assert 1.0 <= scale <= 1.0 / 0.7 + 1e-6
+                torch.testing.assert_close(raised, scale * plain, atol=1e-5, rtol=1e-4)
+
+
+def test_the_best_scale_is_where_the_distance_is_least():
+    generator = torch.Generator().manual_seed(2)
+    found, target = ((0.5 * torch.randn(6, 5, 5, generator=generator)).exp() for _ in range(2))
+    found[0, 0, 0] = 0.0
+    size = target.abs().flatten(1).mean(dim=1)
+
+    def cost(scale):
+        return float(((scale * found - target).abs().flatten(1).mean(dim=1) / size).mean())
+
+    best = _best_scale(found, target)
+    assert 0.7 <= best <= 1.0
+    assert cost(best) <= min(cost(best * other) for other in (0.97, 0.99, 1.01, 1.03)) + 1e-6
+
+
+def test_raised_targets_lead_to_the_true_contrast():
+    """Draws as scattered as the photograph's windows are nearest to them at their own size."""
+    generator = torch.Generator().manual_seed(4)
+    draws = (0.5 * torch.randn(400, 40, 40, generator=generator)).exp()
+    first, second = torch.arange(0, 200), torch.arange(200, 400)
+    raised = draws[second] / _best_scale(draws[first], draws[second])
+    assert _best_scale(draws[first], draws[second]) < 0.9
+    assert _best_scale(draws[first], raised) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_picture_without_neighbours_is_left_as_it_is():
+    linear, encoding, windows = cut(width=32, height=32)
+    here = describe(linear[None], encoding, BANK)
+    assert float(distance(windows.target, here, Weights())) < 1e-5
 
 
 @pytest.mark.parametrize(("width", "height"), [(96, 64), (97, 33), (32, 32), (200, 40)])
