@@ -69,34 +69,37 @@ def _base(**changed: Any) -> CaptureSettings:  # noqa: ANN401
 
 def _ways() -> dict[str, Way]:
     ways = {f"{name}": Way("preset", CaptureSettings(preset=name)) for name in PRESETS}
+    single = Method(places=1)
     # The presets' own numbers lie between.
-    for steps in (10, 20, 80, _BASE_STEPS, 400):
-        ways[f"{steps} steps"] = Way("steps", _base(steps=steps))
+    for steps in (10, 20, 80, _BASE_STEPS, 240, 400):
+        ways[f"{steps} steps"] = Way("steps", _base(steps=steps), single)
     for seconds in (2.0, 5.0, 10.0, 20.0, 40.0):
-        ways[f"{seconds:.0f} s"] = Way("time", CaptureSettings(time_limit=seconds))
+        ways[f"{seconds:.0f} s"] = Way("time", CaptureSettings(time_limit=seconds), single)
     for window in (96, 128, 192, 256):
-        ways[f"window {window}"] = Way("window", _base(), Method(window=window))
-    for places in (2, 4):
-        ways[f"{places} windows a step"] = Way("windows", _base(), Method(places=places))
+        ways[f"window {window}"] = Way("window", _base(), replace(single, window=window))
+    ways["4 windows a step"] = Way("windows", _base(), Method(places=4))
     for name, bank in (
         ("small filter bank", FilterBankConfig(sizes=(5,), filters=24)),
         ("large filter bank", FilterBankConfig(sizes=(3, 5, 9), filters=48)),
     ):
-        ways[name] = Way("statistics", _base(), Method(features=bank))
-    ways["float32"] = Way("precision", _base(), Method(half_precision=False))
-    ways["no prior"] = Way("prior", _base(prior="none"))
-    ways["no prior, 640 steps"] = Way("prior", _base(prior="none", steps=640))
+        ways[name] = Way("statistics", _base(), replace(single, features=bank))
+    ways["float32"] = Way("precision", _base(), replace(single, half_precision=False))
+    ways["no prior"] = Way("prior", _base(prior="none"), single)
+    ways["no prior, 640 steps"] = Way("prior", _base(prior="none", steps=640), single)
     for name, widths in (("narrow", (8, 16, 32, 32, 32)), ("wide", (32, 64, 128, 128, 128))):
         decoder = DecoderConfig(widths=widths)
-        ways[f"no prior, {name}"] = Way("decoder", _base(prior="none"), Method(decoder=decoder))
+        ways[f"no prior, {name}"] = Way(
+            "decoder", _base(prior="none"), replace(single, decoder=decoder)
+        )
     for detail in (512, 768):
-        ways[f"detail {detail}"] = Way("detail", _base(), detail=detail)
+        ways[f"detail {detail}"] = Way("detail", _base(), single, detail)
     # The paper's decoder and number of steps, on as much of its 512 x 384 as a square window holds.
     paper = Method(
         window=384,
         features=FilterBankConfig(sizes=(3, 5, 9), filters=48),
         decoder=PAPER_CONFIG,
         half_precision=False,
+        places=1,
     )
     ways[_PAPER_FORM] = Way(_PAPER, _base(prior="none", steps=_PAPER_STEPS), paper, 512)
     return ways

@@ -39,12 +39,27 @@ from matcap.statistics.lattice import find_lattice
 from matcap.statistics.vgg import Vgg19
 
 # Steps of fine-tuning; docs/capture.md has what each costs and buys.
-PRESETS: dict[str, int] = {
-    "instant": 0,
-    "draft": 40,
-    "standard": 240,
-    "high": 640,
-    "reference": 1000,
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much work a preset does; chosen from docs/accuracy-and-time.md.
+
+    Attributes:
+        steps: of fine-tuning, at most.
+        windows: compared in each of them.
+    """
+
+    steps: int
+    windows: int = 1
+
+
+PRESETS: dict[str, Effort] = {
+    "instant": Effort(0),
+    "draft": Effort(40),
+    "standard": Effort(160, windows=2),
+    "high": Effort(640),
+    "reference": Effort(1000),
 }
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 _FORECAST_EVERY = 20  # steps
@@ -101,14 +116,14 @@ class Method:
         features: that textures are compared by.
         decoder: shape of the decoder, where there is no prior to say it.
         half_precision: bfloat16 inside the network and the features.
-        places: windows a step.
+        places: windows a step, or None for the preset's.
     """
 
     window: int = 160
     features: FilterBankConfig = FEATURES
     decoder: DecoderConfig = DecoderConfig()
     half_precision: bool = True
-    places: int = 1
+    places: int | None = None
 
 
 @dataclass(frozen=True)
@@ -181,6 +196,7 @@ def capture_photo(
     """
     steps = _steps(settings)
     method = method or Method()
+    windows_a_step = method.places or PRESETS[settings.preset].windows
     clock = _Clock(progress)
 
     with clock.stage("coarse fit"):
@@ -246,7 +262,7 @@ def capture_photo(
                 steps=steps,
                 seconds=settings.time_limit,
                 target=target,
-                places=method.places,
+                places=windows_a_step,
                 learning_rate=rate,
                 half_precision=method.half_precision,
                 seed=settings.seed,
@@ -306,7 +322,7 @@ def _steps(settings: CaptureSettings) -> int:
         return settings.steps
     # A time limit or a target alone decides when to stop.
     alone = settings.time_limit is not None or settings.target is not None
-    return PRESETS["reference" if alone else settings.preset]
+    return PRESETS["reference" if alone else settings.preset].steps
 
 
 def _features(statistics: str, method: Method) -> Features:
@@ -365,7 +381,7 @@ def _audition(
     for seed in seeds:
         tune = TuneSettings(
             steps=_AUDITION_STEPS,
-            places=method.places,
+            places=method.places or PRESETS[settings.preset].windows,
             learning_rate=_RATE_FROM_NOTHING,
             half_precision=method.half_precision,
             seed=seed,
