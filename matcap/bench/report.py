@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from matcap.bench.plot import draw
-from matcap.bench.table import Measurement, Point, front, points, read
+from matcap.bench.table import Measurement, Point, comparable, front, points, read
 from matcap.errors import MatcapError
 from matcap.export.staging import staged
 
@@ -36,7 +36,8 @@ _WORDS = {
         "of the floor (what true pieces differ by), under lights away from the flash; *flash*: the "
         "same under the photograph's own light; *diversity*: how far two realisations are apart "
         "as a share of what two true pieces are. Seconds from opening the file to the saved "
-        "material, without importing; memory is the process's, libraries included."
+        "material, without importing; memory is the process's, libraries included. Points of "
+        "another detail are judged at it, by another floor, and are not on the front."
     ),
     "step": (
         "Forward, backward and the optimiser's step on 512 x 384 texels. The paper's form is its "
@@ -122,14 +123,12 @@ def _table(found: Sequence[Point]) -> list[str]:
 def _presets(found: Sequence[Point]) -> list[str]:
     """A line for each preset: on the front, or what is both as fast and better."""
     lines = []
-    most = max(point.subjects for point in found)
+    others = comparable(found)
     for preset in (point for point in found if point.group == "preset"):
         better = [
             point.name
-            for point in found
-            if point.seconds <= preset.seconds
-            and point.error < preset.error
-            and point.subjects == most
+            for point in others
+            if point.seconds <= preset.seconds and point.error < preset.error
         ]
         says = f"dominated by {', '.join(better)}" if better else "dominated by no other point"
         lines.append(f"- preset `{preset.name}`: {says}.")

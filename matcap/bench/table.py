@@ -133,15 +133,20 @@ def points(measured: Iterable[Measurement]) -> list[Point]:
     ]
 
 
-def front(found: Sequence[Point]) -> list[Point]:
-    """The Pareto front, fastest first: no other point is both as fast and as good.
+def comparable(found: Sequence[Point]) -> list[Point]:
+    """Those measured on as many subjects as any, and at the sweep's own detail.
 
-    Only points measured on as many subjects as any are compared.
+    At another detail the true pieces are others, and so is the floor.
     """
     most = max((point.subjects for point in found), default=0)
+    return [point for point in found if point.subjects == most and point.group != "detail"]
+
+
+def front(found: Sequence[Point]) -> list[Point]:
+    """The Pareto front of what is comparable, fastest first: none is both as fast and as good."""
     best, least = [], math.inf
-    for point in sorted(found, key=lambda point: (point.seconds, point.error)):
-        if point.subjects == most and point.error < least:
+    for point in sorted(comparable(found), key=lambda point: (point.seconds, point.error)):
+        if point.error < least:
             best.append(point)
             least = point.error
     return best
