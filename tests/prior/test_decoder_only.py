@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from small import SMALL, coarse, entry
 
 from matcap.capture.finetune import Scene, TuneSettings, finetune
 from matcap.capture.start import untrained
@@ -16,7 +17,6 @@ from matcap.model.noise import Wave, random_field
 from matcap.prior.decoder_only import DecoderOnly, Unfolded
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
-from tests.prior.conftest import SMALL, coarse, entry
 
 CODE = torch.zeros(CODE_SIZE)
 WAVES = (Wave(0.05, 0.01),)
