@@ -11,24 +11,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.photo.color import srgb_decode
+from matcap.simulate.dng import REC709_TO_XYZ
 
 BINS = 64
-
-# Linear sRGB to CIE XYZ relative to D65, IEC 61966-2-1, equation 7 (four digits, as it says).
-SRGB_TO_XYZ = np.array(
-    [
-        [0.4124, 0.3576, 0.1805],
-        [0.2126, 0.7152, 0.0722],
-        [0.0193, 0.1192, 0.9505],
-    ]
-)
 
 
 def xyz_histograms(picture: Tensor) -> NDArray[np.float64]:
     """(3, BINS) shares of the pixels of an sRGB picture (3, H, W) in [0, 1], by X, Y and Z."""
     light = srgb_decode(picture.double().flatten(1).numpy())
-    white = SRGB_TO_XYZ.sum(axis=1, keepdims=True)
-    shares = (SRGB_TO_XYZ @ light / white).clip(0.0, 1.0)
+    white = REC709_TO_XYZ.sum(axis=1, keepdims=True)
+    shares = (REC709_TO_XYZ @ light / white).clip(0.0, 1.0)
     counts = [np.histogram(channel, BINS, (0.0, 1.0))[0] for channel in shares]
     return np.stack(counts) / light.shape[1]
 

@@ -125,6 +125,10 @@ class Method:
     half_precision: bool = True
     places: int | None = None
 
+    def windows_a_step(self, settings: CaptureSettings) -> int:
+        """How many are compared in each step."""
+        return self.places or PRESETS[settings.preset].windows
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -196,7 +200,6 @@ def capture_photo(
     """
     steps = _steps(settings)
     method = method or Method()
-    windows_a_step = method.places or PRESETS[settings.preset].windows
     clock = _Clock(progress)
 
     with clock.stage("coarse fit"):
@@ -262,7 +265,7 @@ def capture_photo(
                 steps=steps,
                 seconds=settings.time_limit,
                 target=target,
-                places=windows_a_step,
+                places=method.windows_a_step(settings),
                 learning_rate=rate,
                 half_precision=method.half_precision,
                 seed=settings.seed,
@@ -381,7 +384,7 @@ def _audition(
     for seed in seeds:
         tune = TuneSettings(
             steps=_AUDITION_STEPS,
-            places=method.places or PRESETS[settings.preset].windows,
+            places=method.windows_a_step(settings),
             learning_rate=_RATE_FROM_NOTHING,
             half_precision=method.half_precision,
             seed=seed,

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -115,6 +114,8 @@ def _measured(
     tile: NDArray[np.uint16], black: NDArray[np.float64], white: float
 ) -> NDArray[np.float64]:
     """(3, blocks): relative variance, and what it would be of shot noise and read noise of 1."""
+    import cv2
+
     numbers = tile.astype(np.float32)
     signal = numbers - _tiled(black, tile.shape)
     smooth = np.empty_like(signal)

@@ -11,6 +11,7 @@ like in the picture, after demosaicing, colours and shrinking, needs no further 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from matcap.errors import MatcapError
 from matcap.photo.decoded import Decoded
 from matcap.photo.dng import Corrections
 from matcap.photo.gainmap import GainMap, Shading
-from matcap.photo.noise import SensorNoise, find_noise
+from matcap.photo.noise import find_noise
 from matcap.photo.refusals import check_size, decoding, unreadable
 from matcap.photo.shrink import Rows, shrink
 
@@ -76,18 +77,17 @@ def read_raw(
             remedy="give a developed picture, a TIFF say",
         )
 
-    def read(top: int, bottom: int) -> Rows:
-        rows = developed[top:bottom]
+    def rows_of(picture: NDArray[np.uint16], top: int, bottom: int) -> Rows:
+        rows = picture[top:bottom]
         clipped = saturated[top:bottom] | (rows == _FULL).any(axis=-1)
         return rows * np.float32(headroom / _FULL), clipped
 
-    def read_noise(top: int, bottom: int) -> Rows:
-        assert again is not None
-        difference = again[top:bottom].astype(np.float32) - developed[top:bottom]
-        return difference * np.float32(headroom / _FULL), saturated[top:bottom]
-
     size = developed.shape[1], developed.shape[0]
-    pixels, clipped = shrink(read, *size, long_side)
+    pixels, clipped = shrink(partial(rows_of, developed), *size, long_side)
+    drawn = None
+    if again is not None:
+        noisy_pixels, _ = shrink(partial(rows_of, again), *size, long_side)
+        drawn = noisy_pixels - pixels
     unbalanced = "The file states no white balance: daylight assumed."
     return Decoded(
         pixels,
@@ -98,7 +98,7 @@ def read_raw(
         gain_map_applied=corrections.has_maps,
         notes=corrections.notes + (() if balanced else (unbalanced,)),
         clipped_share=share,
-        noise=None if again is None else shrink(read_noise, *size, long_side)[0],
+        noise=drawn,
     )
 
 
@@ -106,7 +106,7 @@ def _noisy(raw: Any) -> NDArray[np.uint16] | None:  # noqa: ANN401
     """The mosaic with one more draw of its own noise."""
     mosaic = raw.raw_image_visible
     black = np.array(raw.black_level_per_channel, np.float64)[raw.raw_colors_visible[:2, :2]]
-    found: SensorNoise | None = find_noise(mosaic, black, float(raw.white_level))
+    found = find_noise(mosaic, black, float(raw.white_level))
     return None if found is None else found.added(mosaic, black, _SEED)
 
 

@@ -20,7 +20,7 @@ from matcap.export.staging import staged
 from matcap.simulate.photograph import Camera, Shot, sensor_noise
 
 # Linear Rec.709 to XYZ at D65 (IEC 61966-2-1).
-_REC709_TO_XYZ = np.array(
+REC709_TO_XYZ = np.array(
     [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
 )
 _GAIN_MAP_POINTS = (13, 17)  # rows, columns
@@ -55,7 +55,7 @@ class Sensor:
     @property
     def from_rec709(self) -> NDArray[np.float64]:
         """(3, 3) linear Rec.709 to camera colour, white's largest channel at 1."""
-        matrix = np.array(self.matrix) @ _REC709_TO_XYZ
+        matrix = np.array(self.matrix) @ REC709_TO_XYZ
         return np.asarray(matrix / matrix.sum(axis=1).max())
 
     @property
