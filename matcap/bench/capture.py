@@ -96,7 +96,7 @@ def _ways() -> dict[str, Way]:
     # The paper's decoder and number of steps, on as much of its 512 x 384 as a square window holds.
     paper = Method(
         window=384,
-        features=FilterBankConfig(sizes=(3, 5, 9), filters=48),
+        features=FilterBankConfig(sizes=(3, 5, 9), filters=48, crossed=False),
         decoder=PAPER_CONFIG,
         half_precision=False,
         places=1,
@@ -304,7 +304,7 @@ def step_seconds(way: str, *, steps: int = 3) -> tuple[float, float]:
     from matcap.flash.geometry import plane_points
     from matcap.flash.render import render_flash
     from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, maps_from_raw
-    from matcap.model.noise import random_field
+    from matcap.model.field import random_field
     from matcap.statistics.compare import Weights, describe, distance
     from matcap.statistics.encoding import fit_encoding
     from matcap.statistics.filterbank import FilterBank

@@ -34,7 +34,8 @@ from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, DEPTH, PAPER_CONFIG, Decoder, DecoderConfig, Layer
 from matcap.model.freeze import FoldedDecoder, FoldedLayer, freeze
 from matcap.model.material import Material
-from matcap.model.noise import WAVE_CHANNELS, noise_field
+from matcap.model.noise import noise_field
+from matcap.model.order import WAVE_CHANNELS
 from matcap.model.spans import Span
 from matcap.synth.blocks import Grid, Rectangle
 from matcap.synth.field import read_source

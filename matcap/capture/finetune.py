@@ -28,8 +28,10 @@ from matcap.capture.windows import Windows, shot_deviation
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_flash
 from matcap.model.decoder import ALIGNMENT, DEPTH, Decoder, Moments, maps_from_raw
+from matcap.model.field import RandomField, random_field
 from matcap.model.freeze import freeze
-from matcap.model.noise import RandomField, Wave, random_field, wrap64
+from matcap.model.noise import wrap64
+from matcap.model.order import Wave
 from matcap.statistics.compare import Features, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
 
@@ -301,15 +303,17 @@ def _penalty(maps: MapSet, expected: Tensor | None, settings: TuneSettings, shar
     roughness = torch.logit(maps.roughness, eps=_LOGIT_EPSILON)
     penalty = penalty + settings.specular_penalty * specular.var()
     penalty = penalty + settings.roughness_penalty * roughness.var()
-    diffuse = torch.logit(maps.diffuse, eps=_LOGIT_EPSILON)
-    reflectance = torch.cat([diffuse, specular, roughness], dim=1)
-    means = reflectance.mean(dim=(0, 2, 3))
     if share > _OUTLIERS_FROM:
-        apart = reflectance - means[:, None, None]
+        diffuse = torch.logit(maps.diffuse, eps=_LOGIT_EPSILON)
+        reflectance = torch.cat([diffuse, specular, roughness], dim=1)
+        apart = reflectance - reflectance.mean(dim=(0, 2, 3), keepdim=True)
         variance = apart.square().mean(dim=(0, 2, 3), keepdim=True)
         outlying = torch.relu(apart.abs() / (variance + _EVEN**2).sqrt() - _OUTLIER)
         penalty = penalty + settings.outlier_penalty * outlying.square().mean((0, 2, 3)).sum()
     if expected is not None:
+        # The fit saw a blurred photograph: what it says is the mean, not the mean of logits.
+        linear = torch.cat([maps.diffuse, maps.specular, maps.roughness], dim=1)
+        means = torch.logit(linear.mean(dim=(0, 2, 3)), eps=_LOGIT_EPSILON)
         departure = ((means - expected) / expected.new_tensor(_BELIEF)).square().sum()
         penalty = penalty + settings.departure_penalty * departure
     return penalty
@@ -335,7 +339,8 @@ def decode_window(
     noise = random_field(
         seed, decoder.config.noise_channels, (), 0, 0, full, full, levels=0, period=(full, full)
     ).noise
-    waves = random_field(seed, 1, scene.waves, 0, 0, full, full, levels=DEPTH).waves
+    cells = decoder.config.cells
+    waves = random_field(seed, 1, scene.waves, 0, 0, full, full, levels=DEPTH, cells=cells).waves
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision):
         raw = decoder(RandomField(noise, waves), code, moments)
     if margin:

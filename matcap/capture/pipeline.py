@@ -21,7 +21,7 @@ from matcap.capture.coarse import CoarseFit, fit_coarse
 from matcap.capture.detail import DETAIL, detail_for
 from matcap.capture.finetune import Scene, TuneSettings, finetune
 from matcap.capture.joint import join
-from matcap.capture.start import log_contrast, logits, untrained
+from matcap.capture.start import log_contrast, logits, reading_cells, untrained
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup, plane_points
@@ -29,6 +29,7 @@ from matcap.flash.rectify import rectify, rectify_noise
 from matcap.flash.render import render_flash
 from matcap.model.decoder import ALIGNMENT, CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.material import Material
+from matcap.model.order import CELL_CHANNELS
 from matcap.photo.photo import Photo
 from matcap.photo.refusals import SHORTEST_SIDE
 from matcap.prior.store import load_prior
@@ -249,11 +250,15 @@ def capture_photo(
             rate = _RATE_FROM_NOTHING
             code = torch.zeros(CODE_SIZE)
             contrast = log_contrast(linear, valid)
+            cells = CELL_CHANNELS if lattice.waves else 0
+            method = replace(method, decoder=replace(method.decoder, cells=cells))
             decoder = _audition(coarse, contrast, code, scene, settings, steps, method)
         else:
             rate = _RATE_FROM_PRIOR
             prior = load_prior(None if settings.prior == "auto" else Path(settings.prior))
             decoder, code = prior.start(photo, coarse, linear, valid)
+            if lattice.waves and steps:  # untuned, its weights would only add noise
+                decoder = reading_cells(decoder, settings.seed)
             decoder.requires_grad_(True)
 
     with clock.stage("fine-tuning"):

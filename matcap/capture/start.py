@@ -9,12 +9,15 @@ relief instead ends with dark spots dug as rough pits (docs/capture.md).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.capture.coarse import CoarseFit
-from matcap.model.decoder import Decoder, DecoderConfig
+from matcap.model.decoder import Decoder, DecoderConfig, with_cells
+from matcap.model.order import CELL_CHANNELS
 
 _CONTRAST_GAIN = 1.2  # a sigmoid's slope below 1/2 is under 1: logits must swing a little further
 _SPECULAR_CONTRAST, _ROUGHNESS_CONTRAST = 0.1, 0.1  # logits
@@ -72,3 +75,11 @@ def untrained(
         affine.weight.zero_()
         affine.bias.copy_(torch.cat(head_start(coarse, contrast)))
     return decoder
+
+
+def reading_cells(decoder: Decoder, seed: int) -> Decoder:
+    """A decoder that reads the noise of cells, too, by random weights."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        fresh = Decoder(replace(decoder.config, cells=CELL_CHANNELS))
+    return with_cells(decoder, fresh)

@@ -119,8 +119,12 @@ def _raised(found: Descriptor, first: Tensor, second: Tensor) -> Descriptor:
     def raised(level: Tensor) -> Tensor:
         return level / _best_scale(level[first[some]], level[second[some]])
 
-    grams, quantiles = (tuple(map(raised, kind)) for kind in (found.grams, found.quantiles))
-    return replace(found, grams=grams, quantiles=quantiles)
+    return replace(
+        found,
+        grams=tuple(map(raised, found.grams)),
+        crosses=tuple(map(raised, found.crosses)),
+        quantiles=tuple(map(raised, found.quantiles)),
+    )
 
 
 def _best_scale(found: Tensor, target: Tensor) -> float:

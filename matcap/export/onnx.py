@@ -22,8 +22,9 @@ from matcap.brdf.maps import CHANNELS
 from matcap.errors import MatcapError
 from matcap.export.staging import write_error
 from matcap.model.decoder import DEPTH, OUTPUTS, maps_from_raw
+from matcap.model.field import RandomField, random_field
 from matcap.model.freeze import FoldedDecoder, FoldedLayer
-from matcap.model.noise import WAVE_CHANNELS, RandomField, random_field
+from matcap.model.order import WAVE_CHANNELS
 from matcap.model.spans import Span, spans_of
 
 if TYPE_CHECKING:
@@ -118,7 +119,9 @@ def _model(onnx: Any, material: Material) -> Any:  # noqa: ANN401
             graph.add("Sigmoid", f"raw_{kind}", output=kind)
     inputs = {"noise": (decoder.noise_channels, 0)}
     if decoder.has_waves:
-        inputs |= {f"waves_{level}": (WAVE_CHANNELS, level) for level in range(DEPTH)}
+        inputs |= {
+            f"waves_{level}": (WAVE_CHANNELS + decoder.cells, level) for level in range(DEPTH)
+        }
     real = onnx.TensorProto.FLOAT
 
     def described(name: str, channels: int, level: int) -> Any:  # noqa: ANN401
@@ -173,7 +176,10 @@ def _halo(decoder: FoldedDecoder) -> int:
 def _difference(runtime: Any, model: bytes, material: Material) -> float:  # noqa: ANN401
     """Largest difference between onnxruntime's and torch's maps of one field."""
     decoder = material.folded()
-    field = random_field(1, decoder.noise_channels, material.waves, 0, 0, *_CHECKED, levels=DEPTH)
+    field = random_field(
+        1, decoder.noise_channels, material.waves, 0, 0, *_CHECKED,
+        levels=DEPTH, cells=decoder.cells,
+    )  # fmt: skip
     session = runtime.InferenceSession(model, providers=["CPUExecutionProvider"])
     given = {"noise": field.noise.numpy()}
     if decoder.has_waves:

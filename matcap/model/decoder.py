@@ -1,8 +1,8 @@
 """The decoder: a U-Net that turns an infinite random field into maps (paper, section 4.2).
 
 Noise enters at full resolution, is halved by max-pooling four times and doubled back by bilinear
-upsampling with skip connections. On the way up every level is also told the phases of the
-material's plane waves (noise.py): told on the way down, they would beat with the poolings' grid.
+upsampling with skip connections. On the way up every level is also told the material's regular
+order, if it has any (order.py); told on the way down, waves would beat with the poolings' grid.
 
 Every convolution is followed by AdaIN (Huang and Belongie 2017), whose mean and deviation are
 affine in the 64-D code; also the last one, so the code states each map's mean and contrast
@@ -16,6 +16,7 @@ the caller (synth/field.py).
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,13 +26,14 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from matcap.brdf.maps import MapSet
-from matcap.model.noise import WAVE_CHANNELS, RandomField
+from matcap.model.field import RandomField
+from matcap.model.order import WAVE_CHANNELS
 
 CODE_SIZE = 64
 OUTPUTS = 6  # diffuse (3), specular, roughness, height
 DEPTH = 4  # poolings; rectangles are multiples of 2^DEPTH
 ALIGNMENT = 2**DEPTH
-_WAVE_GAIN = 3.0  # waves are few among many features; they start with a fair say
+_ORDER_GAIN = 3.0  # waves and cells are few among many features; they start with a fair say
 _EPSILON = 1e-5  # of a variance: keeps a constant feature finite
 
 
@@ -43,11 +45,19 @@ class DecoderConfig:
         noise_channels: channels of uniform noise read at full resolution.
         widths: feature channels per level, full resolution first; DEPTH + 1 of them.
         convolutions: 3 x 3 convolutions per block on the way down and on the way up.
+        cells: channels of noise for the cells of regular order (order.py), for materials that
+            have any.
     """
 
     noise_channels: int = 8
     widths: tuple[int, ...] = (16, 32, 64, 64, 64)
     convolutions: tuple[int, int] = (1, 2)
+    cells: int = 0
+
+    @property
+    def order_channels(self) -> int:
+        """What the way up reads at every level besides features."""
+        return WAVE_CHANNELS + self.cells
 
 
 # The paper's shape at width 32; 2.2 million parameters.
@@ -144,12 +154,14 @@ class Decoder(nn.Module):
             down.append(_block(channels, width, config.convolutions[0]))
             channels = width
         for width in reversed(widths[:-1]):
-            up.append(_block(channels + width + WAVE_CHANNELS, width, config.convolutions[1]))
+            up.append(
+                _block(channels + width + config.order_channels, width, config.convolutions[1])
+            )
             channels = width
         with torch.no_grad():
             for block in up:
                 first = next(iter(_layers_of(block)))
-                first.convolution.weight[:, -WAVE_CHANNELS:] *= _WAVE_GAIN
+                first.convolution.weight[:, -config.order_channels :] *= _ORDER_GAIN
         self.down = nn.ModuleList(down)
         self.up = nn.ModuleList(up)
         self.head = Layer(channels, OUTPUTS, kernel=1, activate=False)
@@ -178,7 +190,7 @@ class Decoder(nn.Module):
         """Raw outputs (B, OUTPUTS, H, W) of a random field, float32.
 
         Args:
-            field: noise (B, noise_channels, H, W) and waves, H and W multiples of ALIGNMENT.
+            field: noise (B, noise_channels, H, W) and order, H and W multiples of ALIGNMENT.
             code: (CODE_SIZE,) for one material or (B, CODE_SIZE) for one a sample.
             moments: frozen statistics, one a layer; None measures them on this very field.
             periodic: wrap around the borders; otherwise the outermost texels are not valid.
@@ -218,6 +230,22 @@ class Decoder(nn.Module):
         up = [[step(layer) for layer in block] for block in self.up_layers()]
         skips = self.way_down(field.noise, step)
         return ascend(skips, field.waves, up, step(self.head), periodic=periodic).float()
+
+
+def with_cells(decoder: Decoder, other: Decoder) -> Decoder:
+    """A decoder that reads the noise of cells, too, by the weights of another one.
+
+    Args:
+        decoder: without cells.
+        other: of the same shape, with cells.
+    """
+    wider, state = copy.deepcopy(other), decoder.state_dict()
+    for name, weight in wider.state_dict().items():
+        if weight.shape != state[name].shape:  # cells come last
+            read = torch.cat([state[name], weight[:, state[name].shape[1] :]], dim=1)
+            state[name] = read.contiguous(memory_format=torch.channels_last)
+    wider.load_state_dict(state)
+    return wider
 
 
 Step = Callable[[Tensor], Tensor]

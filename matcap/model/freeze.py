@@ -9,7 +9,7 @@ upsamplings, the same for every rectangle (DESIGN, section 4).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
@@ -17,8 +17,9 @@ from torch import Tensor
 
 from matcap.model import winograd
 from matcap.model.convolve import CHANNELS_LAST, Steps
-from matcap.model.decoder import DEPTH, Decoder, Layer, Moments, Step, unet
-from matcap.model.noise import WAVE_CHANNELS, RandomField, Wave, random_field
+from matcap.model.decoder import DEPTH, Decoder, DecoderConfig, Layer, Moments, Step, unet
+from matcap.model.field import RandomField, random_field
+from matcap.model.order import Wave
 from matcap.model.spans import Span, Spans
 
 REFERENCE_SIZE = 512  # texels a side of the reference field
@@ -26,18 +27,19 @@ _REFERENCE_SEED = -1  # a field of its own, which no user's seed is likely to as
 
 
 def reference_field(
-    noise_channels: int, waves: tuple[Wave, ...], size: int = REFERENCE_SIZE
+    config: DecoderConfig, waves: tuple[Wave, ...], size: int = REFERENCE_SIZE
 ) -> RandomField:
     """The periodic field on which statistics are frozen."""
     return random_field(
-        _REFERENCE_SEED, noise_channels, waves, 0, 0, size, size, levels=DEPTH, period=(size, size)
-    )
+        _REFERENCE_SEED, config.noise_channels, waves, 0, 0, size, size,
+        levels=DEPTH, cells=config.cells, period=(size, size),
+    )  # fmt: skip
 
 
 def freeze(decoder: Decoder, code: Tensor, waves: tuple[Wave, ...]) -> list[Moments]:
     """Statistics of every layer for a code, measured layer by layer on the reference field."""
     with torch.no_grad():
-        field = reference_field(decoder.config.noise_channels, waves)
+        field = reference_field(decoder.config, waves)
         return decoder.reference_moments(field, code)
 
 
@@ -78,9 +80,17 @@ class FoldedLayer:
 
 @dataclass(frozen=True)
 class FoldedDecoder:
-    """A frozen decoder: noise in, raw outputs out, the same numbers wherever it is asked."""
+    """A frozen decoder: noise in, raw outputs out, the same numbers wherever it is asked.
+
+    Attributes:
+        noise_channels: of white noise that it reads.
+        cells: channels of the noise of cells; 0 without waves.
+        has_waves: whether it reads the order of order.py.
+        down, up, head: its layers, block by block.
+    """
 
     noise_channels: int
+    cells: int
     has_waves: bool
     down: tuple[tuple[FoldedLayer, ...], ...]
     up: tuple[tuple[FoldedLayer, ...], ...]
@@ -111,7 +121,7 @@ class FoldedDecoder:
         """On another device."""
         down = tuple(tuple(layer.to(device) for layer in block) for block in self.down)
         up = tuple(tuple(layer.to(device) for layer in block) for block in self.up)
-        return FoldedDecoder(self.noise_channels, self.has_waves, down, up, self.head.to(device))
+        return replace(self, down=down, up=up, head=self.head.to(device))
 
     def lowered(self, finest: int = 0) -> FoldedDecoder:
         """In bfloat16 from level `finest` on to the coarser ones; never the head.
@@ -124,7 +134,7 @@ class FoldedDecoder:
 
         down = tuple(lower(level, block) for level, block in enumerate(self.down))
         up = tuple(lower(DEPTH - 1 - index, block) for index, block in enumerate(self.up))
-        return FoldedDecoder(self.noise_channels, self.has_waves, down, up, self.head)
+        return replace(self, down=down, up=up)
 
     @property
     def steps(self) -> Steps:
@@ -193,8 +203,14 @@ def fold(
         up = []
         below = decoder.config.widths[-1]
         for skip, block in zip(decoder.config.widths[-2::-1], decoder.up_layers(), strict=True):
-            first = folded(block[0], (below, skip, WAVE_CHANNELS))
+            first = folded(block[0], (below, skip, decoder.config.order_channels))
             up.append((first, *(folded(layer) for layer in block[1:])))
             below = skip
-        channels = decoder.config.noise_channels
-        return FoldedDecoder(channels, has_waves, down, tuple(up), folded(decoder.head))
+        return FoldedDecoder(
+            noise_channels=decoder.config.noise_channels,
+            cells=decoder.config.cells if has_waves else 0,
+            has_waves=has_waves,
+            down=down,
+            up=tuple(up),
+            head=folded(decoder.head),
+        )

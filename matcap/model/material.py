@@ -25,7 +25,7 @@ from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, Decoder, Moments
 from matcap.model.freeze import FoldedDecoder, fold
-from matcap.model.noise import Wave
+from matcap.model.order import Wave
 from matcap.model.stored import DAMAGED, Stored, decoder_config, empty_decoder
 
 FORMAT = "matcap-material"

@@ -77,10 +77,13 @@ def decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:
         noise_channels=int(stated["noise_channels"]),
         widths=tuple(int(width) for width in stated["widths"]),
         convolutions=(int(stated["convolutions"][0]), int(stated["convolutions"][1])),
+        cells=int(stated.get("cells", 0)),  # unknown to the first materials and priors
     )
     sizes = (config.noise_channels, *config.widths)
     if len(config.widths) != DEPTH + 1 or not all(1 <= s <= _LARGEST_WIDTH for s in sizes):
         raise ValueError(f"widths {config.widths} are not {DEPTH + 1} of at most {_LARGEST_WIDTH}")
+    if not 0 <= config.cells <= _LARGEST_WIDTH:
+        raise ValueError(f"{config.cells} channels of cells")
     if not all(1 <= count <= 4 for count in config.convolutions):
         raise ValueError(f"{config.convolutions} convolutions a block")
     return config

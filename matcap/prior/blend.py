@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -16,9 +17,10 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified
+from matcap.model.decoder import Decoder, with_cells
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.model.noise import Wave
+from matcap.model.order import Wave
 
 
 def blend(first: Material, second: Material, share: float) -> Material:
@@ -30,7 +32,8 @@ def blend(first: Material, second: Material, share: float) -> Material:
     """
     if not 0.0 <= share <= 1.0:
         raise UsageError(f"the share {share:g} is not between 0 and 1", where="-t")
-    if first.decoder.config != second.decoder.config:
+    shapes = {replace(m.decoder.config, cells=0) for m in (first, second)}
+    if len(shapes) > 1:
         raise MatcapError(
             "the decoders have different shapes",
             where=f"{first.name} and {second.name}",
@@ -38,11 +41,12 @@ def blend(first: Material, second: Material, share: float) -> Material:
         )
     if share in (0.0, 1.0):
         return second if share else first
-    decoder = copy.deepcopy(first.decoder)
-    other = second.decoder.state_dict()
+    one, other = _alike(first.decoder, second.decoder)
+    decoder = copy.deepcopy(one)
+    towards = other.state_dict()
     with torch.no_grad():
         for name, weight in decoder.state_dict().items():
-            weight.lerp_(other[name], share)
+            weight.lerp_(towards[name], share)
     code = torch.lerp(first.code, second.code, share)
     waves = blend_waves(first.waves, second.waves, share)
     return Material(
@@ -55,6 +59,15 @@ def blend(first: Material, second: Material, share: float) -> Material:
         setup=_blend_setups(first.setup, second.setup, share),
         provenance={"blend": [first.name, second.name], "share": share},
     )
+
+
+def _alike(first: Decoder, second: Decoder) -> tuple[Decoder, Decoder]:
+    """Both reading cells if one of them does: without order, no weights for them are wrong."""
+    if first.config.cells == second.config.cells:
+        return first, second
+    if first.config.cells:
+        return first, with_cells(second, first)
+    return with_cells(first, second), second
 
 
 def blend_waves(

@@ -25,7 +25,8 @@ from matcap.model.decoder import (
     Step,
     maps_from_raw,
 )
-from matcap.model.noise import Wave, random_field
+from matcap.model.field import random_field
+from matcap.model.order import Wave
 
 HALO = 4 * ALIGNMENT  # texels of true noise around what is read; the way up reaches 61 of them
 
@@ -80,6 +81,7 @@ class Unfolded:
             width + 2 * HALO,
             height + 2 * HALO,
             levels=DEPTH,
+            cells=self.decoder.config.cells,
         )
         with torch.inference_mode():
             raw = self.decoder(field, self.code, self.moments, periodic=False)[0]

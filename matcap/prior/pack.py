@@ -25,7 +25,7 @@ from torch import Tensor
 from matcap.capture.coarse import CoarseFit
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.model.noise import Wave
+from matcap.model.order import Wave
 from matcap.photo.photo import Photo
 
 VERSION = 1

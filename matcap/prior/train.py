@@ -24,7 +24,9 @@ from torch import Tensor, nn
 from matcap.brdf.maps import MapSet
 from matcap.model.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw
 from matcap.model.encoder import Encoder, EncoderConfig
-from matcap.model.noise import WAVE_CHANNELS, RandomField, Wave, noise_field, wave_field
+from matcap.model.field import RandomField
+from matcap.model.noise import noise_field
+from matcap.model.order import WAVE_CHANNELS, Wave, wave_field
 from matcap.prior.base import Base, start_head
 from matcap.prior.checkpoint import load_checkpoint, save_checkpoint
 from matcap.prior.journal import Journal

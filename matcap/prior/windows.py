@@ -18,7 +18,7 @@ from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import camera_in_plane, plane_points
 from matcap.flash.rectify import rectify
 from matcap.flash.render import shade, vignette
-from matcap.model.noise import Wave
+from matcap.model.order import Wave
 from matcap.prior.base import Base, base_of
 from matcap.prior.look import numbers, picture
 from matcap.prior.pack import WAVE_DETAIL, Entry

@@ -1,9 +1,13 @@
 """Descriptors of texture windows and the distance between them (paper, section 4.3).
 
-A descriptor holds, per pyramid level, the Gram matrix of the features, the autocorrelation of the
-colours (the power spectrum's transform) and the colours' distribution; and the window's mean
-colour. The distance is a sum of L1 differences, each relative to the target's own size, so that
-no level and no kind of statistic drowns the others.
+A descriptor holds, per pyramid level, the Gram matrix of the features, their covariance with those
+of the next coarser level, the autocorrelation of the colours (the power spectrum's transform) and
+the colours' distribution; and the window's mean colour. The distance is a sum of L1 differences,
+each relative to the target's own size, so that no level and no kind of statistic drowns the others.
+
+Gram matrices of single levels do not tell where fine structure sits in coarse structure, as an edge
+does: its levels rise at the same places. Covariances between levels do (Portilla and Simoncelli
+2000 hold parent and child bands together for the same reason).
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.statistics.encoding import Encoding
@@ -37,6 +42,11 @@ class Features(Protocol):
         """Of the pyramid of colours."""
         ...
 
+    @property
+    def crossed(self) -> bool:
+        """Whether maps, each half the size of the one before, are compared across levels, too."""
+        ...
+
     def maps(self, linear: Tensor, colours: Sequence[Tensor]) -> list[Tensor]:
         """Responses (B, C, h, w), several, to radiance (B, 3, H, W) and its pyramid of colours."""
         ...
@@ -47,6 +57,7 @@ class Weights:
     """How much each kind of statistic counts."""
 
     gram: float = 1.0
+    cross: float = 1.0
     spectrum: float = 1.0
     histogram: float = 0.5
     mean: float = 1.0
@@ -57,15 +68,18 @@ class Descriptor:
     """Statistics of B windows.
 
     Attributes:
-        mean: (B, 3) mean log colour.
+        mean: (B, 6) mean log colour, and log of the mean colour: where contrast is strong, dark
+            parts outweigh the bright ones in the one, and bright ones in the other.
         grams: per map of the features (B, F + 1, F + 1); the last feature is the constant 1, so
             the last column holds the features' means.
+        crosses: per pair of neighbouring maps (B, F, F) covariances of their features.
         spectra: per level (B, 3, lags, lags).
         quantiles: per level (B, 3, Q) of the colours about their mean.
     """
 
     mean: Tensor
     grams: tuple[Tensor, ...]
+    crosses: tuple[Tensor, ...]
     spectra: tuple[Tensor, ...]
     quantiles: tuple[Tensor, ...]
 
@@ -74,6 +88,7 @@ class Descriptor:
         return Descriptor(
             self.mean[index],
             tuple(g[index] for g in self.grams),
+            tuple(c[index] for c in self.crosses),
             tuple(s[index] for s in self.spectra),
             tuple(q[index] for q in self.quantiles),
         )
@@ -84,6 +99,7 @@ class Descriptor:
         return Descriptor(
             torch.cat([part.mean for part in parts]),
             tuple(torch.cat(level) for level in zip(*(p.grams for p in parts), strict=True)),
+            tuple(torch.cat(level) for level in zip(*(p.crosses for p in parts), strict=True)),
             tuple(torch.cat(level) for level in zip(*(p.spectra for p in parts), strict=True)),
             tuple(torch.cat(level) for level in zip(*(p.quantiles for p in parts), strict=True)),
         )
@@ -94,9 +110,12 @@ def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
     log = encoding.log(linear)
     colour = torch.einsum("ij,bjhw->bihw", encoding.matrix.to(log), log)
     levels = [_middle(level) for level in pyramid(colour, bank.levels)]
+    features = bank.maps(linear, levels)
+    average = encoding.log(linear.clamp(0.0, 1.0).mean(dim=(2, 3), keepdim=True))
     return Descriptor(
-        mean=log.mean(dim=(2, 3)),
-        grams=tuple(gram(features) for features in bank.maps(linear, levels)),
+        mean=torch.cat([log.mean(dim=(2, 3)), average[..., 0, 0]], dim=1),
+        grams=tuple(gram(level) for level in features),
+        crosses=tuple(map(_covariance, features, features[1:])) if bank.crossed else (),
         spectra=tuple(
             autocorrelation(level, min(_REACH, min(level.shape[-2:]) // 2 - 1)) for level in levels
         ),
@@ -109,6 +128,7 @@ def distance(found: Descriptor, target: Descriptor, weights: Weights) -> Tensor:
     total = weights.mean * (found.mean - target.mean).abs().mean(dim=1)
     for weight, ours, theirs in (
         (weights.gram, found.grams, target.grams),
+        (weights.cross, found.crosses, target.crosses),
         (weights.spectrum, found.spectra, target.spectra),
         (weights.histogram, found.quantiles, target.quantiles),
     ):
@@ -122,6 +142,25 @@ def _middle(level: Tensor) -> Tensor:
     height, width = level.shape[-2:]
     y, x = max(0, height - _LARGEST) // 2, max(0, width - _LARGEST) // 2
     return level[..., y : y + min(height, _LARGEST), x : x + min(width, _LARGEST)]
+
+
+def _covariance(fine: Tensor, coarse: Tensor) -> Tensor:
+    """(B, F, F) of features with those half as fine, where both are known; both are centred alike.
+
+    Both are maps of the same picture, so their middles are the same place.
+    """
+    halved = F.avg_pool2d(fine, 2)
+    height, width = (min(a, b) for a, b in zip(halved.shape[-2:], coarse.shape[-2:], strict=True))
+
+    def rows(features: Tensor) -> Tensor:
+        y, x = (features.shape[-2] - height) // 2, (features.shape[-1] - width) // 2
+        middle = features[..., y : y + height, x : x + width]
+        return middle.permute(0, 2, 3, 1).flatten(1, 2)  # as channels lie in memory
+
+    one, other = rows(halved), rows(coarse)
+    # One mean is enough: the covariance with a constant is 0.
+    one = one - one.mean(dim=1, keepdim=True)
+    return torch.bmm(one.transpose(1, 2), other).float() / (height * width)
 
 
 def _relative(found: Tensor, target: Tensor) -> Tensor:

@@ -23,12 +23,14 @@ class FilterBankConfig:
         sizes: filter sizes in texels, odd.
         filters: how many of each size.
         levels: pyramid levels, each half the size of the one before.
+        crossed: features of neighbouring levels are compared together, too.
         seed: of the filters; the same seed gives the same filters everywhere.
     """
 
     sizes: tuple[int, ...] = (3, 5, 9)
     filters: int = 32
     levels: int = 5
+    crossed: bool = True
     seed: int = 20210
 
 
@@ -49,6 +51,11 @@ class FilterBank:
     def levels(self) -> int:
         """Of the pyramid."""
         return self.config.levels
+
+    @property
+    def crossed(self) -> bool:
+        """Whether features of neighbouring levels are compared together, too."""
+        return self.config.crossed
 
     def maps(self, linear: Tensor, colours: Sequence[Tensor]) -> list[Tensor]:
         """Features of every level of a pyramid of colours."""

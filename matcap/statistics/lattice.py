@@ -16,7 +16,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.model.noise import Wave
+from matcap.model.order import Wave
 from matcap.statistics.spectrum import power_spectrum
 
 _WINDOW = 256

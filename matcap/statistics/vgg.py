@@ -35,7 +35,10 @@ class Vgg19(nn.Module):
 
     Attributes:
         levels: of the pyramid of the colours, whose spectra and distributions go with the features.
+        crossed: False, as in the paper: deep features see several scales at once.
     """
+
+    crossed = False
 
     def __init__(self, levels: int = 4) -> None:
         super().__init__()

@@ -10,8 +10,10 @@ from torch import Tensor
 
 from matcap.errors import UsageError
 from matcap.model.decoder import ALIGNMENT, maps_from_raw
+from matcap.model.field import RandomField
 from matcap.model.freeze import FoldedDecoder
-from matcap.model.noise import SEED_LIMIT, Period, RandomField, Wave, noise_field, wave_field
+from matcap.model.noise import SEED_LIMIT, Period, noise_field
+from matcap.model.order import Wave, order_field
 from matcap.model.spans import Span, Spans, spans_of
 from matcap.synth.blocks import Grid, Rectangle
 from matcap.synth.device import repeatable
@@ -101,21 +103,23 @@ def read_noise(source: Seeded, area: Area, channels: int) -> Tensor:
     )[None]  # fmt: skip
 
 
-def read_waves(source: Seeded, area: Area, waves: tuple[Wave, ...]) -> tuple[Tensor, ...]:
-    """Per level (1, WAVE_CHANNELS, H, W) phases of an area; none of no waves."""
+def read_order(
+    source: Seeded, area: Area, waves: tuple[Wave, ...], cells: int
+) -> tuple[Tensor, ...]:
+    """Per level (1, WAVE_CHANNELS + cells, H, W) order of an area; none of no waves."""
     if not waves:
         return ()
-    phases = []
+    stack = []
     for level, (columns, rows) in enumerate(
         zip(area.columns.joined, area.rows.joined, strict=True)
     ):
         x, y = (area.block.x >> level) + columns.start, (area.block.y >> level) + rows.start
-        field = wave_field(
-            source.seed, waves, x, y, columns.size, rows.size,
+        field = order_field(
+            source.seed, waves, cells, x, y, columns.size, rows.size,
             level=level, period=source.period, device=source.device,
         )  # fmt: skip
-        phases.append(field[None].contiguous(memory_format=torch.channels_last))
-    return tuple(phases)
+        stack.append(field[None].contiguous(memory_format=torch.channels_last))
+    return tuple(stack)
 
 
 @dataclass(frozen=True)
@@ -153,7 +157,7 @@ class MaterialSource:
         with torch.inference_mode(), repeatable(self.device):
             field = RandomField(
                 read_noise(self, area, self.decoder.noise_channels),
-                read_waves(self, area, self.waves),
+                read_order(self, area, self.waves, self.decoder.cells),
             )
             raw = self.decoder.decode(field, area.rows, area.columns)[0].contiguous()
             # Before anything is cut off: a vectorised sigmoid rounds a row's last few texels

@@ -39,8 +39,9 @@ def test_every_window_has_the_points_and_the_picture_of_its_own_place():
         here = describe(linear[None, :, y : y + SIZE, x : x + SIZE], encoding, BANK)
         target = windows.target.select([index])
         assert torch.equal(target.mean, here.mean)
-        assert float(distance(target, here, Weights(gram=0.0, histogram=0.0))) < 1e-5
-        for kind in ("grams", "quantiles"):
+        unraised = Weights(gram=0.0, cross=0.0, histogram=0.0)
+        assert float(distance(target, here, unraised)) < 1e-5
+        for kind in ("grams", "crosses", "quantiles"):
             for raised, plain in zip(getattr(target, kind), getattr(here, kind), strict=True):
                 scale = float((raised * plain).sum() / plain.square().sum())
                 assert 1.0 <= scale <= 1.0 / 0.7 + 1e-6

@@ -4,7 +4,9 @@ import pytest
 import torch
 
 from matcap.model.decoder import CODE_SIZE, DEPTH, AdaIN, Decoder, DecoderConfig, measure
-from matcap.model.noise import WAVE_CHANNELS, RandomField, noise_field
+from matcap.model.field import RandomField
+from matcap.model.noise import noise_field
+from matcap.model.order import WAVE_CHANNELS
 
 TINY = DecoderConfig(noise_channels=2, widths=(4, 4, 4, 4, 4), convolutions=(1, 1))
 

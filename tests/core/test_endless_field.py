@@ -4,6 +4,7 @@ import random
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 
 import pytest
 import torch
@@ -11,9 +12,11 @@ import torch
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, maps_from_raw
+from matcap.model.field import random_field
 from matcap.model.freeze import freeze, reference_field
 from matcap.model.material import Material
-from matcap.model.noise import Wave, noise_field, random_field, wave_field
+from matcap.model.noise import noise_field
+from matcap.model.order import Wave, wave_field
 from matcap.synth.blocks import BLOCK, BLOCK_HEIGHT
 from matcap.synth.field import Field
 
@@ -24,7 +27,7 @@ WAVES = (Wave(1 / 16.7, 0.003), Wave(0.002, 1 / 9.3))
 def a_material(waves=()):
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(3)
-        decoder = Decoder(SMALL)
+        decoder = Decoder(replace(SMALL, cells=3 if waves else 0))
         for layer in decoder.layers():
             layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
     code = torch.zeros(CODE_SIZE)
@@ -54,8 +57,9 @@ def test_blocks_are_the_network_that_was_tuned_on_the_whole_torus(material):
     period = (BLOCK + 64, BLOCK_HEIGHT + 96)
     found = Field(material, 5, period).read(0, 0, *period).stacked()
     field = random_field(
-        5, SMALL.noise_channels, material.waves, 0, 0, *period, levels=DEPTH, period=period
-    )
+        5, SMALL.noise_channels, material.waves, 0, 0, *period,
+        levels=DEPTH, cells=material.decoder.config.cells, period=period,
+    )  # fmt: skip
     with torch.no_grad():
         raw = material.decoder(field, material.code, material.moments)[0]
     expected = maps_from_raw(raw, material.texel_size).stacked()
@@ -105,7 +109,7 @@ def test_seeds_differ_and_processes_agree(material, tmp_path):
 
 def test_frozen_and_folded_are_the_network_that_was_tuned(material):
     decoder, code = material.decoder, material.code
-    field = reference_field(SMALL.noise_channels, material.waves)
+    field = reference_field(material.decoder.config, material.waves)
     with torch.no_grad():
         own = decoder(field, code)
         frozen = decoder(field, code, material.moments)

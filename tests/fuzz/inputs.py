@@ -20,7 +20,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.model.noise import Wave
+from matcap.model.order import Wave
 from matcap.simulate.dng import Sensor, write_dng
 from matcap.simulate.examples import realisation
 from matcap.simulate.jpeg import write_jpeg

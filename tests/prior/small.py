@@ -6,7 +6,7 @@ import torch
 from matcap.capture.coarse import CoarseFit
 from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import DecoderConfig
-from matcap.model.noise import Wave
+from matcap.model.order import Wave
 from matcap.prior.corpus import srgb_bytes
 from matcap.prior.pack import Entry
 

@@ -1,13 +1,17 @@
 """Blending: ends are the ends, the middle lies between, and the commands write what they say."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
+from matcap.capture.start import reading_cells
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.model.decoder import Decoder, DecoderConfig
+from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.model.noise import Wave
+from matcap.model.order import CELL_CHANNELS, Wave
 from matcap.prior.blend import blend, blend_waves
 
 
@@ -47,6 +51,19 @@ def test_stripes_told_backwards_are_the_same_stripes():
     assert blend_waves((wave,), (backwards,), 0.5) == (wave,)
     assert blend_waves((wave,), (), 0.4) == (wave,)
     assert blend_waves((wave,), (), 0.6) == ()
+
+
+def test_a_material_without_order_blends_with_one_that_has_cells(prior):
+    a, b = prior.draw(1), prior.draw(2)
+    decoder, waves = reading_cells(b.decoder, 0), (Wave(1 / 20, 0.0),)
+    ordered = replace(
+        b, decoder=decoder, waves=waves, moments=tuple(freeze(decoder, b.code, waves))
+    )
+    for first, second in ((a, ordered), (ordered, a)):
+        mostly_ordered = blend(first, second, 0.9 if second is ordered else 0.1)
+        assert mostly_ordered.waves == waves
+        assert mostly_ordered.decoder.config.cells == CELL_CHANNELS
+        assert torch.isfinite(mostly_ordered.maps(64, 64).stacked()).all()
 
 
 def test_what_cannot_be_blended_is_refused(prior):

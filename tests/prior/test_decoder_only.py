@@ -11,9 +11,10 @@ from matcap.capture.start import untrained
 from matcap.capture.windows import cut_windows
 from matcap.flash.rectify import rectify
 from matcap.model.decoder import CODE_SIZE, DEPTH, OUTPUTS, Decoder
+from matcap.model.field import random_field
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.model.noise import Wave, random_field
+from matcap.model.order import Wave
 from matcap.prior.decoder_only import DecoderOnly, Unfolded
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.model.noise import Wave
+from matcap.model.order import Wave
 from matcap.prior.base import base_of, fold, start_head
 from matcap.prior.windows import Turn, cut, prepare
 

@@ -13,9 +13,11 @@ from matcap.model.decoder import (
     maps_from_raw,
 )
 from matcap.model.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE, Encoder, EncoderConfig
+from matcap.model.field import random_field
 from matcap.model.freeze import fold, freeze, reference_field
 from matcap.model.material import Material
-from matcap.model.noise import COORDINATE_LIMIT, Wave, random_field
+from matcap.model.noise import COORDINATE_LIMIT
+from matcap.model.order import Wave
 from matcap.synth.field import BLOCK, Field
 
 CONFIG = DecoderConfig(noise_channels=4, widths=(8, 8, 8, 8, 8))
@@ -85,7 +87,7 @@ def test_bfloat16_is_float32_to_two_digits():
 
 def test_frozen_and_unfrozen_agree_on_the_field_they_were_frozen_on():
     decoder = a_decoder()
-    field = reference_field(CONFIG.noise_channels, WAVES)
+    field = reference_field(CONFIG, WAVES)
     with torch.no_grad():
         free = decoder(field, CODE)
         frozen = decoder(field, CODE, freeze(decoder, CODE, WAVES))

@@ -7,7 +7,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.model.noise import Wave
+from matcap.model.order import Wave
 
 TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))
 

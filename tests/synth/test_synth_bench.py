@@ -25,7 +25,7 @@ def test_the_papers_network_has_its_size():
 def test_the_papers_form_is_the_decoder_but_for_the_blur(material, monkeypatch):
     monkeypatch.setattr(synth, "_blurred", lambda features: features)
     noise = noise_field(1, 2, 0, 0, 96, 64)[None]
-    from matcap.model.noise import random_field
+    from matcap.model.field import random_field
 
     field = random_field(1, 2, (), 0, 0, 96, 64, levels=4, period=(96, 64))
     with torch.no_grad():

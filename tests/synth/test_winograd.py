@@ -7,7 +7,7 @@ from draws import run
 from matcap.model import winograd
 from matcap.model.convolve import CHANNELS_LAST
 from matcap.model.decoder import PAPER_CONFIG, DecoderConfig
-from matcap.model.noise import Wave
+from matcap.model.order import Wave
 from matcap.model.winograd import WINOGRAD
 from matcap.synth.blocks import Rectangle
 from matcap.synth.source import material_source
