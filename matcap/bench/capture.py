@@ -30,7 +30,7 @@ from matcap.bench.quality import QualitySettings, Yardstick
 from matcap.bench.relit import PointLight, Scene, relight_all
 from matcap.bench.style import PortillaSimoncelli, RandomFilters, Style
 from matcap.bench.table import Measurement, append, machine, read
-from matcap.capture.pipeline import PRESETS, CaptureSettings, Method
+from matcap.capture.pipeline import FEATURES, PRESETS, CaptureSettings, Method
 from matcap.errors import UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import PAPER_CONFIG, DecoderConfig
@@ -69,30 +69,29 @@ def _base(**changed: Any) -> CaptureSettings:  # noqa: ANN401
 
 def _ways() -> dict[str, Way]:
     ways = {f"{name}": Way("preset", CaptureSettings(preset=name)) for name in PRESETS}
-    single = Method(places=1)
     # The presets' own numbers lie between.
-    for steps in (10, 20, 80, _BASE_STEPS, 240, 400):
-        ways[f"{steps} steps"] = Way("steps", _base(steps=steps), single)
+    for steps in (10, 20, 60, 80, 120, _BASE_STEPS):
+        ways[f"{steps} steps"] = Way("steps", _base(steps=steps))
     for seconds in (2.0, 5.0, 10.0, 20.0, 40.0):
-        ways[f"{seconds:.0f} s"] = Way("time", CaptureSettings(time_limit=seconds), single)
+        ways[f"{seconds:.0f} s"] = Way("time", CaptureSettings(time_limit=seconds))
     for window in (96, 128, 192, 256):
-        ways[f"window {window}"] = Way("window", _base(), replace(single, window=window))
-    ways["4 windows a step"] = Way("windows", _base(), Method(places=4))
+        ways[f"window {window}"] = Way("window", _base(), Method(window=window))
+    for places in (1, 3, 4):
+        ways[f"windows a step: {places}"] = Way("windows", _base(), Method(places=places))
     for name, bank in (
-        ("small filter bank", FilterBankConfig(sizes=(5,), filters=24)),
-        ("large filter bank", FilterBankConfig(sizes=(3, 5, 9), filters=48)),
+        ("small filter bank", replace(FEATURES, filters=24)),
+        ("large filter bank", replace(FEATURES, sizes=(3, 5, 9), filters=48)),
+        ("levels apart", replace(FEATURES, crossed=False)),
     ):
-        ways[name] = Way("statistics", _base(), replace(single, features=bank))
-    ways["float32"] = Way("precision", _base(), replace(single, half_precision=False))
-    ways["no prior"] = Way("prior", _base(prior="none"), single)
-    ways["no prior, 640 steps"] = Way("prior", _base(prior="none", steps=640), single)
+        ways[name] = Way("statistics", _base(), Method(features=bank))
+    ways["float32"] = Way("precision", _base(), Method(half_precision=False))
+    ways["no prior"] = Way("prior", _base(prior="none"))
+    ways["no prior, 640 steps"] = Way("prior", _base(prior="none", steps=640))
     for name, widths in (("narrow", (8, 16, 32, 32, 32)), ("wide", (32, 64, 128, 128, 128))):
-        decoder = DecoderConfig(widths=widths)
-        ways[f"no prior, {name}"] = Way(
-            "decoder", _base(prior="none"), replace(single, decoder=decoder)
-        )
+        wide = Method(decoder=DecoderConfig(widths=widths))
+        ways[f"no prior, {name}"] = Way("decoder", _base(prior="none"), wide)
     for detail in (512, 768):
-        ways[f"detail {detail}"] = Way("detail", _base(), single, detail)
+        ways[f"detail {detail}"] = Way("detail", _base(), detail=detail)
     # The paper's decoder and number of steps, on as much of its 512 x 384 as a square window holds.
     paper = Method(
         window=384,

@@ -40,28 +40,7 @@ from matcap.statistics.lattice import find_lattice
 from matcap.statistics.vgg import Vgg19
 
 # Steps of fine-tuning; docs/capture.md has what each costs and buys.
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How much work a preset does; chosen from docs/accuracy-and-time.md.
-
-    Attributes:
-        steps: of fine-tuning, at most.
-        windows: compared in each of them.
-    """
-
-    steps: int
-    windows: int = 1
-
-
-PRESETS: dict[str, Effort] = {
-    "instant": Effort(0),
-    "draft": Effort(40),
-    "standard": Effort(160, windows=2),
-    "high": Effort(640),
-    "reference": Effort(1000),
-}
+PRESETS = {"instant": 0, "draft": 32, "standard": 200, "high": 400, "reference": 800}
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 _FORECAST_EVERY = 20  # steps
 # From nothing, where a run ends depends on where it starts: the best of a few short runs goes on.
@@ -117,18 +96,14 @@ class Method:
         features: that textures are compared by.
         decoder: shape of the decoder, where there is no prior to say it.
         half_precision: bfloat16 inside the network and the features.
-        places: windows a step, or None for the preset's.
+        places: windows a step; all see the same maps, so a second one costs a sixth more.
     """
 
     window: int = 160
     features: FilterBankConfig = FEATURES
     decoder: DecoderConfig = DecoderConfig()
     half_precision: bool = True
-    places: int | None = None
-
-    def windows_a_step(self, settings: CaptureSettings) -> int:
-        """How many are compared in each step."""
-        return self.places or PRESETS[settings.preset].windows
+    places: int = 2
 
 
 @dataclass(frozen=True)
@@ -270,7 +245,7 @@ def capture_photo(
                 steps=steps,
                 seconds=settings.time_limit,
                 target=target,
-                places=method.windows_a_step(settings),
+                places=method.places,
                 learning_rate=rate,
                 half_precision=method.half_precision,
                 seed=settings.seed,
@@ -330,7 +305,7 @@ def _steps(settings: CaptureSettings) -> int:
         return settings.steps
     # A time limit or a target alone decides when to stop.
     alone = settings.time_limit is not None or settings.target is not None
-    return PRESETS["reference" if alone else settings.preset].steps
+    return PRESETS["reference" if alone else settings.preset]
 
 
 def _features(statistics: str, method: Method) -> Features:
@@ -389,7 +364,7 @@ def _audition(
     for seed in seeds:
         tune = TuneSettings(
             steps=_AUDITION_STEPS,
-            places=method.windows_a_step(settings),
+            places=method.places,
             learning_rate=_RATE_FROM_NOTHING,
             half_precision=method.half_precision,
             seed=seed,

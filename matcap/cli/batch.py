@@ -28,7 +28,7 @@ def batch(
         typer.Option("-j", "--jobs", min=1, help="Workers; by default as cores and memory allow."),
     ] = None,
     preset: Annotated[
-        str | None, typer.Option(help="draft, standard (default), high or reference.")
+        str | None, typer.Option(help="instant, draft, standard (default), high or reference.")
     ] = None,
     steps: Annotated[
         int | None, typer.Option(min=0, help="Fine-tuning steps, instead of the preset's.")

@@ -42,7 +42,7 @@ def capture(
         Path, typer.Option("--out", "-o", help="Each photograph gets a folder of its name here.")
     ] = Path("out"),
     preset: Annotated[
-        str, typer.Option(help="How much work: draft, standard, high or reference.")
+        str, typer.Option(help="How much work: instant, draft, standard, high or reference.")
     ] = "standard",
     steps: Annotated[
         int | None, typer.Option(min=0, help="Fine-tuning steps, instead of the preset's.")

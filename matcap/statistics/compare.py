@@ -17,12 +17,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.filterbank import pyramid
-from matcap.statistics.gram import gram
+from matcap.statistics.gram import covariance, gram
 from matcap.statistics.spectrum import autocorrelation
 
 _REACH = 12  # lags of the autocorrelation at every level, in that level's texels
@@ -115,7 +114,7 @@ def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
     return Descriptor(
         mean=torch.cat([log.mean(dim=(2, 3)), average[..., 0, 0]], dim=1),
         grams=tuple(gram(level) for level in features),
-        crosses=tuple(map(_covariance, features, features[1:])) if bank.crossed else (),
+        crosses=tuple(map(covariance, features, features[1:])) if bank.crossed else (),
         spectra=tuple(
             autocorrelation(level, min(_REACH, min(level.shape[-2:]) // 2 - 1)) for level in levels
         ),
@@ -142,25 +141,6 @@ def _middle(level: Tensor) -> Tensor:
     height, width = level.shape[-2:]
     y, x = max(0, height - _LARGEST) // 2, max(0, width - _LARGEST) // 2
     return level[..., y : y + min(height, _LARGEST), x : x + min(width, _LARGEST)]
-
-
-def _covariance(fine: Tensor, coarse: Tensor) -> Tensor:
-    """(B, F, F) of features with those half as fine, where both are known; both are centred alike.
-
-    Both are maps of the same picture, so their middles are the same place.
-    """
-    halved = F.avg_pool2d(fine, 2)
-    height, width = (min(a, b) for a, b in zip(halved.shape[-2:], coarse.shape[-2:], strict=True))
-
-    def rows(features: Tensor) -> Tensor:
-        y, x = (features.shape[-2] - height) // 2, (features.shape[-1] - width) // 2
-        middle = features[..., y : y + height, x : x + width]
-        return middle.permute(0, 2, 3, 1).flatten(1, 2)  # as channels lie in memory
-
-    one, other = rows(halved), rows(coarse)
-    # One mean is enough: the covariance with a constant is 0.
-    one = one - one.mean(dim=1, keepdim=True)
-    return torch.bmm(one.transpose(1, 2), other).float() / (height * width)
 
 
 def _relative(found: Tensor, target: Tensor) -> Tensor:

@@ -2,8 +2,9 @@
 
 import pytest
 import torch
+import torch.nn.functional as F
 
-from matcap.statistics.gram import gram
+from matcap.statistics.gram import covariance, gram
 
 
 def plain(features):
@@ -53,3 +54,34 @@ def test_half_precision_comes_back_as_float32():
     found = gram(given.bfloat16())
     assert found.dtype == torch.float32
     assert (found - plain(given)).abs().max() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("fine", "coarse"), [((12, 16), (6, 8)), ((12, 16), (4, 6)), ((9, 11), (4, 3))]
+)
+def test_covariances_across_levels_are_those_of_the_middles_that_meet(fine, coarse):
+    generator = torch.Generator().manual_seed(0)
+    one = torch.randn(2, 3, *fine, generator=generator, dtype=torch.float64).requires_grad_()
+    other = torch.randn(2, 5, *coarse, generator=generator, dtype=torch.float64).requires_grad_()
+    halved = F.avg_pool2d(one, 2)
+    height, width = (min(a, b) for a, b in zip(halved.shape[2:], coarse, strict=True))
+    y, x = ((a - b) // 2 for a, b in zip(halved.shape[2:], (height, width), strict=True))
+    v, u = ((a - b) // 2 for a, b in zip(coarse, (height, width), strict=True))
+    a = halved[..., y : y + height, x : x + width].flatten(2)
+    b = other[..., v : v + height, u : u + width].flatten(2)
+    means = a.mean(2)[:, :, None] * b.mean(2)[:, None, :]
+    expected = a @ b.transpose(1, 2) / (height * width) - means
+    assert torch.allclose(covariance(one, other).double(), expected, atol=1e-6)
+    weight = torch.randn(2, 3, 5, generator=generator)
+    found = torch.autograd.grad((covariance(one, other) * weight).sum(), (one, other))
+    wanted = torch.autograd.grad((expected * weight).sum(), (one, other))
+    for slope, reference in zip(found, wanted, strict=True):
+        assert torch.allclose(slope, reference, atol=1e-6)
+
+
+def test_constant_features_have_no_covariance_and_a_finite_gradient():
+    one = torch.full((1, 2, 8, 8), 3.0, requires_grad=True)
+    found = covariance(one, torch.full((1, 2, 4, 4), 5.0))
+    assert found.abs().max() < 1e-6
+    found.sum().backward()
+    assert bool(torch.isfinite(one.grad).all())
