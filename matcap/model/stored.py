@@ -29,6 +29,7 @@ DAMAGED = (
     RecursionError,
 )
 _LARGEST_WIDTH = 1024  # channels; a stranger's file cannot ask for more memory than this allows
+_MOST_CELLS = 64  # channels at full resolution, whatever the network makes of them
 _MOST_NUMBERS = 64_000_000  # weights; a quarter of a gigabyte
 
 
@@ -82,7 +83,7 @@ def decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:
     sizes = (config.noise_channels, *config.widths)
     if len(config.widths) != DEPTH + 1 or not all(1 <= s <= _LARGEST_WIDTH for s in sizes):
         raise ValueError(f"widths {config.widths} are not {DEPTH + 1} of at most {_LARGEST_WIDTH}")
-    if not 0 <= config.cells <= _LARGEST_WIDTH:
+    if not 0 <= config.cells <= _MOST_CELLS:
         raise ValueError(f"{config.cells} channels of cells")
     if not all(1 <= count <= 4 for count in config.convolutions):
         raise ValueError(f"{config.convolutions} convolutions a block")

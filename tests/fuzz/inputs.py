@@ -121,7 +121,8 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
 def write_material(path: Path) -> None:
     """An untrained material of a few kilobytes."""
     torch.manual_seed(0)
-    decoder = Decoder(DecoderConfig(noise_channels=2, widths=(4, 4, 4, 4, 4), convolutions=(1, 1)))
+    shape = DecoderConfig(noise_channels=2, widths=(4, 4, 4, 4, 4), convolutions=(1, 1), cells=2)
+    decoder = Decoder(shape)
     code, waves = torch.zeros(CODE_SIZE), (Wave(0.1, 0.02),)
     moments = tuple(freeze(decoder, code, waves))
     Material("small", decoder.eval(), code, moments, waves, 0.002, FlashSetup()).save(path)

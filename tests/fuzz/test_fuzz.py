@@ -75,6 +75,8 @@ def test_a_stranger_cannot_have_memory_taken(tmp_path, monkeypatch):
         lambda about: about["setup"].update(tilt=[0.0, float("inf")]),
         lambda about: about["waves"][0].update(fx=1e300),
         lambda about: about["decoder"].update(widths=[4, 4]),
+        lambda about: about["decoder"].update(cells=65),
+        lambda about: about["decoder"].update(cells=-1),
         lambda about: about.update(provenance=3),
         lambda about: about.update(setup=10**400),
     ],
