@@ -21,8 +21,9 @@ from matcap.statistics.compare import Descriptor, describe
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 
-# What windows are compared by in training, and told to the encoder.
-FEATURES = FilterBankConfig(sizes=(5,), filters=64)
+FEATURES = FilterBankConfig(sizes=(5,), filters=64)  # that windows are compared by in training
+# The encoder is told spectra and distributions; Gram matrices, which it is not, can be small.
+_TOLD = FilterBankConfig(sizes=(5,), filters=1, crossed=False)
 WINDOW = 96  # texels a side of the windows whose texture is told
 _PLACES_ACROSS, _PLACES_DOWN = (0.1, 0.37, 0.63, 0.9), (0.15, 0.5, 0.85)
 _LEVELS = 3  # of the pyramid; what a window of 64 texels has
@@ -109,4 +110,4 @@ def describe_windows(linear: Tensor, valid: Tensor) -> Descriptor:
         for (x, y), share in zip(corners, shares, strict=True)
         if share >= least
     ]
-    return describe(torch.stack(windows), fit_encoding(linear, valid), FilterBank(FEATURES))
+    return describe(torch.stack(windows), fit_encoding(linear, valid), FilterBank(_TOLD))
