@@ -108,12 +108,13 @@ class AdaIN(nn.Module):
             features, own, variance, deviation, mean, moments is None, 0.0, _EPSILON
         )
 
-
-def measure(features: Tensor) -> Moments:
-    """Mean and deviation (C,) per channel of (B, C, H, W), in float32."""
-    none = (None, None, None, None)
-    _, mean, inverse = torch.native_batch_norm(features.float(), *none, True, 0.0, _EPSILON)
-    return mean, inverse.reciprocal()
+    def measured(self, features: Tensor, code: Tensor) -> tuple[Tensor, Moments]:
+        """Features (B, C, H, W) moved as without moments, and the moments (C,), in float32."""
+        mean, deviation = (target.float() for target in self.target(code))
+        adapted, own, inverse = torch.native_batch_norm(
+            features.float(), deviation, mean, None, None, True, 0.0, _EPSILON
+        )
+        return adapted, (own, inverse.reciprocal())
 
 
 class Layer(nn.Module):
@@ -207,8 +208,9 @@ class Decoder(nn.Module):
         recorded: list[Moments] = []
 
         def adapt(layer: Layer, features: Tensor) -> Tensor:
-            recorded.append(measure(features))
-            return layer.adain(features, code, recorded[-1])
+            adapted, moments = layer.adain.measured(features, code)
+            recorded.append(moments)
+            return adapted
 
         self._run(field, adapt, periodic=True)
         return recorded

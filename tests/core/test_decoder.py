@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from matcap.model.decoder import CODE_SIZE, DEPTH, AdaIN, Decoder, DecoderConfig, measure
+from matcap.model.decoder import CODE_SIZE, DEPTH, AdaIN, Decoder, DecoderConfig
 from matcap.model.field import RandomField
 from matcap.model.noise import noise_field
 from matcap.model.order import WAVE_CHANNELS
@@ -33,9 +33,9 @@ def test_adain_gives_the_mean_and_deviation_the_code_asks_for(adain, features):
 
 def test_adain_with_measured_moments_is_adain(adain, features):
     code = torch.randn(CODE_SIZE)
-    assert torch.allclose(
-        adain(features, code, measure(features)), adain(features, code, None), atol=1e-5
-    )
+    adapted, moments = adain.measured(features, code)
+    assert torch.allclose(adapted, adain(features, code, None), atol=1e-5)
+    assert torch.allclose(adain(features, code, moments), adain(features, code, None), atol=1e-5)
 
 
 def test_every_code_of_a_batch_has_its_own_statistics(adain, features):
@@ -46,8 +46,8 @@ def test_every_code_of_a_batch_has_its_own_statistics(adain, features):
         assert torch.equal(both[index : index + 1], alone)
 
 
-def test_measured_moments_are_mean_and_deviation(features):
-    mean, deviation = measure(features)
+def test_measured_moments_are_mean_and_deviation(adain, features):
+    _, (mean, deviation) = adain.measured(features, torch.randn(CODE_SIZE))
     assert torch.allclose(mean, features.mean((0, 2, 3)), atol=1e-5)
     assert torch.allclose(deviation, features.std((0, 2, 3), correction=0), rtol=1e-4)
 

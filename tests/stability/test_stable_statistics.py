@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from matcap.capture.start import log_contrast
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig, measure
+from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.photo.color import srgb_decode, srgb_encode
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import Encoding, fit_encoding
@@ -152,7 +152,8 @@ def test_adain_on_constant_features_gives_the_codes_own_mean(value, dtype):
         layer = Decoder(DecoderConfig(4, (4, 4, 4, 4, 4))).layers()[0]
     code = torch.randn(CODE_SIZE, generator=torch.Generator().manual_seed(1))
     features = torch.full((1, 4, 8, 8), value, dtype=dtype).requires_grad_()
-    adapted = layer.adain(features, code, measure(features))
+    _, moments = layer.adain.measured(features.detach(), code)
+    adapted = layer.adain(features, code, moments)
     adapted.float().square().sum().backward()
     assert finite(adapted, features.grad, *(p.grad for p in layer.adain.parameters()))
     if dtype == torch.float32:
