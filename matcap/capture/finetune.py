@@ -35,6 +35,9 @@ from matcap.model.order import Wave
 from matcap.statistics.compare import Features, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
 
+# Of learning: a decoder that knows textures already is only to be moved a little.
+RATE_FROM_NOTHING, RATE_FROM_PRIOR = 2e-2, 1e-2
+
 _WARM_UP = 10  # steps
 _FLOOR = 0.05  # of the learning rate, at the end of the cosine
 _FROZEN_SHARE = 0.15  # of the work, at the end, done with frozen statistics
@@ -78,7 +81,7 @@ class TuneSettings:
     seconds: float | None = None
     target: float | None = None
     places: int = 1
-    learning_rate: float = 2e-2
+    learning_rate: float = RATE_FROM_NOTHING
     slope_penalty: float = 0.005
     specular_penalty: float = 0.02
     roughness_penalty: float = 0.01

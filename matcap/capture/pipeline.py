@@ -19,7 +19,13 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.anytime import forecast, self_difference
 from matcap.capture.coarse import CoarseFit, fit_coarse
 from matcap.capture.detail import DETAIL, detail_for
-from matcap.capture.finetune import Scene, TuneSettings, finetune
+from matcap.capture.finetune import (
+    RATE_FROM_NOTHING,
+    RATE_FROM_PRIOR,
+    Scene,
+    TuneSettings,
+    finetune,
+)
 from matcap.capture.joint import join
 from matcap.capture.start import log_contrast, logits, reading_cells, untrained
 from matcap.capture.windows import cut_windows
@@ -45,7 +51,6 @@ FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 _FORECAST_EVERY = 20  # steps
 # From nothing, where a run ends depends on where it starts: the best of a few short runs goes on.
 _AUDITIONS, _AUDITION_STEPS = 3, 40
-_RATE_FROM_NOTHING, _RATE_FROM_PRIOR = 2e-2, 1e-2
 
 
 @dataclass(frozen=True)
@@ -222,14 +227,14 @@ def capture_photo(
 
     with clock.stage("start"):
         if settings.prior == "none":
-            rate = _RATE_FROM_NOTHING
+            rate = RATE_FROM_NOTHING
             code = torch.zeros(CODE_SIZE)
             contrast = log_contrast(linear, valid)
             cells = CELL_CHANNELS if lattice.waves else 0
             method = replace(method, decoder=replace(method.decoder, cells=cells))
             decoder = _audition(coarse, contrast, code, scene, settings, steps, method)
         else:
-            rate = _RATE_FROM_PRIOR
+            rate = RATE_FROM_PRIOR
             prior = load_prior(None if settings.prior == "auto" else Path(settings.prior))
             decoder, code = prior.start(photo, coarse, linear, valid)
             if lattice.waves and steps:  # untuned, its weights would only add noise
@@ -365,7 +370,7 @@ def _audition(
         tune = TuneSettings(
             steps=_AUDITION_STEPS,
             places=method.places,
-            learning_rate=_RATE_FROM_NOTHING,
+            learning_rate=RATE_FROM_NOTHING,
             half_precision=method.half_precision,
             seed=seed,
         )

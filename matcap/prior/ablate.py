@@ -13,14 +13,14 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from matcap.export.picture import write_picture
+from matcap.capture.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR
 from matcap.prior.decoder_only import DecoderOnly
 from matcap.prior.evaluate import Begin, Way, from_nothing, from_prior, measure_all
 from matcap.prior.journal import first_of_each
 from matcap.prior.kept import prior_key
 from matcap.prior.measure import Made, Photographed, Result, capture, photographed
 from matcap.prior.pack import Pack
-from matcap.prior.pages import COLUMNS, median, names, sheet, table
+from matcap.prior.pages import COLUMNS, median, names, table, write_sheet
 from matcap.prior.store import Prior
 from matcap.statistics.compare import Weights
 
@@ -37,7 +37,7 @@ def run_ablation(
     command: str,
     tell: Callable[[str], None] = lambda line: None,
 ) -> str:
-    """Measure, write prior-ablation.md and .png into a folder, and return the table.
+    """Measure, write prior-ablation.md and .jpg into a folder, and return the table.
 
     Results are kept in its folder prior-ablation; see kept.py.
     """
@@ -45,7 +45,7 @@ def run_ablation(
     results = measure_all(variants(prior, steps), entries, out / "prior-ablation", tell)
     page = _markdown(results, steps, command)
     (out / "prior-ablation.md").write_text(page)
-    write_picture(sheet(results), out / "prior-ablation.png")
+    write_sheet(results, out / "prior-ablation.jpg")
     return page
 
 
@@ -59,10 +59,11 @@ def variants(prior: Prior, steps: int) -> list[Way]:
         def run(shown: Photographed) -> Made:
             # Every variant is compared with the photograph as it is, however it sees it itself.
             tuned = view(shown) if view else shown
-            return capture(tuned, partial(begin, tuned), taken, _REALISATIONS)
+            return capture(tuned, partial(begin, tuned), taken, _REALISATIONS, rate)
 
         taken = 0 if name == "NONTUNED" else steps
-        trained = (known,) if begin is start else ()
+        rate = RATE_FROM_PRIOR if begin is start else RATE_FROM_NOTHING
+        trained = (known, rate) if begin is start else ()
         return Way(name, run, (taken, _REALISATIONS, *trained))
 
     return [
@@ -114,7 +115,7 @@ def _markdown(results: list[Result], steps: int, command: str) -> str:
         f"{DECODER_ONLY} has no prior of its own and starts from nothing, so it is to be compared",
         f"with {SINGLE}: it has {beside_single:.0f} % of its style error.",
         "",
-        "![Columns: the materials. Rows: the variants in this order.](prior-ablation.png)",
+        "![Columns: the materials. Rows: the variants in this order.](prior-ablation.jpg)",
         "",
     ]
     return "\n".join(lines)

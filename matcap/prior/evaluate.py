@@ -16,15 +16,15 @@ from pathlib import Path
 from torch import Tensor, zeros
 
 from matcap.bench.baselines import PerTexelSettings
+from matcap.capture.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR
 from matcap.capture.start import log_contrast, untrained
-from matcap.export.picture import write_picture
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.prior.align import evaluate_alignment, make
 from matcap.prior.journal import first_of_each
 from matcap.prior.kept import key_of, once, photograph_key, prior_key
 from matcap.prior.measure import Made, Photographed, Result, capture, judge, photographed
 from matcap.prior.pack import Entry, Pack
-from matcap.prior.pages import COLUMNS, median, names, sheet, table
+from matcap.prior.pages import COLUMNS, median, names, table, write_sheet
 from matcap.prior.rivals import albedo, per_texel_maps, quilts
 from matcap.prior.store import Prior
 
@@ -78,7 +78,7 @@ def run_evaluation(
     command: str,
     tell: Callable[[str], None] = lambda line: None,
 ) -> str:
-    """Measure, write prior-evaluation.md and .png into a folder, and return the table.
+    """Measure, write prior-evaluation.md and .jpg into a folder, and return the table.
 
     Results are kept in its folder prior-evaluation; see kept.py.
     """
@@ -91,7 +91,7 @@ def run_evaluation(
     page = markdown(results, errors, prior, command)
     (out / "prior-evaluation.md").write_text(page)
     shown = [result for result in results if result.method not in _COPIES]
-    write_picture(sheet(shown), out / "prior-evaluation.png")
+    write_sheet(shown, out / "prior-evaluation.jpg")
     return page
 
 
@@ -125,14 +125,20 @@ def ways_of(prior: Prior, settings: EvaluateSettings) -> list[Way]:
     """From the prior, from nothing, and the rivals'."""
     count, known = settings.realisations, prior_key(prior)
 
-    def tuned(begin: Begin, steps: int) -> Callable[[Photographed], Made]:
-        return lambda shown: capture(shown, partial(begin, shown), steps, count)
+    def tuned(
+        begin: Begin, steps: int, rate: float = RATE_FROM_NOTHING
+    ) -> Callable[[Photographed], Made]:
+        return lambda shown: capture(shown, partial(begin, shown), steps, count, rate)
 
     start = partial(from_prior, prior)
     few, many = settings.steps, settings.longer
     return [
         Way("prior, not tuned", tuned(start, 0), (count, known)),
-        Way(f"prior, {few} steps", tuned(start, few), (count, known)),
+        Way(
+            f"prior, {few} steps",
+            tuned(start, few, RATE_FROM_PRIOR),
+            (count, known, RATE_FROM_PRIOR),
+        ),
         Way(f"nothing, {few} steps", tuned(from_nothing, few), (count,)),
         Way(f"nothing, {many} steps", tuned(from_nothing, many), (count,)),
         Way(ALBEDO, albedo),
@@ -203,7 +209,7 @@ def markdown(results: Sequence[Result], tilt_errors: Tensor, prior: Prior, comma
         f"{CODE_SIZE} dimensions dead.",
         "",
         "![Columns: the materials in this order. Rows: the methods that do not show the photograph",
-        "itself, in the order of the table.](prior-evaluation.png)",
+        "itself, in the order of the table.](prior-evaluation.jpg)",
         "",
     ]
     return "\n".join(lines)

@@ -19,7 +19,7 @@ from matcap.bench.relit import srgb
 from matcap.bench.style import RandomFilters, difference
 from matcap.bench.xyz import xyz_difference
 from matcap.brdf.maps import MapSet
-from matcap.capture.finetune import Scene, TuneSettings, finetune
+from matcap.capture.finetune import RATE_FROM_NOTHING, Scene, TuneSettings, finetune
 from matcap.capture.windows import cut_windows
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.rectify import rectify
@@ -143,12 +143,13 @@ def capture(
     begin: Callable[[], tuple[Decoder, Tensor]],
     steps: int,
     realisations: int,
+    rate: float = RATE_FROM_NOTHING,
 ) -> Made:
     """Fine-tune a decoder to a photograph, freeze it, and render some of its realisations."""
     started = time.perf_counter()
     decoder, code = begin()
     scene = tuned.scene
-    found = finetune(decoder, code, scene, TuneSettings(steps=steps), _untold)
+    found = finetune(decoder, code, scene, TuneSettings(steps=steps, learning_rate=rate), _untold)
     seconds = time.perf_counter() - started
     if found.interrupted:
         raise KeyboardInterrupt  # half a capture is no measurement

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
-from matcap.photo.color import srgb_decode
+from matcap.export.staging import staged
 from matcap.prior.measure import Result
+
+_QUALITY = 85  # of sheets; they are looked at, not measured
 
 # Ends of pages: what the columns count in.
 COLUMNS = """\
@@ -37,11 +40,18 @@ def names(results: Sequence[Result], of: Callable[[Result], str]) -> list[str]:
     return list(dict.fromkeys(of(result) for result in results))
 
 
-def sheet(results: Sequence[Result]) -> NDArray[np.float32]:
-    """Linear picture, half the size: a column a material, a row a method."""
+def write_sheet(results: Sequence[Result], path: Path) -> None:
+    """JPEG, half the size: a column a material, a row a method.
+
+    Raises:
+        MatcapError: the file cannot be written.
+    """
     columns = [
         torch.cat([r.picture for r in results if r.material == material], dim=1)
         for material in names(results, lambda r: r.material)
     ]
     code = torch.cat(columns, dim=2)[:, ::2, ::2].permute(1, 2, 0)
-    return srgb_decode(code.double().numpy()).astype(np.float32)
+    stored = np.ascontiguousarray((code * 255.0).round().byte().numpy()[..., ::-1])
+    _, encoded = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    with staged(path.parent) as stage:
+        (stage / path.name).write_bytes(encoded.tobytes())

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from matcap.bench.baselines import PerTexelSettings
-from matcap.capture.finetune import Tuned
+from matcap.capture.finetune import RATE_FROM_NOTHING, Tuned
 from matcap.prior import ablate, evaluate, measure
 from matcap.prior.decoder_only import DecoderOnly
 from matcap.prior.measure import SIZE, Made, Result, capture, judge, photographed
@@ -87,13 +87,16 @@ def test_an_evaluation_writes_its_page_and_a_picture_without_the_photographs(
         ],
     )
     shown = []
+    write = evaluate.write_sheet
     monkeypatch.setattr(
-        evaluate, "sheet", lambda results: (shown.extend(results), torch.zeros(8, 8, 3).numpy())[1]
+        evaluate,
+        "write_sheet",
+        lambda results, path: (shown.extend(results), write(results, path)),
     )
     settings = evaluate.EvaluateSettings(materials=1, tilted=1)
     page = evaluate.run_evaluation(prior, pack, settings, tmp_path, "matcap ...")
     assert (tmp_path / "prior-evaluation.md").read_text() == page
-    assert (tmp_path / "prior-evaluation.png").is_file()
+    assert (tmp_path / "prior-evaluation.jpg").is_file()
     assert "`matcap ...`" in page
     assert "| image quilting |" in page
     assert "matcap bench quality" in page
@@ -115,9 +118,10 @@ def test_only_what_starts_from_the_prior_depends_on_it(prior):
 def test_an_ablation_holds_every_variant_against_full(
     quick, prior, pack, shown, tmp_path, monkeypatch
 ):
-    begun = []
+    begun, rates = [], []
 
-    def captured(tuned, begin, steps, realisations):
+    def captured(tuned, begin, steps, realisations, rate):
+        rates.append(rate)
         begun.append((type(begin()[0]), steps, tuned))
         return made([], "")(tuned)
 
@@ -131,13 +135,16 @@ def test_an_ablation_holds_every_variant_against_full(
     kinds, steps, views = zip(*begun, strict=True)
     assert [kind is DecoderOnly for kind in kinds] == [False, False, False, True, False, False]
     assert steps == (7, 7, 0, 7, 7, 7)
+    # A capture from the prior learns more slowly than one from nothing.
+    from_nothing = [rate == RATE_FROM_NOTHING for rate in rates]
+    assert from_nothing == [False, True, False, True, False, False]
     assert views[4].scene.weights.spectrum == 0.0
     assert views[5].scene.setup.tilt == (0.0, 0.0) != views[0].scene.setup.tilt
     assert "| FULL |" in page
     assert "| 100 % |" in page
     assert "with SINGLE: it has 183 % of its style error" in page
     assert (tmp_path / "prior-ablation.md").read_text() == page
-    assert (tmp_path / "prior-ablation.png").is_file()
+    assert (tmp_path / "prior-ablation.jpg").is_file()
 
 
 def test_a_capture_is_measured_from_start_to_realisations(prior, shown):
