@@ -92,8 +92,7 @@ def wave_field(
     """
     scale = 2**level
     along_x, along_y = (None, None) if period is None else period
-    shrunk = (along_x and along_x // scale, along_y and along_y // scale)
-    columns, rows = places(x, y, width, height, shrunk, device)
+    columns, rows = _places(x, y, width, height, level, period, device)
     start = keys(wrap64(seed ^ _PHASES), 2).tolist()
     field = torch.zeros(WAVE_CHANNELS, height, width, device=device)
     for index, (orders, fx, fy) in enumerate(_harmonics(waves)):
@@ -140,10 +139,9 @@ def cell_field(
     if not waves or any(max(abs(w.fx), abs(w.fy)) * scale > _FINEST for w in waves):
         return torch.zeros(channels, height, width, device=device)
     along = (None, None) if period is None else period
-    shrunk = (along[0] and along[0] // scale, along[1] and along[1] // scale)
     columns, rows = (
         [coordinate * scale for coordinate in line.tolist()]
-        for line in places(x, y, width, height, shrunk, "cpu")
+        for line in _places(x, y, width, height, level, period, "cpu")
     )
     start = keys(wrap64(seed ^ _PHASES), 2).tolist()
     counts, repeats = [], []
@@ -166,6 +164,21 @@ def cell_field(
     (one_x, one_y), (other_x, other_y) = repeats
     one, other = (one_x, other_x), (one_y, other_y)
     return _drawn(wrap64(seed ^ _CELLS), channels, first, second, one, other).to(device)
+
+
+def _places(
+    x: int,
+    y: int,
+    width: int,
+    height: int,
+    level: int,
+    period: Period | None,
+    device: torch.device | str,
+) -> tuple[Tensor, Tensor]:
+    """Columns and rows of a rectangle of a level, wrapped at a period of level 0."""
+    along_x, along_y = (None, None) if period is None else period
+    shrunk = (along_x and along_x >> level, along_y and along_y >> level)
+    return places(x, y, width, height, shrunk, device)
 
 
 def _drawn(
