@@ -162,7 +162,7 @@ def _trial(photo: Path, settings: BatchSettings) -> tuple[float, int]:
 def _steps(settings: BatchSettings) -> int:
     from matcap.capture.pipeline import PRESETS
 
-    return PRESETS[settings.preset] if settings.steps is None else settings.steps
+    return PRESETS[settings.preset].steps if settings.steps is None else settings.steps
 
 
 def _existing(folder: Path) -> Path:

@@ -41,7 +41,7 @@ from matcap.simulate.materials import random_material
 from matcap.simulate.photograph import Camera, Realise, Shot, take
 from matcap.statistics.filterbank import FilterBankConfig
 
-_BASE_STEPS = 160  # of every point that does not vary them
+_BASE_STEPS, _BASE_PLACES = 160, 2  # of every point that does not vary them
 _PAPER_STEPS = 1000
 _PAPER, _PAPER_FORM = "paper", "paper's form"
 
@@ -67,31 +67,34 @@ def _base(**changed: Any) -> CaptureSettings:  # noqa: ANN401
     return CaptureSettings(**{"steps": _BASE_STEPS, **changed})
 
 
+def _method(**changed: Any) -> Method:  # noqa: ANN401
+    return Method(**{"places": _BASE_PLACES, **changed})
+
+
 def _ways() -> dict[str, Way]:
     ways = {f"{name}": Way("preset", CaptureSettings(preset=name)) for name in PRESETS}
-    # The presets' own numbers lie between.
-    for steps in (10, 20, 60, 80, 120, _BASE_STEPS):
-        ways[f"{steps} steps"] = Way("steps", _base(steps=steps))
+    for steps in (10, 20, 60, 80, 120, _BASE_STEPS, 200, 400):
+        ways[f"{steps} steps"] = Way("steps", _base(steps=steps), _method())
     for seconds in (2.0, 5.0, 10.0, 20.0, 40.0):
         ways[f"{seconds:.0f} s"] = Way("time", CaptureSettings(time_limit=seconds))
     for window in (96, 128, 192, 256):
-        ways[f"window {window}"] = Way("window", _base(), Method(window=window))
-    for places in (1, 3, 4):
-        ways[f"windows a step: {places}"] = Way("windows", _base(), Method(places=places))
+        ways[f"window {window}"] = Way("window", _base(), _method(window=window))
+    for places in (1, 4):  # three are the preset `standard`
+        ways[f"windows a step: {places}"] = Way("windows", _base(), _method(places=places))
     for name, bank in (
         ("small filter bank", replace(FEATURES, filters=24)),
         ("large filter bank", replace(FEATURES, sizes=(3, 5, 9), filters=48)),
         ("levels apart", replace(FEATURES, crossed=False)),
     ):
-        ways[name] = Way("statistics", _base(), Method(features=bank))
-    ways["float32"] = Way("precision", _base(), Method(half_precision=False))
-    ways["no prior"] = Way("prior", _base(prior="none"))
-    ways["no prior, 640 steps"] = Way("prior", _base(prior="none", steps=640))
+        ways[name] = Way("statistics", _base(), _method(features=bank))
+    ways["float32"] = Way("precision", _base(), _method(half_precision=False))
+    ways["no prior"] = Way("prior", _base(prior="none"), _method())
+    ways["no prior, 640 steps"] = Way("prior", _base(prior="none", steps=640), _method())
     for name, widths in (("narrow", (8, 16, 32, 32, 32)), ("wide", (32, 64, 128, 128, 128))):
-        wide = Method(decoder=DecoderConfig(widths=widths))
+        wide = _method(decoder=DecoderConfig(widths=widths))
         ways[f"no prior, {name}"] = Way("decoder", _base(prior="none"), wide)
     for detail in (512, 768):
-        ways[f"detail {detail}"] = Way("detail", _base(), detail=detail)
+        ways[f"detail {detail}"] = Way("detail", _base(), _method(), detail=detail)
     # The paper's decoder and number of steps, on as much of its 512 x 384 as a square window holds.
     paper = Method(
         window=384,

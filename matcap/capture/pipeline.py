@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -45,12 +46,35 @@ from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import find_lattice
 from matcap.statistics.vgg import Vgg19
 
-# Steps of fine-tuning; docs/capture.md has what each costs and buys.
-PRESETS = {"instant": 0, "draft": 32, "standard": 200, "high": 400, "reference": 800}
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 _FORECAST_EVERY = 20  # steps
 # From nothing, where a run ends depends on where it starts: the best of a few short runs goes on.
 _AUDITIONS, _AUDITION_STEPS = 3, 40
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What a preset spends.
+
+    Attributes:
+        steps: of fine-tuning.
+        places: windows a step; all see the same maps, so one more costs an eighth more.
+    """
+
+    steps: int
+    places: int = 2
+
+
+# docs/capture.md has what each costs and buys.
+PRESETS: Mapping[str, Effort] = MappingProxyType(
+    {
+        "instant": Effort(0),
+        "draft": Effort(32),
+        "standard": Effort(160, places=3),
+        "high": Effort(320, places=3),
+        "reference": Effort(800),
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -101,14 +125,14 @@ class Method:
         features: that textures are compared by.
         decoder: shape of the decoder, where there is no prior to say it.
         half_precision: bfloat16 inside the network and the features.
-        places: windows a step; all see the same maps, so a second one costs a sixth more.
+        places: windows a step, instead of the preset's.
     """
 
     window: int = 160
     features: FilterBankConfig = FEATURES
     decoder: DecoderConfig = DecoderConfig()
     half_precision: bool = True
-    places: int = 2
+    places: int | None = None
 
 
 @dataclass(frozen=True)
@@ -181,6 +205,7 @@ def capture_photo(
     """
     steps = _steps(settings)
     method = method or Method()
+    places = method.places or _effort(settings).places
     clock = _Clock(progress)
 
     with clock.stage("coarse fit"):
@@ -232,7 +257,7 @@ def capture_photo(
             contrast = log_contrast(linear, valid)
             cells = CELL_CHANNELS if lattice.waves else 0
             method = replace(method, decoder=replace(method.decoder, cells=cells))
-            decoder = _audition(coarse, contrast, code, scene, settings, steps, method)
+            decoder = _audition(coarse, contrast, code, scene, settings, steps, places, method)
         else:
             rate = RATE_FROM_PRIOR
             prior = load_prior(None if settings.prior == "auto" else Path(settings.prior))
@@ -250,7 +275,7 @@ def capture_photo(
                 steps=steps,
                 seconds=settings.time_limit,
                 target=target,
-                places=method.places,
+                places=places,
                 learning_rate=rate,
                 half_precision=method.half_precision,
                 seed=settings.seed,
@@ -302,14 +327,18 @@ def _with_known_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
 
 
 def _steps(settings: CaptureSettings) -> int:
+    effort = _effort(settings)
+    return effort.steps if settings.steps is None else settings.steps
+
+
+def _effort(settings: CaptureSettings) -> Effort:
     if settings.preset not in PRESETS:
         raise UsageError(
             f"there is no preset {settings.preset!r}", remedy=f"choose one of {', '.join(PRESETS)}"
         )
-    if settings.steps is not None:
-        return settings.steps
     # A time limit or a target alone decides when to stop.
-    alone = settings.time_limit is not None or settings.target is not None
+    limited = settings.time_limit is not None or settings.target is not None
+    alone = limited and settings.steps is None
     return PRESETS["reference" if alone else settings.preset]
 
 
@@ -356,6 +385,7 @@ def _audition(
     scene: Scene,
     settings: CaptureSettings,
     steps: int,
+    places: int,
     method: Method,
 ) -> Decoder:
     """The most promising of a few random decoders, each tuned for a moment.
@@ -369,7 +399,7 @@ def _audition(
     for seed in seeds:
         tune = TuneSettings(
             steps=_AUDITION_STEPS,
-            places=method.places,
+            places=places,
             learning_rate=RATE_FROM_NOTHING,
             half_precision=method.half_precision,
             seed=seed,
