@@ -104,11 +104,14 @@ def _ways() -> dict[str, Way]:
         places=1,
     )
     ways[_PAPER_FORM] = Way(_PAPER, _base(prior="none", steps=_PAPER_STEPS), paper, 512)
+    for name in ("standard", "reference"):
+        ways[f"{name} beside it"] = Way(_PAPER, CaptureSettings(preset=name), detail=512)
     return ways
 
 
 WAYS: Mapping[str, Way] = MappingProxyType(_ways())
-# What a sweep without a choice measures: all but the paper's form, which takes an hour a subject.
+# What a sweep without a choice measures: all but the paper's form, which takes an hour a subject,
+# and what is held against it at its detail.
 USUAL = tuple(name for name, way in WAYS.items() if way.group != _PAPER)
 
 

@@ -58,7 +58,7 @@ class Effort:
 
     Attributes:
         steps: of fine-tuning.
-        places: windows a step; all see the same maps, so one more costs an eighth more.
+        places: windows a step; all see the same maps, so one more costs a fifth more.
     """
 
     steps: int
