@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 DETAIL = 1024
@@ -34,12 +35,28 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
     finer = (log - middle).clip(-_STRONGEST, _STRONGEST)
     variances = []
     for scale in _SCALES:
-        weight = np.maximum(cv2.GaussianBlur(seen, (0, 0), scale), 1e-3)
-        blurred = cv2.GaussianBlur(finer * seen, (0, 0), scale) / weight
-        variances.append(float(np.square((finer - blurred)[seen > 0.0]).mean()))
+        # What is left varies over as much as the last blur's deviation, half this one's: from
+        # 2 texels on every other texel says as much.
+        if scale > 2.0:
+            finer, seen = _halved(finer), _halved(seen)
+        deviation = min(scale, 2.0)
+        weight = np.maximum(_blur(seen, deviation), 1e-3)
+        blurred = _blur(finer * seen, deviation) / weight
+        variances.append(float(np.average(np.square(finer - blurred), weights=seen)))
         finer = blurred
     whole = sum(variances)
     return variances[-1] / whole if whole > 0.0 else 0.0
+
+
+def _blur(picture: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
+    # OpenCV's own border leaves out the outermost texel, which is wide once halved.
+    blurred = cv2.GaussianBlur(picture, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(blurred, np.float32)
+
+
+def _halved(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    size = tuple(max(1, side // 2) for side in picture.shape[::-1])
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def detail_for(linear: Tensor, valid: Tensor) -> int:

@@ -5,7 +5,9 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 import matcap as package
 from matcap.cli import main as main_module
@@ -34,6 +36,24 @@ def test_nothing_heavy_is_imported(module):
     code = f"import sys, {module}; print(*[m for m in {HEAVY} if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.split() == []
+
+
+def test_a_capture_does_without_pytorchs_compiler(tmp_path):
+    """Many of PyTorch's functions import it, and its algebra with it: 0.3 to 2 s."""
+    pixels = np.random.default_rng(0).integers(60, 160, (96, 128, 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "photo.png")
+    arguments = ["capture", "photo.png", "-o", "out", "--steps", "2", "--size", "16", "-q"]
+    code = f"""import sys
+from matcap.cli.main import run
+sys.argv = ["matcap", *{arguments}]
+try:
+    run()
+except SystemExit as end:
+    print(end.code, "sympy" in sys.modules, "torch._dynamo" in sys.modules)"""
+    found = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert found.stdout.split() == ["0", "False", "False"]
 
 
 def test_the_console_script_is_installed():
