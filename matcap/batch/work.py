@@ -34,7 +34,8 @@ _SHARES = {
     "coarse fit": (0.02, 0.08),
     "statistics": (0.08, 0.1),
     "start": (0.1, 0.12),
-    "fine-tuning": (0.12, 0.92),
+    "fine-tuning": (0.12, 0.90),
+    "matching": (0.90, 0.92),
     "rendering": (0.92, 0.95),
 }
 _DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})

@@ -87,6 +87,7 @@ def _ways() -> dict[str, Way]:
         ("levels apart", replace(FEATURES, crossed=False)),
     ):
         ways[name] = Way("statistics", _base(), _method(features=bank))
+    ways["not matched"] = Way("matching", _base(), _method(matched=False))
     ways["float32"] = Way("precision", _base(), _method(half_precision=False))
     ways["no prior"] = Way("prior", _base(prior="none"), _method())
     ways["no prior, 640 steps"] = Way("prior", _base(prior="none", steps=640), _method())

@@ -28,6 +28,7 @@ from matcap.capture.finetune import (
     finetune,
 )
 from matcap.capture.joint import join
+from matcap.capture.match import match_photograph
 from matcap.capture.start import log_contrast, logits, reading_cells, untrained
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError, UsageError
@@ -126,6 +127,7 @@ class Method:
         decoder: shape of the decoder, where there is no prior to say it.
         half_precision: bfloat16 inside the network and the features.
         places: windows a step, instead of the preset's.
+        matched: mean and contrast moved to the photograph's at the end (match.py).
     """
 
     window: int = 160
@@ -133,6 +135,7 @@ class Method:
     decoder: DecoderConfig = DecoderConfig()
     half_precision: bool = True
     places: int | None = None
+    matched: bool = True
 
 
 @dataclass(frozen=True)
@@ -283,18 +286,22 @@ def capture_photo(
             clock.tuning,
         )
 
+    material = Material(
+        name=_stem(photo.name),
+        decoder=tuned.decoder.eval().requires_grad_(False),
+        code=code,
+        moments=tuned.moments,
+        waves=lattice.waves,
+        texel_size=texel_size,
+        setup=coarse.setup,
+        provenance=_provenance(photo, settings, coarse, steps)
+        | ({"others": joined} if joined else {}),
+    )
+    if tuned.history and method.matched:
+        with clock.stage("matching"):
+            material = match_photograph(material, linear, valid, encoding, noise, settings.seed)
+
     with clock.stage("rendering"):
-        material = Material(
-            name=_stem(photo.name),
-            decoder=tuned.decoder.eval().requires_grad_(False),
-            code=code,
-            moments=tuned.moments,
-            waves=lattice.waves,
-            texel_size=texel_size,
-            setup=coarse.setup,
-            provenance=_provenance(photo, settings, coarse, steps)
-            | ({"others": joined} if joined else {}),
-        )
         height, width = linear.shape[-2:]
         maps = material.maps(width, height, seed=settings.seed)
         rerendered = _flash_picture(maps, material.setup)

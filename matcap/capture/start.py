@@ -12,17 +12,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.capture.coarse import CoarseFit
 from matcap.model.decoder import Decoder, DecoderConfig, with_cells
 from matcap.model.order import CELL_CHANNELS
+from matcap.statistics.encoding import shading
 
 _CONTRAST_GAIN = 1.2  # a sigmoid's slope below 1/2 is under 1: logits must swing a little further
 _SPECULAR_CONTRAST, _ROUGHNESS_CONTRAST = 0.1, 0.1  # logits
 _RELIEF = 0.15  # texels
-_SHADING_SCALE = 48  # texels; slower variation is shading
 
 
 def head_start(coarse: CoarseFit, contrast: Tensor) -> tuple[Tensor, Tensor]:
@@ -52,10 +51,8 @@ def log_contrast(linear: Tensor, valid: Tensor) -> Tensor:
     """(3,) standard deviation of the log radiance of (3, H, W), shading taken off."""
     toe = 0.01 * float(linear.median()) + 1e-6
     log = torch.log(linear.clamp(0.0, 1.0) + toe)
-    size = min(_SHADING_SCALE, *log.shape[-2:])
-    small = F.avg_pool2d(log[None], size, stride=max(1, size // 2))
-    shading = F.interpolate(small, size=log.shape[-2:], mode="bilinear", align_corners=False)[0]
-    texture = (log - shading)[:, valid] if bool(valid.any()) else (log - shading).flatten(1)
+    texture = log - shading(log[None])[0]
+    texture = texture[:, valid] if bool(valid.any()) else texture.flatten(1)
     return texture.std(dim=1, correction=0).clamp(0.02, 1.5)
 
 

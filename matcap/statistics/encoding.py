@@ -62,7 +62,7 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
     median = max(float(seen.mean(0).median()), 1e-6)
     plain = Encoding(median, torch.eye(3))
     log = plain.log(linear[None])
-    texture = (log - _blur(log))[0][:, valid]
+    texture = (log - shading(log))[0][:, valid]
     values, vectors = torch.linalg.eigh(torch.cov(texture.double()))
     strongest = values[-1].clamp_min(_LEAST_CONTRAST**2)
     scale = torch.rsqrt(values.clamp_min(_FAINTEST**2 * strongest))
@@ -73,7 +73,8 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
     return Encoding(median, (vectors * scale).T.float().contiguous())
 
 
-def _blur(image: Tensor) -> Tensor:
+def shading(image: Tensor) -> Tensor:
+    """What of an image (B, C, H, W) varies slower than texture does."""
     size = min(_SHADING_SCALE, *image.shape[-2:])
     small = F.avg_pool2d(image, size, stride=max(1, size // 2))
     return F.interpolate(small, size=image.shape[-2:], mode="bilinear", align_corners=False)
