@@ -103,6 +103,7 @@ def _ways() -> dict[str, Way]:
         decoder=PAPER_CONFIG,
         half_precision=False,
         places=1,
+        matched=False,
     )
     ways[_PAPER_FORM] = Way(_PAPER, _base(prior="none", steps=_PAPER_STEPS), paper, 512)
     for name in ("standard", "reference"):
