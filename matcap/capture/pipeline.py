@@ -60,17 +60,19 @@ class Effort:
     Attributes:
         steps: of fine-tuning.
         places: windows a step; all see the same maps, so one more costs a fifth more.
+        matched: mean and contrast moved to the photograph's at the end (match.py).
     """
 
     steps: int
     places: int = 2
+    matched: bool = True
 
 
 # docs/capture.md has what each costs and buys.
 PRESETS: Mapping[str, Effort] = MappingProxyType(
     {
-        "instant": Effort(0),
-        "draft": Effort(32),
+        "instant": Effort(0, matched=False),
+        "draft": Effort(32, matched=False),
         "standard": Effort(160, places=3),
         "high": Effort(320, places=3),
         "reference": Effort(800),
@@ -127,7 +129,7 @@ class Method:
         decoder: shape of the decoder, where there is no prior to say it.
         half_precision: bfloat16 inside the network and the features.
         places: windows a step, instead of the preset's.
-        matched: mean and contrast moved to the photograph's at the end (match.py).
+        matched: as Effort's, unless the preset leaves it out anyway.
     """
 
     window: int = 160
@@ -297,7 +299,7 @@ def capture_photo(
         provenance=_provenance(photo, settings, coarse, steps)
         | ({"others": joined} if joined else {}),
     )
-    if tuned.history and method.matched:
+    if tuned.history and method.matched and _effort(settings).matched:
         with clock.stage("matching"):
             material = match_photograph(material, linear, valid, encoding, noise, settings.seed)
 
