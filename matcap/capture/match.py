@@ -95,7 +95,10 @@ def correction(
     noise: Tensor | None,
     seed: int,
 ) -> Correction:
-    """What to move; nothing where hardly anything of the photograph can be compared."""
+    """What `match_photograph`, of the same arguments, moves.
+
+    Nothing where hardly anything of the photograph can be compared.
+    """
     height, width = linear.shape[-2:]
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     true = encoding.log(linear[None])

@@ -71,7 +71,7 @@ class Effort:
 # docs/capture.md has what each costs and buys.
 PRESETS: Mapping[str, Effort] = MappingProxyType(
     {
-        "instant": Effort(0, matched=False),
+        "instant": Effort(0),
         "draft": Effort(32, matched=False),
         "standard": Effort(160, places=3),
         "high": Effort(320, places=3),
@@ -129,7 +129,7 @@ class Method:
         decoder: shape of the decoder, where there is no prior to say it.
         half_precision: bfloat16 inside the network and the features.
         places: windows a step, instead of the preset's.
-        matched: as Effort's, unless the preset leaves it out anyway.
+        matched: at the end, instead of as the preset says.
     """
 
     window: int = 160
@@ -137,7 +137,7 @@ class Method:
     decoder: DecoderConfig = DecoderConfig()
     half_precision: bool = True
     places: int | None = None
-    matched: bool = True
+    matched: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,9 @@ def capture_photo(
     """
     steps = _steps(settings)
     method = method or Method()
-    places = method.places or _effort(settings).places
+    effort = _effort(settings)
+    places = method.places or effort.places
+    matched = effort.matched if method.matched is None else method.matched
     clock = _Clock(progress)
 
     with clock.stage("coarse fit"):
@@ -299,8 +301,8 @@ def capture_photo(
         provenance=_provenance(photo, settings, coarse, steps)
         | ({"others": joined} if joined else {}),
     )
-    if tuned.history and method.matched and _effort(settings).matched:
-        with clock.stage("matching"):
+    if tuned.history and matched:
+        with clock.stage("matching"):  # to the first photograph, if there are others
             material = match_photograph(material, linear, valid, encoding, noise, settings.seed)
 
     with clock.stage("rendering"):

@@ -35,12 +35,11 @@ def photo(truth):
     return render_rectified(truth.maps(WIDTH, HEIGHT, seed=1), SETUP)
 
 
-def spoilt(material, gain=1.0, shift=(0.0, 0.0, 0.0), *, specular=0.0):
-    """The material with another contrast, other mean colour, or another F0 (in logits)."""
+def spoilt(material, gain, shift):
+    """The material with another contrast and another mean colour."""
     decoder = copy.deepcopy(material.decoder)
     bias = decoder.head.adain.affine.bias.data
     bias[:3] += torch.tensor(shift)
-    bias[3] += specular
     bias[[6, 7, 8, 11]] *= gain
     return replace(material, decoder=decoder)
 
