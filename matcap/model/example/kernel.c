@@ -1,0 +1,148 @@
+/* Correction of the field by example: plain.py, compiled. Integers only, the same bits. */
+
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+enum { DIMENSIONS = 8, DIAGONALS = 4, AROUND = 9, LOOKED_AT = 16, REACH = 2, PHASE_SHIFT = 2 };
+
+typedef struct {
+    int16_t x, y;
+} Place;
+
+typedef struct {
+    uint16_t one, two;
+} Phase;
+
+typedef struct {
+    const int16_t *appearance; /* rows x columns x DIMENSIONS */
+    const int32_t *price;      /* rows x columns */
+    const Place *similar;      /* similar_rows x similar_columns */
+    const Phase *phases;       /* rows x columns, or NULL */
+    int32_t columns, similar_columns;
+    int32_t bits, similar_bits;
+    int32_t spacing;
+    int32_t left, top, right, bottom;
+} Level;
+
+static const int DIAGONAL[DIAGONALS][2] = {{-1, -1}, {-1, 1}, {1, -1}, {1, 1}};
+static const int NEAR[AROUND][2] = {{0, 0},  {-1, -1}, {-1, 0}, {-1, 1}, {0, -1},
+                                    {0, 1},  {1, -1},  {1, 0},  {1, 1}};
+static const int FAR[8][2] = {{-2, -1}, {-2, 1}, {2, -1}, {2, 1}, {-1, -2}, {-1, 2}, {1, -2}, {1, 2}};
+static const int SUBPASS[4][2] = {{0, 0}, {1, 1}, {0, 1}, {1, 0}};
+
+static const int16_t *appearance_at(const Level *l, int32_t x, int32_t y) {
+    return l->appearance + DIMENSIONS * ((ptrdiff_t)(y >> l->bits) * l->columns + (x >> l->bits));
+}
+
+static Place at(const Place *places, ptrdiff_t columns, int y, int x) {
+    return places[y * columns + x];
+}
+
+static int same(Place a, Place b) { return a.x == b.x && a.y == b.y; }
+
+static int inside(const Level *l, int32_t x, int32_t y) {
+    return x >= l->left && x <= l->right && y >= l->top && y <= l->bottom;
+}
+
+static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *wanted,
+                       const Phase *ordered, int similar) {
+    int32_t cost = 0;
+    for (int k = 0; k < DIAGONALS; k++) {
+        const int16_t *found =
+            appearance_at(l, x + DIAGONAL[k][1] * l->spacing, y + DIAGONAL[k][0] * l->spacing);
+        const int16_t *target = wanted + k * DIMENSIONS;
+        for (int d = 0; d < DIMENSIONS; d++) {
+            int16_t difference = (int16_t)(3 * found[d] - target[d]);
+            cost += (int32_t)difference * difference;
+        }
+    }
+    if (similar) cost += cost >> 2;
+    const ptrdiff_t place = (ptrdiff_t)(y >> l->bits) * l->columns + (x >> l->bits);
+    if (l->phases) {
+        const int32_t one = (int16_t)(l->phases[place].one - ordered->one) >> PHASE_SHIFT;
+        const int32_t two = (int16_t)(l->phases[place].two - ordered->two) >> PHASE_SHIFT;
+        cost += one * one + two * two;
+    }
+    return cost + l->price[place];
+}
+
+static Place corrected(const Level *l, const Place *here, ptrdiff_t columns,
+                       const Phase *ordered) {
+    const int step = l->spacing;
+    const Place own = *here;
+    Place near[AROUND];
+    int settled = 1;
+    for (int k = 0; k < AROUND; k++) {
+        Place p = at(here, columns, NEAR[k][0], NEAR[k][1]);
+        near[k].x = (int16_t)(p.x - NEAR[k][1] * step);
+        near[k].y = (int16_t)(p.y - NEAR[k][0] * step);
+        settled &= same(near[k], own);
+    }
+    for (int k = 0; k < 8 && settled; k++) {
+        Place p = at(here, columns, FAR[k][0], FAR[k][1]);
+        settled = p.x - FAR[k][1] * step == own.x && p.y - FAR[k][0] * step == own.y;
+    }
+    if (settled) return own;
+
+    int16_t wanted[DIAGONALS * DIMENSIONS];
+    for (int k = 0; k < DIAGONALS; k++) {
+        const int y = DIAGONAL[k][0], x = DIAGONAL[k][1];
+        Place one = at(here, columns, y, x);
+        Place two = at(here, columns, 2 * y, x);
+        Place three = at(here, columns, y, 2 * x);
+        const int16_t *a = appearance_at(l, one.x, one.y);
+        const int16_t *b = appearance_at(l, two.x, two.y - y * step);
+        const int16_t *c = appearance_at(l, three.x - x * step, three.y);
+        for (int d = 0; d < DIMENSIONS; d++)
+            wanted[k * DIMENSIONS + d] = (int16_t)(a[d] + b[d] + c[d]);
+    }
+
+    Place tried[2 * AROUND], best = own;
+    int32_t best_cost = INT32_MAX;
+    int count = 0;
+    for (int similar = 0; similar < 2; similar++) {
+        for (int k = 0; k < AROUND; k++) {
+            Place c = near[k];
+            if (!inside(l, c.x, c.y)) continue;
+            if (similar) {
+                const int mask = (1 << l->similar_bits) - 1;
+                Place s = l->similar[(ptrdiff_t)(c.y >> l->similar_bits) * l->similar_columns +
+                                     (c.x >> l->similar_bits)];
+                c.x = (int16_t)(s.x + (c.x & mask));
+                c.y = (int16_t)(s.y + (c.y & mask));
+                if (!inside(l, c.x, c.y)) continue;
+            }
+            int seen = 0;
+            while (seen < count && !same(tried[seen], c)) seen++;
+            if (seen < count) continue;
+            tried[count++] = c;
+            int32_t cost = cost_of(l, c.x, c.y, wanted, ordered, similar);
+            if (cost < best_cost) {
+                best_cost = cost;
+                best = c;
+            }
+        }
+    }
+    return best;
+}
+
+/* places and scratch: rows x columns. The outermost 8 * passes rows and columns end undefined. */
+void matcap_correct(const Level *l, Place *places, Place *scratch, int32_t columns, int32_t rows,
+                    const uint8_t *odd_columns, const uint8_t *odd_rows, int32_t passes,
+                    const Phase *phases) {
+    int32_t border = 0;
+    for (int32_t s = 0; s < 4 * passes; s++) {
+        memcpy(scratch, places, (size_t)rows * (size_t)columns * sizeof(Place));
+        border += REACH;
+        for (int32_t y = border; y < rows - border; y++) {
+            if (odd_rows[y] != SUBPASS[s % 4][0]) continue;
+            const Place *from = scratch + (ptrdiff_t)y * columns;
+            Place *to = places + (ptrdiff_t)y * columns;
+            for (int32_t x = border; x < columns - border; x++)
+                if (odd_columns[x] == SUBPASS[s % 4][1])
+                    to[x] = corrected(l, from + x, columns,
+                                      phases ? phases + (ptrdiff_t)y * columns + x : NULL);
+        }
+    }
+}
