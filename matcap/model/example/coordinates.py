@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from matcap.model.example.hashing import draw, hash_places
 from matcap.model.example.index import Frame, Index, Level
-from matcap.model.example.order import Order, Period, Phases
+from matcap.model.example.order import Cells, Integers, Order, Period, Phases, cells_of
 from matcap.model.example.plain import Places, margin
 
 Correct = Callable[
@@ -25,6 +25,7 @@ Correct = Callable[
 ]
 
 _PIECE = 2  # bits: places along a side of the pieces that the coarsest level begins with
+_ROOM = 32  # texels around the middle of a piece that the exemplar has, too
 _DRAWS = 4  # pieces that each is the cheapest of
 _JITTER = {0: 0, 1: 0, 2: 0}  # 16ths of a step by which places are moved, by level
 _JITTER_COARSE = 8
@@ -77,7 +78,7 @@ def coordinates(
         if places is None:
             places = _begin(index, seed, columns, rows, period)
         else:
-            places = _refine(places, level, seed, depth, wanted, columns, rows)
+            places = _refine(places, index, seed, depth, wanted, columns, rows)
         phases = _wanted(index, seed, depth, columns, rows, period)
         odd_columns, odd_rows = columns % 2 == 1, rows % 2 == 1
         places = correct(places, level, odd_columns, odd_rows, _PASSES, phases)
@@ -85,9 +86,7 @@ def coordinates(
     return places
 
 
-def _wrapped(
-    area: Area, depth: int, period: Period | None
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _wrapped(area: Area, depth: int, period: Period | None) -> tuple[Integers, Integers]:
     """Columns and rows of an area within the first period."""
     columns = np.arange(area.x, area.x + area.width)
     rows = np.arange(area.y, area.y + area.height)
@@ -99,48 +98,65 @@ def _wrapped(
 
 
 def _begin(
-    index: Index,
-    seed: int,
-    columns: NDArray[np.int64],
-    rows: NDArray[np.int64],
-    period: Period | None,
+    index: Index, seed: int, columns: Integers, rows: Integers, period: Period | None
 ) -> Places:
-    """Pieces of the exemplar at random places, in phase with the order there is."""
+    """Pieces of the exemplar at random places; in phase with the order there is."""
     depth, level = len(index.levels) - 1, index.levels[-1]
-    side, frame = 1 << _PIECE, level.frame
-    reach = (side - 1) * level.spacing
-    pieces_x, pieces_y = columns >> _PIECE, rows >> _PIECE
-    # Every piece is drawn once.
-    some_x, to_x = np.unique(pieces_x, return_inverse=True)
-    some_y, to_y = np.unique(pieces_y, return_inverse=True)
-    hashes = hash_places(seed, depth, some_x, some_y)
-    wide = max(1, frame.right - reach - frame.left + 1)
-    high = max(1, frame.bottom - reach - frame.top + 1)
+    side = level.spacing << _PIECE
+    x, y = columns << depth, rows << depth
+    if index.order is None:
+        pieces = columns >> _PIECE, (rows >> _PIECE)[:, None]
+        # Middles of pieces, from which places are counted.
+        apart_x, apart_y = x % side - side // 2, (y % side - side // 2)[:, None]
+        hashes = hash_places(seed, depth, *pieces)
+    else:
+        cells = cells_of(index.order, seed, x, y, period or (None, None))
+        apart_x, apart_y = x - cells.middle_x, y[:, None] - cells.middle_y
+        hashes = hash_places(seed, depth, cells.column, cells.row)
+    frame = _inset(level.frame, _ROOM)
     best_x = best_y = best = None
     for attempt in range(_DRAWS):
-        x = frame.left + draw(hashes, 2 * attempt, wide)
-        y = frame.top + draw(hashes, 2 * attempt + 1, high)
-        middle = reach // 2
-        cost = level.price[(y + middle) >> level.bits, (x + middle) >> level.bits]
+        drawn_x = frame.left + draw(hashes, 2 * attempt, frame.right - frame.left + 1)
+        drawn_y = frame.top + draw(hashes, 2 * attempt + 1, frame.bottom - frame.top + 1)
+        cost = level.price[drawn_y >> level.bits, drawn_x >> level.bits]
         if best is None:
-            best_x, best_y, best = x, y, cost
+            best_x, best_y, best = drawn_x, drawn_y, cost
         else:
             better = cost < best
-            best_x, best_y = np.where(better, x, best_x), np.where(better, y, best_y)
+            best_x = np.where(better, drawn_x, best_x)
+            best_y = np.where(better, drawn_y, best_y)
             best = np.where(better, cost, best)
     if index.order is not None:
-        best_x, best_y = _in_phase(index.order, seed, level, best_x, best_y, some_x, some_y, period)
-    x = best_x[to_y[:, None], to_x] + (columns & (side - 1)) * level.spacing
-    y = best_y[to_y[:, None], to_x] + (rows & (side - 1))[:, None] * level.spacing
-    return _clamped(np.stack([x, y], axis=-1), frame)
+        best_x, best_y = _in_phase(index.order, seed, best_x, best_y, cells, period)
+    places = np.stack(np.broadcast_arrays(best_x + apart_x, best_y + apart_y), axis=-1)
+    return _clamped(places, level.frame)
+
+
+def _in_phase(
+    order: Order, seed: int, x: Integers, y: Integers, cells: Cells, period: Period | None
+) -> tuple[Integers, Integers]:
+    """Places of the exemplar moved by less than a period, in phase with the middles of cells."""
+    wanted = order.wanted(seed, cells.middle_x, cells.middle_y, period or (None, None))
+    turns = order.periods()
+    for _ in range(2):  # the second time for what the lattice bends on the way
+        apart = (wanted - order.phases(x, y)).astype(np.int64)
+        x = x + ((apart @ turns[0] + (1 << 23)) >> 24)
+        y = y + ((apart @ turns[1] + (1 << 23)) >> 24)
+    return x, y
+
+
+def _inset(frame: Frame, by: int) -> Frame:
+    """A frame with less room on every side, but with some."""
+    by = min(by, (frame.right - frame.left) // 2, (frame.bottom - frame.top) // 2)
+    return Frame(frame.left + by, frame.top + by, frame.right - by, frame.bottom - by)
 
 
 def _wanted(
     index: Index,
     seed: int,
     depth: int,
-    columns: NDArray[np.int64],
-    rows: NDArray[np.int64],
+    columns: Integers,
+    rows: Integers,
     period: Period | None,
 ) -> Phases | None:
     """(rows, columns, 2) phases that places of a level are to have."""
@@ -152,44 +168,17 @@ def _wanted(
     return np.pad(found, ((0, 0), (0, 0), (0, 2 - found.shape[2])))
 
 
-def _in_phase(
-    order: Order,
-    seed: int,
-    level: Level,
-    x: NDArray[np.int64],
-    y: NDArray[np.int64],
-    pieces_x: NDArray[np.int64],
-    pieces_y: NDArray[np.int64],
-    period: Period | None,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pieces moved by less than a period, so that their middles are in phase."""
-    piece = level.spacing << _PIECE
-    middle = piece // 2
-    wanted = order.wanted(
-        seed,
-        (pieces_x * piece + middle)[None, :],
-        (pieces_y * piece + middle)[:, None],
-        period or (None, None),
-    )
-    turns = order.periods()
-    for _ in range(2):  # the second time for what the lattice bends on the way
-        found = order.phases(x + middle, y + middle)
-        apart = (wanted - found).astype(np.int64)
-        x = x + ((apart @ turns[0] + (1 << 23)) >> 24)
-        y = y + ((apart @ turns[1] + (1 << 23)) >> 24)
-    return x, y
-
-
 def _refine(
     coarse: Places,
-    level: Level,
+    index: Index,
     seed: int,
     depth: int,
     area: Area,
-    columns: NDArray[np.int64],
-    rows: NDArray[np.int64],
+    columns: Integers,
+    rows: Integers,
 ) -> Places:
     """Each place's four finer ones, moved a little at random where the level is coarse."""
+    level = index.levels[depth]
     first_x, first_y = area.x & 1, area.y & 1
     fine = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)
     fine = fine[first_y : first_y + area.height, first_x : first_x + area.width].copy()
@@ -197,8 +186,8 @@ def _refine(
     fine[:, (1 - first_x) :: 2, 0] += np.int16(step)
     fine[(1 - first_y) :: 2, :, 1] += np.int16(step)
     strength = _JITTER.get(depth, _JITTER_COARSE) * step // 16
-    if strength:
-        hashes = hash_places(seed, depth, columns, rows)
+    if strength and index.order is None:
+        hashes = hash_places(seed, depth, columns, rows[:, None])
         for axis in (0, 1):
             fine[..., axis] += (draw(hashes, axis, 2 * strength + 1) - strength).astype(np.int16)
     return _clamped(fine, level.frame)

@@ -6,6 +6,7 @@ appearance of the exemplar smoothed to that spacing, at places known to half a s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -29,6 +30,7 @@ MOST_LEVELS = 5  # periods are multiples of 2^4 texels, as the decoder's
 _MARGIN = 3  # steps between a place and the exemplar's border: beyond, there is no neighbourhood
 _ROOM = 8  # steps of the coarsest level that an exemplar is at least wide
 _ORDERED = 1  # levels from this one on keep to the order
+_FINENESS = 16  # places of the coarsest level along the shorter side of a lattice's piece
 _APART = 4  # steps between a place and what is similar to it
 
 
@@ -82,8 +84,10 @@ def build_index(exemplar: Exemplar, waves: tuple[Wave, ...] = ()) -> Index:
     scale = choose_scale(planes)
     features = features_of(planes, scale)
     width, height = exemplar.size
-    count = level_count(width, height)
     order = measure_order(features - features.mean(axis=(1, 2), keepdims=True), waves)
+    count = level_count(width, height)
+    if order is not None:
+        count = min(count, _ordered_levels(order))
     grids = list(_grids(features, count))
     levels: list[Level] = []
     start: Similar | None = None
@@ -127,6 +131,11 @@ def level_count(width: int, height: int) -> int:
     while count < MOST_LEVELS and min(width, height) >= (_ROOM + 2 * _MARGIN) << count:
         count += 1
     return count
+
+
+def _ordered_levels(order: Order) -> int:
+    """Levels that pieces of a lattice are drawn finely enough at."""
+    return max(1, math.floor(math.log2(order.piece / _FINENESS)) + 1)
 
 
 def frame_of(level: int, width: int, height: int) -> Frame:

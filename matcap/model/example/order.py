@@ -24,6 +24,9 @@ Wave = tuple[float, float]  # cycles per texel along x (right) and y (down)
 
 GRID = 4  # bits: phases are stored every 16 texels
 _TURN = 1 << 16
+_BINS = 24  # to a turn, where cells are compared
+_SLOPES = (5, 6)  # planes that vary most at joints, which are edges, and so hide them
+_PIECE = 48  # texels: cells smaller than this are laid several together
 _WINDOW = 1.5  # periods: standard deviation of the window that a phase is measured in
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
 _PHASES = 0x94D049BB133111EB  # sets its seeds apart from those of places
@@ -52,6 +55,11 @@ class Order:
             area, found = ax * by - ay * bx, [[by, -ay], [-bx, ax]]
         return np.rint(256.0 * np.array(found) / area).astype(np.int64)
 
+    @property
+    def piece(self) -> float:
+        """The least width of a piece in texels."""
+        return min(_together(wave) / math.hypot(*wave) for wave in self.waves)
+
     def phases(self, x: Integers, y: Integers) -> Phases:
         """(..., len(waves)) at places (x, y) of the exemplar, of shapes that broadcast."""
         return np.stack(
@@ -70,15 +78,20 @@ class Order:
             x, y: texels.
             period: every wave is moved to the nearest one that fits it.
         """
-        counters = [(seed ^ _PHASES) + k * _GOLDEN for k in range(1, len(self.waves) + 1)]
-        starts = scramble(np.array([count % 2**64 for count in counters], np.uint64))
+        starts = _starts(seed)
         return np.stack(
             [
-                _straight(wave, period, x, y, int(start))
-                for wave, start in zip(self.waves, starts, strict=True)
+                _straight(wave, period, x, y, start)
+                for wave, start in zip(self.waves, starts, strict=False)
             ],
             axis=-1,
         ).astype(np.int16)
+
+
+def _starts(seed: int) -> list[int]:
+    """Where two waves begin, in 2^-64 turns."""
+    counters = [((seed ^ _PHASES) + k * _GOLDEN) % 2**64 for k in (1, 2)]
+    return [int(start) for start in scramble(np.array(counters, np.uint64))]
 
 
 def _straight(
@@ -112,6 +125,108 @@ def _bent(bend: NDArray[np.int32], x: Integers, y: Integers) -> NDArray[np.int32
     return (total >> (2 * GRID)).astype(np.int32)
 
 
+@dataclass(frozen=True)
+class Cells:
+    """Which pieces of the lattice places of the field lie in: a few cells together.
+
+    Attributes:
+        column, row: what a piece is called; the same wherever it is repeated.
+        middle_x, middle_y: of the piece, in texels.
+    """
+
+    column: Integers
+    row: Integers
+    middle_x: Integers
+    middle_y: Integers
+
+
+def cells_of(order: Order, seed: int, x: Integers, y: Integers, period: Period) -> Cells:
+    """The pieces that texels (columns x, rows y), as vectors, lie in.
+
+    A lattice of one wave is cut across, too.
+    """
+    waves = order.waves if len(order.waves) == 2 else (order.waves[0], _across(order.waves[0]))
+    starts = _starts(seed)
+    counts, firsts, repeats = [], [], []
+    for wave, start in zip(waves, starts, strict=True):
+        steps = [_turns(f, p) for f, p in zip(wave, period, strict=True)]
+        # Turns beyond half of 2^64 are backwards.
+        steps = [step - 2**64 if step >= 2**63 else step for step in steps]
+        counts.append(_whole_turns([steps[0] * int(c) + start for c in x], steps[1], y))
+        repeats.append(
+            tuple(0 if p is None else round(f * p) for f, p in zip(wave, period, strict=True))
+        )
+    names = _same(counts[0], counts[1], repeats[0], repeats[1])
+    middles = []
+    for wave, count, name, start in zip(waves, counts, names, starts, strict=True):
+        together = _together(wave)
+        first = count - name % together
+        middles.append(first + 0.5 * together - start / 2**64)
+        firsts.append(name // together)
+    (ax, ay), (bx, by) = waves
+    area = ax * by - ay * bx
+    return Cells(
+        firsts[0],
+        firsts[1],
+        np.rint((by * middles[0] - ay * middles[1]) / area).astype(np.int64),
+        np.rint((ax * middles[1] - bx * middles[0]) / area).astype(np.int64),
+    )
+
+
+def _together(wave: Wave) -> int:
+    """Turns of a wave that one piece is long."""
+    return max(1, round(_PIECE * math.hypot(*wave)))
+
+
+def _across(wave: Wave) -> Wave:
+    """A wave at right angles, as long as pieces are."""
+    length = math.hypot(*wave)
+    return (-wave[1] / (length * _PIECE), wave[0] / (length * _PIECE))
+
+
+def _whole_turns(columns: list[int], step: int, y: Integers) -> Integers:
+    """(len(y), len(columns)): the floor of column + step * y, where a turn is 2^64.
+
+    Sums are exact: the lower 64 bits are added as they wrap, and carry where the sum is less than
+    what was added.
+    """
+
+    def halves(values: list[int]) -> tuple[Integers, NDArray[np.uint64]]:
+        high = np.array([value >> 64 for value in values], np.int64)
+        return high, np.array([value % 2**64 for value in values], np.uint64)
+
+    (column_high, column_low), (row_high, row_low) = (
+        halves(columns),
+        halves([step * int(row) for row in y]),
+    )
+    carry = (row_low[:, None] + column_low[None, :]) < column_low[None, :]
+    return row_high[:, None] + column_high[None, :] + carry
+
+
+def _same(
+    first: Integers, second: Integers, one: tuple[int, ...], other: tuple[int, ...]
+) -> tuple[Integers, Integers]:
+    """Cells (first, second), of all those that a repeat makes one the same member.
+
+    Args:
+        first, second: whole turns of each wave.
+        one, other: turns of the first wave, and of the second, after which the field repeats
+            along x and along y; 0 where it never does.
+    """
+    # Repeats as pairs of turns; Euclid's algorithm leaves one that the first wave knows.
+    along, down = (one[0], other[0]), (one[1], other[1])
+    while down[0]:
+        times = along[0] // down[0]
+        along, down = down, (along[0] - times * down[0], along[1] - times * down[1])
+    if along[0]:
+        times_here = first // along[0]
+        first, second = first - times_here * along[0], second - times_here * along[1]
+        rest = abs(down[1])
+    else:
+        rest = math.gcd(along[1], down[1])
+    return first, second % rest if rest else second
+
+
 def measure_order(planes: NDArray[np.floating], waves: tuple[Wave, ...]) -> Order | None:
     """The order of (C, H, W) planes of zero mean, given about where its waves are.
 
@@ -121,7 +236,32 @@ def measure_order(planes: NDArray[np.floating], waves: tuple[Wave, ...]) -> Orde
     if not measured or any(one is None for one in measured):
         return None
     found = [one for one in measured if one is not None]
-    return Order(tuple(wave for wave, _ in found), np.stack([bend for _, bend in found]))
+    order = Order(tuple(wave for wave, _ in found), np.stack([bend for _, bend in found]))
+    joints = _joints(np.delete(planes, _SLOPES, axis=0), order)
+    return Order(order.waves, order.bends - joints[:, None, None])
+
+
+def _joints(planes: NDArray[np.floating], order: Order) -> NDArray[np.int32]:
+    """(len(waves),) phases where the exemplar's cells differ least: there they are cut apart."""
+    high, wide = planes.shape[1:]
+    x, y = np.arange(0, wide, 2), np.arange(0, high, 2)
+    phases = order.phases(x[None, :], y[:, None]).astype(np.int64) % _TURN
+    bins = phases * _BINS // _TURN
+    place = bins[..., 0] if bins.shape[-1] == 1 else bins[..., 0] * _BINS + bins[..., 1]
+    place = place.ravel()
+    size = _BINS ** bins.shape[-1]
+    count = np.maximum(np.bincount(place, minlength=size), 1)
+    spread = np.zeros(size)
+    for plane in planes[:, ::2, ::2].reshape(len(planes), -1):
+        mean = np.bincount(place, plane, size) / count
+        spread += np.bincount(place, plane * plane, size) / count - mean * mean
+    found = []
+    for axis in range(bins.shape[-1]):
+        grid = spread.reshape((_BINS,) * bins.shape[-1])
+        line = grid if grid.ndim == 1 else grid.mean(axis=1 - axis)
+        smooth = np.roll(line, 1) + 2 * line + np.roll(line, -1)
+        found.append((2 * int(np.argmin(smooth)) + 1) * _TURN // (2 * _BINS))
+    return np.array(found, np.int32)
 
 
 def _measured(planes: NDArray[np.floating], wave: Wave) -> tuple[Wave, NDArray[np.int32]] | None:

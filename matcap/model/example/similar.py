@@ -59,7 +59,7 @@ def find_similar(
         difference = (other - appearance).astype(np.int32)
         return np.einsum("hwd,hwd->hw", difference, difference)
 
-    hashes = hash_places(_SEED, 0, np.arange(wide), np.arange(high))
+    hashes = hash_places(_SEED, 0, np.arange(wide), np.arange(high)[:, None])
     if start is None:
         best_rows = (draw(hashes, 0, bottom - top) + top).astype(np.int32)
         best_columns = (draw(hashes, 1, right - left) + left).astype(np.int32)
