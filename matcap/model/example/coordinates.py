@@ -29,7 +29,7 @@ _ROOM = 32  # texels around the middle of a piece that the exemplar has, too
 _DRAWS = 4  # pieces that each is the cheapest of
 _JITTER = {0: 0, 1: 0, 2: 0}  # 16ths of a step by which places are moved, by level
 _JITTER_COARSE = 8
-_PASSES = 2
+_PASSES = (1, 2)  # of correction at the finest level, and at every coarser one
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,9 @@ def coordinates(
         period: that the field repeats in, multiples of 2^(levels - 1).
         correct: plain.correct, or the compiled one.
     """
-    areas = [area.grown(margin(_PASSES))]
-    for _ in index.levels[1:]:
-        areas.append(areas[-1].halved().grown(margin(_PASSES)))
+    areas = [area.grown(margin(_passes(0)))]
+    for depth in range(1, len(index.levels)):
+        areas.append(areas[-1].halved().grown(margin(_passes(depth))))
     places: Places | None = None
     for depth in reversed(range(len(index.levels))):
         level, wanted = index.levels[depth], areas[depth]
@@ -81,9 +81,13 @@ def coordinates(
             places = _refine(places, index, seed, depth, wanted, columns, rows)
         phases = _wanted(index, seed, depth, columns, rows, period)
         odd_columns, odd_rows = columns % 2 == 1, rows % 2 == 1
-        places = correct(places, level, odd_columns, odd_rows, _PASSES, phases)
+        places = correct(places, level, odd_columns, odd_rows, _passes(depth), phases)
     assert places is not None
     return places
+
+
+def _passes(depth: int) -> int:
+    return _PASSES[min(depth, 1)]
 
 
 def _wrapped(area: Area, depth: int, period: Period | None) -> tuple[Integers, Integers]:

@@ -4,7 +4,7 @@
 #include <stdint.h>
 #include <string.h>
 
-enum { DIMENSIONS = 8, DIAGONALS = 4, AROUND = 9, LOOKED_AT = 16, REACH = 2, PHASE_SHIFT = 2 };
+enum { DIMENSIONS = 8, DIAGONALS = 4, AROUND = 9, REACH = 2, PHASE_SHIFT = 2, STRIP = 512 };
 
 typedef struct {
     int16_t x, y;
@@ -28,7 +28,6 @@ typedef struct {
 static const int DIAGONAL[DIAGONALS][2] = {{-1, -1}, {-1, 1}, {1, -1}, {1, 1}};
 static const int NEAR[AROUND][2] = {{0, 0},  {-1, -1}, {-1, 0}, {-1, 1}, {0, -1},
                                     {0, 1},  {1, -1},  {1, 0},  {1, 1}};
-static const int FAR[8][2] = {{-2, -1}, {-2, 1}, {2, -1}, {2, 1}, {-1, -2}, {-1, 2}, {1, -2}, {1, 2}};
 static const int SUBPASS[4][2] = {{0, 0}, {1, 1}, {0, 1}, {1, 0}};
 
 static const int16_t *appearance_at(const Level *l, int32_t x, int32_t y) {
@@ -45,8 +44,9 @@ static int inside(const Level *l, int32_t x, int32_t y) {
     return x >= l->left && x <= l->right && y >= l->top && y <= l->bottom;
 }
 
+/* At least most as soon as it is certain to be. */
 static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *wanted,
-                       const Phase *ordered, int similar) {
+                       const Phase *ordered, int similar, int32_t most) {
     int32_t cost = 0;
     for (int k = 0; k < DIAGONALS; k++) {
         const int16_t *found =
@@ -56,6 +56,7 @@ static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *want
             int16_t difference = (int16_t)(3 * found[d] - target[d]);
             cost += (int32_t)difference * difference;
         }
+        if (cost >= most) return cost;
     }
     if (similar) cost += cost >> 2;
     const ptrdiff_t place = (ptrdiff_t)(y >> l->bits) * l->columns + (x >> l->bits);
@@ -70,20 +71,12 @@ static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *want
 static Place corrected(const Level *l, const Place *here, ptrdiff_t columns,
                        const Phase *ordered) {
     const int step = l->spacing;
-    const Place own = *here;
     Place near[AROUND];
-    int settled = 1;
     for (int k = 0; k < AROUND; k++) {
         Place p = at(here, columns, NEAR[k][0], NEAR[k][1]);
         near[k].x = (int16_t)(p.x - NEAR[k][1] * step);
         near[k].y = (int16_t)(p.y - NEAR[k][0] * step);
-        settled &= same(near[k], own);
     }
-    for (int k = 0; k < 8 && settled; k++) {
-        Place p = at(here, columns, FAR[k][0], FAR[k][1]);
-        settled = p.x - FAR[k][1] * step == own.x && p.y - FAR[k][0] * step == own.y;
-    }
-    if (settled) return own;
 
     int16_t wanted[DIAGONALS * DIMENSIONS];
     for (int k = 0; k < DIAGONALS; k++) {
@@ -98,7 +91,7 @@ static Place corrected(const Level *l, const Place *here, ptrdiff_t columns,
             wanted[k * DIMENSIONS + d] = (int16_t)(a[d] + b[d] + c[d]);
     }
 
-    Place tried[2 * AROUND], best = own;
+    Place tried[2 * AROUND], best = near[0];
     int32_t best_cost = INT32_MAX;
     int count = 0;
     for (int similar = 0; similar < 2; similar++) {
@@ -117,7 +110,7 @@ static Place corrected(const Level *l, const Place *here, ptrdiff_t columns,
             while (seen < count && !same(tried[seen], c)) seen++;
             if (seen < count) continue;
             tried[count++] = c;
-            int32_t cost = cost_of(l, c.x, c.y, wanted, ordered, similar);
+            int32_t cost = cost_of(l, c.x, c.y, wanted, ordered, similar, best_cost);
             if (cost < best_cost) {
                 best_cost = cost;
                 best = c;
@@ -125,6 +118,24 @@ static Place corrected(const Level *l, const Place *here, ptrdiff_t columns,
         }
     }
     return best;
+}
+
+/* Whether places beyond a row's x-th are not all continued by their neighbours: not 0. Places are
+   never negative, so that both coordinates are compared as one number. */
+static void unsettled(const Place *row, ptrdiff_t columns, int32_t step, int32_t count,
+                      int32_t *found) {
+    memset(found, 0, (size_t)count * sizeof(int32_t));
+    for (int k = 1; k < AROUND; k++) {
+        const int32_t y = NEAR[k][0], x = NEAR[k][1];
+        const uint32_t apart = (uint32_t)x * (uint32_t)step + (((uint32_t)y * (uint32_t)step) << 16);
+        const Place *other = row + y * columns + x;
+        for (int32_t c = 0; c < count; c++) {
+            uint32_t here, there;
+            memcpy(&here, row + c, sizeof here);
+            memcpy(&there, other + c, sizeof there);
+            found[c] |= (int32_t)((there - here) ^ apart);
+        }
+    }
 }
 
 /* places and scratch: rows x columns. The outermost 8 * passes rows and columns end undefined. */
@@ -137,12 +148,17 @@ void matcap_correct(const Level *l, Place *places, Place *scratch, int32_t colum
         border += REACH;
         for (int32_t y = border; y < rows - border; y++) {
             if (odd_rows[y] != SUBPASS[s % 4][0]) continue;
-            const Place *from = scratch + (ptrdiff_t)y * columns;
-            Place *to = places + (ptrdiff_t)y * columns;
-            for (int32_t x = border; x < columns - border; x++)
-                if (odd_columns[x] == SUBPASS[s % 4][1])
-                    to[x] = corrected(l, from + x, columns,
-                                      phases ? phases + (ptrdiff_t)y * columns + x : NULL);
+            for (int32_t left = border; left < columns - border; left += STRIP) {
+                const ptrdiff_t first = (ptrdiff_t)y * columns + left;
+                const int32_t rest = columns - border - left;
+                const int32_t count = rest < STRIP ? rest : STRIP;
+                int32_t open[STRIP];
+                unsettled(scratch + first, columns, l->spacing, count, open);
+                for (int32_t x = 0; x < count; x++)
+                    if (open[x] && odd_columns[left + x] == SUBPASS[s % 4][1])
+                        places[first + x] = corrected(l, scratch + first + x, columns,
+                                                      phases ? phases + first + x : NULL);
+            }
         }
     }
 }

@@ -14,12 +14,6 @@ SUBPASSES = ((0, 0), (1, 1), (0, 1), (1, 0))  # (row, column) parity of the plac
 REACH = 2  # places that a sub-pass looks around itself
 _DIAGONALS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 _AROUND = ((0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
-# Everything a place looks at: its neighbours, and those that stand in for a diagonal one.
-_LOOKED_AT = (
-    *_AROUND[1:],
-    *((2 * y, x) for y, x in _DIAGONALS),
-    *((y, 2 * x) for y, x in _DIAGONALS),
-)
 # A tenth of a turn costs as much as a seam that is seen.
 PHASE_SHIFT = 2
 _NEVER = np.int32(2**31 - 1)
@@ -85,7 +79,7 @@ def _corrected(
 
     own = continued(0, 0)
     settled = np.ones(own.shape[:2], bool)
-    for y, x in _LOOKED_AT:
+    for y, x in _AROUND[1:]:
         settled &= (continued(y, x) == own).all(-1)
     wanted = []  # three times the appearance of each diagonal neighbour
     for y, x in _DIAGONALS:
