@@ -17,6 +17,7 @@ import numpy as np
 from matcap.capture.coarse import fit_coarse
 from matcap.capture.start import log_contrast
 from matcap.errors import MatcapError
+from matcap.files.srgb import srgb_encode
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.rectify import rectify
 from matcap.lab.simulate.materials.varied import random_material
@@ -140,9 +141,8 @@ def random_setup(rng: np.random.Generator, deviation: float | None) -> FlashSetu
 
 def srgb_bytes(linear: np.ndarray) -> np.ndarray:
     """(H, W, 3) uint8 BGR of linear RGB in [0, 1]."""
-    low, high = linear * 12.92, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
-    code = np.where(linear <= 0.0031308, low, high)
-    return np.ascontiguousarray(np.round(code.clip(0.0, 1.0) * 255.0).astype(np.uint8)[..., ::-1])
+    code = srgb_encode(linear.clip(0.0, 1.0))
+    return np.ascontiguousarray(np.round(code * 255.0).astype(np.uint8)[..., ::-1])
 
 
 def entry(

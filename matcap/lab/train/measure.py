@@ -18,11 +18,11 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.finetune import RATE_FROM_NOTHING, Scene, TuneSettings, finetune
 from matcap.capture.prior.look import FEATURES
 from matcap.capture.windows import cut_windows
+from matcap.files.srgb import srgb_encode_tensor
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_flash
 from matcap.lab.bench.diversity import diversity
-from matcap.lab.bench.relit import srgb
 from matcap.lab.bench.style import RandomFilters, difference
 from matcap.lab.bench.xyz import xyz_difference
 from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
@@ -65,7 +65,7 @@ class Photographed:
     def truth(self) -> Tensor:
         """(3, SIZE, SIZE) sRGB, the middle of the photograph."""
         x, y = self.middle
-        return srgb(self.linear[:, y : y + SIZE, x : x + SIZE])
+        return _shown(self.linear[:, y : y + SIZE, x : x + SIZE])
 
     def lit(self, maps: MapSet, setup: FlashSetup | None = None) -> Tensor:
         """(3, SIZE, SIZE) sRGB of maps of that size lying in the middle, under the flash.
@@ -75,7 +75,12 @@ class Photographed:
         extent = (self.linear.shape[-1], self.linear.shape[-2])
         points = plane_points(*self.middle, SIZE, SIZE, extent, dtype=torch.float32)
         with torch.inference_mode():
-            return srgb(render_flash(maps, setup or self.scene.setup, points))
+            return _shown(render_flash(maps, setup or self.scene.setup, points))
+
+
+def _shown(linear: Tensor) -> Tensor:
+    """Code values of a picture."""
+    return srgb_encode_tensor(linear.clamp(0.0, 1.0))
 
 
 def photographed(entry: Entry) -> Photographed:
