@@ -139,16 +139,14 @@ def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
 def _trial(photo: Path, settings: BatchSettings) -> tuple[float, int]:
     """Seconds and bytes that the whole will take, from a few steps of one photograph."""
     from matcap.capture.outputs import write_outputs
-    from matcap.capture.pipeline import capture_photo
-    from matcap.photo.load import load_photo
+    from matcap.capture.pipeline import capture_file
 
     settle_threads()
     began = time.perf_counter()
-    picture = load_photo(photo, long_side=settings.capture.most_detail, fov=settings.fov)
     short = replace(settings.capture, steps=_TRIAL_STEPS, time_limit=None)
-    result = capture_photo(picture, short)
+    result = capture_file(photo, short)
     with tempfile.TemporaryDirectory(prefix="matcap-") as folder:
-        write_outputs(result, picture, Path(folder) / "trial", settings.outputs)
+        write_outputs(result, Path(folder) / "trial", settings.outputs)
         size = sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())
     spent = time.perf_counter() - began
     history = result.history
@@ -160,9 +158,9 @@ def _trial(photo: Path, settings: BatchSettings) -> tuple[float, int]:
 
 
 def _steps(settings: BatchSettings) -> int:
-    from matcap.capture.pipeline import PRESETS
+    from matcap.capture.settings import resolve
 
-    return PRESETS[settings.preset].steps if settings.steps is None else settings.steps
+    return resolve(settings.capture).steps
 
 
 def _existing(folder: Path) -> Path:

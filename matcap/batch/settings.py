@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from matcap.capture.outputs import OutputSettings
-from matcap.capture.pipeline import PRESETS, CaptureSettings
+from matcap.capture.settings import PRESETS, CaptureSettings
 from matcap.errors import MatcapError, UsageError
 from matcap.export.targets import check_targets
 from matcap.files import values

@@ -168,15 +168,11 @@ def _capture(
     job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
 ) -> dict[str, Any]:
     from matcap.capture.outputs import write_outputs
-    from matcap.capture.pipeline import capture_photo
-    from matcap.photo.load import load_photo
+    from matcap.capture.pipeline import capture_file
 
     shown.started(job.photo)
-    photo = load_photo(
-        job.photo, long_side=settings.most_detail, fov=settings.fov, noise=settings.tunes
-    )
-    result = capture_photo(photo, settings, shown.progress)
-    material = write_outputs(result, photo, job.folder, outputs)
+    result = capture_file(job.photo, settings, shown.progress)
+    material = write_outputs(result, job.folder, outputs)
     return {
         "photo": str(job.photo),
         "status": "interrupted" if result.interrupted else "done",

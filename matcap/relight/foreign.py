@@ -169,7 +169,7 @@ def _read(file: Path, channels: int, *, linear: bool) -> Array:
         pixels = np.repeat(pixels[..., :1], channels, axis=2)
     values = np.moveaxis(pixels[..., :channels], -1, 0).astype(np.float32)
     if not linear and file.suffix.lower() != ".exr":
-        values = srgb_decode(np.clip(values, 0.0, 1.0))
+        values = srgb_decode(np.clip(values, 0.0, 1.0).astype(np.float64)).astype(np.float32)
     return np.ascontiguousarray(values, dtype=np.float32)
 
 

@@ -153,7 +153,7 @@ def radiance_tolerance(tolerance: float, film: Film) -> float:
     """The change of radiance whose code, after exposure, is the tolerance."""
     if film.transfer == "linear":
         return tolerance / film.gain
-    return float(srgb_decode(np.float64(tolerance))) / film.gain
+    return float(srgb_decode(np.array(tolerance))) / film.gain
 
 
 def make_plan(facts: Facts, tolerance: float, choice: Choice) -> Plan:

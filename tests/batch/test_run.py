@@ -14,6 +14,7 @@ from matcap.batch.settings import BatchSettings
 from matcap.batch.shoot import find_samples
 from matcap.batch.work import Failure, do_job
 from matcap.batch.workspace import open_run
+from matcap.capture import pipeline
 
 SETTINGS = BatchSettings(detail=512, size=(64, 64))
 
@@ -259,7 +260,7 @@ def test_whatever_goes_wrong_in_a_worker_comes_back_as_a_failure(batch, monkeypa
     def fail(*args, **kwargs):
         raise error
 
-    monkeypatch.setattr("matcap.photo.load.load_photo", fail)
+    monkeypatch.setattr(pipeline, "load_photo", fail)
     _, crew, _ = batch()
     failure = do_job(crew.jobs[0], lambda stage, share: None)
     assert failure.kind == kind and failure.sentence.endswith(".")

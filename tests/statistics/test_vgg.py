@@ -4,7 +4,8 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from matcap.capture.pipeline import CaptureSettings, Method, _features
+from matcap.capture.pipeline import _features
+from matcap.capture.settings import CaptureSettings, Method
 from matcap.errors import MatcapError, UsageError
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import fit_encoding
