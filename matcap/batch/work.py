@@ -124,7 +124,7 @@ def _do(job: Job, tell: Tell) -> dict[str, Any]:
     for path in job.photos:
         photo = read_photograph(path, chosen)
         photos.append(photo if job.card is None else calibrated(photo, path, job.card))
-    looked_at = [inspect_photo(photo, _prior(settings.prior).tilt(photo)) for photo in photos]
+    looked_at = [inspect_photo(photo, _prior(chosen.prior).tilt(photo)) for photo in photos]
 
     def progress(now: Progress) -> None:
         low, high = _SHARES.get(now.stage, (0.0, 0.0))

@@ -24,10 +24,10 @@ from matcap.capture.match import match_photograph
 from matcap.capture.progress import Clock
 from matcap.capture.progress import Progress as Progress
 from matcap.capture.settings import CaptureSettings as CaptureSettings
-from matcap.capture.settings import Method, resolve
+from matcap.capture.settings import Method, resolve, weights_file
 from matcap.capture.start import logits
 from matcap.capture.windows import cut_windows
-from matcap.errors import MatcapError, UsageError
+from matcap.errors import MatcapError
 from matcap.flash.plane import Plane
 from matcap.flash.render import render_rectified
 from matcap.model.decoder import ALIGNMENT
@@ -175,15 +175,8 @@ def capture_photo(
 
 def _features(statistics: str, method: Method) -> Features:
     """What textures are compared by."""
-    name, _, path = statistics.partition("=")
-    if name == "vgg19" and path:
-        return Vgg19.load(Path(path))
-    if statistics != "filterbank":
-        raise UsageError(
-            f"there are no statistics {statistics!r}",
-            remedy="choose filterbank, or vgg19=FILE with torchvision's weights",
-        )
-    return FilterBank(method.features)
+    weights = weights_file(statistics)
+    return FilterBank(method.features) if weights is None else Vgg19.load(weights)
 
 
 def _target(settings: CaptureSettings, own: float, name: str) -> float | None:

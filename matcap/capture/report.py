@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from matcap.capture.anytime import forecast
 from matcap.capture.curve import draw_history
 from matcap.capture.detail import DETAIL
+from matcap.capture.settings import CaptureSettings, resolve
 from matcap.files.staging import staged
 from matcap.version import __version__
 
@@ -49,7 +50,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "self_difference": result.self_difference,
         "error_after_another_minute": forecast(result.history, 60.0),
         "warnings": list(warnings(result)),
-        "notes": list(photo.notes),
+        "notes": [*photo.notes, *_rules(result.settings)],
         "photograph": {
             "name": photo.name,
             "size": list(photo.original_size),
@@ -71,6 +72,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         },
         "texel_size": result.material.texel_size,
         "settings": asdict(result.settings),
+        "effort": asdict(resolve(result.settings)),
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
         "error_over_time": [
@@ -108,6 +110,16 @@ def warnings(result: CaptureResult) -> Iterable[str]:
     tilt = max(abs(math.degrees(angle)) for angle in result.material.setup.tilt)
     if tilt > _MUCH_TILT:
         yield f"The camera was tilted by {tilt:.0f} degrees: hold it parallel to the sample."
+
+
+def _rules(settings: CaptureSettings) -> Iterable[str]:
+    """What follows from the settings and is not what it was called."""
+    effort = resolve(settings)
+    if effort.preset != settings.preset:
+        yield (
+            "A time limit or a target decided when to stop, so the preset was "
+            f"{effort.preset}: at most {effort.steps} steps. Give --steps for another number."
+        )
 
 
 def _finite(value: object) -> object:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import MappingProxyType
 
 from matcap.capture.detail import DETAIL
@@ -83,6 +84,26 @@ class CaptureSettings:
     def most_detail(self) -> int:
         """Texels along the long side that a photograph has to be read with."""
         return self.detail or DETAIL
+
+
+def weights_file(statistics: str) -> Path | None:
+    """VGG-19's weights that textures are compared by; None for the filter bank.
+
+    Args:
+        statistics: "filterbank" or "vgg19=FILE".
+
+    Raises:
+        UsageError: neither.
+    """
+    name, _, path = statistics.partition("=")
+    if name == "vgg19" and path:
+        return Path(path)
+    if statistics != "filterbank":
+        raise UsageError(
+            f"there are no statistics {statistics!r}",
+            remedy="choose filterbank, or vgg19=FILE with torchvision's weights",
+        )
+    return None
 
 
 @dataclass(frozen=True)

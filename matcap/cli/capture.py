@@ -50,7 +50,10 @@ def capture(
     time_limit: Annotated[
         float | None,
         typer.Option(
-            "--time", parser=values.duration, metavar="TIME", help="Stop by then: 90s, 2m."
+            "--time",
+            parser=values.duration,
+            metavar="TIME",
+            help="Stop by then: 90s, 2m; without --steps the preset is reference then.",
         ),
     ] = None,
     target: Annotated[
@@ -58,7 +61,8 @@ def capture(
         typer.Option(
             min=0.01,
             metavar="TIMES",
-            help="Stop at this error, in multiples of what the photograph's own windows differ by.",
+            help="Stop at this error, in multiples of what the photograph's own windows differ by; "
+            "without --steps the preset is reference then.",
         ),
     ] = None,
     detail: Annotated[

@@ -52,3 +52,14 @@ def test_numbers_that_json_does_not_know_become_null(captured, tmp_path):
     found = json.loads(Path(tmp_path / "report.json").read_text(), parse_constant=refuse)
     assert found["error"] is None
     assert found["error_over_time"][0] == {"seconds": 0.0, "step": 1, "error": None}
+
+
+def test_a_limit_that_chooses_the_preset_is_told(captured):
+    assert report(captured)["notes"] == []
+    limited = replace(captured, settings=CaptureSettings(preset="draft", time_limit=9.0))
+    told = report(limited)
+    assert told["effort"]["preset"] == "reference" and told["effort"]["steps"] == 800
+    (note,) = told["notes"]
+    assert "the preset was reference: at most 800 steps" in note
+    counted = replace(captured, settings=CaptureSettings(steps=5, time_limit=9.0))
+    assert report(counted)["notes"] == []
