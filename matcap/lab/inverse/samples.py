@@ -1,7 +1,8 @@
 """Endless simulated photographs with their true maps, for the inverse network.
 
-A sample is a pure function of its number, so that training resumes exactly. What is drawn: the
-material, its scale, field of view, the flash's place, tilt, exposure, noise, what a developed
+A sample is a pure function of its number, so that training resumes exactly. A piece of material is
+photographed several times, some pieces in turn, since making it takes longer than lighting it.
+What is drawn: the material, its scale, field of view, the flash's place, tilt, exposure, noise, what a developed
 picture's tone curve does, and a coarse fit that is off by what coarse fits are off by.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -21,14 +23,18 @@ from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash
 from matcap.model.inverse.inputs import Uniform, uniform_radiance
 from matcap.simulate.materials import realise
+from matcap.simulate.materials.kinds import random_kind
 from matcap.simulate.materials.varied import RandomMaterial, random_material
 
 # Kinds never trained on: capture is judged by them.
 HELD_OUT = ("leather", "granite", "tile")
 HELD_OUT_PATTERNS = ("creases", "woven")
 _NAMED = ("cloth", "rust", "plaster")
-_NAMED_SHARE = 0.1
+_NAMED_SHARE, _KIND_SHARE = 0.05, 0.6
 _MARGIN = 2  # texels realised around, so that blur and normals see no border
+_TURNS, _VISITS = 16, 6  # pieces that take turns, photographs of each
+_THIN = 4  # every fourth texel tells how bright a picture is
+_ROOM = 64  # texels by which a piece is larger than a picture
 
 Realise = Callable[[int, int, int, float], MapSet]
 
@@ -60,9 +66,12 @@ def is_held_out(material: RandomMaterial) -> bool:
 
 def training_material(rng: np.random.Generator) -> Realise:
     """A material that may be trained on."""
-    if rng.random() < _NAMED_SHARE:
+    which = rng.random()
+    if which < _NAMED_SHARE:
         name = str(rng.choice(_NAMED))
         return lambda width, height, seed, texel: realise(name, width, height, seed, texel)
+    if which < _NAMED_SHARE + _KIND_SHARE:
+        return random_kind(rng).realise
     while is_held_out(material := random_material(rng)):
         pass
     return material.realise
@@ -97,11 +106,9 @@ def draw_sample(
         material: draws what is photographed.
     """
     rng = np.random.default_rng([number, 77])
-    # Texels as fine as those of a photograph read at 500 to 1600 across.
-    texel = 2.0 / math.exp(rng.uniform(math.log(500.0), math.log(1600.0)))
+    maps, texel = _piece(number // (_TURNS * _VISITS) * _TURNS + number % _TURNS, width, material)
     pad = 2 * _MARGIN
-    realised = material(rng)(width + pad, height + pad, int(rng.integers(2**31)), texel)
-    realised = _turned(realised.map(lambda m: m.float()), rng)
+    realised = _cut(_turned(maps, rng), width + pad, height + pad, rng)
     # The picture spans x in [-1, 1]: the same slopes at the picture's own scale.
     size = 2.0 / width
     maps = replace(realised, height=realised.height * (size / texel), texel_size=size)
@@ -121,10 +128,34 @@ def draw_sample(
     return Sample(linear.contiguous(), valid, truth, uniform, points)
 
 
+@lru_cache(maxsize=_TURNS)
+def _piece(
+    index: int, width: int, material: Callable[[np.random.Generator], Realise]
+) -> tuple[MapSet, float]:
+    """A square piece of the material of an index, and its texel's size."""
+    rng = np.random.default_rng([index, 78])
+    # Texels as fine as those of a photograph read at 500 to 1600 across.
+    texel = 2.0 / math.exp(rng.uniform(math.log(500.0), math.log(1600.0)))
+    side = width + _ROOM
+    maps = material(rng)(side, side, int(rng.integers(2**31)), texel)
+    return maps.map(lambda m: m.float()), texel
+
+
+def _cut(maps: MapSet, width: int, height: int, rng: np.random.Generator) -> MapSet:
+    across, down = maps.size
+    x, y = rng.integers(across - width + 1), rng.integers(down - height + 1)
+    return maps.crop(int(x), int(y), width, height)
+
+
 def _turned(maps: MapSet, rng: np.random.Generator) -> MapSet:
-    """Mirrored at times: nothing prefers a side."""
-    dims = [dim for dim in (-1, -2) if rng.random() < 0.5]
-    return maps.map(lambda m: torch.flip(m, dims)) if dims else maps
+    """Mirrored and turned: nothing prefers a side."""
+    quarters, mirrored = int(rng.integers(4)), bool(rng.random() < 0.5)
+
+    def turned(m: Tensor) -> Tensor:
+        m = torch.rot90(m, quarters, (-2, -1))
+        return torch.flip(m, (-1,)) if mirrored else m
+
+    return maps.map(turned)
 
 
 def _strengthened(maps: MapSet, rng: np.random.Generator) -> MapSet:
@@ -193,10 +224,11 @@ def _fitted(
         setup=near,
     )
     # Diffuse albedo takes what is left of the picture's colour, as far as it can.
-    seen = valid if int(valid.sum()) > 64 else torch.ones_like(valid)
+    thin = (..., slice(None, None, _THIN), slice(None, None, _THIN))
+    seen = valid[thin] if int(valid[thin].sum()) > 64 else torch.ones_like(valid[thin])
     for _ in range(2):
-        whole, diffuse = uniform_radiance(uniform, points)
-        over = (linear - (whole - diffuse))[:, seen].median(1).values
+        whole, diffuse = uniform_radiance(uniform, points[thin])
+        over = (linear[thin] - (whole - diffuse))[:, seen].median(1).values
         under = diffuse[:, seen].median(1).values
         gain = (over / under).clamp(0.5, 2.0).tolist()
         red, green, blue = (min(v * g, 0.95) for v, g in zip(uniform.diffuse, gain, strict=True))
