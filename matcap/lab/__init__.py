@@ -1,1 +1,1 @@
-"""The laboratory: what simulates, measures and trains. The product never imports it."""
+"""The laboratory: simulate, measure, bench, train. The product never imports it; only cli does."""
