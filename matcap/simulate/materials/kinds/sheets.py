@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
-from matcap.simulate.fields import Canvas, Field, Spectrum, bumps, noise, smoothstep
+from matcap.simulate.fields import Canvas, Field, Spectrum, bumps, cells, noise, smoothstep
 from matcap.simulate.materials.kinds.draws import (
     METALS,
     Whole,
@@ -14,18 +15,17 @@ from matcap.simulate.materials.kinds.draws import (
     log_uniform,
     natural,
     palette_of,
-    piece,
     shade,
     shades,
 )
-from matcap.simulate.materials.kinds.place import paths, splat, spun, turned, warp
+from matcap.simulate.materials.kinds.place import paths, splat, spun, turned
 from matcap.simulate.materials.kinds.surface import Surface
 
 
 def felt(canvas: Canvas, rng: np.random.Generator) -> Surface:
     """Wavy fibres over one another: felt, fleece, coir."""
-    width = log_uniform(rng, 0.006, 0.014)
-    pieces, step = 10, width * rng.uniform(1.5, 3.0)
+    width = log_uniform(rng, 0.005, 0.012)
+    pieces, step = 14, width * rng.uniform(1.5, 3.5)
     curl, loose, favoured = (
         rng.uniform(0.1, 0.5),
         rng.choice([0.3, 3.0, 3.0]),
@@ -35,7 +35,7 @@ def felt(canvas: Canvas, rng: np.random.Generator) -> Surface:
     def direction(generator: np.random.Generator, count: int) -> Field:
         return favoured + loose * generator.standard_normal(count)
 
-    pitch = np.sqrt(width * pieces * step) * rng.uniform(0.55, 0.95)
+    pitch = np.sqrt(width * pieces * step) * rng.uniform(0.75, 1.1)
     fibres, turn, whose = paths(canvas, "fibres", pitch, pieces, step, curl, direction, width)
     own = canvas.stream("own")
     count = int(whose.max()) + 1
@@ -92,43 +92,33 @@ def paper(canvas: Canvas, rng: np.random.Generator) -> Surface:
 def creased(canvas: Canvas, rng: np.random.Generator) -> Surface:
     """A sheet crumpled into facets and smoothed again: paper, foil, cloth."""
     size = log_uniform(rng, 0.06, 0.16)
-    height = _facets(canvas, "large", size, 0.3)
-    height = height + rng.uniform(0.2, 0.6) * _facets(canvas, "small", 0.45 * size, 0.25)
+    height = _facets(canvas, "large", 1.6 * size)
+    for k, share in enumerate(rng.uniform(0.1, 0.7, size=2)):
+        height = height + 0.6 ** (k + 1) * share * _facets(canvas, f"small {k}", 0.6**k * size)
     soft = 0.02 * size * bumps(canvas, "soft", Spectrum(size, 0.4 * size))
-    crest = _bend(canvas, height) * canvas.texel_size
-    fold = smoothstep(0.4, 1.6, crest / (np.abs(crest).mean() * 2.0 + 1e-12))
+    ridge, valley = _folds(canvas, height, 0.004)
+    fold = np.maximum(ridge, valley)
     foil = chance(rng, 0.3)
     hue = natural(rng, METALS) if foil else dye(rng)
     fibre = noise(canvas, "fibre", Spectrum(0.03, 0.006, slope=0.5))
     rubbed = rng.uniform(-0.4, 0.6)
     diffuse = hue[:, None, None] * np.exp(0.04 * fibre + rubbed * fold)
     specular = rng.uniform(0.5, 0.9) if foil else dielectric(rng)
-    rough = rng.uniform(0.15, 0.4) if foil else rng.uniform(0.25, 0.85)
-    rough = rough + rng.uniform(0.0, 0.15) * fold + 0.02 * fibre
-    low = smoothstep(0.0, -1.5, (height - height.mean()) / height.std())
-    return Surface(diffuse, specular, rough, size * 0.3 * height + soft, 0.7 * low)
+    gloss = rng.uniform(0.15, 0.4) if foil else rng.uniform(0.25, 0.85)
+    rough = gloss + rng.uniform(0.0, 0.15) * fold + 0.02 * fibre
+    return Surface(diffuse, specular, rough, size * 0.3 * height + soft, valley)
 
 
-def _facets(canvas: Canvas, label: str, size: float, reach: float) -> Field:
-    """Random heights at the corners of bent triangles, plane in between."""
-    bend_x, bend_y = warp(canvas, label, size, reach * size)
-    along, across = turned(canvas, label, 0.4, size, 0.0)
-    u, v = (along + bend_x) / size, (across + bend_y) / size
-    skewed = u + 0.5 * v
-    i, j = np.floor(skewed).astype(np.int64), np.floor(v).astype(np.int64)
-    s, t = skewed - i, v - j
-
-    def corner(right: int, down: int) -> Field:
-        return 2.0 * piece(canvas, label + " corner", i + right, j + down) - 1.0
-
-    upper = s + t < 1.0
-    first = np.where(upper, corner(0, 0), corner(1, 1))
-    second, third = corner(1, 0), corner(0, 1)
-    a, b = np.where(upper, s, 1.0 - t), np.where(upper, t, 1.0 - s)
-    return first + (second - first) * a + (third - first) * b
+def _facets(canvas: Canvas, label: str, size: float) -> Field:
+    """Roofs over random cells, some raised and some sunk, in units of `size`."""
+    cell = cells(canvas, label, size)
+    return cell.border * (2.0 * cell.draw(canvas.stream(label + " rise")) - 1.0)
 
 
-def _bend(canvas: Canvas, height: Field) -> Field:
-    """How sharply a height is folded."""
-    down, right = np.gradient(height, canvas.texel_size)
-    return np.abs(np.gradient(right, axis=1)) + np.abs(np.gradient(down, axis=0))
+def _folds(canvas: Canvas, height: Field, width: float) -> tuple[Field, Field]:
+    """Where a height of plane facets folds upwards and downwards, 0 to 1, that wide."""
+    deviation = width / canvas.texel_size
+    smooth = cv2.GaussianBlur(height, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
+    curvature: Field = cv2.Laplacian(smooth, cv2.CV_64F) / canvas.texel_size**2
+    scale = 0.4 / width  # a fold of slope 1, blurred
+    return smoothstep(0.2, 1.0, -curvature / scale), smoothstep(0.2, 1.0, curvature / scale)

@@ -29,15 +29,15 @@ def _mixed(rng: np.random.Generator, mood: float) -> Field:
 def gravel(canvas: Canvas, rng: np.random.Generator) -> Surface:
     """Stones of several sizes on one another, rounded by water or broken."""
     size = log_uniform(rng, 0.03, 0.13)
-    spread, ragged = rng.uniform(0.1, 0.6), rng.uniform(0.2, 1.0)
+    spread, ragged = rng.uniform(0.2, 0.9), rng.uniform(0.2, 1.0)
     rounded, flat = rng.uniform(0.3, 1.0), rng.uniform(0.35, 0.9)
     stretch = rng.uniform(0.0, 0.5)
     tones = _mixed(rng, rng.uniform(0.1, 0.4))
 
     def reach(generator: np.random.Generator, count: int) -> Field:
-        return 0.62 * size * np.exp(-spread * np.abs(generator.standard_normal(count)))
+        return 0.65 * size * np.exp(-spread * np.abs(generator.standard_normal(count)))
 
-    stones = scatter(canvas, "stones", 0.5 * size, reach)
+    stones = scatter(canvas, "stones", 0.42 * size, reach)
     own = canvas.stream("own")
     inside = polygons(own, stones.count, 7, ragged)
     turn = own.uniform(0.0, np.pi, stones.count)
@@ -52,7 +52,7 @@ def gravel(canvas: Canvas, rng: np.random.Generator) -> Surface:
         corner = inside(u, v, which)
         ball = 1.0 - u * u - v * v
         body = mix(corner, ball, np.array(rounded))
-        high = radius * (flat * np.sqrt(np.maximum(body, 0.0)) + level[which] * 0.9)
+        high = radius * flat * np.sqrt(np.maximum(body, 0.0)) + 0.4 * size * level[which]
         high = high + radius * 0.3 * (u * lean[0][which] + v * lean[1][which])
         return np.where(body > 0.0, high, -np.inf)
 
@@ -82,7 +82,7 @@ def asphalt(canvas: Canvas, rng: np.random.Generator) -> Surface:
     binder = natural(rng, STONES[[2, 3]] if chance(rng, 0.7) else STONES) * 0.8
 
     def reach(generator: np.random.Generator, count: int) -> Field:
-        return 0.6 * size * generator.random(count) ** 0.7 + 0.1 * size
+        return 0.6 * size * generator.random(count) ** 1.2 + 0.1 * size
 
     stones = scatter(canvas, "stones", 0.55 * size, reach)
     own = canvas.stream("own")
@@ -180,7 +180,7 @@ def pitted(canvas: Canvas, rng: np.random.Generator) -> Surface:
     height = -deep + 0.02 * size * rng.uniform(0.2, 1.5) * crumb + 0.03 * size * swell
     other = shade(rng, stone, 0.5, 0.15)
     bed = noise(canvas, "bed", Spectrum(0.15, 0.012, 1.2, stretch, turn))
-    sharp = log_uniform(rng, 0.3, 2.0)
+    sharp = log_uniform(rng, 0.8, 3.0)
     diffuse = mix(stone[:, None, None], other[:, None, None], smoothstep(-sharp, sharp, bed))
     diffuse = diffuse * np.exp(0.08 * crumb)
     hole = smoothstep(0.0, 0.25 * size, deep)
