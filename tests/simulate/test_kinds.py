@@ -17,7 +17,8 @@ def _slope(maps):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_values_are_those_of_real_surfaces(kind):
-    for number in range(3):
+    limits = KINDS[kind]
+    for number in range(2):
         maps = kind_of(kind, number).realise(WIDTH, HEIGHT, 1, TEXEL)
         assert maps.size == (WIDTH, HEIGHT)
         assert maps.stacked().dtype == torch.float64
@@ -28,7 +29,8 @@ def test_values_are_those_of_real_surfaces(kind):
         if kind in METALS:
             assert maps.specular.min() >= 0.4
             assert maps.diffuse.mean() < 0.15
-        assert 0.015 < _slope(maps) < 0.75
+        assert _slope(maps) > 0.6 * limits.slopes[0]
+        assert _slope(maps) < 1.5 * (limits.slopes[1] + limits.grain[1])
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -63,13 +65,6 @@ def test_a_finer_grid_shows_the_same_piece(kind):
     assert torch.corrcoef(together)[0, 1] > 0.75
 
 
-def test_steepness_is_the_kinds_own():
-    for kind, ranges in KINDS.items():
-        slopes = [_slope(kind_of(kind, n).realise(WIDTH, HEIGHT, 0, TEXEL)) for n in range(4)]
-        assert min(slopes) > 0.6 * ranges.slopes[0], kind
-        assert max(slopes) < 1.5 * (ranges.slopes[1] + ranges.grain[1]), kind
-
-
 def test_the_stream_is_varied_and_reproducible():
     generator = np.random.default_rng(3)
     materials = [random_kind(generator) for _ in range(40)]
@@ -81,7 +76,7 @@ def test_the_stream_is_varied_and_reproducible():
 def test_grooves_are_darker_and_rougher_more_often_than_not():
     """Three of four, less those that are not tied at all, seen where grooves are plain to see."""
     darker, rougher = [], []
-    for number in range(40):
+    for number in range(30):
         maps = kind_of("plates", number).realise(WIDTH, HEIGHT, 0, TEXEL)
         low = maps.height < maps.height.quantile(0.1)
         high = maps.height > maps.height.quantile(0.6)

@@ -1,4 +1,4 @@
-"""Sheets: felt, paper, creased foil or cloth."""
+"""Sheets: felt, looped carpet, paper, creased foil or cloth, tread plate."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from matcap.simulate.fields import Canvas, Field, Spectrum, bumps, cells, noise,
 from matcap.simulate.materials.kinds.draws import (
     METALS,
     Whole,
+    angle,
     chance,
     dielectric,
     dye,
@@ -18,7 +19,7 @@ from matcap.simulate.materials.kinds.draws import (
     shade,
     shades,
 )
-from matcap.simulate.materials.kinds.place import paths, splat, spun, turned
+from matcap.simulate.materials.kinds.place import paths, scatter, splat, spun, turned
 from matcap.simulate.materials.kinds.surface import Surface
 
 
@@ -65,6 +66,79 @@ def felt(canvas: Canvas, rng: np.random.Generator) -> Surface:
     return Surface(diffuse, dielectric(rng), rough, height, cavity)
 
 
+def loops(canvas: Canvas, rng: np.random.Generator) -> Surface:
+    """Tufts in loose rows, each a small arch of yarn: carpet, terry, boucle."""
+    size = log_uniform(rng, 0.018, 0.06)
+    thick = rng.uniform(0.28, 0.45)
+    favoured, loose = rng.uniform(0.0, np.pi), rng.choice([0.25, 0.8, 3.0])
+
+    def reach(generator: np.random.Generator, count: int) -> Field:
+        return size * (0.8 + 0.4 * generator.random(count))
+
+    tufts = scatter(canvas, "tufts", size * rng.uniform(0.55, 0.8), reach)
+    own = canvas.stream("own")
+    turn = favoured + loose * own.standard_normal(tufts.count)
+    level, bow = 0.5 * own.random(tufts.count), 0.3 * own.standard_normal(tufts.count)
+
+    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+        u, v = spun(dx, dy, turn[which])
+        u, v = u / tufts.reach[which], v / tufts.reach[which]
+        far = (v - bow[which] * (1.0 - u * u)) / thick
+        arch = 1.0 - u * u
+        body = 1.0 - far * far
+        high = 0.9 * np.sqrt(np.maximum(arch, 0.0)) + thick * np.sqrt(np.maximum(body, 0.0))
+        return np.where((arch > 0.0) & (body > 0.0), high + level[which], -np.inf)
+
+    height, index = splat(canvas, tufts, profile)
+    height = np.where(index >= 0, height, 0.0)
+    index = np.maximum(index, 0)
+    u, v = spun(canvas.x - tufts.x[index], canvas.y - tufts.y[index], turn[index])
+    twist = np.sin((u / size + v / size) * rng.uniform(8.0, 16.0)) * (size > 0.03)
+    tones = shades(rng, dye(rng), 9, rng.choice([0.03, 0.12, 0.35]))
+    if chance(rng, 0.3):
+        tones = np.concatenate([tones, shades(rng, dye(rng), 3, 0.1)])
+    diffuse = palette_of(tones, own.random(tufts.count)[index]) * np.exp(0.06 * twist)
+    rough = rng.uniform(0.55, 0.92) + 0.04 * own.standard_normal(tufts.count)[index]
+    cavity = smoothstep(1.2, 0.1, height)
+    return Surface(diffuse, dielectric(rng), rough, size * (height + 0.03 * twist), cavity)
+
+
+def tread(canvas: Canvas, rng: np.random.Generator) -> Surface:
+    """One motif embossed over and over: tread plate, studded rubber, embossed card."""
+    size = log_uniform(rng, 0.04, 0.15)
+    along, across = turned(canvas, "tread", angle(rng), 4.0 * size, 0.0)
+    u, v = along / size, across / size
+    brick = chance(rng, 0.5)
+    row = np.floor(v).astype(np.int64)
+    u = u + 0.5 * (row % 2) * brick
+    column = np.floor(u).astype(np.int64)
+    x, y = 2.0 * (u - column) - 1.0, 2.0 * (v - row) - 1.0
+    crossed = (column + row) % 2 == 0
+    x, y = np.where(crossed, x, y), np.where(crossed, y, x)
+    large, edge = rng.uniform(0.5, 0.8), rng.uniform(0.05, 0.4)
+    motif = rng.integers(5)
+    if motif == 0:  # lens-shaped bars
+        far = np.maximum(np.abs(x) / 0.9, (np.abs(y) / (0.35 * large) + x * x) * 0.8)
+    elif motif == 1:  # studs
+        far = np.hypot(x, y) / large
+    elif motif == 2:  # pyramids
+        far = np.maximum(np.abs(x), np.abs(y)) / large
+    elif motif == 3:  # diamonds
+        far = (np.abs(x) + 0.6 * np.abs(y)) / large
+    else:  # rings
+        far = np.abs(np.hypot(x, y) - 0.6) / (0.35 * large)
+    raised = smoothstep(0.0, edge, 1.0 - far) * (1.0 if chance(rng, 0.75) else -1.0)
+    metal = chance(rng, 0.4)
+    hue = natural(rng, METALS) if metal else dye(rng)
+    dirt = noise(canvas, "dirt", Spectrum(0.15, 0.015, slope=1.2))
+    low = smoothstep(0.4, -0.2, raised) if raised.max() > 0.0 else smoothstep(-0.4, -1.0, raised)
+    worn = rng.uniform(0.0, 0.2)
+    diffuse = hue[:, None, None] * np.exp(rng.uniform(0.02, 0.25) * dirt)
+    specular = rng.uniform(0.5, 0.85) if metal else dielectric(rng)
+    gloss = rng.uniform(0.15, 0.45) if metal else rng.uniform(0.15, 0.85)
+    return Surface(diffuse, specular, gloss + 0.03 * dirt + worn * low, size * raised, low)
+
+
 def paper(canvas: Canvas, rng: np.random.Generator) -> Surface:
     """Flat stock with flecks and cloudy formation: paper, card, vinyl."""
     stock = np.clip(dye(rng) if chance(rng, 0.5) else shade(rng, np.full(3, 0.7), 0.15), 0.02, 0.88)
@@ -96,7 +170,7 @@ def creased(canvas: Canvas, rng: np.random.Generator) -> Surface:
     for k, share in enumerate(rng.uniform(0.1, 0.7, size=2)):
         height = height + 0.6 ** (k + 1) * share * _facets(canvas, f"small {k}", 0.6**k * size)
     soft = 0.02 * size * bumps(canvas, "soft", Spectrum(size, 0.4 * size))
-    ridge, valley = _folds(canvas, height, 0.004)
+    ridge, valley = _folds(canvas, size * height, 0.004)
     fold = np.maximum(ridge, valley)
     foil = chance(rng, 0.3)
     hue = natural(rng, METALS) if foil else dye(rng)
@@ -119,6 +193,7 @@ def _folds(canvas: Canvas, height: Field, width: float) -> tuple[Field, Field]:
     """Where a height of plane facets folds upwards and downwards, 0 to 1, that wide."""
     deviation = width / canvas.texel_size
     smooth = cv2.GaussianBlur(height, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
-    curvature: Field = cv2.Laplacian(smooth, cv2.CV_64F) / canvas.texel_size**2
+    curvature: Field = np.asarray(cv2.Laplacian(smooth, cv2.CV_64F), np.float64)
+    curvature /= canvas.texel_size**2
     scale = 0.4 / width  # a fold of slope 1, blurred
     return smoothstep(0.2, 1.0, -curvature / scale), smoothstep(0.2, 1.0, curvature / scale)

@@ -1,4 +1,4 @@
-"""Stones: loose gravel, asphalt, polished terrazzo, and pitted stone or concrete."""
+"""Stones: gravel, asphalt, terrazzo, marble, pitted stone or concrete."""
 
 from __future__ import annotations
 
@@ -149,6 +149,28 @@ def terrazzo(canvas: Canvas, rng: np.random.Generator) -> Surface:
     return Surface(
         diffuse, rng.uniform(0.038, 0.06), rough, size * height, np.maximum(pit, 0.3 * (1 - chip))
     )
+
+
+def marble(canvas: Canvas, rng: np.random.Generator) -> Surface:
+    """Polished stone with clouds and veins."""
+    size = log_uniform(rng, 0.08, 0.16)
+    stone, vein_hue = natural(rng, STONES), natural(rng, STONES)
+    stretch, turn = log_uniform(rng, 1.0, 3.0), rng.uniform(0.0, np.pi)
+    cloud = noise(canvas, "cloud", Spectrum(2.0 * size, 0.01, 1.6, stretch, turn))
+    vein = np.zeros_like(cloud)
+    for k in range(int(rng.integers(1, 4))):
+        field = noise(canvas, f"vein {k}", Spectrum(1.5 * size, 0.008, 1.7, stretch, turn))
+        here = smoothstep(-0.8, 1.2, noise(canvas, f"here {k}", Spectrum(0.16, 0.06)))
+        width = log_uniform(rng, 0.03, 0.15)
+        vein = np.maximum(vein, here * np.exp(-((field / width) ** 2)))
+    ground = stone[:, None, None] * np.exp(rng.uniform(0.05, 0.4) * cloud)
+    diffuse = mix(ground, vein_hue[:, None, None], rng.uniform(0.3, 1.0) * vein)
+    grain = noise(canvas, "crystals", Spectrum(0.02, 0.006, slope=0.2))
+    diffuse = diffuse * np.exp(rng.uniform(0.0, 0.15) * grain)
+    rough = log_uniform(rng, 0.08, 0.4) + rng.uniform(-0.05, 0.15) * vein + 0.01 * grain
+    wave = noise(canvas, "wave", Spectrum(0.16, 0.05, slope=1.2))
+    height = 0.002 * wave - rng.uniform(0.0, 0.002) * vein
+    return Surface(diffuse, rng.uniform(0.038, 0.06), rough, height, rng.random() * vein)
 
 
 def pitted(canvas: Canvas, rng: np.random.Generator) -> Surface:
