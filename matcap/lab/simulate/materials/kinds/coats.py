@@ -6,6 +6,7 @@ import math
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from matcap.lab.simulate.fields import Canvas, Field, Spectrum, cells, mix, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
@@ -29,7 +30,7 @@ from matcap.lab.simulate.materials.kinds.surface import Surface
 
 
 def _ground(canvas: Canvas, rng: np.random.Generator) -> tuple[Field, Field, Field, Field]:
-    """What is under the paint: metal, rusted metal, wood or plaster; height in paint's thickness."""
+    """What is under the paint: metal, rust, wood or stone; height in the paint's thickness."""
     turn = angle(rng)
     fine = noise(canvas, "ground", Spectrum(0.04, 0.006, slope=0.7))
     grain = noise(canvas, "ground grain", Spectrum(0.05, 0.006, 0.7, stretch=14.0, angle=turn))
@@ -85,12 +86,16 @@ def chipped(canvas: Canvas, rng: np.random.Generator) -> Surface:
 
 def worn(canvas: Canvas, rng: np.random.Generator) -> Surface:
     """A coat rubbed off the high places of rough ground."""
-    size = log_uniform(rng, 0.03, 0.14)
-    relief = noise(canvas, "relief", Spectrum(size, 0.008, slope=rng.uniform(0.8, 1.6)))
+    size = log_uniform(rng, 0.03, 0.08)
+    relief = noise(
+        canvas,
+        "relief",
+        Spectrum(2.0 * size, log_uniform(rng, 0.01, 0.03), slope=rng.uniform(1.0, 2.0)),
+    )
     if chance(rng, 0.5):
         relief = 1.2 - 1.8 * np.abs(relief)
     lines = noise(canvas, "rubbed", Spectrum(0.08, 0.006, 0.7, stretch=10.0, angle=angle(rng)))
-    high = relief + rng.uniform(0.1, 0.6) * lines
+    high = relief + rng.uniform(0.05, 0.4) * lines
     limit, soft = rng.uniform(0.1, 1.3), log_uniform(rng, 0.08, 0.5)
     bare = smoothstep(limit - soft, limit + soft, high)
     diffuse, specular, rough, ground = _ground(canvas, rng)
@@ -111,7 +116,7 @@ def strokes(canvas: Canvas, rng: np.random.Generator) -> Surface:
     """Plaster or thick paint drawn on in strokes, each with its ridges."""
     size = log_uniform(rng, 0.08, 0.2)
     slender, spread, curved = rng.uniform(0.3, 0.7), rng.uniform(0.3, 2.0), rng.uniform(0.0, 0.6)
-    favoured = angle(rng)
+    favoured, soft, rim_height = angle(rng), rng.uniform(0.05, 0.6), rng.uniform(0.0, 0.25)
 
     def reach(generator: np.random.Generator, count: int) -> Field:
         return size * (0.6 + 0.4 * generator.random(count))
@@ -131,18 +136,19 @@ def strokes(canvas: Canvas, rng: np.random.Generator) -> Surface:
     def profile(dx: Field, dy: Field, which: Whole) -> Field:
         u, v = place(dx, dy, which)
         inside = np.minimum(0.9 - np.abs(u), 0.85 - np.abs(v))
-        ridge = 0.25 * np.exp(-(((np.abs(v) - 0.75) / 0.12) ** 2))
-        return np.where(inside > 0.0, 1.2 * level[which] + 0.2 * u + ridge, -np.inf)
+        ridge = rim_height * np.exp(-(((np.abs(v) - 0.75) / 0.12) ** 2))
+        body = (0.4 + 0.5 * level[which] + 0.2 * u) * smoothstep(0.0, soft, inside)
+        return np.where(inside > 0.0, body + ridge, -np.inf)
 
     height, index = splat(canvas, sweeps, profile)
     index = np.maximum(index, 0)
     height = np.where(np.isfinite(height), height, 0.0)
     u, v = place(canvas.x - sweeps.x[index], canvas.y - sweeps.y[index], index)
-    fine = rng.uniform(4.0, 10.0)
+    fine = rng.uniform(2.5, 6.0)
     bristle = streaks(canvas, "bristle", fine * v, index)
     bristle = 0.7 * bristle + 0.4 * streaks(canvas, "hair", 2.3 * fine * v, index)
     sand = noise(canvas, "sand", Spectrum(0.02, 0.006, slope=0.4))
-    height = height + rng.uniform(0.03, 0.25) * bristle + rng.uniform(0.0, 0.06) * sand
+    height = height + rng.uniform(0.05, 0.4) * bristle + rng.uniform(0.0, 0.06) * sand
     hue = natural(rng, STONES) if chance(rng, 0.5) else dye(rng)
     tones = shades(rng, hue, 10, rng.choice([0.02, 0.1, 0.3]))
     diffuse = palette_of(tones, own.random(count)[index]) * np.exp(0.06 * bristle + 0.05 * sand)
@@ -186,7 +192,7 @@ def sand(canvas: Canvas, rng: np.random.Generator) -> Surface:
     return Surface(diffuse, dielectric(rng), rough, height, cavity)
 
 
-def _distance(canvas: Canvas, mask: Field) -> Field:
+def _distance(canvas: Canvas, mask: NDArray[np.bool_]) -> Field:
     """(H, W) distance to the border of a mask on both of its sides, plane units."""
     inner, outer = (
         cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 5) for part in (mask, ~mask)

@@ -95,8 +95,13 @@ def dye(rng: np.random.Generator) -> Colour:
 
 
 def shade(rng: np.random.Generator, of: Colour, tone: float, hue: float = 0.06) -> Colour:
-    """A relative of a colour: log-normal in brightness by `tone` and in each channel by `hue`."""
-    factor = np.exp(tone * rng.standard_normal() + hue * rng.standard_normal(3))
+    """A relative of a colour: log-normal in brightness by `tone`, in warmth by `hue`.
+
+    Dirt, heat and age move colours between warm and cool; green against magenta hardly moves.
+    """
+    light, warm, green = rng.standard_normal(3)
+    warmth, tint = np.array([1.0, 0.1, -1.1]), np.array([-0.12, 0.12, -0.12])
+    factor = np.exp(tone * light + hue * (warm * warmth + green * tint))
     return np.asarray(np.clip(of * factor, 0.01, 0.88))
 
 

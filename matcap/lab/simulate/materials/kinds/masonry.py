@@ -138,9 +138,9 @@ def _wall(canvas: Canvas, rng: np.random.Generator, size: float, bricks: _Bricks
     mortar = natural(rng, STONES)[:, None, None] * np.exp(0.12 * sand)
     diffuse = mix(mortar, brick, body)
     glazed = parquet or chance(rng, 0.25)
-    rough = rng.uniform(0.12, 0.4) if glazed else rng.uniform(0.45, 0.88)
+    gloss = rng.uniform(0.12, 0.4) if glazed else rng.uniform(0.45, 0.88)
     rough = mix(
-        rng.uniform(0.7, 0.93) + 0.02 * sand, rough + 0.05 * own("gloss") + 0.0 * sand, body
+        rng.uniform(0.7, 0.93) + 0.02 * sand, gloss + 0.05 * own("gloss") + 0.0 * sand, body
     )
     specular = mix(np.array(0.035), np.array(dielectric(rng)), body)
     return Surface(diffuse, specular, rough, size * height, 1.0 - body)

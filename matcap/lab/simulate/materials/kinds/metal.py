@@ -43,7 +43,7 @@ def hammered(canvas: Canvas, rng: np.random.Generator) -> Surface:
 def brushed(canvas: Canvas, rng: np.random.Generator) -> Surface:
     """Long fine streaks in one direction, or two, in slope, gloss and brightness."""
     turn = angle(rng)
-    long = log_uniform(rng, 12.0, 60.0)
+    long = log_uniform(rng, 25.0, 90.0)
     fine = log_uniform(rng, 0.004, 0.009)
     crossed = chance(rng, 0.2)
 

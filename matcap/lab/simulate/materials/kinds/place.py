@@ -1,4 +1,4 @@
-"""Where the pieces of a material lie: turned lattices, borders of cells, and stamps that overlap."""
+"""Where the pieces of a material lie: turned lattices, borders of cells, overlapping stamps."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def splat(canvas: Canvas, stamps: Scatter, profile: Profile) -> tuple[Field, Who
         row = first[chosen, None, None] + steps[None, :, None]
         dx = (column + 0.5) * texel - stamps.x[chosen, None, None]
         dy = (row + 0.5) * texel - stamps.y[chosen, None, None]
-        height = profile(*np.broadcast_arrays(dx, dy), chosen[:, None, None])
+        height = profile(dx, dy, chosen[:, None, None])
         inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
         kept = (inside & (height > -np.inf)).nonzero()
         place = (row * shape[1] + column)[kept]

@@ -1,4 +1,4 @@
-"""Stones: loose gravel, asphalt, polished terrazzo, and pitted stone or concrete."""
+"""Stones: gravel, asphalt, terrazzo, marble, pitted stone or concrete."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ def _mixed(rng: np.random.Generator, mood: float) -> Field:
 def gravel(canvas: Canvas, rng: np.random.Generator) -> Surface:
     """Stones of several sizes on one another, rounded by water or broken."""
     size = log_uniform(rng, 0.03, 0.13)
-    spread, ragged = rng.uniform(0.1, 0.6), rng.uniform(0.2, 1.0)
+    spread, ragged = rng.uniform(0.2, 0.9), rng.uniform(0.2, 1.0)
     rounded, flat = rng.uniform(0.3, 1.0), rng.uniform(0.35, 0.9)
     stretch = rng.uniform(0.0, 0.5)
     tones = _mixed(rng, rng.uniform(0.1, 0.4))
 
     def reach(generator: np.random.Generator, count: int) -> Field:
-        return 0.62 * size * np.exp(-spread * np.abs(generator.standard_normal(count)))
+        return 0.65 * size * np.exp(-spread * np.abs(generator.standard_normal(count)))
 
-    stones = scatter(canvas, "stones", 0.5 * size, reach)
+    stones = scatter(canvas, "stones", 0.42 * size, reach)
     own = canvas.stream("own")
     inside = polygons(own, stones.count, 7, ragged)
     turn = own.uniform(0.0, np.pi, stones.count)
@@ -52,7 +52,7 @@ def gravel(canvas: Canvas, rng: np.random.Generator) -> Surface:
         corner = inside(u, v, which)
         ball = 1.0 - u * u - v * v
         body = mix(corner, ball, np.array(rounded))
-        high = radius * (flat * np.sqrt(np.maximum(body, 0.0)) + level[which] * 0.9)
+        high = radius * flat * np.sqrt(np.maximum(body, 0.0)) + 0.4 * size * level[which]
         high = high + radius * 0.3 * (u * lean[0][which] + v * lean[1][which])
         return np.where(body > 0.0, high, -np.inf)
 
@@ -82,7 +82,7 @@ def asphalt(canvas: Canvas, rng: np.random.Generator) -> Surface:
     binder = natural(rng, STONES[[2, 3]] if chance(rng, 0.7) else STONES) * 0.8
 
     def reach(generator: np.random.Generator, count: int) -> Field:
-        return 0.6 * size * generator.random(count) ** 0.7 + 0.1 * size
+        return 0.6 * size * generator.random(count) ** 1.2 + 0.1 * size
 
     stones = scatter(canvas, "stones", 0.55 * size, reach)
     own = canvas.stream("own")
@@ -151,6 +151,28 @@ def terrazzo(canvas: Canvas, rng: np.random.Generator) -> Surface:
     )
 
 
+def marble(canvas: Canvas, rng: np.random.Generator) -> Surface:
+    """Polished stone with clouds and veins."""
+    size = log_uniform(rng, 0.08, 0.16)
+    stone, vein_hue = natural(rng, STONES), natural(rng, STONES)
+    stretch, turn = log_uniform(rng, 1.0, 3.0), rng.uniform(0.0, np.pi)
+    cloud = noise(canvas, "cloud", Spectrum(2.0 * size, 0.01, 1.6, stretch, turn))
+    vein = np.zeros_like(cloud)
+    for k in range(int(rng.integers(1, 4))):
+        field = noise(canvas, f"vein {k}", Spectrum(1.5 * size, 0.008, 1.7, stretch, turn))
+        here = smoothstep(-0.8, 1.2, noise(canvas, f"here {k}", Spectrum(0.16, 0.06)))
+        width = log_uniform(rng, 0.03, 0.15)
+        vein = np.maximum(vein, here * np.exp(-((field / width) ** 2)))
+    ground = stone[:, None, None] * np.exp(rng.uniform(0.05, 0.4) * cloud)
+    diffuse = mix(ground, vein_hue[:, None, None], rng.uniform(0.3, 1.0) * vein)
+    grain = noise(canvas, "crystals", Spectrum(0.02, 0.006, slope=0.2))
+    diffuse = diffuse * np.exp(rng.uniform(0.0, 0.15) * grain)
+    rough = log_uniform(rng, 0.08, 0.4) + rng.uniform(-0.05, 0.15) * vein + 0.01 * grain
+    wave = noise(canvas, "wave", Spectrum(0.16, 0.05, slope=1.2))
+    height = 0.002 * wave - rng.uniform(0.0, 0.002) * vein
+    return Surface(diffuse, rng.uniform(0.038, 0.06), rough, height, rng.random() * vein)
+
+
 def pitted(canvas: Canvas, rng: np.random.Generator) -> Surface:
     """Stone or concrete with pits and pores: travertine, lava, blown concrete."""
     size = log_uniform(rng, 0.025, 0.12)
@@ -180,7 +202,7 @@ def pitted(canvas: Canvas, rng: np.random.Generator) -> Surface:
     height = -deep + 0.02 * size * rng.uniform(0.2, 1.5) * crumb + 0.03 * size * swell
     other = shade(rng, stone, 0.5, 0.15)
     bed = noise(canvas, "bed", Spectrum(0.15, 0.012, 1.2, stretch, turn))
-    sharp = log_uniform(rng, 0.3, 2.0)
+    sharp = log_uniform(rng, 0.8, 3.0)
     diffuse = mix(stone[:, None, None], other[:, None, None], smoothstep(-sharp, sharp, bed))
     diffuse = diffuse * np.exp(0.08 * crumb)
     hole = smoothstep(0.0, 0.25 * size, deep)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from matcap.brdf.maps import MapSet
@@ -20,6 +21,9 @@ from matcap.lab.simulate.materials.kinds.draws import chance, log_uniform
 # Ranges of real surfaces: fresh charcoal to snow, polished stone to chalk.
 _ALBEDO = (0.01, 0.9)
 _ROUGHNESS = (0.08, 0.95)
+_EDGE = (
+    0.0025  # plane units, deviation of the blur that rounds edges: 0.3 mm where 2 units are 25 cm
+)
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ def finish(
     grain = noise(canvas, "grain", how.spectrum)
     drift = noise(canvas, "drift", Spectrum(0.16, 0.05))
     tone = np.exp(how.tone * grain + how.drift * drift - how.darkening * surface.cavity)
-    relief = depth * np.broadcast_to(surface.height, grain.shape)
+    relief = depth * _rounded(canvas, np.broadcast_to(surface.height, grain.shape))
     rough = surface.roughness + how.roughening * surface.cavity + how.wear * grain
     maps = assemble(
         canvas,
@@ -90,6 +94,12 @@ def finish(
         relief + steepness * bumps(canvas, "grain", how.spectrum),
     )
     return maps, relief
+
+
+def _rounded(canvas: Canvas, height: Field) -> Field:
+    """Steps are never sharper than wear and the lens leave them."""
+    deviation = _EDGE / canvas.texel_size
+    return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(height), (0, 0), deviation))
 
 
 def _draw_finish(rng: np.random.Generator) -> _Finish:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from matcap.lab.simulate.fields import Canvas, Field, Spectrum, noise, smoothstep
@@ -49,7 +51,7 @@ def knit(canvas: Canvas, rng: np.random.Generator) -> Surface:
     tones = shades(rng, dye(rng), 8, rng.choice([0.03, 0.12]))
     striped = chance(rng, 0.3)
     share = piece(canvas, "row", row // int(rng.integers(1, 5))) if striped else 0.0 * u
-    mottled = rng.uniform(0.02, 0.2)
+    mottled = log_uniform(rng, 0.01, 0.12)
     own = piece(canvas, "stitch", row, wale, leg) - 0.5
     diffuse = palette_of(tones, share) * np.exp(mottled * fuzz + 0.15 * own + 0.05 * twist)
     if striped and chance(rng, 0.5):
@@ -91,7 +93,9 @@ def cable(canvas: Canvas, rng: np.random.Generator) -> Surface:
     fuzz = _fuzz(canvas, stitch * 2.0)
     height = height + 0.015 * fuzz
     colour = dye(rng)[:, None, None]
-    diffuse = colour * np.exp(rng.uniform(0.03, 0.2) * fuzz + 0.1 * np.where(between, 0.0, ridge))
+    diffuse = colour * np.exp(
+        log_uniform(rng, 0.01, 0.12) * fuzz + 0.1 * np.where(between, 0.0, ridge)
+    )
     cavity = smoothstep(0.35, -0.12, height)
     return Surface(
         diffuse, dielectric(rng), rng.uniform(0.55, 0.92) + 0.02 * fuzz, size * height, cavity
@@ -119,7 +123,7 @@ def ribs(canvas: Canvas, rng: np.random.Generator) -> Surface:
         height = height + 0.12 * bar * body
     colour = dye(rng)[:, None, None]
     sheen = rng.uniform(0.0, 0.2)
-    diffuse = colour * np.exp(rng.uniform(0.03, 0.2) * pile + sheen * crushed)
+    diffuse = colour * np.exp(rng.uniform(0.02, 0.14) * pile + sheen * crushed)
     rough = rng.uniform(0.45, 0.92) - 0.2 * sheen * crushed + 0.03 * pile
     return Surface(diffuse, dielectric(rng), rough, 0.4 * size * height, (1.0 - height).clip(0, 1))
 
@@ -166,7 +170,7 @@ def _woven(
     size: float,
     draft: tuple[int, int, int, bool],
     together: int,
-    hue,  # noqa: ANN001
+    hue: Callable[[np.random.Generator], Field],
 ) -> Surface:
     over, under, step, zigzag = draft
     along, across = turned(canvas, "weave", angle(rng), 8.0 * size, size * rng.uniform(0.0, 0.15))

@@ -26,7 +26,7 @@ from matcap.lab.simulate.materials.kinds.surface import Surface
 
 def planks(canvas: Canvas, rng: np.random.Generator) -> Surface:
     """Boards side by side, each with its own rings, pores and tone."""
-    wide, long = log_uniform(rng, 0.08, 0.3), rng.uniform(4.0, 10.0)
+    wide, long = log_uniform(rng, 0.07, 0.2), rng.uniform(4.0, 10.0)
     turn = angle(rng)
     along, across = turned(canvas, "planks", turn, 1.0, 0.0)
     v = across / wide
@@ -38,7 +38,7 @@ def planks(canvas: Canvas, rng: np.random.Generator) -> Surface:
     # Grain: rings cut at a slant, so that they run along and now and then close in an arch.
     slow = Spectrum(0.16, 0.05, 1.5, stretch=rng.uniform(4.0, 8.0), angle=turn)
     bow = noise(canvas, "bow", slow) * (2.0 * piece(canvas, "side", *board) - 1.0)
-    pitch = log_uniform(rng, 0.012, 0.04)
+    pitch = log_uniform(rng, 0.012, 0.035)
     rings = (across + rng.uniform(0.02, 0.09) * bow) / pitch + 40.0 * own
     late = (rings - np.floor(rings)) ** rng.uniform(1.5, 4.0)
     late = late * smoothstep(1.0, 0.9, rings - np.floor(rings))
@@ -61,12 +61,12 @@ def planks(canvas: Canvas, rng: np.random.Generator) -> Surface:
     hue = natural(rng, WOODS)
     tones = shades(rng, hue, 10, rng.uniform(0.03, 0.3))
     diffuse = palette_of(tones, piece(canvas, "tone", *board))
-    ink = rng.uniform(0.15, 0.9)
+    ink = rng.uniform(0.3, 1.2)
     diffuse = diffuse * np.exp(-ink * late + 0.07 * fibre - 0.8 * pore)
     diffuse = diffuse * np.array([1.0, 0.95, 0.85])[:, None, None] ** (late + 0.0 * fibre)
     varnished = chance(rng, 0.5)
-    rough = rng.uniform(0.15, 0.4) if varnished else rng.uniform(0.5, 0.85)
-    rough = rough + (0.03 if varnished else 0.1) * (0.5 - late) + 0.02 * fibre + 0.15 * pore
+    gloss = rng.uniform(0.15, 0.4) if varnished else rng.uniform(0.5, 0.85)
+    rough = gloss + (0.03 if varnished else 0.1) * (0.5 - late) + 0.02 * fibre + 0.15 * pore
     return Surface(diffuse, dielectric(rng), rough, height, np.maximum(1.0 - body, 0.4 * pore))
 
 
@@ -82,7 +82,7 @@ def varnish(canvas: Canvas, rng: np.random.Generator) -> Surface:
     def direction(generator: np.random.Generator, count: int) -> Field:
         return favoured + loose * generator.standard_normal(count)
 
-    pitch = log_uniform(rng, 0.035, 0.09)
+    pitch = log_uniform(rng, 0.05, 0.15)
     stamps, turn, whose = paths(
         canvas, "scratches", pitch, 12, rng.uniform(0.01, 0.04), 0.05, direction, 2.0 * width
     )
