@@ -2,22 +2,22 @@
 
 NumPy alone: what reads an exemplar, the field by example first of all, starts without PyTorch.
 
-In a file every map is one stream of bytes: 16-bit numbers (half floats; height as multiples of a
-power of two, for slopes are differences of heights, and half floats would step), each less its
-left neighbour, low bytes before high bytes, deflated. A stranger may have written the file, so
-that sizes are bounded before anything is unpacked, and nothing unpacks to more than its size.
+In a file every map is 16-bit numbers, packed (packed.py): half floats; height as multiples of a
+power of two, for slopes are differences of heights, and half floats would step. A stranger may
+have written the file, so that sizes are bounded before anything is unpacked.
 """
 
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from matcap.model.packed import pack, unpack
 
 Floats = NDArray[np.float32]
 
@@ -26,7 +26,6 @@ _LARGEST_SIDE = 8192  # texels: more than a photograph of 50 megapixels has
 _LARGEST_HEIGHT = 1e6  # plane units
 _HEIGHT_STEPS = 2**16 - 1
 _CONFIDENCE_STEPS = 15  # a weight; finer steps would be stored noise
-_EFFORT = 6  # zlib's: 9 takes three times as long for one per cent
 
 
 @dataclass(frozen=True)
@@ -96,12 +95,12 @@ class Exemplar:
         """Tensors (bytes, by map) and a description for JSON, from which read() makes it again."""
         unit, low = _height_coding(self.height)
         tensors = {
-            name: _pack(_half(getattr(self, name)).view(np.uint16))
+            name: pack(_half(getattr(self, name)).view(np.uint16))
             for name in CHANNELS
             if name != "height"
         }
-        tensors["height"] = _pack(_height_codes(self.height, unit, low))
-        tensors["confidence"] = _pack(_confidence_codes(self.confidence))
+        tensors["height"] = pack(_height_codes(self.height, unit, low))
+        tensors["confidence"] = pack(_confidence_codes(self.confidence))
         about = {
             "size": list(self.size),
             "texel_size": self.texel_size,
@@ -127,14 +126,14 @@ class Exemplar:
         if not (-60 <= exponent <= 20 and abs(low) < 2**23):
             raise ValueError(f"heights of {low} and more 2^{exponent}")
         maps = {
-            name: _unpack(tensor(name), (channels, rows, columns), np.uint16)
+            name: unpack(tensor(name), (channels, rows, columns), np.uint16)
             .view(np.float16)
             .astype(np.float32)
             for name, channels in CHANNELS.items()
             if name != "height"
         }
-        codes = _unpack(tensor("height"), (1, rows, columns), np.uint16)
-        trusted = _unpack(tensor("confidence"), (len(CHANNELS), rows, columns), np.uint8)
+        codes = unpack(tensor("height"), (1, rows, columns), np.uint16)
+        trusted = unpack(tensor("confidence"), (len(CHANNELS), rows, columns), np.uint8)
         return Exemplar(
             diffuse=maps["diffuse"],
             specular=maps["specular"],
@@ -178,32 +177,3 @@ def _confidence_codes(confidence: Floats) -> NDArray[np.uint8]:
 
 def _confidence(codes: NDArray[np.uint8]) -> Floats:
     return codes.astype(np.float32) / np.float32(_CONFIDENCE_STEPS)
-
-
-def _pack(codes: NDArray[Any]) -> NDArray[np.uint8]:
-    """The bytes of a map, small for one that varies slowly."""
-    apart = codes.copy()
-    apart[..., 1:] -= codes[..., :-1]
-    planes = apart.astype(apart.dtype.newbyteorder("<")).view(np.uint8)
-    planes = planes.reshape(-1, apart.dtype.itemsize).T
-    return np.frombuffer(zlib.compress(planes.tobytes(), _EFFORT), np.uint8)
-
-
-def _unpack(packed: NDArray[np.uint8], shape: tuple[int, int, int], kind: type) -> NDArray[Any]:
-    """The map whose bytes these are.
-
-    Raises:
-        ValueError: they are not.
-    """
-    wanted = np.dtype(kind).newbyteorder("<")
-    size = math.prod(shape) * wanted.itemsize
-    opened = zlib.decompressobj()
-    try:
-        data = opened.decompress(packed.tobytes(), size + 1)
-    except zlib.error as error:
-        raise ValueError(f"a map that cannot be unpacked ({error})") from error
-    if len(data) != size or not opened.eof:
-        raise ValueError(f"a map of {len(data)} bytes, expected {size}")
-    planes = np.frombuffer(data, np.uint8).reshape(wanted.itemsize, -1).T
-    apart = np.ascontiguousarray(planes).view(wanted).reshape(shape)
-    return np.cumsum(apart, axis=-1, dtype=kind)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.model.example.index import Level
+from matcap.model.example.lookup import Level
 from matcap.model.example.order import Phases
 from matcap.model.example.plain import Places, margin
 
@@ -25,7 +25,7 @@ class _Level(ctypes.Structure):
         *(
             (name, ctypes.c_int32)
             for name in (
-                "columns", "similar_columns", "bits", "similar_bits", "spacing",
+                "columns", "similar_columns", "price_columns", "bits", "similar_bits", "spacing",
                 "left", "top", "right", "bottom",
             )
         ),
@@ -63,7 +63,7 @@ def correct(
     told = _Level(
         level.appearance.ctypes.data, level.price.ctypes.data, level.similar.ctypes.data,
         None if level.phases is None else level.phases.ctypes.data,
-        level.appearance.shape[1], level.similar.shape[1], level.bits, level.similar_bits,
+        level.appearance.shape[1], level.similar.shape[1], level.price.shape[1], level.bits, level.similar_bits,
         level.spacing, frame.left, frame.top, frame.right, frame.bottom,
     )  # fmt: skip
     rows, columns = places.shape[:2]

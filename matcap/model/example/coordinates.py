@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.model.example.grids import PRICE_BITS, Frame
 from matcap.model.example.hashing import draw, hash_places
-from matcap.model.example.index import Frame, Index, Level
+from matcap.model.example.lookup import Level, Lookup, two_phases
 from matcap.model.example.order import Cells, Integers, Order, Period, Phases, cells_of
 from matcap.model.example.plain import Places, margin
 
@@ -53,7 +54,7 @@ class Area:
 
 
 def coordinates(
-    index: Index,
+    lookup: Lookup,
     seed: int,
     area: Area,
     period: Period | None,
@@ -62,24 +63,24 @@ def coordinates(
     """(height, width, 2) int16 places of an area of the field.
 
     Args:
-        index: of the exemplar.
+        lookup: of the exemplar.
         seed: in [-2^63, 2^63).
         area: in texels.
         period: that the field repeats in, multiples of 2^(levels - 1).
         correct: plain.correct, or the compiled one.
     """
     areas = [area.grown(margin(_passes(0)))]
-    for depth in range(1, len(index.levels)):
+    for depth in range(1, len(lookup.levels)):
         areas.append(areas[-1].halved().grown(margin(_passes(depth))))
     places: Places | None = None
-    for depth in reversed(range(len(index.levels))):
-        level, wanted = index.levels[depth], areas[depth]
+    for depth in reversed(range(len(lookup.levels))):
+        level, wanted = lookup.levels[depth], areas[depth]
         columns, rows = _wrapped(wanted, depth, period)
         if places is None:
-            places = _begin(index, seed, columns, rows, period)
+            places = _begin(lookup, seed, columns, rows, period)
         else:
-            places = _refine(places, index, seed, depth, wanted, columns, rows)
-        phases = _wanted(index, seed, depth, columns, rows, period)
+            places = _refine(places, lookup, seed, depth, wanted, columns, rows)
+        phases = _wanted(lookup, seed, depth, columns, rows, period)
         odd_columns, odd_rows = columns % 2 == 1, rows % 2 == 1
         places = correct(places, level, odd_columns, odd_rows, _passes(depth), phases)
     assert places is not None
@@ -102,19 +103,19 @@ def _wrapped(area: Area, depth: int, period: Period | None) -> tuple[Integers, I
 
 
 def _begin(
-    index: Index, seed: int, columns: Integers, rows: Integers, period: Period | None
+    lookup: Lookup, seed: int, columns: Integers, rows: Integers, period: Period | None
 ) -> Places:
     """Pieces of the exemplar at random places; in phase with the order there is."""
-    depth, level = len(index.levels) - 1, index.levels[-1]
+    depth, level = len(lookup.levels) - 1, lookup.levels[-1]
     side = level.spacing << _PIECE
     x, y = columns << depth, rows << depth
-    if index.order is None:
+    if lookup.order is None:
         pieces = columns >> _PIECE, (rows >> _PIECE)[:, None]
         # Middles of pieces, from which places are counted.
         apart_x, apart_y = x % side - side // 2, (y % side - side // 2)[:, None]
         hashes = hash_places(seed, depth, *pieces)
     else:
-        cells = cells_of(index.order, seed, x, y, period or (None, None))
+        cells = cells_of(lookup.order, seed, x, y, period or (None, None))
         apart_x, apart_y = x - cells.middle_x, y[:, None] - cells.middle_y
         hashes = hash_places(seed, depth, cells.column, cells.row)
     frame = _inset(level.frame, _ROOM)
@@ -122,7 +123,7 @@ def _begin(
     for attempt in range(_DRAWS):
         drawn_x = frame.left + draw(hashes, 2 * attempt, frame.right - frame.left + 1)
         drawn_y = frame.top + draw(hashes, 2 * attempt + 1, frame.bottom - frame.top + 1)
-        cost = level.price[drawn_y >> level.bits, drawn_x >> level.bits]
+        cost = level.price[drawn_y >> PRICE_BITS, drawn_x >> PRICE_BITS]
         if best is None:
             best_x, best_y, best = drawn_x, drawn_y, cost
         else:
@@ -130,8 +131,8 @@ def _begin(
             best_x = np.where(better, drawn_x, best_x)
             best_y = np.where(better, drawn_y, best_y)
             best = np.where(better, cost, best)
-    if index.order is not None:
-        best_x, best_y = _in_phase(index.order, seed, best_x, best_y, cells, period)
+    if lookup.order is not None:
+        best_x, best_y = _in_phase(lookup.order, seed, best_x, best_y, cells, period)
     places = np.stack(np.broadcast_arrays(best_x + apart_x, best_y + apart_y), axis=-1)
     return _clamped(places, level.frame)
 
@@ -156,7 +157,7 @@ def _inset(frame: Frame, by: int) -> Frame:
 
 
 def _wanted(
-    index: Index,
+    lookup: Lookup,
     seed: int,
     depth: int,
     columns: Integers,
@@ -164,17 +165,17 @@ def _wanted(
     period: Period | None,
 ) -> Phases | None:
     """(rows, columns, 2) phases that places of a level are to have."""
-    if index.order is None or index.levels[depth].phases is None:
+    if lookup.order is None or lookup.levels[depth].phases is None:
         return None
-    found = index.order.wanted(
+    found = lookup.order.wanted(
         seed, (columns << depth)[None, :], (rows << depth)[:, None], period or (None, None)
     )
-    return np.pad(found, ((0, 0), (0, 0), (0, 2 - found.shape[2])))
+    return two_phases(found)
 
 
 def _refine(
     coarse: Places,
-    index: Index,
+    lookup: Lookup,
     seed: int,
     depth: int,
     area: Area,
@@ -182,7 +183,7 @@ def _refine(
     rows: Integers,
 ) -> Places:
     """Each place's four finer ones, moved a little at random where the level is coarse."""
-    level = index.levels[depth]
+    level = lookup.levels[depth]
     first_x, first_y = area.x & 1, area.y & 1
     fine = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)
     fine = fine[first_y : first_y + area.height, first_x : first_x + area.width].copy()
@@ -190,7 +191,7 @@ def _refine(
     fine[:, (1 - first_x) :: 2, 0] += np.int16(step)
     fine[(1 - first_y) :: 2, :, 1] += np.int16(step)
     strength = _JITTER.get(depth, _JITTER_COARSE) * step // 16
-    if strength and index.order is None:
+    if strength and lookup.order is None:
         hashes = hash_places(seed, depth, columns, rows[:, None])
         for axis in (0, 1):
             fine[..., axis] += (draw(hashes, axis, 2 * strength + 1) - strength).astype(np.int16)

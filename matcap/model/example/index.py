@@ -1,136 +1,171 @@
-"""Index of an exemplar: all that synthesis looks up, level by level.
+"""Index of an exemplar: what is chosen once, at capture, and kept with it.
 
-A level is a grid of output places 2^level texels apart. Neighbouring places are compared by the
-appearance of the exemplar smoothed to that spacing, at places known to half a step.
+What follows from the exemplar and these choices by exact arithmetic is not kept, but made again
+(lookup.py): appearances alone would take 30 megabytes.
+
+Places that are hardly trusted, and marks that occur once, are reluctant: pieces begin elsewhere,
+and seams lead round them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.model.example.appearance import Appearance, choose_basis, project
+from matcap.model.example.appearance import DIMENSIONS, TAPS, Appearance, Basis, choose_basis
 from matcap.model.example.features import (
+    PLANES,
     Features,
+    Scale,
     choose_scale,
     features_of,
-    halved,
     planes_of,
-    smoothed,
 )
-from matcap.model.example.order import Order, Phases, Wave, measure_order
+from matcap.model.example.grids import (
+    PRICE_BITS,
+    frame_of,
+    grid_bits,
+    grids_of,
+    level_count,
+    similar_bits,
+    step_of,
+)
+from matcap.model.example.order import GRID, Order, Wave, measure_order
 from matcap.model.example.similar import Similar, find_similar
 from matcap.model.exemplar import Exemplar
+from matcap.model.packed import pack, unpack
 
-MOST_LEVELS = 5  # periods are multiples of 2^4 texels, as the decoder's
-_MARGIN = 3  # steps between a place and the exemplar's border: beyond, there is no neighbourhood
-_ROOM = 8  # steps of the coarsest level that an exemplar is at least wide
-_ORDERED = 1  # levels from this one on keep to the order
+_APART = 4  # steps of its grid between a place and what is similar to it, and
+_APART_TEXELS = 8  # texels at least
 _FINENESS = 16  # places of the coarsest level along the shorter side of a lattice's piece
-_APART = 4  # steps between a place and what is similar to it
+_UNIQUE = 12.0  # times the median distance to what is most similar: a mark that occurs once
+_UNIQUE_LEVEL = 2  # it is told at, of some twenty texels
+_TRUSTED = 0.8  # quantile of confidence from which a place is not reluctant at all
+_DOUBTED = 0.6  # confidence below that, at which it is as reluctant as can be
+_MOST = 255
 
-
-@dataclass(frozen=True)
-class Frame:
-    """Where places of a level may lie, in the exemplar's texels, ends included."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
-
-
-@dataclass(frozen=True)
-class Level:
-    """What one level looks up.
-
-    Attributes:
-        spacing: texels between places of the output.
-        frame: of the places.
-        bits: the appearance's grid is 2^bits texels wide.
-        appearance: (H, W, DIMENSIONS) int16.
-        price: (H, W) int32 of a place, beside how well it fits.
-        similar_bits: the grid of similar places is 2^similar_bits texels wide.
-        similar: (H, W, 2) int16 x, y in texels.
-        phases: (H, W, 2) of the appearance's grid, where there is order to keep.
-    """
-
-    spacing: int
-    frame: Frame
-    bits: int
-    appearance: Appearance
-    price: NDArray[np.int32]
-    similar_bits: int
-    similar: NDArray[np.int16]
-    phases: Phases | None = None
+Project = Callable[[Features, Basis], Appearance]
 
 
 @dataclass(frozen=True)
 class Index:
-    """Levels, the finest first."""
+    """What was chosen for an exemplar.
 
-    levels: tuple[Level, ...]
-    order: Order | None = None
-    left_out: float = 0.0
+    Attributes:
+        scale: from maps to features.
+        bases: per level, the finest first, from features to appearance.
+        similar: per level (H, W, 2) int16: x, y of the most similar place in texels.
+        reluctance: (H, W) uint8 of squares of 4 x 4 texels; 255 where pieces must not begin.
+        order: the lattice to keep, or None.
+        left_out: share of the exemplar that matches nothing else.
+    """
+
+    scale: Scale
+    bases: tuple[Basis, ...]
+    similar: tuple[NDArray[np.int16], ...]
+    reluctance: NDArray[np.uint8]
+    order: Order | None
+    left_out: float
+
+    def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
+        """Tensors (bytes) and a description for JSON, from which read() makes it again."""
+        tensors = {"reluctance": pack(self.reluctance)}
+        for level, (basis, similar) in enumerate(zip(self.bases, self.similar, strict=True)):
+            tensors[f"basis.{level}"] = pack(basis.weights)
+            tensors[f"similar.{level}"] = pack(np.ascontiguousarray(similar.transpose(2, 0, 1)))
+        about: dict[str, Any] = {
+            "offsets": self.scale.offsets.tolist(),
+            "factors": self.scale.factors.tolist(),
+            "shifts": [basis.shift for basis in self.bases],
+            "left_out": self.left_out,
+            "waves": [],
+        }
+        if self.order is not None:
+            about["waves"] = [list(wave) for wave in self.order.waves]
+            tensors["bends"] = pack(self.order.bends)
+        return tensors, about
+
+    @staticmethod
+    def read(
+        about: Mapping[str, Any], tensor: Callable[[str], NDArray[np.uint8]], size: tuple[int, int]
+    ) -> Index:
+        """An index from what stored() gave.
+
+        Args:
+            about: the description.
+            tensor: gives bytes, by their name.
+            size: (width, height) of the exemplar's grid that it is for.
+
+        Raises:
+            ValueError, KeyError, TypeError: it is not as it should be, or for another size.
+        """
+        width, height = size
+        shifts = [int(shift) for shift in about["shifts"]]
+        if not 1 <= len(shifts) <= level_count(width, height):
+            raise ValueError(f"{len(shifts)} levels of {width} x {height} texels")
+        if not all(0 <= shift < 24 for shift in shifts):
+            raise ValueError(f"shifts of {shifts}")
+        bases, similar = [], []
+        for level, shift in enumerate(shifts):
+            weights = unpack(tensor(f"basis.{level}"), (DIMENSIONS, TAPS), np.int8)
+            bases.append(Basis(weights, shift, step_of(level)))
+            shape = (2, *_shape(width, height, similar_bits(level)))
+            places = unpack(tensor(f"similar.{level}"), shape, np.int16)
+            _check_places(places, width, height)
+            similar.append(np.ascontiguousarray(places.transpose(1, 2, 0)))
+        return Index(
+            Scale(_floats(about["offsets"]), _floats(about["factors"])),
+            tuple(bases),
+            tuple(similar),
+            unpack(tensor("reluctance"), _shape(width, height, PRICE_BITS), np.uint8),
+            _order(about["waves"], tensor, width, height),
+            float(about["left_out"]),
+        )
 
 
-def build_index(exemplar: Exemplar, waves: tuple[Wave, ...] = ()) -> Index:
-    """The index of an exemplar."""
+def build_index(exemplar: Exemplar, waves: tuple[Wave, ...], project: Project) -> Index:
+    """The index of an exemplar.
+
+    Args:
+        exemplar: of at least 14 texels a side.
+        waves: about where those of its regular order are; none for most materials.
+        project: appearance.project, or the compiled one.
+    """
+    width, height = exemplar.size
     planes = planes_of(exemplar)
     scale = choose_scale(planes)
     features = features_of(planes, scale)
-    width, height = exemplar.size
     order = measure_order(features - features.mean(axis=(1, 2), keepdims=True), waves)
     count = level_count(width, height)
     if order is not None:
         count = min(count, _ordered_levels(order))
-    grids = list(_grids(features, count))
-    levels: list[Level] = []
-    start: Similar | None = None
-    for level in reversed(range(count)):
-        grid, bits, step = grids[level]
-        basis = choose_basis(grid, step)
-        appearance = project(grid, basis)
-        frame = frame_of(level, width, height)
-        similar_bits = max(1, level)
-        skip = 1 << (similar_bits - bits)
-        coarse = np.ascontiguousarray(appearance[::skip, ::skip])
-        similar = _similar(coarse, similar_bits, frame, start)
-        start = similar
-        places = np.stack([similar.columns, similar.rows], axis=-1) << similar_bits
-        levels.append(
-            Level(
-                1 << level,
-                frame,
-                bits,
-                appearance,
-                np.zeros(appearance.shape[:2], np.int32),
-                similar_bits,
-                places.astype(np.int16),
-                _phases(order, bits, appearance) if level >= _ORDERED else None,
-            )
-        )
-    return Index(tuple(reversed(levels)), order)
-
-
-def _phases(order: Order | None, bits: int, appearance: Appearance) -> Phases | None:
-    if order is None:
-        return None
-    rows, columns = (np.arange(n) << bits for n in appearance.shape[:2])
-    found = order.phases(columns[None, :], rows[:, None])
-    return np.pad(found, ((0, 0), (0, 0), (0, 2 - found.shape[2])))
-
-
-def level_count(width: int, height: int) -> int:
-    """How many levels an exemplar of this size has."""
-    count = 1
-    while count < MOST_LEVELS and min(width, height) >= (_ROOM + 2 * _MARGIN) << count:
-        count += 1
-    return count
+    grids = grids_of(features, count)
+    steps = [step_of(level) for level in range(count)]
+    with ThreadPoolExecutor() as pool:
+        bases = list(pool.map(choose_basis, grids, steps))
+        appearances = list(pool.map(project, grids, bases))
+        found = list(pool.map(partial(_similar, width, height), range(count), appearances))
+    unique = _unique(found[min(_UNIQUE_LEVEL, count - 1)])
+    reluctance = np.maximum(_doubt(exemplar), _MOST * _resized(unique, width, height))
+    places = [
+        (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
+        for level, one in enumerate(found)
+    ]
+    return Index(
+        scale,
+        tuple(bases),
+        tuple(places),
+        reluctance.astype(np.uint8),
+        order,
+        round(float(unique.mean()), 4),
+    )
 
 
 def _ordered_levels(order: Order) -> int:
@@ -138,40 +173,74 @@ def _ordered_levels(order: Order) -> int:
     return max(1, math.floor(math.log2(order.piece / _FINENESS)) + 1)
 
 
-def frame_of(level: int, width: int, height: int) -> Frame:
-    """Where places of a level may lie."""
-    margin = _MARGIN << level
-    return Frame(margin, margin, width - 1 - margin, height - 1 - margin)
-
-
-def _grids(features: Features, count: int) -> Iterator[tuple[Features, int, int]]:
-    """Per level: smoothed features, bits of their grid, and the neighbourhood's step on it."""
-    yield features, 0, 1
-    for level in range(1, count):
-        yield smoothed(features), level - 1, 2
-        features = halved(features)
-
-
-def _similar(appearance: Appearance, bits: int, frame: Frame, coarser: Similar | None) -> Similar:
-    high, wide = appearance.shape[:2]
+def _similar(width: int, height: int, level: int, appearance: Appearance) -> Similar:
+    bits = similar_bits(level)
+    skip = 1 << (bits - grid_bits(level))
+    frame = frame_of(level, width, height)
     allowed = (
         slice(-(-frame.top >> bits), (frame.bottom >> bits) + 1),
         slice(-(-frame.left >> bits), (frame.right >> bits) + 1),
     )
-    start = None
-    if coarser is not None and coarser.rows.shape != appearance.shape[:2]:
-        rows, columns = (
-            np.pad(
-                np.repeat(np.repeat(2 * found, 2, 0), 2, 1)[:high, :wide],
-                ((0, max(0, high - 2 * found.shape[0])), (0, max(0, wide - 2 * found.shape[1]))),
-                mode="edge",
-            )
-            for found in (coarser.rows, coarser.columns)
-        )
-        rows[1::2] += 1
-        columns[:, 1::2] += 1
-        start = (rows, columns)
-    elif coarser is not None:
-        start = (coarser.rows.copy(), coarser.columns.copy())
-    apart = max(_APART, 8 >> bits)
-    return find_similar(appearance, apart, allowed, start)
+    some = np.ascontiguousarray(appearance[::skip, ::skip])
+    return find_similar(some, max(_APART, _APART_TEXELS >> bits), allowed)
+
+
+def _unique(similar: Similar) -> NDArray[np.bool_]:
+    """Places that nothing else is like."""
+    distances = similar.distances.astype(np.float64)
+    return distances > _UNIQUE * max(float(np.median(distances)), 1.0)
+
+
+def _doubt(exemplar: Exemplar) -> NDArray[np.float64]:
+    """Reluctance of places that are less trusted than most."""
+    side = 1 << PRICE_BITS
+    trust = exemplar.confidence.mean(axis=0, dtype=np.float64)
+    rows, columns = trust.shape
+    whole = np.pad(trust, ((0, -rows % side), (0, -columns % side)), mode="edge")
+    means = whole.reshape(whole.shape[0] // side, side, -1, side).mean(axis=(1, 3))
+    short = (np.quantile(means, _TRUSTED) - means) / _DOUBTED
+    return np.rint(_MOST * short.clip(0.0, 1.0))
+
+
+def _resized(marks: NDArray[np.bool_], width: int, height: int) -> NDArray[np.bool_]:
+    """Marks of any grid of the exemplar on that of prices: the nearest."""
+    rows, columns = _shape(width, height, PRICE_BITS)
+    y = (np.arange(rows) * marks.shape[0] // rows).clip(0, marks.shape[0] - 1)
+    x = (np.arange(columns) * marks.shape[1] // columns).clip(0, marks.shape[1] - 1)
+    return marks[np.ix_(y, x)]
+
+
+def _shape(width: int, height: int, bits: int) -> tuple[int, int]:
+    """(rows, columns) of a grid of squares of 2^bits texels."""
+    side = 1 << bits
+    return -(-height // side), -(-width // side)
+
+
+def _check_places(places: NDArray[np.int16], width: int, height: int) -> None:
+    x, y = places
+    if int(places.min()) < 0 or int(x.max()) >= width or int(y.max()) >= height:
+        raise ValueError(f"similar places beyond {width} x {height} texels")
+
+
+def _floats(stated: list[float]) -> NDArray[np.float32]:
+    values = np.array([float(value) for value in stated], np.float32)
+    if values.shape != (PLANES,) or not bool((np.abs(values) < 1e9).all()):
+        raise ValueError(f"a scale of {stated}")
+    return values
+
+
+def _order(
+    waves: list[list[float]], tensor: Callable[[str], NDArray[np.uint8]], width: int, height: int
+) -> Order | None:
+    if not waves:
+        return None
+    found = tuple((float(fx), float(fy)) for fx, fy in waves[:2])
+    lengths = [math.hypot(*wave) for wave in found]
+    if not all(1e-4 < length < 1.0 for length in lengths):
+        raise ValueError(f"waves of {waves}")
+    if len(found) == 2:
+        (ax, ay), (bx, by) = found
+        if abs(ax * by - ay * bx) < 0.01 * lengths[0] * lengths[1]:
+            raise ValueError(f"waves in one direction, {waves}")
+    rows, columns = (side + 1 for side in _shape(width, height, GRID))
+    return Order(found, unpack(tensor("bends"), (len(found), rows, columns), np.int32))

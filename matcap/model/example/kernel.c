@@ -4,7 +4,7 @@
 #include <stdint.h>
 #include <string.h>
 
-enum { DIMENSIONS = 8, DIAGONALS = 4, AROUND = 9, REACH = 2, PHASE_SHIFT = 2, STRIP = 512 };
+enum { DIMENSIONS = 8, DIAGONALS = 4, AROUND = 9, REACH = 2, PHASE_SHIFT = 2, PRICE_BITS = 2, STRIP = 512 };
 
 typedef struct {
     int16_t x, y;
@@ -16,10 +16,10 @@ typedef struct {
 
 typedef struct {
     const int16_t *appearance; /* rows x columns x DIMENSIONS */
-    const int32_t *price;      /* rows x columns */
+    const int32_t *price;      /* of squares of 2^PRICE_BITS texels */
     const Place *similar;      /* similar_rows x similar_columns */
     const Phase *phases;       /* rows x columns, or NULL */
-    int32_t columns, similar_columns;
+    int32_t columns, similar_columns, price_columns;
     int32_t bits, similar_bits;
     int32_t spacing;
     int32_t left, top, right, bottom;
@@ -59,13 +59,13 @@ static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *want
         if (cost >= most) return cost;
     }
     if (similar) cost += cost >> 2;
-    const ptrdiff_t place = (ptrdiff_t)(y >> l->bits) * l->columns + (x >> l->bits);
     if (l->phases) {
+        const ptrdiff_t place = (ptrdiff_t)(y >> l->bits) * l->columns + (x >> l->bits);
         const int32_t one = (int16_t)(l->phases[place].one - ordered->one) >> PHASE_SHIFT;
         const int32_t two = (int16_t)(l->phases[place].two - ordered->two) >> PHASE_SHIFT;
         cost += one * one + two * two;
     }
-    return cost + l->price[place];
+    return cost + l->price[(ptrdiff_t)(y >> PRICE_BITS) * l->price_columns + (x >> PRICE_BITS)];
 }
 
 static Place corrected(const Level *l, const Place *here, ptrdiff_t columns,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.model.example.index import Level
+from matcap.model.example.grids import PRICE_BITS
+from matcap.model.example.lookup import Level
 from matcap.model.example.order import Phases
 
 Places = NDArray[np.int16]  # (rows, columns, 2): x, y of the exemplar
@@ -140,7 +141,7 @@ def _cost(
     if similar:
         cost += cost >> 2
     at = safe[..., 1] >> level.bits, safe[..., 0] >> level.bits
-    cost += level.price[at]
+    cost += level.price[safe[..., 1] >> PRICE_BITS, safe[..., 0] >> PRICE_BITS]
     if ordered is not None and level.phases is not None:
         # Wraps, as turns do.
         apart = (level.phases[at] - ordered).astype(np.int32)
