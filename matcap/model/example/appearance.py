@@ -64,20 +64,24 @@ def choose_basis(features: Features, step: int) -> Basis:
 def project(features: Features, basis: Basis) -> Appearance:
     """(H, W, DIMENSIONS) of (PLANES, H, W) features, which continue mirrored at the borders."""
     rows, columns = features.shape[1:]
-    reach = _RADIUS * basis.step
-    padded = _padded(features, reach).astype(np.float32)
+    around = padded(features, basis).astype(np.float32)
     weights = basis.weights.astype(np.float32).reshape(DIMENSIONS, -1, PLANES)
     found = np.empty((rows, columns, DIMENSIONS), np.int16)
     for top in range(0, rows, _ROWS):
         some = min(_ROWS, rows - top)
         sums = np.zeros((DIMENSIONS, some * columns), np.float32)
         for index, (y, x) in enumerate(_offsets(basis.step)):
-            part = padded[:, top + y : top + y + some, x : x + columns]
+            part = around[:, top + y : top + y + some, x : x + columns]
             sums += weights[:, index] @ part.reshape(PLANES, -1)
         shifted = sums.astype(np.int32) >> basis.shift
         np.clip(shifted, -LARGEST, LARGEST, out=shifted)
         found[top : top + some] = shifted.T.reshape(some, columns, DIMENSIONS)
     return found
+
+
+def padded(features: Features, basis: Basis) -> Features:
+    """Features with what their neighbourhoods reach beyond the borders."""
+    return _padded(features, _RADIUS * basis.step)
 
 
 def _offsets(step: int) -> list[tuple[int, int]]:
@@ -88,8 +92,8 @@ def _offsets(step: int) -> list[tuple[int, int]]:
 
 def _taps(features: Features, step: int) -> list[Features]:
     rows, columns = features.shape[1:]
-    padded = _padded(features, _RADIUS * step)
-    return [padded[:, y : y + rows, x : x + columns] for y, x in _offsets(step)]
+    around = _padded(features, _RADIUS * step)
+    return [around[:, y : y + rows, x : x + columns] for y, x in _offsets(step)]
 
 
 def _padded(features: Features, reach: int) -> Features:

@@ -1,4 +1,4 @@
-"""Correction by the compiled kernel, where it was built; see plain.py for what it does."""
+"""The two inner loops, compiled, where they were built: as appearance.project and plain.correct."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.model.example.appearance import DIMENSIONS, Appearance, Basis, padded
+from matcap.model.example.features import Features
 from matcap.model.example.lookup import Level
 from matcap.model.example.order import Phases
 from matcap.model.example.plain import Places, margin
@@ -45,6 +47,20 @@ def kernel() -> Any | None:  # noqa: ANN401
     return None
 
 
+def project(features: Features, basis: Basis) -> Appearance:
+    """As appearance.project."""
+    library = kernel()
+    assert library is not None
+    rows, columns = features.shape[1:]
+    around = np.ascontiguousarray(padded(features, basis).transpose(1, 2, 0))
+    weights = np.ascontiguousarray(basis.weights, np.int16)
+    found = np.empty((rows, columns, DIMENSIONS), np.int16)
+    library.matcap_project(
+        _address(around), _address(weights), basis.step, basis.shift, columns, rows, _address(found)
+    )
+    return found
+
+
 def correct(
     places: Places,
     level: Level,
@@ -63,16 +79,21 @@ def correct(
     told = _Level(
         level.appearance.ctypes.data, level.price.ctypes.data, level.similar.ctypes.data,
         None if level.phases is None else level.phases.ctypes.data,
-        level.appearance.shape[1], level.similar.shape[1], level.price.shape[1], level.bits, level.similar_bits,
-        level.spacing, frame.left, frame.top, frame.right, frame.bottom,
+        level.appearance.shape[1], level.similar.shape[1], level.price.shape[1],
+        level.bits, level.similar_bits, level.spacing,
+        frame.left, frame.top, frame.right, frame.bottom,
     )  # fmt: skip
     rows, columns = places.shape[:2]
     odd_columns, odd_rows = odd_columns.astype(np.uint8), odd_rows.astype(np.uint8)
     library.matcap_correct(
-        ctypes.byref(told), places.ctypes.data_as(ctypes.c_void_p),
-        scratch.ctypes.data_as(ctypes.c_void_p), columns, rows,
-        odd_columns.ctypes.data_as(ctypes.c_void_p), odd_rows.ctypes.data_as(ctypes.c_void_p),
-        passes, None if phases is None else phases.ctypes.data_as(ctypes.c_void_p),
+        ctypes.byref(told), _address(places), _address(scratch), columns, rows,
+        _address(odd_columns), _address(odd_rows), passes,
+        None if phases is None else _address(phases),
     )  # fmt: skip
     cut = margin(passes)
     return places[cut : rows - cut, cut : columns - cut]
+
+
+def _address(array: NDArray[Any]) -> ctypes.c_void_p:
+    assert array.flags.c_contiguous
+    return array.ctypes.data_as(ctypes.c_void_p)

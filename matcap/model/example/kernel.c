@@ -4,7 +4,11 @@
 #include <stdint.h>
 #include <string.h>
 
-enum { DIMENSIONS = 8, DIAGONALS = 4, AROUND = 9, REACH = 2, PHASE_SHIFT = 2, PRICE_BITS = 2, STRIP = 512 };
+#if defined(__SSE2__)
+#include <emmintrin.h>
+#endif
+
+enum { DIMENSIONS = 8, PLANES = 8, SIDE = 5, LARGEST = 1023, DIAGONALS = 4, AROUND = 9, REACH = 2, PHASE_SHIFT = 2, PRICE_BITS = 2, STRIP = 512 };
 
 typedef struct {
     int16_t x, y;
@@ -158,6 +162,58 @@ void matcap_correct(const Level *l, Place *places, Place *scratch, int32_t colum
                     if (open[x] && odd_columns[left + x] == SUBPASS[s % 4][1])
                         places[first + x] = corrected(l, scratch + first + x, columns,
                                                       phases ? phases + first + x : NULL);
+            }
+        }
+    }
+}
+
+/* Sums of products of PLANES features with PLANES weights for each dimension, one tap after the
+   other; exact, in whatever order they are added. */
+static void project(const int16_t *here, ptrdiff_t row, ptrdiff_t step, const int16_t *weights,
+                    int32_t *sums) {
+#if defined(__SSE2__)
+    __m128i total[DIMENSIONS];
+    for (int d = 0; d < DIMENSIONS; d++) total[d] = _mm_setzero_si128();
+    for (int tap = 0; tap < SIDE * SIDE; tap++) {
+        const int16_t *at = here + (tap / SIDE) * row + (tap % SIDE) * step;
+        const __m128i feature = _mm_loadu_si128((const __m128i *)at);
+        for (int d = 0; d < DIMENSIONS; d++) {
+            const int16_t *w = weights + (d * SIDE * SIDE + tap) * PLANES;
+            const __m128i weight = _mm_loadu_si128((const __m128i *)w);
+            total[d] = _mm_add_epi32(total[d], _mm_madd_epi16(feature, weight));
+        }
+    }
+    for (int d = 0; d < DIMENSIONS; d++) {
+        int32_t part[4];
+        _mm_storeu_si128((__m128i *)part, total[d]);
+        sums[d] = part[0] + part[1] + part[2] + part[3];
+    }
+#else
+    for (int d = 0; d < DIMENSIONS; d++) {
+        sums[d] = 0;
+        for (int tap = 0; tap < SIDE * SIDE; tap++) {
+            const int16_t *at = here + (tap / SIDE) * row + (tap % SIDE) * step;
+            const int16_t *w = weights + (d * SIDE * SIDE + tap) * PLANES;
+            for (int k = 0; k < PLANES; k++) sums[d] += (int32_t)at[k] * w[k];
+        }
+    }
+#endif
+}
+
+/* appearance.project: features (rows + 4 step) x (columns + 4 step) x PLANES, weights DIMENSIONS x
+   SIDE x SIDE x PLANES, found rows x columns x DIMENSIONS. */
+void matcap_project(const int16_t *features, const int16_t *weights, int32_t step, int32_t shift,
+                    int32_t columns, int32_t rows, int16_t *found) {
+    const ptrdiff_t row = (ptrdiff_t)(columns + (SIDE - 1) * step) * PLANES;
+    for (int32_t y = 0; y < rows; y++) {
+        for (int32_t x = 0; x < columns; x++) {
+            int32_t sums[DIMENSIONS];
+            project(features + y * row + (ptrdiff_t)x * PLANES, step * row,
+                    (ptrdiff_t)step * PLANES, weights, sums);
+            int16_t *to = found + ((ptrdiff_t)y * columns + x) * DIMENSIONS;
+            for (int d = 0; d < DIMENSIONS; d++) {
+                const int32_t value = sums[d] >> shift;
+                to[d] = (int16_t)(value > LARGEST ? LARGEST : value < -LARGEST ? -LARGEST : value);
             }
         }
     }

@@ -4,7 +4,9 @@ Two pieces of an exemplar that look alike lie at different heights, and a step b
 show and cast a shadow. So the height is looked up in bands, and each band is blended over as many
 texels as its waves are long (after Burt and Adelson 1983, on the grid of the output):
 
-    h = b0 + T0 (b1 + T1 (b2 + ... )),    b_k looked up, T_k a filter of 1/4, 1/2, 1/4 texels 2^k apart.
+    h = b0 + T0 (b1 + T1 (b2 + ... )),
+
+b_k looked up, T_k a filter of 1/4, 1/2, 1/4 along both axes, its taps 2^k texels apart.
 
 Bands are chosen so that where nothing was rearranged h is the exemplar's height. All in integers:
 sums are exact, and a texel is the same whatever rectangle it is part of.
