@@ -1,8 +1,9 @@
 """For every place of an exemplar one that looks most like it elsewhere (k-coherence).
 
-Nearest neighbours among appearances by PatchMatch (Barnes et al. 2009), all places at once: each
-tries its neighbours' places moved along, then random places ever nearer to its own best. Random
-places are hashes, distances are integers, so that the same appearances have the same answer.
+Nearest neighbours among appearances, found by all places at once: what is alike lies side by side
+along any line through the space of appearances, so each place tries those beside it along a few
+random lines, and then, as in PatchMatch (Barnes et al. 2009), what its neighbours found, moved
+along. Lines are hashes, distances are integers, so that the same appearances have the same answer.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from matcap.model.example.appearance import Appearance
 from matcap.model.example.hashing import draw, hash_places
 
 _ROUNDS = 4
+_LINES = 2  # of a round
+_STEEPEST = 100  # components of a line's direction
 _NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 _SEED = 0x51417
 
@@ -78,18 +81,18 @@ def find_similar(
 
     first_rows, first_columns = best_rows.copy(), best_columns.copy()
     attempt(first_rows, first_columns)
-    index = 2
-    for _ in range(_ROUNDS):
-        for y, x in _NEIGHBOURS:
-            attempt(
-                np.roll(best_rows, (y, x), (0, 1)) + y, np.roll(best_columns, (y, x), (0, 1)) + x
-            )
-        reach = max(high, wide)
-        while reach >= 2:
-            rows = best_rows + (draw(hashes, index, 2 * reach + 1) - reach).astype(np.int32)
-            columns = best_columns + (draw(hashes, index + 1, 2 * reach + 1) - reach).astype(
-                np.int32
-            )
+    line = hash_places(_SEED, 1, np.arange(flat.shape[1]), np.zeros(1, np.int64))
+    for index in range(_ROUNDS * _LINES):
+        directions = draw(line, index, 2 * _STEEPEST + 1) - _STEEPEST
+        order = np.argsort(flat.astype(np.int32) @ directions.astype(np.int32), kind="stable")
+        for before, after in ((order[:-1], order[1:]), (order[1:], order[:-1])):
+            beside = np.empty_like(order)
+            beside[before] = after
+            beside[order[-1] if before[0] == order[0] else order[0]] = after[0]
+            rows, columns = np.divmod(beside.reshape(high, wide).astype(np.int32), wide)
             attempt(rows, columns)
-            index, reach = index + 2, reach // 4
+        if index % _LINES == _LINES - 1:
+            for y, x in _NEIGHBOURS:
+                rows, columns = (np.roll(one, (y, x), (0, 1)) for one in (best_rows, best_columns))
+                attempt(rows + np.int32(y), columns + np.int32(x))
     return Similar(best_rows, best_columns, best)
