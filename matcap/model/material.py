@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.model.decoder import CODE_SIZE, Decoder, Moments
+from matcap.model.decoder import ALIGNMENT, CODE_SIZE, Decoder, Moments
 from matcap.model.example.example import Example
 from matcap.model.exemplar import Exemplar
 from matcap.model.field import Field
@@ -37,7 +37,7 @@ from matcap.model.header import (
     plain_name,
     read_example,
 )
-from matcap.model.source import Generator
+from matcap.model.source import Generator, no_exemplar
 from matcap.model.stored import Stored, decoder_config, empty_decoder
 from matcap.statistics.lattice import Wave
 
@@ -73,6 +73,23 @@ class Material:
     def exemplar(self) -> Exemplar | None:
         """Maps of the photographed piece, if they were made."""
         return None if self.example is None else self.example.exemplar
+
+    def by(self, generator: Generator | None) -> Material:
+        """The same with one generator alone; with both where none is named.
+
+        Raises:
+            UsageError: it has no exemplar, and is to be read by example.
+        """
+        if generator == "decoder":
+            return replace(self, example=None)
+        if generator == "example" and self.example is None:
+            raise no_exemplar()
+        return self
+
+    @property
+    def alignment(self) -> int:
+        """What periods of its field are multiples of, in texels."""
+        return ALIGNMENT if self.example is None else self.example.alignment
 
     @cached_property
     def _folded(self) -> FoldedDecoder:

@@ -12,9 +12,7 @@ from matcap.errors import MatcapError
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.model.material import Material
-
-# What a material's repeat must be a multiple of (matcap.model.noise).
-_REPEAT = 16
+    from matcap.model.source import Generator
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,13 @@ class Found:
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
-def open_maps(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0) -> MapSet:
+def open_maps(
+    path: Path,
+    *,
+    size: tuple[int, int] = (1024, 1024),
+    seed: int = 0,
+    generator: Generator | None = None,
+) -> MapSet:
     """Maps of a material file, a map set's JSON file, or a folder.
 
     A folder's map set goes before its material.
@@ -40,26 +44,34 @@ def open_maps(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0
     Args:
         path: what to open.
         size: (width, height) in texels, and
-        seed: the realisation; both for a material only, since a map set has its own.
+        seed: the realisation, and
+        generator: "example" or "decoder"; all for a material only, since a map set has its own.
 
     Raises:
         MatcapError: nothing to open, more than one thing, or a broken file.
     """
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
-        return _material(path).maps(*size, seed=seed)
+        return _material(path).maps(*size, seed=seed, generator=generator)
     return read_mapset(path)[0]
 
 
-def open_tile(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0) -> Found:
+def open_tile(
+    path: Path,
+    *,
+    size: tuple[int, int] = (1024, 1024),
+    seed: int = 0,
+    generator: Generator | None = None,
+) -> Found:
     """As open_maps, but a material's maps repeat without a seam where their size allows it.
 
-    They do when both sides are multiples of 16.
+    They do when both sides are multiples of the material's alignment, 16 for most.
     """
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
-        material = _material(path)
-        period = None if size[0] % _REPEAT or size[1] % _REPEAT else size
+        material = _material(path).by(generator)
+        repeat = material.alignment
+        period = None if size[0] % repeat or size[1] % repeat else size
         maps = material.maps(*size, seed=seed, period=period)
         return Found(maps, path.stem, dict(material.provenance))
     maps, document = read_mapset(path)

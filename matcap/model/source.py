@@ -271,7 +271,14 @@ def field_source(
     if generator == "decoder" or (generator is None and material.example is None):
         return material_source(material, seed, period, device)
     if material.example is None:
-        raise UsageError(
-            "this material has no exemplar", remedy="capture it again, or use its decoder"
-        )
+        raise no_exemplar()
     return example_source(material.example, seed, period)
+
+
+def no_exemplar() -> UsageError:
+    """What a material without an exemplar cannot do."""
+    return UsageError(
+        "this material has no exemplar",
+        where="--generator example",
+        remedy="capture the photograph again, or use its decoder",
+    )

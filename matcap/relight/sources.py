@@ -10,11 +10,12 @@ from matcap.model.opened import open_maps
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+    from matcap.model.source import Generator
     from matcap.relight.render import MapSource
 
 
-def open_source(path: Path) -> MapSet | MapSource:
-    """A map set's maps, or a material itself.
+def open_source(path: Path, generator: Generator | None = None) -> MapSet | MapSource:
+    """A map set's maps, or a material itself, with one generator alone where one is named.
 
     Raises:
         MatcapError: nothing to open, more than one thing, or a broken file.
@@ -26,5 +27,5 @@ def open_source(path: Path) -> MapSet | MapSource:
     if path.suffix.lower() == ".matcap":
         from matcap.model.material import Material
 
-        return Material.load(path)
+        return Material.load(path).by(generator)
     return open_maps(path)
