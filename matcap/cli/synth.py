@@ -169,7 +169,7 @@ def synth(
 
     keep_memory()  # this process is matcap's own
     check_seed(seed)
-    targets = []
+    targets: tuple[str, ...] = ()
     if export:
         from matcap.export.targets import check_targets, export_mapset
 
@@ -185,8 +185,8 @@ def synth(
     whole = files.whole(area)
     period = _period(tile, whole)
     # A cluster's machines may have no CUDA device, and their blocks must be alike.
-    place = "cpu" if scheduler and device is Device.auto else device.value
-    wanted = Wanted(seed, period, generator and generator.value, precision.value, place)
+    place = Device.cpu if scheduler and device is Device.auto else device
+    wanted = Wanted(seed, period, generator and generator.value, precision.value, place.value)
     if material is None:
         from matcap.capture.prior.store import load_prior
 

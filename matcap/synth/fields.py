@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from matcap.model.example.source import example_source
 from matcap.model.header import read_exemplified
 
 if TYPE_CHECKING:
     from matcap.model.blocks import Rectangle
+    from matcap.model.device import DeviceName
     from matcap.model.material import Material
     from matcap.model.plane import Period
     from matcap.model.source import Generator, Source
@@ -37,7 +38,7 @@ class Wanted:
     period: Period | None = None
     generator: Generator | None = None
     precision: Precision = "fp32"
-    device: Literal["auto", "cpu", "cuda"] = "cpu"
+    device: DeviceName = "cpu"
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.model.example.grids import PRICE_BITS, Frame
-from matcap.model.example.hashing import draw, hash_places
+from matcap.model.example.hashing import Hashes, draw, hash_places
 from matcap.model.example.lookup import Level, Lookup, two_phases
 from matcap.model.example.order import Cells, Integers, Order, Period, Phases, cells_of
 from matcap.model.example.plain import Places, margin
@@ -119,22 +119,30 @@ def _begin(
         apart_x, apart_y = x - cells.middle_x, y[:, None] - cells.middle_y
         hashes = hash_places(seed, depth, cells.column, cells.row)
     frame = _inset(level.frame, _ROOM)
-    best_x = best_y = best = None
-    for attempt in range(_DRAWS):
-        drawn_x = frame.left + draw(hashes, 2 * attempt, frame.right - frame.left + 1)
-        drawn_y = frame.top + draw(hashes, 2 * attempt + 1, frame.bottom - frame.top + 1)
-        cost = level.price[drawn_y >> PRICE_BITS, drawn_x >> PRICE_BITS]
-        if best is None:
-            best_x, best_y, best = drawn_x, drawn_y, cost
-        else:
-            better = cost < best
-            best_x = np.where(better, drawn_x, best_x)
-            best_y = np.where(better, drawn_y, best_y)
-            best = np.where(better, cost, best)
+    best_x, best_y = _drawn(hashes, 0, frame)
+    best = _price(level, best_x, best_y)
+    for attempt in range(1, _DRAWS):
+        x_drawn, y_drawn = _drawn(hashes, attempt, frame)
+        cost = _price(level, x_drawn, y_drawn)
+        better = cost < best
+        best_x, best_y = np.where(better, x_drawn, best_x), np.where(better, y_drawn, best_y)
+        best = np.where(better, cost, best)
     if lookup.order is not None:
         best_x, best_y = _in_phase(lookup.order, seed, best_x, best_y, cells, period)
     places = np.stack(np.broadcast_arrays(best_x + apart_x, best_y + apart_y), axis=-1)
     return _clamped(places, level.frame)
+
+
+def _drawn(hashes: Hashes, attempt: int, frame: Frame) -> tuple[Integers, Integers]:
+    """A random place within a frame for every hash."""
+    return (
+        frame.left + draw(hashes, 2 * attempt, frame.right - frame.left + 1),
+        frame.top + draw(hashes, 2 * attempt + 1, frame.bottom - frame.top + 1),
+    )
+
+
+def _price(level: Level, x: Integers, y: Integers) -> NDArray[np.int32]:
+    return level.price[y >> PRICE_BITS, x >> PRICE_BITS]
 
 
 def _in_phase(

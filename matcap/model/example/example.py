@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.model.example import appearance, compiled, plain, relief
-from matcap.model.example.coordinates import Area, Correct, Places, coordinates
+from matcap.model.example.coordinates import Area, Correct, coordinates
 from matcap.model.example.grids import level_count
 from matcap.model.example.index import Index, Project, build_index
 from matcap.model.example.lookup import Lookup, prepare
 from matcap.model.example.order import Period, Wave
+from matcap.model.example.plain import Places
 from matcap.model.exemplar import Exemplar, Floats
 
 _GRID = 1536  # texels of the longer side of the grid at most
@@ -113,7 +114,9 @@ class Example:
         x, y = area.x >> bits, area.y >> bits
         right, bottom = -(-(area.x + area.width) >> bits), -(-(area.y + area.height) >> bits)
         coarse = Area(x, y, right - x, bottom - y)
-        repeat = period and tuple(None if p is None else p >> bits for p in period)
+        repeat = None
+        if period is not None:
+            repeat = (period[0] and period[0] >> bits, period[1] and period[1] >> bits)
         found = coordinates(self._lookup, seed, coarse, repeat, loops()[1])
         if not bits:
             return found
