@@ -1,21 +1,59 @@
 """What a Python program calls first: a photograph to a material, maps to a picture.
 
-Torch and what is heavy are imported when a function is called.
+Torch and what is heavy are imported when a function is called, or a name first used.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from matcap.errors import MatcapError
+from matcap.version import __version__
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
     from matcap.brdf.maps import MapSet
+    from matcap.model.field import Field
     from matcap.model.material import Material
+    from matcap.photo.load import load_photo
     from matcap.relight.render import MapSource
     from matcap.relight.scene import Scene
+
+# Each name that is imported when first used, and the module it is defined in.
+_HOMES = {
+    "Field": "matcap.model.field",
+    "MapSet": "matcap.brdf.maps",
+    "MapSetInfo": "matcap.brdf.folder",
+    "Material": "matcap.model.material",
+    "load_photo": "matcap.photo.load",
+    "read_mapset": "matcap.brdf.folder",
+    "write_mapset": "matcap.brdf.folder",
+}
+
+__all__ = [
+    "Field",
+    "MapSet",
+    "MapSetInfo",
+    "MatcapError",
+    "Material",
+    "__version__",
+    "capture",
+    "load_photo",
+    "read_mapset",
+    "relight",
+    "write_mapset",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'matcap.api' has no attribute '{name}'")
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401

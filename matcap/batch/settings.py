@@ -16,7 +16,6 @@ from matcap.capture.settings import PRESETS, CaptureSettings, weights_file
 from matcap.errors import MatcapError, UsageError
 from matcap.export.targets import check_targets
 from matcap.files import values
-from matcap.model.decoder import ALIGNMENT
 
 FILE = "matcap.toml"
 _GROUPS = ("none", "dir", "time")
@@ -117,15 +116,7 @@ def settings_of(shoot: Path, flags: Mapping[str, Any]) -> BatchSettings:
     file = settings_file(shoot)
     read = read_settings(file) if file else {}
     given = {name: value for name, value in flags.items() if value is not None}
-    settings = BatchSettings.of(read | _checked(given, "the options"))
-    width, height = settings.outputs.size
-    if settings.outputs.tile and (width % ALIGNMENT or height % ALIGNMENT):
-        raise UsageError(
-            f"{width}x{height} cannot tile",
-            where="size",
-            remedy=f"give sides that are multiples of {ALIGNMENT}",
-        )
-    return settings
+    return BatchSettings.of(read | _checked(given, "the options"))
 
 
 def settings_file(shoot: Path) -> Path | None:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import read_exr, write_exr
+from matcap.files.maker import MAKER_VERSION
 from matcap.files.png import write_png
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged
-from matcap.version import __version__
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -207,7 +207,7 @@ def mapset_document(
     return {
         "format": FORMAT,
         "version": VERSION,
-        "matcap": __version__,
+        "matcap": MAKER_VERSION,
         "name": info.name,
         "width": width,
         "height": height,

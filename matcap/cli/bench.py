@@ -54,9 +54,8 @@ def quality(
     pieces of the same materials, beside simple ways to do the same. Errors are multiples of what
     two true pieces differ by. Writes quality.md, quality.csv and pictures; prints the table.
     """
-    from functools import partial
-
-    from matcap.api import capture
+    from matcap.capture.pipeline import capture_file
+    from matcap.capture.settings import CaptureSettings
     from matcap.files.staging import check_writable
     from matcap.lab.bench.quality import (
         METHODS,
@@ -68,8 +67,9 @@ def quality(
     from matcap.lab.simulate.examples import EXAMPLES
 
     check_writable(out, 200_000_000)
+    captured = CaptureSettings(preset, steps, time_limit, detail=detail)
     scores = run_quality(
-        partial(capture, preset=preset, steps=steps, time_limit=time_limit, detail=detail),
+        lambda photo: capture_file(photo, captured).material,
         out,
         materials=material or EXAMPLES,
         methods=method or METHODS,

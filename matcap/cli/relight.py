@@ -162,9 +162,9 @@ def _renderer(
     *,
     quiet: bool,
 ) -> Renderer:
+    from matcap.model.opened import open_source
     from matcap.relight.foreign import read_foreign
     from matcap.relight.render import Renderer
-    from matcap.relight.sources import open_source
 
     if maps_from is None:
         return Renderer(open_source(path), scene, seed=seed)

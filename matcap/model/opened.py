@@ -67,6 +67,16 @@ def open_tile(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0
     return Found(maps, name, dict(document.get("provenance") or {}))
 
 
+def open_source(path: Path) -> MapSet | Material:
+    """A map set's maps, or a material itself, to be read where it is seen.
+
+    Raises:
+        MatcapError: nothing to open, more than one thing, or a broken file.
+    """
+    path = _resolved(path)
+    return _material(path) if path.suffix.lower() == ".matcap" else read_mapset(path)[0]
+
+
 def _resolved(path: Path) -> Path:
     """The path itself, or the one material of a folder without a map set."""
     if not path.is_dir() or find_mapsets(path):
