@@ -27,6 +27,7 @@ from matcap.flash.render import render_flash
 from matcap.model.decoder import ALIGNMENT, DEPTH, Decoder, Moments, maps_from_raw
 from matcap.model.freeze import freeze
 from matcap.model.noise import wrap64
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import RandomField, random_field
 from matcap.statistics.compare import Features, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
@@ -180,10 +181,15 @@ def decode_window(
     margin = ALIGNMENT if scene.waves else 0
     full = size + 2 * margin
     noise = random_field(
-        seed, decoder.config.noise_channels, (), 0, 0, full, full, levels=0, period=(full, full)
+        Patch(seed, Rectangle(0, 0, full, full), period=(full, full)),
+        decoder.config.noise_channels,
+        (),
+        levels=0,
     ).noise
     cells = decoder.config.cells
-    waves = random_field(seed, 1, scene.waves, 0, 0, full, full, levels=DEPTH, cells=cells).waves
+    waves = random_field(
+        Patch(seed, Rectangle(0, 0, full, full)), 1, scene.waves, levels=DEPTH, cells=cells
+    ).waves
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision):
         raw = decoder(RandomField(noise, waves), code, moments)
     if margin:

@@ -17,8 +17,7 @@ from matcap.errors import UsageError
 from matcap.files import values
 
 if TYPE_CHECKING:
-    from matcap.model.blocks import Rectangle
-    from matcap.model.noise import Period
+    from matcap.model.patch import Period, Rectangle
     from matcap.synth.request import Progress as SynthProgress
 
 _STRIP = values.Size(4096, 256)  # the paper's own example
@@ -153,9 +152,9 @@ def synth(
     from matcap.brdf.folder import MapSetInfo
     from matcap.capture.prior.store import load_prior
     from matcap.export.targets import check_targets, export_mapset
-    from matcap.model.blocks import Rectangle
     from matcap.model.device import find_device
     from matcap.model.material import Material
+    from matcap.model.patch import Rectangle
     from matcap.model.source import check_seed, material_source
     from matcap.synth.blend import blend_source
     from matcap.synth.mask import read_mask

@@ -18,6 +18,7 @@ from torch import Tensor
 from matcap.model import winograd
 from matcap.model.convolve import CHANNELS_LAST, Steps
 from matcap.model.decoder import DEPTH, Decoder, DecoderConfig, Layer, Moments, Step, unet
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import RandomField, random_field
 from matcap.model.spans import Span, Spans
 from matcap.statistics.lattice import Wave
@@ -31,9 +32,12 @@ def reference_field(
 ) -> RandomField:
     """The periodic field on which statistics are frozen."""
     return random_field(
-        _REFERENCE_SEED, config.noise_channels, waves, 0, 0, size, size,
-        levels=DEPTH, cells=config.cells, period=(size, size),
-    )  # fmt: skip
+        Patch(_REFERENCE_SEED, Rectangle(0, 0, size, size), period=(size, size)),
+        config.noise_channels,
+        waves,
+        levels=DEPTH,
+        cells=config.cells,
+    )
 
 
 def freeze(decoder: Decoder, code: Tensor, waves: tuple[Wave, ...]) -> list[Moments]:

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from matcap.model.blocks import Grid, Rectangle
+from matcap.model.blocks import Grid
 from matcap.model.material import Material
-from matcap.model.noise import Period
+from matcap.model.patch import Period, Rectangle
 from matcap.model.source import RING, MaterialSource, material_source
 from matcap.model.spans import Span
 from matcap.synth.mask import Mask

@@ -25,6 +25,7 @@ from matcap.model.decoder import (
     Step,
     maps_from_raw,
 )
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.lattice import Wave
 
@@ -73,13 +74,9 @@ class Unfolded:
     def maps(self, width: int, height: int, *, seed: int = 0, x: int = 0, y: int = 0) -> MapSet:
         """Maps of a rectangle; all four numbers are multiples of ALIGNMENT."""
         field = random_field(
-            seed,
+            Patch(seed, Rectangle(x - HALO, y - HALO, width + 2 * HALO, height + 2 * HALO)),
             self.decoder.config.noise_channels,
             self.waves,
-            x - HALO,
-            y - HALO,
-            width + 2 * HALO,
-            height + 2 * HALO,
             levels=DEPTH,
             cells=self.decoder.config.cells,
         )

@@ -14,6 +14,7 @@ from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap.model.decoder import CODE_SIZE, DEPTH, OUTPUTS, Decoder
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import Wave
@@ -34,7 +35,9 @@ def frozen() -> Unfolded:
 
 def test_it_decodes_a_field_of_its_own_channels():
     made = decoder()
-    field = random_field(3, made.config.noise_channels, (), 0, 0, 64, 32, levels=DEPTH)
+    field = random_field(
+        Patch(3, Rectangle(0, 0, 64, 32)), made.config.noise_channels, (), levels=DEPTH
+    )
     raw = made(field, CODE)
     assert raw.shape == (1, OUTPUTS, 32, 64)
     assert bool(torch.isfinite(raw).all())
@@ -42,7 +45,9 @@ def test_it_decodes_a_field_of_its_own_channels():
 
 def test_every_level_reads_white_noise_of_its_own():
     made = decoder()
-    field = random_field(1, made.config.noise_channels, (), 0, 0, 256, 256, levels=0)
+    field = random_field(
+        Patch(1, Rectangle(0, 0, 256, 256)), made.config.noise_channels, (), levels=0
+    )
     read = made.way_down(field.noise, lambda layer: lambda noise: noise)
     assert [noise.shape[-1] for noise in read] == [256, 128, 64, 32, 16]
     for level, noise in enumerate(read):
