@@ -14,7 +14,6 @@ import typer
 from matcap.capture.outputs import OutputSettings
 from matcap.capture.settings import PRESETS, CaptureSettings, weights_file
 from matcap.errors import MatcapError, UsageError
-from matcap.export.targets import check_targets
 from matcap.files import values
 
 FILE = "matcap.toml"
@@ -189,7 +188,7 @@ def _value(name: str, value: Any, where: str) -> Any:  # noqa: ANN401
         weights_file(value)
     if name == "export":
         names = [value] if isinstance(value, str) else [str(each) for each in value]
-        return check_targets(names, where)
+        return OutputSettings.known_targets(names, where)
     try:
         if name == "size":
             sides = values.size(str(value))

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 NormalStyle = Literal["gl", "dx"]
 
 FORMAT = "matcap map set"
-VERSION = 1
+VERSION = 1  # of the document
 # Bytes a texel takes at most, for all maps: what is asked of the disk beforehand.
 EXR_BYTES = 2 * (3 + 1 + 1 + 3) + 4
 PNG_BYTES = 2 * (3 + 1 + 1 + 1 + 3)

@@ -65,7 +65,7 @@ class TuneSettings:
 
 
 @dataclass(frozen=True)
-class Scene:
+class TuneScene:
     """What the decoder is tuned to: one photograph, or several of one sample.
 
     Attributes:
@@ -112,7 +112,7 @@ Report = Callable[[float, float, float], None]  # share done, running error, sec
 
 
 def finetune(
-    decoder: Decoder, code: Tensor, scene: Scene, settings: TuneSettings, report: Report
+    decoder: Decoder, code: Tensor, scene: TuneScene, settings: TuneSettings, report: Report
 ) -> Tuned:
     """Tune a decoder at a code to a photograph. The decoder given is changed.
 
@@ -166,7 +166,7 @@ def _places(count: int, seed: int) -> Iterator[int]:
 def decode_window(
     decoder: Decoder,
     code: Tensor,
-    scene: Scene,
+    scene: TuneScene,
     seed: int,
     moments: list[Moments] | None,
     *,
@@ -197,7 +197,7 @@ def decode_window(
     return maps_from_raw(raw, scene.texel_size, periodic=margin == 0)
 
 
-def render_windows(maps: MapSet, scene: Scene, places: Tensor, step: int) -> Tensor:
+def render_windows(maps: MapSet, scene: TuneScene, places: Tensor, step: int) -> Tensor:
     """(B, 3, size, size) a window's maps, lit and seen as at some places, noise included."""
     windows = scene.windows
     points = windows.points[places]
@@ -216,7 +216,7 @@ def render_windows(maps: MapSet, scene: Scene, places: Tensor, step: int) -> Ten
 
 
 def compare_windows(
-    rendered: Tensor, scene: Scene, places: Tensor, *, half_precision: bool
+    rendered: Tensor, scene: TuneScene, places: Tensor, *, half_precision: bool
 ) -> Tensor:
     """Mean distance of renderings from the photograph at the same places; a number."""
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision):

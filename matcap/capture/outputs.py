@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from matcap.brdf.folder import MapSetInfo, NormalStyle, mapset_bytes, mapset_files, write_mapset
 from matcap.errors import UsageError
-from matcap.export.targets import export_bytes, export_mapset
+from matcap.export.targets import check_targets, export_bytes, export_mapset
 from matcap.files.staging import staged
 from matcap.model.decoder import ALIGNMENT
 
@@ -51,6 +52,15 @@ class OutputSettings:
                 where="size",
                 remedy=f"give sides that are multiples of {ALIGNMENT}",
             )
+
+    @staticmethod
+    def known_targets(names: Sequence[str], where: str = "--export") -> tuple[str, ...]:
+        """Targets by name, each once.
+
+        Raises:
+            UsageError: there is no such target.
+        """
+        return check_targets(names, where)
 
     @property
     def room(self) -> int:

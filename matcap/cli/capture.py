@@ -109,14 +109,13 @@ def capture(
     from matcap.capture.outputs import OutputSettings
     from matcap.capture.pipeline import CaptureSettings
     from matcap.cli.progress import display
-    from matcap.export.targets import check_targets
     from matcap.files.staging import check_writable
 
     settings = CaptureSettings(
         preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
         seed=seed, prior=prior, statistics=statistics,
     )  # fmt: skip
-    targets = check_targets(export or [])
+    targets = OutputSettings.known_targets(export or [])
     side = (size.width, size.height)
     outputs = OutputSettings(side, seed, png, normal.value, targets=targets)
     jobs = _jobs(photos, out)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from matcap.errors import UsageError
 from matcap.model.noise import COORDINATE_LIMIT
-from matcap.model.patch import Period, Rectangle
+from matcap.model.patch import Period
+from matcap.model.patch import Rectangle as Rectangle
 
 BLOCK = 512  # texels along x; docs/synthesis.md has the measurement
 BLOCK_HEIGHT = 256

@@ -23,7 +23,7 @@ TEXTURE = 231  # what it tells of the texture at full detail
 BACKBONES = ("small", "resnet50")
 
 _GROUP = 16  # channels normalised together
-_LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0
+_LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0  # of a code's number
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class EncoderConfig:
     width: int = 256
 
 
-class Residual(nn.Module):
+class ResidualBlock(nn.Module):
     """Two 3 x 3 convolutions beside a shortcut."""
 
     def __init__(self, inputs: int, outputs: int, stride: int) -> None:
@@ -138,8 +138,8 @@ def _small() -> tuple[nn.Module, int]:
         nn.ReLU(inplace=True),
     ]
     for inputs, outputs in zip(widths[:-1], widths[1:], strict=True):
-        layers.append(Residual(inputs, outputs, 2))
-    layers.append(Residual(widths[-1], widths[-1], 1))
+        layers.append(ResidualBlock(inputs, outputs, 2))
+    layers.append(ResidualBlock(widths[-1], widths[-1], 1))
     return nn.Sequential(*layers), widths[-1]
 
 

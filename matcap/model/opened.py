@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.model.material import Material
 
-# What a material's repeat must be a multiple of (matcap.model.noise).
-_REPEAT = 16
-
 
 @dataclass(frozen=True)
 class Found:
@@ -58,8 +55,10 @@ def open_tile(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0
     """
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
+        from matcap.model.decoder import ALIGNMENT
+
         material = _material(path)
-        period = None if size[0] % _REPEAT or size[1] % _REPEAT else size
+        period = None if size[0] % ALIGNMENT or size[1] % ALIGNMENT else size
         maps = material.maps(*size, seed=seed, period=period)
         return Found(maps, path.stem, dict(material.provenance))
     maps, document = read_mapset(path)

@@ -22,7 +22,7 @@ from matcap.model.noise import keys, noise_at, shift, wrap64
 from matcap.model.patch import Patch
 from matcap.statistics.lattice import Wave
 
-WAVE_CHANNELS = 12
+WAVE_CHANNELS = 12  # cosine and sine of six harmonics
 CELL_CHANNELS = 4  # for a material that has waves
 
 _ORDERS_OF_ONE = ((1,), (2,), (3,), (4,))

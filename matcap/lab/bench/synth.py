@@ -32,7 +32,14 @@ from torch import Tensor
 from matcap.files.staging import staged
 from matcap.flash.geometry import FlashSetup
 from matcap.model.blocks import Grid
-from matcap.model.decoder import CODE_SIZE, DEPTH, PAPER_CONFIG, Decoder, DecoderConfig, Layer
+from matcap.model.decoder import (
+    CODE_SIZE,
+    DEPTH,
+    PAPER_CONFIG,
+    ConvolutionLayer,
+    Decoder,
+    DecoderConfig,
+)
 from matcap.model.field import read_source
 from matcap.model.freeze import FoldedDecoder, FoldedLayer, freeze
 from matcap.model.material import Material
@@ -189,7 +196,7 @@ def material(config: DecoderConfig) -> Material:
 def paper_form(decoder: Decoder, code: Tensor, noise: Tensor) -> Tensor:
     """The network as the paper has it, on a whole periodic field (1, C, H, W); without waves."""
 
-    def step(layer: Layer, features: Tensor, weight: Tensor) -> Tensor:
+    def step(layer: ConvolutionLayer, features: Tensor, weight: Tensor) -> Tensor:
         if weight.shape[-1] > 1:
             features = F.pad(features, (1, 1, 1, 1), mode="circular")
         features = F.conv2d(features, weight)

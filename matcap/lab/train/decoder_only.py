@@ -18,9 +18,9 @@ from matcap.brdf.maps import MapSet
 from matcap.model.decoder import (
     ALIGNMENT,
     DEPTH,
+    ConvolutionLayer,
     Decoder,
     DecoderConfig,
-    Layer,
     Moments,
     Step,
     maps_from_raw,
@@ -42,10 +42,11 @@ class DecoderOnly(Decoder):
     def __init__(self, config: DecoderConfig) -> None:
         super().__init__(replace(config, noise_channels=(DEPTH + 1) * config.noise_channels))
         self.down = nn.ModuleList(
-            nn.Sequential(Layer(config.noise_channels, width, kernel=1)) for width in config.widths
+            nn.Sequential(ConvolutionLayer(config.noise_channels, width, kernel=1))
+            for width in config.widths
         )
 
-    def way_down(self, noise: Tensor, step: Callable[[Layer], Step]) -> list[Tensor]:
+    def way_down(self, noise: Tensor, step: Callable[[ConvolutionLayer], Step]) -> list[Tensor]:
         """What the way up reads at every level, full resolution first: noise of that level."""
         groups = noise.chunk(DEPTH + 1, dim=1)
         return [

@@ -6,7 +6,7 @@ import pytest
 import torch
 from small import SMALL, coarse, entry
 
-from matcap.capture.finetune import Scene, TuneSettings, finetune
+from matcap.capture.finetune import TuneScene, TuneSettings, finetune
 from matcap.capture.start import untrained
 from matcap.capture.windows import cut_windows
 from matcap.flash.plane import read_plane
@@ -86,7 +86,7 @@ def test_it_tunes_with_a_finite_loss():
     plane = read_plane(photographed.photo(), photographed.coarse.setup, 192)
     bank = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
     windows = cut_windows(plane, bank, 64)
-    scene = Scene(windows, photographed.coarse.setup, plane.encoding, bank, WAVES, 2.0 / 192)
+    scene = TuneScene(windows, photographed.coarse.setup, plane.encoding, bank, WAVES, 2.0 / 192)
     before = decoder().state_dict()
     tuned = finetune(decoder(), CODE, scene, TuneSettings(steps=2), lambda *_: None)
     assert [step for _, step, _ in tuned.history] == [1, 2]
