@@ -8,7 +8,7 @@ import typer.main
 from matcap.cli.main import app
 from matcap.cli.reference import reference
 
-PAGE = Path(__file__).parents[2] / "docs" / "commands.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "commands.md"
 
 
 def parsers(command, name="matcap"):

@@ -16,7 +16,7 @@ from matcap.model.freeze import freeze
 from matcap.model.material import Material
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
 # What takes long, listens, trains, or needs what is not here.
@@ -78,7 +78,7 @@ def cheap(line: str) -> bool:
     return words[1] not in LONG and not re.search(r"[A-Z]{4,}|\.dng|\.jpg|scene\.toml|bricks", line)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/viewing.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/guide/view.md"])
 def test_cheap_commands_run(page, small, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name in ("leather", "cloth", "tile"):
@@ -104,11 +104,11 @@ def test_python_guide_runs_from_top_to_bottom(small, tmp_path, monkeypatch):
     )
     monkeypatch.chdir(tmp_path)
     shutil.copy(ROOT / "examples/photos/leather.dng", tmp_path)
-    text = (ROOT / "docs/python.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/guide/python.md").read_text(encoding="utf-8")
     snippets = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     names: dict = {}
     for snippet in snippets:
-        exec(compile(snippet, "docs/python.md", "exec"), names)
+        exec(compile(snippet, "docs/guide/python.md", "exec"), names)
     assert len(snippets) > 10 and Path("leather.html").stat().st_size > 10_000
 
 
