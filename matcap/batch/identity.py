@@ -13,9 +13,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import matcap
 from matcap.batch.settings import BatchSettings
 from matcap.errors import MatcapError
+from matcap.version import __version__
 
 # Settings that say what to work on or how, and leave the material as it is.
 _NO_MATTER = ("jobs", "group", "gap", "card", "prior")
@@ -27,7 +27,7 @@ def identity(
     *,
     prior: str,
     card: str = "",
-    version: str = matcap.__version__,
+    version: str = __version__,
 ) -> str:
     """64 hexadecimal digits.
 
@@ -56,7 +56,7 @@ def prior_hash(prior: str) -> str:
     """Of a prior as the settings name it: "auto", "none" or a file."""
     if prior == "none":
         return "none"
-    from matcap.prior.store import SHIPPED
+    from matcap.capture.prior.store import SHIPPED
 
     return file_hash(SHIPPED if prior == "auto" else Path(prior))
 

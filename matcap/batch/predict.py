@@ -138,8 +138,8 @@ def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
 
 def _trial(photo: Path, settings: BatchSettings) -> tuple[float, int]:
     """Seconds and bytes that the whole will take, from a few steps of one photograph."""
+    from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_photo
-    from matcap.export.outputs import write_outputs
     from matcap.photo.load import load_photo
 
     settle_threads()

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from matcap.capture.outputs import OutputSettings
 from matcap.capture.pipeline import PRESETS, CaptureSettings
-from matcap.cli import values
 from matcap.errors import MatcapError, UsageError
-from matcap.export.outputs import OutputSettings
 from matcap.export.targets import check_targets
+from matcap.files import values
 
 if TYPE_CHECKING:
-    from matcap.export.mapset import NormalStyle
+    from matcap.brdf.folder import NormalStyle
 
 FILE = "matcap.toml"
 _GROUPS = ("none", "dir", "time")

@@ -19,7 +19,7 @@ from matcap.batch.shoot import Grouping, find_samples
 from matcap.batch.work import do_job, settle_threads
 from matcap.batch.workspace import open_run
 from matcap.errors import ExitCode, MatcapError
-from matcap.export.staging import check_writable
+from matcap.files.staging import check_writable
 from matcap.photo.calibrate import Calibration, card_sentence, read_card
 
 
@@ -58,7 +58,7 @@ def prepare(
         MatcapError: no such folder, no photographs in it, no such prior, an unwritable output.
     """
     if settings.prior not in ("auto", "none"):
-        from matcap.prior.store import load_prior
+        from matcap.capture.prior.store import load_prior
 
         load_prior(Path(settings.prior))  # one that is broken would fail for every photograph
     group = cast(Grouping, settings.group)

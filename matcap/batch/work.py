@@ -17,14 +17,14 @@ from matcap.batch.record import write_record
 from matcap.batch.settings import BatchSettings
 from matcap.batch.workspace import Run
 from matcap.errors import MatcapError
-from matcap.export.staging import write_error
+from matcap.files.staging import write_error
 from matcap.photo.calibrate import Calibration, calibrated
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult, Progress
+    from matcap.capture.prior.store import Prior
     from matcap.photo.inspect import Inspection
     from matcap.photo.photo import Photo
-    from matcap.prior.store import Prior
 
 Tell = Callable[[str, float], None]  # stage, share of the whole
 Fault = Literal["photograph", "memory", "disk", "crash"]
@@ -111,8 +111,8 @@ def _fault(error: MatcapError) -> Fault:
 
 
 def _do(job: Job, tell: Tell) -> dict[str, Any]:
+    from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_photo
-    from matcap.export.outputs import write_outputs
     from matcap.photo.inspect import inspect_photo
     from matcap.photo.load import load_photo
 
@@ -203,7 +203,7 @@ def _thumbnails(result: CaptureResult) -> dict[str, str]:
 @lru_cache(maxsize=1)
 def _prior(name: str) -> Prior:
     """The alignment branch of the batch's prior; of matcap's own where captures use none."""
-    from matcap.prior.store import load_prior
+    from matcap.capture.prior.store import load_prior
 
     return load_prior(None if name in ("auto", "none") else Path(name))
 

@@ -28,12 +28,12 @@ from matcap.capture.windows import Windows, shot_deviation
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_flash
 from matcap.model.decoder import ALIGNMENT, DEPTH, Decoder, Moments, maps_from_raw
-from matcap.model.field import RandomField, random_field
 from matcap.model.freeze import freeze
 from matcap.model.noise import wrap64
-from matcap.model.order import Wave
+from matcap.model.random_field import RandomField, random_field
 from matcap.statistics.compare import Features, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
+from matcap.statistics.lattice import Wave
 
 # Of learning: a decoder that knows textures already is only to be moved a little.
 RATE_FROM_NOTHING, RATE_FROM_PRIOR = 2e-2, 1e-2

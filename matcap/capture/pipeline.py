@@ -29,6 +29,7 @@ from matcap.capture.finetune import (
 )
 from matcap.capture.joint import join
 from matcap.capture.match import match_photograph
+from matcap.capture.prior.store import load_prior
 from matcap.capture.start import log_contrast, logits, reading_cells, untrained
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError, UsageError
@@ -40,7 +41,6 @@ from matcap.model.material import Material
 from matcap.model.order import CELL_CHANNELS
 from matcap.photo.photo import Photo
 from matcap.photo.refusals import SHORTEST_SIDE
-from matcap.prior.store import load_prior
 from matcap.statistics.compare import Features
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig

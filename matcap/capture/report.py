@@ -11,11 +11,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matcap
 from matcap.capture.anytime import forecast
 from matcap.capture.curve import draw_history
 from matcap.capture.detail import DETAIL
-from matcap.export.staging import staged
+from matcap.files.staging import staged
+from matcap.version import __version__
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult
@@ -80,7 +80,7 @@ def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
         ],
         "provenance": result.material.provenance,
         "versions": {
-            "matcap": matcap.__version__,
+            "matcap": __version__,
             "python": platform.python_version(),
             "platform": platform.platform(),
             **{name: version(name) for name in _LIBRARIES},

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli import values
 from matcap.cli.options import ExportOption, JsonOption, Normal, QuietOption
 from matcap.errors import ExitCode
+from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.batch.plan import Entry

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli import values
 from matcap.cli.options import (
     ExportOption,
     JsonOption,
@@ -21,11 +20,12 @@ from matcap.cli.options import (
     QuietOption,
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
+from matcap.files import values
 
 if TYPE_CHECKING:
+    from matcap.capture.outputs import OutputSettings
     from matcap.capture.pipeline import CaptureSettings
     from matcap.cli.progress import Display
-    from matcap.export.outputs import OutputSettings
 
 
 @dataclass(frozen=True)
@@ -102,11 +102,11 @@ def capture(
     Writes for each photograph, into a folder of its name: the material (.matcap), a first map
     set, preview.png and report.json. Ctrl-C ends with the best so far, saved.
     """
+    from matcap.capture.outputs import OutputSettings
     from matcap.capture.pipeline import CaptureSettings
     from matcap.cli.progress import display
-    from matcap.export.outputs import OutputSettings
-    from matcap.export.staging import check_writable
     from matcap.export.targets import check_targets
+    from matcap.files.staging import check_writable
 
     settings = CaptureSettings(
         preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
@@ -167,8 +167,8 @@ def _attempt(
 def _capture(
     job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
 ) -> dict[str, Any]:
+    from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_photo
-    from matcap.export.outputs import write_outputs
     from matcap.photo.load import load_photo
 
     shown.started(job.photo)

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matcap
 from matcap.export.blender import blender
 from matcap.export.gltf import gltf
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
 from matcap.export.names import known
 from matcap.export.presets import PRESETS, Choice, pack
-from matcap.export.staging import staged
 from matcap.export.surface import Residual, residual
 from matcap.export.textures import Export, Job
 from matcap.export.usd import usd
+from matcap.files.staging import staged
+from matcap.version import __version__
 
 FORMAT = "matcap export"
 VERSION = 1
@@ -84,7 +84,7 @@ def export_mapset(folder: Path, target: str) -> Exported:
         UsageError: no such target.
         MatcapError: no map set, a full disk, an unwritable folder.
     """
-    from matcap.export.source import open_tile
+    from matcap.model.opened import open_tile
 
     found = open_tile(folder)
     place = folder if folder.is_dir() else folder.parent
@@ -146,7 +146,7 @@ def _sidecar(made: Export, job: Job, target: str, off: Residual | None) -> dict[
     return {
         "format": FORMAT,
         "version": VERSION,
-        "matcap": matcap.__version__,
+        "matcap": __version__,
         "target": target,
         "name": job.name,
         "width": width,

@@ -24,9 +24,10 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, Decoder, Moments
+from matcap.model.field import Field
 from matcap.model.freeze import FoldedDecoder, fold
-from matcap.model.order import Wave
 from matcap.model.stored import DAMAGED, Stored, decoder_config, empty_decoder
+from matcap.statistics.lattice import Wave
 
 FORMAT = "matcap-material"
 VERSION = 1
@@ -76,7 +77,7 @@ class Material:
         y: int = 0,
         period: tuple[int, int] | None = None,
     ) -> MapSet:
-        """Maps of a rectangle of the endless field; see synth.field.Field.read.
+        """Maps of a rectangle of the endless field; see model.field.Field.read.
 
         Args:
             width: in texels.
@@ -86,9 +87,6 @@ class Material:
             y: of the left top texel, downwards.
             period: repeat of the field in texels, or None for an endless one.
         """
-        # Imported here because the field reads materials, too.
-        from matcap.synth.field import Field
-
         return Field(self, seed, period).read(x, y, width, height)
 
     def save(self, path: str | os.PathLike[str]) -> None:

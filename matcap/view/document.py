@@ -84,7 +84,7 @@ def write_page(document: str, path: Path) -> None:
         UsageError: the name does not end in .html.
         MatcapError: the file cannot be written.
     """
-    from matcap.export.staging import staged
+    from matcap.files.staging import staged
 
     check_page_path(path)
     with staged(path.parent) as stage:

@@ -10,8 +10,8 @@ from matcap.brdf.maps import MapSet
 from matcap.capture import finetune as module
 from matcap.flash.render import render_flash
 from matcap.model.decoder import DEPTH, maps_from_raw
-from matcap.model.field import random_field
 from matcap.model.freeze import fold
+from matcap.model.random_field import random_field
 from matcap.statistics.compare import Weights, describe, distance
 
 

@@ -14,8 +14,8 @@ from matcap.capture.pipeline import CaptureSettings, capture_photo
 from matcap.capture.windows import Windows
 from matcap.flash.geometry import FlashSetup, JointSetup, plane_points
 from matcap.flash.render import render_flash
-from matcap.simulate.examples import realisation
-from matcap.simulate.photograph import Camera, as_photo, take
+from matcap.lab.simulate.examples import realisation
+from matcap.lab.simulate.photograph import Camera, as_photo, take
 
 SETUPS = (
     FlashSetup(offset=(0.1, 0.0, 0.0), tilt=(0.1, 0.0), intensity=(5.0, 5.0, 5.0)),

@@ -11,10 +11,10 @@ from matcap.capture.match import _Blocks, _gain, _shift, correction, match_photo
 from matcap.capture.pipeline import CaptureSettings, capture_photo
 from matcap.capture.windows import shot_deviation
 from matcap.flash.render import render_rectified
+from matcap.lab.simulate.examples import realisation
+from matcap.lab.simulate.photograph import Camera, as_photo, take
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.simulate.examples import realisation
-from matcap.simulate.photograph import Camera, as_photo, take
 from matcap.statistics.encoding import fit_encoding, shading
 
 WIDTH, HEIGHT = 256, 192

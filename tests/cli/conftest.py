@@ -9,10 +9,12 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
+from matcap.capture import pipeline as capturing
 from matcap.capture.pipeline import CaptureResult, Progress
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
+from matcap.photo import load
 from matcap.photo.photo import Photo
 
 
@@ -88,8 +90,8 @@ class FakePipeline:
 def pipeline(monkeypatch) -> FakePipeline:
     """The capture pipeline replaced; the command line and all its files stay real."""
     fake = FakePipeline()
-    monkeypatch.setattr("matcap.photo.load.load_photo", fake.load_photo)
-    monkeypatch.setattr("matcap.capture.pipeline.capture_photo", fake.capture_photo)
+    monkeypatch.setattr(load, "load_photo", fake.load_photo)
+    monkeypatch.setattr(capturing, "capture_photo", fake.capture_photo)
     return fake
 
 
@@ -100,7 +102,7 @@ def never_captured(monkeypatch):
     def reached(photo, settings, progress=None):
         pytest.fail(f"{photo.name} was taken for a photograph")
 
-    monkeypatch.setattr("matcap.capture.pipeline.capture_photo", reached)
+    monkeypatch.setattr(capturing, "capture_photo", reached)
 
 
 @pytest.fixture

@@ -122,8 +122,11 @@ def test_python_guide_runs_from_top_to_bottom(small, tmp_path, monkeypatch):
     """Everything is real but the tuning of the network."""
     from types import SimpleNamespace
 
+    from matcap.capture import pipeline
+
     monkeypatch.setattr(
-        "matcap.capture.pipeline.capture_photo",
+        pipeline,
+        "capture_photo",
         lambda photo, settings, progress=None: SimpleNamespace(material=small, history=()),
     )
     monkeypatch.chdir(tmp_path)

@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 
 import matcap
-from matcap.export.exr import read_exr
 from matcap.export.presets import PRESETS
-from matcap.export.source import open_tile
 from matcap.export.surface import residual
 from matcap.export.targets import DOCUMENTS, write_export, write_preset
 from matcap.export.textures import Job
+from matcap.files.exr import read_exr
+from matcap.lab.simulate.materials import MATERIALS, realise
+from matcap.model.opened import open_tile
 from matcap.relight.scene import DirectionalLight, Scene, Surface, exposing_intensity
-from matcap.simulate.materials import MATERIALS, realise
 
 SIZE = 64
 LOBES = "none,+diffuse,+specular,+falloff"

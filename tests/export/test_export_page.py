@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
-from matcap.export.mapset import MapSetInfo, write_mapset
 from matcap.export.presets import PRESETS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "export.md").read_text(encoding="utf-8")

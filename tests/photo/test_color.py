@@ -18,7 +18,8 @@ from icc_files import (
 )
 from PIL import Image, ImageCms
 
-from matcap.photo.color import SRGB, srgb_decode, srgb_encode
+from matcap.files.srgb import srgb_decode, srgb_encode
+from matcap.photo.color import SRGB
 from matcap.photo.icc import lineariser_of, read_profile
 from matcap.photo.load import load_photo
 
