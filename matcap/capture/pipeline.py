@@ -68,7 +68,7 @@ class Effort:
     matched: bool = True
 
 
-# docs/capture.md has what each costs and buys.
+# docs/notes/capture.md has what each costs and buys.
 PRESETS: Mapping[str, Effort] = MappingProxyType(
     {
         "instant": Effort(0),

@@ -6,15 +6,10 @@ import shutil
 from pathlib import Path
 
 import pytest
-import torch
 import typer
 
 from matcap.batch.settings import read_settings
 from matcap.cli.main import app, main
-from matcap.flash.geometry import FlashSetup
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.model.freeze import freeze
-from matcap.model.material import Material
 from matcap.relight.scenefile import parse_scene
 
 ROOT = Path(__file__).parents[2]
@@ -22,7 +17,6 @@ PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # Notes say how things stood on their dates: their links hold, their commands and paths need not.
 TODAY = [page for page in PAGES if page.parent.name != "notes"]
-SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
 # Pages of the guide whose commands are run.
 RUN = ("view", "relight", "synth", "blend")
 # As shown, but smaller: as good a test.
@@ -48,17 +42,6 @@ def toml(page: str) -> list[str]:
 
 
 SHOWN = sorted({(str(p.relative_to(ROOT)), line) for p in TODAY for line in commands(p)})
-
-
-@pytest.fixture(scope="module")
-def small():
-    """An untrained material of the right form."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(3)
-        decoder = Decoder(SMALL)
-    code = torch.zeros(CODE_SIZE)
-    moments = tuple(freeze(decoder, code, ()))
-    return Material("leather", decoder, code, moments, (), 2 / 256, FlashSetup())
 
 
 @pytest.mark.parametrize(("page", "line"), SHOWN)

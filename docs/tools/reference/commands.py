@@ -1,16 +1,12 @@
-"""The command reference, written from the commands' own signatures.
+"""The commands, from their own signatures.
 
-    python -m matcap.cli.reference > docs/commands.md
-
-A test fails when docs/commands.md says anything else. Read from what the commands declare and not
-from the parser made of it, which differs from one typer to the next.
+Read from what the commands declare and not from the parser made of it, which differs from one
+typer to the next.
 """
 
 from __future__ import annotations
 
 import inspect
-import re
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
@@ -21,12 +17,13 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
+from reference.docstrings import table
+
 _HEAD = """\
 # Commands
 
-Written by `python -m matcap.cli.reference` from the commands themselves; `matcap COMMAND --help`
-tells the same. Every command knows `--help`, and `matcap --install-completion` teaches your shell
-all of them.
+`matcap COMMAND --help` tells the same. Every command knows `--help`, and
+`matcap --install-completion` teaches your shell all of them.
 """
 _KINDS = {int: "INTEGER", float: "FLOAT", Path: "PATH", str: "TEXT"}
 
@@ -86,7 +83,7 @@ class _Parameter:
         return f"`{value}`"
 
 
-def reference() -> str:
+def page() -> str:
     """The page, in Markdown."""
     from matcap.cli.main import app
 
@@ -120,9 +117,7 @@ def _section(
     text = inspect.cleandoc(about or function.__doc__ or "")
     lines = [f"## {name}", "", "```", " ".join(usage), "```", "", text, ""]
     if parameters:
-        lines += ["| | | default |", "| --- | --- | --- |"]
-        lines += [_row(one) for one in parameters]
-        lines.append("")
+        lines += table(["", "", "default"], map(_row, parameters))
     return "\n".join(lines)
 
 
@@ -138,16 +133,7 @@ def _parameters(function: Callable[..., Any]) -> Iterator[_Parameter]:
         yield _Parameter(name, kind, info, stated.default)
 
 
-def _row(one: _Parameter) -> str:
-    """A parameter as a line of the table."""
+def _row(one: _Parameter) -> tuple[str, str, str]:
+    """A parameter as a row of the table."""
     name = f"`{one.shown}`" if isinstance(one.info, ArgumentInfo) else one.shown
-    return f"| {_cell(name)} | {_cell(one.info.help or '')} | {_cell(one.otherwise)} |"
-
-
-def _cell(text: str) -> str:
-    """Text that does not end a cell."""
-    return re.sub(r"\s+", " ", text).replace("|", "\\|").strip()
-
-
-if __name__ == "__main__":
-    sys.stdout.write(reference())
+    return name, one.info.help or "", one.otherwise
