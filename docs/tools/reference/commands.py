@@ -29,7 +29,7 @@ _KINDS = {int: "INTEGER", float: "FLOAT", Path: "PATH", str: "TEXT"}
 
 
 @dataclass(frozen=True)
-class _Parameter:
+class Parameter:
     """A parameter of a command, as its function declares it."""
 
     name: str
@@ -39,10 +39,12 @@ class _Parameter:
 
     @property
     def required(self) -> bool:
+        """Whether it must be given."""
         return self.default is inspect.Parameter.empty
 
     @property
     def flag(self) -> bool:
+        """Whether it takes no value."""
         return self.kind is bool
 
     @property
@@ -111,17 +113,18 @@ def _section(
     name: str, function: Callable[..., Any], *, about: str | None = None, group: bool = False
 ) -> str:
     """Heading, usage, help and a table of parameters."""
-    parameters = list(_parameters(function))
-    arguments = [one.shown for one in parameters if isinstance(one.info, ArgumentInfo)]
+    taken = list(parameters(function))
+    arguments = [one.shown for one in taken if isinstance(one.info, ArgumentInfo)]
     usage = [name, "[OPTIONS]", *(["COMMAND", "..."] if group else []), *arguments]
     text = inspect.cleandoc(about or function.__doc__ or "")
     lines = [f"## {name}", "", "```", " ".join(usage), "```", "", text, ""]
-    if parameters:
-        lines += table(["", "", "default"], map(_row, parameters))
+    if taken:
+        lines += table(["", "", "default"], map(_row, taken))
     return "\n".join(lines)
 
 
-def _parameters(function: Callable[..., Any]) -> Iterator[_Parameter]:
+def parameters(function: Callable[..., Any]) -> Iterator[Parameter]:
+    """What a command takes, in its order."""
     hints = get_type_hints(function, include_extras=True)
     for name, stated in inspect.signature(function).parameters.items():
         if get_origin(hints[name]) is not Annotated:
@@ -130,10 +133,10 @@ def _parameters(function: Callable[..., Any]) -> Iterator[_Parameter]:
         info = next(one for one in extras if isinstance(one, ArgumentInfo | OptionInfo))
         if get_origin(kind) in (Union, UnionType):
             (kind,) = (part for part in get_args(kind) if part is not NoneType)
-        yield _Parameter(name, kind, info, stated.default)
+        yield Parameter(name, kind, info, stated.default)
 
 
-def _row(one: _Parameter) -> tuple[str, str, str]:
+def _row(one: Parameter) -> tuple[str, str, str]:
     """A parameter as a row of the table."""
     name = f"`{one.shown}`" if isinstance(one.info, ArgumentInfo) else one.shown
     return name, one.info.help or "", one.otherwise

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
 from importlib import import_module
 from types import ModuleType
 
+from matcap.batch.settings import BatchSettings
 from matcap.brdf.folder import MEANINGS, PNG_ENCODINGS
 from matcap.brdf.maps import CHANNELS
+from matcap.cli.batch import batch
 from matcap.relight import scene
+from reference.commands import parameters
 from reference.docstrings import read, table
 
 _HEAD = """\
@@ -34,8 +38,8 @@ units, angles degrees, colours linear Rec.709. Files are relative to the scene f
 `.hdr` for surroundings, `.obj` for a mesh. Examples: `examples/scenes`.
 """
 _SETTINGS = """\
-Beside a shoot or in it. Keys are the long names of [matcap batch](commands.md#matcap-batch)'s
-options that say what to make, with `_` or `-`; options win over the file. Paths are relative to it.
+In a shoot's folder or beside it. Keys are the names of [matcap batch](commands.md#matcap-batch)'s
+options, with `_` or `-`; options win over the file. Paths are relative to the file.
 """
 _TABLES = (
     ("[film]", scene.Film, None),
@@ -63,6 +67,7 @@ def page() -> str:
     for heading, module, sections in _OWNED:
         lines += [f"## {heading}", "", *_owned(import_module(module), sections)]
     lines += ["## Scene: TOML", "", _SCENE, *_scene(), "## Settings: `matcap.toml`", "", _SETTINGS]
+    lines += _settings()
     return "\n".join(lines)
 
 
@@ -104,6 +109,22 @@ def _scene() -> Iterator[str]:
         yield from table(["key", "", "default", "what"], rows)
 
 
+def _settings() -> list[str]:
+    """What a shoot's file may set, told as the options of the same names are."""
+    told = {
+        name.replace("-", "_"): one.info.help or ""
+        for one in parameters(batch)
+        for name in re.findall(r"`--([a-z-]+)`", one.shown)
+    }
+    return table(
+        ["key", "default", "what"],
+        (
+            [f"`{name}`", _toml(value), told[name]]
+            for name, value in BatchSettings().named().items()
+        ),
+    )
+
+
 def _kind(annotation: str) -> str:
     """What a key takes, in words."""
     plain = annotation.removesuffix(" | None")
@@ -122,6 +143,8 @@ def _toml(default: object) -> str:
         return ""
     if isinstance(default, str):
         return f'`"{default}"`'
+    if isinstance(default, bool):
+        return f"`{str(default).lower()}`"
     if isinstance(default, tuple):
         return f"`[{', '.join(f'{number:.5g}' for number in default)}]`"
     return f"`{default}`"

@@ -20,7 +20,8 @@ plane units, half the photograph's long side.
 """
 # Beyond `import matcap`: what the guide uses.
 MODULES = {
-    "matcap.capture.pipeline": ("CaptureSettings", "capture_photo", "CaptureResult"),
+    "matcap.capture.settings": ("CaptureSettings",),
+    "matcap.capture.pipeline": ("capture_photo", "CaptureResult"),
     "matcap.photo.photo": ("Photo",),
     "matcap.flash.geometry": ("FlashSetup",),
     "matcap.brdf.cook_torrance": ("cook_torrance",),
