@@ -14,6 +14,7 @@ Keys:
         intensity, vignetting.
     texel_size: plane units.
     settings: that were asked for.
+    effort: what they came to: preset, steps, windows a step, matched or not.
     seconds: that the work took.
     stage_seconds: that each stage took.
     error_over_time: seconds, step and error, as the work went on.

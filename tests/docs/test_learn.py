@@ -149,8 +149,7 @@ def test_pictures_are_small_and_shown(folder):
 
 
 def test_files_named_in_the_documentation_exist():
+    named = re.compile(r"`((?:matcap|tests|examples|docs)/[\w/.-]+)`")
     for page in TODAY:
-        for path in re.findall(
-            r"`((?:matcap|tests|examples|docs)/[\w/.-]+\.\w+)`", page.read_text()
-        ):
+        for path in named.findall(page.read_text(encoding="utf-8")):
             assert (ROOT / path).exists(), f"{page.name}: {path}"
