@@ -10,7 +10,7 @@ from matcap.model.noise import COORDINATE_LIMIT
 from matcap.model.patch import Period
 from matcap.model.patch import Rectangle as Rectangle
 
-BLOCK = 512  # texels along x; docs/synthesis.md has the measurement
+BLOCK = 512  # texels along x; docs/notes/synthesis.md has the measurement
 BLOCK_HEIGHT = 256
 
 
