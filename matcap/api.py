@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.errors import MatcapError
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.version import __version__
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
 
     Args:
         path: RAW (DNG and others), JPEG, PNG or TIFF.
-        settings: fields of matcap.capture.pipeline.CaptureSettings: preset, steps, time_limit
+        settings: fields of matcap.capture.settings.CaptureSettings: preset, steps, time_limit
             (seconds), detail (texels along the long side), fov (degrees), seed, prior.
 
     Raises:
@@ -80,14 +81,20 @@ def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
 def relight(
     source: MapSet | MapSource,
     scene: Scene | str = "top",
-    **options: Any,  # noqa: ANN401
+    *,
+    seed: int = 0,
+    tolerance: float = DEFAULT_TOLERANCE,
+    effects: str = "auto",
 ) -> NDArray[np.float32]:
     """A picture of a material in a scene.
 
     Args:
         source: maps, or a material to read them from.
         scene: the scene, or the name of a light, such as "top" (relight.scene.scene_from_light).
-        options: seed, tolerance and effects of matcap.relight.render.relight.
+        seed: the realisation read from a material.
+        tolerance: what leaving out effects may change at most, in code values of the film from 0
+            to 1; half an 8-bit step by default.
+        effects: "auto", "all", "none", or "+x,-y".
 
     Returns:
         (H, W, 3) float32 radiance, linear Rec.709; 0 where there is no surface.
@@ -100,4 +107,4 @@ def relight(
     """
     from matcap.relight.render import relight as render
 
-    return render(source, scene, **options)
+    return render(source, scene, seed=seed, tolerance=tolerance, effects=effects)
