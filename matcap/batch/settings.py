@@ -9,8 +9,6 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from matcap.capture.outputs import OutputSettings
 from matcap.capture.settings import PRESETS, CaptureSettings, weights_file
 from matcap.errors import MatcapError, UsageError
@@ -195,7 +193,7 @@ def _value(name: str, value: Any, where: str) -> Any:  # noqa: ANN401
             return (sides.width, sides.height)
         if name == "time":
             return values.duration(str(value))
-    except typer.BadParameter as error:
+    except ValueError as error:
         raise UsageError(str(error), where=where, remedy=f"correct {name}") from error
     return float(value) if float in rule.kinds and number else value
 

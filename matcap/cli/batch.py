@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli.options import ExportOption, JsonOption, Normal, QuietOption
+from matcap.cli.options import ExportOption, JsonOption, Normal, QuietOption, typed
 from matcap.errors import ExitCode
 from matcap.files import values
 
@@ -37,7 +37,7 @@ def batch(
         float | None,
         typer.Option(
             "--time",
-            parser=values.duration,
+            parser=typed(values.duration),
             metavar="TIME",
             help="For each sample: 90s, 2m; without --steps the preset is reference then.",
         ),
@@ -56,7 +56,7 @@ def batch(
     seed: Annotated[int | None, typer.Option(min=0, help="Of the work and the map sets.")] = None,
     size: Annotated[
         values.Size | None,
-        typer.Option(parser=values.size, metavar="WxH", help="Size of the first map sets."),
+        typer.Option(parser=typed(values.size), metavar="WxH", help="Size of the first map sets."),
     ] = None,
     tile: Annotated[
         bool | None, typer.Option("--tile/--no-tile", help="Map sets that repeat without a seam.")

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from matcap.cli import bench_time, relight, synth
+from matcap.cli.options import typed
 from matcap.errors import ExitCode
 from matcap.files import values
 
@@ -42,7 +43,9 @@ def quality(
     ] = None,
     time_limit: Annotated[
         float | None,
-        typer.Option("--time", parser=values.duration, metavar="TIME", help="For each capture."),
+        typer.Option(
+            "--time", parser=typed(values.duration), metavar="TIME", help="For each capture."
+        ),
     ] = None,
     detail: Annotated[
         int, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")

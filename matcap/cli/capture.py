@@ -18,6 +18,7 @@ from matcap.cli.options import (
     NormalOption,
     PngOption,
     QuietOption,
+    typed,
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.files import values
@@ -51,7 +52,7 @@ def capture(
         float | None,
         typer.Option(
             "--time",
-            parser=values.duration,
+            parser=typed(values.duration),
             metavar="TIME",
             help="Stop by then: 90s, 2m; without --steps the preset is reference then.",
         ),
@@ -82,7 +83,7 @@ def capture(
     size: Annotated[
         values.Size,
         typer.Option(
-            parser=values.size,
+            parser=typed(values.size),
             metavar="WxH",
             show_default="1024x1024",
             help="Size of the first map set.",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from matcap.cli.options import ExportOption, Normal, NormalOption, PngOption, QuietOption
+from matcap.cli.options import ExportOption, Normal, NormalOption, PngOption, QuietOption, typed
 from matcap.errors import UsageError
 from matcap.files import values
 
@@ -73,14 +73,17 @@ def synth(
     size: Annotated[
         values.Size,
         typer.Option(
-            parser=values.size, metavar="WxH", show_default="1024x1024", help="Size in texels."
+            parser=typed(values.size),
+            metavar="WxH",
+            show_default="1024x1024",
+            help="Size in texels.",
         ),
     ] = values.DEFAULT_SIZE,
     seed: Annotated[int, typer.Option(help="Which realisation of the material.")] = 0,
     region: Annotated[
         values.Region | None,
         typer.Option(
-            parser=values.region,
+            parser=typed(values.region),
             metavar="x,y,w,h",
             help="A rectangle anywhere in the endless field (y downwards), not --size.",
         ),
@@ -92,7 +95,7 @@ def synth(
     udim: Annotated[
         values.Size | None,
         typer.Option(
-            parser=values.size,
+            parser=typed(values.size),
             metavar="CxR",
             help="A texture set of C columns and R rows, each tile of the given size.",
         ),
@@ -112,7 +115,9 @@ def synth(
     mask_over: Annotated[
         values.Region | None,
         typer.Option(
-            parser=values.region, metavar="x,y,w,h", help="Stretch the mask over this instead."
+            parser=typed(values.region),
+            metavar="x,y,w,h",
+            help="Stretch the mask over this instead.",
         ),
     ] = None,
     out: Annotated[
@@ -262,7 +267,7 @@ def bench(
     size: Annotated[
         values.Size,
         typer.Option(
-            parser=values.size, metavar="WxH", show_default="4096x256", help="Of the map."
+            parser=typed(values.size), metavar="WxH", show_default="4096x256", help="Of the map."
         ),
     ] = _STRIP,
     network: Annotated[
@@ -293,7 +298,7 @@ def bench(
             raise UsageError(
                 "there is no such network", where=name, remedy=f"use {' or '.join(NETWORKS)}"
             )
-    blocks = [values.size(one) for one in block or BLOCKS]
+    blocks = [typed(values.size)(one) for one in block or BLOCKS]
     for side in (side for one in (size, *blocks) for side in (one.width, one.height)):
         if side % ALIGNMENT:
             raise UsageError(
