@@ -3,8 +3,8 @@
 Falloff, the highlight's place and the texture's foreshortening all speak of it. The first two
 keep their place in the picture, so features are pooled on a grid, not over the whole picture, and
 the blurred picture itself is handed on. Trained on simulated photographs of known tilt
-(prior/align.py). The angles are those of FlashSetup: positive tilt_x turns the plane's upper edge
-towards the camera, positive tilt_y its left edge.
+(lab/train/align.py). The angles are those of FlashSetup: positive tilt_x turns the plane's upper
+edge towards the camera, positive tilt_y its left edge.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _UNIT = 0.15  # radians: what the last layer calls 1
 
 
 class Alignment(nn.Module):
-    """A photograph (as prior/look.py shows it) and its field of view to two tilt angles."""
+    """A photograph (as capture/prior/look.py shows it) and its field of view to two tilt angles."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -11,7 +11,7 @@ reference field (frozen; see freeze.py).
 
 Nothing here invents data at a border: a rectangle is decoded either as a torus (`periodic=True`,
 a field that repeats with the rectangle) or with a halo of true noise, whose border is cut off by
-the caller (synth/field.py).
+the caller (model/field.py).
 """
 
 from __future__ import annotations

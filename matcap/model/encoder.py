@@ -18,7 +18,7 @@ from matcap.errors import UsageError
 from matcap.model.decoder import CODE_SIZE
 
 PICTURE_CHANNELS = 5  # log colour, and the two image coordinates
-NUMBERS = 16  # what prior/look.py tells of the coarse fit
+NUMBERS = 16  # what capture/prior/look.py tells of the coarse fit
 TEXTURE = 231  # what it tells of the texture at full detail
 BACKBONES = ("small", "resnet50")
 
@@ -112,7 +112,7 @@ class Encoder(nn.Module):
         """Mean and log-variance, (B, CODE_SIZE) each.
 
         Args:
-            picture: (B, PICTURE_CHANNELS, h, w) as prior/look.py shows it.
+            picture: (B, PICTURE_CHANNELS, h, w) as capture/prior/look.py shows it.
             numbers: (B, NUMBERS) likewise.
             texture: (B, TEXTURE) likewise.
         """

@@ -8,7 +8,7 @@ lose their contrast where both are half there.
 The share is a function of the texel alone: blocks, order and workers change no bit. Where it is 0
 or 1 the texels are those of the one material.
 
-Not here: prior/blend.py, which makes one material between two others.
+Not here: model/between.py, which makes one material between two others.
 """
 
 from __future__ import annotations
