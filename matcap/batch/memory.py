@@ -1,7 +1,7 @@
 """How much memory a worker takes, and how many fit.
 
-Measured on Linux with the allocator of glibc (docs/batch.md has the command): the libraries, the
-photograph as it is developed, what grows with the detail, and what grows with the map set.
+Measured on Linux with the allocator of glibc (docs/notes/batch.md has the command): the libraries,
+the photograph as it is developed, what grows with the detail, and what grows with the map set.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from matcap.batch.settings import BatchSettings
 _LIBRARIES = 1_150_000_000  # and one window being tuned
 _BY_PIXEL = {"raw": 22, "other": 12}  # bytes a pixel of the file
 _BY_TEXEL = 250  # of the photograph as it is used, detail x 3/4 detail
-_BY_MAP_TEXEL = 110
+_BY_MAP_TEXEL = 110  # bytes
 _USUAL_PIXELS = 12_000_000  # where a file does not tell
 _SPARE = 0.85  # of what is free: the rest is for everybody else
 _RAW_FORMS = ("RAW", "DNG")

@@ -1,8 +1,27 @@
-"""A map set as a folder of pictures with one JSON file (DESIGN, section 2).
+"""A map set as a folder of pictures with one JSON file.
 
 `<name>_diffuse.exr`, `_specular`, `_roughness` and `_normal` in half float, `_height` in 32-bit
 float, and `<name>.json`, which says what the numbers mean. On request also 16-bit PNGs. The folder
 is read back from the EXR files; the normal is derived from the height again.
+
+Keys:
+    format: "matcap map set".
+    version: 1.
+    matcap: version of the program that wrote it.
+    name: what the files are called.
+    width: texels.
+    height: texels.
+    x: of the left top texel in the endless field.
+    y: of the left top texel in the endless field, downwards.
+    seed: realisation of the material, or null.
+    periodic: whether the right border continues at the left one, and the bottom at the top.
+    texel_size: a texel's side in plane units.
+    height_scale: what one unit of the EXR height is, in plane units.
+    normal: "gl" (+Y up) or "dx" (+Y down).
+    maps: for each map its `file` and `meaning`, and with PNGs `png` and `png_encoding`.
+    png: with PNGs, `height_scale` and `height_midlevel`: height = (value - midlevel) * scale.
+    conventions: what axes, unit, reflectance and normals are, in words.
+    provenance: how the material was made.
 """
 
 from __future__ import annotations
@@ -17,10 +36,10 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import read_exr, write_exr
+from matcap.files.maker import MAKER_VERSION
 from matcap.files.png import write_png
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged
-from matcap.version import __version__
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -28,7 +47,7 @@ if TYPE_CHECKING:
 NormalStyle = Literal["gl", "dx"]
 
 FORMAT = "matcap map set"
-VERSION = 1
+VERSION = 1  # of the document
 # Bytes a texel takes at most, for all maps: what is asked of the disk beforehand.
 EXR_BYTES = 2 * (3 + 1 + 1 + 3) + 4
 PNG_BYTES = 2 * (3 + 1 + 1 + 1 + 3)
@@ -207,7 +226,7 @@ def mapset_document(
     return {
         "format": FORMAT,
         "version": VERSION,
-        "matcap": __version__,
+        "matcap": MAKER_VERSION,
         "name": info.name,
         "width": width,
         "height": height,

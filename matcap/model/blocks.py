@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from matcap.errors import UsageError
 from matcap.model.plane import COORDINATE_LIMIT, Period
+from matcap.model.plane import Rectangle as Rectangle
 
-BLOCK = 512  # texels along x; docs/synthesis.md has the measurement
+BLOCK = 512  # texels along x; docs/notes/synthesis.md has the measurement
 BLOCK_HEIGHT = 256
 RING = 1  # texels around a block that its normals look at
 
@@ -19,16 +20,6 @@ class Grid:
 
     width: int = BLOCK
     height: int = BLOCK_HEIGHT
-
-
-@dataclass(frozen=True)
-class Rectangle:
-    """Texels x to x + width, y (downwards) to y + height."""
-
-    x: int
-    y: int
-    width: int
-    height: int
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from matcap.errors import MatcapError
 from matcap.model.example.example import Example
 
 FORMAT = "matcap-material"
-VERSION = 1
+VERSION = 1  # of the file
 REMEDY = "capture the photograph again, or fetch the file again"
 # What reading JSON raises that is not as it should be.
 DAMAGED = (

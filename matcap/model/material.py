@@ -1,8 +1,28 @@
-"""Material: a captured material and its file, `.matcap` (DESIGN, section 2).
+"""Material: a captured material and its file, `.matcap`.
 
-One safetensors file: the decoder's weights, the code, the frozen statistics, and JSON metadata as
-strings. Nothing in it is executed, and every shape is checked against the stated configuration
-before anything is read.
+One safetensors file of float32 tensors and bytes, whose metadata has one entry, `matcap`, which is
+JSON. Nothing in it is executed, and every shape is checked against the stated configuration before
+anything is read.
+
+Tensors:
+    decoder.*: the fine-tuned network; shapes as the configuration says.
+    code: (64,), the material's code.
+    moments.*.mean: (channels of layer *,), frozen mean of its AdaIN's input.
+    moments.*.deviation: (channels of layer *,), frozen deviation of it.
+    example.exemplar.*: bytes, one map of the photographed piece each; see exemplar.py.
+    example.index.*: bytes, what rearranging it looks up; see example/index.py.
+
+Metadata:
+    format: "matcap-material".
+    version: 1.
+    name: of the photograph.
+    decoder: `noise_channels`, `widths` (five), `convolutions` (down, up) and `cells` (channels of
+        the noise of cells, 0 or absent for none).
+    waves: at most two of `{fx, fy}`, cycles a texel; the plane waves of regular order.
+    texel_size: plane units.
+    setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`.
+    provenance: how it was made.
+    example: `exemplar` and `index`, what their tensors mean; absent where there is none.
 """
 
 from __future__ import annotations
@@ -38,7 +58,7 @@ from matcap.model.header import (
     read_example,
 )
 from matcap.model.source import Generator, no_exemplar
-from matcap.model.stored import Stored, decoder_config, empty_decoder
+from matcap.model.stored import StoredTensors, decoder_config, empty_decoder
 from matcap.statistics.lattice import Wave
 
 
@@ -173,7 +193,7 @@ class Material:
         """
         path = Path(path)
         with opened(path, "pt") as (file, about):
-            stored = Stored(file, path, REMEDY)
+            stored = StoredTensors(file, path, REMEDY)
             decoder = empty_decoder(decoder_config(about["decoder"]))
             state = {
                 name: stored.tensor(f"decoder.{name}", tuple(value.shape))

@@ -79,6 +79,19 @@ def open_tile(
     return Found(maps, name, dict(document.get("provenance") or {}))
 
 
+def open_source(path: Path, generator: Generator | None = None) -> MapSet | Material:
+    """A map set's maps, or a material itself, to be read where it is seen; by one generator alone
+    where one is named.
+
+    Raises:
+        MatcapError: nothing to open, more than one thing, or a broken file.
+    """
+    path = _resolved(path)
+    return (
+        _material(path).by(generator) if path.suffix.lower() == ".matcap" else read_mapset(path)[0]
+    )
+
+
 def _resolved(path: Path) -> Path:
     """The path itself, or the one material of a folder without a map set."""
     if not path.is_dir() or find_mapsets(path):

@@ -5,13 +5,25 @@ Without PyTorch, so that what needs none can start without it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from matcap.errors import UsageError
 
-COORDINATE_LIMIT = 2**40
+COORDINATE_LIMIT = 2**40  # texels either way
 SEED_LIMIT = 2**63
 
 # What repeats: texels along x and along y, None for an axis that never does.
 Period = tuple[int | None, int | None]
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """Texels x to x + width, y (downwards) to y + height."""
+
+    x: int
+    y: int
+    width: int
+    height: int
 
 
 def check_seed(seed: int) -> int:

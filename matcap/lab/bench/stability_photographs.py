@@ -1,4 +1,4 @@
-"""Photographs that go wrong: what `matcap bench stability` and tests/stability capture.
+"""Photographs that go wrong: what `matcap bench stability` and tests/lab/stability capture.
 
 Each is made from the flash picture of a simple bumpy material, as an array in linear light.
 """
@@ -148,7 +148,7 @@ def _made(
     )  # fmt: skip
 
 
-# What each is called in the table of docs/stability.md.
+# What each is called in the table of docs/notes/stability.md.
 HARD_PHOTOGRAPHS: Mapping[str, Hard] = MappingProxyType(
     {
         "an ordinary one": textured,
