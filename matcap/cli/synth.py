@@ -17,7 +17,7 @@ from matcap.errors import UsageError
 from matcap.files import values
 
 if TYPE_CHECKING:
-    from matcap.model.patch import Rectangle
+    from matcap.model.blocks import Rectangle
     from matcap.synth.request import Progress as SynthProgress
     from matcap.synth.synthesise import Axes, Growth
 
@@ -157,7 +157,7 @@ def synth(
     from matcap.capture.prior.store import load_prior
     from matcap.export.targets import check_targets, export_mapset
     from matcap.model.material import Material
-    from matcap.model.source import check_seed
+    from matcap.model.plane import check_seed
     from matcap.synth.precision import Choice
     from matcap.synth.request import Files, Work
     from matcap.synth.synthesise import SynthRequest, synthesise
@@ -214,7 +214,7 @@ def _growth(blend: Path | None, mask: Path | None, over: values.Region | None) -
 
 
 def _rectangle(region: values.Region) -> Rectangle:
-    from matcap.model.patch import Rectangle
+    from matcap.model.blocks import Rectangle
 
     return Rectangle(region.x, region.y, region.width, region.height)
 

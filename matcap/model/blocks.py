@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from matcap.errors import UsageError
-from matcap.model.noise import COORDINATE_LIMIT
-from matcap.model.patch import Period
-from matcap.model.patch import Rectangle as Rectangle
+from matcap.model.plane import COORDINATE_LIMIT, Period
 
 BLOCK = 512  # texels along x; docs/notes/synthesis.md has the measurement
 BLOCK_HEIGHT = 256
+RING = 1  # texels around a block that its normals look at
 
 
 @dataclass(frozen=True)
@@ -20,6 +19,16 @@ class Grid:
 
     width: int = BLOCK
     height: int = BLOCK_HEIGHT
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """Texels x to x + width, y (downwards) to y + height."""
+
+    x: int
+    y: int
+    width: int
+    height: int
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.model.blocks import BLOCK, Piece, check_rectangle, pieces_of
+from matcap.model.blocks import BLOCK, RING, Piece, Rectangle, check_rectangle, pieces_of
 from matcap.model.decoder import OUTPUTS
 from matcap.model.device import DeviceName, find_device
-from matcap.model.patch import Period, Rectangle
+from matcap.model.plane import Period
 from matcap.model.single import single_threaded
-from matcap.model.source import RING, Generator, Source, material_source
+from matcap.model.source import Generator, Source, material_source
 
 __all__ = ["BLOCK", "Field", "Rectangle"]
 

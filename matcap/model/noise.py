@@ -17,9 +17,6 @@ from torch import Tensor
 
 from matcap.model.patch import Patch
 
-COORDINATE_LIMIT = 2**40  # texels either way
-SEED_LIMIT = 2**63
-
 _CHANNELS_PER_HASH = 4  # of 16 bits each
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
 _TOP_BITS = 0x8000800080008000  # of the four numbers in a hash

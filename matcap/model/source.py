@@ -8,19 +8,18 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from matcap.errors import UsageError
-from matcap.model.blocks import Grid
+from matcap.model.blocks import RING, Grid, Rectangle
 from matcap.model.decoder import ALIGNMENT, maps_from_raw
 from matcap.model.device import repeatable
 from matcap.model.freeze import FoldedDecoder
-from matcap.model.noise import SEED_LIMIT, noise_field
+from matcap.model.noise import noise_field
 from matcap.model.order import order_field
-from matcap.model.patch import Patch, Period, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Period, check_period, check_seed
 from matcap.model.random_field import RandomField
 from matcap.model.spans import Span, Spans, spans_of
 from matcap.statistics.lattice import Wave
 
-RING = 1  # texels around a block that its normals look at
 _CPU = torch.device("cpu")
 
 
@@ -189,24 +188,6 @@ def material_source(
         UsageError: a seed or period out of range.
     """
     check_seed(seed)
-    check_period(period)
+    check_period(period, ALIGNMENT)
     decoder = material.folded().to(device)
     return MaterialSource(decoder, material.waves, material.texel_size, seed, period)
-
-
-def check_seed(seed: int) -> int:
-    """The seed, or a UsageError when it is out of range."""
-    if not -SEED_LIMIT <= seed < SEED_LIMIT:
-        raise UsageError(f"the seed {seed} is out of range", remedy="give one in [-2^63, 2^63)")
-    return seed
-
-
-def check_period(period: Period | None) -> Period | None:
-    """The period, or a UsageError when an axis is no positive multiple of ALIGNMENT."""
-    for length in period or ():
-        if length is not None and (length <= 0 or length % ALIGNMENT):
-            raise UsageError(
-                f"the period {length} is not a positive multiple of {ALIGNMENT}",
-                remedy=f"round it to a multiple of {ALIGNMENT}",
-            )
-    return period

@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from matcap.model.blocks import Grid
+from matcap.model.blocks import RING, Grid, Rectangle
 from matcap.model.material import Material
-from matcap.model.patch import Period, Rectangle
-from matcap.model.source import RING, MaterialSource, material_source
+from matcap.model.plane import Period
+from matcap.model.source import MaterialSource, material_source
 from matcap.model.spans import Span
 from matcap.synth.mask import Mask
 

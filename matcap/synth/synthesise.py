@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Literal
 
 from matcap.brdf.folder import MapSetInfo
+from matcap.model.blocks import Rectangle
 from matcap.model.device import DeviceName, find_device
 from matcap.model.material import Material
-from matcap.model.patch import Period, Rectangle
-from matcap.model.source import Source, check_seed, material_source
+from matcap.model.plane import Period, check_seed
+from matcap.model.source import Source, material_source
 from matcap.synth.blend import blend_source
 from matcap.synth.mask import read_mask
 from matcap.synth.precision import Choice, Precision, choose
