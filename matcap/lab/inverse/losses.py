@@ -30,7 +30,7 @@ _FLAT = 0.02  # root-mean-square slope, below which strength is not told apart
 _PLAIN = 0.02  # likewise of log albedo
 _BLACK = 0.02  # albedo: darker ones differ little to the eye
 _DARKEST = 0.01  # radiance, of a white plane's
-_LIGHTS = 3
+_LIGHTS = 2
 # Of relit pictures; other filters than those a capture is tuned by or judged by.
 _BANK = FilterBank(FilterBankConfig(sizes=(5,), filters=20, levels=4, seed=91))
 _WHITE = 0.35  # radiance of a picture's mean, as its statistics are taken
@@ -174,7 +174,8 @@ def _rendered(
                 ]
             )
         found = _lit(maps, normals_found, sample.points, light, to_view)
-        true = _lit(sample.truth, normals_true, sample.points, light, to_view)
+        with torch.no_grad():
+            true = _lit(sample.truth, normals_true, sample.points, light, to_view)
         differences.append(((found + _DARKEST).log() - (true + _DARKEST).log()).abs().mean())
         if index:
             gain = _WHITE / float(true.mean())

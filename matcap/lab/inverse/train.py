@@ -47,10 +47,10 @@ class TrainSettings:
 
     steps: int = 100_000
     seconds: float = float("inf")
-    rate: float = 6e-4
+    rate: float = 1e-3
     average: float = 0.999
-    width: int = 288
-    height: int = 224
+    width: int = 224
+    height: int = 160
     batch: int = 1
     save_every: int = 250
     workers: int = 1
