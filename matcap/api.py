@@ -34,12 +34,9 @@ def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
         m = matcap.capture("leather.dng", preset="draft")
         maps = m.maps(1024, 1024, seed=7)
     """
-    from matcap.capture.pipeline import CaptureSettings, capture_photo
-    from matcap.photo.load import load_photo
+    from matcap.capture.pipeline import CaptureSettings, capture_file
 
-    chosen = CaptureSettings(**settings)
-    photo = load_photo(path, long_side=chosen.most_detail, fov=chosen.fov, noise=chosen.tunes)
-    return capture_photo(photo, chosen).material
+    return capture_file(path, CaptureSettings(**settings)).material
 
 
 def relight(

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,11 @@ from matcap.batch.settings import BatchSettings
 from matcap.errors import MatcapError
 from matcap.version import __version__
 
-# Settings that say what to work on or how, and leave the material as it is.
+# Settings that say what to work on or how, and leave the material as it is; of prior and card the
+# bytes count.
 _NO_MATTER = ("jobs", "group", "gap", "card", "prior")
+# What a setting of later versions was before there was it: unsaid, for old materials to stay.
+_SINCE = {"statistics": "filterbank"}
 
 
 def identity(
@@ -41,7 +43,11 @@ def identity(
     Raises:
         MatcapError: a photograph cannot be read.
     """
-    chosen = {key: value for key, value in asdict(settings).items() if key not in _NO_MATTER}
+    chosen = {
+        key: value
+        for key, value in settings.named().items()
+        if key not in _NO_MATTER and (key not in _SINCE or value != _SINCE[key])
+    }
     what: dict[str, Any] = {
         "photographs": [file_hash(photo) for photo in photos],
         "settings": chosen,

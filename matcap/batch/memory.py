@@ -29,7 +29,7 @@ def worker_bytes(settings: BatchSettings, pixels: int, *, raw: bool) -> int:
         pixels: of the largest photograph.
         raw: whether it has to be developed.
     """
-    width, height = settings.size
+    width, height = settings.outputs.size
     detail = settings.capture.most_detail
     return (
         _LIBRARIES

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -38,6 +38,7 @@ _STEP = 1e-5  # of a parameter, all of which are of order 1
 # only what a lens profile left undone remains.
 _VIGNETTING_RADIOMETRIC = (0.0, 0.05)
 _BRIGHTEST = 0.8  # mean albedo or F0 of the brightest material believed in
+_MOST_ALBEDO = 0.98  # or F0, under a known flash: no surface gives back all
 # One prior deviation weighs like residuals of _HUBER in this share of the cells: cells are far
 # from independent, since what the model lacks (blotches, and tone mapping where the picture was
 # developed) is smooth.
@@ -137,6 +138,26 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
             vignetting=values[10],
         ),
         residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
+    )
+
+
+def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
+    """The same picture under a flash of known intensity: albedo becomes absolute.
+
+    Args:
+        coarse: the fit, whose intensity was believed.
+        intensity: that a calibration card told, in the units of the photograph's pixels; None
+            leaves the fit as it is.
+    """
+    if intensity is None:
+        return coarse
+    dimmer = coarse.setup.intensity[1] / intensity
+    red, green, blue = (min(value * dimmer, _MOST_ALBEDO) for value in coarse.diffuse)
+    return replace(
+        coarse,
+        diffuse=(red, green, blue),
+        specular=min(coarse.specular * dimmer, _MOST_ALBEDO),
+        setup=coarse.setup.with_intensity((intensity,) * 3),
     )
 
 

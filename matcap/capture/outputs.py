@@ -12,7 +12,6 @@ from matcap.files.staging import staged
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult
-    from matcap.photo.photo import Photo
 
 _BESIDES = 50_000_000  # material, preview and report, generously
 
@@ -44,16 +43,13 @@ class OutputSettings:
         return mapset_bytes(*self.size, png=self.png) + exports + _BESIDES
 
 
-def write_outputs(
-    result: CaptureResult, photo: Photo, folder: Path, settings: OutputSettings
-) -> Path:
+def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings) -> Path:
     """Write material, first map set, preview.png and report.json into a folder, all or none.
 
     Exports to other programs come after them, each all or none.
 
     Args:
         result: of capture_photo.
-        photo: what was captured.
         folder: made when missing; the material and its maps are called as it is.
         settings: what to write.
 
@@ -73,7 +69,7 @@ def write_outputs(
     with staged(folder, replacing=mapset_files(name)) as stage:
         write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
         write_preview(result, stage / "preview.png")
-        write_report(result, photo, stage / "report.json")
+        write_report(result, stage / "report.json")
         material.save(stage / f"{name}.matcap")
     for target in settings.targets:
         export_mapset(folder / f"{name}.json", target)

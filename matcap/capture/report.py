@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 from matcap.capture.anytime import forecast
 from matcap.capture.curve import draw_history
 from matcap.capture.detail import DETAIL
+from matcap.capture.settings import CaptureSettings, resolve
 from matcap.files.staging import staged
 from matcap.version import __version__
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult
-    from matcap.photo.photo import Photo
 
 CURVE = "error.png"
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
@@ -27,21 +27,21 @@ _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "Open
 _MUCH_CLIPPED, _MUCH_TILT = 0.05, 10.0
 
 
-def write_report(result: CaptureResult, photo: Photo, path: Path) -> None:
+def write_report(result: CaptureResult, path: Path) -> None:
     """Write the report of a capture, and beside it error.png, its error over time.
 
     Raises:
         MatcapError: the file cannot be written.
     """
-    text = json.dumps(_finite(report(result, photo)), indent=2, default=str, allow_nan=False)
+    text = json.dumps(_finite(report(result)), indent=2, default=str, allow_nan=False)
     with staged(path.parent) as stage:
         (stage / path.name).write_text(text + "\n")
         draw_history(result.history, result.self_difference).save(stage / CURVE)
 
 
-def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
+def report(result: CaptureResult) -> dict[str, Any]:
     """The report as plain data. Angles in degrees, times in seconds, lengths in plane units."""
-    setup = result.material.setup
+    setup, photo = result.material.setup, result.photo
     return {
         "format": "matcap report",
         "name": result.material.name,
@@ -49,8 +49,8 @@ def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
         "error": result.history[-1][2] if result.history else None,
         "self_difference": result.self_difference,
         "error_after_another_minute": forecast(result.history, 60.0),
-        "warnings": list(warnings(result, photo)),
-        "notes": list(photo.notes),
+        "warnings": list(warnings(result)),
+        "notes": [*photo.notes, *_rules(result.settings)],
         "photograph": {
             "name": photo.name,
             "size": list(photo.original_size),
@@ -72,6 +72,7 @@ def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
         },
         "texel_size": result.material.texel_size,
         "settings": asdict(result.settings),
+        "effort": asdict(resolve(result.settings)),
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
         "error_over_time": [
@@ -88,8 +89,9 @@ def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
     }
 
 
-def warnings(result: CaptureResult, photo: Photo) -> Iterable[str]:
+def warnings(result: CaptureResult) -> Iterable[str]:
     """What may have hurt the result, each with what to do at the next shot."""
+    photo = result.photo
     if result.interrupted:
         yield "Interrupted: this is the best so far; run it again for a better result."
     if photo.clipped_share > _MUCH_CLIPPED:
@@ -108,6 +110,16 @@ def warnings(result: CaptureResult, photo: Photo) -> Iterable[str]:
     tilt = max(abs(math.degrees(angle)) for angle in result.material.setup.tilt)
     if tilt > _MUCH_TILT:
         yield f"The camera was tilted by {tilt:.0f} degrees: hold it parallel to the sample."
+
+
+def _rules(settings: CaptureSettings) -> Iterable[str]:
+    """What follows from the settings and is not what it was called."""
+    effort = resolve(settings)
+    if effort.preset != settings.preset:
+        yield (
+            "A time limit or a target decided when to stop, so the preset was "
+            f"{effort.preset}: at most {effort.steps} steps. Give --steps for another number."
+        )
 
 
 def _finite(value: object) -> object:

@@ -50,7 +50,10 @@ def capture(
     time_limit: Annotated[
         float | None,
         typer.Option(
-            "--time", parser=values.duration, metavar="TIME", help="Stop by then: 90s, 2m."
+            "--time",
+            parser=values.duration,
+            metavar="TIME",
+            help="Stop by then: 90s, 2m; without --steps the preset is reference then.",
         ),
     ] = None,
     target: Annotated[
@@ -58,7 +61,8 @@ def capture(
         typer.Option(
             min=0.01,
             metavar="TIMES",
-            help="Stop at this error, in multiples of what the photograph's own windows differ by.",
+            help="Stop at this error, in multiples of what the photograph's own windows differ by; "
+            "without --steps the preset is reference then.",
         ),
     ] = None,
     detail: Annotated[
@@ -168,15 +172,11 @@ def _capture(
     job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
 ) -> dict[str, Any]:
     from matcap.capture.outputs import write_outputs
-    from matcap.capture.pipeline import capture_photo
-    from matcap.photo.load import load_photo
+    from matcap.capture.pipeline import capture_file
 
     shown.started(job.photo)
-    photo = load_photo(
-        job.photo, long_side=settings.most_detail, fov=settings.fov, noise=settings.tunes
-    )
-    result = capture_photo(photo, settings, shown.progress)
-    material = write_outputs(result, photo, job.folder, outputs)
+    result = capture_file(job.photo, settings, shown.progress)
+    material = write_outputs(result, job.folder, outputs)
     return {
         "photo": str(job.photo),
         "status": "interrupted" if result.interrupted else "done",

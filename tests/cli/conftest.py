@@ -14,7 +14,6 @@ from matcap.capture.pipeline import CaptureResult, Progress
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.photo import load
 from matcap.photo.photo import Photo
 
 
@@ -75,6 +74,7 @@ class FakePipeline:
                     Progress("fine-tuning", fraction, 1.0 - fraction / 2, fraction, 1 - fraction)
                 )
         return CaptureResult(
+            photo=photo,
             material=FakeMaterial(Path(photo.name).stem),
             rectified=photo.pixels,
             rerendered=photo.pixels * 0.9,
@@ -90,7 +90,7 @@ class FakePipeline:
 def pipeline(monkeypatch) -> FakePipeline:
     """The capture pipeline replaced; the command line and all its files stay real."""
     fake = FakePipeline()
-    monkeypatch.setattr(load, "load_photo", fake.load_photo)
+    monkeypatch.setattr(capturing, "load_photo", fake.load_photo)
     monkeypatch.setattr(capturing, "capture_photo", fake.capture_photo)
     return fake
 

@@ -8,26 +8,12 @@ from matcap.errors import ExitCode, MatcapError
 from matcap.files.exr import read_exr
 from matcap.files.picture import write_picture
 from matcap.files.png import write_png
-from matcap.files.srgb import srgb_picture
 
 
 def read(path):
     """OpenCV's own order back to red, green, blue."""
     stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     return stored[..., ::-1] if stored.ndim == 3 else stored
-
-
-def test_srgb_values_of_the_standard():
-    # Middle grey, the knee, and the ends (IEC 61966-2-1).
-    linear = np.array([0.0, 0.0031308, 0.21404114, 1.0, -1.0, 2.0], dtype=np.float32)
-    expected = [0.0, 0.04045, 0.5, 1.0, 0.0, 1.0]
-    assert srgb_picture(linear) == pytest.approx(expected, abs=1e-5)
-
-
-def test_srgb_is_continuous_and_monotonic():
-    steps = np.diff(srgb_picture(np.linspace(0, 0.01, 10001, dtype=np.float32)))
-    assert (steps >= 0).all()
-    assert steps.max() < 2e-5
 
 
 @pytest.mark.parametrize("bits", [8, 16])

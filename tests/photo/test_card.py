@@ -11,8 +11,7 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.coarse import fit_coarse
-from matcap.capture.pipeline import _with_known_flash
+from matcap.capture.coarse import fit_coarse, under_flash
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode
@@ -100,9 +99,9 @@ def test_albedo_becomes_absolute(calibration, tmp_path):
     known = calibrated(photo, path, calibration)
     assert known.flash_intensity is not None and photo.flash_intensity is None
     untold = fit_coarse(known)
-    coarse = _with_known_flash(untold, known.flash_intensity)
+    coarse = under_flash(untold, known.flash_intensity)
     assert np.mean(coarse.diffuse) == pytest.approx(0.09, rel=0.15)
-    assert _with_known_flash(untold, None) is untold
+    assert under_flash(untold, None) is untold
     assert calibrated(replace(photo, radiometric=False), path, calibration).flash_intensity is None
 
 

@@ -26,6 +26,7 @@ from matcap.capture.prior.look import describe_windows, numbers, picture, textur
 from matcap.capture.start import log_contrast
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
+from matcap.flash.plane import Plane
 from matcap.model.alignment import WIDTH, Alignment
 from matcap.model.decoder import CODE_SIZE, Decoder
 from matcap.model.encoder import BACKBONES, Encoder, EncoderConfig
@@ -82,31 +83,29 @@ class Prior:
             found = self.alignment(shown, torch.tensor([photo.fov]))[0].tolist()
         return found[0], found[1]
 
-    def code(self, photo: Photo, coarse: CoarseFit, linear: Tensor, valid: Tensor) -> Tensor:
+    def code(self, photo: Photo, coarse: CoarseFit, plane: Plane) -> Tensor:
         """(CODE_SIZE,) mean code of a photograph.
 
         Args:
             photo: the photograph.
             coarse: its coarse fit.
-            linear: (3, H, W) the photograph rectified at the detail of the capture.
-            valid: (H, W) bool.
+            plane: the photograph at the detail of the capture.
         """
         with torch.no_grad():
             shown = picture(photo, self.encoder.config.width)[None]
-            told = numbers(coarse, log_contrast(linear, valid), linear.shape[-1])[None]
-            seen = texture(describe_windows(linear, valid))[None]
+            contrast = log_contrast(plane.linear, plane.valid)
+            told = numbers(coarse, contrast, plane.size[0])[None]
+            seen = texture(describe_windows(plane.linear, plane.valid))[None]
             mean, _ = self.encoder(shown, told, seen)
         return mean[0]
 
-    def start(
-        self, photo: Photo, coarse: CoarseFit, linear: Tensor, valid: Tensor
-    ) -> tuple[Decoder, Tensor]:
+    def start(self, photo: Photo, coarse: CoarseFit, plane: Plane) -> tuple[Decoder, Tensor]:
         """Decoder and code from which a capture starts; arguments as for code().
 
         The decoder speaks raw outputs itself: the base is folded into its head.
         """
-        code = self.code(photo, coarse, linear, valid)
-        return fold(self.decoder, base_of(coarse, log_contrast(linear, valid))), code
+        contrast = log_contrast(plane.linear, plane.valid)
+        return fold(self.decoder, base_of(coarse, contrast)), self.code(photo, coarse, plane)
 
     def draw(self, seed: int) -> Material:
         """A material out of nothing: a standard normal code, and a base that goes with it."""

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from matcap.capture.pipeline import FEATURES, PRESETS, CaptureSettings, Method
+from matcap.capture.settings import FEATURES, PRESETS, CaptureSettings, Method
 from matcap.errors import UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.quality import QualitySettings, Yardstick
@@ -278,11 +278,10 @@ def _in_own_process(
 def _capture(
     photo: Path, settings: CaptureSettings, method: Method, material: Path
 ) -> tuple[float, float]:
-    from matcap.capture.pipeline import capture_photo
-    from matcap.photo.load import load_photo
+    from matcap.capture.pipeline import capture_photo, read_photograph
 
     began = time.perf_counter()
-    read_in = load_photo(photo, long_side=settings.detail, fov=settings.fov)
+    read_in = read_photograph(photo, settings)
     capture_photo(read_in, settings, method=method).material.save(material)
     seconds = time.perf_counter() - began
     return seconds, megabytes_held()

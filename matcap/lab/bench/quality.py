@@ -23,6 +23,7 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.files.picture import write_picture
+from matcap.files.srgb import srgb_decode_tensor
 from matcap.files.staging import staged
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.baselines import PerTexelSettings, per_texel, photo_as_albedo
@@ -307,7 +308,7 @@ def _write_sheet(path: Path, columns: Mapping[str, torch.Tensor]) -> None:
     """Every third light a row, truth first, then each method."""
     rows = [torch.cat(list(row), dim=2) for row in zip(*columns.values(), strict=True)]
     sheet = torch.cat(rows[::3], dim=1)
-    linear = torch.where(sheet <= 0.04045, sheet / 12.92, ((sheet + 0.055) / 1.055) ** 2.4)
+    linear = srgb_decode_tensor(sheet)
     write_picture(linear.permute(1, 2, 0).contiguous().numpy(), path)
 
 

@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.files.srgb import srgb_encode_tensor
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import shade
 
@@ -114,7 +115,7 @@ def relight(
         linear = torch.from_numpy(
             cv2.GaussianBlur(linear.permute(1, 2, 0).contiguous().numpy(), (0, 0), blur)
         ).permute(2, 0, 1)
-    return srgb(F.avg_pool2d(linear, finer))
+    return srgb_encode_tensor(F.avg_pool2d(linear, finer).clamp(0.0, 1.0))
 
 
 def relight_all(
@@ -130,10 +131,3 @@ def relight_all(
         relight(maps, intensity, scene, light, finer=finer, blur=blur) for light in scene.lights
     ]
     return torch.stack(pictures)
-
-
-def srgb(linear: Tensor) -> Tensor:
-    """Linear light to sRGB code values in [0, 1] (IEC 61966-2-1), clipped."""
-    clipped = linear.clamp(0.0, 1.0)
-    curve = 1.055 * clipped.clamp_min(0.0031308).pow(1.0 / 2.4) - 0.055
-    return torch.where(clipped <= 0.0031308, 12.92 * clipped, curve)

@@ -17,13 +17,13 @@ import numpy as np
 from matcap.capture.coarse import fit_coarse
 from matcap.capture.start import log_contrast
 from matcap.errors import MatcapError
+from matcap.files.srgb import srgb_encode
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.rectify import rectify
+from matcap.flash.plane import read_plane
 from matcap.lab.simulate.materials.varied import random_material
 from matcap.lab.simulate.photograph import Camera, expose, take
 from matcap.lab.train.pack import WAVE_DETAIL, Entry, Pack, decode, read_code
 from matcap.photo.photo import DEFAULT_FOV, Photo
-from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.lattice import find_lattice
 
 PICTURES = (".jpg", ".jpeg", ".png")
@@ -140,9 +140,8 @@ def random_setup(rng: np.random.Generator, deviation: float | None) -> FlashSetu
 
 def srgb_bytes(linear: np.ndarray) -> np.ndarray:
     """(H, W, 3) uint8 BGR of linear RGB in [0, 1]."""
-    low, high = linear * 12.92, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
-    code = np.where(linear <= 0.0031308, low, high)
-    return np.ascontiguousarray(np.round(code.clip(0.0, 1.0) * 255.0).astype(np.uint8)[..., ::-1])
+    code = srgb_encode(linear.clip(0.0, 1.0))
+    return np.ascontiguousarray(np.round(code * 255.0).astype(np.uint8)[..., ::-1])
 
 
 def entry(
@@ -156,15 +155,14 @@ def entry(
     jpeg = cv2.imencode(".jpg", code, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
     photo: Photo = decode(jpeg, name, fov)
     coarse = fit_coarse(photo)
-    linear, valid = rectify(photo, coarse.setup, WAVE_DETAIL)
-    encoding = fit_encoding(linear, valid)
+    plane = read_plane(photo, coarse.setup, WAVE_DETAIL)
     return Entry(
         name=name,
         material=material,
         simulated=tilt is not None,
         jpeg=jpeg,
         coarse=coarse,
-        contrast=log_contrast(linear, valid),
-        waves=find_lattice(encoding(linear[None])[0], valid).waves,
+        contrast=log_contrast(plane.linear, plane.valid),
+        waves=find_lattice(plane.encoded(), plane.valid).waves,
         tilt=tilt,
     )

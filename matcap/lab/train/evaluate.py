@@ -156,12 +156,12 @@ Begin = Callable[[Photographed], tuple[Decoder, Tensor]]
 
 def from_prior(prior: Prior, shown: Photographed) -> tuple[Decoder, Tensor]:
     """Decoder and code as the prior has them for a photograph."""
-    return prior.start(shown.photo, shown.entry.coarse, shown.linear, shown.valid)
+    return prior.start(shown.photo, shown.entry.coarse, shown.plane)
 
 
 def from_nothing(shown: Photographed, kind: type[Decoder] = Decoder) -> tuple[Decoder, Tensor]:
     """A random decoder around the coarse fit, and a code of zeros."""
-    contrast = log_contrast(shown.linear, shown.valid)
+    contrast = log_contrast(shown.plane.linear, shown.plane.valid)
     return untrained(DecoderConfig(), shown.entry.coarse, contrast, 0, kind), zeros(CODE_SIZE)
 
 

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from matcap.capture.prior.look import texture
+from matcap.files.srgb import srgb_decode_tensor, srgb_picture
 from matcap.lab.train.pack import Entry, Pack
 from matcap.lab.train.state import State, TrainConfig
 from matcap.lab.train.step import MARGIN, compare, fields, read_maps, targets
@@ -128,15 +129,15 @@ def _pair(state: State, sample: Sample, bank: FilterBank, device: str) -> np.nda
         sample.linear[0],
         sample.render(maps)[0],
         maps.diffuse[0],
-        maps.roughness[0].expand(3, -1, -1) ** 2.2,
+        srgb_decode_tensor(maps.roughness[0].expand(3, -1, -1)),
         (maps.specular[0].expand(3, -1, -1)) ** 0.8,
-        (0.5 + (height - height.mean()) / 6.0).clamp(0, 1).expand(3, -1, -1) ** 2.2,
+        srgb_decode_tensor((0.5 + (height - height.mean()) / 6.0).clamp(0, 1).expand(3, -1, -1)),
     ]
     return np.vstack([_shown(row) for row in rows])
 
 
 def _shown(linear: Tensor) -> np.ndarray:
-    code = linear.cpu().clamp(0.0, 1.0).numpy().transpose(1, 2, 0)[..., ::-1] ** (1 / 2.2)
+    code = srgb_picture(linear.cpu().numpy().transpose(1, 2, 0)[..., ::-1])
     return (code * 255.0).round().astype(np.uint8)
 
 

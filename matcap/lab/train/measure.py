@@ -18,11 +18,11 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.finetune import RATE_FROM_NOTHING, Scene, TuneSettings, finetune
 from matcap.capture.prior.look import FEATURES
 from matcap.capture.windows import cut_windows
+from matcap.files.srgb import srgb_encode_tensor
 from matcap.flash.geometry import FlashSetup, plane_points
-from matcap.flash.rectify import rectify
+from matcap.flash.plane import Plane, read_plane
 from matcap.flash.render import render_flash
 from matcap.lab.bench.diversity import diversity
-from matcap.lab.bench.relit import srgb
 from matcap.lab.bench.style import RandomFilters, difference
 from matcap.lab.bench.xyz import xyz_difference
 from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
@@ -30,7 +30,6 @@ from matcap.lab.train.pack import Entry
 from matcap.model.decoder import Decoder
 from matcap.model.material import Material
 from matcap.photo.photo import Photo
-from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank
 
 SIZE = 384  # texels a side of the pictures compared
@@ -46,46 +45,49 @@ class Photographed:
     Attributes:
         entry: what the pack says.
         photo: decoded.
-        linear, valid: rectified.
+        plane: rectified.
         scene: for fine-tuning.
     """
 
     entry: Entry
     photo: Photo
-    linear: Tensor
-    valid: Tensor
+    plane: Plane
     scene: Scene
 
     @property
     def middle(self) -> tuple[int, int]:
         """Left top texel (x, y) of the square that is compared."""
-        return (self.linear.shape[-1] - SIZE) // 2, (self.linear.shape[-2] - SIZE) // 2
+        width, height = self.plane.size
+        return (width - SIZE) // 2, (height - SIZE) // 2
 
     @property
     def truth(self) -> Tensor:
         """(3, SIZE, SIZE) sRGB, the middle of the photograph."""
         x, y = self.middle
-        return srgb(self.linear[:, y : y + SIZE, x : x + SIZE])
+        return _shown(self.plane.linear[:, y : y + SIZE, x : x + SIZE])
 
     def lit(self, maps: MapSet, setup: FlashSetup | None = None) -> Tensor:
         """(3, SIZE, SIZE) sRGB of maps of that size lying in the middle, under the flash.
 
         The setup is the coarse fit's, unless the maps come with another.
         """
-        extent = (self.linear.shape[-1], self.linear.shape[-2])
-        points = plane_points(*self.middle, SIZE, SIZE, extent, dtype=torch.float32)
+        points = plane_points(*self.middle, SIZE, SIZE, self.plane.size, dtype=torch.float32)
         with torch.inference_mode():
-            return srgb(render_flash(maps, setup or self.scene.setup, points))
+            return _shown(render_flash(maps, setup or self.scene.setup, points))
+
+
+def _shown(linear: Tensor) -> Tensor:
+    """Code values of a picture."""
+    return srgb_encode_tensor(linear.clamp(0.0, 1.0))
 
 
 def photographed(entry: Entry) -> Photographed:
     """Decode, rectify and describe a photograph of the pack."""
     photo, setup = entry.photo(), entry.coarse.setup
-    linear, valid = rectify(photo, setup, DETAIL)
-    encoding, bank = fit_encoding(linear, valid), FilterBank(FEATURES)
-    windows = cut_windows(linear, valid, encoding, bank, _WINDOW)
-    scene = Scene(windows, setup, encoding, bank, entry.waves, 2.0 / DETAIL)
-    return Photographed(entry, photo, linear, valid, scene)
+    plane, bank = read_plane(photo, setup, DETAIL), FilterBank(FEATURES)
+    windows = cut_windows(plane, bank, _WINDOW)
+    scene = Scene(windows, setup, plane.encoding, bank, entry.waves, plane.texel_size)
+    return Photographed(entry, photo, plane, scene)
 
 
 @dataclass(frozen=True)

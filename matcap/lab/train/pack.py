@@ -24,6 +24,7 @@ from torch import Tensor
 
 from matcap.capture.coarse import CoarseFit
 from matcap.errors import MatcapError
+from matcap.files.srgb import srgb_decode
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
@@ -98,13 +99,8 @@ def read_code(data: bytes, name: str) -> NDArray[np.uint8]:
     return np.asarray(code, np.uint8)
 
 
-def _linear_table() -> NDArray[np.float32]:
-    code = np.arange(256) / 255.0
-    low, high = code / 12.92, ((code + 0.055) / 1.055) ** 2.4  # IEC 61966-2-1
-    return np.where(code <= 0.04045, low, high).astype(np.float32)
-
-
-_LINEAR = _linear_table()
+# Linear light of each 8-bit code value.
+_LINEAR = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
 
 
 def held_out(materials: Sequence[str]) -> frozenset[str]:

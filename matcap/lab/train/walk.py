@@ -9,6 +9,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.prior.blend import blend
+from matcap.files.srgb import srgb_encode_tensor
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified
 from matcap.lab.bench.style import RandomFilters, difference
@@ -40,7 +41,8 @@ def flash_picture(maps: MapSet, setup: FlashSetup) -> Tensor:
     """(1, 3, H, W) maps under a flash, middle grey at the mean, as code values."""
     with torch.inference_mode():
         linear = render_rectified(maps.map(lambda m: m.float()), setup)
-        return (linear * (0.2 / linear.mean().clamp_min(1e-9))).clamp(0.0, 1.0)[None] ** (1 / 2.2)
+        exposed = (linear * (0.2 / linear.mean().clamp_min(1e-9))).clamp(0.0, 1.0)
+        return srgb_encode_tensor(exposed)[None]
 
 
 def apart(pictures: list[Tensor]) -> float:

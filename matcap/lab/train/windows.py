@@ -18,10 +18,10 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.prior.base import Base, base_of
 from matcap.capture.prior.look import numbers, picture
 from matcap.flash.geometry import camera_in_plane, plane_points
-from matcap.flash.rectify import rectify
+from matcap.flash.plane import read_plane
 from matcap.flash.render import shade, vignette
 from matcap.lab.train.pack import WAVE_DETAIL, Entry
-from matcap.statistics.encoding import Encoding, fit_encoding
+from matcap.statistics.encoding import Encoding
 from matcap.statistics.lattice import Wave
 
 _MOST_GAIN = 1.15  # of one colour over another
@@ -76,14 +76,9 @@ class Source:
 def prepare(entry: Entry, encoder_width: int) -> Source:
     """Decode and rectify a photograph of the pack."""
     photo = entry.photo()
-    linear, valid = rectify(photo, entry.coarse.setup, WAVE_DETAIL)
-    return Source(
-        linear.half(),
-        valid,
-        picture(photo, encoder_width),
-        fit_encoding(linear, valid),
-        entry,
-    )
+    plane = read_plane(photo, entry.coarse.setup, WAVE_DETAIL)
+    shown = picture(photo, encoder_width)
+    return Source(plane.linear.half(), plane.valid, shown, plane.encoding, entry)
 
 
 @dataclass(frozen=True)

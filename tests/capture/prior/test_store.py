@@ -10,7 +10,7 @@ from matcap.capture.prior.base import base_of
 from matcap.capture.prior.store import load_prior
 from matcap.capture.start import log_contrast
 from matcap.errors import MatcapError
-from matcap.flash.rectify import rectify
+from matcap.flash.plane import read_plane
 from matcap.model.decoder import CODE_SIZE
 
 
@@ -97,12 +97,12 @@ def test_a_truncated_file_is_refused(path):
 def test_a_start_states_the_photographs_base(prior, pack):
     entry = pack.entries[0]
     photo = entry.photo()
-    linear, valid = rectify(photo, entry.coarse.setup, 256)
+    plane = read_plane(photo, entry.coarse.setup, 256)
     prior.decoder.head.adain.affine.weight.data.zero_()
-    decoder, code = prior.start(photo, entry.coarse, linear, valid)
+    decoder, code = prior.start(photo, entry.coarse, plane)
     assert code.shape == (CODE_SIZE,)
     mean, deviation = decoder.head.adain.target(code)
-    base = base_of(entry.coarse, log_contrast(linear, valid))
+    base = base_of(entry.coarse, log_contrast(plane.linear, plane.valid))
     torch.testing.assert_close(mean, base.mean)
     torch.testing.assert_close(deviation[:3], base.deviation[:3])
     assert all(p.requires_grad for p in decoder.parameters())

@@ -134,7 +134,7 @@ def _scene(path: Path) -> None:
 def _settings(path: Path) -> None:
     from matcap.batch.settings import BatchSettings, read_settings
 
-    settings = BatchSettings(**read_settings(path))
+    settings = BatchSettings.of(read_settings(path))
     assert settings.capture.most_detail >= 64 and settings.outputs.room > 0
 
 

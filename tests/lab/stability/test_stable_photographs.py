@@ -9,6 +9,7 @@ from matcap.capture.pipeline import CaptureSettings
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
+from matcap.flash.plane import read_plane
 from matcap.flash.rectify import rectify
 from matcap.lab.bench.stability import capture_array, finite
 from matcap.lab.bench.stability_photographs import HARD_PHOTOGRAPHS, textured
@@ -68,16 +69,15 @@ def test_the_others_end_in_finite_maps(name):
 def test_whatever_looks_at_a_photograph_gives_finite_numbers(name):
     photo = photo_from_array(made(name), long_side=WIDTH, fov=65.0, name=name)
     for tilt in ((0.0, 0.0), (0.9, -0.9)):
-        linear, valid = rectify(photo, FlashSetup(fov=65.0, tilt=tilt), WIDTH)
-        encoding = fit_encoding(linear, valid)
+        plane = read_plane(photo, FlashSetup(fov=65.0, tilt=tilt), WIDTH)
         bank = FilterBank(FilterBankConfig(sizes=(3,), filters=4, levels=2))
-        windows = cut_windows(linear, valid, encoding, bank, 64)
-        numbers = [linear, encoding.matrix, windows.target.mean, *windows.target.grams]
+        windows = cut_windows(plane, bank, 64)
+        numbers = [plane.linear, plane.encoding.matrix, windows.target.mean, *windows.target.grams]
         numbers += [*windows.target.spectra, *windows.target.quantiles]
         assert all(bool(torch.isfinite(n).all()) for n in numbers)
     # Tiled to the least size that is looked at.
-    colour = encoding(linear[None])[0].repeat(1, 4, 3)[:, :256, :256]
-    assert len(find_lattice(colour, valid.repeat(4, 3)[:256, :256]).waves) <= 2
+    colour = plane.encoded().repeat(1, 4, 3)[:, :256, :256]
+    assert len(find_lattice(colour, plane.valid.repeat(4, 3)[:256, :256]).waves) <= 2
 
 
 @pytest.fixture(scope="module")

@@ -9,13 +9,12 @@ from small import SMALL, coarse, entry
 from matcap.capture.finetune import Scene, TuneSettings, finetune
 from matcap.capture.start import untrained
 from matcap.capture.windows import cut_windows
-from matcap.flash.rectify import rectify
+from matcap.flash.plane import read_plane
 from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap.model.decoder import CODE_SIZE, DEPTH, OUTPUTS, Decoder
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
 from matcap.model.random_field import random_field
-from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import Wave
 
@@ -79,11 +78,10 @@ def test_unfolded_reads_a_shipped_decoder_as_a_material_does():
 
 def test_it_tunes_with_a_finite_loss():
     photographed = entry("m", 0)
-    linear, valid = rectify(photographed.photo(), photographed.coarse.setup, 192)
-    encoding = fit_encoding(linear, valid)
+    plane = read_plane(photographed.photo(), photographed.coarse.setup, 192)
     bank = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
-    windows = cut_windows(linear, valid, encoding, bank, 64)
-    scene = Scene(windows, photographed.coarse.setup, encoding, bank, WAVES, 2.0 / 192)
+    windows = cut_windows(plane, bank, 64)
+    scene = Scene(windows, photographed.coarse.setup, plane.encoding, bank, WAVES, 2.0 / 192)
     before = decoder().state_dict()
     tuned = finetune(decoder(), CODE, scene, TuneSettings(steps=2), lambda *_: None)
     assert [step for _, step, _ in tuned.history] == [1, 2]
