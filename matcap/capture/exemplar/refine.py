@@ -34,7 +34,8 @@ _LEVEL_STEPS = 4
 # Deviations of what is off on the whole: log albedo, log F0, logit roughness.
 _LEVELS = (0.5, 0.5, 0.5, 0.3, 0.4)
 _LEVEL_NOISE = 0.15  # of log radiance: texture, beside which levels are found
-_LEVEL_TEXELS = 4000.0  # that count as independent
+_LEVEL_TEXELS = 100.0  # that count as independent: what the model lacks is smooth
+_THIN = 3  # every third texel tells levels
 _HUBER = 0.2  # of log radiance
 
 
@@ -99,14 +100,16 @@ def level(
         outputs: (OUTPUTS, H, W).
         linear, valid, uniform, points: as for refine.
     """
-    light = Light(uniform, points)
-    observed = linear.clamp_min(_DARKEST).log()
+    light = Light(uniform, points[:, ::_THIN, ::_THIN])
+    observed = linear[:, ::_THIN, ::_THIN].clamp_min(_DARKEST).log()
+    valid = valid[::_THIN, ::_THIN]
     outputs = outputs.clone()
     deviation = torch.tensor(_LEVELS)
     moved = torch.zeros(5)
     for _ in range(_LEVEL_STEPS):
-        found, shares, shows = _linearised(outputs, uniform, light)
-        residual = torch.where(valid, observed - found, (observed - found).clamp_min(0.0))
+        found, shares, shows = _linearised(outputs, uniform, light, thin=_THIN)
+        residual = observed - found
+        residual = torch.where(valid, residual, residual.clamp_min(0.0))
         normal, gradient = torch.zeros(5, 5), torch.zeros(5)
         for channel in range(3):
             column = torch.zeros(5, residual[0].numel())
@@ -135,8 +138,9 @@ def refine(
     uniform: Uniform,
     points: Tensor,
     *,
-    steps: int = 5,
+    steps: int = 3,
     noise: float = 0.02,
+    relief: bool = True,
 ) -> Refined:
     """Move outputs until they re-render to the photograph.
 
@@ -149,6 +153,7 @@ def refine(
         points: (3, H, W) plane points.
         steps: of Gauss-Newton.
         noise: deviation of log radiance that is not explained.
+        relief: slopes may move, too.
     """
     light = Light(uniform, points)
     observed = linear.clamp_min(_DARKEST).log()
@@ -156,8 +161,12 @@ def refine(
     albedo, specular, roughness, slope = (
         errors.exp().clamp(_LEAST_ERROR, _MOST_ERROR).square().split(1)
     )
-    for step in range(steps):
-        found, shares, shows = _linearised(outputs, uniform, light)
+    slope = slope * float(relief)
+    shares = shows = None
+    for _ in range(steps):
+        # What shows hardly changes from step to step.
+        found, *rest = _linearised(outputs, uniform, light, derivatives=shows is None)
+        shares, shows = (shares, shows) if shows is not None else rest
         residual = observed - found
         residual = torch.where(valid, residual, residual.clamp_min(0.0))
         residual = (residual - _slow(residual, valid)).clamp(-_MOST, _MOST)
@@ -176,19 +185,21 @@ def refine(
         outputs[:3] += share * albedo * common + own
         outputs[3:4] += by_f0 * specular * common
         outputs[4:5] += by_roughness * roughness * common
-        outputs[5:6] += integrate(by_x * slope * common, by_y * slope * common)
+        if relief:
+            outputs[5:6] += integrate(by_x * slope * common, by_y * slope * common)
     found, _, _ = _linearised(outputs, uniform, light, derivatives=False)
     residual = torch.where(valid, observed - found, (observed - found).clamp_min(0.0))
     return Refined(outputs, residual, _slow(residual, valid))
 
 
 def _linearised(
-    outputs: Tensor, uniform: Uniform, light: Light, *, derivatives: bool = True
+    outputs: Tensor, uniform: Uniform, light: Light, *, derivatives: bool = True, thin: int = 1
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Log radiance (3, H, W), the diffuse share of it, and what log F0, logit roughness and slopes
-    change of its grey, (4, H, W)."""
+    change of its grey, (4, H, W); of every `thin`th texel."""
     maps = read_outputs(outputs, uniform, 1.0)
-    normal = maps.normal
+    normal = maps.normal[:, ::thin, ::thin]
+    maps = maps.map(lambda m: m[:, ::thin, ::thin])
     sx, sy = -normal[:1] / normal[2:], -normal[1:2] / normal[2:]
     whole, matte = light.radiance(maps.diffuse, maps.specular, maps.roughness, sx, sy)
     log = whole.clamp_min(_DARKEST).log()

@@ -40,12 +40,14 @@ class Strengths:
         together: correlation of the two, -1 to 1; negative where grooves are dark on a slope
             that faces away. Slope and albedo of one symmetric feature are out of phase, so it is
             near 0 for most materials.
+        trust: how far the slope's strength stands out of its own scatter, 0 to 1.
         windows: that were looked at.
     """
 
     albedo: Array
     slope: Array
     together: Array
+    trust: Array
     windows: int
 
     @property
@@ -86,16 +88,22 @@ def measure_strengths(
     if len(energies) < _FEWEST:
         return None
     energy, slant = np.array(energies), np.array(slants)
-    found = np.zeros((3, len(BANDS), DIRECTIONS))
+    found = np.zeros((4, len(BANDS), DIRECTIONS))
     for band, masked in enumerate(masks):
         for direction in range(DIRECTIONS):
             white = noise**2 * masked[direction].sum() / window.size
             found[:, band, direction] = _regress(
                 slant[:, direction], np.maximum(energy[:, band, direction] - white, 0.0)
             )
-    albedo, cross, slope = found
+    albedo, cross, slope, error = found
     together = cross / np.sqrt(np.maximum(albedo * slope, 1e-12))
-    return Strengths(np.sqrt(albedo), np.sqrt(slope), together.clip(-1.0, 1.0), len(energies))
+    return Strengths(
+        albedo=np.sqrt(albedo),
+        slope=np.sqrt(slope),
+        together=together.clip(-1.0, 1.0),
+        trust=np.square(slope) / (np.square(slope) + np.square(error) + 1e-12),
+        windows=len(energies),
+    )
 
 
 def slope_strengths(height: NDArray[np.float32]) -> Array:
@@ -138,8 +146,8 @@ def _masks() -> list[list[Array]]:
     return bands
 
 
-def _regress(slant: Array, energy: Array) -> tuple[float, float, float]:
-    """A, C and S, A and S not negative, by weighted least squares."""
+def _regress(slant: Array, energy: Array) -> tuple[float, float, float, float]:
+    """A, C, S and S's standard error, A and S not negative, by weighted least squares."""
     columns = np.stack([np.ones_like(slant), 2.0 * slant, np.square(slant)], axis=1)
     weight = np.ones_like(slant)
     solution = np.zeros(3)
@@ -148,4 +156,8 @@ def _regress(slant: Array, energy: Array) -> tuple[float, float, float]:
         solution[[0, 2]] = solution[[0, 2]].clip(0.0)
         expected = columns @ solution
         weight = 1.0 / np.maximum(expected, 0.2 * energy.mean() + 1e-12)
-    return float(solution[0]), float(solution[1]), float(solution[2])
+    weighted = columns * weight[:, None]
+    scatter = np.square((energy - columns @ solution) * weight).sum() / (len(slant) - 3)
+    inverse = np.linalg.pinv(weighted.T @ weighted)
+    error = float(np.sqrt(scatter * max(inverse[2, 2], 0.0)))
+    return float(solution[0]), float(solution[1]), float(solution[2]), error

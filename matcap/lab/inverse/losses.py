@@ -43,10 +43,10 @@ class LossWeights:
     albedo: float = 1.0
     specular: float = 0.3
     roughness: float = 0.5
-    slope: float = 1.0
-    energy: float = 0.25
+    slope: float = 0.5
+    energy: float = 0.5
     render: float = 1.0
-    style: float = 0.5
+    style: float = 1.0
     doubt: float = 0.1
 
 
