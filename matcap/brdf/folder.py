@@ -1,8 +1,27 @@
-"""A map set as a folder of pictures with one JSON file (DESIGN, section 2).
+"""A map set as a folder of pictures with one JSON file.
 
 `<name>_diffuse.exr`, `_specular`, `_roughness` and `_normal` in half float, `_height` in 32-bit
 float, and `<name>.json`, which says what the numbers mean. On request also 16-bit PNGs. The folder
 is read back from the EXR files; the normal is derived from the height again.
+
+Keys:
+    format: "matcap map set".
+    version: 1.
+    matcap: version of the program that wrote it.
+    name: what the files are called.
+    width: texels.
+    height: texels.
+    x: of the left top texel in the endless field.
+    y: of the left top texel in the endless field, downwards.
+    seed: realisation of the material, or null.
+    periodic: whether the right border continues at the left one, and the bottom at the top.
+    texel_size: a texel's side in plane units.
+    height_scale: what one unit of the EXR height is, in plane units.
+    normal: "gl" (+Y up) or "dx" (+Y down).
+    maps: for each map its `file` and `meaning`, and with PNGs `png` and `png_encoding`.
+    png: with PNGs, `height_scale` and `height_midlevel`: height = (value - midlevel) * scale.
+    conventions: what axes, unit, reflectance and normals are, in words.
+    provenance: how the material was made.
 """
 
 from __future__ import annotations

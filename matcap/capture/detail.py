@@ -2,7 +2,7 @@
 
 The network joins what lies within some hundred texels, and windows of 160 are compared. What is
 coarser comes out as grain of the right colours, wood as sawdust; with half as many texels across
-the same pattern spans half as many, and the capture holds it. Figures in docs/capture.md.
+the same pattern spans half as many, and the capture holds it. Figures in docs/notes/capture.md.
 """
 
 from __future__ import annotations

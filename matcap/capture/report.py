@@ -1,4 +1,26 @@
-"""report.json: what was done, with what, how well, and what the user should know."""
+"""report.json: what was done, with what, how well, and what the user should know.
+
+Keys:
+    format: "matcap report".
+    name: of the material.
+    interrupted: whether it was ended early.
+    error: the last one, against the photograph; null where nothing was tuned.
+    self_difference: what the photograph's own windows differ by, in the same measure.
+    error_after_another_minute: the error to be expected after another minute of the same work.
+    warnings: what may have hurt, a sentence each.
+    notes: what was noticed about the file, a sentence each.
+    photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share.
+    camera: `fov_degrees` and where it is from, distance, `tilt_degrees`, flash offset and
+        intensity, vignetting.
+    texel_size: plane units.
+    settings: that were asked for.
+    effort: what they came to: preset, steps, windows a step, matched or not.
+    seconds: that the work took.
+    stage_seconds: that each stage took.
+    error_over_time: seconds, step and error, as the work went on.
+    provenance: how the material was made.
+    versions: of matcap, Python, the system and the libraries.
+"""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class Effort:
     matched: bool = True
 
 
-# docs/capture.md has what each costs and buys.
+# docs/notes/capture.md has what each costs and buys.
 PRESETS: Mapping[str, Effort] = MappingProxyType(
     {
         effort.preset: effort

@@ -79,7 +79,7 @@ def report(
     ],
     out: Annotated[
         Path, typer.Option("--out", "-o", help="The page; a picture goes beside every CSV.")
-    ] = Path("docs/accuracy-and-time.md"),
+    ] = Path("docs/notes/accuracy-and-time.md"),
 ) -> None:
     """Write the page on accuracy and time from what was measured."""
     from matcap.lab.bench.report import write_report

@@ -88,7 +88,8 @@ def export(
 ) -> None:
     """Write a material for another renderer or engine.
 
-    Prints what the target cannot express: how far its light is from matcap's. See docs/exports.md.
+    Prints what the target cannot express: how far its light is from matcap's. See
+    docs/guide/export.md.
     """
     from matcap.errors import UsageError
     from matcap.export.presets import Choice

@@ -54,7 +54,7 @@ def corpus(
 @app.command()
 def train(
     pack: PackArgument,
-    config: Annotated[Path, typer.Option(help="TOML; see docs/prior.md.")],
+    config: Annotated[Path, typer.Option(help="TOML; see docs/guide/train-a-prior.md.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for checkpoints and curves.")],
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
@@ -111,7 +111,7 @@ def evaluate(
     out: Annotated[
         Path,
         typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
-    ] = Path("docs"),
+    ] = Path("docs/notes"),
     steps: Annotated[int, typer.Option(min=1, help="Fine-tuning steps from the prior.")] = 100,
     longer: Annotated[int, typer.Option(min=1, help="Steps from nothing beside them.")] = 1000,
     materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
@@ -145,7 +145,7 @@ def ablate(
     out: Annotated[
         Path,
         typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
-    ] = Path("docs"),
+    ] = Path("docs/notes"),
     steps: Annotated[int, typer.Option(min=1, help="Of fine-tuning.")] = 350,
     materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
     quiet: QuietOption = False,

@@ -1,4 +1,24 @@
-"""Every target that maps can be exported to, and the one function that writes them."""
+"""Every target that maps can be exported to, and the one function that writes them.
+
+What a target's folder holds, `NAME_TARGET.json` tells.
+
+Keys:
+    format: "matcap export".
+    version: 1.
+    matcap: version of the program that wrote it.
+    target: or preset.
+    name: of the map set.
+    width: texels.
+    height: texels; where the target stores heights, their `scale`, `midlevel` and `unit` instead.
+    unit: what lengths are told in, "mm" or "plane unit".
+    tile: (width, height) of the piece in that unit.
+    files: for each texture its `colour_space`, `depth` and `meaning`.
+    documents: names of the other files.
+    residual: `mean` and `worst` share of the light that differs from matcap's; null for plain maps.
+    notes: what must be known, a sentence each.
+    textures: of Blender alone, the file of each map.
+    provenance: how the material was made.
+"""
 
 from __future__ import annotations
 
@@ -141,6 +161,7 @@ def _write(made: Export, job: Job, target: str, folder: Path) -> Exported:
 
 
 def _sidecar(made: Export, job: Job, target: str, off: Residual | None) -> dict[str, Any]:
+    """NAME_TARGET.json; the module tells its keys."""
     width, height = job.maps.size
     across, down = (side * job.unit_length for side in job.extent)
     return {

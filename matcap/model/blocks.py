@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from matcap.errors import UsageError
 from matcap.model.noise import COORDINATE_LIMIT, Period
 
-BLOCK = 512  # texels along x; docs/synthesis.md has the measurement
+BLOCK = 512  # texels along x; docs/notes/synthesis.md has the measurement
 BLOCK_HEIGHT = 256
 
 

@@ -1,8 +1,25 @@
-"""Material: a captured material and its file, `.matcap` (DESIGN, section 2).
+"""Material: a captured material and its file, `.matcap`.
 
-One safetensors file: the decoder's weights, the code, the frozen statistics, and JSON metadata as
-strings. Nothing in it is executed, and every shape is checked against the stated configuration
-before anything is read.
+One safetensors file of float32 tensors, whose metadata has one entry, `matcap`, which is JSON.
+Nothing in it is executed, and every shape is checked against the stated configuration before
+anything is read.
+
+Tensors:
+    decoder.*: the fine-tuned network; shapes as the configuration says.
+    code: (64,), the material's code.
+    moments.*.mean: (channels of layer *,), frozen mean of its AdaIN's input.
+    moments.*.deviation: (channels of layer *,), frozen deviation of it.
+
+Metadata:
+    format: "matcap-material".
+    version: 1.
+    name: of the photograph.
+    decoder: `noise_channels`, `widths` (five), `convolutions` (down, up) and `cells` (channels of
+        the noise of cells, 0 or absent for none).
+    waves: at most two of `{fx, fy}`, cycles a texel; the plane waves of regular order.
+    texel_size: plane units.
+    setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`.
+    provenance: how it was made.
 """
 
 from __future__ import annotations

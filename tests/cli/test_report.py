@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reference.formats import keys
 
 from matcap.capture.pipeline import CaptureSettings
 from matcap.capture.report import report, warnings, write_report
@@ -33,6 +34,10 @@ def test_each_warning_says_what_to_do(captured):
     assert "tilted by 14 degrees: hold it parallel" in said
     (said,) = warnings(replace(result, settings=CaptureSettings()))
     assert said.startswith("The texture is coarse") and "--detail 1024" in said
+
+
+def test_its_keys_are_those_of_the_reference(captured):
+    assert set(report(captured)) == keys("matcap.capture.report", "Keys")
 
 
 def test_angles_are_in_degrees(captured):

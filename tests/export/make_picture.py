@@ -1,4 +1,4 @@
-"""The picture of docs/exports.md: `python tests/export/make_picture.py MATERIAL.matcap OUT.jpg`.
+"""The picture of the guide: `python tests/export/make_picture.py MATERIAL.matcap OUT.jpg`.
 
 Above, under the light called top: matcap, Mitsuba's NAME.xml, and Blender's Cycles (where
 BLENDER_PYTHON names a Python with bpy). Below, under a distant light: matcap, MaterialX's own

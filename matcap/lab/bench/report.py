@@ -1,4 +1,4 @@
-"""`matcap bench report`: docs/accuracy-and-time.md from the tables that the benches wrote.
+"""`matcap bench report`: docs/notes/accuracy-and-time.md from the tables that the benches wrote.
 
 A CSV gets a section and a picture beside it; the JSON of `matcap bench relight` a table.
 """

@@ -148,7 +148,7 @@ def _made(
     )  # fmt: skip
 
 
-# What each is called in the table of docs/stability.md.
+# What each is called in the table of docs/notes/stability.md.
 HARD_PHOTOGRAPHS: Mapping[str, Hard] = MappingProxyType(
     {
         "an ordinary one": textured,

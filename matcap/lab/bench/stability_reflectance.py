@@ -266,7 +266,8 @@ def _constants(
     return draw
 
 
-# What each is called in the table of docs/stability.md. Where the paper's code fails come first.
+# What each is called in the table of docs/notes/stability.md. Where the paper's code fails come
+# first.
 CASES: Mapping[str, Case] = MappingProxyType(
     {
         "both albedos 0": _constants(diffuse=(0.0, 0.0, 0.0), specular=0.0),

@@ -1,7 +1,8 @@
 """One table for every bench that trades accuracy for time: a CSV with a line a measurement.
 
 A bench appends a line as soon as it has it, and skips what is there already, so that a sweep can
-be stopped and taken up again. plot.py draws tables; report.py writes docs/accuracy-and-time.md.
+be stopped and taken up again. plot.py draws tables, report.py writes
+docs/notes/accuracy-and-time.md.
 """
 
 from __future__ import annotations

@@ -196,7 +196,7 @@ def markdown(results: Sequence[Result], tilt_errors: Tensor, prior: Prior, comma
         "2001) copies the very texels it is compared with; it has no maps, so nothing but these",
         "columns can be measured of it. *Per texel* has one periodic patch, only moved from one",
         "realisation to the next. How all of them but quilting look under other lights is",
-        "measured where the truth is known, by `matcap bench quality` (docs/quality.md).",
+        "measured where the truth is known, by `matcap bench quality` (docs/notes/quality.md).",
         "",
         "Style error of each photograph:",
         "",

@@ -9,7 +9,7 @@ Specular: visible normals are sampled at a lattice of 144 points or more, the sa
 each with the surroundings averaged over the solid angle it stands for (Krivanek and Colbert 2008).
 Only what differs from the mean radiance is sampled; the mean's part is known from the albedo
 tables. Suns, which few points would meet, are taken out of the picture and shine on their own. The
-error is measured in docs/relighting.md.
+error is measured in docs/notes/relighting.md.
 
 Left out: surroundings as bright everywhere as they are on average; exact albedo tables for both
 lobes. Cost: 144 lookups and about fifty operations each a pixel, a third of it where the

@@ -1,16 +1,12 @@
-"""The command reference, written from the commands' own signatures.
+"""The commands, from their own signatures.
 
-    python -m matcap.cli.reference > docs/commands.md
-
-A test fails when docs/commands.md says anything else. Read from what the commands declare and not
-from the parser made of it, which differs from one typer to the next.
+Read from what the commands declare and not from the parser made of it, which differs from one
+typer to the next.
 """
 
 from __future__ import annotations
 
 import inspect
-import re
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
@@ -21,18 +17,19 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
+from reference.docstrings import table
+
 _HEAD = """\
 # Commands
 
-Written by `python -m matcap.cli.reference` from the commands themselves; `matcap COMMAND --help`
-tells the same. Every command knows `--help`, and `matcap --install-completion` teaches your shell
-all of them.
+`matcap COMMAND --help` tells the same. Every command knows `--help`, and
+`matcap --install-completion` teaches your shell all of them.
 """
 _KINDS = {int: "INTEGER", float: "FLOAT", Path: "PATH", str: "TEXT"}
 
 
 @dataclass(frozen=True)
-class _Parameter:
+class Parameter:
     """A parameter of a command, as its function declares it."""
 
     name: str
@@ -42,10 +39,12 @@ class _Parameter:
 
     @property
     def required(self) -> bool:
+        """Whether it must be given."""
         return self.default is inspect.Parameter.empty
 
     @property
     def flag(self) -> bool:
+        """Whether it takes no value."""
         return self.kind is bool
 
     @property
@@ -86,7 +85,7 @@ class _Parameter:
         return f"`{value}`"
 
 
-def reference() -> str:
+def page() -> str:
     """The page, in Markdown."""
     from matcap.cli.main import app
 
@@ -114,19 +113,18 @@ def _section(
     name: str, function: Callable[..., Any], *, about: str | None = None, group: bool = False
 ) -> str:
     """Heading, usage, help and a table of parameters."""
-    parameters = list(_parameters(function))
-    arguments = [one.shown for one in parameters if isinstance(one.info, ArgumentInfo)]
+    taken = list(parameters(function))
+    arguments = [one.shown for one in taken if isinstance(one.info, ArgumentInfo)]
     usage = [name, "[OPTIONS]", *(["COMMAND", "..."] if group else []), *arguments]
     text = inspect.cleandoc(about or function.__doc__ or "")
     lines = [f"## {name}", "", "```", " ".join(usage), "```", "", text, ""]
-    if parameters:
-        lines += ["| | | default |", "| --- | --- | --- |"]
-        lines += [_row(one) for one in parameters]
-        lines.append("")
+    if taken:
+        lines += table(["", "", "default"], map(_row, taken))
     return "\n".join(lines)
 
 
-def _parameters(function: Callable[..., Any]) -> Iterator[_Parameter]:
+def parameters(function: Callable[..., Any]) -> Iterator[Parameter]:
+    """What a command takes, in its order."""
     hints = get_type_hints(function, include_extras=True)
     for name, stated in inspect.signature(function).parameters.items():
         if get_origin(hints[name]) is not Annotated:
@@ -135,19 +133,10 @@ def _parameters(function: Callable[..., Any]) -> Iterator[_Parameter]:
         info = next(one for one in extras if isinstance(one, ArgumentInfo | OptionInfo))
         if get_origin(kind) in (Union, UnionType):
             (kind,) = (part for part in get_args(kind) if part is not NoneType)
-        yield _Parameter(name, kind, info, stated.default)
+        yield Parameter(name, kind, info, stated.default)
 
 
-def _row(one: _Parameter) -> str:
-    """A parameter as a line of the table."""
+def _row(one: Parameter) -> tuple[str, str, str]:
+    """A parameter as a row of the table."""
     name = f"`{one.shown}`" if isinstance(one.info, ArgumentInfo) else one.shown
-    return f"| {_cell(name)} | {_cell(one.info.help or '')} | {_cell(one.otherwise)} |"
-
-
-def _cell(text: str) -> str:
-    """Text that does not end a cell."""
-    return re.sub(r"\s+", " ", text).replace("|", "\\|").strip()
-
-
-if __name__ == "__main__":
-    sys.stdout.write(reference())
+    return name, one.info.help or "", one.otherwise
