@@ -196,7 +196,8 @@ def _linearised(
     outputs: Tensor, uniform: Uniform, light: Light, *, derivatives: bool = True, thin: int = 1
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Log radiance (3, H, W), the diffuse share of it, and what log F0, logit roughness and slopes
-    change of its grey, (4, H, W); of every `thin`th texel."""
+    change of its grey, (4, H, W); of every `thin`th texel.
+    """
     maps = read_outputs(outputs, uniform, 1.0)
     normal = maps.normal[:, ::thin, ::thin]
     maps = maps.map(lambda m: m[:, ::thin, ::thin])

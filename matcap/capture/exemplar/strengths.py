@@ -140,9 +140,7 @@ def _masks() -> list[list[Array]]:
             np.abs((angle - k * np.pi / DIRECTIONS + np.pi / 2) % np.pi - np.pi / 2)
             for k in range(DIRECTIONS)
         ]
-        bands.append(
-            [(inside & (o <= np.pi / DIRECTIONS / 2)).astype(np.float64) for o in off]
-        )
+        bands.append([(inside & (o <= np.pi / DIRECTIONS / 2)).astype(np.float64) for o in off])
     return bands
 
 

@@ -71,9 +71,7 @@ def loss_parts(
     apart = (found - truth).abs()
     slopes_found, slopes_true = _slopes(found[5:6]), _slopes(truth[5:6])
     strength = slopes_true[0].square().mean().sqrt() + _FLAT
-    slope_apart = [
-        (a - b).abs().mean() for a, b in zip(slopes_found, slopes_true, strict=True)
-    ]
+    slope_apart = [(a - b).abs().mean() for a, b in zip(slopes_found, slopes_true, strict=True)]
     fine = (slopes_found[0] - slopes_true[0]).abs().mean(0)
     inner = (slice(1, -1), slice(1, -1))
     errors = torch.stack([albedo_apart.mean(0)[inner], apart[3][inner], apart[4][inner], fine])
@@ -91,7 +89,7 @@ def loss_parts(
     }
 
 
-def total(parts: dict[str, Tensor], weights: LossWeights = LossWeights()) -> Tensor:  # noqa: B008
+def total(parts: dict[str, Tensor], weights: LossWeights = LossWeights()) -> Tensor:
     """Weighted sum of the parts."""
     return torch.stack([getattr(weights, name) * part for name, part in parts.items()]).sum()
 
@@ -121,9 +119,7 @@ def _energies(
     bands_found, bands_true = _bands(albedo_found), _bands(albedo_true)
     for level, (a, b) in enumerate(zip(bands_found, bands_true, strict=True)):
         cell = max(4, _CELLS >> level)
-        differences.append(
-            0.5 * (_strength(a, cell, _PLAIN**2) - _strength(b, cell, _PLAIN**2))
-        )
+        differences.append(0.5 * (_strength(a, cell, _PLAIN**2) - _strength(b, cell, _PLAIN**2)))
     return torch.stack([d.abs().mean() for d in differences]).mean()
 
 

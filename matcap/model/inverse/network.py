@@ -48,7 +48,7 @@ class InverseConfig:
 class Inverse(nn.Module):
     """The network; see the module."""
 
-    def __init__(self, config: InverseConfig = InverseConfig()) -> None:  # noqa: B008
+    def __init__(self, config: InverseConfig = InverseConfig()) -> None:
         super().__init__()
         self.config = config
         widths = config.widths
