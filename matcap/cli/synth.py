@@ -12,13 +12,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from matcap.cli.options import ExportOption, Normal, NormalOption, PngOption, QuietOption
+from matcap.cli.options import (
+    ExportOption,
+    GeneratorOption,
+    Normal,
+    NormalOption,
+    PngOption,
+    QuietOption,
+)
 from matcap.errors import UsageError
 from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.model.blocks import Rectangle
-    from matcap.model.noise import Period
+    from matcap.model.material import Material
+    from matcap.model.plane import Period
     from matcap.synth.request import Progress as SynthProgress
 
 _STRIP = values.Size(4096, 256)  # the paper's own example
@@ -126,6 +134,7 @@ def synth(
         int | None,
         typer.Option("--workers", "-j", min=1, max=1024, help="Processes; by default one a core."),
     ] = None,
+    generator: GeneratorOption = None,
     precision: Annotated[
         Precision,
         typer.Option(help="auto: as much bf16 as changes no map by half an 8-bit step."),
@@ -151,50 +160,49 @@ def synth(
     from dataclasses import astuple
 
     from matcap.brdf.folder import MapSetInfo
-    from matcap.capture.prior.store import load_prior
-    from matcap.export.targets import check_targets, export_mapset
     from matcap.model.blocks import Rectangle
-    from matcap.model.device import find_device
-    from matcap.model.material import Material
-    from matcap.model.source import check_seed, material_source
-    from matcap.synth.blend import blend_source
-    from matcap.synth.mask import read_mask
-    from matcap.synth.precision import choose
+    from matcap.model.plane import check_seed
+    from matcap.synth.fields import Wanted, open_blend, open_field
     from matcap.synth.request import Files, Request, Work
     from matcap.synth.stream import write_field
     from matcap.synth.workers import keep_memory
 
     keep_memory()  # this process is matcap's own
     check_seed(seed)
-    targets = check_targets(export or [])
+    targets = []
+    if export:
+        from matcap.export.targets import check_targets, export_mapset
+
+        targets = check_targets(export)
     if targets and (single or udim):
         raise UsageError(
             "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
         )
     _check_blend(blend, mask, mask_over)
-    # A cluster's machines may have no CUDA device, and their blocks must be alike.
-    place = find_device("cpu" if scheduler and device is Device.auto else device.value)
     asked = region or values.Region(0, 0, size.width, size.height)
     area = Rectangle(asked.x, asked.y, asked.width, asked.height)
     files = Files(png, normal.value, single, mip, (udim.width, udim.height) if udim else None)
     whole = files.whole(area)
     period = _period(tile, whole)
-    subject = load_prior().draw(seed) if material is None else Material.load(material)
-    name = subject.name if material is None else material.stem
-    provenance = dict(subject.provenance)
+    # A cluster's machines may have no CUDA device, and their blocks must be alike.
+    place = "cpu" if scheduler and device is Device.auto else device.value
+    wanted = Wanted(seed, period, generator and generator.value, precision.value, place)
+    if material is None:
+        from matcap.capture.prior.store import load_prior
+
+        subject: Path | Material = load_prior().draw(seed)
+    else:
+        subject = material
     if blend is None or mask is None:
-        choice = choose(material_source(subject, seed, period, place), precision.value)
+        found = open_field(subject, wanted)
     else:
         over = Rectangle(*astuple(mask_over)) if mask_over else whole
-        other = Material.load(blend)
-        spread = read_mask(mask, over, period)
-        between = blend_source(subject, other, spread, seed, period, place)
-        choice = choose(between, precision.value)
-        provenance |= {"blend": [subject.name, other.name], "mask_over": list(astuple(over))}
-    if precision is Precision.auto and not quiet:
-        typer.echo(choice.sentence(), err=True)
-    info = MapSetInfo(name, seed, (area.x, area.y), provenance)
-    request = Request(choice.source, area, info, files)
+        found = open_blend(subject, blend, mask, over, wanted)
+    if precision is Precision.auto and found.precision and not quiet:
+        typer.echo(found.precision, err=True)
+    name = found.name if material is None else material.stem
+    info = MapSetInfo(name, seed, (area.x, area.y), found.provenance)
+    request = Request(found.source, area, info, files)
     folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}")
     try:
         with _progress(quiet=quiet) as tell:

@@ -15,11 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-COORDINATE_LIMIT = 2**40
-SEED_LIMIT = 2**63
-
-# What repeats: texels along x and along y, None for an axis that never does.
-Period = tuple[int | None, int | None]
+from matcap.model.plane import Period
 
 _CHANNELS_PER_HASH = 4
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64

@@ -18,7 +18,8 @@ import math
 import torch
 from torch import Tensor
 
-from matcap.model.noise import Period, keys, noise_at, places, shift, wrap64
+from matcap.model.noise import keys, noise_at, places, shift, wrap64
+from matcap.model.plane import Period
 from matcap.statistics.lattice import Wave
 
 WAVE_CHANNELS = 12

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from matcap.model.noise import Period, noise_field
+from matcap.model.noise import noise_field
 from matcap.model.order import order_field
+from matcap.model.plane import Period
 from matcap.statistics.lattice import Wave
 
 

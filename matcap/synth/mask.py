@@ -13,7 +13,7 @@ from torch import Tensor
 
 from matcap.errors import MatcapError, UsageError
 from matcap.model.blocks import Rectangle, check_rectangle
-from matcap.model.noise import Period
+from matcap.model.plane import Period
 from matcap.model.spans import Span
 
 
