@@ -103,12 +103,25 @@ def find_exemplar(
 
 
 def confidence(errors: Tensor, valid: Tensor) -> NDArray[np.float32]:
-    """(4, H, W) in [0, 1] of expected errors (4, H, W), logarithms; 0 where nothing was seen."""
-    scale = torch.tensor(_DOUBTED)[:, None, None]
-    believed = torch.exp(-errors.clamp(-8.0, 4.0).exp() / scale).numpy()
+    """(4, H, W) in [0, 1] of expected errors (4, H, W), logarithms; 0 where nothing was seen.
+
+    Of neighbourhoods: confidence is about where the light shows a map, not about which of the
+    material's features are easily read, or only its plain places would be believed.
+    """
+    doubt = errors.clamp(-8.0, 4.0).exp().numpy() / np.float32(_DOUBTED)[:, None, None]
+    believed = np.stack([np.exp(-_around(plane)) for plane in doubt])
     # What a clipped texel's neighbours hold is partly its own.
     seen = cv2.erode(valid.numpy().astype(np.uint8), np.ones((5, 5), np.uint8))
     return np.ascontiguousarray(believed * seen, dtype=np.float32)
+
+
+def _around(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mean over a neighbourhood, a twelfth of the long side."""
+    size = plane.shape[::-1]
+    small = (max(2, size[0] // 16), max(2, size[1] // 16))
+    thin = cv2.resize(plane, small, interpolation=cv2.INTER_AREA)
+    smooth = cv2.GaussianBlur(thin, (0, 0), max(small) / 12.0)
+    return np.asarray(cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR))
 
 
 def noise_level(plane: Plane) -> float:
