@@ -137,7 +137,7 @@ def split(height: Height) -> list[Height]:
     for blur in _BLURS:
         smooth = cv2.GaussianBlur(height, (0, 0), blur)
         bands.append(height - smooth)
-        height = smooth
+        height = np.asarray(smooth, np.float32)
     return [*bands, height]
 
 

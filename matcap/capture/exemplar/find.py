@@ -18,7 +18,7 @@ from torch import Tensor
 
 from matcap.capture.coarse import CoarseFit
 from matcap.capture.exemplar.equalise import equalise
-from matcap.capture.exemplar.refine import level, refine
+from matcap.capture.exemplar.refine import flatten, level, refine
 from matcap.capture.exemplar.strengths import Strengths, measure_strengths
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
@@ -72,6 +72,8 @@ def find_exemplar(
         inputs[:3].mean(0).numpy(), inputs[6:8].numpy(), plane.valid.numpy(), noise
     )
     found[5] = torch.from_numpy(equalise(found[5].numpy(), strengths))
+    trusted = confidence(errors, plane.valid)
+    found = flatten(found, torch.from_numpy(trusted))
     found = level(found, plane.linear, plane.valid, uniform, points)
     refined = refine(
         found,
@@ -90,7 +92,7 @@ def find_exemplar(
         specular=maps.specular.numpy(),
         roughness=maps.roughness.numpy(),
         height=maps.height.numpy(),
-        confidence=confidence(errors, plane.valid),
+        confidence=trusted,
         texel_size=plane.texel_size,
     )
     seen = refined.residual[:, plane.valid]
@@ -108,7 +110,7 @@ def confidence(errors: Tensor, valid: Tensor) -> NDArray[np.float32]:
     Of neighbourhoods: confidence is about where the light shows a map, not about which of the
     material's features are easily read, or only its plain places would be believed.
     """
-    doubt = errors.clamp(-8.0, 4.0).exp().numpy() / np.float32(_DOUBTED)[:, None, None]
+    doubt = errors.clamp(-8.0, 4.0).exp().numpy() / np.array(_DOUBTED, np.float32)[:, None, None]
     believed = np.stack([np.exp(-_around(plane)) for plane in doubt])
     # What a clipped texel's neighbours hold is partly its own.
     seen = cv2.erode(valid.numpy().astype(np.uint8), np.ones((5, 5), np.uint8))

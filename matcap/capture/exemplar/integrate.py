@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 
@@ -37,5 +38,5 @@ def integrate(slope_x: Tensor, slope_y: Tensor) -> Tensor:
     return torch.from_numpy(cv2.idct(waves)[:height, :width].copy())[None]
 
 
-def _even(field: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+def _even(field: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.pad(field, [(0, side % 2) for side in field.shape], mode="edge")

@@ -1,4 +1,4 @@
-"""Refinement by re-rendering: what the network left unexplained goes to the maps it is sure of least.
+"""Refinement by re-rendering: what is unexplained goes to the maps that are in doubt most.
 
 Gauss-Newton steps in which every texel's residual of log radiance is shared among albedo, F0,
 roughness and slope by how much each shows there and how much it is in doubt (a Wiener filter whose
@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import dot, ggx, normalize, schlick, smith_visibility
@@ -33,9 +35,11 @@ _CHROMA = 0.3  # deviation of albedo's colour as a share of its lightness's
 _LEVEL_STEPS = 4
 # Deviations of what is off on the whole: log albedo, log F0, logit roughness.
 _LEVELS = (0.5, 0.5, 0.5, 0.3, 0.4)
-_LEVEL_NOISE = 0.15  # of log radiance: texture, beside which levels are found
-_LEVEL_TEXELS = 100.0  # that count as independent: what the model lacks is smooth
-_THIN = 3  # every third texel tells levels
+_LEVEL_NOISE = 0.1  # of log radiance: what a cell's mean is off by for other reasons
+_LEVEL_CELLS = 100.0  # that count as independent: what the model lacks is smooth
+_CELL = 16  # texels
+_SEEN = 0.95  # share of a cell that must be valid, or it is a lower bound
+_STATIONARY = 8.0  # the long side over the deviation of what a stationary sample is even over
 _HUBER = 0.2  # of log radiance
 
 
@@ -94,38 +98,65 @@ def level(
     """Outputs whose means of albedo, F0 and roughness re-render to the photograph's brightness.
 
     The coarse fit has no relief: bumps widen highlights and dim what lies between, so that its
-    numbers are off once they are there. Robust least squares over all valid texels.
+    numbers are off once they are there. Robust least squares over cells, each by its mean
+    radiance: relief that is right in strength and wrong in place still spreads light rightly.
 
     Args:
         outputs: (OUTPUTS, H, W).
         linear, valid, uniform, points: as for refine.
     """
-    light = Light(uniform, points[:, ::_THIN, ::_THIN])
-    observed = linear[:, ::_THIN, ::_THIN].clamp_min(_DARKEST).log()
-    valid = valid[::_THIN, ::_THIN]
+    light = Light(uniform, points)
+    cell = min(_CELL, *linear.shape[-2:])
+    share = F.avg_pool2d(valid[None].float(), cell)
+    observed = F.avg_pool2d(linear, cell).clamp_min(_DARKEST).log()
+    seen = (share > _SEEN).expand_as(observed)
     outputs = outputs.clone()
-    deviation = torch.tensor(_LEVELS)
+    prior = torch.tensor(_LEVELS).square().reciprocal()
     moved = torch.zeros(5)
+    scale = _LEVEL_CELLS / observed.numel() / _LEVEL_NOISE**2
     for _ in range(_LEVEL_STEPS):
-        found, shares, shows = _linearised(outputs, uniform, light, thin=_THIN)
-        residual = observed - found
-        residual = torch.where(valid, residual, residual.clamp_min(0.0))
+        log, shares, shows = _linearised(outputs, uniform, light)
+        radiance = log.exp().clamp_max(1.0)
+        mean = F.avg_pool2d(radiance, cell)
+        residual = observed - mean.clamp_min(_DARKEST).log()
+        residual = torch.where(seen, residual, residual.clamp_min(0.0))
+        # What shows of a cell is what shows of its light.
+        grey = radiance.mean(0, keepdim=True)
+        by_albedo = F.avg_pool2d(shares * radiance, cell) / mean
+        by_gloss = F.avg_pool2d(shows[:2] * grey, cell) / F.avg_pool2d(grey, cell)
         normal, gradient = torch.zeros(5, 5), torch.zeros(5)
         for channel in range(3):
             column = torch.zeros(5, residual[0].numel())
-            column[channel] = shares[channel].flatten()
-            column[3:] = shows[:2].flatten(1)
+            column[channel] = by_albedo[channel].flatten()
+            column[3:] = by_gloss.flatten(1)
             r = residual[channel].flatten()
             weight = _HUBER / r.abs().clamp_min(_HUBER)
             normal += (column * weight) @ column.T
             gradient += column @ (weight * r)
-        scale = _LEVEL_TEXELS / residual.numel() / _LEVEL_NOISE**2
-        prior = deviation.square().reciprocal()
         step = torch.linalg.solve(
             normal * scale + torch.diag(prior), gradient * scale - prior * moved
         ).clamp(-_MOST, _MOST)
         moved += step
         outputs[:5] += step[:, None, None]
+    return outputs
+
+
+def flatten(outputs: Tensor, confidence: Tensor) -> Tensor:
+    """Outputs whose albedo and gloss are the same everywhere on average.
+
+    A stationary sample's means do not drift. Gloss is told near the highlight and albedo beside
+    it: every map's mean is the one where it is trusted.
+
+    Args:
+        outputs: (OUTPUTS, H, W).
+        confidence: (>= 3, H, W) of albedo, F0 and roughness, in [0, 1].
+    """
+    outputs = outputs.clone()
+    for channel in range(5):
+        weight = confidence[max(0, channel - 2)].square() + 1e-3
+        mean = (outputs[channel] * weight).sum() / weight.sum()
+        slow = _smoothed(outputs[channel].numpy(), _STATIONARY)
+        outputs[channel] += mean - torch.from_numpy(slow)
     return outputs
 
 
@@ -162,11 +193,11 @@ def refine(
         errors.exp().clamp(_LEAST_ERROR, _MOST_ERROR).square().split(1)
     )
     slope = slope * float(relief)
-    shares = shows = None
-    for _ in range(steps):
-        # What shows hardly changes from step to step.
-        found, *rest = _linearised(outputs, uniform, light, derivatives=shows is None)
-        shares, shows = (shares, shows) if shows is not None else rest
+    # What shows hardly changes from step to step.
+    found, shares, shows = _linearised(outputs, uniform, light)
+    for step in range(steps):
+        if step:
+            found, _, _ = _linearised(outputs, uniform, light, derivatives=False)
         residual = observed - found
         residual = torch.where(valid, residual, residual.clamp_min(0.0))
         residual = (residual - _slow(residual, valid)).clamp(-_MOST, _MOST)
@@ -193,14 +224,13 @@ def refine(
 
 
 def _linearised(
-    outputs: Tensor, uniform: Uniform, light: Light, *, derivatives: bool = True, thin: int = 1
+    outputs: Tensor, uniform: Uniform, light: Light, *, derivatives: bool = True
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Log radiance (3, H, W), the diffuse share of it, and what log F0, logit roughness and slopes
-    change of its grey, (4, H, W); of every `thin`th texel.
+    change of its grey, (4, H, W).
     """
     maps = read_outputs(outputs, uniform, 1.0)
-    normal = maps.normal[:, ::thin, ::thin]
-    maps = maps.map(lambda m: m[:, ::thin, ::thin])
+    normal = maps.normal
     sx, sy = -normal[:1] / normal[2:], -normal[1:2] / normal[2:]
     whole, matte = light.radiance(maps.diffuse, maps.specular, maps.roughness, sx, sy)
     log = whole.clamp_min(_DARKEST).log()
@@ -228,14 +258,15 @@ def _linearised(
 def _slow(residual: Tensor, valid: Tensor) -> Tensor:
     """What of a residual (3, H, W) varies slowly, by valid texels."""
     weight = valid.numpy().astype(np.float32) + 1e-4
-    side = max(residual.shape[-2:])
-    small = (side // 8, max(1, residual.shape[-2] * (side // 8) // residual.shape[-1]))
-    seen = cv2.resize(weight, small, interpolation=cv2.INTER_AREA)
-    deviation = small[0] / _SLOW
-    under = cv2.GaussianBlur(seen, (0, 0), deviation)
-    planes = []
-    for plane in residual.clamp(-1.0, 1.0).numpy():
-        thin = cv2.resize(plane * weight, small, interpolation=cv2.INTER_AREA)
-        smooth = cv2.GaussianBlur(thin, (0, 0), deviation) / under
-        planes.append(cv2.resize(smooth, residual.shape[-1:-3:-1], interpolation=cv2.INTER_LINEAR))
+    under = _smoothed(weight, _SLOW)
+    planes = [_smoothed(plane * weight, _SLOW) / under for plane in residual.clamp(-1, 1).numpy()]
     return torch.from_numpy(np.stack(planes))
+
+
+def _smoothed(plane: NDArray[np.float32], parts: float) -> NDArray[np.float32]:
+    """A plane (H, W) blurred by its long side over `parts`; on fewer texels, which is as good."""
+    size = plane.shape[::-1]
+    small = (max(1, size[0] // 8), max(1, size[1] // 8))
+    thin = cv2.resize(plane, small, interpolation=cv2.INTER_AREA)
+    smooth = cv2.GaussianBlur(thin, (0, 0), max(small) / parts)
+    return np.asarray(cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR), np.float32)

@@ -1,4 +1,4 @@
-"""The inverse network's weights as they come with matcap: half floats and a card, nothing that runs."""
+"""The inverse network's weights as they come with matcap: half floats, and a card."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
             remedy=_REMEDY,
         ) from error
     network = network.eval().requires_grad_(False)
-    return network.to(memory_format=torch.channels_last), dict(about["card"])
+    return network, dict(about["card"])
 
 
 @cache

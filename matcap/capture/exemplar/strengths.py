@@ -2,7 +2,7 @@
 
 To first order the logarithm of radiance is log albedo + g . grad h, where g is how log radiance
 changes with slope (inputs.py): nothing under the flash's foot, more the further the light slants,
-and more again where gloss shows. A stationary sample has the same spectra everywhere, so in a window
+more again where gloss shows. A stationary sample has the same spectra everywhere, so in a window
 whose mean g along a direction is s, the energy of the band's waves in that direction is
 
     E(s) = A + 2 C s + S s^2,
@@ -14,6 +14,7 @@ over them recovers all three.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,8 +148,8 @@ def _masks() -> list[list[Array]]:
 def _regress(slant: Array, energy: Array) -> tuple[float, float, float, float]:
     """A, C, S and S's standard error, A and S not negative, by weighted least squares."""
     columns = np.stack([np.ones_like(slant), 2.0 * slant, np.square(slant)], axis=1)
-    weight = np.ones_like(slant)
-    solution = np.zeros(3)
+    weight: NDArray[Any] = np.ones_like(slant)
+    solution: NDArray[Any] = np.zeros(3)
     for _ in range(_ROUNDS):
         solution = np.linalg.lstsq(columns * weight[:, None], energy * weight, rcond=None)[0]
         solution[[0, 2]] = solution[[0, 2]].clip(0.0)

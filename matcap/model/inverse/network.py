@@ -16,8 +16,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 # Channels of the input, in this order (inputs.py).
-INPUTS = ("red", "green", "blue", "valid", "light x", "light y", "shows x", "shows y",
-          "shows roughness", "gloss", "roughness", "f0", "albedo", "relief x", "relief y")  # fmt: skip
+INPUTS = (
+    "red", "green", "blue", "valid", "light x", "light y", "shows x", "shows y",
+    "shows roughness", "gloss", "roughness", "f0", "albedo", "relief x", "relief y",
+)  # fmt: skip
 # Channels of the output: departures of log albedo, log F0 and logit roughness, height in texels,
 # and the logarithm of the error to be expected of each (albedo, F0, roughness, slope).
 OUTPUTS = 6
