@@ -32,7 +32,7 @@ _CELLS = 64
 # clip level its cells are lower bounds. RAW is linear up to the clip level itself.
 _KNEE_DEVELOPED, _KNEE_RADIOMETRIC = 0.6, 0.95
 _HUBER = 0.1  # in log radiance: beyond 10 % a residual counts linearly
-_ITERATIONS = 40
+_ITERATIONS = 40  # of Levenberg-Marquardt, at most
 _STEP = 1e-5  # of a parameter, all of which are of order 1
 # A developed picture's tone curve deepens the falloff; a RAW's numbers are the light's own, and
 # only what a lens profile left undone remains.
@@ -64,11 +64,8 @@ class CoarseFit:
     residual: float
 
 
-# The unknowns, each with its prior mean and deviation, and the unit it is solved in.
-_NAMES = (
-    "log_red", "log_green", "log_blue", "log_f0", "logit_roughness", "log_intensity",
-    "offset_x", "offset_y", "tilt_x", "tilt_y", "vignetting",
-)  # fmt: skip
+# The unknowns, in the unit each is solved in: log red, green, blue albedo, log F0, logit roughness,
+# log intensity, offset x and y, tilt x and y, vignetting; prior means and deviations.
 _PRIOR_MEAN = torch.tensor(
     [math.log(0.25)] * 3 + [math.log(0.04), 0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.4], dtype=torch.float64
 )

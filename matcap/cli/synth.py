@@ -19,15 +19,17 @@ from matcap.cli.options import (
     NormalOption,
     PngOption,
     QuietOption,
+    typed,
 )
 from matcap.errors import UsageError
 from matcap.files import values
 
 if TYPE_CHECKING:
-    from matcap.model.blocks import Rectangle
     from matcap.model.material import Material
-    from matcap.model.plane import Period
+    from matcap.model.patch import Rectangle
+    from matcap.synth.precision import Choice
     from matcap.synth.request import Progress as SynthProgress
+    from matcap.synth.synthesise import Axes, Growth
 
 _STRIP = values.Size(4096, 256)  # the paper's own example
 _EVERY = 10.0  # seconds between lines of progress where there is no terminal
@@ -81,14 +83,17 @@ def synth(
     size: Annotated[
         values.Size,
         typer.Option(
-            parser=values.size, metavar="WxH", show_default="1024x1024", help="Size in texels."
+            parser=typed(values.size),
+            metavar="WxH",
+            show_default="1024x1024",
+            help="Size in texels.",
         ),
     ] = values.DEFAULT_SIZE,
     seed: Annotated[int, typer.Option(help="Which realisation of the material.")] = 0,
     region: Annotated[
         values.Region | None,
         typer.Option(
-            parser=values.region,
+            parser=typed(values.region),
             metavar="x,y,w,h",
             help="A rectangle anywhere in the endless field (y downwards), not --size.",
         ),
@@ -100,7 +105,7 @@ def synth(
     udim: Annotated[
         values.Size | None,
         typer.Option(
-            parser=values.size,
+            parser=typed(values.size),
             metavar="CxR",
             help="A texture set of C columns and R rows, each tile of the given size.",
         ),
@@ -120,7 +125,9 @@ def synth(
     mask_over: Annotated[
         values.Region | None,
         typer.Option(
-            parser=values.region, metavar="x,y,w,h", help="Stretch the mask over this instead."
+            parser=typed(values.region),
+            metavar="x,y,w,h",
+            help="Stretch the mask over this instead.",
         ),
     ] = None,
     out: Annotated[
@@ -157,19 +164,15 @@ def synth(
     Without a material the prior draws one, another for every seed.
     """
     import os
-    from dataclasses import astuple
 
-    from matcap.brdf.folder import MapSetInfo
-    from matcap.model.blocks import Rectangle
     from matcap.model.plane import check_seed
-    from matcap.synth.fields import Wanted, open_blend, open_field
-    from matcap.synth.request import Files, Request, Work
-    from matcap.synth.stream import write_field
+    from matcap.synth.request import Files, Work
+    from matcap.synth.synthesise import SynthRequest, synthesise
     from matcap.synth.workers import keep_memory
 
     keep_memory()  # this process is matcap's own
     check_seed(seed)
-    targets = []
+    targets: tuple[str, ...] = ()
     if export:
         from matcap.export.targets import check_targets, export_mapset
 
@@ -178,36 +181,25 @@ def synth(
         raise UsageError(
             "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
         )
-    _check_blend(blend, mask, mask_over)
-    asked = region or values.Region(0, 0, size.width, size.height)
-    area = Rectangle(asked.x, asked.y, asked.width, asked.height)
+    growth = _growth(blend, mask, mask_over)
+    area = _rectangle(region or values.Region(0, 0, size.width, size.height))
     files = Files(png, normal.value, single, mip, (udim.width, udim.height) if udim else None)
-    whole = files.whole(area)
-    period = _period(tile, whole)
-    # A cluster's machines may have no CUDA device, and their blocks must be alike.
-    place = "cpu" if scheduler and device is Device.auto else device.value
-    wanted = Wanted(seed, period, generator and generator.value, precision.value, place)
-    if material is None:
-        from matcap.capture.prior.store import load_prior
-
-        subject: Path | Material = load_prior().draw(seed)
-    else:
-        subject = material
-    if blend is None or mask is None:
-        found = open_field(subject, wanted)
-    else:
-        over = Rectangle(*astuple(mask_over)) if mask_over else whole
-        found = open_blend(subject, blend, mask, over, wanted)
-    if precision is Precision.auto and found.precision and not quiet:
-        typer.echo(found.precision, err=True)
-    name = found.name if material is None else material.stem
-    info = MapSetInfo(name, seed, (area.x, area.y), found.provenance)
-    request = Request(found.source, area, info, files)
+    subject, name = _subject(material, seed)
+    axes: Axes | None = tile.value if tile else None
+    asked = SynthRequest(
+        subject, area, seed, name, files, axes, growth,
+        generator and generator.value, precision.value, device.value,
+    )  # fmt: skip
     folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}")
+
+    def told(choice: Choice) -> None:
+        if precision is Precision.auto and not quiet:
+            typer.echo(choice.sentence(), err=True)
+
     try:
         with _progress(quiet=quiet) as tell:
             work = Work(workers or os.cpu_count() or 1, scheduler, resume, tell)
-            document = write_field(request, folder, work)
+            document = synthesise(asked, folder, work, told)
     except KeyboardInterrupt:
         typer.echo("interrupted; the same command with --resume goes on", err=True)
         raise
@@ -217,23 +209,34 @@ def synth(
         typer.echo(f"wrote {document}", err=True)
 
 
-def _period(tile: Tile | None, area: Rectangle) -> Period | None:
-    """What repeats: the whole of what is written."""
-    if tile is None:
-        return None
-    return (
-        None if tile is Tile.y else area.width,
-        None if tile is Tile.x else area.height,
-    )
+def _subject(material: Path | None, seed: int) -> tuple[Path | Material, str]:
+    """The file, or what the prior draws; and what its maps are called."""
+    if material is not None:
+        return material, material.stem
+    from matcap.capture.prior.store import load_prior
+
+    drawn = load_prior().draw(seed)
+    return drawn, drawn.name
 
 
-def _check_blend(blend: Path | None, mask: Path | None, over: values.Region | None) -> None:
-    """A blend needs a mask, and the mask's options a blend."""
-    if blend is not None and mask is None:
-        raise UsageError("there is no mask", where="--blend", remedy="give a picture with --mask")
+def _growth(blend: Path | None, mask: Path | None, over: values.Region | None) -> Growth | None:
+    """What to grow into: a blend needs a mask, and the mask's options a blend."""
+    from matcap.synth.synthesise import Growth
+
     for name, option in (("--mask", mask), ("--mask-over", over)):
         if blend is None and option is not None:
             raise UsageError("there is nothing to blend with", where=name, remedy="give --blend")
+    if blend is None:
+        return None
+    if mask is None:
+        raise UsageError("there is no mask", where="--blend", remedy="give a picture with --mask")
+    return Growth(blend, mask, None if over is None else _rectangle(over))
+
+
+def _rectangle(region: values.Region) -> Rectangle:
+    from matcap.model.patch import Rectangle
+
+    return Rectangle(region.x, region.y, region.width, region.height)
 
 
 @contextmanager
@@ -284,7 +287,7 @@ def bench(
     size: Annotated[
         values.Size,
         typer.Option(
-            parser=values.size, metavar="WxH", show_default="4096x256", help="Of the map."
+            parser=typed(values.size), metavar="WxH", show_default="4096x256", help="Of the map."
         ),
     ] = _STRIP,
     network: Annotated[
@@ -315,7 +318,7 @@ def bench(
             raise UsageError(
                 "there is no such network", where=name, remedy=f"use {' or '.join(NETWORKS)}"
             )
-    blocks = [values.size(one) for one in block or BLOCKS]
+    blocks = [typed(values.size)(one) for one in block or BLOCKS]
     for side in (side for one in (size, *blocks) for side in (one.width, one.height)):
         if side % ALIGNMENT:
             raise UsageError(

@@ -1,14 +1,16 @@
 """Material: a captured material and its file, `.matcap`.
 
-One safetensors file of float32 tensors, whose metadata has one entry, `matcap`, which is JSON.
-Nothing in it is executed, and every shape is checked against the stated configuration before
-anything is read.
+One safetensors file of float32 tensors and, of the exemplar, packed bytes; its metadata has one
+entry, `matcap`, which is JSON. Nothing in it is executed, and every shape is checked against the
+stated configuration before anything is read.
 
 Tensors:
     decoder.*: the fine-tuned network; shapes as the configuration says.
     code: (64,), the material's code.
     moments.*.mean: (channels of layer *,), frozen mean of its AdaIN's input.
     moments.*.deviation: (channels of layer *,), frozen deviation of it.
+    example.exemplar.*: bytes, with an exemplar: a map of the photographed piece (exemplar.py).
+    example.index.*: bytes, with an exemplar: what of it looks alike (example/index.py).
 
 Metadata:
     format: "matcap-material".
@@ -20,6 +22,7 @@ Metadata:
     texel_size: plane units.
     setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`.
     provenance: how it was made.
+    example: with an exemplar, `exemplar` (size, texel size, how heights are coded) and `index`.
 """
 
 from __future__ import annotations
@@ -55,7 +58,7 @@ from matcap.model.header import (
     read_example,
 )
 from matcap.model.source import Generator
-from matcap.model.stored import Stored, decoder_config, empty_decoder
+from matcap.model.stored import StoredTensors, decoder_config, empty_decoder
 from matcap.statistics.lattice import Wave
 
 
@@ -173,7 +176,7 @@ class Material:
         """
         path = Path(path)
         with opened(path, "pt") as (file, about):
-            stored = Stored(file, path, REMEDY)
+            stored = StoredTensors(file, path, REMEDY)
             decoder = empty_decoder(decoder_config(about["decoder"]))
             state = {
                 name: stored.tensor(f"decoder.{name}", tuple(value.shape))

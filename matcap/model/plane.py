@@ -1,4 +1,4 @@
-"""The endless plane: where it is addressed, what repeats, which realisations there are.
+"""The limits of the endless plane: of places, of what repeats, and of realisations.
 
 Without PyTorch, so that what needs none can start without it.
 """
@@ -6,12 +6,10 @@ Without PyTorch, so that what needs none can start without it.
 from __future__ import annotations
 
 from matcap.errors import UsageError
+from matcap.model.patch import Period
 
-COORDINATE_LIMIT = 2**40
+COORDINATE_LIMIT = 2**40  # texels either way
 SEED_LIMIT = 2**63
-
-# What repeats: texels along x and along y, None for an axis that never does.
-Period = tuple[int | None, int | None]
 
 
 def check_seed(seed: int) -> int:

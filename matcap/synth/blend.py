@@ -8,7 +8,7 @@ lose their contrast where both are half there.
 The share is a function of the texel alone: blocks, order and workers change no bit. Where it is 0
 or 1 the texels are those of the one material.
 
-Not here: prior/blend.py, which makes one material between two others.
+Not here: model/between.py, which makes one material between two others.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.folder import NormalStyle
-from matcap.model.blocks import RING, Grid, Rectangle
+from matcap.model.blocks import RING, Grid
 from matcap.model.example.source import ExampleSource
 from matcap.model.material import Material
-from matcap.model.plane import Period
+from matcap.model.patch import Period, Rectangle
 from matcap.model.source import Generator, MaterialSource, field_source, planes_of
 from matcap.model.spans import Span
 from matcap.synth.mask import Mask

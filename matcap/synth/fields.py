@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from matcap.model.example.source import example_source
 from matcap.model.header import read_exemplified
 
 if TYPE_CHECKING:
-    from matcap.model.blocks import Rectangle
+    from matcap.model.device import DeviceName
     from matcap.model.material import Material
-    from matcap.model.plane import Period
+    from matcap.model.patch import Period, Rectangle
     from matcap.model.source import Generator, Source
-    from matcap.synth.precision import Precision
+    from matcap.synth.precision import Choice, Precision
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Wanted:
     period: Period | None = None
     generator: Generator | None = None
     precision: Precision = "fp32"
-    device: Literal["auto", "cpu", "cuda"] = "cpu"
+    device: DeviceName = "cpu"
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,13 @@ class Found:
         source: of its blocks.
         name: of the material.
         provenance: how it was made; JSON.
-        precision: a sentence, where one was chosen.
+        choice: of the network's precision; None by example, where nothing is chosen.
     """
 
     source: Source
     name: str
     provenance: dict[str, Any]
-    precision: str = ""
+    choice: Choice | None = None
 
 
 def open_field(material: Path | Material, wanted: Wanted) -> Found:
@@ -85,17 +85,17 @@ def open_field(material: Path | Material, wanted: Wanted) -> Found:
     if not isinstance(field, MaterialSource):
         return Found(field, subject.name, provenance)
     choice = choose(field, wanted.precision)
-    return Found(choice.source, subject.name, provenance, choice.sentence())
+    return Found(choice.source, subject.name, provenance, choice)
 
 
 def open_blend(
-    first: Path | Material, second: Path, mask: Path, over: Rectangle, wanted: Wanted
+    first: Path | Material, second: Path | Material, mask: Path, over: Rectangle, wanted: Wanted
 ) -> Found:
     """The field that is the first material where a mask is black, the second where it is white.
 
     Args:
         first: itself, or its file.
-        second: its file.
+        second: the same.
         mask: a grey picture,
         over: stretched over this.
         wanted: which of their fields.
@@ -115,7 +115,7 @@ def open_blend(
     )  # fmt: skip
     choice = choose(between, wanted.precision)
     told = {"blend": [start.name, end.name], "mask_over": list(astuple(over))}
-    return Found(choice.source, start.name, dict(start.provenance) | told, choice.sentence())
+    return Found(choice.source, start.name, dict(start.provenance) | told, choice)
 
 
 def _loaded(material: Path | Material) -> Material:

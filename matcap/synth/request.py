@@ -22,9 +22,10 @@ from matcap.brdf.folder import (
     plain_name,
 )
 from matcap.errors import UsageError
-from matcap.model.blocks import Piece, Rectangle, check_rectangle, pieces_of
+from matcap.files.maker import MAKER_VERSION
+from matcap.model.blocks import Piece, check_rectangle, pieces_of
+from matcap.model.patch import Rectangle
 from matcap.synth.pictures import Picture, channels_of, pictures_of
-from matcap.version import __version__
 
 if TYPE_CHECKING:
     from matcap.model.source import Source
@@ -173,7 +174,7 @@ class Request:
     def key(self) -> str:
         """The same for requests whose files have the same bytes: a digest, and the device."""
         digest = hashlib.sha256()
-        versions = (__version__, version("torch"))
+        versions = (MAKER_VERSION, version("torch"))
         _feed(digest.update, (versions, self.source, self.area, self.info.name, self.files))
         return f"{digest.hexdigest()} {self.source.device_type}"
 

@@ -3,8 +3,9 @@
 import ast
 import json
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 
+import numpy as np
 import pytest
 import typer.main
 from make_reference import FOLDER, PAGES, written
@@ -14,6 +15,8 @@ from safetensors import safe_open
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import app, main
 from matcap.errors import ExitCode
+from matcap.model.example.example import Example
+from matcap.model.exemplar import Exemplar
 from matcap.relight import scenefile
 from matcap.relight.scene import Camera, Film, Surface
 
@@ -74,8 +77,13 @@ def test_every_exit_code_is_there():
     assert [int(code) for code in codes] == list(ExitCode)
 
 
+def an_exemplar():
+    maps = np.random.default_rng(1).random((10, 32, 32), np.float32)
+    return Exemplar(maps[:3], maps[3:4], maps[4:5], maps[5:6], maps[6:], texel_size=2 / 256)
+
+
 def test_a_material_holds_what_is_told(small, tmp_path):
-    small.save(tmp_path / "leather.matcap")
+    replace(small, example=Example.of(an_exemplar())).save(tmp_path / "leather.matcap")
     with safe_open(tmp_path / "leather.matcap", framework="pt") as file:
         about, tensors = json.loads(file.metadata()["matcap"]), list(file.keys())
     assert set(about) == formats.keys("matcap.model.material", "Metadata")

@@ -1,0 +1,124 @@
+"""More of a material, as files: what `matcap synth` does, for Python too.
+
+Read next: fields.py (which field), stream.py (its files).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from matcap.brdf.folder import MapSetInfo
+from matcap.model.patch import Period, Rectangle
+from matcap.model.plane import check_seed
+from matcap.synth.fields import Found, Wanted, open_blend, open_field
+from matcap.synth.request import Files, Request, Work
+from matcap.synth.stream import write_field
+
+if TYPE_CHECKING:
+    from matcap.model.device import DeviceName
+    from matcap.model.material import Material
+    from matcap.model.source import Generator
+    from matcap.synth.precision import Choice, Precision
+
+Axes = Literal["both", "x", "y"]
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What a material grows into.
+
+    Attributes:
+        material: the other one, or its file.
+        mask: a grey picture; where it is white the other one is.
+        over: the rectangle that the mask is stretched over, or None for all that is written.
+    """
+
+    material: Material | Path
+    mask: Path
+    over: Rectangle | None = None
+
+
+@dataclass(frozen=True)
+class SynthRequest:
+    """What is wanted of a material.
+
+    Attributes:
+        material: to make more of, or its file. A file that is read by example alone is opened
+            without PyTorch.
+        area: of the one map set, or of a texture set's left top tile, in texels of the field.
+        seed: which realisation, in [-2^63, 2^63).
+        name: of the files; the material's unless given.
+        files: how maps are stored.
+        tile: the axes along which the whole of it repeats exactly, or None.
+        growth: what it grows into, or None.
+        generator: "example" or "decoder"; None: by example where there is an exemplar.
+        precision: of the decoder: "fp32", "bf16", or "auto" for as much bfloat16 as no eye can
+            see.
+        device: of the decoder: "cpu", "cuda", or "auto" for CUDA where it is there.
+    """
+
+    material: Material | Path
+    area: Rectangle
+    seed: int = 0
+    name: str = ""
+    files: Files = Files()
+    tile: Axes | None = None
+    growth: Growth | None = None
+    generator: Generator | None = None
+    precision: Precision = "fp32"
+    device: DeviceName = "auto"
+
+
+def synthesise(
+    asked: SynthRequest,
+    folder: str | Path,
+    work: Work | None = None,
+    told: Callable[[Choice], None] = lambda choice: None,
+) -> Path:
+    """Write it into a folder, all of its files or none; returns the JSON file.
+
+    Args:
+        asked: what.
+        folder: where to; made when missing.
+        work: who does it, and with whom to tell how far it is.
+        told: called with the decoder's precision, once it is chosen; by example none is.
+
+    Raises:
+        UsageError: a seed, size or repeat out of range, a device that is not there, no exemplar
+            where one was asked for.
+        MatcapError: a material or mask that cannot be read, precisions too rough, and what
+            write_field raises.
+
+    Example:
+        synthesise(SynthRequest(material, Rectangle(0, 0, 4096, 256), seed=7), "more")
+    """
+    work = work or Work()
+    check_seed(asked.seed)
+    # A cluster's machines may have no CUDA device, and their blocks must be alike.
+    device = "cpu" if work.scheduler and asked.device == "auto" else asked.device
+    found = _found(asked, device)
+    if found.choice is not None:
+        told(found.choice)
+    origin = (asked.area.x, asked.area.y)
+    info = MapSetInfo(asked.name or found.name, asked.seed, origin, found.provenance)
+    return write_field(Request(found.source, asked.area, info, asked.files), folder, work)
+
+
+def _found(asked: SynthRequest, device: DeviceName) -> Found:
+    """The field that blocks are read from."""
+    whole, growth = asked.files.whole(asked.area), asked.growth
+    period = _period(asked.tile, whole)
+    wanted = Wanted(asked.seed, period, asked.generator, asked.precision, device)
+    if growth is None:
+        return open_field(asked.material, wanted)
+    return open_blend(asked.material, growth.material, growth.mask, growth.over or whole, wanted)
+
+
+def _period(tile: Axes | None, area: Rectangle) -> Period | None:
+    """What repeats: the whole of what is written."""
+    if tile is None:
+        return None
+    return None if tile == "y" else area.width, None if tile == "x" else area.height
