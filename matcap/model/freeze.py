@@ -16,6 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.model import winograd
+from matcap.model.blocks import Rectangle
 from matcap.model.convolve import CHANNELS_LAST, Steps
 from matcap.model.decoder import (
     DEPTH,
@@ -26,7 +27,7 @@ from matcap.model.decoder import (
     Step,
     unet,
 )
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
 from matcap.model.random_field import RandomField, random_field
 from matcap.model.spans import Span, Spans
 from matcap.statistics.lattice import Wave

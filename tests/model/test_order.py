@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from matcap.model.blocks import Rectangle
 from matcap.model.noise import keys, wrap64
 from matcap.model.order import (
     _PHASES,
@@ -11,7 +12,7 @@ from matcap.model.order import (
     order_field,
     wave_field,
 )
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
 from matcap.statistics.lattice import Wave
 
 STRAIGHT = (Wave(1 / 43.3, 0.0), Wave(0.0, 1 / 42.7))

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from matcap.brdf.maps import MapSet
+from matcap.model.blocks import Rectangle
 from matcap.model.decoder import (
     ALIGNMENT,
     DEPTH,
@@ -25,7 +26,7 @@ from matcap.model.decoder import (
     Step,
     maps_from_raw,
 )
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
 from matcap.model.random_field import random_field
 from matcap.statistics.lattice import Wave
 
