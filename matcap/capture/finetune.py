@@ -24,11 +24,11 @@ from matcap.capture.schedule import Schedule
 from matcap.capture.windows import Windows, shot_deviation
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_flash
-from matcap.model.blocks import Rectangle
 from matcap.model.decoder import ALIGNMENT, DEPTH, Decoder, Moments, maps_from_raw
 from matcap.model.freeze import freeze
 from matcap.model.noise import wrap64
 from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import RandomField, random_field
 from matcap.statistics.compare import Features, Weights, describe, distance
 from matcap.statistics.encoding import Encoding

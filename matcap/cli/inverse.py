@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli import values
-from matcap.cli.options import QuietOption
+from matcap.files import values
+from matcap.cli.options import QuietOption, typed
 
 app = typer.Typer(
     help="Train the network that reads a photograph's own maps.", no_args_is_help=True
@@ -32,7 +32,7 @@ def train(
     ] = 1_000_000,
     time_limit: Annotated[
         float | None,
-        typer.Option("--time", parser=values.duration, metavar="TIME", help="Of this leg: 25m."),
+        typer.Option("--time", parser=typed(values.duration), metavar="TIME", help="Of this leg: 25m."),
     ] = None,
     rate: Annotated[float, typer.Option(help="Adam's rate.")] = 4e-4,
     batch: Annotated[int, typer.Option(min=1, help="Photographs a step.")] = 1,

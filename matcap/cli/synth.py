@@ -26,7 +26,7 @@ from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.model.material import Material
-    from matcap.model.patch import Rectangle
+    from matcap.model.plane import Rectangle
     from matcap.synth.precision import Choice
     from matcap.synth.request import Progress as SynthProgress
     from matcap.synth.synthesise import Axes, Growth
@@ -234,7 +234,7 @@ def _growth(blend: Path | None, mask: Path | None, over: values.Region | None) -
 
 
 def _rectangle(region: values.Region) -> Rectangle:
-    from matcap.model.patch import Rectangle
+    from matcap.model.plane import Rectangle
 
     return Rectangle(region.x, region.y, region.width, region.height)
 

@@ -16,7 +16,6 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.model import winograd
-from matcap.model.blocks import Rectangle
 from matcap.model.convolve import CHANNELS_LAST, Steps
 from matcap.model.decoder import (
     DEPTH,
@@ -28,6 +27,7 @@ from matcap.model.decoder import (
     unet,
 )
 from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import RandomField, random_field
 from matcap.model.spans import Span, Spans
 from matcap.statistics.lattice import Wave

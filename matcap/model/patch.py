@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
-from matcap.model.blocks import Rectangle
-from matcap.model.plane import Period
+from matcap.model.plane import Period, Rectangle
 
 
 @dataclass(frozen=True)

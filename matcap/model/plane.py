@@ -1,15 +1,29 @@
-"""The limits of the endless plane: of places, of what repeats, and of realisations.
+"""The endless plane: where it is addressed, what repeats, which realisations there are.
 
 Without PyTorch, so that what needs none can start without it.
 """
 
 from __future__ import annotations
 
-from matcap.errors import UsageError
-from matcap.model.patch import Period
+from dataclasses import dataclass
 
-COORDINATE_LIMIT = 2**40  # texels either way
+from matcap.errors import UsageError
+
+COORDINATE_LIMIT = 2**40
 SEED_LIMIT = 2**63
+
+# What repeats: texels along x and along y, None for an axis that never does.
+Period = tuple[int | None, int | None]
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """Texels x to x + width, y (downwards) to y + height."""
+
+    x: int
+    y: int
+    width: int
+    height: int
 
 
 def check_seed(seed: int) -> int:

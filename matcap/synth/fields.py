@@ -16,7 +16,7 @@ from matcap.model.header import read_exemplified
 if TYPE_CHECKING:
     from matcap.model.device import DeviceName
     from matcap.model.material import Material
-    from matcap.model.patch import Period, Rectangle
+    from matcap.model.plane import Period, Rectangle
     from matcap.model.source import Generator, Source
     from matcap.synth.precision import Choice, Precision
 

@@ -24,7 +24,7 @@ from matcap.brdf.folder import (
 from matcap.errors import UsageError
 from matcap.files.maker import MAKER_VERSION
 from matcap.model.blocks import Piece, check_rectangle, pieces_of
-from matcap.model.patch import Rectangle
+from matcap.model.plane import Rectangle
 from matcap.synth.pictures import Picture, channels_of, pictures_of
 
 if TYPE_CHECKING:

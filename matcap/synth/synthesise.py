@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from matcap.brdf.folder import MapSetInfo
-from matcap.model.patch import Period, Rectangle
-from matcap.model.plane import check_seed
+from matcap.model.plane import Period, Rectangle, check_seed
 from matcap.synth.fields import Found, Wanted, open_blend, open_field
 from matcap.synth.request import Files, Request, Work
 from matcap.synth.stream import write_field

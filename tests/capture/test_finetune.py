@@ -11,10 +11,10 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.guard import Guard
 from matcap.capture.penalty import Penalties, price
 from matcap.flash.render import render_flash
-from matcap.model.blocks import Rectangle
 from matcap.model.decoder import DEPTH, maps_from_raw
 from matcap.model.freeze import fold
 from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.compare import Weights, describe, distance
 

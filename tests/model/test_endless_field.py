@@ -11,7 +11,7 @@ import torch
 
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup
-from matcap.model.blocks import BLOCK, BLOCK_HEIGHT, Rectangle
+from matcap.model.blocks import BLOCK, BLOCK_HEIGHT
 from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, maps_from_raw
 from matcap.model.field import Field
 from matcap.model.freeze import freeze, reference_field
@@ -19,6 +19,7 @@ from matcap.model.material import Material
 from matcap.model.noise import noise_field
 from matcap.model.order import wave_field
 from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.lattice import Wave
 

@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from matcap.model.blocks import Rectangle
 from matcap.model.noise import keys, wrap64
 from matcap.model.order import (
     _PHASES,
@@ -13,6 +12,7 @@ from matcap.model.order import (
     wave_field,
 )
 from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.statistics.lattice import Wave
 
 STRAIGHT = (Wave(1 / 43.3, 0.0), Wave(0.0, 1 / 42.7))

@@ -37,10 +37,10 @@ from matcap.lab.simulate.dng import Sensor, write_dng
 from matcap.lab.simulate.examples import EXAMPLES, realisation
 from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.photograph import Camera, Realise, Shot, take
-from matcap.model.blocks import Rectangle
 from matcap.model.decoder import PAPER_CONFIG, DecoderConfig
 from matcap.model.material import Material
 from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.statistics.filterbank import FilterBankConfig
 
 _BASE_STEPS, _BASE_PLACES = 160, 2  # of every point that does not vary them

@@ -31,7 +31,7 @@ from torch import Tensor
 
 from matcap.files.staging import staged
 from matcap.flash.geometry import FlashSetup
-from matcap.model.blocks import Grid, Rectangle
+from matcap.model.blocks import Grid
 from matcap.model.decoder import (
     CODE_SIZE,
     DEPTH,
@@ -46,6 +46,7 @@ from matcap.model.material import Material
 from matcap.model.noise import noise_field
 from matcap.model.order import WAVE_CHANNELS
 from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.single import single_threaded
 from matcap.model.source import Area, MaterialSource, area_of, material_source
 from matcap.model.spans import Span

@@ -15,7 +15,6 @@ import torch
 from torch import Tensor, nn
 
 from matcap.brdf.maps import MapSet
-from matcap.model.blocks import Rectangle
 from matcap.model.decoder import (
     ALIGNMENT,
     DEPTH,
@@ -27,6 +26,7 @@ from matcap.model.decoder import (
     maps_from_raw,
 )
 from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.lattice import Wave
 

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.model.example import appearance, compiled, plain, relief
-from matcap.model.example.coordinates import Area, Correct, Places, coordinates
+from matcap.model.example.coordinates import Area, Correct, coordinates
 from matcap.model.example.grids import level_count
 from matcap.model.example.index import Index, Project, build_index
 from matcap.model.example.lookup import Lookup, prepare
 from matcap.model.example.order import Period, Wave
 from matcap.model.exemplar import Exemplar, Floats
+from matcap.model.plane import Places
 
 _GRID = 1536  # texels of the longer side of the grid at most
 

@@ -12,8 +12,7 @@ from matcap.brdf.folder import NormalStyle
 from matcap.model.blocks import RING, Grid
 from matcap.model.example.coordinates import Area
 from matcap.model.example.example import Example
-from matcap.model.patch import Period, Rectangle
-from matcap.model.plane import check_period, check_seed
+from matcap.model.plane import Period, Rectangle, check_period, check_seed
 
 if TYPE_CHECKING:
     from torch import Tensor

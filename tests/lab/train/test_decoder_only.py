@@ -11,11 +11,11 @@ from matcap.capture.start import untrained
 from matcap.capture.windows import cut_windows
 from matcap.flash.plane import read_plane
 from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
-from matcap.model.blocks import Rectangle
 from matcap.model.decoder import CODE_SIZE, DEPTH, OUTPUTS, Decoder
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
 from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import Wave
