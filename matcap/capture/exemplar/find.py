@@ -16,15 +16,19 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.brdf.maps import MapSet
 from matcap.capture.coarse import CoarseFit
 from matcap.capture.exemplar.equalise import equalise
+from matcap.capture.exemplar.fill import fill
 from matcap.capture.exemplar.refine import flatten, level, refine
 from matcap.capture.exemplar.strengths import Strengths, measure_strengths
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
+from matcap.model.example.example import Example
 from matcap.model.exemplar import Exemplar
 from matcap.model.inverse.inputs import Uniform, network_inputs, read_outputs
 from matcap.model.inverse.network import OUTPUTS, Inverse
+from matcap.statistics.lattice import Wave
 
 # Expected errors at which confidence has fallen to 1/e: log albedo, log F0, logit roughness, slope.
 _DOUBTED = (0.3, 0.6, 0.6, 0.15)
@@ -36,22 +40,31 @@ class FoundExemplar:
     """The exemplar and how it was found.
 
     Attributes:
-        exemplar: the maps.
+        example: the maps, indexed to be rearranged.
         strengths: what the photograph says of relief and albedo outright, or None.
         error: median difference of log radiance between photograph and re-rendering, of texels
             seen and not clipped.
         slow: mean size of its part that varies slowly, which is not the material's.
     """
 
-    exemplar: Exemplar
+    example: Example
     strengths: Strengths | None
     error: float
     slow: float
 
+    @property
+    def exemplar(self) -> Exemplar:
+        """The maps."""
+        return self.example.exemplar
+
 
 @torch.inference_mode()
 def find_exemplar(
-    plane: Plane, coarse: CoarseFit, network: Inverse, steps: int = 3
+    plane: Plane,
+    coarse: CoarseFit,
+    network: Inverse,
+    waves: tuple[Wave, ...] = (),
+    steps: int = 3,
 ) -> FoundExemplar:
     """Maps of the photographed piece.
 
@@ -59,6 +72,7 @@ def find_exemplar(
         plane: the photograph.
         coarse: its coarse fit.
         network: reads it (store.load_inverse).
+        waves: of its regular order, in cycles per texel.
         steps: of refinement.
     """
     width, height = plane.size
@@ -97,11 +111,25 @@ def find_exemplar(
     )
     seen = refined.residual[:, plane.valid]
     return FoundExemplar(
-        exemplar=exemplar,
+        example=_indexed(exemplar, waves),
         strengths=strengths,
         error=float(seen.abs().median()) if seen.numel() else 0.0,
         slow=float(refined.slow.abs().mean()),
     )
+
+
+def _indexed(exemplar: Exemplar, waves: tuple[Wave, ...]) -> Example:
+    """An exemplar ready to be rearranged, with what was not seen of it drawn from elsewhere."""
+    order = tuple((wave.fx, wave.fy) for wave in waves)
+    example = Example.of(exemplar, order)
+    whole = fill(exemplar, example)
+    return example if whole is exemplar else Example.of(whole, order)
+
+
+def piece_maps(exemplar: Exemplar) -> MapSet:
+    """The photographed piece as a map set."""
+    stacked = torch.from_numpy(exemplar.stacked())
+    return MapSet.from_stacked(stacked, exemplar.texel_size)
 
 
 def confidence(errors: Tensor, valid: Tensor) -> NDArray[np.float32]:
