@@ -58,7 +58,7 @@ _PRIOR_SHARE_DEVELOPED, _CELLS_THAT_COUNT = 0.15, 150.0
 _CENTRE_DEVIATION = (0.006, 0.1)
 # What one deviation of the highlight's own measures weighs, likewise: a tone curve bends what is
 # around it, while in a RAW they only show the way.
-_EVIDENCE_DEVELOPED, _EVIDENCE_RADIOMETRIC = 0.3, 0.005
+_EVIDENCE_DEVELOPED, _EVIDENCE_RADIOMETRIC = 1.0, 0.005
 _LEVEL_DEVIATION = 0.1  # log radiance, of the highlight's peak, half-way level and surroundings
 _DIRECTIONS = 12  # points of a ring
 # Between knee and clip level a developed picture is darker than light, but not by any amount: a
@@ -155,14 +155,8 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
 
     def problem(level: int) -> _Problem:
         cells = _see(photo, highlight, level)
-        knee = _KNEE_RADIOMETRIC if photo.radiometric else _KNEE_DEVELOPED
-        blame = 1.0 if highlight is None or highlight.peak < knee else 0.0
-        if blame == 0.0 and not photo.radiometric and highlight.peak < _CLIPPING:
-            blame = _ABOVE_KNEE
         evidence = _EVIDENCE_RADIOMETRIC if photo.radiometric else _EVIDENCE_DEVELOPED
-        return _Problem(
-            cells, distance, highlight, evidence, _rings(highlight), blame, centre, precision
-        )
+        return _Problem(cells, distance, highlight, evidence, _rings(highlight), centre, precision)
 
     first, last = problem(0), problem(1)
     starts = _starts(first.cells.observed, centre, highlight, distance, held=tilt is not None)
@@ -322,7 +316,6 @@ class _Problem:
         highlight: whose centre is evidence, or None.
         evidence: its weight, as share of the picture's.
         rings: (2, 3 * directions) image coordinates: its middle, half width and surroundings.
-        above_peak: what a model brighter than its peak is blamed: less where that is clipped.
         prior, precision: (11,) the prior's mean and inverse variance.
     """
 
@@ -331,7 +324,6 @@ class _Problem:
     highlight: Highlight | None
     evidence: float
     rings: Tensor
-    above_peak: float
     prior: Tensor
     precision: Tensor
 
@@ -369,13 +361,12 @@ class _Problem:
         centre = torch.tensor(highlight.centre, dtype=parameters.dtype)
         deviation = _CENTRE_DEVIATION[0] + _CENTRE_DEVIATION[1] * highlight.width
         away = (_mirror(parameters, self.distance) - centre) / deviation
-        light = _log_radiance(parameters, self.rings, self.distance).exp().mean(0).log()
+        radiance = _log_radiance(parameters, self.rings, self.distance).exp()
+        light = radiance.clamp_max(max(1.0, highlight.peak)).mean(0).log()  # as the camera clips
         levels = torch.stack([ring.mean() for ring in light.split(_DIRECTIONS)])
         middle = 0.5 * (highlight.peak + highlight.surroundings)
         expected = torch.tensor([highlight.peak, middle, highlight.surroundings]).double().log()
         difference = (levels - expected) / _LEVEL_DEVIATION
-        above = torch.where(torch.arange(3) == 0, self.above_peak, 1.0)
-        difference = torch.where(difference > 0.0, difference * above, difference)
         return torch.cat([away, difference])
 
     def residuals(self, parameters: Tensor) -> Tensor:
