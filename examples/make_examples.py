@@ -8,11 +8,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from matcap.export.mapset import MapSetInfo, write_mapset
-from matcap.simulate.dng import write_dng
-from matcap.simulate.examples import EXAMPLES
-from matcap.simulate.jpeg import write_jpeg
-from matcap.simulate.photograph import Camera
+from matcap.brdf.folder import MapSetInfo, write_mapset
+from matcap.lab.simulate.dng import write_dng
+from matcap.lab.simulate.examples import EXAMPLES
+from matcap.lab.simulate.jpeg import write_jpeg
+from matcap.lab.simulate.photograph import Camera
 
 
 def main() -> None:

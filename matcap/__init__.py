@@ -6,6 +6,11 @@
     maps = material.maps(1024, 1024, seed=7)
 
 The names below are imported when first used, so that `import matcap` is instant.
+
+`capture` and `relight` are functions, and packages of those names hold what they do. Importing a
+package's submodule binds the package here, but only the first time: so both are imported before
+the functions take their names. Import from the packages with `from matcap.capture.pipeline import
+CaptureSettings`; the other form, `matcap.capture.pipeline`, would look in the function.
 """
 
 from __future__ import annotations
@@ -14,31 +19,31 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from matcap.errors import MatcapError
+from matcap.version import __version__
+
+for _package in ("capture", "relight"):
+    import_module(f"matcap.{_package}")
+
+from matcap.api import capture, relight  # noqa: E402  # after the packages, see above
 
 if TYPE_CHECKING:
-    from matcap.api import capture as capture
+    from matcap.brdf.folder import MapSetInfo as MapSetInfo
+    from matcap.brdf.folder import read_mapset as read_mapset
+    from matcap.brdf.folder import write_mapset as write_mapset
     from matcap.brdf.maps import MapSet as MapSet
-    from matcap.export.mapset import MapSetInfo as MapSetInfo
-    from matcap.export.mapset import read_mapset as read_mapset
-    from matcap.export.mapset import write_mapset as write_mapset
+    from matcap.model.field import Field as Field
     from matcap.model.material import Material as Material
     from matcap.photo.load import load_photo as load_photo
-    from matcap.relight.render import relight as relight
-    from matcap.synth.field import Field as Field
 
-__version__ = "0.1.0"
-
-# Each public name and the module it is defined in; "" for the callable packages of that name.
+# Each name that is imported when first used, and the module it is defined in.
 _HOMES = {
-    "Field": "matcap.synth.field",
+    "Field": "matcap.model.field",
     "MapSet": "matcap.brdf.maps",
-    "MapSetInfo": "matcap.export.mapset",
+    "MapSetInfo": "matcap.brdf.folder",
     "Material": "matcap.model.material",
-    "capture": "",
     "load_photo": "matcap.photo.load",
-    "read_mapset": "matcap.export.mapset",
-    "relight": "",
-    "write_mapset": "matcap.export.mapset",
+    "read_mapset": "matcap.brdf.folder",
+    "write_mapset": "matcap.brdf.folder",
 }
 
 __all__ = [
@@ -59,8 +64,7 @@ __all__ = [
 def __getattr__(name: str) -> object:
     if name not in _HOMES:
         raise AttributeError(f"module 'matcap' has no attribute '{name}'")
-    home = _HOMES[name]
-    return getattr(import_module(home), name) if home else import_module(f"matcap.{name}")
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -1,19 +1,21 @@
 """What a Python program calls first: a photograph to a material, maps to a picture.
 
-`matcap.capture` and `matcap.relight` are packages, and callable: `matcap.capture("photo.dng")`
-works whether or not a submodule of theirs has been imported before.
+Torch and what is heavy are imported when a function is called.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from matcap.brdf.maps import MapSet
     from matcap.model.material import Material
+    from matcap.relight.render import MapSource
+    from matcap.relight.scene import Scene
 
 
 def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
@@ -32,21 +34,32 @@ def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
         m = matcap.capture("leather.dng", preset="draft")
         maps = m.maps(1024, 1024, seed=7)
     """
-    from matcap.capture.pipeline import CaptureSettings, capture_photo
-    from matcap.photo.load import load_photo
+    from matcap.capture.pipeline import CaptureSettings, capture_file
 
-    chosen = CaptureSettings(**settings)
-    photo = load_photo(path, long_side=chosen.most_detail, fov=chosen.fov, noise=chosen.tunes)
-    return capture_photo(photo, chosen).material
+    return capture_file(path, CaptureSettings(**settings)).material
 
 
-def callable_package(name: str, function: Callable[..., Any]) -> None:
-    """Let the imported package `name` be called as `function`.
+def relight(
+    source: MapSet | MapSource,
+    scene: Scene | str = "top",
+    **options: Any,  # noqa: ANN401
+) -> NDArray[np.float32]:
+    """A picture of a material in a scene.
 
-    Importing a submodule binds its package's name in `matcap`, over any function of that name;
-    so the package itself must answer the call.
+    Args:
+        source: maps, or a material to read them from.
+        scene: the scene, or the name of a light, such as "top" (relight.scene.scene_from_light).
+        options: seed, tolerance and effects of matcap.relight.render.relight.
+
+    Returns:
+        (H, W, 3) float32 radiance, linear Rec.709; 0 where there is no surface.
+
+    Raises:
+        MatcapError: a file of the scene is missing or broken, or an effect has no such name.
+
+    Example:
+        picture = matcap.relight(maps, "left")
     """
-    package = type(
-        "CallablePackage", (ModuleType,), {"__call__": staticmethod(function), "__slots__": ()}
-    )
-    sys.modules[name].__class__ = package
+    from matcap.relight.render import relight as render
+
+    return render(source, scene, **options)

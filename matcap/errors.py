@@ -6,7 +6,16 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """What the process answers to its shell."""
+    """What the process answers to its shell.
+
+    Attributes:
+        DONE: done.
+        INTERNAL: an internal error: please report it, with the output under `MATCAP_DEBUG=1`.
+        USAGE: wrong usage.
+        NOTHING_SUCCEEDED: nothing succeeded; one file that cannot be read is nothing, too.
+        SOME_FAILED: some inputs failed, the others are done.
+        INTERRUPTED: interrupted; what is whole is there.
+    """
 
     DONE = 0
     INTERNAL = 1

@@ -8,7 +8,7 @@ settings.register_profile("matcap", deadline=None, suppress_health_check=[Health
 settings.load_profile("matcap")
 
 # Tests here compute little at a time: threads would only wait for each other.
-_ON_ONE_THREAD = ("bench", "capture", "stability", "statistics")
+_ON_ONE_THREAD = ("bench", "capture", "flash", "stability", "statistics")
 
 
 @pytest.fixture(autouse=True, scope="module")

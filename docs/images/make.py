@@ -21,8 +21,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from matcap.brdf.maps import MapSet
-from matcap.export.srgb import srgb_encode
+from matcap.files.srgb import srgb_picture
 from matcap.flash.geometry import FlashSetup
+from matcap.lab.simulate.examples import EXAMPLES
+from matcap.lab.simulate.materials import MATERIALS
+from matcap.lab.simulate.materials.varied import random_material
+from matcap.lab.simulate.photograph import Camera, expose, take
 from matcap.relight.pictures import encode
 from matcap.relight.presets import SCENES
 from matcap.relight.render import relight
@@ -34,10 +38,6 @@ from matcap.relight.scene import (
     Surface,
     exposing_intensity,
 )
-from matcap.simulate.examples import EXAMPLES
-from matcap.simulate.materials import MATERIALS
-from matcap.simulate.materials.varied import random_material
-from matcap.simulate.photograph import Camera, expose, take
 
 HERE = Path(__file__).parent
 # Draws of the simulator's endless stream, chosen by eye for being unlike each other.
@@ -74,11 +74,11 @@ def shooting() -> None:
         "no-highlight": take(leather.realise, _SMALL, aside),
     }
     for name, shot in shots.items():
-        save(srgb_encode(expose(shot, 1).astype(np.float32)), HERE / "shooting" / f"{name}.jpg")
+        save(srgb_picture(expose(shot, 1).astype(np.float32)), HERE / "shooting" / f"{name}.jpg")
     maps = leather.realise(640, 480, 2.0 / 640).map(lambda m: m.float())
     lights = (EnvironmentLight(radiance=(0.55, 0.6, 0.7)),)
     even = relight(maps, Scene(film=Film(640, 480), surface=Surface(size=None), lights=lights))
-    save(srgb_encode(even), HERE / "shooting" / "no-flash.jpg")
+    save(srgb_picture(even), HERE / "shooting" / "no-flash.jpg")
 
 
 def gallery() -> None:

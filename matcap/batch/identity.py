@@ -9,16 +9,18 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import matcap
 from matcap.batch.settings import BatchSettings
 from matcap.errors import MatcapError
+from matcap.version import __version__
 
-# Settings that say what to work on or how, and leave the material as it is.
+# Settings that say what to work on or how, and leave the material as it is; of prior and card the
+# bytes count.
 _NO_MATTER = ("jobs", "group", "gap", "card", "prior")
+# What a setting of later versions was before there was it: unsaid, for old materials to stay.
+_SINCE = {"statistics": "filterbank"}
 
 
 def identity(
@@ -27,7 +29,7 @@ def identity(
     *,
     prior: str,
     card: str = "",
-    version: str = matcap.__version__,
+    version: str = __version__,
 ) -> str:
     """64 hexadecimal digits.
 
@@ -41,7 +43,11 @@ def identity(
     Raises:
         MatcapError: a photograph cannot be read.
     """
-    chosen = {key: value for key, value in asdict(settings).items() if key not in _NO_MATTER}
+    chosen = {
+        key: value
+        for key, value in settings.named().items()
+        if key not in _NO_MATTER and (key not in _SINCE or value != _SINCE[key])
+    }
     what: dict[str, Any] = {
         "photographs": [file_hash(photo) for photo in photos],
         "settings": chosen,
@@ -56,7 +62,7 @@ def prior_hash(prior: str) -> str:
     """Of a prior as the settings name it: "auto", "none" or a file."""
     if prior == "none":
         return "none"
-    from matcap.prior.store import SHIPPED
+    from matcap.capture.prior.store import SHIPPED
 
     return file_hash(SHIPPED if prior == "auto" else Path(prior))
 

@@ -13,7 +13,7 @@ from typing import Any
 from matcap.batch.index_page import PAGE
 from matcap.batch.plan import Entry
 from matcap.batch.record import read_record
-from matcap.export.staging import staged
+from matcap.files.staging import staged
 
 _COLUMNS = (
     "name", "state", "photographs", "error", "tilt_x", "tilt_y", "clipped", "doubtful", "seconds",

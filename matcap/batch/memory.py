@@ -1,7 +1,7 @@
 """How much memory a worker takes, and how many fit.
 
-Measured on Linux with the allocator of glibc (docs/batch.md has the command): the libraries, the
-photograph as it is developed, what grows with the detail, and what grows with the map set.
+Measured on Linux with the allocator of glibc (docs/notes/batch.md has the command): the libraries,
+the photograph as it is developed, what grows with the detail, and what grows with the map set.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def worker_bytes(settings: BatchSettings, pixels: int, *, raw: bool) -> int:
         pixels: of the largest photograph.
         raw: whether it has to be developed.
     """
-    width, height = settings.size
+    width, height = settings.outputs.size
     detail = settings.capture.most_detail
     return (
         _LIBRARIES

@@ -15,6 +15,7 @@ from matcap.batch.record import FILE, read_record
 from matcap.batch.settings import BatchSettings
 from matcap.batch.whole import Prepared
 from matcap.batch.work import settle_threads
+from matcap.capture.settings import resolve
 from matcap.errors import MatcapError
 
 _TRIAL_STEPS = 12
@@ -122,7 +123,7 @@ def predict(prepared: Prepared) -> Prediction:
 
 def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
     found = []
-    steps = _steps(prepared.settings)
+    steps = resolve(prepared.settings.capture).steps
     for file in sorted(prepared.out.glob(f"*/{FILE}")):
         record = read_record(file.parent)
         if record and (record.get("steps"), record.get("detail")) == (
@@ -138,31 +139,24 @@ def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
 
 def _trial(photo: Path, settings: BatchSettings) -> tuple[float, int]:
     """Seconds and bytes that the whole will take, from a few steps of one photograph."""
-    from matcap.capture.pipeline import capture_photo
-    from matcap.export.outputs import write_outputs
-    from matcap.photo.load import load_photo
+    from matcap.capture.outputs import write_outputs
+    from matcap.capture.pipeline import capture_file
 
     settle_threads()
     began = time.perf_counter()
-    picture = load_photo(photo, long_side=settings.capture.most_detail, fov=settings.fov)
-    short = replace(settings.capture, steps=_TRIAL_STEPS, time_limit=None)
-    result = capture_photo(picture, short)
+    short = replace(settings.capture, steps=_TRIAL_STEPS, time_limit=None, target=None)
+    result = capture_file(photo, short)
     with tempfile.TemporaryDirectory(prefix="matcap-") as folder:
-        write_outputs(result, picture, Path(folder) / "trial", settings.outputs)
+        write_outputs(result, Path(folder) / "trial", settings.outputs)
         size = sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())
     spent = time.perf_counter() - began
     history = result.history
     pace = (history[-1][0] - history[_SETTLED][0]) / (len(history) - 1 - _SETTLED)
     rest = spent - pace * _TRIAL_STEPS
-    if settings.time is not None:
-        return rest + settings.time, size
-    return rest + pace * _steps(settings), size
-
-
-def _steps(settings: BatchSettings) -> int:
-    from matcap.capture.pipeline import PRESETS
-
-    return PRESETS[settings.preset].steps if settings.steps is None else settings.steps
+    tuning = pace * resolve(settings.capture).steps
+    if settings.capture.time_limit is not None:
+        tuning = min(tuning, settings.capture.time_limit)
+    return rest + tuning, size
 
 
 def _existing(folder: Path) -> Path:

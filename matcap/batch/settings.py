@@ -5,35 +5,35 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
-from matcap.capture.pipeline import PRESETS, CaptureSettings
-from matcap.cli import values
+from matcap.capture.outputs import OutputSettings
+from matcap.capture.settings import PRESETS, CaptureSettings, weights_file
 from matcap.errors import MatcapError, UsageError
-from matcap.export.outputs import OutputSettings
 from matcap.export.targets import check_targets
-
-if TYPE_CHECKING:
-    from matcap.export.mapset import NormalStyle
+from matcap.files import values
+from matcap.model.decoder import ALIGNMENT
 
 FILE = "matcap.toml"
 _GROUPS = ("none", "dir", "time")
 _MOST_BYTES = 1_000_000  # of a settings file; nobody writes more
 
 
+# What options and matcap.toml call otherwise than the captures' and the outputs' settings do.
+_RENAMED = {"time": "time_limit", "export": "targets"}
+
+
 @dataclass(frozen=True)
 class BatchSettings:
-    """Everything that can be set; the names are those of the options and of matcap.toml's keys.
+    """Everything that can be set for a batch.
 
     Attributes:
-        preset, steps, time, target, detail, fov, seed, prior: as in capture; time in seconds.
-        size: (width, height) of the first map sets.
-        tile: their left edge continues their right one, and top and bottom likewise.
-        png, normal, export: as in capture.
+        capture: of every sample.
+        outputs: of every sample.
         group: "none", "dir" or "time".
         gap: seconds between two photographs of one sample, where grouped by time.
         jobs: worker processes, or None for as many as cores and memory allow.
@@ -41,49 +41,32 @@ class BatchSettings:
             with "card", or "none".
     """
 
-    preset: str = "standard"
-    steps: int | None = None
-    time: float | None = None
-    target: float | None = None
-    detail: int | None = None
-    fov: float | None = None
-    seed: int = 0
-    prior: str = "auto"
-    size: tuple[int, int] = (1024, 1024)
-    tile: bool = False
-    png: bool = False
-    normal: NormalStyle = "gl"
-    export: tuple[str, ...] = ()
+    capture: CaptureSettings = CaptureSettings()
+    outputs: OutputSettings = OutputSettings()
     group: str = "none"
     gap: float = 10.0
     jobs: int | None = None
     card: str = "auto"
 
-    @property
-    def capture(self) -> CaptureSettings:
-        """What the capture needs of it."""
-        return CaptureSettings(
-            preset=self.preset,
-            steps=self.steps,
-            time_limit=self.time,
-            target=self.target,
-            detail=self.detail,
-            fov=self.fov,
-            seed=self.seed,
-            prior=self.prior,
+    @staticmethod
+    def of(named: Mapping[str, Any]) -> BatchSettings:
+        """Settings by the names of options and of matcap.toml's keys; the rest as by default."""
+        values = {_RENAMED.get(name, name): value for name, value in named.items()}
+
+        def part(kind: type) -> dict[str, Any]:
+            return {f.name: values[f.name] for f in fields(kind) if f.name in values}
+
+        capture, outputs = part(CaptureSettings), part(OutputSettings)
+        return BatchSettings(
+            CaptureSettings(**capture), OutputSettings(**outputs), **part(BatchSettings)
         )
 
-    @property
-    def outputs(self) -> OutputSettings:
-        """What the writing needs of it."""
-        return OutputSettings(
-            size=self.size,
-            seed=self.seed,
-            png=self.png,
-            normal=self.normal,
-            tile=self.tile,
-            targets=self.export,
-        )
+    def named(self) -> dict[str, Any]:
+        """All settings by the names of options; BatchSettings.of() of them is these again."""
+        values = asdict(self)
+        values |= values.pop("outputs") | values.pop("capture")
+        back = {field: name for name, field in _RENAMED.items()}
+        return {back.get(name, name): value for name, value in values.items()}
 
 
 @dataclass(frozen=True)
@@ -108,6 +91,7 @@ _RULES: Mapping[str, _Rule] = {
     "fov": _Rule((int, float), 1.0, 170.0),
     "seed": _Rule((int,), 0, 2**63 - 1),
     "prior": _Rule((str,)),
+    "statistics": _Rule((str,)),
     "size": _Rule((str, int)),
     "tile": _Rule((bool,)),
     "png": _Rule((bool,)),
@@ -133,12 +117,13 @@ def settings_of(shoot: Path, flags: Mapping[str, Any]) -> BatchSettings:
     file = settings_file(shoot)
     read = read_settings(file) if file else {}
     given = {name: value for name, value in flags.items() if value is not None}
-    settings = replace(BatchSettings(), **{**read, **_checked(given, "the options")})
-    if settings.tile and any(side % 16 for side in settings.size):
+    settings = BatchSettings.of(read | _checked(given, "the options"))
+    width, height = settings.outputs.size
+    if settings.outputs.tile and (width % ALIGNMENT or height % ALIGNMENT):
         raise UsageError(
-            f"{settings.size[0]}x{settings.size[1]} cannot tile",
+            f"{width}x{height} cannot tile",
             where="size",
-            remedy="give sides that are multiples of 16",
+            remedy=f"give sides that are multiples of {ALIGNMENT}",
         )
     return settings
 
@@ -150,7 +135,7 @@ def settings_file(shoot: Path) -> Path | None:
 
 
 def read_settings(file: Path) -> dict[str, Any]:
-    """The keys that a matcap.toml sets, checked, as BatchSettings has them.
+    """The keys that a matcap.toml sets, checked, as BatchSettings.of takes them.
 
     Paths in it are relative to it.
 
@@ -172,6 +157,9 @@ def read_settings(file: Path) -> dict[str, Any]:
     for name, plain in (("prior", ("auto", "none")), ("card", ("auto", "none"))):
         if name in read and read[name] not in plain:
             read[name] = str(file.parent / read[name])
+    weights = weights_file(read["statistics"]) if "statistics" in read else None
+    if weights is not None:
+        read["statistics"] = f"vgg19={file.parent / weights}"
     return read
 
 
@@ -206,6 +194,8 @@ def _value(name: str, value: Any, where: str) -> Any:  # noqa: ANN401
             where=where,
             remedy=f"give between {rule.least:g} and {rule.most:g}",
         )
+    if name == "statistics":
+        weights_file(value)
     if name == "export":
         names = [value] if isinstance(value, str) else [str(each) for each in value]
         return check_targets(names, where)
@@ -230,4 +220,4 @@ def _short(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-assert set(_RULES) == {f.name for f in fields(BatchSettings)}
+assert set(_RULES) == set(BatchSettings().named())

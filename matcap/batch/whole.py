@@ -19,7 +19,7 @@ from matcap.batch.shoot import Grouping, find_samples
 from matcap.batch.work import do_job, settle_threads
 from matcap.batch.workspace import open_run
 from matcap.errors import ExitCode, MatcapError
-from matcap.export.staging import check_writable
+from matcap.files.staging import check_writable
 from matcap.photo.calibrate import Calibration, card_sentence, read_card
 
 
@@ -57,21 +57,22 @@ def prepare(
     Raises:
         MatcapError: no such folder, no photographs in it, no such prior, an unwritable output.
     """
-    if settings.prior not in ("auto", "none"):
-        from matcap.prior.store import load_prior
+    if settings.capture.prior not in ("auto", "none"):
+        from matcap.capture.prior.store import load_prior
 
-        load_prior(Path(settings.prior))  # one that is broken would fail for every photograph
+        # One that is broken would fail for every photograph.
+        load_prior(Path(settings.capture.prior))
     group = cast(Grouping, settings.group)
     cards = _cards(shoot, settings.card, out)
     samples = find_samples(shoot, group=group, gap=settings.gap, without=(out, *cards))
-    card = read_card(cards[0], fov=settings.fov) if cards else None
+    card = read_card(cards[0], fov=settings.capture.fov) if cards else None
     show.note(card_sentence(card))
     check_writable(out, settings.outputs.room)
     entries = make_plan(
         samples,
         out,
         settings,
-        prior=prior_hash(settings.prior),
+        prior=prior_hash(settings.capture.prior),
         card=card.digest if card else "",
         force=policy.force,
         retry_failed=policy.retry_failed,

@@ -17,14 +17,13 @@ from matcap.batch.record import write_record
 from matcap.batch.settings import BatchSettings
 from matcap.batch.workspace import Run
 from matcap.errors import MatcapError
-from matcap.export.staging import write_error
+from matcap.files.staging import write_error
 from matcap.photo.calibrate import Calibration, calibrated
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult, Progress
+    from matcap.capture.prior.store import Prior
     from matcap.photo.inspect import Inspection
-    from matcap.photo.photo import Photo
-    from matcap.prior.store import Prior
 
 Tell = Callable[[str, float], None]  # stage, share of the whole
 Fault = Literal["photograph", "memory", "disk", "crash"]
@@ -111,35 +110,31 @@ def _fault(error: MatcapError) -> Fault:
 
 
 def _do(job: Job, tell: Tell) -> dict[str, Any]:
-    from matcap.capture.pipeline import capture_photo
-    from matcap.export.outputs import write_outputs
+    from matcap.capture.outputs import write_outputs
+    from matcap.capture.pipeline import capture_photo, read_photograph
     from matcap.photo.inspect import inspect_photo
-    from matcap.photo.load import load_photo
 
     started = time.perf_counter()
     tell("reading", 0.0)
     settings = job.settings
+    chosen = settings.capture
+    if job.detail != chosen.most_detail:
+        chosen = replace(chosen, detail=job.detail)
     photos = []
     for path in job.photos:
-        photo = load_photo(
-            path, long_side=job.detail, fov=settings.fov, noise=settings.capture.tunes
-        )
+        photo = read_photograph(path, chosen)
         photos.append(photo if job.card is None else calibrated(photo, path, job.card))
-    looked_at = [inspect_photo(photo, _prior(settings.prior).tilt(photo)) for photo in photos]
+    looked_at = [inspect_photo(photo, _prior(chosen.prior).tilt(photo)) for photo in photos]
 
     def progress(now: Progress) -> None:
         low, high = _SHARES.get(now.stage, (0.0, 0.0))
         tell(now.stage, low + (high - low) * now.fraction)
 
-    photo = photos[0]
-    chosen = settings.capture
-    if job.detail != chosen.most_detail:
-        chosen = replace(chosen, detail=job.detail)
-    result = capture_photo(photo, chosen, progress, others=photos[1:])
+    result = capture_photo(photos[0], chosen, progress, others=photos[1:])
     tell("writing", 0.95)
     stage = job.run.stage(job.name)
-    write_outputs(result, photo, stage, settings.outputs)
-    about = _about(job, photo, looked_at, result)
+    write_outputs(result, stage, settings.outputs)
+    about = _about(job, looked_at, result)
     about["seconds"] = round(time.perf_counter() - started, 3)
     about["peak_bytes"] = _peak_bytes()
     write_record(stage, {**about, "thumbnails": _thumbnails(result)})
@@ -147,13 +142,11 @@ def _do(job: Job, tell: Tell) -> dict[str, Any]:
     return about
 
 
-def _about(
-    job: Job, photo: Photo, looked_at: Sequence[Inspection], result: CaptureResult
-) -> dict[str, Any]:
+def _about(job: Job, looked_at: Sequence[Inspection], result: CaptureResult) -> dict[str, Any]:
     """What the index tells of a material."""
     from matcap.capture.report import warnings
 
-    said = list(warnings(result, photo))
+    said = list(warnings(result))
     if job.detail != job.settings.capture.most_detail:
         said.append(f"Memory ran out: made at a detail of {job.detail} texels across.")
     for found in looked_at:
@@ -168,11 +161,11 @@ def _about(
         "detail": round(2.0 / result.material.texel_size),
         "error": result.history[-1][2] if result.history else None,
         "tilt_degrees": [round(angle * 57.29577951, 3) for angle in tilt],
-        "clipped": round(photo.clipped_share, 5),
+        "clipped": round(result.photo.clipped_share, 5),
         "doubtful": any(found.doubtful for found in looked_at),
         "warnings": said,
         "inspection": [found.document() for found in looked_at],
-        "albedo": "absolute" if photo.flash_intensity is not None else "relative",
+        "albedo": "absolute" if result.photo.flash_intensity is not None else "relative",
         "card": job.card.document() if job.card else None,
         "stage_seconds": {name: round(s, 3) for name, s in result.stage_seconds.items()},
         "steps": result.history[-1][1] if result.history else 0,
@@ -203,7 +196,7 @@ def _thumbnails(result: CaptureResult) -> dict[str, str]:
 @lru_cache(maxsize=1)
 def _prior(name: str) -> Prior:
     """The alignment branch of the batch's prior; of matcap's own where captures use none."""
-    from matcap.prior.store import load_prior
+    from matcap.capture.prior.store import load_prior
 
     return load_prior(None if name in ("auto", "none") else Path(name))
 

@@ -29,8 +29,8 @@ from typing import Any
 from matcap.batch.record import FILE as RECORD
 from matcap.batch.record import read_record
 from matcap.batch.shoot import WORKSPACE
-from matcap.export.mapset import mapset_files
-from matcap.export.staging import write_error
+from matcap.brdf.folder import mapset_files
+from matcap.files.staging import write_error
 
 _BEAT = 5.0  # seconds between two touches of `alive`
 _SILENT = 60.0  # seconds after which a run's claims lapse

@@ -1,1 +1,1 @@
-"""Reflectance: the maps, their normals and the Cook-Torrance model. Knows nothing of files."""
+"""Reflectance: the maps and their files, their normals and the Cook-Torrance model."""

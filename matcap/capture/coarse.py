@@ -49,6 +49,7 @@ _VIGNETTING_RADIOMETRIC = (0.0, 0.05)
 # Nor does a tone curve of its own pass for a tilt.
 _TILT_RADIOMETRIC = 0.1
 _BRIGHTEST = 0.8  # mean albedo or F0 of the brightest material believed in
+_MOST_ALBEDO = 0.98  # or F0, under a known flash: no surface gives back all
 # One prior deviation weighs like residuals of _HUBER in this share of the cells where a picture
 # was developed: what the model lacks there (tone mapping) is smooth. In a RAW it weighs like
 # the residuals themselves in so many cells: fewer than there are, for blotches are larger.
@@ -191,6 +192,26 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
         ),
         residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
         lobes=_lobes(both),
+    )
+
+
+def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
+    """The same picture under a flash of known intensity: albedo becomes absolute.
+
+    Args:
+        coarse: the fit, whose intensity was believed.
+        intensity: that a calibration card told, in the units of the photograph's pixels; None
+            leaves the fit as it is.
+    """
+    if intensity is None:
+        return coarse
+    dimmer = coarse.setup.intensity[1] / intensity
+    red, green, blue = (min(value * dimmer, _MOST_ALBEDO) for value in coarse.diffuse)
+    return replace(
+        coarse,
+        diffuse=(red, green, blue),
+        specular=min(coarse.specular * dimmer, _MOST_ALBEDO),
+        setup=coarse.setup.with_intensity((intensity,) * 3),
     )
 
 

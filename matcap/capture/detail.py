@@ -2,7 +2,7 @@
 
 The network joins what lies within some hundred texels, and windows of 160 are compared. What is
 coarser comes out as grain of the right colours, wood as sawdust; with half as many texels across
-the same pattern spans half as many, and the capture holds it. Figures in docs/capture.md.
+the same pattern spans half as many, and the capture holds it. Figures in docs/notes/capture.md.
 """
 
 from __future__ import annotations
@@ -11,6 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
+
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.plane import Plane, read_plane
+from matcap.photo.photo import Photo
+from matcap.statistics.lattice import Lattice, find_lattice
 
 DETAIL = 1024
 _SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # texels: deviations of the blurs between the bands
@@ -62,3 +67,23 @@ def _halved(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 def detail_for(linear: Tensor, valid: Tensor) -> int:
     """Texels across that suit a texture without a lattice: DETAIL, or half of it if coarse."""
     return DETAIL // 2 if coarse_share(linear, valid) > _MOST_COARSE else DETAIL
+
+
+def plane_in_detail(
+    photo: Photo, setup: FlashSetup, detail: int | None = None
+) -> tuple[Plane, Lattice]:
+    """A photograph's plane at the detail that suits it, or at one that is given; its lattice.
+
+    Args:
+        photo: read with at least that detail.
+        setup: its geometry.
+        detail: texels across, or None for detail_for.
+    """
+    plane = read_plane(photo, setup, detail or DETAIL)
+    lattice = find_lattice(plane.encoded(), plane.valid)
+    # A lattice is told to the network outright, however long its period.
+    if detail is None and not lattice.waves:
+        suited = detail_for(plane.linear, plane.valid)
+        if suited != DETAIL:
+            plane = read_plane(photo, setup, suited)
+    return plane, lattice

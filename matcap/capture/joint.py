@@ -22,8 +22,7 @@ from matcap.capture.coarse import CoarseFit, fit_coarse
 from matcap.capture.finetune import Scene
 from matcap.capture.windows import Windows, cut_windows
 from matcap.errors import MatcapError
-from matcap.flash.geometry import JointSetup
-from matcap.flash.rectify import rectify, rectify_noise
+from matcap.flash.plane import read_plane
 from matcap.photo.photo import Photo
 from matcap.statistics.compare import Descriptor
 
@@ -42,27 +41,19 @@ def join(
     Raises:
         MatcapError: a photograph is too narrow to hold a window.
     """
-    windows, setups, told = [_numbered(scene.windows, 0)], [scene.setup], []
-    for number, photo in enumerate(others, start=1):
+    windows, setups, told = [scene.windows], [], []
+    for photo in others:
         fit = fit_coarse(photo)
-        linear, valid = rectify(photo, fit.setup, detail)
-        if min(linear.shape[-2:]) < scene.windows.size:
+        plane = read_plane(photo, fit.setup, detail)
+        if min(plane.size) < scene.windows.size:
             raise MatcapError(
-                f"at {linear.shape[-1]} x {linear.shape[-2]} texels it is too narrow",
+                f"at {plane.size[0]} x {plane.size[1]} texels it is too narrow",
                 where=photo.name,
                 remedy="raise --detail, or take it out of the group",
             )
         gain = _brightness(coarse) / _brightness(fit)
-        noise = rectify_noise(photo, fit.setup, detail)
-        cut = cut_windows(
-            linear * gain,
-            valid,
-            scene.encoding,
-            scene.bank,
-            scene.windows.size,
-            noise=None if noise is None else noise * gain,
-        )
-        windows.append(_numbered(cut, number))
+        compared = replace(plane.brightened(gain), encoding=scene.encoding)
+        windows.append(cut_windows(compared, scene.bank, scene.windows.size))
         setups.append(fit.setup.with_intensity(scene.setup.intensity))
         told.append(
             {
@@ -78,8 +69,9 @@ def join(
         torch.cat([each.points for each in windows]),
         Descriptor.joined([each.target for each in windows]),
         _joined_noise(windows),
+        torch.cat([torch.full((each.count,), n) for n, each in enumerate(windows)]),
     )
-    return replace(scene, windows=joined, setup=JointSetup.of(setups)), told
+    return replace(scene, windows=joined, others=tuple(setups)), told
 
 
 def _joined_noise(windows: Sequence[Windows]) -> Tensor | None:
@@ -87,20 +79,10 @@ def _joined_noise(windows: Sequence[Windows]) -> Tensor | None:
     if all(each.noise is None for each in windows):
         return None
     return torch.cat(
-        [
-            torch.zeros_like(each.points[:, :3]) if each.noise is None else each.noise
-            for each in windows
-        ]
+        [torch.zeros_like(each.points) if each.noise is None else each.noise for each in windows]
     )
 
 
 def _brightness(fit: CoarseFit) -> float:
     """What albedo and flash come to together: all that a photograph tells of either."""
     return sum(fit.diffuse) / 3.0 * fit.setup.intensity[1]
-
-
-def _numbered(windows: Windows, number: int) -> Windows:
-    """The same windows; a fourth channel of their points tells the photograph (JointSetup)."""
-    points = windows.points
-    which: Tensor = torch.full_like(points[:, :1], float(number))
-    return replace(windows, points=torch.cat([points, which], dim=1))

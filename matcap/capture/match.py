@@ -1,8 +1,8 @@
 """Matching: mean and contrast of a tuned material moved to the photograph's.
 
 Fine-tuning compares statistics window by window, whose best compromise is a little too faint where
-the structure is not met, and may be off in mean (docs/capture.md). The last AdaIN states mean and
-deviation of every map outright, so both can be set right without another step: the material is
+the structure is not met, and may be off in mean (docs/notes/capture.md). The last AdaIN states mean
+and deviation of every map outright, so both can be set right without another step: the material is
 rendered as the whole photograph, compared, and moved, a few times over. Diffuse albedo and relief
 take one common gain, for the picture tells their contrast only together; F0 and roughness stay.
 
@@ -23,10 +23,11 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.windows import shot_deviation
 from matcap.flash.geometry import plane_points
+from matcap.flash.plane import Plane
 from matcap.flash.render import render_flash
 from matcap.model.decoder import OUTPUTS
 from matcap.model.material import Material
-from matcap.statistics.encoding import Encoding, shading
+from matcap.statistics.encoding import shading
 
 _ROUNDS = 3
 _BLOCK = 32  # texels a side over which light is averaged before means are compared
@@ -55,26 +56,15 @@ class Correction:
     shift: Tensor
 
 
-def match_photograph(
-    material: Material,
-    linear: Tensor,
-    valid: Tensor,
-    encoding: Encoding,
-    noise: Tensor | None = None,
-    seed: int = 0,
-) -> Material:
+def match_photograph(material: Material, plane: Plane, seed: int = 0) -> Material:
     """The material with its mean and contrast moved to the photograph's.
 
     Args:
         material: tuned to it.
-        linear: (3, H, W) scene-linear picture of the plane.
-        valid: (H, W) bool, texels seen and not clipped.
-        encoding: of this photograph.
-        noise: (3, H, W) one more draw of the sensor's noise, or None; it is contrast that the
-            material need not have.
+        plane: the photograph; its noise is contrast that the material need not have.
         seed: of the realisation that is compared.
     """
-    found = correction(material, linear, valid, encoding, noise, seed)
+    found = correction(material, plane, seed)
     decoder = copy.deepcopy(material.decoder)
     affine = decoder.head.adain.affine
     with torch.no_grad():
@@ -87,23 +77,16 @@ def match_photograph(
     return replace(material, decoder=decoder)
 
 
-def correction(
-    material: Material,
-    linear: Tensor,
-    valid: Tensor,
-    encoding: Encoding,
-    noise: Tensor | None,
-    seed: int,
-) -> Correction:
+def correction(material: Material, plane: Plane, seed: int) -> Correction:
     """What `match_photograph`, of the same arguments, moves.
 
     Nothing where hardly anything of the photograph can be compared.
     """
-    height, width = linear.shape[-2:]
+    width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    true = encoding.log(linear[None])
+    true = plane.encoding.log(plane.linear[None])
     contrast = _contrast(true)
-    hiss = None if noise is None else noise / shot_deviation(linear)
+    hiss = None if plane.noise is None else plane.noise / shot_deviation(plane.linear)
     with torch.inference_mode():
         middle, _ = material.decoder.head.adain.target(material.code)
         maps = material.maps(width, height, seed=seed)
@@ -115,10 +98,11 @@ def correction(
             if share is None:
                 share = _diffuse_share(now, clean, material, points)
             seen = clean if hiss is None else clean + hiss * shot_deviation(clean)
-            compared = valid & (linear.amax(0) < _CLIPPED) & (seen.amax(0) < _CLIPPED)
+            unclipped = (plane.linear.amax(0) < _CLIPPED) & (seen.amax(0) < _CLIPPED)
+            compared = plane.valid & unclipped
             if float(compared.float().mean()) < _LEAST_SEEN:
                 break
-            log = encoding.log(seen[None])
+            log = plane.encoding.log(seen[None])
             blocks = _Blocks(compared)
             moved = Correction(
                 _bounded(moved.gain * _gain(contrast, _contrast(log), blocks), _GAIN),

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from matcap.export.srgb import srgb_encode
-from matcap.export.staging import staged
+from matcap.files.srgb import srgb_picture
+from matcap.files.staging import staged
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -83,10 +83,10 @@ def panels(result: CaptureResult) -> Iterable[Panel]:
     relit = _relit(result)
     # Another light has no exposure of its own: it is shown as bright as the photograph.
     relit = relit * (float(result.rerendered.mean()) / max(float(relit.mean()), 1e-9))
-    yield Panel("photograph", srgb_encode(result.rectified))
-    yield Panel("re-rendered", srgb_encode(result.rerendered))
-    yield Panel("light from the top", srgb_encode(relit))
-    yield Panel("diffuse", srgb_encode(_picture(maps, "diffuse")))
+    yield Panel("photograph", srgb_picture(result.rectified))
+    yield Panel("re-rendered", srgb_picture(result.rerendered))
+    yield Panel("light from the top", srgb_picture(relit))
+    yield Panel("diffuse", srgb_picture(_picture(maps, "diffuse")))
     for kind in ("specular", "roughness", "height"):
         yield _stretched(kind, _picture(maps, kind))
     yield Panel("normal", 0.5 + 0.5 * _picture(maps, "normal"))

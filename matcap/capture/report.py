@@ -1,4 +1,26 @@
-"""report.json: what was done, with what, how well, and what the user should know."""
+"""report.json: what was done, with what, how well, and what the user should know.
+
+Keys:
+    format: "matcap report".
+    name: of the material.
+    interrupted: whether it was ended early.
+    error: the last one, against the photograph; null where nothing was tuned.
+    self_difference: what the photograph's own windows differ by, in the same measure.
+    error_after_another_minute: the error to be expected after another minute of the same work.
+    warnings: what may have hurt, a sentence each.
+    notes: what was noticed about the file, a sentence each.
+    photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share.
+    camera: `fov_degrees` and where it is from, distance, `tilt_degrees`, flash offset and
+        intensity, vignetting.
+    texel_size: plane units.
+    settings: that were asked for.
+    effort: what they came to: preset, steps, windows a step, matched or not.
+    seconds: that the work took.
+    stage_seconds: that each stage took.
+    error_over_time: seconds, step and error, as the work went on.
+    provenance: how the material was made.
+    versions: of matcap, Python, the system and the libraries.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +33,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matcap
 from matcap.capture.anytime import forecast
 from matcap.capture.curve import draw_history
 from matcap.capture.detail import DETAIL
-from matcap.export.staging import staged
+from matcap.capture.settings import CaptureSettings, resolve
+from matcap.files.staging import staged
+from matcap.version import __version__
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult
-    from matcap.photo.photo import Photo
 
 CURVE = "error.png"
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
@@ -27,21 +49,21 @@ _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "Open
 _MUCH_CLIPPED, _MUCH_TILT = 0.05, 10.0
 
 
-def write_report(result: CaptureResult, photo: Photo, path: Path) -> None:
+def write_report(result: CaptureResult, path: Path) -> None:
     """Write the report of a capture, and beside it error.png, its error over time.
 
     Raises:
         MatcapError: the file cannot be written.
     """
-    text = json.dumps(_finite(report(result, photo)), indent=2, default=str, allow_nan=False)
+    text = json.dumps(_finite(report(result)), indent=2, default=str, allow_nan=False)
     with staged(path.parent) as stage:
         (stage / path.name).write_text(text + "\n")
         draw_history(result.history, result.self_difference).save(stage / CURVE)
 
 
-def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
+def report(result: CaptureResult) -> dict[str, Any]:
     """The report as plain data. Angles in degrees, times in seconds, lengths in plane units."""
-    setup = result.material.setup
+    setup, photo = result.material.setup, result.photo
     return {
         "format": "matcap report",
         "name": result.material.name,
@@ -49,8 +71,8 @@ def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
         "error": result.history[-1][2] if result.history else None,
         "self_difference": result.self_difference,
         "error_after_another_minute": forecast(result.history, 60.0),
-        "warnings": list(warnings(result, photo)),
-        "notes": list(photo.notes),
+        "warnings": list(warnings(result)),
+        "notes": [*photo.notes, *_rules(result.settings)],
         "photograph": {
             "name": photo.name,
             "size": list(photo.original_size),
@@ -72,6 +94,7 @@ def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
         },
         "texel_size": result.material.texel_size,
         "settings": asdict(result.settings),
+        "effort": asdict(resolve(result.settings)),
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
         "error_over_time": [
@@ -80,7 +103,7 @@ def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
         ],
         "provenance": result.material.provenance,
         "versions": {
-            "matcap": matcap.__version__,
+            "matcap": __version__,
             "python": platform.python_version(),
             "platform": platform.platform(),
             **{name: version(name) for name in _LIBRARIES},
@@ -88,8 +111,9 @@ def report(result: CaptureResult, photo: Photo) -> dict[str, Any]:
     }
 
 
-def warnings(result: CaptureResult, photo: Photo) -> Iterable[str]:
+def warnings(result: CaptureResult) -> Iterable[str]:
     """What may have hurt the result, each with what to do at the next shot."""
+    photo = result.photo
     if result.interrupted:
         yield "Interrupted: this is the best so far; run it again for a better result."
     if photo.clipped_share > _MUCH_CLIPPED:
@@ -108,6 +132,16 @@ def warnings(result: CaptureResult, photo: Photo) -> Iterable[str]:
     tilt = max(abs(math.degrees(angle)) for angle in result.material.setup.tilt)
     if tilt > _MUCH_TILT:
         yield f"The camera was tilted by {tilt:.0f} degrees: hold it parallel to the sample."
+
+
+def _rules(settings: CaptureSettings) -> Iterable[str]:
+    """What follows from the settings and is not what it was called."""
+    effort = resolve(settings)
+    if effort.preset != settings.preset:
+        yield (
+            "A time limit or a target decided when to stop, so the preset was "
+            f"{effort.preset}: at most {effort.steps} steps. Give --steps for another number."
+        )
 
 
 def _finite(value: object) -> object:

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from matcap.flash.geometry import plane_points
+from matcap.flash.plane import Plane
 from matcap.statistics.compare import UNSEEN, Descriptor, Features, describe
-from matcap.statistics.encoding import Encoding
 
 _HISS = 2e-3  # of the clip level
 _TOGETHER = 4  # windows described at a time: more outgrow the processor's caches
@@ -34,12 +34,15 @@ class Windows:
         target: their descriptors in the photograph, raised by what an L1 distance falls short of.
         noise: (B, 3, size, size) one more draw of the sensor's noise there, as a share of what
             shot noise deviates by (`shot_deviation`), or None.
+        photographs: (B,) which photograph each is of, where there are several (joint.py): 0 is the
+            first one; None where there is one.
     """
 
     size: int
     points: Tensor
     target: Descriptor
     noise: Tensor | None = None
+    photographs: Tensor | None = None
 
     @property
     def count(self) -> int:
@@ -47,44 +50,32 @@ class Windows:
         return len(self.points)
 
 
-def cut_windows(
-    linear: Tensor,
-    valid: Tensor,
-    encoding: Encoding,
-    bank: Features,
-    size: int,
-    *,
-    noise: Tensor | None = None,
-    most: int | None = None,
-) -> Windows:
+def cut_windows(plane: Plane, bank: Features, size: int, *, most: int | None = None) -> Windows:
     """Windows all over a rectified picture, overlapping by about half.
 
     Args:
-        linear: (3, H, W) scene-linear picture of the plane.
-        valid: (H, W) bool, seen and not clipped; windows hardly seen are left out, unless all are.
-        encoding: of this photograph.
+        plane: the picture; windows hardly seen are left out, unless all are.
         bank: features to describe with.
         size: of the windows; not larger than the picture.
-        noise: (3, H, W) of the picture, in its units, or None.
         most: so many at most, the first; None for all.
     """
-    height, width = linear.shape[-2:]
+    width, height = plane.size
     places = [(x, y) for y in _steps(height, size) for x in _steps(width, size)]
     seen = [
         (x, y)
         for x, y in places
-        if float(valid[y : y + size, x : x + size].float().mean()) >= _LEAST_SEEN
+        if float(plane.valid[y : y + size, x : x + size].float().mean()) >= _LEAST_SEEN
     ]
     places = (seen or places)[:most]
-    cut = torch.stack([linear[:, y : y + size, x : x + size] for x, y in places])
+    cut = torch.stack([plane.linear[:, y : y + size, x : x + size] for x, y in places])
     with torch.no_grad():
-        described = [describe(some, encoding, bank) for some in cut.split(_TOGETHER)]
+        described = [describe(some, plane.encoding, bank) for some in cut.split(_TOGETHER)]
     points = [
         plane_points(x, y, size, size, (width, height), dtype=torch.float32) for x, y in places
     ]
     noisy = None
-    if noise is not None:
-        noise = noise / shot_deviation(linear)
+    if plane.noise is not None:
+        noise = plane.noise / shot_deviation(plane.linear)
         noisy = torch.stack([noise[:, y : y + size, x : x + size] for x, y in places])
     stacked = torch.stack(points)
     target = _raised(Descriptor.joined(described), *side_by_side(stacked, size))

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli import values
 from matcap.cli.options import ExportOption, JsonOption, Normal, QuietOption
 from matcap.errors import ExitCode
+from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.batch.plan import Entry
@@ -36,7 +36,10 @@ def batch(
     time_limit: Annotated[
         float | None,
         typer.Option(
-            "--time", parser=values.duration, metavar="TIME", help="For each sample: 90s, 2m."
+            "--time",
+            parser=values.duration,
+            metavar="TIME",
+            help="For each sample: 90s, 2m; without --steps the preset is reference then.",
         ),
     ] = None,
     target: Annotated[
@@ -67,6 +70,10 @@ def batch(
     export: ExportOption = None,
     prior: Annotated[
         str | None, typer.Option(metavar="auto|none|PATH", help="Trained prior to start from.")
+    ] = None,
+    statistics: Annotated[
+        str | None,
+        typer.Option(metavar="filterbank|vgg19=FILE", help="What textures are compared by."),
     ] = None,
     group: Annotated[
         str | None,
@@ -110,7 +117,7 @@ def batch(
         "jobs": jobs, "preset": preset, "steps": steps, "time": time_limit, "detail": detail,
         "fov": fov, "seed": seed, "size": str(size) if size else None, "tile": tile, "png": png,
         "normal": normal.value if normal else None, "prior": prior, "group": group, "gap": gap,
-        "target": target, "export": export or None, "card": card,
+        "target": target, "statistics": statistics, "export": export or None, "card": card,
     }  # fmt: skip
     settings = settings_of(shoot, flags)
     policy = Policy(force, retry_failed, fail_fast)

@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli import bench_time, relight, synth, values
+from matcap.cli import bench_time, relight, synth
 from matcap.errors import ExitCode
+from matcap.files import values
 
 app = typer.Typer(help="Measure matcap on this machine.", no_args_is_help=True)
 app.command("relight")(relight.bench)
@@ -56,15 +57,15 @@ def quality(
     from functools import partial
 
     from matcap.api import capture
-    from matcap.bench.quality import (
+    from matcap.files.staging import check_writable
+    from matcap.lab.bench.quality import (
         METHODS,
         QualitySettings,
         markdown,
         run_quality,
         write_scores,
     )
-    from matcap.export.staging import check_writable
-    from matcap.simulate.examples import EXAMPLES
+    from matcap.lab.simulate.examples import EXAMPLES
 
     check_writable(out, 200_000_000)
     scores = run_quality(
@@ -101,7 +102,13 @@ def stability(
     """
     from dataclasses import replace
 
-    from matcap.bench.stability import QUICK, StabilitySettings, markdown, run_stability, unstable
+    from matcap.lab.bench.stability import (
+        QUICK,
+        StabilitySettings,
+        markdown,
+        run_stability,
+        unstable,
+    )
 
     settings = replace(QUICK if quick else StabilitySettings(), seed=seed)
     settings = replace(

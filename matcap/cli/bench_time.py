@@ -43,7 +43,8 @@ def capture(
     Appends a line to capture.csv as soon as it is measured, and skips what is there: stop it and
     start it again as you like. Times mean something on a quiet machine only.
     """
-    from matcap.bench.capture import (
+    from matcap.files.staging import check_writable
+    from matcap.lab.bench.capture import (
         SUBJECTS,
         USUAL,
         WAYS,
@@ -51,8 +52,7 @@ def capture(
         run_capture_bench,
         run_steps,
     )
-    from matcap.bench.quality import QualitySettings
-    from matcap.export.staging import check_writable
+    from matcap.lab.bench.quality import QualitySettings
 
     if show:
         for name, way in WAYS.items():
@@ -79,10 +79,10 @@ def report(
     ],
     out: Annotated[
         Path, typer.Option("--out", "-o", help="The page; a picture goes beside every CSV.")
-    ] = Path("docs/accuracy-and-time.md"),
+    ] = Path("docs/notes/accuracy-and-time.md"),
 ) -> None:
     """Write the page on accuracy and time from what was measured."""
-    from matcap.bench.report import write_report
+    from matcap.lab.bench.report import write_report
 
     write_report(tables, out, ["matcap", *sys.argv[1:]])
     typer.echo(str(out))

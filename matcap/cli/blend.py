@@ -60,10 +60,10 @@ def blend(
 
     Codes and network weights are interpolated alike; the ends are A and B themselves.
     """
-    from matcap.export.picture import write_picture
-    from matcap.export.staging import check_writable
+    from matcap.capture.prior import blend as between
+    from matcap.files.picture import write_picture
+    from matcap.files.staging import check_writable
     from matcap.model.material import Material
-    from matcap.prior import blend as between
 
     ends = Material.load(first), Material.load(second)
     check_writable(out, 4_000_000 * len(share.values))

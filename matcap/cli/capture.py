@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli import values
 from matcap.cli.options import (
     ExportOption,
     JsonOption,
@@ -21,11 +20,12 @@ from matcap.cli.options import (
     QuietOption,
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
+from matcap.files import values
 
 if TYPE_CHECKING:
+    from matcap.capture.outputs import OutputSettings
     from matcap.capture.pipeline import CaptureSettings
     from matcap.cli.progress import Display
-    from matcap.export.outputs import OutputSettings
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,10 @@ def capture(
     time_limit: Annotated[
         float | None,
         typer.Option(
-            "--time", parser=values.duration, metavar="TIME", help="Stop by then: 90s, 2m."
+            "--time",
+            parser=values.duration,
+            metavar="TIME",
+            help="Stop by then: 90s, 2m; without --steps the preset is reference then.",
         ),
     ] = None,
     target: Annotated[
@@ -58,7 +61,8 @@ def capture(
         typer.Option(
             min=0.01,
             metavar="TIMES",
-            help="Stop at this error, in multiples of what the photograph's own windows differ by.",
+            help="Stop at this error, in multiples of what the photograph's own windows differ by; "
+            "without --steps the preset is reference then.",
         ),
     ] = None,
     detail: Annotated[
@@ -102,11 +106,11 @@ def capture(
     Writes for each photograph, into a folder of its name: the material (.matcap), a first map
     set, preview.png and report.json. Ctrl-C ends with the best so far, saved.
     """
+    from matcap.capture.outputs import OutputSettings
     from matcap.capture.pipeline import CaptureSettings
     from matcap.cli.progress import display
-    from matcap.export.outputs import OutputSettings
-    from matcap.export.staging import check_writable
     from matcap.export.targets import check_targets
+    from matcap.files.staging import check_writable
 
     settings = CaptureSettings(
         preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
@@ -167,16 +171,12 @@ def _attempt(
 def _capture(
     job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
 ) -> dict[str, Any]:
-    from matcap.capture.pipeline import capture_photo
-    from matcap.export.outputs import write_outputs
-    from matcap.photo.load import load_photo
+    from matcap.capture.outputs import write_outputs
+    from matcap.capture.pipeline import capture_file
 
     shown.started(job.photo)
-    photo = load_photo(
-        job.photo, long_side=settings.most_detail, fov=settings.fov, noise=settings.tunes
-    )
-    result = capture_photo(photo, settings, shown.progress)
-    material = write_outputs(result, photo, job.folder, outputs)
+    result = capture_file(job.photo, settings, shown.progress)
+    material = write_outputs(result, job.folder, outputs)
     return {
         "photo": str(job.photo),
         "status": "interrupted" if result.interrupted else "done",

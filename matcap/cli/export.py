@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli import values
 from matcap.cli.options import Bits, JsonOption, Normals, QuietOption
+from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.export.targets import Exported
@@ -88,14 +88,15 @@ def export(
 ) -> None:
     """Write a material for another renderer or engine.
 
-    Prints what the target cannot express: how far its light is from matcap's. See docs/exports.md.
+    Prints what the target cannot express: how far its light is from matcap's. See
+    docs/guide/export.md.
     """
     from matcap.errors import UsageError
     from matcap.export.presets import Choice
-    from matcap.export.source import open_tile
-    from matcap.export.staging import check_writable
     from matcap.export.targets import check_target, export_bytes, write_export, write_preset
     from matcap.export.textures import Job
+    from matcap.files.staging import check_writable
+    from matcap.model.opened import open_tile
 
     if [onnx, to is not None, preset is not None].count(True) != 1:
         raise UsageError("give either --to or --preset, or --onnx", where="matcap export")
@@ -122,7 +123,7 @@ def export(
 
 def _export_onnx(path: Path, folder: Path, *, as_json: bool, quiet: bool) -> None:
     from matcap.export.onnx import write_onnx
-    from matcap.export.staging import check_writable
+    from matcap.files.staging import check_writable
     from matcap.model.material import Material
 
     material = Material.load(path)

@@ -12,8 +12,8 @@ from matcap.cli.options import JsonOption
 from matcap.errors import ExitCode, MatcapError, UsageError
 
 if TYPE_CHECKING:
+    from matcap.capture.prior.store import Prior
     from matcap.photo.inspect import Inspection
-    from matcap.prior.store import Prior
 
 _MARKS = {"good": "ok", "note": "  ", "doubtful": "? ", "poor": "! "}
 
@@ -36,7 +36,7 @@ def inspect(
     Flash, clipping, hot spot, tilt, sharpness, sameness all over, and what kind of file it is.
     Lines marked "!" hurt, "?" may hurt.
     """
-    from matcap.prior.store import load_prior
+    from matcap.capture.prior.store import load_prior
 
     prior = load_prior()
     documents: list[dict[str, Any]] = []

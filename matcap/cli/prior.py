@@ -12,7 +12,7 @@ from matcap.cli.options import QuietOption
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from matcap.prior.train import TrainConfig
+    from matcap.lab.train.state import TrainConfig
 
 app = typer.Typer(help="Train and measure the space of materials.", no_args_is_help=True)
 
@@ -38,8 +38,8 @@ def corpus(
     quiet: QuietOption = False,
 ) -> None:
     """Pack photographs for training; what cannot be read is left out and listed."""
-    from matcap.export.staging import check_writable
-    from matcap.prior.corpus import build
+    from matcap.files.staging import check_writable
+    from matcap.lab.train.corpus import build
 
     check_writable(out.parent, 50_000_000)
     built = build(folder, simulated, seed, _teller(quiet))
@@ -54,15 +54,15 @@ def corpus(
 @app.command()
 def train(
     pack: PackArgument,
-    config: Annotated[Path, typer.Option(help="TOML; see docs/prior.md.")],
+    config: Annotated[Path, typer.Option(help="TOML; see docs/guide/train-a-prior.md.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for checkpoints and curves.")],
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     quiet: QuietOption = False,
 ) -> None:
     """Train encoder and decoder on a pack; a killed run goes on with --resume."""
-    from matcap.prior.pack import Pack
-    from matcap.prior.train import train as run
+    from matcap.lab.train.pack import Pack
+    from matcap.lab.train.train import train as run
 
     settings = _config(config)
     run(Pack.load(pack), settings, out, resume=resume, device=device, tell=_teller(quiet))
@@ -84,12 +84,12 @@ def finish(
     quiet: QuietOption = False,
 ) -> None:
     """Make a prior of a finished training, its alignment branch included."""
-    from matcap.prior.align import make, train_alignment
-    from matcap.prior.checkpoint import load_checkpoint
-    from matcap.prior.finish import finish as run
-    from matcap.prior.pack import Pack
-    from matcap.prior.store import load_prior
-    from matcap.prior.train import start
+    from matcap.capture.prior.store import load_prior
+    from matcap.lab.train.align import make, train_alignment
+    from matcap.lab.train.checkpoint import load_checkpoint
+    from matcap.lab.train.finish import finish as run
+    from matcap.lab.train.pack import Pack
+    from matcap.lab.train.state import start
 
     state = start(_config(config), "cpu")
     load_checkpoint(training / "checkpoint.safetensors", state)
@@ -111,7 +111,7 @@ def evaluate(
     out: Annotated[
         Path,
         typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
-    ] = Path("docs"),
+    ] = Path("docs/notes"),
     steps: Annotated[int, typer.Option(min=1, help="Fine-tuning steps from the prior.")] = 100,
     longer: Annotated[int, typer.Option(min=1, help="Steps from nothing beside them.")] = 1000,
     materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
@@ -126,9 +126,9 @@ def evaluate(
     import shlex
     import sys
 
-    from matcap.prior.evaluate import EvaluateSettings, run_evaluation
-    from matcap.prior.pack import Pack
-    from matcap.prior.store import load_prior
+    from matcap.capture.prior.store import load_prior
+    from matcap.lab.train.evaluate import EvaluateSettings, run_evaluation
+    from matcap.lab.train.pack import Pack
 
     settings = EvaluateSettings(steps, longer, materials)
     command = shlex.join(["matcap", *sys.argv[1:]])
@@ -145,7 +145,7 @@ def ablate(
     out: Annotated[
         Path,
         typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
-    ] = Path("docs"),
+    ] = Path("docs/notes"),
     steps: Annotated[int, typer.Option(min=1, help="Of fine-tuning.")] = 350,
     materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
     quiet: QuietOption = False,
@@ -157,9 +157,9 @@ def ablate(
     import shlex
     import sys
 
-    from matcap.prior.ablate import run_ablation
-    from matcap.prior.pack import Pack
-    from matcap.prior.store import load_prior
+    from matcap.capture.prior.store import load_prior
+    from matcap.lab.train.ablate import run_ablation
+    from matcap.lab.train.pack import Pack
 
     command = shlex.join(["matcap", *sys.argv[1:]])
     table = run_ablation(
@@ -173,6 +173,6 @@ def _teller(quiet: bool) -> Callable[[str], None]:
 
 
 def _config(path: Path) -> TrainConfig:
-    from matcap.prior.settings import read_config
+    from matcap.lab.train.settings import read_config
 
     return read_config(path)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli import values
 from matcap.cli.options import JsonOption, Normal, QuietOption
+from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.relight.plan import Plan
@@ -98,7 +98,7 @@ def relight(
     from itertools import chain
 
     from matcap.errors import UsageError
-    from matcap.export.staging import check_writable
+    from matcap.files.staging import check_writable
     from matcap.relight.pictures import check_path, write_movie, write_still
     from matcap.relight.plan import DEFAULT_TOLERANCE, parse_choice
     from matcap.relight.sequence import ANIMATIONS, light_sheet
@@ -196,7 +196,7 @@ def bench(
     One megapixel under one light; each scene with its plan against all effects; and Mitsuba 3's
     time for the same picture at the same error, where it is installed.
     """
-    from matcap.bench.relight import report, table
+    from matcap.lab.bench.relight import report, table
 
     result = report(scenes or [])
     if json:

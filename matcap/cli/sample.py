@@ -22,9 +22,9 @@ def sample(
     quiet: QuietOption = False,
 ) -> None:
     """Draw materials out of nothing and show them under a flash."""
-    from matcap.export.picture import check_picture_path, write_picture
-    from matcap.prior.sample import sample_sheet
-    from matcap.prior.store import load_prior
+    from matcap.capture.prior.sample import sample_sheet
+    from matcap.capture.prior.store import load_prior
+    from matcap.files.picture import check_picture_path, write_picture
 
     check_picture_path(out)
     write_picture(sample_sheet(load_prior(prior), count, seed), out)

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from matcap.cli import values
 from matcap.cli.options import ExportOption, Normal, NormalOption, PngOption, QuietOption
 from matcap.errors import UsageError
+from matcap.files import values
 
 if TYPE_CHECKING:
+    from matcap.model.blocks import Rectangle
     from matcap.model.noise import Period
-    from matcap.synth.blocks import Rectangle
     from matcap.synth.request import Progress as SynthProgress
 
 _STRIP = values.Size(4096, 256)  # the paper's own example
@@ -150,17 +150,17 @@ def synth(
     import os
     from dataclasses import astuple
 
-    from matcap.export.mapset import MapSetInfo
+    from matcap.brdf.folder import MapSetInfo
+    from matcap.capture.prior.store import load_prior
     from matcap.export.targets import check_targets, export_mapset
+    from matcap.model.blocks import Rectangle
+    from matcap.model.device import find_device
     from matcap.model.material import Material
-    from matcap.prior.store import load_prior
+    from matcap.model.source import check_seed, material_source
     from matcap.synth.blend import blend_source
-    from matcap.synth.blocks import Rectangle
-    from matcap.synth.device import find_device
     from matcap.synth.mask import read_mask
     from matcap.synth.precision import choose
     from matcap.synth.request import Files, Request, Work
-    from matcap.synth.source import check_seed, material_source
     from matcap.synth.stream import write_field
     from matcap.synth.workers import keep_memory
 
@@ -298,8 +298,8 @@ def bench(
     import shlex
     import sys
 
-    from matcap.bench.synth import BLOCKS, NETWORKS, Settings, markdown, run_synth, write_report
-    from matcap.export.staging import check_writable
+    from matcap.files.staging import check_writable
+    from matcap.lab.bench.synth import BLOCKS, NETWORKS, Settings, markdown, run_synth, write_report
     from matcap.model.decoder import ALIGNMENT
 
     for name in network or ():

@@ -1,1 +1,1 @@
-"""Files out: map sets, pictures, and how both are written without leaving halves behind."""
+"""Documents and packings of other programs."""

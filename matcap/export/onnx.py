@@ -20,11 +20,11 @@ from torch import Tensor
 
 from matcap.brdf.maps import CHANNELS
 from matcap.errors import MatcapError
-from matcap.export.staging import write_error
+from matcap.files.staging import write_error
 from matcap.model.decoder import DEPTH, OUTPUTS, maps_from_raw
-from matcap.model.field import RandomField, random_field
 from matcap.model.freeze import FoldedDecoder, FoldedLayer
 from matcap.model.order import WAVE_CHANNELS
+from matcap.model.random_field import RandomField, random_field
 from matcap.model.spans import Span, spans_of
 
 if TYPE_CHECKING:

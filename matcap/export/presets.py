@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.brdf.folder import plain_name
 from matcap.errors import UsageError
-from matcap.export.mapset import plain_name
 from matcap.export.metallic import Metallic, to_metallic
 from matcap.export.names import known
 from matcap.export.stored import Depth, Stored

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.export.exr import write_exr
-from matcap.export.png import png_bytes, quantised
-from matcap.export.srgb import srgb_encode
-from matcap.photo.color import srgb_decode
+from matcap.files.exr import write_exr
+from matcap.files.png import png_bytes, quantised
+from matcap.files.srgb import srgb_decode, srgb_picture
 
 Depth = Literal["8", "16", "half", "float"]
 
@@ -77,5 +76,5 @@ class Stored:
     def _whole(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
         if not np.isfinite(self.values).all():
             raise MatcapError("the maps have values that are not finite", remedy="make them again")
-        coded = srgb_encode(self.values) if self.srgb else self.values
+        coded = srgb_picture(self.values) if self.srgb else self.values
         return quantised(coded, bits=int(self.depth))

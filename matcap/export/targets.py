@@ -1,4 +1,24 @@
-"""Every target that maps can be exported to, and the one function that writes them."""
+"""Every target that maps can be exported to, and the one function that writes them.
+
+What a target's folder holds, `NAME_TARGET.json` tells.
+
+Keys:
+    format: "matcap export".
+    version: 1.
+    matcap: version of the program that wrote it.
+    target: or preset.
+    name: of the map set.
+    width: texels.
+    height: texels; where the target stores heights, their `scale`, `midlevel` and `unit` instead.
+    unit: what lengths are told in, "mm" or "plane unit".
+    tile: (width, height) of the piece in that unit.
+    files: for each texture its `colour_space`, `depth` and `meaning`.
+    documents: names of the other files.
+    residual: `mean` and `worst` share of the light that differs from matcap's; null for plain maps.
+    notes: what must be known, a sentence each.
+    textures: of Blender alone, the file of each map.
+    provenance: how the material was made.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +28,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matcap
 from matcap.export.blender import blender
 from matcap.export.gltf import gltf
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
 from matcap.export.names import known
 from matcap.export.presets import PRESETS, Choice, pack
-from matcap.export.staging import staged
 from matcap.export.surface import Residual, residual
 from matcap.export.textures import Export, Job
 from matcap.export.usd import usd
+from matcap.files.staging import staged
+from matcap.version import __version__
 
 FORMAT = "matcap export"
 VERSION = 1
@@ -84,7 +104,7 @@ def export_mapset(folder: Path, target: str) -> Exported:
         UsageError: no such target.
         MatcapError: no map set, a full disk, an unwritable folder.
     """
-    from matcap.export.source import open_tile
+    from matcap.model.opened import open_tile
 
     found = open_tile(folder)
     place = folder if folder.is_dir() else folder.parent
@@ -141,12 +161,13 @@ def _write(made: Export, job: Job, target: str, folder: Path) -> Exported:
 
 
 def _sidecar(made: Export, job: Job, target: str, off: Residual | None) -> dict[str, Any]:
+    """NAME_TARGET.json; the module tells its keys."""
     width, height = job.maps.size
     across, down = (side * job.unit_length for side in job.extent)
     return {
         "format": FORMAT,
         "version": VERSION,
-        "matcap": matcap.__version__,
+        "matcap": __version__,
         "target": target,
         "name": job.name,
         "width": width,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.export.mapset import height_range
+from matcap.brdf.folder import height_range
 from matcap.export.stored import Depth, Stored
 
 if TYPE_CHECKING:

@@ -15,7 +15,6 @@ import zipfile
 
 import numpy as np
 
-import matcap
 from matcap.errors import UsageError
 from matcap.export.specular_workflow import base_colour
 from matcap.export.stored import Stored
@@ -33,6 +32,7 @@ from matcap.export.textures import (
     seen,
     seen_normal,
 )
+from matcap.version import __version__
 
 _ALIGNMENT = 64
 _HEADER = 30  # bytes of a zip's local header, without name and extra field
@@ -98,7 +98,7 @@ def _stage(job: Job, files: dict[str, str], scale: float, midlevel: float) -> st
     return f'''#usda 1.0
 (
     customLayerData = {{
-        string creator = "matcap {matcap.__version__}"
+        string creator = "matcap {__version__}"
     }}
     defaultPrim = "{name}"
     metersPerUnit = {metres!r}

@@ -13,7 +13,6 @@ Maps live in the plane frame, so a tilted photograph is rectified before it is c
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -47,28 +46,6 @@ class FlashSetup:
     def with_intensity(self, intensity: tuple[float, float, float]) -> FlashSetup:
         """The same setup with another flash."""
         return replace(self, intensity=intensity)
-
-
-@dataclass(frozen=True)
-class JointSetup(FlashSetup):
-    """The setups of several photographs of one sample; itself the first one.
-
-    Plane points have a fourth channel then, the number of the photograph they are of, even over
-    each window.
-
-    Attributes:
-        setups: one a photograph.
-    """
-
-    setups: tuple[FlashSetup, ...] = ()
-
-    @staticmethod
-    def of(setups: Sequence[FlashSetup]) -> JointSetup:
-        """The setups of some photographs, at least one."""
-        first = setups[0]
-        return JointSetup(
-            first.fov, first.offset, first.tilt, first.intensity, first.vignetting, tuple(setups)
-        )
 
 
 def rotation(tilt_x: Tensor, tilt_y: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import cook_torrance, dot, normalize
 from matcap.brdf.maps import MapSet
-from matcap.flash.geometry import FlashSetup, JointSetup, camera_in_plane, plane_points, project
+from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points, project
 
 # Corner of a 4:3 picture: its squared distance from the middle, where vignetting is stated.
 _CORNER_SQUARED = 1.25**2
@@ -52,14 +52,7 @@ def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:
 
     Not clipped. `points` are the plane points of the maps' texels (plane_points), so that a
     window is lit and seen as where it was cut.
-
-    With a JointSetup, points (B, 4, H, W) tell for every window which photograph it is of.
     """
-    if isinstance(setup, JointSetup):
-        pictures = [
-            render_flash(maps, setup.setups[int(each[3, 0, 0])], each[None, :3]) for each in points
-        ]
-        return torch.cat(pictures)
     camera, light = (v.to(points) for v in camera_in_plane(setup))
     intensity = torch.tensor(setup.intensity, dtype=points.dtype, device=points.device)
     return shade(maps, points, camera, light, intensity) * vignette(points, setup)

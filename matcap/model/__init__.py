@@ -1,1 +1,1 @@
-"""The network: noise, decoder, encoder, freezing, and the material file."""
+"""The network and what it makes: noise, decoder, freezing; blocks of its field; the material."""

@@ -26,8 +26,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from matcap.brdf.maps import MapSet
-from matcap.model.field import RandomField
 from matcap.model.order import WAVE_CHANNELS
+from matcap.model.random_field import RandomField
 
 CODE_SIZE = 64
 OUTPUTS = 6  # diffuse (3), specular, roughness, height

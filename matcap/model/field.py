@@ -1,54 +1,88 @@
-"""The random field the decoder reads: noise and, for materials with regular order, that order."""
+"""Field: random access to the endless material (DESIGN, sections 2 and 7).
+
+The plane is cut into a fixed grid of blocks. A block is always computed whole, on the same grid,
+from the same true noise around it, on one thread: its texels are the same bits whoever asks, in
+whatever order, whatever rectangle, and however many blocks are computed side by side.
+
+Read next: source.py (one block), synth/stream.py (rectangles of any size, to files).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
 
 import torch
 from torch import Tensor
 
-from matcap.model.noise import Period, noise_field
-from matcap.model.order import Wave, order_field
+from matcap.brdf.maps import MapSet
+from matcap.model.blocks import BLOCK, Piece, Rectangle, check_rectangle, pieces_of
+from matcap.model.decoder import OUTPUTS
+from matcap.model.device import DeviceName, find_device
+from matcap.model.noise import Period
+from matcap.model.single import single_threaded
+from matcap.model.source import RING, Generator, Source, material_source
+
+__all__ = ["BLOCK", "Field", "Rectangle"]
 
 
-@dataclass(frozen=True)
-class RandomField:
-    """What a decoder reads.
+class Field:
+    """The endless field of one material and seed.
 
-    Attributes:
-        noise: (B, noise_channels, H, W).
-        waves: per level k, (B, WAVE_CHANNELS + cells, H / 2^k, W / 2^k).
+    Args:
+        material: what to read.
+        seed: which realisation, in [-2^63, 2^63).
+        period: repeat in texels along (x, y), multiples of ALIGNMENT; None, for both or for one
+            of them, is endless.
+        device: where to compute: "cpu", "cuda", or "auto" for CUDA where it is there. The maps
+            come back to the processor. Devices differ in the last bits.
+
+    Raises:
+        UsageError: a seed or period out of range, or no CUDA device where one was asked for.
     """
 
-    noise: Tensor
-    waves: tuple[Tensor, ...]
+    def __init__(
+        self,
+        material: Generator,
+        seed: int = 0,
+        period: Period | None = None,
+        *,
+        device: DeviceName = "cpu",
+    ) -> None:
+        self.source: Source = material_source(material, seed, period, find_device(device))
+
+    def read(
+        self, x: int, y: int, width: int, height: int, *, workers: int | None = None
+    ) -> MapSet:
+        """Maps of a rectangle; texel (x, y) is left top, y grows downwards.
+
+        `workers` blocks are computed side by side (default: one a core); their number changes no
+        bit. The height is finite-differenced inside the rectangle; a rectangle that is the whole
+        period is marked periodic.
+
+        Raises:
+            UsageError: an empty rectangle, or one beyond 2^40.
+        """
+        wanted = check_rectangle(Rectangle(x, y, width, height))
+        return read_source(self.source, wanted, workers or os.cpu_count() or 1)
 
 
-def random_field(
-    seed: int,
-    noise_channels: int,
-    waves: tuple[Wave, ...],
-    x: int,
-    y: int,
-    width: int,
-    height: int,
-    *,
-    levels: int,
-    cells: int = 0,
-    period: Period | None = None,
-    device: torch.device | str = "cpu",
-) -> RandomField:
-    """All the decoder reads for one rectangle, as a batch of one.
+def read_source(source: Source, wanted: Rectangle, workers: int) -> MapSet:
+    """Maps of a rectangle of any source, with so many threads."""
+    stacked = torch.empty(OUTPUTS, wanted.height, wanted.width)
+    pieces = list(pieces_of(wanted, source.grid, source.period))
 
-    x, y, width, height and the period are multiples of 2^levels; the rest as noise_field and
-    order_field.
-    """
-    noise = noise_field(seed, noise_channels, x, y, width, height, period=period, device=device)
-    stack = tuple(
-        order_field(
-            seed, waves, cells, x >> k, y >> k, width >> k, height >> k,
-            level=k, period=period, device=device,
-        )[None]
-        for k in range(levels)
-    )  # fmt: skip
-    return RandomField(noise[None], stack)
+    def fill(piece: Piece) -> None:
+        # Whether the caller's tensors are for inference only or not, they are so here.
+        with torch.inference_mode():
+            found = inner(source.maps(piece.block))[(..., *piece.source)]
+            stacked[(..., *piece.target)] = found.cpu()
+
+    with single_threaded(min(workers, len(pieces))) as pool:
+        list(pool.map(fill, pieces))
+    whole = source.period == (wanted.width, wanted.height)
+    return MapSet.from_stacked(stacked, source.texel_size, periodic=whole)
+
+
+def inner(maps: Tensor) -> Tensor:
+    """A block's maps without their ring."""
+    return maps[..., RING:-RING, RING:-RING]

@@ -18,9 +18,9 @@ from torch import Tensor
 from matcap.model import winograd
 from matcap.model.convolve import CHANNELS_LAST, Steps
 from matcap.model.decoder import DEPTH, Decoder, DecoderConfig, Layer, Moments, Step, unet
-from matcap.model.field import RandomField, random_field
-from matcap.model.order import Wave
+from matcap.model.random_field import RandomField, random_field
 from matcap.model.spans import Span, Spans
+from matcap.statistics.lattice import Wave
 
 REFERENCE_SIZE = 512  # texels a side of the reference field
 _REFERENCE_SEED = -1  # a field of its own, which no user's seed is likely to ask for

@@ -1,8 +1,25 @@
-"""Material: a captured material and its file, `.matcap` (DESIGN, section 2).
+"""Material: a captured material and its file, `.matcap`.
 
-One safetensors file: the decoder's weights, the code, the frozen statistics, and JSON metadata as
-strings. Nothing in it is executed, and every shape is checked against the stated configuration
-before anything is read.
+One safetensors file of float32 tensors, whose metadata has one entry, `matcap`, which is JSON.
+Nothing in it is executed, and every shape is checked against the stated configuration before
+anything is read.
+
+Tensors:
+    decoder.*: the fine-tuned network; shapes as the configuration says.
+    code: (64,), the material's code.
+    moments.*.mean: (channels of layer *,), frozen mean of its AdaIN's input.
+    moments.*.deviation: (channels of layer *,), frozen deviation of it.
+
+Metadata:
+    format: "matcap-material".
+    version: 1.
+    name: of the photograph.
+    decoder: `noise_channels`, `widths` (five), `convolutions` (down, up) and `cells` (channels of
+        the noise of cells, 0 or absent for none).
+    waves: at most two of `{fx, fy}`, cycles a texel; the plane waves of regular order.
+    texel_size: plane units.
+    setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`.
+    provenance: how it was made.
 """
 
 from __future__ import annotations
@@ -24,9 +41,10 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, Decoder, Moments
+from matcap.model.field import Field
 from matcap.model.freeze import FoldedDecoder, fold
-from matcap.model.order import Wave
 from matcap.model.stored import DAMAGED, Stored, decoder_config, empty_decoder
+from matcap.statistics.lattice import Wave
 
 FORMAT = "matcap-material"
 VERSION = 1
@@ -76,7 +94,7 @@ class Material:
         y: int = 0,
         period: tuple[int, int] | None = None,
     ) -> MapSet:
-        """Maps of a rectangle of the endless field; see synth.field.Field.read.
+        """Maps of a rectangle of the endless field; see model.field.Field.read.
 
         Args:
             width: in texels.
@@ -86,9 +104,6 @@ class Material:
             y: of the left top texel, downwards.
             period: repeat of the field in texels, or None for an endless one.
         """
-        # Imported here because the field reads materials, too.
-        from matcap.synth.field import Field
-
         return Field(self, seed, period).read(x, y, width, height)
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -14,12 +14,12 @@ channel, both of zero mean and unit variance:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from matcap.model.noise import Period, keys, noise_at, places, shift, wrap64
+from matcap.statistics.lattice import Wave
 
 WAVE_CHANNELS = 12
 CELL_CHANNELS = 4  # for a material that has waves
@@ -28,14 +28,6 @@ _ORDERS_OF_ONE = ((1,), (2,), (3,), (4,))
 _ORDERS_OF_TWO = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
 _FINEST = 0.36  # cycles per texel: finer waves would alias
 _PHASES, _CELLS = 0x94D049BB133111EB, 0xBF58476D1CE4E5B9  # set their seeds apart from the noise's
-
-
-@dataclass(frozen=True)
-class Wave:
-    """A plane wave of the field: cycles per texel along x (right) and y (down)."""
-
-    fx: float
-    fy: float
 
 
 def order_field(

@@ -6,7 +6,8 @@ with PyTorch, does it so. Moving to and fro between the two forms costs per chan
 multiplications cost per pair of channels: it pays for 32 channels and more, and only where the
 whole network is so wide, because oneDNN's channels would have to be moved from last to first.
 
-In float32 all the same, but rounding ten times as coarse as the plain sum's: docs/synthesis.md.
+In float32 all the same, but rounding ten times as coarse as the plain sum's
+(docs/notes/synthesis.md).
 """
 
 from __future__ import annotations

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
+from matcap.files.srgb import srgb_decode, srgb_encode
 from matcap.photo.card import BOARD_AT, PATCHES, PATCHES_AT, PATCHES_SIZE, SQUARE, board
-from matcap.photo.color import srgb_decode, srgb_encode
 from matcap.photo.exif import read_exposure
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import UsageError
-from matcap.export.staging import staged
+from matcap.files.staging import staged
 
 PAGE = (210.0, 297.0)  # mm, A4
 SQUARES = (7, 5)  # of the board

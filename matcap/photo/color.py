@@ -1,6 +1,6 @@
 """From code values to linear Rec.709: transfer functions, and the colour space of a file.
 
-Sources: IEC 61966-2-1 (sRGB), ITU-R BT.709-6 (primaries). Profiles are read by `icc`.
+Source: ITU-R BT.709-6 (primaries). The sRGB curve is files/srgb.py; profiles are read by `icc`.
 """
 
 from __future__ import annotations
@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.files.srgb import srgb_decode
+
 Values = NDArray[np.float64]
 Curve = Callable[[Values], Values]
 Linearise = Callable[[NDArray[np.generic]], NDArray[np.float32]]
-
-# Where the sRGB curve changes from line to power, in code values and in light.
-_KNEE_CODE, _KNEE_LIGHT = 0.04045, 0.0031308
 
 # Linear Rec.709 to XYZ relative to D50, Bradford-adapted: the colorants of sRGB's ICC profile.
 REC709_TO_D50 = np.array(
@@ -26,18 +25,6 @@ REC709_TO_D50 = np.array(
         [0.0139322, 0.0971045, 0.7141733],
     ]
 )
-
-
-def srgb_decode(code: Values) -> Values:
-    """From sRGB code values to linear light, any shape; slope 1/12.92 at 0 and below it."""
-    power = ((np.maximum(code, _KNEE_CODE) + 0.055) / 1.055) ** 2.4
-    return np.where(code <= _KNEE_CODE, code / 12.92, power)
-
-
-def srgb_encode(light: Values) -> Values:
-    """From linear light to sRGB code values, any shape; slope 12.92 at 0 and below it."""
-    power = 1.055 * np.maximum(light, _KNEE_LIGHT) ** (1.0 / 2.4) - 0.055
-    return np.where(light <= _KNEE_LIGHT, light * 12.92, power)
 
 
 def linear(code: Values) -> Values:

@@ -47,8 +47,6 @@ def load_photo(
     Raises:
         MatcapError: the file is not a photograph that can be used; the sentence says why.
         UsageError: long_side or fov is out of range.
-
-    Source: DESIGN, sections 2 and 3.
     """
     path = Path(path)
     _check_request(long_side, fov)

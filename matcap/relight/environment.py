@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcap.errors import MatcapError
-from matcap.export.exr import forget_error
+from matcap.files.exr import forget_error
 from matcap.relight.octahedron import Octahedra, octahedra
 from matcap.relight.scene import EnvironmentLight
 from matcap.relight.vectors import Array, Vec

@@ -27,6 +27,9 @@ from matcap.relight.scene import (
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import unit3
 
+# The specular lobe reflects no more than this share, tables' rounding included.
+WHOLE = 1.01
+
 
 @dataclass(frozen=True)
 class Region:
@@ -127,9 +130,12 @@ class Facts:
     @property
     def everything(self) -> float:
         """Largest radiance of the picture but for interreflection, lobes added up."""
-        from matcap.relight.effects import environment
+        return sum(self.radiance(light) for light in self.lights) + self.surroundings
 
-        return sum(self.radiance(light) for light in self.lights) + environment.brightest(self)
+    @property
+    def surroundings(self) -> float:
+        """Largest radiance that the environments can cause."""
+        return self.sky * (self.diffuse + WHOLE)
 
 
 def gather(

@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 
 from matcap.errors import MatcapError
+from matcap.files.srgb import srgb_decode
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array
 
@@ -168,8 +169,7 @@ def _read(file: Path, channels: int, *, linear: bool) -> Array:
         pixels = np.repeat(pixels[..., :1], channels, axis=2)
     values = np.moveaxis(pixels[..., :channels], -1, 0).astype(np.float32)
     if not linear and file.suffix.lower() != ".exr":
-        values = np.clip(values, 0.0, 1.0)
-        values = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+        values = srgb_decode(np.clip(values, 0.0, 1.0).astype(np.float64)).astype(np.float32)
     return np.ascontiguousarray(values, dtype=np.float32)
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import UsageError
-from matcap.export.exr import write_exr
-from matcap.export.png import write_png
-from matcap.export.srgb import srgb_encode
-from matcap.export.staging import staged, write_error
+from matcap.files.exr import write_exr
+from matcap.files.png import write_png
+from matcap.files.srgb import srgb_picture
+from matcap.files.staging import staged, write_error
 from matcap.relight.scene import Film
 
 Radiance = NDArray[np.float32]
@@ -36,7 +36,7 @@ def check_path(path: Path, *, moving: bool) -> None:
 def encode(radiance: Radiance, film: Film) -> Radiance:
     """Code values in [0, 1]: exposed, clipped, and through the film's transfer function."""
     light = radiance * np.float32(film.gain)
-    return srgb_encode(light) if film.transfer == "srgb" else np.clip(light, 0.0, 1.0)
+    return srgb_picture(light) if film.transfer == "srgb" else np.clip(light, 0.0, 1.0)
 
 
 def write_still(radiance: Radiance, path: Path, film: Film) -> None:

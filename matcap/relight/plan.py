@@ -14,7 +14,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from matcap.errors import UsageError
+from matcap.files.srgb import srgb_decode
 from matcap.relight.effects import (
     area,
     diffuse,
@@ -150,8 +153,7 @@ def radiance_tolerance(tolerance: float, film: Film) -> float:
     """The change of radiance whose code, after exposure, is the tolerance."""
     if film.transfer == "linear":
         return tolerance / film.gain
-    linear = tolerance / 12.92 if tolerance <= 0.04045 else ((tolerance + 0.055) / 1.055) ** 2.4
-    return linear / film.gain
+    return float(srgb_decode(np.array(tolerance))) / film.gain
 
 
 def make_plan(facts: Facts, tolerance: float, choice: Choice) -> Plan:

@@ -84,7 +84,12 @@ class Surface:
 
 @dataclass(frozen=True)
 class PointLight:
-    """Light from one point; intensity is radiant intensity, falling off with distance squared."""
+    """Light from one point, falling off with distance squared.
+
+    Attributes:
+        position: its place.
+        intensity: radiant intensity.
+    """
 
     position: Vector
     intensity: Colour = WHITE
@@ -92,9 +97,11 @@ class PointLight:
 
 @dataclass(frozen=True)
 class DirectionalLight:
-    """Light from infinitely far; `direction` points towards it.
+    """Light from infinitely far.
 
-    `irradiance` is what a surface facing the light receives.
+    Attributes:
+        direction: towards the light.
+        irradiance: what a surface facing the light receives.
     """
 
     direction: Vector
@@ -103,7 +110,13 @@ class DirectionalLight:
 
 @dataclass(frozen=True)
 class SphereLight:
-    """A glowing sphere."""
+    """A glowing sphere.
+
+    Attributes:
+        position: its middle.
+        radius: of the sphere.
+        radiance: the same in all directions.
+    """
 
     position: Vector
     radius: float

@@ -3,7 +3,7 @@
     [film]     width, height, exposure, transfer
     [camera]   type, position, target, fov, scale
     [surface]  type, size, file, repeat, displacement
-    [[light]]  type and the keys of its kind (see docs/relighting.md)
+    [[light]]  type and the keys of its kind (see docs/reference/file-formats.md)
 
 Files named inside are relative to the scene file. Presets are in presets.py.
 """

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from matcap.export.mapset import find_mapsets
-from matcap.export.source import open_maps
+from matcap.brdf.folder import find_mapsets
+from matcap.model.opened import open_maps
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet

@@ -1,7 +1,7 @@
 """Finds the regular order of a texture: the plane waves a weave, knit, tile or stripe is made of.
 
 The averaged power spectrum of a regular texture has sharp peaks on a lattice. The two shortest
-waves that generate all of them are what the decoder needs to be told (model/noise.py); everything
+waves that generate all of them are what the decoder needs to be told (model/order.py); everything
 else about the pattern it learns.
 """
 
@@ -16,7 +16,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.model.order import Wave
 from matcap.statistics.spectrum import power_spectrum
 
 _WINDOW = 256
@@ -28,6 +27,14 @@ _ORDERS = range(-4, 5)
 _TOLERANCE = 0.9  # spectral bins by which a peak may miss its lattice point
 _LEAST_VARIANCE = 1e-4  # of the encoded picture; what is fainter is rounding
 _LEAST_EXPLAINED = 0.05  # of the texture's power, or there is no order worth keeping
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A plane wave: cycles per texel along x (right) and y (down)."""
+
+    fx: float
+    fy: float
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from matcap.errors import MatcapError
+from matcap.files.srgb import srgb_encode_tensor
 
 # Channels of the convolutions, "M" a max-pooling (configuration E), up to the last one looked at.
 _LAYERS: tuple[int | str, ...] = (
@@ -83,7 +84,7 @@ class Vgg19(nn.Module):
         mean, deviation = (
             torch.tensor(v, dtype=linear.dtype)[:, None, None] for v in (_MEAN, _DEVIATION)
         )
-        features = ((display(linear) - mean) / deviation).contiguous(
+        features = ((srgb_encode_tensor(linear.clamp(0.0, 1.0)) - mean) / deviation).contiguous(
             memory_format=torch.channels_last
         )
         found, convolution = [], -1
@@ -94,13 +95,6 @@ class Vgg19(nn.Module):
             elif isinstance(layer, nn.ReLU) and convolution in _LOOKED_AT:
                 found.append(features)
         return found
-
-
-def display(linear: Tensor) -> Tensor:
-    """Radiance as sRGB code values in [0, 1] (IEC 61966-2-1); the slope at 0 is 12.92."""
-    clipped = linear.clamp(0.0, 1.0)
-    curve = 1.055 * clipped.clamp_min(0.0031308).pow(1.0 / 2.4) - 0.055
-    return torch.where(clipped <= 0.0031308, 12.92 * clipped, curve)
 
 
 def _read(path: Path) -> dict[str, Tensor]:

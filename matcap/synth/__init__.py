@@ -1,1 +1,1 @@
-"""Any rectangle of the endless field of a material."""
+"""A material's field to files of any size."""

@@ -18,12 +18,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from matcap.model.blocks import Grid, Rectangle
 from matcap.model.material import Material
 from matcap.model.noise import Period
+from matcap.model.source import RING, MaterialSource, material_source
 from matcap.model.spans import Span
-from matcap.synth.blocks import Grid, Rectangle
 from matcap.synth.mask import Mask
-from matcap.synth.source import RING, MaterialSource, material_source
 
 _HEIGHT = 5  # among the stacked maps
 _RISE = 2.5  # deviations that one surface lies below the other at the ends

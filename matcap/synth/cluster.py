@@ -12,9 +12,9 @@ from importlib import import_module
 from typing import Any
 
 from matcap.errors import MatcapError
+from matcap.model.single import single_threaded
+from matcap.synth.jobs import Crew, Job, Result, WorkerLost, render_packed
 from matcap.synth.pictures import Rendered
-from matcap.synth.single import single_threaded
-from matcap.synth.workers import Crew, Job, Result, WorkerLost, render_packed
 
 _AHEAD = 2  # blocks in flight for each thread of the cluster
 _PATIENCE = 10  # seconds for the scheduler to answer

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.errors import MatcapError, UsageError
+from matcap.model.blocks import Rectangle, check_rectangle
 from matcap.model.noise import Period
 from matcap.model.spans import Span
-from matcap.synth.blocks import Rectangle, check_rectangle
 
 
 @dataclass(frozen=True)

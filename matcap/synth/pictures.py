@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.brdf.folder import NormalStyle
 from matcap.brdf.normals import normals_from_slopes
-from matcap.export.mapset import NormalStyle
-from matcap.synth.blocks import Piece, Rectangle
+from matcap.model.blocks import Piece, Rectangle
+from matcap.model.source import RING, Source
 from matcap.synth.exr_tiles import TILE, Channel, Layout, Tile, encode_tile, stored
-from matcap.synth.source import RING, Source
 
 # Every stored map's channels, as they are called in a file of their own and in one of all maps.
 _OWN = {"diffuse": "RGB", "specular": "Y", "roughness": "Y", "height": "Y", "normal": "RGB"}

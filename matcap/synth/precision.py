@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 from matcap.errors import MatcapError
-from matcap.export.srgb import srgb_encode
-from matcap.synth.blocks import Rectangle
+from matcap.files.srgb import srgb_picture
+from matcap.model.blocks import Rectangle
+from matcap.model.single import single_threaded
+from matcap.model.source import Source
 from matcap.synth.pictures import KIND_PLANES, stored_planes
-from matcap.synth.single import single_threaded
-from matcap.synth.source import Source
 
 Precision = Literal["fp32", "bf16", "auto"]
 HALF_STEP = 0.5
@@ -114,7 +114,7 @@ def _largest(exact: list[Tensor], rough: Iterator[Tensor]) -> dict[str, float]:
 def _coded(kind: str, values: Tensor, span: float) -> Tensor:
     """Values as an 8-bit picture would scale them."""
     if kind == "diffuse":
-        return torch.from_numpy(srgb_encode(values.numpy()))
+        return torch.from_numpy(srgb_picture(values.numpy()))
     if kind == "height":
         return values / span
     return 0.5 * values if kind == "normal" else values

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-import matcap
-from matcap.errors import UsageError
-from matcap.export.mapset import (
+from matcap.brdf.folder import (
     EXR_BYTES,
     MEANINGS,
     PNG_BYTES,
@@ -22,9 +20,11 @@ from matcap.export.mapset import (
     mapset_document,
     plain_name,
 )
-from matcap.synth.blocks import Piece, Rectangle, check_rectangle, pieces_of
+from matcap.errors import UsageError
+from matcap.model.blocks import Piece, Rectangle, check_rectangle, pieces_of
+from matcap.model.source import Source
 from matcap.synth.pictures import Picture, channels_of, pictures_of
-from matcap.synth.source import Source
+from matcap.version import __version__
 
 _UDIM_COLUMNS = 10
 _UDIM_ROWS = 900
@@ -170,7 +170,7 @@ class Request:
     def key(self) -> str:
         """The same for requests whose files have the same bytes: a digest, and the device."""
         digest = hashlib.sha256()
-        versions = (matcap.__version__, torch.__version__)
+        versions = (__version__, torch.__version__)
         _feed(digest.update, (versions, self.source, self.area, self.info.name, self.files))
         return f"{digest.hexdigest()} {self.source.device.type}"
 

@@ -17,13 +17,14 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-from matcap.export.staging import check_writable
+from matcap.files.staging import check_writable
 from matcap.synth.assemble import Assembly, assembly
+from matcap.synth.jobs import Crew, Job
 from matcap.synth.levels import write_levels
 from matcap.synth.request import Canvas, Progress, Request, Work
 from matcap.synth.strips import height_coding, write_pngs
 from matcap.synth.unfinished import unfinished, unfinished_bytes
-from matcap.synth.workers import Crew, Job, crew
+from matcap.synth.workers import crew
 
 
 def write_field(request: Request, folder: str | Path, work: Work | None = None) -> Path:

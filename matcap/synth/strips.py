@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from matcap.brdf.folder import MEANINGS, coded
 from matcap.errors import MatcapError
-from matcap.export.mapset import MEANINGS, coded
 from matcap.synth.assemble import Assembly
 from matcap.synth.exr_tiles import TILE, TileFile
 from matcap.synth.levels import read_planes

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from matcap.brdf.folder import MEANINGS, mapset_files
 from matcap.errors import MatcapError
-from matcap.export.mapset import MEANINGS, mapset_files
-from matcap.export.staging import write_error
-from matcap.synth.workers import WorkerLost
+from matcap.files.staging import write_error
+from matcap.synth.jobs import WorkerLost
 
 _KEY, _LOCK = ".request", ".lock"
 

@@ -18,7 +18,7 @@ from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING
 
-from matcap.synth.blocks import BLOCK_HEIGHT
+from matcap.model.blocks import BLOCK_HEIGHT
 from matcap.view.subject import Subject
 
 if TYPE_CHECKING:

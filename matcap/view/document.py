@@ -2,6 +2,16 @@
 
 The page's scripts are plain ones that run in the order of SCRIPTS and share one scope. Served,
 each is a file of its own; for sending, they all stand inside the document with the maps.
+
+The element `about` of a document for sending is JSON; its entry `tile` holds the maps.
+
+Tile:
+    size: (width, height) in texels.
+    low: the lowest height, plane units.
+    span: the highest height less the lowest.
+    data: base64 of zlib of 16-bit words, all low bytes before all high ones. Words are the planes
+        of diffuse (3), specular and roughness as half floats, then height: low + word / 65535 *
+        span.
 """
 
 from __future__ import annotations
@@ -84,7 +94,7 @@ def write_page(document: str, path: Path) -> None:
         UsageError: the name does not end in .html.
         MatcapError: the file cannot be written.
     """
-    from matcap.export.staging import staged
+    from matcap.files.staging import staged
 
     check_page_path(path)
     with staged(path.parent) as stage:

@@ -48,10 +48,10 @@ def browser_picture(file: Path) -> Picture:
     import numpy as np
     from PIL import Image
 
-    from matcap.export.srgb import srgb_encode
+    from matcap.files.srgb import srgb_picture
     from matcap.photo.load import load_photo
 
-    pixels = srgb_encode(load_photo(file, long_side=_LONG_SIDE, noise=False).pixels)
+    pixels = srgb_picture(load_photo(file, long_side=_LONG_SIDE, noise=False).pixels)
     stored = io.BytesIO()
     Image.fromarray(np.rint(pixels * 255.0).astype(np.uint8)).save(stored, "JPEG", quality=90)
     return Picture(stored.getvalue(), "image/jpeg")

@@ -11,8 +11,8 @@ from matcap.errors import UsageError
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+    from matcap.model.field import Field
     from matcap.model.material import Material
-    from matcap.synth.field import Field
 
 _FIELDS = 8  # seeds and shares kept at hand: each is a folded network, a megabyte or so
 
@@ -88,8 +88,8 @@ class Materials:
         return self._field(seed, share).read(x, y, width, height, workers=1)
 
     def _open(self, seed: int, share: float) -> Field:
-        from matcap.prior.blend import blend
-        from matcap.synth.field import Field
+        from matcap.capture.prior.blend import blend
+        from matcap.model.field import Field
 
         if self.second is None:
             if share != 0.0:
@@ -149,7 +149,7 @@ def open_subject(path: Path, second: Path | None = None, seed: int = 0) -> Subje
     file = _material_in(path)
     if file is not None:
         return Materials(Material.load(file), Material.load(second) if second else None, seed)
-    from matcap.export.mapset import read_mapset
+    from matcap.brdf.folder import read_mapset
 
     maps, document = read_mapset(path)
     if second is not None:

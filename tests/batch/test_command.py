@@ -2,6 +2,8 @@
 
 import io
 import json
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from kills import make_shoot
@@ -9,8 +11,10 @@ from rich.console import Console
 
 from matcap.batch.memory import crew_size, photo_pixels, worker_bytes
 from matcap.batch.plan import Entry
+from matcap.batch.predict import _trial
 from matcap.batch.settings import BatchSettings
 from matcap.batch.shoot import Sample
+from matcap.capture import outputs, pipeline
 from matcap.cli.batch_display import BatchDisplay
 from matcap.cli.main import main
 from matcap.errors import MatcapError
@@ -46,6 +50,30 @@ def test_a_trial_that_cannot_be_made_leaves_the_speed_unknown(shoot, tmp_path, c
 
 
 @pytest.mark.parametrize(
+    ("chosen", "tuning"),
+    [
+        ({"preset": "draft"}, 32.0),
+        ({"preset": "draft", "target": 1.3}, 800.0),  # at most as many as reference has
+        ({"preset": "draft", "target": 1.3, "steps": 50}, 50.0),
+        ({"preset": "draft", "time": 90.0}, 90.0),
+    ],
+)
+def test_the_steps_predicted_are_those_a_capture_takes(chosen, tuning, monkeypatch):
+    """A trial of twelve steps, a second each, that takes no time besides."""
+    asked = []
+
+    def trial(path, settings):
+        asked.append(settings)
+        return SimpleNamespace(history=[(float(i), i, 1.0) for i in range(settings.steps)])
+
+    monkeypatch.setattr(pipeline, "capture_file", trial)
+    monkeypatch.setattr(outputs, "write_outputs", lambda *_: None)
+    seconds, _ = _trial(Path("a.jpg"), BatchSettings.of(chosen))
+    assert seconds + 12.0 == pytest.approx(tuning, abs=0.5)
+    assert (asked[0].time_limit, asked[0].target) == (None, None)
+
+
+@pytest.mark.parametrize(
     ("arguments", "code", "word"),
     [
         (["nowhere"], 3, "no such folder"),
@@ -73,8 +101,8 @@ def test_memory_grows_with_photograph_detail_and_map_set(shoot):
     base = worker_bytes(BatchSettings(), 12_000_000, raw=False)
     assert worker_bytes(BatchSettings(), 48_000_000, raw=False) > base
     assert worker_bytes(BatchSettings(), 12_000_000, raw=True) > base
-    assert worker_bytes(BatchSettings(detail=2048), 12_000_000, raw=False) > base
-    assert worker_bytes(BatchSettings(size=(4096, 4096)), 12_000_000, raw=False) > base
+    assert worker_bytes(BatchSettings.of({"detail": 2048}), 12_000_000, raw=False) > base
+    assert worker_bytes(BatchSettings.of({"size": (4096, 4096)}), 12_000_000, raw=False) > base
     assert photo_pixels(shoot / "leather.jpg") == (128 * 96, False)
     assert photo_pixels(shoot / "leather.dng") == (128 * 96, True)
 

@@ -2,7 +2,6 @@
 
 import errno
 import os
-from dataclasses import replace
 
 import pytest
 
@@ -14,8 +13,9 @@ from matcap.batch.settings import BatchSettings
 from matcap.batch.shoot import find_samples
 from matcap.batch.work import Failure, do_job
 from matcap.batch.workspace import open_run
+from matcap.capture import pipeline
 
-SETTINGS = BatchSettings(detail=512, size=(64, 64))
+SETTINGS = BatchSettings.of({"detail": 512, "size": (64, 64)})
 
 
 class FakeCrew:
@@ -122,7 +122,7 @@ def test_what_changes_is_made_again_and_nothing_else(batch, shoot, tmp_path):
     (tmp_path / "out/c/preview.png").unlink()
     entries, crew, _ = batch()
     assert sorted(job.name for job in crew.jobs) == ["b", "c"]
-    entries, crew, _ = batch(settings=replace(SETTINGS, seed=1))
+    entries, crew, _ = batch(settings=BatchSettings.of(SETTINGS.named() | {"seed": 1}))
     assert len(crew.jobs) == 4
 
 
@@ -259,7 +259,7 @@ def test_whatever_goes_wrong_in_a_worker_comes_back_as_a_failure(batch, monkeypa
     def fail(*args, **kwargs):
         raise error
 
-    monkeypatch.setattr("matcap.photo.load.load_photo", fail)
+    monkeypatch.setattr(pipeline, "load_photo", fail)
     _, crew, _ = batch()
     failure = do_job(crew.jobs[0], lambda stage, share: None)
     assert failure.kind == kind and failure.sentence.endswith(".")

@@ -1,11 +1,10 @@
 """matcap.toml and flags; what a material is made from."""
 
-from dataclasses import fields, replace
-
 import pytest
 
 from matcap.batch.identity import identity
 from matcap.batch.settings import BatchSettings, settings_of
+from matcap.capture.settings import CaptureSettings
 from matcap.errors import UsageError
 
 
@@ -14,24 +13,38 @@ def test_flags_win_over_the_file_and_the_file_over_defaults(tmp_path):
         'preset = "draft"\ndetail = 512\nsize = "256x128"\ntime = "2m"\npng = true\nfov = 60\n'
     )
     settings = settings_of(tmp_path, {"detail": 256, "preset": None, "png": False})
-    assert (settings.preset, settings.detail, settings.png) == ("draft", 256, False)
-    assert (settings.size, settings.time, settings.fov) == ((256, 128), 120.0, 60.0)
-    assert settings.seed == BatchSettings().seed
+    capture, outputs = settings.capture, settings.outputs
+    assert (capture.preset, capture.detail, outputs.png) == ("draft", 256, False)
+    assert (outputs.size, capture.time_limit, capture.fov) == ((256, 128), 120.0, 60.0)
+    assert capture.seed == outputs.seed == CaptureSettings().seed
+
+
+def test_settings_by_name_and_back():
+    named = BatchSettings().named() | CHANGES | {"jobs": 2}
+    settings = BatchSettings.of(named)
+    assert settings.named() == named
+    assert settings.capture.seed == settings.outputs.seed == 3
+    assert settings.capture.time_limit == 5.0 and settings.outputs.targets == ("gltf",)
 
 
 def test_the_file_in_the_shoot_wins_over_the_one_beside_it(tmp_path):
     (tmp_path / "shoot").mkdir()
     (tmp_path / "matcap.toml").write_text("detail = 512\n")
-    assert settings_of(tmp_path / "shoot", {}).detail == 512
+    assert settings_of(tmp_path / "shoot", {}).capture.detail == 512
     (tmp_path / "shoot/matcap.toml").write_text("detail = 256\n")
-    assert settings_of(tmp_path / "shoot", {}).detail == 256
+    assert settings_of(tmp_path / "shoot", {}).capture.detail == 256
 
 
 def test_a_prior_is_found_beside_the_file(tmp_path):
     (tmp_path / "matcap.toml").write_text('prior = "mine.safetensors"\n')
-    assert settings_of(tmp_path, {}).prior == str(tmp_path / "mine.safetensors")
+    assert settings_of(tmp_path, {}).capture.prior == str(tmp_path / "mine.safetensors")
     (tmp_path / "matcap.toml").write_text('prior = "none"\n')
-    assert settings_of(tmp_path, {}).prior == "none"
+    assert settings_of(tmp_path, {}).capture.prior == "none"
+
+
+def test_weights_are_found_beside_the_file(tmp_path):
+    (tmp_path / "matcap.toml").write_text('statistics = "vgg19=mine.pth"\n')
+    assert settings_of(tmp_path, {}).capture.statistics == f"vgg19={tmp_path / 'mine.pth'}"
 
 
 @pytest.mark.parametrize(
@@ -48,6 +61,7 @@ def test_a_prior_is_found_beside_the_file(tmp_path):
         ("size = '12y'", "4096x256"),
         ("size = [1, 2, 3]", "4096x256"),
         ("time = 'soon'", "90s"),
+        ("statistics = 'vgg'", "vgg19=FILE"),
         ("tile = true\nsize = 100", "multiples of 16"),
         ("preset = {a = 1}", "a text"),
         ("seed = ", "not TOML"),
@@ -71,7 +85,7 @@ def test_bytes_that_are_no_text_are_refused(tmp_path):
 CHANGES = {
     "preset": "draft", "steps": 7, "time": 5.0, "detail": 77, "fov": 30.0, "seed": 3,
     "size": (64, 32), "tile": True, "png": True, "normal": "dx", "target": 2.0,
-    "export": ("gltf",),
+    "export": ("gltf",), "statistics": "vgg19=weights.pth",
 }  # fmt: skip
 
 
@@ -81,10 +95,18 @@ def test_every_setting_that_matters_changes_the_identity(tmp_path):
     base = BatchSettings()
     first = identity([photo], base, prior="p")
     for name, value in CHANGES.items():
-        assert identity([photo], replace(base, **{name: value}), prior="p") != first, name
-    rest = {field.name for field in fields(base)} - set(CHANGES)
+        assert identity([photo], BatchSettings.of({name: value}), prior="p") != first, name
+    rest = set(base.named()) - set(CHANGES)
     assert rest == {"jobs", "group", "gap", "card", "prior"}
-    assert identity([photo], replace(base, jobs=3), prior="p") == first
+    assert identity([photo], BatchSettings(jobs=3), prior="p") == first
+
+
+def test_the_identity_of_what_was_made_before_has_stayed(tmp_path):
+    photo = tmp_path / "a.jpg"
+    photo.write_bytes(b"light")
+    settings = BatchSettings.of({"preset": "draft", "time": 90.0, "size": (64, 32), "seed": 3})
+    found = identity([photo], settings, prior="p", card="c", version="0.1.0")
+    assert found == "089cfbd58bf4bfec613f5432a9393f4f4a60850b95da146f4d8f92a23bf81734"
 
 
 def test_photograph_prior_card_and_version_change_the_identity(tmp_path):

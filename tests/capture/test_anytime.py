@@ -9,7 +9,8 @@ from tuning import scene, tune
 
 from matcap.capture.anytime import forecast, self_difference
 from matcap.capture.curve import draw_history
-from matcap.capture.pipeline import CaptureSettings, _target
+from matcap.capture.pipeline import _target
+from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError
 from matcap.statistics.compare import Weights, distance
 

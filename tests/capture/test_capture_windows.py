@@ -5,8 +5,8 @@ import torch
 
 from matcap.capture.windows import _best_scale, cut_windows
 from matcap.flash.geometry import plane_points
+from matcap.flash.plane import plane_of
 from matcap.statistics.compare import Weights, describe, distance
-from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 
 BANK = FilterBank(FilterBankConfig(sizes=(3,), filters=4, levels=2))
@@ -19,8 +19,8 @@ def cut(valid=None, *, size=SIZE, width=WIDTH, height=HEIGHT):
     slope = torch.linspace(0.1, 0.9, width) * torch.linspace(0.5, 1.0, height)[:, None]
     linear = slope * torch.exp(0.1 * torch.randn(3, height, width, generator=generator))
     valid = torch.ones(height, width, dtype=torch.bool) if valid is None else valid
-    encoding = fit_encoding(linear, valid)
-    return linear, encoding, cut_windows(linear, valid, encoding, BANK, size)
+    plane = plane_of(linear, valid)
+    return linear, plane.encoding, cut_windows(plane, BANK, size)
 
 
 def corners(windows, width=WIDTH, height=HEIGHT):

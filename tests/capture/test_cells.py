@@ -4,8 +4,9 @@ import torch
 
 from matcap.capture.start import reading_cells
 from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, with_cells
-from matcap.model.field import RandomField, random_field
-from matcap.model.order import CELL_CHANNELS, WAVE_CHANNELS, Wave
+from matcap.model.order import CELL_CHANNELS, WAVE_CHANNELS
+from matcap.model.random_field import RandomField, random_field
+from matcap.statistics.lattice import Wave
 
 CONFIG = DecoderConfig(noise_channels=2, widths=(4, 4, 6, 6, 6))
 WAVES = (Wave(1 / 23.0, 0.0), Wave(0.0, 1 / 19.0))

@@ -1,17 +1,19 @@
 """Fine-tuning: what it promises of error, time, determinism and going wrong."""
 
 import math
+import time
 
 import pytest
 import torch
 from tuning import CODE, CONFIG, WINDOW, scene, start, tune
 
 from matcap.brdf.maps import MapSet
-from matcap.capture import finetune as module
+from matcap.capture.guard import Guard
+from matcap.capture.penalty import Penalties, price
 from matcap.flash.render import render_flash
 from matcap.model.decoder import DEPTH, maps_from_raw
-from matcap.model.field import random_field
 from matcap.model.freeze import fold
+from matcap.model.random_field import random_field
 from matcap.statistics.compare import Weights, describe, distance
 
 
@@ -67,7 +69,7 @@ def test_the_number_of_steps_is_kept(steps):
 def test_the_time_limit_is_kept(monkeypatch):
     """By a clock that moves a hundredth of a second whenever it is looked at."""
     ticks = iter(range(10**6))
-    monkeypatch.setattr(module.time, "monotonic", lambda: next(ticks) / 100.0)
+    monkeypatch.setattr(time, "monotonic", lambda: next(ticks) / 100.0)
     tuned = tune(steps=10**6, seconds=0.5)
     seconds = [second for second, _, _ in tuned.history]
     assert seconds == sorted(seconds)
@@ -99,14 +101,15 @@ class Sabotage:
 
     def __init__(self, monkeypatch, steps, how):
         self.calls = 0
-        true_loss = module._step_loss
+        true_take = Guard.take
 
-        def loss(decoder, *args, **kwargs):
-            value, penalty = true_loss(decoder, *args, **kwargs)
+        def take(guard, value, penalty, pace):
             self.calls += 1
-            return how(value, penalty, decoder) if self.calls - 1 in steps else (value, penalty)
+            if self.calls - 1 in steps:
+                value, penalty = how(value, penalty, guard.decoder)
+            return true_take(guard, value, penalty, pace)
 
-        monkeypatch.setattr(module, "_step_loss", loss)
+        monkeypatch.setattr(Guard, "take", take)
 
 
 def poisoned_gradient(value, penalty, decoder):
@@ -163,11 +166,10 @@ def test_gloss_that_varies_for_nothing_is_paid_for():
     uneven = even + 0.1 * torch.rand((1, 1, 16, 16), generator=torch.Generator().manual_seed(1))
     diffuse = torch.full((1, 3, 16, 16), 0.3)
     expected = torch.logit(torch.tensor([0.3] * 5))
-    settings = module.TuneSettings(steps=1)
 
     def paid(specular, roughness, wanted=None):
         maps = MapSet(diffuse, specular, roughness, 0.0 * even, 0.01)
-        return float(module._penalty(maps, wanted, settings, 0.0))
+        return float(price(maps, wanted, Penalties(), 0.0))
 
     flat = paid(even, even)
     assert paid(uneven, even) > flat and paid(even, uneven) > flat
@@ -176,7 +178,7 @@ def test_gloss_that_varies_for_nothing_is_paid_for():
 
 
 def test_specks_are_paid_for_in_the_second_half_and_patches_never():
-    settings = module.TuneSettings(steps=1, specular_penalty=0.0)
+    weights = Penalties(specular=0.0)
     row = torch.arange(64)
     everywhere = torch.full((1, 3, 64, 64), 0.3)
 
@@ -185,7 +187,7 @@ def test_specks_are_paid_for_in_the_second_half_and_patches_never():
         specular = torch.where(metal, 0.7, 0.04)[None, None].requires_grad_(True)
         flat = torch.full((1, 1, 64, 64), 0.3)
         maps = MapSet(everywhere, specular, flat, 0.0 * flat, 0.01)
-        penalty = module._penalty(maps, None, settings, share)
+        penalty = price(maps, None, weights, share)
         (gradient,) = torch.autograd.grad(penalty, specular, allow_unused=True)
         assert gradient is None or torch.isfinite(gradient).all()
         return float(penalty.detach())

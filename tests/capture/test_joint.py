@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.joint import _numbered
+from matcap.capture.finetune import Scene, render_windows
 from matcap.capture.pipeline import CaptureSettings, capture_photo
 from matcap.capture.windows import Windows
-from matcap.flash.geometry import FlashSetup, JointSetup, plane_points
+from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash
-from matcap.simulate.examples import realisation
-from matcap.simulate.photograph import Camera, as_photo, take
+from matcap.lab.simulate.examples import realisation
+from matcap.lab.simulate.photograph import Camera, as_photo, take
 
 SETUPS = (
     FlashSetup(offset=(0.1, 0.0, 0.0), tilt=(0.1, 0.0), intensity=(5.0, 5.0, 5.0)),
@@ -25,22 +25,13 @@ SETUPS = (
 
 def test_each_window_is_rendered_as_in_its_own_photograph():
     maps = MapSet.from_stacked(torch.rand(1, 6, 16, 16) * 0.5 + 0.1, 2.0 / 64)
-    points = plane_points(8, 4, 16, 16, (64, 48), dtype=torch.float32)[None]
-    empty = Windows(16, points, None)
-    both = torch.cat([_numbered(empty, number).points for number in (1, 0)])
-    found = render_flash(maps, JointSetup.of(SETUPS), both)
-    expected = torch.cat([render_flash(maps, SETUPS[number], points) for number in (1, 0)])
+    points = plane_points(8, 4, 16, 16, (64, 48), dtype=torch.float32)[None].repeat(3, 1, 1, 1)
+    windows = Windows(16, points, None, photographs=torch.tensor([1, 0, 0]))
+    scene = Scene(windows, SETUPS[0], None, None, (), 2.0 / 64, others=SETUPS[1:])
+    found = render_windows(maps, scene, torch.tensor([0, 2]), step=1)
+    expected = torch.cat([render_flash(maps, SETUPS[number], points[:1]) for number in (1, 0)])
     torch.testing.assert_close(found, expected)
     assert not torch.equal(found[0], found[1])
-
-
-def test_a_joint_setup_is_otherwise_the_first_one():
-    joint = JointSetup.of(SETUPS)
-    assert (joint.tilt, joint.offset, joint.distance) == (
-        SETUPS[0].tilt,
-        SETUPS[0].offset,
-        SETUPS[0].distance,
-    )
 
 
 @pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")

@@ -10,11 +10,12 @@ from tuning import CODE, SETUP, start
 from matcap.capture.match import _Blocks, _gain, _shift, correction, match_photograph
 from matcap.capture.pipeline import CaptureSettings, capture_photo
 from matcap.capture.windows import shot_deviation
+from matcap.flash.plane import Plane, plane_of
 from matcap.flash.render import render_rectified
+from matcap.lab.simulate.examples import realisation
+from matcap.lab.simulate.photograph import Camera, as_photo, take
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.simulate.examples import realisation
-from matcap.simulate.photograph import Camera, as_photo, take
 from matcap.statistics.encoding import fit_encoding, shading
 
 WIDTH, HEIGHT = 256, 192
@@ -45,8 +46,7 @@ def spoilt(material, gain, shift):
 
 
 def found(material, photo, valid=VALID, noise=None):
-    encoding = fit_encoding(photo, valid, noise)
-    return correction(material, photo, valid, encoding, noise, seed=0)
+    return correction(material, plane_of(photo, valid, noise), seed=0)
 
 
 def test_a_material_that_is_right_stays_as_it_is(truth, photo):
@@ -65,7 +65,7 @@ def test_contrast_and_mean_are_found_again(truth, photo, gain):
 
 def test_the_matched_material_looks_like_the_photograph(truth, photo):
     wrong = spoilt(truth, 0.7, SHIFT.tolist())
-    matched = match_photograph(wrong, photo, VALID, fit_encoding(photo, VALID))
+    matched = match_photograph(wrong, plane_of(photo, VALID))
 
     def told(picture):
         log = picture.log()
@@ -86,7 +86,7 @@ def test_the_matched_material_looks_like_the_photograph(truth, photo):
 def test_gloss_and_the_material_given_are_left_alone(truth, photo):
     wrong = spoilt(truth, 0.7, SHIFT.tolist())
     before = copy.deepcopy(wrong.decoder.state_dict())
-    matched = match_photograph(wrong, photo, VALID, fit_encoding(photo, VALID))
+    matched = match_photograph(wrong, plane_of(photo, VALID))
     assert all(torch.equal(v, before[k]) for k, v in wrong.decoder.state_dict().items())
     old, new = (m.maps(64, 64) for m in (wrong, matched))
     assert torch.equal(old.specular, new.specular)
@@ -98,7 +98,7 @@ def test_what_is_compared_is_what_is_made(truth, photo):
     wrong = spoilt(truth, 0.7, SHIFT.tolist())
     moved = found(wrong, photo)
     old = wrong.maps(64, 64)
-    new = match_photograph(wrong, photo, VALID, fit_encoding(photo, VALID)).maps(64, 64)
+    new = match_photograph(wrong, plane_of(photo, VALID)).maps(64, 64)
     middle = wrong.decoder.head.adain.target(CODE)[0][:3, None, None]
     logit = middle + moved.gain * (old.diffuse.logit() - middle) + moved.shift[:, None, None]
     torch.testing.assert_close(new.diffuse, torch.sigmoid(logit), atol=1e-4, rtol=0.0)
@@ -149,7 +149,8 @@ def test_blocks_count_by_their_share_of_diffuse_light():
 def test_nothing_moves_where_nothing_can_be_compared(truth, photo, unseen):
     valid = torch.zeros_like(VALID) if unseen == "invalid" else VALID
     picture = photo if unseen == "invalid" else torch.ones_like(photo)
-    nothing = correction(truth, picture, valid, fit_encoding(photo, VALID), None, seed=0)
+    plane = Plane(picture, valid, None, fit_encoding(photo, VALID))
+    nothing = correction(truth, plane, seed=0)
     assert nothing.gain == 1.0
     assert not nothing.shift.any()
 
@@ -190,5 +191,5 @@ def test_corrections_are_bounded_and_finite(truth, picture):
     far = found(truth, picture)
     assert 0.6 <= far.gain <= 1.7
     assert far.shift.abs().max() <= 1.0
-    matched = match_photograph(truth, picture, VALID, fit_encoding(picture, VALID))
+    matched = match_photograph(truth, plane_of(picture, VALID))
     assert matched.maps(32, 32).stacked().isfinite().all()

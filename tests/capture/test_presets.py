@@ -1,25 +1,35 @@
-"""Presets: how many steps each has and how many windows it compares a step."""
+"""Presets: what each spends, and what settings make of it."""
 
 import pytest
 
-from matcap.capture.pipeline import PRESETS, CaptureSettings, _effort, _steps
+from matcap.capture.settings import PRESETS, CaptureSettings, Method, resolve
+from matcap.errors import UsageError
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_preset_is_its_effort_unless_steps_are_given(preset):
-    settings = CaptureSettings(preset=preset)
-    assert _effort(settings) is PRESETS[preset]
-    assert _steps(settings) == PRESETS[preset].steps
-    fewer = CaptureSettings(preset=preset, steps=7)
-    assert (_steps(fewer), _effort(fewer).places) == (7, PRESETS[preset].places)
+    effort = resolve(CaptureSettings(preset=preset))
+    assert effort is PRESETS[preset] and effort.preset == preset
+    fewer = resolve(CaptureSettings(preset=preset, steps=7))
+    assert (fewer.steps, fewer.places) == (7, effort.places)
 
 
 @pytest.mark.parametrize("limit", [{"time_limit": 20.0}, {"target": 1.3}])
 def test_a_limit_alone_may_take_all_the_steps_there_are(limit):
-    assert _effort(CaptureSettings(preset="draft", **limit)) is PRESETS["reference"]
-    assert _steps(CaptureSettings(preset="draft", steps=7, **limit)) == 7
+    assert resolve(CaptureSettings(preset="draft", **limit)) is PRESETS["reference"]
+    assert resolve(CaptureSettings(preset="draft", steps=7, **limit)).steps == 7
+
+
+def test_a_method_has_the_last_word():
+    effort = resolve(CaptureSettings(preset="draft"), Method(places=5, matched=True))
+    assert (effort.steps, effort.places, effort.matched) == (PRESETS["draft"].steps, 5, True)
 
 
 def test_presets_cost_more_and_more():
     costs = [effort.steps * effort.places for effort in PRESETS.values()]
     assert costs == sorted(set(costs))
+
+
+def test_an_unknown_preset_is_a_usage_error():
+    with pytest.raises(UsageError, match="'fast'.*instant, draft"):
+        resolve(CaptureSettings(preset="fast"))

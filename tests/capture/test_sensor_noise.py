@@ -9,6 +9,7 @@ from uniform import photograph as uniform
 
 from matcap.capture.finetune import with_noise
 from matcap.capture.windows import cut_windows, shot_deviation
+from matcap.flash.plane import Plane
 from matcap.flash.rectify import rectify, rectify_noise
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import fit_encoding
@@ -27,10 +28,8 @@ def draw(linear, seed, strength=0.1):
 def test_the_truth_is_nearest_when_its_noise_is_drawn_too():
     clean = photograph()
     noisy = clean + draw(clean, 1)
-    windows = cut_windows(
-        noisy, VALID, fit_encoding(noisy, VALID), BANK, WINDOW, noise=draw(clean, 2)
-    )
     encoding = fit_encoding(noisy, VALID)
+    windows = cut_windows(Plane(noisy, VALID, draw(clean, 2), encoding), BANK, WINDOW)
     places = [(x, y) for y in (0, 16) for x in (0, 24, 48)]
     rendered = torch.stack([clean[:, y : y + WINDOW, x : x + WINDOW] for x, y in places])
     assert windows.noise.shape == rendered.shape

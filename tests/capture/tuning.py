@@ -7,9 +7,9 @@ from matcap.capture.finetune import Scene, TuneSettings, finetune
 from matcap.capture.start import log_contrast, untrained
 from matcap.capture.windows import cut_windows
 from matcap.flash.geometry import FlashSetup
+from matcap.flash.plane import plane_of
 from matcap.flash.render import render_rectified
 from matcap.model.decoder import CODE_SIZE, DecoderConfig, maps_from_raw
-from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 
 WIDTH, HEIGHT, WINDOW = 96, 64, 48
@@ -33,10 +33,10 @@ def scene():
     """That photograph, cut into windows."""
     linear = photograph()
     valid = torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
-    encoding = fit_encoding(linear, valid)
+    plane = plane_of(linear, valid)
     bank = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
-    windows = cut_windows(linear, valid, encoding, bank, WINDOW)
-    return Scene(windows, SETUP, encoding, bank, (), 2.0 / WIDTH)
+    windows = cut_windows(plane, bank, WINDOW)
+    return Scene(windows, SETUP, plane.encoding, bank, (), plane.texel_size)
 
 
 def start(seed=0):

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
+from matcap.capture import pipeline as capturing
 from matcap.capture.pipeline import CaptureResult, Progress
 from matcap.cli.main import main
 from matcap.errors import MatcapError
@@ -73,6 +74,7 @@ class FakePipeline:
                     Progress("fine-tuning", fraction, 1.0 - fraction / 2, fraction, 1 - fraction)
                 )
         return CaptureResult(
+            photo=photo,
             material=FakeMaterial(Path(photo.name).stem),
             rectified=photo.pixels,
             rerendered=photo.pixels * 0.9,
@@ -88,8 +90,8 @@ class FakePipeline:
 def pipeline(monkeypatch) -> FakePipeline:
     """The capture pipeline replaced; the command line and all its files stay real."""
     fake = FakePipeline()
-    monkeypatch.setattr("matcap.photo.load.load_photo", fake.load_photo)
-    monkeypatch.setattr("matcap.capture.pipeline.capture_photo", fake.capture_photo)
+    monkeypatch.setattr(capturing, "load_photo", fake.load_photo)
+    monkeypatch.setattr(capturing, "capture_photo", fake.capture_photo)
     return fake
 
 
@@ -100,7 +102,7 @@ def never_captured(monkeypatch):
     def reached(photo, settings, progress=None):
         pytest.fail(f"{photo.name} was taken for a photograph")
 
-    monkeypatch.setattr("matcap.capture.pipeline.capture_photo", reached)
+    monkeypatch.setattr(capturing, "capture_photo", reached)
 
 
 @pytest.fixture

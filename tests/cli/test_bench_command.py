@@ -2,8 +2,8 @@
 
 import pytest
 
-from matcap.bench.quality import Score
 from matcap.errors import MatcapError
+from matcap.lab.bench.quality import Score
 
 
 @pytest.fixture
@@ -16,7 +16,7 @@ def measured(monkeypatch):
         options["tell"]("halfway")
         return [Score("granite", "capture", 1.5, 2.5, 60.0)]
 
-    monkeypatch.setattr("matcap.bench.quality.run_quality", run)
+    monkeypatch.setattr("matcap.lab.bench.quality.run_quality", run)
     return calls
 
 
@@ -41,7 +41,7 @@ def test_a_failed_capture_is_3(matcap, monkeypatch, tmp_path):
     def fail(*args, **kwargs):
         raise MatcapError("plenoptic is not installed", remedy='pip install "matcap[bench]"')
 
-    monkeypatch.setattr("matcap.bench.quality.run_quality", fail)
+    monkeypatch.setattr("matcap.lab.bench.quality.run_quality", fail)
     said = matcap("bench", "quality", "-o", tmp_path / "q")
     assert (said.code, said.out) == (3, "")
     assert said.err == 'matcap: plenoptic is not installed; pip install "matcap[bench]".\n'

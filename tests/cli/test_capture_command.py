@@ -7,8 +7,9 @@ import os
 import pytest
 from PIL import Image
 
+from matcap.brdf.folder import mapset_files, read_mapset
+from matcap.capture import outputs, preview, report
 from matcap.errors import UsageError
-from matcap.export.mapset import mapset_files, read_mapset
 
 
 @pytest.fixture
@@ -165,16 +166,12 @@ def test_the_folder_is_checked_before_any_work(matcap, pipeline, photo, tmp_path
 def test_a_disk_that_fills_while_saving_leaves_nothing(
     matcap, pipeline, photo, tmp_path, out, monkeypatch, fails_at
 ):
-    home = {
-        "write_mapset": "matcap.export.outputs",
-        "write_preview": "matcap.capture.preview",
-        "write_report": "matcap.capture.report",
-    }[fails_at]
+    home = {"write_mapset": outputs, "write_preview": preview, "write_report": report}[fails_at]
 
     def full(*args, **kwargs):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(f"{home}.{fails_at}", full)
+    monkeypatch.setattr(home, fails_at, full)
     said = matcap("capture", photo, "-o", out, "--size", 16, "-q")
     assert said.code == 3
     assert said.err.count("\n") == 1

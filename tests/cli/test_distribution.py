@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 # What git tracks in the package and setuptools would leave out unless told.
-DATA = ("matcap/py.typed", "matcap/prior/weights/prior.safetensors")
+DATA = ("matcap/py.typed", "matcap/capture/prior/weights/prior.safetensors")
 
 BUILD = """
 import sys

@@ -5,6 +5,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import pytest
 
+from matcap.capture.prior import store
 from matcap.errors import MatcapError
 
 
@@ -24,7 +25,7 @@ def test_text_tells_how_to_install_what_is_missing(matcap, monkeypatch):
             raise PackageNotFoundError(name)
         return version(name)
 
-    monkeypatch.setattr("matcap.doctor.version", without)
+    monkeypatch.setattr("matcap.lab.doctor.version", without)
     said = matcap("doctor", "--no-self-test")
     assert said.code == 0  # extras are no need
     assert 'not installed: pip install "matcap[heic]"' in said.out
@@ -37,7 +38,7 @@ def test_a_missing_need_is_a_fault(matcap, monkeypatch):
             raise PackageNotFoundError(name)
         return version(name)
 
-    monkeypatch.setattr("matcap.doctor.version", without)
+    monkeypatch.setattr("matcap.lab.doctor.version", without)
     said = matcap("doctor")
     assert said.code == 3
     assert "rawpy" in said.out
@@ -49,7 +50,7 @@ def test_a_fault_ends_the_self_test_and_is_told(matcap, monkeypatch, fault):
     def broken(path=None):
         raise fault
 
-    monkeypatch.setattr("matcap.prior.store.load_prior", broken)
+    monkeypatch.setattr(store, "load_prior", broken)
     said = matcap("doctor", "--json")
     report = json.loads(said.out)
     assert (said.code, report["healthy"]) == (3, False)

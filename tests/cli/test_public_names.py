@@ -28,11 +28,20 @@ def test_unknown_names_are_attribute_errors():
         _ = matcap.captrue
 
 
-@pytest.mark.parametrize("first", ["matcap.capture.pipeline", "matcap.relight.scene", "matcap"])
-def test_packages_stay_callable_whatever_was_imported_before(first):
-    code = f"import {first}, matcap; print(callable(matcap.capture), callable(matcap.relight))"
+@pytest.mark.parametrize(
+    "imports",
+    [
+        "import matcap",
+        "import matcap.capture.pipeline, matcap.relight.scene",
+        "import matcap; import matcap.capture.detail, matcap.relight.scene",
+        "import matcap; from matcap.capture import detail; from matcap.relight import scene",
+        "from matcap.capture.detail import DETAIL; import matcap.relight; import matcap",
+    ],
+)
+def test_functions_keep_their_names_whatever_is_imported_of_their_packages(imports):
+    code = f"{imports}; print(matcap.capture.__module__, matcap.relight.__module__)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout == "True True\n"
+    assert found.stdout == "matcap.api matcap.api\n"
 
 
 def test_capture_hands_its_settings_on(pipeline, photo):

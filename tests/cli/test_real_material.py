@@ -7,8 +7,8 @@ import sys
 import pytest
 import torch
 
-from matcap.export.exr import read_exr
-from matcap.export.mapset import read_mapset
+from matcap.brdf.folder import read_mapset
+from matcap.files.exr import read_exr
 from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.freeze import freeze

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
-from matcap.export.exr import read_exr
-from matcap.export.mapset import MapSetInfo, write_mapset
+from matcap.files.exr import read_exr
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reference.formats import keys
 
 from matcap.capture.pipeline import CaptureSettings
 from matcap.capture.report import report, warnings, write_report
@@ -14,39 +15,41 @@ from matcap.flash.geometry import FlashSetup
 
 @pytest.fixture
 def captured(pipeline, photo):
-    """(result, photograph) without anything to warn of."""
-    loaded = pipeline.load_photo(photo)
-    return pipeline.capture_photo(loaded, CaptureSettings(detail=96)), loaded
+    """A result without anything to warn of."""
+    return pipeline.capture_photo(pipeline.load_photo(photo), CaptureSettings(detail=96))
 
 
 def test_a_good_capture_has_no_warnings(captured):
-    assert list(warnings(*captured)) == []
+    assert list(warnings(captured)) == []
 
 
 def test_each_warning_says_what_to_do(captured):
-    result, photo = captured
-    clipped = replace(photo, clipped=np.ones_like(photo.clipped))
-    assert "100 % of the photograph is clipped: lower" in next(iter(warnings(result, clipped)))
-    dark = replace(photo, flash_fired=False)
-    assert "with the flash on" in next(iter(warnings(result, dark)))
+    result, photo = captured, captured.photo
+    clipped = replace(result, photo=replace(photo, clipped=np.ones_like(photo.clipped)))
+    assert "100 % of the photograph is clipped: lower" in next(iter(warnings(clipped)))
+    dark = replace(result, photo=replace(photo, flash_fired=False))
+    assert "with the flash on" in next(iter(warnings(dark)))
     tilted = replace(result.material, setup=FlashSetup(tilt=(0.0, -0.25)))
-    (said,) = warnings(replace(result, material=tilted), photo)
+    (said,) = warnings(replace(result, material=tilted))
     assert "tilted by 14 degrees: hold it parallel" in said
-    (said,) = warnings(replace(result, settings=CaptureSettings()), photo)
+    (said,) = warnings(replace(result, settings=CaptureSettings()))
     assert said.startswith("The texture is coarse") and "--detail 1024" in said
 
 
+def test_its_keys_are_those_of_the_reference(captured):
+    assert set(report(captured)) == keys("matcap.capture.report", "Keys")
+
+
 def test_angles_are_in_degrees(captured):
-    result, photo = captured
+    result = captured
     tilted = replace(result.material, setup=FlashSetup(tilt=(np.pi / 36, -np.pi / 18)))
-    camera = report(replace(result, material=tilted), photo)["camera"]
+    camera = report(replace(result, material=tilted))["camera"]
     assert camera["tilt_degrees"] == pytest.approx([5.0, -10.0])
 
 
 def test_numbers_that_json_does_not_know_become_null(captured, tmp_path):
-    result, photo = captured
-    odd = replace(result, history=((0.0, 1, float("inf")), (1.0, 2, float("nan"))))
-    write_report(odd, photo, tmp_path / "report.json")
+    odd = replace(captured, history=((0.0, 1, float("inf")), (1.0, 2, float("nan"))))
+    write_report(odd, tmp_path / "report.json")
 
     def refuse(name: str) -> None:
         pytest.fail(f"{name} is not JSON")
@@ -54,3 +57,14 @@ def test_numbers_that_json_does_not_know_become_null(captured, tmp_path):
     found = json.loads(Path(tmp_path / "report.json").read_text(), parse_constant=refuse)
     assert found["error"] is None
     assert found["error_over_time"][0] == {"seconds": 0.0, "step": 1, "error": None}
+
+
+def test_a_limit_that_chooses_the_preset_is_told(captured):
+    assert report(captured)["notes"] == []
+    limited = replace(captured, settings=CaptureSettings(preset="draft", time_limit=9.0))
+    told = report(limited)
+    assert told["effort"]["preset"] == "reference" and told["effort"]["steps"] == 800
+    (note,) = told["notes"]
+    assert "the preset was reference: at most 800 steps" in note
+    counted = replace(captured, settings=CaptureSettings(steps=5, time_limit=9.0))
+    assert report(counted)["notes"] == []

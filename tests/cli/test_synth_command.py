@@ -9,13 +9,13 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
-from matcap.export.mapset import read_mapset
+from matcap.brdf.folder import read_mapset
 from matcap.flash.geometry import FlashSetup
+from matcap.model.blocks import BLOCK
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.field import Field
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.synth.blocks import BLOCK
-from matcap.synth.field import Field
 
 TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))
 

@@ -6,19 +6,21 @@ import shutil
 from pathlib import Path
 
 import pytest
-import torch
 import typer
 
+from matcap.batch.settings import read_settings
 from matcap.cli.main import app, main
-from matcap.flash.geometry import FlashSetup
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.model.freeze import freeze
-from matcap.model.material import Material
+from matcap.relight.scenefile import parse_scene
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
-SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
+# Notes say how things stood on their dates: their links hold, their commands and paths need not.
+TODAY = [page for page in PAGES if page.parent.name != "notes"]
+# Pages of the guide whose commands are run.
+RUN = ("view", "relight", "synth", "blend")
+# As shown, but smaller: as good a test.
+SIZES = {"relight": "48x36", "export": "48x48"}
 # What takes long, listens, trains, or needs what is not here.
 LONG = {"capture", "batch", "bench", "prior", "sample", "doctor", "card"}
 
@@ -34,18 +36,12 @@ def commands(page: Path) -> list[str]:
     return [line for line in kept if re.match(r"(\$ )?matcap [a-z]", line)]
 
 
-SHOWN = sorted({(str(p.relative_to(ROOT)), line) for p in PAGES for line in commands(p)})
+def toml(page: str) -> list[str]:
+    """The TOML files that a page shows."""
+    return re.findall(r"```toml\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
 
 
-@pytest.fixture(scope="module")
-def small():
-    """An untrained material of the right form."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(3)
-        decoder = Decoder(SMALL)
-    code = torch.zeros(CODE_SIZE)
-    moments = tuple(freeze(decoder, code, ()))
-    return Material("leather", decoder, code, moments, (), 2 / 256, FlashSetup())
+SHOWN = sorted({(str(p.relative_to(ROOT)), line) for p in TODAY for line in commands(p)})
 
 
 @pytest.mark.parametrize(("page", "line"), SHOWN)
@@ -75,20 +71,31 @@ def cheap(line: str) -> bool:
         return "--html" in words
     if words[1] == "synth" and words[2].startswith("-"):
         return False  # drawn by the prior, whose network is no small one
-    return words[1] not in LONG and not re.search(r"[A-Z]{4,}|\.dng|\.jpg|scene\.toml|bricks", line)
+    return words[1] not in LONG and not re.search(r"[A-Z]{4,}|\.dng|\.jpg|bricks", line)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/viewing.md"])
+def test_files_shown_are_read(tmp_path):
+    (scene,) = toml("docs/guide/relight.md")
+    assert len(parse_scene(scene).lights) == 2
+    (settings,) = toml("docs/guide/batch.md")
+    (tmp_path / "matcap.toml").write_text(settings)
+    assert read_settings(tmp_path / "matcap.toml")["group"] == "dir"
+
+
+# docs/guide/export.md has a test of its own, in tests/export.
+@pytest.mark.parametrize("page", ["README.md", *(f"docs/guide/{name}.md" for name in RUN)])
 def test_cheap_commands_run(page, small, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.toml").write_text(*toml("docs/guide/relight.md"))
     for name in ("leather", "cloth", "tile"):
         (tmp_path / "out" / name).mkdir(parents=True)
         small.save(tmp_path / "out" / name / f"{name}.matcap")
     ran = 0
     for line in commands(ROOT / page):
         if cheap(line):
-            # As shown but for the size: a strip of half the length is as good a test.
-            code = main(shlex.split(line.replace("4096x256", "600x256"))[1:])
+            # As shown but for the size: of an option given twice the second counts.
+            words = shlex.split(line.replace("4096x256", "600x256"))[1:]
+            code = main([*words, *(["--size", SIZES[words[0]]] if words[0] in SIZES else [])])
             assert code == 0, (line, capsys.readouterr().err)
             ran += 1
     assert ran > 0
@@ -98,17 +105,20 @@ def test_python_guide_runs_from_top_to_bottom(small, tmp_path, monkeypatch):
     """Everything is real but the tuning of the network."""
     from types import SimpleNamespace
 
+    from matcap.capture import pipeline
+
     monkeypatch.setattr(
-        "matcap.capture.pipeline.capture_photo",
+        pipeline,
+        "capture_photo",
         lambda photo, settings, progress=None: SimpleNamespace(material=small, history=()),
     )
     monkeypatch.chdir(tmp_path)
     shutil.copy(ROOT / "examples/photos/leather.dng", tmp_path)
-    text = (ROOT / "docs/python.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/guide/python.md").read_text(encoding="utf-8")
     snippets = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     names: dict = {}
     for snippet in snippets:
-        exec(compile(snippet, "docs/python.md", "exec"), names)
+        exec(compile(snippet, "docs/guide/python.md", "exec"), names)
     assert len(snippets) > 10 and Path("leather.html").stat().st_size > 10_000
 
 
@@ -139,8 +149,7 @@ def test_pictures_are_small_and_shown(folder):
 
 
 def test_files_named_in_the_documentation_exist():
-    for page in PAGES:
-        for path in re.findall(
-            r"`((?:matcap|tests|examples|docs)/[\w/.-]+\.\w+)`", page.read_text()
-        ):
+    named = re.compile(r"`((?:matcap|tests|examples|docs)/[\w/.-]+)`")
+    for page in TODAY:
+        for path in named.findall(page.read_text(encoding="utf-8")):
             assert (ROOT / path).exists(), f"{page.name}: {path}"

@@ -1,4 +1,4 @@
-"""The picture of docs/exports.md: `python tests/export/make_picture.py MATERIAL.matcap OUT.jpg`.
+"""The picture of the guide: `python tests/export/make_picture.py MATERIAL.matcap OUT.jpg`.
 
 Above, under the light called top: matcap, Mitsuba's NAME.xml, and Blender's Cycles (where
 BLENDER_PYTHON names a Python with bpy). Below, under a distant light: matcap, MaterialX's own
@@ -15,10 +15,10 @@ from read_materialx import render
 from round_trips import DIRECTION, blender_picture, lit, mitsuba_picture
 
 import matcap
-from matcap.export.source import open_tile
-from matcap.export.srgb import srgb_encode
 from matcap.export.targets import write_export
 from matcap.export.textures import Job
+from matcap.files.srgb import srgb_picture
+from matcap.model.opened import open_tile
 from matcap.relight.scene import DirectionalLight, Scene, Surface
 
 SIDE = 256
@@ -42,7 +42,7 @@ def main(material: Path, out: Path) -> None:
         below = [true, theirs, 20.0 * np.abs(theirs - true)]
     framed = [np.pad(one, ((2, 2), (2, 2), (0, 0)), constant_values=1.0) for one in above + below]
     sheet = np.vstack([np.hstack(framed[:3]), np.hstack(framed[3:])]).astype(np.float32)
-    coded = np.rint(srgb_encode(sheet)[..., ::-1] * 255.0).astype(np.uint8)
+    coded = np.rint(srgb_picture(sheet)[..., ::-1] * 255.0).astype(np.uint8)
     cv2.imwrite(str(out), coded, [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 

@@ -3,8 +3,8 @@
 Each material (by default the procedural ones that matcap simulates) is exported to every target,
 checked by the target's validator, read back by its library and compared with matcap; with -r also
 rendered: MaterialX's shader in Chromium, Mitsuba, and Blender where BLENDER_PYTHON names a Python
-with bpy. Prints the table of docs/exports.md: light that differs, as a share of all light, mean and
-worst of the materials. What is not installed is left out and said.
+with bpy. Prints the table of docs/notes/exports.md: light that differs, as a share of all light,
+mean and worst of the materials. What is not installed is left out and said.
 """
 
 import os
@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 
 import matcap
-from matcap.export.exr import read_exr
 from matcap.export.presets import PRESETS
-from matcap.export.source import open_tile
 from matcap.export.surface import residual
 from matcap.export.targets import DOCUMENTS, write_export, write_preset
 from matcap.export.textures import Job
+from matcap.files.exr import read_exr
+from matcap.lab.simulate.materials import MATERIALS, realise
+from matcap.model.opened import open_tile
 from matcap.relight.scene import DirectionalLight, Scene, Surface, exposing_intensity
-from matcap.simulate.materials import MATERIALS, realise
 
 SIZE = 64
 LOBES = "none,+diffuse,+specular,+falloff"

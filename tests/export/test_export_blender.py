@@ -1,4 +1,4 @@
-"""The script, by what it asks for; how it was tried in Blender itself is in docs/exports.md."""
+"""The script, by what it asks for; how Blender itself renders it is in docs/notes/exports.md."""
 
 import json
 import re

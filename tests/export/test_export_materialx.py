@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from exported import MATERIALS
 
-from matcap.export.exr import read_exr
 from matcap.export.surface import residual
 from matcap.export.targets import write_export
 from matcap.export.textures import Job
+from matcap.files.exr import read_exr
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Every command of docs/exports.md runs and leaves the files that the page names."""
+"""Every command of docs/guide/export.md runs and leaves the files that the page names."""
 
 import re
 import shlex
@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
-from matcap.export.mapset import MapSetInfo, write_mapset
 from matcap.export.presets import PRESETS
 
-PAGE = (Path(__file__).parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "export.md").read_text(encoding="utf-8")
 SHELL = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)).splitlines()
 EXPORTS = [line for line in SHELL if line.startswith("matcap export") and "--onnx" not in line]
 

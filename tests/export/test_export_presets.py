@@ -11,12 +11,12 @@ from exported import linear, picture
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
-from matcap.export.exr import read_exr
 from matcap.export.metallic import to_metallic
 from matcap.export.presets import PRESETS, Choice, pack
 from matcap.export.surface import residual
 from matcap.export.targets import write_preset
 from matcap.export.textures import Job
+from matcap.files.exr import read_exr
 
 NAMES = {
     "polyhaven": {"moss_diff_1k.png", "moss_spec_1k.png", "moss_rough_1k.png", "moss_disp_1k.png",

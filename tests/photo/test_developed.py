@@ -9,7 +9,7 @@ import tifffile
 from PIL import Image, PngImagePlugin
 
 from matcap.errors import MatcapError
-from matcap.photo.color import srgb_decode
+from matcap.files.srgb import srgb_decode
 from matcap.photo.load import load_photo
 
 

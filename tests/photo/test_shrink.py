@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from matcap.errors import UsageError
+from matcap.files.srgb import srgb_decode
 from matcap.photo import shrink as shrink_module
-from matcap.photo.color import srgb_decode
 from matcap.photo.load import load_photo, photo_from_array
 from matcap.photo.shrink import shrink, shrunk_size
 

@@ -29,7 +29,7 @@ from reference_scenes import (  # noqa: E402
     flat_maps,
 )
 
-from matcap.export.exr import write_exr  # noqa: E402
+from matcap.files.exr import write_exr  # noqa: E402
 
 FOLDER = Path(__file__).parent / "references"
 SAMPLES = {"point": 1, "directional": 1, "sphere": 8192, "rectangle": 8192, "sky": 16384}

@@ -7,7 +7,7 @@ import pytest
 from relight_samples import flat
 
 from matcap.errors import MatcapError
-from matcap.export.exr import write_exr
+from matcap.files.exr import write_exr
 from matcap.relight.environment import environment_of
 from matcap.relight.render import Renderer, relight
 from matcap.relight.scene import DirectionalLight, EnvironmentLight, Film, Scene, Surface

@@ -8,7 +8,7 @@ from relight_samples import bumpy
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
-from matcap.export.srgb import srgb_encode
+from matcap.files.srgb import srgb_picture
 from matcap.relight.foreign import read_foreign
 
 AMBIENTCG = {
@@ -47,7 +47,7 @@ def publish(maps, folder, names, kinds, metal=0.0):
     normal = 0.5 + 0.5 * maps.normal.numpy()
     flipped = normal * [[[1.0]], [[-1.0]], [[1.0]]] + [[[0.0]], [[1.0]], [[0.0]]]
     pictures = {
-        "base": srgb_encode(maps.diffuse.numpy()),
+        "base": srgb_picture(maps.diffuse.numpy()),
         "gl": normal,
         "dx": flipped,
         "rough": maps.roughness.numpy(),

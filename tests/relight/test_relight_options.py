@@ -9,10 +9,10 @@ import pytest
 from PIL import Image
 from relight_samples import bumpy
 
+from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
-from matcap.export.exr import read_exr
-from matcap.export.mapset import MapSetInfo, write_mapset
-from matcap.export.srgb import srgb_encode
+from matcap.files.exr import read_exr
+from matcap.files.srgb import srgb_picture
 
 SCENE = """
 [film]
@@ -55,7 +55,7 @@ def test_exr_is_radiance_and_png_is_exposed_codes(run):
     radiance = read_exr(Path("a.exr"))
     assert radiance.shape == (16, 20, 3)
     codes = cv2.imread("a.png")[..., ::-1]
-    np.testing.assert_array_equal(codes, np.rint(srgb_encode(radiance / 2.0) * 255))
+    np.testing.assert_array_equal(codes, np.rint(srgb_picture(radiance / 2.0) * 255))
 
 
 def test_explain_and_json(run):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from reference_scenes import LIGHTS, embossed_maps, embossed_scene, flat_maps, flat_scene, sky_scene
 
-from matcap.export.exr import read_exr, write_exr
+from matcap.files.exr import read_exr, write_exr
 from matcap.relight.plan import DEFAULT_TOLERANCE
 from matcap.relight.render import relight
 

@@ -6,13 +6,14 @@ python tests/synth/draws.py 200
 import random
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import torch
 
-from matcap.synth.blocks import Grid, Rectangle, pieces_of
-from matcap.synth.field import inner, read_source
-from matcap.synth.single import single_threaded
-from matcap.synth.source import material_source
+from matcap.model.blocks import Grid, Rectangle, pieces_of
+from matcap.model.field import inner, read_source
+from matcap.model.single import single_threaded
+from matcap.model.source import material_source
 
 PLACES = (0, 2**31, 2**40)
 
@@ -59,7 +60,8 @@ def run(material, count, seed=0):
 
 
 if __name__ == "__main__":
-    from conftest import a_material
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    from materials import a_material
 
     total = int(sys.argv[1])
     print(f"{run(a_material(), total)} of {total} draws are bit-identical")

@@ -7,11 +7,11 @@ import torch
 from test_stream import ODD, contents, request
 
 from matcap.errors import MatcapError, UsageError
-from matcap.synth.blocks import Rectangle
-from matcap.synth.device import find_device, repeatable
-from matcap.synth.field import Field
+from matcap.model.blocks import Rectangle
+from matcap.model.device import find_device, repeatable
+from matcap.model.field import Field
+from matcap.model.source import MaterialSource, material_source
 from matcap.synth.request import Work
-from matcap.synth.source import MaterialSource, material_source
 from matcap.synth.stream import write_field
 
 CONVOLUTION = torch.backends.cudnn.conv

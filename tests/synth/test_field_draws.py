@@ -6,12 +6,12 @@ import torch
 from draws import run
 from repetition import correlations
 
+from matcap.model.blocks import BLOCK, Rectangle
+from matcap.model.field import Field, read_source
 from matcap.model.noise import noise_field
+from matcap.model.source import material_source
 from matcap.synth.blend import blend_source
-from matcap.synth.blocks import BLOCK, Rectangle
-from matcap.synth.field import Field, read_source
 from matcap.synth.mask import Mask
-from matcap.synth.source import material_source
 
 
 def test_random_rectangles_orders_and_workers_give_the_same_bits(material):

@@ -8,11 +8,11 @@ import pytest
 
 PROGRAM = """
 import resource, sys
-from matcap.bench.synth import material
+from matcap.lab.bench.synth import material
 from matcap.model.decoder import DecoderConfig
-from matcap.synth.blocks import Rectangle
-from matcap.synth.single import single_threaded
-from matcap.synth.source import material_source
+from matcap.model.blocks import Rectangle
+from matcap.model.single import single_threaded
+from matcap.model.source import material_source
 from matcap.synth.workers import keep_memory
 
 if sys.argv[1] == "kept":

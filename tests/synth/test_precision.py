@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from matcap.errors import MatcapError
+from matcap.model.blocks import Rectangle
+from matcap.model.source import material_source
 from matcap.synth import precision
-from matcap.synth.blocks import Rectangle
 from matcap.synth.precision import choose
-from matcap.synth.source import material_source
 
 BLOCK = Rectangle(512, 256, 512, 256)
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from matcap.synth.single import single_threaded
+from matcap.model.single import single_threaded
 
 
 @pytest.fixture(autouse=True)

@@ -15,12 +15,12 @@ import OpenImageIO as oiio
 import pytest
 import torch
 
+from matcap.brdf.folder import MapSetInfo, read_mapset
 from matcap.errors import MatcapError
-from matcap.export.mapset import MapSetInfo, read_mapset
-from matcap.synth.blocks import Grid, Rectangle
-from matcap.synth.field import Field, read_source
+from matcap.model.blocks import Grid, Rectangle
+from matcap.model.field import Field, read_source
+from matcap.model.source import material_source
 from matcap.synth.request import Files, Request, Work
-from matcap.synth.source import material_source
 from matcap.synth.stream import write_field
 
 # Blocks much smaller than the shipped ones: many of them take little time.

@@ -6,8 +6,8 @@ import io
 import pytest
 import torch
 
-from matcap.bench import synth
-from matcap.bench.synth import Settings, comma_separated, efficiency, markdown, paper_form
+from matcap.lab.bench import synth
+from matcap.lab.bench.synth import Settings, comma_separated, efficiency, markdown, paper_form
 from matcap.model.decoder import PAPER_CONFIG, Decoder
 from matcap.model.noise import noise_field
 
@@ -25,7 +25,7 @@ def test_the_papers_network_has_its_size():
 def test_the_papers_form_is_the_decoder_but_for_the_blur(material, monkeypatch):
     monkeypatch.setattr(synth, "_blurred", lambda features: features)
     noise = noise_field(1, 2, 0, 0, 96, 64)[None]
-    from matcap.model.field import random_field
+    from matcap.model.random_field import random_field
 
     field = random_field(1, 2, (), 0, 0, 96, 64, levels=4, period=(96, 64))
     with torch.no_grad():
@@ -53,8 +53,8 @@ def test_a_short_run_fills_the_tables():
 
 def test_counted_multiplications_are_those_of_the_network(material):
     """By hand: one level-0 convolution of the head, 2 channels to 6, on the block and its ring."""
-    from matcap.synth.blocks import Rectangle
-    from matcap.synth.source import area_of, material_source
+    from matcap.model.blocks import Rectangle
+    from matcap.model.source import area_of, material_source
 
     decoder = material_source(material, 0).decoder
     found = list(synth._convolutions(decoder, area_of(Rectangle(0, 0, 64, 32), (1, 1))))

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 
+from matcap.brdf.folder import MapSetInfo
 from matcap.errors import MatcapError
-from matcap.export.mapset import MapSetInfo
-from matcap.synth.blocks import Grid, Rectangle
+from matcap.model.blocks import Grid, Rectangle
+from matcap.model.source import material_source
 from matcap.synth.request import Request, Work
-from matcap.synth.source import material_source
 from matcap.synth.stream import write_field
 
 distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")

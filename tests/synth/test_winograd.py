@@ -5,12 +5,12 @@ import torch
 from draws import run
 
 from matcap.model import winograd
+from matcap.model.blocks import Rectangle
 from matcap.model.convolve import CHANNELS_LAST
 from matcap.model.decoder import PAPER_CONFIG, DecoderConfig
-from matcap.model.order import Wave
+from matcap.model.source import material_source
 from matcap.model.winograd import WINOGRAD
-from matcap.synth.blocks import Rectangle
-from matcap.synth.source import material_source
+from matcap.statistics.lattice import Wave
 
 WIDE = DecoderConfig(noise_channels=2, widths=(32, 32, 32, 32, 32), convolutions=(1, 1))
 BLOCK = Rectangle(512, -256, 128, 64)

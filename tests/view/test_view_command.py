@@ -13,9 +13,9 @@ import zlib
 import numpy as np
 import pytest
 
+from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
 from matcap.errors import UsageError
-from matcap.export.mapset import MapSetInfo, write_mapset
 from matcap.view.document import sealed_page
 from matcap.view.photograph import find_photograph
 from matcap.view.serve import HOST

@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from matcap.export.exr import write_exr
+from matcap.files.exr import write_exr
 from matcap.relight.pictures import encode
 from matcap.relight.render import relight
 from matcap.relight.scene import Camera, EnvironmentLight, Film, PointLight, Scene, Surface

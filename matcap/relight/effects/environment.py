@@ -9,7 +9,7 @@ Specular: visible normals are sampled at a lattice of 144 points or more, the sa
 each with the surroundings averaged over the solid angle it stands for (Krivanek and Colbert 2008).
 Only what differs from the mean radiance is sampled; the mean's part is known from the albedo
 tables. Suns, which few points would meet, are taken out of the picture and shine on their own. The
-error is measured in docs/relighting.md.
+error is measured in docs/notes/relighting.md.
 
 Left out: surroundings as bright everywhere as they are on average; exact albedo tables for both
 lobes. Cost: 144 lookups and about fifty operations each a pixel, a third of it where the
@@ -25,7 +25,7 @@ import numpy as np
 
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
 from matcap.relight.environment import Environment, Sun
-from matcap.relight.facts import Facts
+from matcap.relight.facts import WHOLE, Facts
 from matcap.relight.lobes import ggx_smith, schlick_weight
 from matcap.relight.sampling import Sample
 from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
@@ -40,8 +40,6 @@ _MOST = 4181
 _BLUR = np.float32(0.5)
 # Whether directions in the frame are clear of the relief, at all pixels of a block or at some.
 Horizon = Callable[[Vec, Array | None], Array]
-# The specular lobe reflects no more than this share, tables' rounding included.
-_WHOLE = 1.01
 
 
 def samples_for(tolerance: float) -> int:
@@ -50,14 +48,9 @@ def samples_for(tolerance: float) -> int:
     return round(min(max(wanted, SAMPLES), _MOST))
 
 
-def brightest(facts: Facts) -> float:
-    """Largest radiance that the environments can cause."""
-    return facts.sky * (facts.diffuse + _WHOLE)
-
-
 def mirrored_bound(facts: Facts) -> float:
     """Largest radiance that the environments can cause by the specular lobe."""
-    return facts.sky * _WHOLE
+    return facts.sky * WHOLE
 
 
 def bound(facts: Facts) -> Bound:
@@ -66,7 +59,7 @@ def bound(facts: Facts) -> Bound:
         return Bound(0.0, "there are no surroundings")
     if facts.sky_varying == 0.0 and facts.slope == 0.0:
         return Bound(0.0, "the surroundings are the same everywhere")
-    both = facts.diffuse + _WHOLE
+    both = facts.diffuse + WHOLE
     # The share of a tilted normal's hemisphere that lies below the plane, diffuse and specular.
     tilt = 1.0 if facts.slope > 0.0 else 0.0
     reason = f"radiance differs by up to {facts.sky_varying:.2g} from its mean"

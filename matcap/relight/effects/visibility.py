@@ -15,7 +15,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from matcap.relight.effects import environment
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
 from matcap.relight.horizons import AZIMUTHS, Horizons
@@ -29,7 +28,7 @@ def bound(facts: Facts) -> Bound:
     if facts.relief == 0.0:
         return Bound(0.0, "the surface is flat")
     slope = math.degrees(math.atan(facts.relief_slope))
-    return Bound(environment.brightest(facts), f"horizons of up to {slope:.3g} degrees")
+    return Bound(facts.surroundings, f"horizons of up to {slope:.3g} degrees")
 
 
 def horizon_test(horizons: Horizons, texel: Array) -> Callable[[Vec, Array | None], Array]:

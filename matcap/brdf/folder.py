@@ -1,0 +1,324 @@
+"""A map set as a folder of pictures with one JSON file.
+
+`<name>_diffuse.exr`, `_specular`, `_roughness` and `_normal` in half float, `_height` in 32-bit
+float, and `<name>.json`, which says what the numbers mean. On request also 16-bit PNGs. The folder
+is read back from the EXR files; the normal is derived from the height again.
+
+Keys:
+    format: "matcap map set".
+    version: 1.
+    matcap: version of the program that wrote it.
+    name: what the files are called.
+    width: texels.
+    height: texels.
+    x: of the left top texel in the endless field.
+    y: of the left top texel in the endless field, downwards.
+    seed: realisation of the material, or null.
+    periodic: whether the right border continues at the left one, and the bottom at the top.
+    texel_size: a texel's side in plane units.
+    height_scale: what one unit of the EXR height is, in plane units.
+    normal: "gl" (+Y up) or "dx" (+Y down).
+    maps: for each map its `file` and `meaning`, and with PNGs `png` and `png_encoding`.
+    png: with PNGs, `height_scale` and `height_midlevel`: height = (value - midlevel) * scale.
+    conventions: what axes, unit, reflectance and normals are, in words.
+    provenance: how the material was made.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import MatcapError, UsageError
+from matcap.files.exr import read_exr, write_exr
+from matcap.files.png import write_png
+from matcap.files.srgb import srgb_picture
+from matcap.files.staging import staged
+from matcap.version import __version__
+
+if TYPE_CHECKING:
+    from matcap.brdf.maps import MapSet
+
+NormalStyle = Literal["gl", "dx"]
+
+FORMAT = "matcap map set"
+VERSION = 1
+# Bytes a texel takes at most, for all maps: what is asked of the disk beforehand.
+EXR_BYTES = 2 * (3 + 1 + 1 + 3) + 4
+PNG_BYTES = 2 * (3 + 1 + 1 + 1 + 3)
+
+MEANINGS = {
+    "diffuse": "diffuse albedo, linear Rec.709, D65",
+    "specular": "specular albedo F0 of Schlick's Fresnel",
+    "roughness": "perceptual roughness; GGX alpha is its square",
+    "height": "height in plane units (half the photograph's long side)",
+    "normal": "unit normal, each component in [-1, 1]",
+}
+PNG_ENCODINGS = {
+    "diffuse": "sRGB",
+    "specular": "linear",
+    "roughness": "linear",
+    "height": "linear; height = (value - midlevel) * scale",
+    "normal": "linear; value = 0.5 + 0.5 n",
+}
+_CONVENTIONS = {
+    "x": "right",
+    "y": "up; row 0 is the top of the picture",
+    "z": "towards the camera",
+    "unit": "half the long side of the photograph",
+    "reflectance": "diffuse/pi + D G F / (4 (n.l)(n.v)); GGX, height-correlated Smith, Schlick",
+}
+
+
+@dataclass(frozen=True)
+class MapSetInfo:
+    """Where a map set comes from: what its JSON file says beside sizes and conventions.
+
+    Attributes:
+        name: what the files are called; a plain file name.
+        seed: the realisation of the material, or None when there is no such thing.
+        origin: (x, y) of the left top texel in the material's endless field.
+        provenance: how the material was made; any JSON.
+    """
+
+    name: str
+    seed: int | None = None
+    origin: tuple[int, int] = (0, 0)
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+def write_mapset(
+    maps: MapSet,
+    folder: str | Path,
+    info: MapSetInfo,
+    *,
+    png: bool = False,
+    normal: NormalStyle = "gl",
+) -> Path:
+    """Write a map set into a folder, all of its files or none; returns the JSON file's path.
+
+    A set of the same name is replaced, PNGs included.
+
+    Args:
+        maps: one map set without batch dimensions.
+        folder: made when missing.
+        info: name, seed, origin and provenance.
+        png: write 16-bit PNGs beside the EXR files.
+        normal: "gl" for +Y up (OpenGL), "dx" for +Y down (DirectX).
+
+    Raises:
+        UsageError: a name that is no plain file name.
+        MatcapError: values that are not finite, a full disk, an unwritable folder.
+    """
+    folder, name = Path(folder), plain_name(info.name)
+    arrays = _arrays(maps, normal)
+    document = mapset_document(
+        info, maps.size, maps.texel_size, periodic=maps.periodic, normal=normal
+    )
+    with staged(folder, replacing=mapset_files(name)) as stage:
+        for kind, pixels in arrays.items():
+            file = f"{name}_{kind}.exr"
+            write_exr(stage / file, pixels, half=kind != "height")
+            document["maps"][kind] = {"file": file, "meaning": MEANINGS[kind]}
+        if png:
+            scale, midlevel = height_range(arrays["height"])
+            document["png"] = {"height_scale": scale, "height_midlevel": midlevel}
+            for kind, pixels in arrays.items():
+                file = f"{name}_{kind}.png"
+                write_png(stage / file, coded(kind, pixels, scale, midlevel), bits=16)
+                document["maps"][kind] |= {"png": file, "png_encoding": PNG_ENCODINGS[kind]}
+        text = json.dumps(document, indent=2, allow_nan=False, default=str)
+        (stage / f"{name}.json").write_text(text + "\n")
+    return folder / f"{name}.json"
+
+
+def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
+    """Read a map set back: (maps as float32 on the CPU, the JSON document).
+
+    Args:
+        path: the set's JSON file, or a folder that holds exactly one set.
+
+    Raises:
+        MatcapError: no set or several in the folder, a missing, corrupt or misfitting map.
+    """
+    import torch
+
+    from matcap.brdf.maps import CHANNELS, MapSet
+
+    file = _find_document(Path(path))
+    document = _load_document(file)
+    if document is None:
+        raise MatcapError(
+            "this is not the JSON file of a map set",
+            where=str(file),
+            remedy="give the folder that matcap synth or matcap capture wrote",
+        )
+    try:
+        size = (int(document["width"]), int(document["height"]))
+        texel_size, periodic = float(document["texel_size"]), bool(document["periodic"])
+        files = {kind: plain_name(document["maps"][kind]["file"]) for kind in CHANNELS}
+        # Only where several maps share a file.
+        named = {kind: document["maps"][kind].get("channels") for kind in CHANNELS}
+    except (KeyError, TypeError, ValueError, UsageError) as error:
+        raise _broken(file, f"the entry {error} is missing or wrong") from error
+    if min(size) < 1 or not 0.0 < texel_size < float("inf"):
+        raise _broken(file, "a size is not positive")
+    maps = {}
+    for kind, channels in CHANNELS.items():
+        pixels = read_exr(file.parent / files[kind], size=size, channels=named[kind])
+        if pixels.shape[2] != channels:
+            raise MatcapError(
+                f"has {pixels.shape[2]} channels instead of {channels}",
+                where=str(file.parent / files[kind]),
+                remedy="write the map set again",
+            )
+        maps[kind] = torch.from_numpy(pixels).movedim(-1, 0).contiguous()
+    return MapSet(**maps, texel_size=texel_size, periodic=periodic), document
+
+
+def mapset_files(name: str) -> list[str]:
+    """Names of all the files that a map set of this name may have."""
+    maps = [f"{name}_{kind}.{suffix}" for kind in MEANINGS for suffix in ("exr", "png")]
+    return [*maps, f"{name}.json"]
+
+
+def mapset_bytes(width: int, height: int, *, png: bool) -> int:
+    """Disk space that a map set of this size takes at most."""
+    return width * height * (EXR_BYTES + (PNG_BYTES if png else 0)) + 1_000_000
+
+
+def find_mapsets(folder: Path) -> list[Path]:
+    """The JSON files of the map sets in a folder, sorted."""
+    return [file for file in sorted(folder.glob("*.json")) if _load_document(file) is not None]
+
+
+def _arrays(maps: MapSet, normal: NormalStyle) -> dict[str, NDArray[np.float32]]:
+    """Every map as the picture that is stored: (H, W, 3) or (H, W) float32."""
+    from matcap.brdf.maps import MAP_NAMES
+
+    if maps.height.ndim != 3:
+        raise ValueError("a map set is written without batch dimensions")
+    arrays = {}
+    for kind in MAP_NAMES:
+        tensor = getattr(maps, kind).detach().cpu().float()
+        arrays[kind] = tensor.movedim(0, -1).squeeze(-1).numpy()
+    if normal == "dx":
+        arrays["normal"] = arrays["normal"] * np.array([1.0, -1.0, 1.0], dtype=np.float32)
+    return arrays
+
+
+def mapset_document(
+    info: MapSetInfo,
+    size: tuple[int, int],
+    texel_size: float,
+    *,
+    periodic: bool,
+    normal: NormalStyle,
+) -> dict[str, Any]:
+    """The JSON document of a map set, its `maps` still empty."""
+    width, height = size
+    up = "up (OpenGL)" if normal == "gl" else "down (DirectX)"
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "matcap": __version__,
+        "name": info.name,
+        "width": width,
+        "height": height,
+        "x": info.origin[0],
+        "y": info.origin[1],
+        "seed": info.seed,
+        "periodic": periodic,
+        "texel_size": texel_size,
+        # What one unit of the EXR height is in plane units.
+        "height_scale": 1.0,
+        "normal": normal,
+        "maps": {},
+        "conventions": _CONVENTIONS | {"normal": f"+Y {up}"},
+        "provenance": info.provenance,
+    }
+
+
+def height_range(height: NDArray[np.float32]) -> tuple[float, float]:
+    """(scale, midlevel) such that height = (value - midlevel) * scale fills [0, 1]."""
+    low, high = float(height.min()), float(height.max())
+    if high > low:
+        return high - low, -low / (high - low)
+    return 1.0, 0.5 - low
+
+
+def coded(
+    kind: str, pixels: NDArray[np.float32], scale: float, midlevel: float
+) -> NDArray[np.float32]:
+    """What a PNG stores of a map, in [0, 1]."""
+    if kind == "diffuse":
+        return srgb_picture(pixels)
+    if kind == "normal":
+        return 0.5 + 0.5 * pixels
+    if kind == "height":
+        return pixels / scale + midlevel
+    return pixels
+
+
+def _find_document(path: Path) -> Path:
+    if path.is_file():
+        return path
+    if not path.is_dir():
+        raise MatcapError("no such file or folder", where=str(path), remedy="check the path")
+    found = find_mapsets(path)
+    if not found:
+        raise MatcapError(
+            "there is no map set in this folder",
+            where=str(path),
+            remedy="give a folder that matcap synth or matcap capture wrote",
+        )
+    if len(found) > 1:
+        names = ", ".join(file.name for file in found)
+        raise MatcapError(
+            f"there are {len(found)} map sets in this folder ({names})",
+            where=str(path),
+            remedy="name the JSON file of one of them",
+        )
+    return found[0]
+
+
+def _load_document(file: Path) -> dict[str, Any] | None:
+    """A map set's JSON document; None for any other file.
+
+    Raises:
+        MatcapError: the set was written by a later version.
+    """
+    try:
+        document = json.loads(file.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        return None
+    if document.get("version") != VERSION:
+        raise MatcapError(
+            f"map set of version {document.get('version')}, this matcap reads {VERSION}",
+            where=str(file),
+            remedy="update matcap",
+        )
+    return document
+
+
+def plain_name(name: str) -> str:
+    """The name itself when it is a plain file name, so that nothing leaves its folder."""
+    if (
+        not isinstance(name, str)
+        or not name
+        or name.startswith(".")
+        or any(mark in name for mark in "/\\\0")
+    ):
+        raise UsageError("is not a plain file name", where=repr(name)[:99], remedy="choose another")
+    return name
+
+
+def _broken(file: Path, what: str) -> MatcapError:
+    return MatcapError(what, where=str(file), remedy="write the map set again")

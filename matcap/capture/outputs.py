@@ -1,0 +1,76 @@
+"""Everything that one captured photograph leaves on disk, written together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from matcap.brdf.folder import MapSetInfo, NormalStyle, mapset_bytes, mapset_files, write_mapset
+from matcap.export.targets import export_bytes, export_mapset
+from matcap.files.staging import staged
+
+if TYPE_CHECKING:
+    from matcap.capture.pipeline import CaptureResult
+
+_BESIDES = 50_000_000  # material, preview and report, generously
+
+
+@dataclass(frozen=True)
+class OutputSettings:
+    """What is written beside the material.
+
+    Attributes:
+        size: (width, height) of the first map set in texels.
+        seed: its realisation.
+        png: 16-bit PNGs beside the EXR files.
+        normal: "gl" or "dx".
+        tile: the map set repeats without a seam; both sides are multiples of 16 then.
+        targets: what else the map set is written for, each into a folder of its name.
+    """
+
+    size: tuple[int, int] = (1024, 1024)
+    seed: int = 0
+    png: bool = False
+    normal: NormalStyle = "gl"
+    tile: bool = False
+    targets: tuple[str, ...] = ()
+
+    @property
+    def room(self) -> int:
+        """Bytes of disk that the outputs take at most."""
+        exports = len(self.targets) * export_bytes(*self.size)
+        return mapset_bytes(*self.size, png=self.png) + exports + _BESIDES
+
+
+def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings) -> Path:
+    """Write material, first map set, preview.png and report.json into a folder, all or none.
+
+    Exports to other programs come after them, each all or none.
+
+    Args:
+        result: of capture_photo.
+        folder: made when missing; the material and its maps are called as it is.
+        settings: what to write.
+
+    Returns:
+        The material's path.
+
+    Raises:
+        MatcapError: a full disk, an unwritable folder.
+    """
+    from matcap.capture.preview import write_preview
+    from matcap.capture.report import write_report
+
+    material, name = result.material, folder.name
+    period = settings.size if settings.tile else None
+    maps = material.maps(*settings.size, seed=settings.seed, period=period)
+    info = MapSetInfo(name, settings.seed, provenance=dict(material.provenance))
+    with staged(folder, replacing=mapset_files(name)) as stage:
+        write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
+        write_preview(result, stage / "preview.png")
+        write_report(result, stage / "report.json")
+        material.save(stage / f"{name}.matcap")
+    for target in settings.targets:
+        export_mapset(folder / f"{name}.json", target)
+    return folder / f"{name}.matcap"

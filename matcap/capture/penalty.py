@@ -1,0 +1,83 @@
+"""What maps pay for being what the photograph does not call for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+
+# How far the coarse fit's diffuse albedo, F0 and roughness are believed, in logits: the texture's
+# bumps widen the highlight, so its roughness tells little.
+_BELIEF = (0.4, 0.4, 0.4, 0.6, 2.0)
+_LOGIT_EPSILON = 1e-4
+# Specks are paid for once half of the work is done: what belongs there, as metal between rust,
+# begins as specks too, and has spread by then.
+_OUTLIERS_FROM = 0.5  # share of the work
+_OUTLIER = 4.0  # standard deviations of a map
+_EVEN = 0.05  # in logits, added to the standard deviation: an even map has none
+_STEEP = 1.0  # slopes beyond 45 degrees are not relief a flash photograph shows
+
+
+@dataclass(frozen=True)
+class Penalties:
+    """Weights beside the distance of statistics.
+
+    Attributes:
+        slope: of the mean squared slope; relief must pay for itself.
+        steep: of squared slopes beyond 45 degrees.
+        specular, roughness: of their logits' variance; what diffuse albedo explains as well is
+            not to become blotches of gloss.
+        departure: of mean maps that leave the coarse fit, in its squared deviations.
+        outlier: of texels beyond _OUTLIER standard deviations of diffuse albedo, F0 or roughness,
+            in their squared excess; few of them do not show in the statistics.
+    """
+
+    slope: float = 0.005
+    specular: float = 0.02
+    roughness: float = 0.01
+    departure: float = 0.003
+    outlier: float = 0.05
+    steep: float = 0.3
+
+
+def price(maps: MapSet, expected: Tensor | None, weights: Penalties, share: float) -> Tensor:
+    """What maps (B, ., H, W) pay; a number, differentiable.
+
+    Args:
+        maps: of one step.
+        expected: (5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None.
+        weights: of the terms.
+        share: of the work that is done.
+    """
+    normal = maps.normal
+    squared = (normal[:, :2] / normal[:, 2:]).square().sum(dim=1)
+    steep = torch.relu((squared + 1e-6).sqrt() - _STEEP).square().mean()
+    penalty = weights.slope * squared.mean() + weights.steep * steep
+    specular = torch.logit(maps.specular, eps=_LOGIT_EPSILON)
+    roughness = torch.logit(maps.roughness, eps=_LOGIT_EPSILON)
+    penalty = penalty + weights.specular * specular.var()
+    penalty = penalty + weights.roughness * roughness.var()
+    if share > _OUTLIERS_FROM:
+        diffuse = torch.logit(maps.diffuse, eps=_LOGIT_EPSILON)
+        penalty = penalty + weights.outlier * _outlying([diffuse, specular, roughness])
+    if expected is not None:
+        penalty = penalty + weights.departure * _departure(maps, expected)
+    return penalty
+
+
+def _outlying(logits: list[Tensor]) -> Tensor:
+    reflectance = torch.cat(logits, dim=1)
+    apart = reflectance - reflectance.mean(dim=(0, 2, 3), keepdim=True)
+    variance = apart.square().mean(dim=(0, 2, 3), keepdim=True)
+    outlying = torch.relu(apart.abs() / (variance + _EVEN**2).sqrt() - _OUTLIER)
+    return outlying.square().mean((0, 2, 3)).sum()
+
+
+def _departure(maps: MapSet, expected: Tensor) -> Tensor:
+    # The fit saw a blurred photograph: what it says is the mean, not the mean of logits.
+    linear = torch.cat([maps.diffuse, maps.specular, maps.roughness], dim=1)
+    means = torch.logit(linear.mean(dim=(0, 2, 3)), eps=_LOGIT_EPSILON)
+    return ((means - expected) / expected.new_tensor(_BELIEF)).square().sum()

@@ -1,0 +1,71 @@
+"""How far a capture is: its stages, and what fine-tuning may still bring."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from matcap.capture.anytime import forecast
+
+_FORECAST_EVERY = 20  # steps
+_MINUTE = 60.0  # seconds
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a capture is.
+
+    Attributes:
+        stage: its name.
+        fraction: of the stage, in [0, 1].
+        error: running error of fine-tuning, or None.
+        seconds: since the start.
+        seconds_left: expected, or None.
+        in_a_minute: error to be expected if it went on for another minute, or None.
+    """
+
+    stage: str
+    fraction: float
+    error: float | None
+    seconds: float
+    seconds_left: float | None
+    in_a_minute: float | None = None
+
+
+class Clock:
+    """Times the stages of a capture and tells the caller how far things are.
+
+    Attributes:
+        seconds: of each stage that is over.
+    """
+
+    def __init__(self, tell: Callable[[Progress], None] | None) -> None:
+        self.seconds: dict[str, float] = {}
+        self._tell = tell or _nobody
+        self._started = time.monotonic()
+        self._history: list[tuple[float, int, float]] = []
+        self._ahead: float | None = None
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """A stage, while the block runs."""
+        began = time.monotonic()
+        self._tell(Progress(name, 0.0, None, began - self._started, None))
+        yield
+        self.seconds[name] = time.monotonic() - began
+        self._tell(Progress(name, 1.0, None, time.monotonic() - self._started, None))
+
+    def tuning(self, share: float, error: float, seconds: float) -> None:
+        """A step of fine-tuning is done: share of all, running error, seconds of it so far."""
+        left = seconds * (1.0 - share) / share if share > 0.01 else None
+        elapsed = time.monotonic() - self._started
+        self._history.append((seconds, len(self._history) + 1, error))
+        if len(self._history) % _FORECAST_EVERY == 0:
+            self._ahead = forecast(self._history, _MINUTE)
+        self._tell(Progress("fine-tuning", share, error, elapsed, left, self._ahead))
+
+
+def _nobody(progress: Progress) -> None:
+    """Listens."""

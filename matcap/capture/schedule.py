@@ -1,0 +1,51 @@
+"""When a run of fine-tuning ends, when it freezes, and how fast it learns."""
+
+from __future__ import annotations
+
+import math
+import time
+
+WARM_UP = 10  # steps
+_FLOOR = 0.05  # of the learning rate, at the end of the cosine
+_FROZEN_SHARE = 0.15  # of the work, at the end, done with frozen statistics
+
+
+class Schedule:
+    """Where a run is: by steps, by time, or by its error, whichever comes first.
+
+    Attributes:
+        step: how many are done.
+        share: of the work done, in [0, 1], as `over` found it.
+        seconds: of the work so far.
+    """
+
+    def __init__(self, steps: int, seconds: float | None, target: float | None) -> None:
+        """At most so many steps and seconds; at the target error only the frozen end is left."""
+        self.step, self.share = 0, 0.0
+        self._steps, self._limit, self._target = steps, seconds, target
+        self._started = time.monotonic()
+
+    def over(self, error: float) -> bool:
+        """Look where the run is, by the clock and by its running error; whether it is done."""
+        if self._target is not None and error <= self._target and self.step >= WARM_UP:
+            self._steps = min(self._steps, math.ceil(self.step / (1.0 - _FROZEN_SHARE)))
+        self.share = self.step / self._steps
+        if self._limit is not None:
+            self.share = max(self.share, self.seconds / self._limit)
+        return self.share >= 1.0
+
+    @property
+    def seconds(self) -> float:
+        """Since the beginning."""
+        return time.monotonic() - self._started
+
+    @property
+    def freezes(self) -> bool:
+        """Whether what is left is done with frozen statistics."""
+        return self.share >= 1.0 - _FROZEN_SHARE
+
+    @property
+    def pace(self) -> float:
+        """Share of the learning rate: a warm-up, then a cosine down to _FLOOR."""
+        warm = min(1.0, (self.step + 1) / WARM_UP)
+        return warm * (_FLOOR + (1.0 - _FLOOR) * (0.5 + 0.5 * math.cos(math.pi * self.share)))

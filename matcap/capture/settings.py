@@ -1,0 +1,148 @@
+"""What the user decides of a capture, and what follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+from matcap.capture.detail import DETAIL
+from matcap.errors import UsageError
+from matcap.model.decoder import DecoderConfig
+from matcap.statistics.filterbank import FilterBankConfig
+
+FEATURES = FilterBankConfig(sizes=(5,), filters=64)
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What a capture spends.
+
+    Attributes:
+        preset: whose effort it is, a key of PRESETS.
+        steps: of fine-tuning.
+        places: windows a step; all see the same maps, so one more costs a fifth more.
+        matched: mean and contrast moved to the photograph's at the end (match.py).
+    """
+
+    preset: str
+    steps: int
+    places: int = 2
+    matched: bool = True
+
+
+# docs/notes/capture.md has what each costs and buys.
+PRESETS: Mapping[str, Effort] = MappingProxyType(
+    {
+        effort.preset: effort
+        for effort in (
+            Effort("instant", 0),
+            Effort("draft", 32, matched=False),
+            Effort("standard", 160, places=3),
+            Effort("high", 320, places=3),
+            Effort("reference", 800),
+        )
+    }
+)
+# Where a time limit or a target alone decides when to stop: as many steps as there are.
+UNLIMITED = "reference"
+
+
+@dataclass(frozen=True)
+class CaptureSettings:
+    """What the user decides.
+
+    Attributes:
+        preset: a key of PRESETS.
+        steps: of fine-tuning, instead of the preset's.
+        time_limit: of fine-tuning in seconds, or None.
+        target: error to end at, as a multiple of what the photograph's own windows differ by.
+        detail: texels across the photograph's long side; by default DETAIL, or half of it where
+            the texture is coarse (detail.py).
+        fov: field of view across the long side in degrees, instead of the photograph's.
+        seed: of everything random.
+        prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
+        statistics: that textures are compared by: "filterbank", or "vgg19=FILE" with
+            torchvision's weights.
+
+    With a time limit or a target, and without steps, the preset is "reference": the limit alone
+    decides when to stop.
+    """
+
+    preset: str = "standard"
+    steps: int | None = None
+    time_limit: float | None = None
+    target: float | None = None
+    detail: int | None = None
+    fov: float | None = None
+    seed: int = 0
+    prior: str = "auto"
+    statistics: str = "filterbank"
+
+    @property
+    def most_detail(self) -> int:
+        """Texels along the long side that a photograph has to be read with."""
+        return self.detail or DETAIL
+
+
+def weights_file(statistics: str) -> Path | None:
+    """VGG-19's weights that textures are compared by; None for the filter bank.
+
+    Args:
+        statistics: "filterbank" or "vgg19=FILE".
+
+    Raises:
+        UsageError: neither.
+    """
+    name, _, path = statistics.partition("=")
+    if name == "vgg19" and path:
+        return Path(path)
+    if statistics != "filterbank":
+        raise UsageError(
+            f"there are no statistics {statistics!r}",
+            remedy="choose filterbank, or vgg19=FILE with torchvision's weights",
+        )
+    return None
+
+
+@dataclass(frozen=True)
+class Method:
+    """How it is done: nothing that users decide, but what `matcap bench capture` measures.
+
+    Attributes:
+        window: texels a side of what is compared; many cheap steps beat few exact ones.
+        features: that textures are compared by.
+        decoder: shape of the decoder, where there is no prior to say it.
+        half_precision: bfloat16 inside the network and the features.
+        places: windows a step, instead of the preset's.
+        matched: at the end, instead of as the preset says.
+    """
+
+    window: int = 160
+    features: FilterBankConfig = FEATURES
+    decoder: DecoderConfig = DecoderConfig()
+    half_precision: bool = True
+    places: int | None = None
+    matched: bool | None = None
+
+
+def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
+    """What a capture with these settings spends.
+
+    Raises:
+        UsageError: an unknown preset.
+    """
+    if settings.preset not in PRESETS:
+        raise UsageError(
+            f"there is no preset {settings.preset!r}", remedy=f"choose one of {', '.join(PRESETS)}"
+        )
+    limited = settings.time_limit is not None or settings.target is not None
+    effort = PRESETS[UNLIMITED if limited and settings.steps is None else settings.preset]
+    if settings.steps is not None:
+        effort = replace(effort, steps=settings.steps)
+    if method is not None and method.places is not None:
+        effort = replace(effort, places=method.places)
+    if method is not None and method.matched is not None:
+        effort = replace(effort, matched=method.matched)
+    return effort

@@ -1,0 +1,39 @@
+"""One picture to one file: linear EXR or sRGB PNG, by suffix."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import UsageError
+from matcap.files.exr import write_exr
+from matcap.files.png import write_png
+from matcap.files.srgb import srgb_picture
+from matcap.files.staging import staged
+
+SUFFIXES = (".exr", ".png")
+
+
+def check_picture_path(path: Path) -> None:
+    """Raise UsageError unless the suffix is one that write_picture knows."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(
+            f"unknown picture format '{path.suffix}'", where=str(path), remedy="use .exr or .png"
+        )
+
+
+def write_picture(image: NDArray[np.float32], path: Path) -> None:
+    """Write a linear Rec.709 picture (H, W, 3): .exr as float32 radiance, .png as 8-bit sRGB.
+
+    Raises:
+        UsageError: another suffix.
+        MatcapError: values that are not finite; the file cannot be written.
+    """
+    check_picture_path(path)
+    with staged(path.parent) as stage:
+        if path.suffix.lower() == ".exr":
+            write_exr(stage / path.name, image, half=False)
+        else:
+            write_png(stage / path.name, srgb_picture(image), bits=8)

@@ -1,0 +1,51 @@
+"""The sRGB curve between linear light and code values (IEC 61966-2-1), for NumPy and PyTorch.
+
+A line near black and a power above it: code = 12.92 light up to light = 0.0031308, and
+1.055 light^(1/2.4) - 0.055 beyond. Half the light is code 0.735357, and half the code is light
+0.214041. Below 0 the line goes on; above 1 the power does. Slopes are finite everywhere.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Values = NDArray[np.float64]
+
+# Where line and power meet, in code values and in light.
+_KNEE_CODE, _KNEE_LIGHT = 0.04045, 0.0031308
+
+
+def srgb_decode(code: Values) -> Values:
+    """Linear light of code values, any shape; the code 0.5 is the light 0.214041."""
+    power = ((np.maximum(code, _KNEE_CODE) + 0.055) / 1.055) ** 2.4
+    return np.where(code <= _KNEE_CODE, code / 12.92, power)
+
+
+def srgb_encode(light: Values) -> Values:
+    """Code values of linear light, any shape; the light 0.5 is the code 0.735357."""
+    power = 1.055 * np.maximum(light, _KNEE_LIGHT) ** (1.0 / 2.4) - 0.055
+    return np.where(light <= _KNEE_LIGHT, light * 12.92, power)
+
+
+def srgb_picture(linear: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Linear light to code values as a picture stores them: both clipped to [0, 1]."""
+    clipped = np.clip(linear, 0.0, 1.0).astype(np.float64)
+    return srgb_encode(clipped).astype(np.float32)
+
+
+def srgb_decode_tensor(code: Tensor) -> Tensor:
+    """The same as srgb_decode for PyTorch; its gradient is finite everywhere."""
+    power = ((code.clamp_min(_KNEE_CODE) + 0.055) / 1.055).pow(2.4)
+    return (code / 12.92).where(code <= _KNEE_CODE, power)
+
+
+def srgb_encode_tensor(light: Tensor) -> Tensor:
+    """The same as srgb_encode for PyTorch; its gradient is finite everywhere."""
+    power = 1.055 * light.clamp_min(_KNEE_LIGHT).pow(1.0 / 2.4) - 0.055
+    return (12.92 * light).where(light <= _KNEE_LIGHT, power)

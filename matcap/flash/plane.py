@@ -1,0 +1,66 @@
+"""Plane: a photograph as its plane looks from straight above, ready to be compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.rectify import rectify, rectify_noise
+from matcap.photo.photo import Photo
+from matcap.statistics.encoding import Encoding, fit_encoding
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A rectified photograph.
+
+    Attributes:
+        linear: (3, H, W) scene-linear picture; lighting is left as photographed.
+        valid: (H, W) bool, texels seen by the camera and not clipped.
+        noise: (3, H, W) one more draw of the sensor's noise, in the picture's units, or None where
+            it is not known.
+        encoding: the colour space in which its texture is compared.
+    """
+
+    linear: Tensor
+    valid: Tensor
+    noise: Tensor | None
+    encoding: Encoding
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in texels."""
+        return self.linear.shape[-1], self.linear.shape[-2]
+
+    @property
+    def texel_size(self) -> float:
+        """A texel's side in plane units: the width spans x in [-1, 1]."""
+        return 2.0 / self.linear.shape[-1]
+
+    def encoded(self) -> Tensor:
+        """(3, H, W) texture colour of about unit variance, shading included."""
+        return self.encoding(self.linear[None])[0]
+
+    def brightened(self, gain: float) -> Plane:
+        """The same picture as by so many times the light; the encoding stays."""
+        noise = None if self.noise is None else self.noise * gain
+        return replace(self, linear=self.linear * gain, noise=noise)
+
+
+def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
+    """A photograph on the plane's own grid, `detail` texels across its long side.
+
+    Args:
+        photo: the photograph.
+        setup: its geometry; only field of view and tilt matter here.
+        detail: texels across.
+    """
+    linear, valid = rectify(photo, setup, detail)
+    return plane_of(linear, valid, rectify_noise(photo, setup, detail))
+
+
+def plane_of(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> Plane:
+    """A picture that is rectified already, with its own encoding; arguments as in Plane."""
+    return Plane(linear, valid, noise, fit_encoding(linear, valid, noise))

@@ -1,0 +1,1 @@
+"""The laboratory: simulate, measure, bench, train. The product never imports it; only cli does."""

@@ -1,0 +1,133 @@
+"""Materials under lights they were not photographed with, as the photograph's camera sees them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.files.srgb import srgb_encode_tensor
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.render import shade
+
+LIGHTS = 10
+_GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
+# Degrees from the plane's normal: well away from a flash beside the lens, and not yet grazing.
+_NEAREST, _FURTHEST = 25.0, 65.0
+_DISTANCES = (1.5, 3.0)  # plane units
+_ROWS = 128  # shaded at a time
+
+
+@dataclass(frozen=True)
+class PointLight:
+    """A point light above the plane.
+
+    Attributes:
+        place: plane frame, plane units.
+        strength: radiant intensity as a multiple of the flash's.
+    """
+
+    place: tuple[float, float, float]
+    strength: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Where camera and lights are.
+
+    Attributes:
+        distance: of the camera from the plane, straight above its middle.
+        lights: that shine one at a time.
+    """
+
+    distance: float
+    lights: tuple[PointLight, ...]
+
+
+def bench_scene(flash: FlashSetup) -> Scene:
+    """The photograph's camera and the bench's fixed lights, spread over the hemisphere in a spiral.
+
+    Each light is as strong as makes a white matte plane's middle as bright as a flash at the
+    camera's place does, so that one exposure fits all.
+    """
+    found = []
+    for index in range(LIGHTS):
+        share = (index + 0.5) / LIGHTS
+        polar = math.radians(_NEAREST + (_FURTHEST - _NEAREST) * share)
+        # Near and far take turns, so that height and distance are not bound together.
+        distance = _DISTANCES[0] + (_DISTANCES[1] - _DISTANCES[0]) * ((3 * index) % LIGHTS) / 9.0
+        around = index * _GOLDEN_ANGLE
+        place = (
+            distance * math.sin(polar) * math.cos(around),
+            distance * math.sin(polar) * math.sin(around),
+            distance * math.cos(polar),
+        )
+        strength = (distance / flash.distance) ** 2 / math.cos(polar)
+        found.append(PointLight(place, strength))
+    return Scene(flash.distance, tuple(found))
+
+
+def relight(
+    maps: MapSet,
+    intensity: tuple[float, float, float],
+    scene: Scene,
+    light: PointLight,
+    *,
+    finer: int = 1,
+    blur: float = 0.0,
+) -> Tensor:
+    """(3, H, W) float32 sRGB picture in [0, 1] of maps in the middle of the plane.
+
+    The light's strength is relative to the flash that goes with the maps, so the gain between
+    flash and albedo, which one photograph cannot tell, cancels. Exposure is the photograph's;
+    clipped at 1.
+
+    Args:
+        maps: one map set without batch dimensions.
+        intensity: of the flash that goes with the maps.
+        scene: where the camera is.
+        light: where and how strong.
+        finer: the maps have this many texels a side to each pixel; their radiance is averaged.
+        blur: standard deviation of the lens's blur before that, in texels.
+    """
+    width, height = maps.size
+    camera = torch.tensor([0.0, 0.0, scene.distance])
+    place = torch.tensor(light.place)
+    power = torch.tensor(intensity) * light.strength
+    # plane_points counts in half widths of its grid.
+    half_width = maps.texel_size * width / 2.0
+    strips = []
+    for top in range(0, height, _ROWS):
+        first, last = max(0, top - 1), min(height, top + _ROWS + 1)
+        strip = maps.crop(0, first, width, last - first).map(lambda m: m.float())
+        points = half_width * plane_points(
+            0, first, width, last - first, (width, height), dtype=torch.float32
+        )
+        shaded = shade(strip, points, camera, place, power)
+        strips.append(shaded[:, top - first : min(height, top + _ROWS) - first])
+    linear = torch.cat(strips, dim=1)
+    if blur:
+        linear = torch.from_numpy(
+            cv2.GaussianBlur(linear.permute(1, 2, 0).contiguous().numpy(), (0, 0), blur)
+        ).permute(2, 0, 1)
+    return srgb_encode_tensor(F.avg_pool2d(linear, finer).clamp(0.0, 1.0))
+
+
+def relight_all(
+    maps: MapSet,
+    intensity: tuple[float, float, float],
+    scene: Scene,
+    *,
+    finer: int = 1,
+    blur: float = 0.0,
+) -> Tensor:
+    """(L, 3, H, W) pictures under each light of a scene."""
+    pictures = [
+        relight(maps, intensity, scene, light, finer=finer, blur=blur) for light in scene.lights
+    ]
+    return torch.stack(pictures)

@@ -1,0 +1,201 @@
+"""One table for every bench that trades accuracy for time: a CSV with a line a measurement.
+
+A bench appends a line as soon as it has it, and skips what is there already, so that a sweep can
+be stopped and taken up again. plot.py draws tables, report.py writes
+docs/notes/accuracy-and-time.md.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import platform
+import statistics
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from matcap.errors import MatcapError
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One thing done one way, once.
+
+    Attributes:
+        bench: what was measured: "capture", "synth", "relight".
+        group: what was varied: "preset", "steps", "window" and the like.
+        point: which way it was done; the same on every subject.
+        subject: on what: a material, a scene.
+        seconds: by the wall's clock.
+        megabytes: most memory the process held; NaN where not measured.
+        error: how far from the truth; what it counts in, the bench's page says.
+        flash: of captures: the same for the photograph's own light; else NaN.
+        diversity: of captures: how far two pieces are apart, as a share of what true ones are.
+        machine: that did it.
+    """
+
+    bench: str
+    group: str
+    point: str
+    subject: str
+    seconds: float
+    megabytes: float
+    error: float
+    flash: float = math.nan
+    diversity: float = math.nan
+    machine: str = ""
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What makes it the same measurement made again."""
+        return self.bench, self.point, self.subject
+
+
+@dataclass(frozen=True)
+class Point:
+    """A way of doing it, over all its subjects.
+
+    Attributes:
+        group, name: of the measurements.
+        subjects: how many.
+        seconds, megabytes, error, flash, diversity: means over the subjects.
+        spread: standard deviation of the error over the subjects.
+    """
+
+    group: str
+    name: str
+    subjects: int
+    seconds: float
+    megabytes: float
+    error: float
+    spread: float
+    flash: float
+    diversity: float
+
+
+_COLUMNS = tuple(field.name for field in fields(Measurement))
+_NUMBERS = ("seconds", "megabytes", "error", "flash", "diversity")
+
+
+def read(path: Path) -> list[Measurement]:
+    """The measurements in a CSV; none where there is no file. A torn last line is left out.
+
+    Raises:
+        MatcapError: it is no such table.
+    """
+    if not path.exists():
+        return []
+    try:
+        whole = path.read_text(encoding="utf-8").rpartition("\n")[0]
+        return [_measurement(row) for row in csv.DictReader(whole.splitlines())]
+    except (KeyError, TypeError, ValueError, UnicodeDecodeError, csv.Error) as error:
+        raise MatcapError(
+            f"this is not a table of measurements ({error})",
+            where=str(path),
+            remedy="give a CSV that matcap bench wrote",
+        ) from error
+
+
+def append(path: Path, measured: Measurement) -> None:
+    """Add a line in place of a torn one, if a sweep was killed; the heading where it is new."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    before = path.read_bytes() if path.exists() else b""
+    with path.open("a", newline="", encoding="utf-8") as file:
+        file.truncate(before.rfind(b"\n") + 1)
+        writer = csv.writer(file, lineterminator="\n")
+        if not before.count(b"\n"):
+            writer.writerow(_COLUMNS)
+        writer.writerow([_text(getattr(measured, name)) for name in _COLUMNS])
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def points(measured: Iterable[Measurement]) -> list[Point]:
+    """Means over the subjects, in the order of the first measurement; the last one counts."""
+    latest = {one.key: one for one in measured}
+    by_point: dict[str, list[Measurement]] = {}
+    for one in latest.values():
+        by_point.setdefault(one.point, []).append(one)
+    return [
+        Point(
+            group=found[0].group,
+            name=name,
+            subjects=len(found),
+            seconds=_mean([one.seconds for one in found]),
+            megabytes=_mean([one.megabytes for one in found]),
+            error=_mean([one.error for one in found]),
+            spread=_deviation([one.error for one in found]),
+            flash=_mean([one.flash for one in found]),
+            diversity=_mean([one.diversity for one in found]),
+        )
+        for name, found in by_point.items()
+    ]
+
+
+def comparable(found: Sequence[Point]) -> list[Point]:
+    """Those measured on as many subjects as any, and at the sweep's own detail.
+
+    At another detail the true pieces are others, and so is the floor.
+    """
+    most = max((point.subjects for point in found), default=0)
+    return [point for point in found if point.subjects == most and point.group != "detail"]
+
+
+def front(found: Sequence[Point]) -> list[Point]:
+    """The Pareto front of what is comparable, fastest first: none is both as fast and as good."""
+    best, least = [], math.inf
+    for point in sorted(comparable(found), key=lambda point: (point.seconds, point.error)):
+        if point.error < least:
+            best.append(point)
+            least = point.error
+    return best
+
+
+def machine() -> str:
+    """The processor, its cores and the threads in use, and the system."""
+    import torch
+
+    return (
+        f"{_processor()}, {os.cpu_count()} cores, {torch.get_num_threads()} threads, "
+        f"{platform.system()}, torch {torch.__version__.split('+')[0]}"
+    )
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass  # no such file but on Linux
+    return platform.processor() or platform.machine()
+
+
+def _measurement(row: dict[str, str]) -> Measurement:
+    numbers = {name: float(row[name] or "nan") for name in _NUMBERS}
+    words = {name: row[name] for name in _COLUMNS if name not in numbers}
+    return Measurement(**words, **numbers)  # type: ignore[arg-type]
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else f"{value:.6g}"
+    return str(value)
+
+
+def _known(values: Sequence[float]) -> list[float]:
+    return [value for value in values if not math.isnan(value)]
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Of those that are numbers."""
+    known = _known(values)
+    return statistics.fmean(known) if known else math.nan
+
+
+def _deviation(values: Sequence[float]) -> float:
+    """Of those that are numbers."""
+    known = _known(values)
+    return statistics.pstdev(known) if known else math.nan

@@ -1,0 +1,261 @@
+"""What this installation is made of, and whether it works: facts for reports of faults."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from matcap.errors import MatcapError
+from matcap.version import __version__
+
+_PLACE = Path(__file__).parents[1]  # the installed package
+_SIDE = 256  # texels of the self-test's maps
+
+
+@dataclass(frozen=True)
+class Package:
+    """A package that matcap needs or can use.
+
+    Attributes:
+        name: on PyPI.
+        version: installed, or None.
+    """
+
+    name: str
+    version: str | None
+
+
+@dataclass(frozen=True)
+class Extra:
+    """An optional part of matcap.
+
+    Attributes:
+        name: in brackets after `matcap`.
+        packages: what it consists of.
+    """
+
+    name: str
+    packages: tuple[Package, ...]
+
+    @property
+    def installed(self) -> bool:
+        """Whether all of it is there."""
+        return all(package.version for package in self.packages)
+
+    @property
+    def command(self) -> str:
+        """How to install it."""
+        return f'pip install "matcap[{self.name}]"'
+
+
+@dataclass(frozen=True)
+class Check:
+    """One step of the self-test.
+
+    Attributes:
+        name: what was tried.
+        seconds: how long it took.
+        fault: what went wrong, or None.
+    """
+
+    name: str
+    seconds: float
+    fault: str | None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All of it.
+
+    Attributes:
+        matcap: version.
+        python: version.
+        system: operating system and processor.
+        place: where matcap is installed.
+        cores: this process may use.
+        devices: what torch can compute on.
+        prior: bytes of the trained prior that comes along, or None where it is missing.
+        packages: what matcap cannot do without.
+        extras: what it can.
+        checks: the self-test, in order; it stops at the first fault.
+    """
+
+    matcap: str
+    python: str
+    system: str
+    place: str
+    cores: int
+    devices: tuple[str, ...]
+    prior: int | None
+    packages: tuple[Package, ...]
+    extras: tuple[Extra, ...]
+    checks: tuple[Check, ...]
+
+    @property
+    def healthy(self) -> bool:
+        """Whether everything needed is there and works."""
+        whole = self.prior is not None and all(one.version for one in self.packages)
+        return whole and all(check.fault is None for check in self.checks)
+
+    def as_json(self) -> dict[str, Any]:
+        """The same as JSON."""
+        report = asdict(self)
+        for extra, told in zip(self.extras, report["extras"], strict=True):
+            told |= {"installed": extra.installed, "command": extra.command}
+        return report | {"healthy": self.healthy}
+
+    def text(self) -> str:
+        """The same for reading."""
+        lines = [
+            f"matcap {self.matcap} in {self.place}",
+            f"Python {self.python}, {self.system}",
+            f"{self.cores} cores; devices: {', '.join(self.devices) or 'unknown'}",
+            "prior " + ("MISSING" if self.prior is None else f"{self.prior / 1e6:.1f} MB"),
+            "",
+            "Needed",
+            *(f"  {one.name:<32} {one.version or 'MISSING'}" for one in self.packages),
+            "",
+            "Extras",
+        ]
+        for extra in self.extras:
+            parts = ", ".join(f"{one.name} {one.version or '-'}" for one in extra.packages)
+            lines.append(f"  {extra.name:<10} {parts}")
+            if not extra.installed:
+                lines.append(f"  {'':<10} not installed: {extra.command}")
+        lines += ["", "Self-test"] if self.checks else []
+        for check in self.checks:
+            lines.append(f"  {check.name:<32} {check.fault or 'ok'}, {check.seconds:.1f} s")
+        lines += ["", "All is well." if self.healthy else "Something is wrong; see above."]
+        return "\n".join(lines)
+
+
+def diagnose(*, self_test: bool = True) -> Diagnosis:
+    """Look at the installation; never fails.
+
+    Args:
+        self_test: try the way from the prior to a picture, too; seconds.
+    """
+    packages, extras = _requirements()
+    missing = [package.name for package in packages if package.version is None]
+    return Diagnosis(
+        matcap=__version__,
+        python=platform.python_version(),
+        system=f"{platform.system()} {platform.machine()}",
+        place=str(_PLACE),
+        cores=_cores(),
+        devices=_devices(),
+        prior=_prior(),
+        packages=packages,
+        extras=extras,
+        checks=_self_test() if self_test and not missing else (),
+    )
+
+
+def _requirements() -> tuple[tuple[Package, ...], tuple[Extra, ...]]:
+    """Packages needed, and extras, as the installed metadata state them."""
+    needed: list[Package] = []
+    extras: dict[str, list[Package]] = {}
+    try:
+        stated = requires("matcap") or []
+    except PackageNotFoundError:
+        stated = []
+    for requirement in stated:
+        named = re.match(r"[A-Za-z0-9._-]+", requirement)
+        belongs = re.search(r"extra\s*==\s*['\"]([^'\"]+)", requirement)
+        if named is None:
+            continue
+        package = Package(named[0], _version(named[0]))
+        if belongs is None:
+            needed.append(package)
+        elif belongs[1] != "dev":
+            extras.setdefault(belongs[1], []).append(package)
+    return tuple(needed), tuple(Extra(name, tuple(parts)) for name, parts in extras.items())
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _devices() -> tuple[str, ...]:
+    """What torch can compute on; nothing where torch cannot be loaded."""
+    try:
+        import torch
+    except (ImportError, OSError):
+        return ()
+    graphics = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
+    return ("cpu", *graphics)
+
+
+def _prior() -> int | None:
+    file = _PLACE / "capture" / "prior" / "weights" / "prior.safetensors"
+    return file.stat().st_size if file.is_file() else None
+
+
+def _self_test() -> tuple[Check, ...]:
+    """From the prior that comes along to a picture and back from disk."""
+    from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
+    from matcap.capture.prior.store import load_prior
+    from matcap.export.targets import export_mapset
+    from matcap.relight.render import relight
+
+    found: dict[str, Any] = {}
+
+    def draw() -> None:
+        found["material"] = load_prior().draw(0)
+
+    def field() -> None:
+        found["maps"] = found["material"].maps(_SIDE, _SIDE, seed=0)
+
+    def light() -> None:
+        picture = relight(found["maps"], "top")
+        if not 0.0 < float(picture.mean()) < 1e3:
+            raise MatcapError("the picture is black or not finite")
+
+    def disk() -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            write_mapset(found["maps"], folder, MapSetInfo("test"))
+            back, _ = read_mapset(folder)
+            if (back.height != found["maps"].height).any():
+                raise MatcapError("a map set does not come back as it was written")
+
+    def export() -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            write_mapset(found["maps"], folder, MapSetInfo("test"))
+            export_mapset(Path(folder), "gltf")
+
+    steps: tuple[tuple[str, Callable[[], None]], ...] = (
+        ("draw a material from the prior", draw),
+        (f"read {_SIDE} x {_SIDE} texels of it", field),
+        ("light them", light),
+        ("write them and read them back", disk),
+        ("export them as glTF", export),
+    )
+    checks: list[Check] = []
+    for name, step in steps:
+        start = perf_counter()
+        try:
+            step()
+            fault = None
+        except Exception as error:  # whatever it is, it is what the user came to know
+            fault = f"{type(error).__name__}: {error}"
+        checks.append(Check(name, perf_counter() - start, fault))
+        if fault is not None:
+            break
+    return tuple(checks)

@@ -1,0 +1,1 @@
+"""Training of the inverse network on endless simulated photographs."""

@@ -1,0 +1,236 @@
+"""Endless simulated photographs with their true maps, for the inverse network.
+
+A sample is a pure function of its number, so that training resumes exactly. A piece of material is
+photographed several times, some pieces in turn, since making it takes longer than lighting it.
+What is drawn: the material, its scale, field of view, the flash's place, tilt, exposure, noise, what a developed
+picture's tone curve does, and a coarse fit that is off by what coarse fits are off by.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.render import render_flash
+from matcap.model.inverse.inputs import Uniform, uniform_radiance
+from matcap.lab.simulate.materials import realise
+from matcap.lab.simulate.materials.kinds import random_kind
+from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
+
+# Kinds never trained on: capture is judged by them.
+HELD_OUT = ("leather", "granite", "tile")
+HELD_OUT_PATTERNS = ("creases", "woven")
+_NAMED = ("cloth", "rust", "plaster")
+_NAMED_SHARE, _KIND_SHARE = 0.05, 0.6
+_MARGIN = 2  # texels realised around, so that blur and normals see no border
+_TURNS, _VISITS = 16, 6  # pieces that take turns, photographs of each
+_THIN = 4  # every fourth texel tells how bright a picture is
+_ROOM = 64  # texels by which a piece is larger than a picture
+
+Realise = Callable[[int, int, int, float], MapSet]
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A simulated photograph on its plane's grid, and the truth.
+
+    Attributes:
+        linear: (3, H, W) radiance, clipped at 1.
+        valid: (H, W) bool, not clipped.
+        truth: float32 maps of the piece; texel_size as if the picture spanned x in [-1, 1].
+        uniform: the coarse fit.
+        points: (3, H, W) plane points.
+    """
+
+    linear: Tensor
+    valid: Tensor
+    truth: MapSet
+    uniform: Uniform
+    points: Tensor
+
+
+def is_held_out(material: RandomMaterial) -> bool:
+    """Whether a random material shows a pattern that is left out of training."""
+    layers = [material.base, *([material.cover] if material.cover else [])]
+    return any(layer.pattern in HELD_OUT_PATTERNS for layer in layers)
+
+
+def training_material(rng: np.random.Generator) -> Realise:
+    """A material that may be trained on."""
+    which = rng.random()
+    if which < _NAMED_SHARE:
+        name = str(rng.choice(_NAMED))
+        return lambda width, height, seed, texel: realise(name, width, height, seed, texel)
+    if which < _NAMED_SHARE + _KIND_SHARE:
+        return random_kind(rng).realise
+    while is_held_out(material := random_material(rng)):
+        pass
+    return material.realise
+
+
+def draw_setup(rng: np.random.Generator) -> FlashSetup:
+    """Camera and flash of some phone: 40 to 90 degrees, a flash 1 to 3 cm from the lens."""
+    fov = rng.uniform(40.0, 90.0)
+    distance = FlashSetup(fov=fov).distance
+    beside = distance * rng.uniform(0.01, 0.1)
+    around = rng.uniform(0.0, 2.0 * math.pi)
+    tilt = np.clip(rng.normal(0.0, math.radians(3.5), 2), -0.26, 0.26)
+    return FlashSetup(
+        fov=fov,
+        offset=(beside * math.cos(around), beside * math.sin(around), 0.0),
+        tilt=(float(tilt[0]), float(tilt[1])),
+        vignetting=rng.uniform(0.0, 0.4) if rng.random() < 0.5 else 0.0,
+    )
+
+
+def draw_sample(
+    number: int,
+    width: int,
+    height: int,
+    material: Callable[[np.random.Generator], Realise] = training_material,
+) -> Sample:
+    """The sample of a number, `width` x `height` texels.
+
+    Args:
+        number: not negative.
+        width, height: texels.
+        material: draws what is photographed.
+    """
+    rng = np.random.default_rng([number, 77])
+    maps, texel = _piece(number // (_TURNS * _VISITS) * _TURNS + number % _TURNS, width, material)
+    pad = 2 * _MARGIN
+    realised = _cut(_turned(maps, rng), width + pad, height + pad, rng)
+    # The picture spans x in [-1, 1]: the same slopes at the picture's own scale.
+    size = 2.0 / width
+    maps = replace(realised, height=realised.height * (size / texel), texel_size=size)
+    maps = _strengthened(maps, rng)
+    setup = draw_setup(rng)
+    around = plane_points(
+        -_MARGIN, -_MARGIN, width + pad, height + pad, (width, height), dtype=torch.float32
+    )
+    radiance = _blurred(render_flash(maps, setup, around), rng.uniform(0.3, 0.8))
+    inside = (..., slice(_MARGIN, _MARGIN + height), slice(_MARGIN, _MARGIN + width))
+    radiance, points = radiance[inside], around[inside]
+    truth = maps.map(lambda m: m[inside].contiguous())
+    linear, gain = _exposed(radiance, rng)
+    setup = setup.with_intensity((gain, gain, gain))
+    valid = (linear < 0.98).all(0)
+    uniform = _fitted(linear, valid, truth, setup, points, rng)
+    return Sample(linear.contiguous(), valid, truth, uniform, points)
+
+
+@lru_cache(maxsize=_TURNS)
+def _piece(
+    index: int, width: int, material: Callable[[np.random.Generator], Realise]
+) -> tuple[MapSet, float]:
+    """A square piece of the material of an index, and its texel's size."""
+    rng = np.random.default_rng([index, 78])
+    # Texels as fine as those of a photograph read at 500 to 1600 across.
+    texel = 2.0 / math.exp(rng.uniform(math.log(500.0), math.log(1600.0)))
+    side = width + _ROOM
+    maps = material(rng)(side, side, int(rng.integers(2**31)), texel)
+    return maps.map(lambda m: m.float()), texel
+
+
+def _cut(maps: MapSet, width: int, height: int, rng: np.random.Generator) -> MapSet:
+    across, down = maps.size
+    x, y = rng.integers(across - width + 1), rng.integers(down - height + 1)
+    return maps.crop(int(x), int(y), width, height)
+
+
+def _turned(maps: MapSet, rng: np.random.Generator) -> MapSet:
+    """Mirrored and turned: nothing prefers a side."""
+    quarters, mirrored = int(rng.integers(4)), bool(rng.random() < 0.5)
+
+    def turned(m: Tensor) -> Tensor:
+        m = torch.rot90(m, quarters, (-2, -1))
+        return torch.flip(m, (-1,)) if mirrored else m
+
+    return maps.map(turned)
+
+
+def _strengthened(maps: MapSet, rng: np.random.Generator) -> MapSet:
+    """Relief of another strength, upside down at times: cracks and seams are not all that is."""
+    factor = math.exp(rng.normal(0.0, 0.35)) * (-1.0 if rng.random() < 0.06 else 1.0)
+    return replace(maps, height=(maps.height - maps.height.mean()) * factor)
+
+
+def _blurred(radiance: Tensor, deviation: float) -> Tensor:
+    picture = radiance.permute(1, 2, 0).contiguous().numpy()
+    return torch.from_numpy(cv2.GaussianBlur(picture, (0, 0), deviation)).permute(2, 0, 1)
+
+
+def _exposed(radiance: Tensor, rng: np.random.Generator) -> tuple[Tensor, float]:
+    """Exposure, noise, tone and clipping; and the gain between radiance and picture."""
+    clipped = rng.choice([0.0, 0.002, 0.02, 0.06], p=[0.3, 0.3, 0.25, 0.15])
+    bright = float(torch.quantile(radiance.amax(0)[::2, ::2].flatten(), 1.0 - clipped))
+    gain = min(rng.uniform(0.15, 0.4) / float(radiance.mean()), rng.uniform(0.7, 1.0) / bright)
+    if clipped:
+        gain = max(gain, 1.0 / bright)
+    linear = radiance * gain
+    if rng.random() < 0.4:  # a developed picture: contrast of its own, falloff not quite undone
+        middle = float(linear.median().clamp_min(1e-4))
+        linear = middle * (linear / middle).clamp_min(1e-4) ** rng.uniform(0.8, 1.25)
+        linear = linear * _drift(linear.shape[-2:], rng)
+    level = rng.uniform(0.0, 1.0) ** 2
+    noise = torch.from_numpy(rng.standard_normal(tuple(linear.shape)).astype(np.float32))
+    deviation = (linear.clamp_min(0.0) * (0.03 * level) ** 2 + (0.004 * level) ** 2).sqrt()
+    return (linear + deviation * noise).clamp(0.0, 1.0), gain
+
+
+def _drift(size: tuple[int, int], rng: np.random.Generator) -> Tensor:
+    """(3, H, W) slow changes of colour and brightness that are not the material's."""
+    coarse = np.exp(rng.normal(0.0, 0.05, (2, 3, 1)) + rng.normal(0.0, 0.02, (2, 3, 3)))
+    smooth = cv2.resize(coarse.astype(np.float32), size[::-1], interpolation=cv2.INTER_CUBIC)
+    return torch.from_numpy(smooth).permute(2, 0, 1)
+
+
+def _fitted(
+    linear: Tensor,
+    valid: Tensor,
+    truth: MapSet,
+    setup: FlashSetup,
+    points: Tensor,
+    rng: np.random.Generator,
+) -> Uniform:
+    """What a coarse fit might say: near the truth, and as bright as the picture."""
+    slopes = truth.normal[:2].square().sum(0).mean()
+    alpha = (truth.roughness.square().mean().square() + 0.5 * slopes).clamp(1e-4, 0.9).sqrt()
+    roughness = float(alpha.sqrt())
+    logit = math.log(roughness / (1.0 - roughness)) + rng.normal(0.0, 0.35)
+    shift = rng.normal(0.0, 0.015, 2)
+    lean = rng.normal(0.0, 0.01, 2)
+    near = replace(
+        setup,
+        offset=(setup.offset[0] + shift[0], setup.offset[1] + shift[1], 0.0),
+        tilt=(setup.tilt[0] + lean[0], setup.tilt[1] + lean[1]),
+        vignetting=max(0.0, setup.vignetting + rng.normal(0.0, 0.05)),
+    )
+    specular = float(truth.specular.mean()) * math.exp(rng.normal(0.0, 0.2))
+    mean = truth.diffuse.mean((1, 2)).tolist()
+    uniform = Uniform(
+        diffuse=(mean[0], mean[1], mean[2]),
+        specular=min(specular, 0.95),
+        roughness=1.0 / (1.0 + math.exp(-logit)),
+        setup=near,
+    )
+    # Diffuse albedo takes what is left of the picture's colour, as far as it can.
+    thin = (..., slice(None, None, _THIN), slice(None, None, _THIN))
+    seen = valid[thin] if int(valid[thin].sum()) > 64 else torch.ones_like(valid[thin])
+    for _ in range(2):
+        whole, diffuse = uniform_radiance(uniform, points[thin])
+        over = (linear[thin] - (whole - diffuse))[:, seen].median(1).values
+        under = diffuse[:, seen].median(1).values
+        gain = (over / under).clamp(0.5, 2.0).tolist()
+        red, green, blue = (min(v * g, 0.95) for v, g in zip(uniform.diffuse, gain, strict=True))
+        uniform = replace(uniform, diffuse=(red, green, blue))
+    return uniform

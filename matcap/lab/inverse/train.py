@@ -1,0 +1,207 @@
+"""Training of the inverse network in legs that continue one another exactly.
+
+A step shows one simulated photograph; samples are a pure function of the step's number, made by
+worker processes ahead of their use. The state (weights, their running average, Adam's moments,
+step) is one safetensors file, replaced whole. What is shipped is the average.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from matcap.lab.inverse.losses import loss_parts, total
+from matcap.lab.inverse.samples import Sample, draw_sample
+from matcap.model.inverse.inputs import network_inputs
+from matcap.model.inverse.network import Inverse, InverseConfig
+
+_AHEAD = 4  # samples made before they are wanted
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """How a leg is trained.
+
+    Attributes:
+        steps: to have done in all at the end of the leg.
+        seconds: to end after, if sooner.
+        rate: Adam's.
+        average: decay of the weights' running average.
+        width, height: texels of a picture, multiples of 32.
+        batch: pictures a step.
+        save_every: steps.
+        workers: processes that make samples.
+        device: "cpu" or "cuda".
+    """
+
+    steps: int = 100_000
+    seconds: float = float("inf")
+    rate: float = 6e-4
+    average: float = 0.999
+    width: int = 288
+    height: int = 224
+    batch: int = 1
+    save_every: int = 250
+    workers: int = 1
+    device: str = "cpu"
+
+
+class State:
+    """What training goes on from."""
+
+    def __init__(self, config: InverseConfig, device: str) -> None:
+        torch.manual_seed(0)
+        self.step = 0
+        self.model = Inverse(config).to(device, memory_format=torch.channels_last)
+        self.average = Inverse(config).to(device, memory_format=torch.channels_last)
+        self.average.load_state_dict(self.model.state_dict())
+        self.average.requires_grad_(False)
+        self.first = [torch.zeros_like(p) for p in self.model.parameters()]
+        self.second = [torch.zeros_like(p) for p in self.model.parameters()]
+
+    def save(self, path: Path) -> None:
+        """Write whole or not at all."""
+        tensors = {f"model.{k}": v.contiguous() for k, v in self.model.state_dict().items()}
+        tensors |= {f"average.{k}": v.contiguous() for k, v in self.average.state_dict().items()}
+        for name, moments in (("first", self.first), ("second", self.second)):
+            tensors |= {f"{name}.{i}": m.contiguous() for i, m in enumerate(moments)}
+        temporary = path.with_name(path.name + ".part")
+        save_file(tensors, temporary, {"step": json.dumps(self.step)})
+        os.replace(temporary, path)
+
+    def load(self, path: Path) -> None:
+        """Go on from a file."""
+        with safe_open(path, framework="pt") as file:
+            self.step = json.loads(file.metadata()["step"])
+            for part, network in (("model", self.model), ("average", self.average)):
+                network.load_state_dict(
+                    {k: file.get_tensor(f"{part}.{k}") for k in network.state_dict()}
+                )
+            for name, moments in (("first", self.first), ("second", self.second)):
+                for index, moment in enumerate(moments):
+                    moment.copy_(file.get_tensor(f"{name}.{index}"))
+
+
+def train(
+    folder: Path,
+    settings: TrainSettings,
+    config: InverseConfig = InverseConfig(),  # noqa: B008
+    tell: Callable[[str], None] = print,
+) -> State:
+    """Train one leg, from the state in a folder if there is one.
+
+    Args:
+        folder: for `state.safetensors`.
+        settings: of the leg.
+        config: shape of the network.
+        tell: called with a line every 50 steps.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "state.safetensors"
+    state = State(config, settings.device)
+    if path.exists():
+        state.load(path)
+    began = time.monotonic()
+    running: dict[str, float] = {}
+    samples = _samples(state.step, settings)
+    for batch in samples:
+        if state.step >= settings.steps or time.monotonic() - began > settings.seconds:
+            break
+        parts = train_step(state, batch, settings)
+        for name, value in parts.items():
+            running[name] = 0.98 * running.get(name, value) + 0.02 * value
+        if state.step % 50 == 0:
+            shown = " ".join(f"{name} {value:.3f}" for name, value in running.items())
+            tell(f"{state.step} {time.monotonic() - began:.0f} s {shown}")
+        if state.step % settings.save_every == 0:
+            state.save(path)
+    samples.close()
+    state.save(path)
+    return state
+
+
+def train_step(
+    state: State, samples: list[tuple[Tensor, Sample]], settings: TrainSettings
+) -> dict[str, float]:
+    """One step of Adam; returns the loss's parts."""
+    inputs = torch.stack([x for x, _ in samples]).to(settings.device)
+    outputs = state.model(inputs.contiguous(memory_format=torch.channels_last))
+    losses, all_parts = [], []
+    for index, (_, sample) in enumerate(samples):
+        rng = np.random.default_rng([state.step, index, 5])
+        parts = loss_parts(outputs[index], sample, rng)
+        losses.append(total(parts))
+        all_parts.append(parts)
+    loss = torch.stack(losses).mean()
+    parameters = list(state.model.parameters())
+    gradients = torch.autograd.grad(loss, parameters)
+    state.step += 1
+    _adam(state, parameters, list(gradients), settings.rate)
+    decay = min(settings.average, state.step / (state.step + 10.0))
+    with torch.no_grad():
+        for kept, new in zip(state.average.parameters(), parameters, strict=True):
+            kept.lerp_(new, 1.0 - decay)
+    return {
+        name: sum(float(p[name].detach()) for p in all_parts) / len(all_parts)
+        for name in all_parts[0]
+    }
+
+
+@torch.no_grad()
+def _adam(state: State, parameters: list[Tensor], gradients: list[Tensor], rate: float) -> None:
+    """Adam with gradients of a norm of at most 1, and a short warm-up."""
+    norm = torch.stack([g.norm() for g in gradients]).norm()
+    if not bool(torch.isfinite(norm)):
+        return  # one unlucky picture is left out
+    factor = float(1.0 / norm.clamp_min(1.0))
+    one, two = 0.9, 0.99
+    rate = rate * min(1.0, state.step / 200.0)
+    correction = (1.0 - two**state.step) ** 0.5 / (1.0 - one**state.step)
+    for parameter, gradient, first, second in zip(
+        parameters, gradients, state.first, state.second, strict=True
+    ):
+        first.lerp_(gradient * factor, 1.0 - one)
+        second.lerp_((gradient * factor).square(), 1.0 - two)
+        parameter.sub_(rate * correction * first / (second.sqrt() + 1e-8))
+
+
+def _samples(step: int, settings: TrainSettings) -> Iterator[list[tuple[Tensor, Sample]]]:
+    """Batches from a step on, made ahead by worker processes."""
+    if settings.workers == 0:
+        while True:
+            yield [_made((step * settings.batch + i, settings)) for i in range(settings.batch)]
+            step += 1
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(settings.workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        waiting = []
+        number = step * settings.batch
+        while True:
+            while len(waiting) < _AHEAD * settings.batch:
+                waiting.append(pool.apply_async(_made, ((number, settings),)))
+                number += 1
+            yield [waiting.pop(0).get() for _ in range(settings.batch)]
+
+
+def _made(asked: tuple[int, TrainSettings]) -> tuple[Tensor, Sample]:
+    number, settings = asked
+    sample = draw_sample(number, settings.width, settings.height)
+    inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
+    return inputs, sample
+
+
+if __name__ == "__main__":
+    import sys
+
+    torch.set_num_threads(1)
+    train(Path(sys.argv[1]), TrainSettings(seconds=float(sys.argv[2]), rate=float(sys.argv[3])))

@@ -1,0 +1,38 @@
+"""A simulated shot as a phone's JPEG: sRGB, with EXIF."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from matcap.files.srgb import srgb_picture
+from matcap.files.staging import staged
+from matcap.lab.simulate.dng import exif_of
+from matcap.lab.simulate.photograph import Shot, expose
+
+_QUALITY = 95
+_EXIF_IFD = 34665
+
+
+def write_jpeg(path: Path, shot: Shot, seed: int) -> None:
+    """Write a shot as a JPEG of quality 95; the same arguments give the same file.
+
+    Raises:
+        MatcapError: the file cannot be written.
+    """
+    code = srgb_picture(expose(shot, seed).astype(np.float32))
+    picture = Image.fromarray(np.round(code * 255.0).astype(np.uint8))
+    exif = Image.Exif()
+    exif.update({271: "matcap", 272: "simulated phone", 274: 1})
+    exif.get_ifd(_EXIF_IFD).update(
+        {
+            number: IFDRational(value) if isinstance(value, Fraction) else value
+            for number, value in exif_of(shot.camera).items()
+        }
+    )
+    with staged(path.parent) as stage:
+        picture.save(stage / path.name, format="JPEG", quality=_QUALITY, exif=exif)

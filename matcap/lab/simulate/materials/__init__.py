@@ -1,0 +1,55 @@
+"""Procedural stationary materials: the same parameters, another realisation for every seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from matcap.brdf.maps import MapSet
+from matcap.errors import UsageError
+from matcap.lab.simulate.fields import Canvas
+from matcap.lab.simulate.materials.cloth import cloth
+from matcap.lab.simulate.materials.granite import granite
+from matcap.lab.simulate.materials.leather import leather
+from matcap.lab.simulate.materials.plaster import plaster
+from matcap.lab.simulate.materials.rust import rust
+from matcap.lab.simulate.materials.tile import tile
+from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
+
+__all__ = ["MATERIALS", "RandomMaterial", "random_material", "realise"]
+
+MATERIALS: Mapping[str, Callable[[Canvas], MapSet]] = MappingProxyType(
+    {
+        "leather": leather,
+        "cloth": cloth,
+        "granite": granite,
+        "rust": rust,
+        "plaster": plaster,
+        "tile": tile,
+    }
+)
+
+
+def realise(name: str, width: int, height: int, seed: int, texel_size: float) -> MapSet:
+    """One realisation of a named material.
+
+    A finer texel size over the same extent shows the same realisation in more detail.
+
+    Args:
+        name: a key of MATERIALS.
+        width: texels.
+        height: texels.
+        seed: not negative; another seed is another piece of the same material.
+        texel_size: a texel's side in plane units.
+
+    Returns:
+        float64 maps (C, height, width) on the CPU.
+
+    Raises:
+        UsageError: no material of that name.
+    """
+    if name not in MATERIALS:
+        raise UsageError(
+            "there is no such material", where=name, remedy=f"choose from {', '.join(MATERIALS)}"
+        )
+    return MATERIALS[name](Canvas(width, height, texel_size, seed))

@@ -1,0 +1,31 @@
+"""From the fields of a procedural material to a MapSet."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.lab.simulate.fields import Canvas, Field
+
+_DARKEST = 0.004  # no real surface reflects less
+_SMOOTHEST = 0.05
+
+
+def assemble(
+    canvas: Canvas, diffuse: Field, specular: Field | float, roughness: Field | float, height: Field
+) -> MapSet:
+    """MapSet in float64 of fields that broadcast to (3, H, W) and (H, W), kept to their ranges."""
+    shape = (canvas.height, canvas.width)
+
+    def stored(field: Field | float, channels: int, low: float, high: float) -> torch.Tensor:
+        full = np.broadcast_to(np.asarray(field, dtype=np.float64), (channels, *shape))
+        return torch.from_numpy(np.clip(full, low, high))
+
+    return MapSet(
+        diffuse=stored(diffuse, 3, _DARKEST, 0.95),
+        specular=stored(specular, 1, 0.02, 0.98),
+        roughness=stored(roughness, 1, _SMOOTHEST, 1.0),
+        height=stored(height, 1, -np.inf, np.inf),
+        texel_size=canvas.texel_size,
+    )

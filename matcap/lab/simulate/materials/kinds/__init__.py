@@ -1,0 +1,107 @@
+"""A second endless stream of materials: kinds that a person would name, each in endless variety.
+
+`random_material` (varied.py) draws patterns; this draws things: gravel, knits, bonds, hammered
+metal, planks. Where features lie, `place.py`; their numbers, `draws.py`; what all have in common,
+`surface.py`; one file a group of kinds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from matcap.brdf.maps import MapSet
+from matcap.lab.simulate.fields import Canvas, Field
+from matcap.lab.simulate.materials.kinds import (
+    cells,
+    coats,
+    masonry,
+    metal,
+    sheets,
+    stones,
+    textiles,
+    wood,
+)
+from matcap.lab.simulate.materials.kinds.draws import log_uniform
+from matcap.lab.simulate.materials.kinds.surface import Kind, finish
+
+__all__ = ["KINDS", "RandomKind", "kind_of", "random_kind"]
+
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "plates": Kind(cells.plates, (0.06, 0.5)),
+        "crackle": Kind(cells.crackle, (0.02, 0.12), (0.004, 0.02)),
+        "gravel": Kind(stones.gravel, (0.2, 0.6)),
+        "asphalt": Kind(stones.asphalt, (0.12, 0.5)),
+        "terrazzo": Kind(stones.terrazzo, (0.02, 0.08), (0.004, 0.02)),
+        "marble": Kind(stones.marble, (0.02, 0.06), (0.003, 0.015)),
+        "pitted": Kind(stones.pitted, (0.06, 0.4)),
+        "knit": Kind(textiles.knit, (0.2, 0.6)),
+        "cable": Kind(textiles.cable, (0.2, 0.6)),
+        "ribs": Kind(textiles.ribs, (0.1, 0.6)),
+        "weave": Kind(textiles.weave, (0.1, 0.55)),
+        "basket": Kind(textiles.basket, (0.15, 0.6)),
+        "bond": Kind(masonry.bond, (0.07, 0.45)),
+        "herringbone": Kind(masonry.herringbone, (0.07, 0.45)),
+        "hammered": Kind(metal.hammered, (0.06, 0.35), (0.003, 0.02)),
+        "brushed": Kind(metal.brushed, (0.02, 0.15), (0.003, 0.02)),
+        "planks": Kind(wood.planks, (0.03, 0.3)),
+        "varnish": Kind(wood.varnish, (0.02, 0.15), (0.003, 0.015)),
+        "chipboard": Kind(wood.chipboard, (0.05, 0.35)),
+        "scales": Kind(wood.scales, (0.1, 0.5)),
+        "felt": Kind(sheets.felt, (0.15, 0.55)),
+        "loops": Kind(sheets.loops, (0.15, 0.6)),
+        "tread": Kind(sheets.tread, (0.05, 0.35), (0.003, 0.03)),
+        "paper": Kind(sheets.paper, (0.02, 0.1), (0.004, 0.03)),
+        "creased": Kind(sheets.creased, (0.06, 0.45), (0.004, 0.03)),
+        "chipped": Kind(coats.chipped, (0.05, 0.35)),
+        "worn": Kind(coats.worn, (0.05, 0.35)),
+        "strokes": Kind(coats.strokes, (0.06, 0.4)),
+        "sand": Kind(coats.sand, (0.12, 0.5)),
+    }
+)
+
+# The piece on which a relief's slope is measured: texels, and their size in plane units.
+_SAMPLE = (256, 192, 2.0 / 512.0)
+
+
+@dataclass(frozen=True)
+class RandomKind:
+    """One material of the stream.
+
+    Attributes:
+        kind: a key of KINDS.
+        number: what its parameters are drawn from.
+        depth: plane units of height to a unit of its relief.
+    """
+
+    kind: str
+    number: int
+    depth: float
+
+    def realise(self, width: int, height: int, seed: int, texel_size: float) -> MapSet:
+        """One realisation, float64 (C, height, width); see materials.realise."""
+        canvas = Canvas(width, height, texel_size, seed)
+        return self._lay(canvas, self.depth)[0]
+
+    def _lay(self, canvas: Canvas, depth: float) -> tuple[MapSet, Field]:
+        return finish(canvas, KINDS[self.kind], depth, np.random.default_rng(self.number))
+
+
+def random_kind(rng: np.random.Generator) -> RandomKind:
+    """Draw a material of any kind, all equally often."""
+    names = list(KINDS)
+    return kind_of(names[rng.integers(len(names))], int(rng.integers(2**32)))
+
+
+def kind_of(kind: str, number: int) -> RandomKind:
+    """The material of a kind whose parameters are drawn from a number."""
+    steepness = log_uniform(np.random.default_rng([number, 1]), *KINDS[kind].slopes)
+    width, height, texel = _SAMPLE
+    relief = RandomKind(kind, number, 1.0)._lay(Canvas(width, height, texel, 0), 1.0)[1]
+    down, right = np.gradient(relief, texel)
+    slope = float(np.sqrt((down**2 + right**2).mean()))
+    return RandomKind(kind, number, steepness / max(slope, 1e-9))

@@ -1,0 +1,145 @@
+"""Random parameters: scales, colours that surfaces have, and numbers that belong to one piece."""
+
+from __future__ import annotations
+
+import colorsys
+import math
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.lab.simulate.fields import Canvas, Field
+
+Whole = NDArray[np.int64]
+Colour = NDArray[np.float64]  # (3,) linear Rec.709 albedo
+
+# Diffuse albedos, linear Rec.709, of what surfaces are commonly made of.
+STONES = np.array(
+    [
+        [0.42, 0.40, 0.37],
+        [0.22, 0.21, 0.20],
+        [0.09, 0.09, 0.09],
+        [0.05, 0.055, 0.06],
+        [0.55, 0.48, 0.38],
+        [0.36, 0.27, 0.19],
+        [0.30, 0.17, 0.12],
+        [0.62, 0.60, 0.56],
+        [0.20, 0.23, 0.19],
+        [0.17, 0.20, 0.25],
+    ]
+)
+CLAYS = np.array(
+    [
+        [0.34, 0.13, 0.07],
+        [0.42, 0.20, 0.11],
+        [0.24, 0.09, 0.055],
+        [0.50, 0.33, 0.19],
+        [0.16, 0.075, 0.055],
+        [0.58, 0.48, 0.36],
+        [0.30, 0.28, 0.26],
+        [0.68, 0.65, 0.60],
+    ]
+)
+WOODS = np.array(
+    [
+        [0.44, 0.27, 0.13],
+        [0.30, 0.16, 0.07],
+        [0.14, 0.065, 0.03],
+        [0.56, 0.41, 0.24],
+        [0.22, 0.09, 0.04],
+        [0.05, 0.032, 0.022],
+        [0.33, 0.30, 0.26],
+        [0.64, 0.53, 0.37],
+    ]
+)
+METALS = np.array(  # what little diffuse light dirt and oxide give
+    [
+        [0.030, 0.030, 0.031],
+        [0.050, 0.046, 0.040],
+        [0.055, 0.036, 0.020],
+        [0.022, 0.023, 0.026],
+        [0.075, 0.072, 0.068],
+    ]
+)
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number whose logarithm is uniform."""
+    return float(math.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def chance(rng: np.random.Generator, probability: float) -> bool:
+    """True with a probability."""
+    return bool(rng.random() < probability)
+
+
+def angle(rng: np.random.Generator) -> float:
+    """A direction of grain: along the picture's sides as often as any other, in radians."""
+    if chance(rng, 0.5):
+        return float(rng.choice([0.0, math.pi / 2]) + rng.normal(0.0, 0.03))
+    return float(rng.uniform(0.0, math.pi))
+
+
+def natural(rng: np.random.Generator, palette: Colour) -> Colour:
+    """A colour near one of a palette's (N, 3)."""
+    return shade(rng, palette[rng.integers(len(palette))], 0.3, 0.08)
+
+
+def dye(rng: np.random.Generator) -> Colour:
+    """Any hue, greys and browns more often than others."""
+    if chance(rng, 0.4):
+        return natural(rng, np.concatenate([STONES, WOODS]))
+    saturation, value = rng.beta(2.0, 1.5), log_uniform(rng, 0.03, 0.8)
+    return np.array(colorsys.hsv_to_rgb(rng.random(), saturation, value))
+
+
+def shade(rng: np.random.Generator, of: Colour, tone: float, hue: float = 0.06) -> Colour:
+    """A relative of a colour: log-normal in brightness by `tone`, in warmth by `hue`.
+
+    Dirt, heat and age move colours between warm and cool; green against magenta hardly moves.
+    """
+    light, warm, green = rng.standard_normal(3)
+    warmth, tint = np.array([1.0, 0.1, -1.1]), np.array([-0.12, 0.12, -0.12])
+    factor = np.exp(tone * light + hue * (warm * warmth + green * tint))
+    return np.asarray(np.clip(of * factor, 0.01, 0.88))
+
+
+def shades(rng: np.random.Generator, of: Colour, count: int, tone: float) -> Colour:
+    """(count, 3) relatives of a colour."""
+    return np.stack([shade(rng, of, tone, 0.4 * tone) for _ in range(count)])
+
+
+def dielectric(rng: np.random.Generator) -> float:
+    """F0 of water-like to gem-like, most often near glass."""
+    return float(np.clip(rng.normal(0.042, 0.008), 0.025, 0.07))
+
+
+def piece(canvas: Canvas, label: str, *indices: Whole) -> Field:
+    """A uniform number in [0, 1) for every tuple of whole numbers, any sign, of this seed.
+
+    The finaliser of SplitMix64 (Steele, Lea and Flood 2014), once an index.
+    """
+    key = (canvas.seed * 0x9E3779B97F4A7C15 + zlib.crc32(label.encode())) % 2**64
+    state: NDArray[np.uint64] = np.array(key, dtype=np.uint64)
+    for index in indices:
+        state = (state ^ index.astype(np.int64).view(np.uint64)) + np.uint64(0x9E3779B97F4A7C15)
+        state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        state = state ^ (state >> np.uint64(31))
+    return (state >> np.uint64(11)).astype(np.float64) * 2.0**-53
+
+
+def streaks(canvas: Canvas, label: str, across: Field, *indices: Whole) -> Field:
+    """Smooth random lines in [-1, 1]: a function of `across` alone, another for other indices."""
+    first = np.floor(across).astype(np.int64)
+    t = across - first
+    t = t * t * (3.0 - 2.0 * t)
+    low = piece(canvas, label, first, *indices)
+    high = piece(canvas, label, first + 1, *indices)
+    return 2.0 * (low + (high - low) * t) - 1.0
+
+
+def palette_of(palette: Colour, share: Field) -> Field:
+    """(3, ...) colours of a palette (N, 3) at numbers in [0, 1)."""
+    return np.moveaxis(palette[(share * len(palette)).astype(np.int64)], -1, 0)

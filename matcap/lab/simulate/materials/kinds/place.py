@@ -1,0 +1,218 @@
+"""Where the pieces of a material lie: turned lattices, borders of cells, overlapping stamps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from matcap.lab.simulate.fields import Canvas, Cells, Field, Spectrum, noise
+from matcap.lab.simulate.materials.kinds.draws import Whole
+
+# Evaluations of a stamp's profile worked on at a time: small enough to stay in the cache.
+_CHUNK = 200_000
+
+
+def turned(
+    canvas: Canvas, label: str, angle: float, bend: float, reach: float
+) -> tuple[Field, Field]:
+    """(H, W) plane coordinates along and across a direction, in plane units, slightly bent.
+
+    Args:
+        canvas: where.
+        label: of the random bend and origin.
+        angle: of the first coordinate, radians anticlockwise from x.
+        bend: wavelength of the bending, plane units.
+        reach: its standard deviation, plane units.
+    """
+    cosine, sine = math.cos(angle), math.sin(angle)
+    start = canvas.stream(label + " start").uniform(0.0, 10.0, size=2)
+    along = canvas.x * cosine - canvas.y * sine + start[0]
+    across = canvas.x * sine + canvas.y * cosine + start[1]
+    if reach > 0:
+        spectrum = Spectrum(coarse=bend, fine=0.5 * bend)
+        along = along + reach * noise(canvas, label + " bend along", spectrum)
+        across = across + reach * noise(canvas, label + " bend across", spectrum)
+    return along, across
+
+
+def warp(canvas: Canvas, label: str, size: float, reach: float) -> tuple[Field, Field]:
+    """Two displacement fields of a wavelength and a standard deviation, for `cells`."""
+    spectrum = Spectrum(coarse=1.5 * size, fine=0.4 * size)
+    return (
+        reach * noise(canvas, label + " warp x", spectrum),
+        reach * noise(canvas, label + " warp y", spectrum),
+    )
+
+
+def rim(canvas: Canvas, cell: Cells) -> Field:
+    """(H, W) distance to the border of two cells, in plane units, to first order."""
+    border = cell.border
+    down, right = np.gradient(border, canvas.texel_size)
+    return border / np.maximum(np.hypot(down, right), 0.3 * float(np.hypot(down, right).mean()))
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Stamps thrown on the plane.
+
+    Attributes:
+        x, y: (N,) their centres in plane units, y downwards; some lie outside the canvas.
+        reach: (N,) half a side of the square that holds each, in plane units.
+    """
+
+    x: Field
+    y: Field
+    reach: Field
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        return self.x.size
+
+
+# Offsets from the centre (n, P, P) in plane units, right and down, and which stamps (n, 1, 1):
+# heights (n, P, P), -inf where the stamp is not.
+Profile = Callable[[Field, Field, Whole], Field]
+
+
+def scatter(
+    canvas: Canvas, label: str, pitch: float, reach: Callable[[np.random.Generator, int], Field]
+) -> Scatter:
+    """One stamp to a square of side `pitch`, anywhere in it.
+
+    Args:
+        canvas: where.
+        label: of its random numbers.
+        pitch: plane units.
+        reach: (generator, N) to (N,) half sides in plane units, at most 8 pitches.
+    """
+    margin = 8 if pitch < 0.02 else 4
+    columns, rows = (math.ceil(side / pitch) + 2 * margin for side in canvas.extent)
+    generator = canvas.stream(label)
+    shift, jitter = generator.random(2), generator.random((2, rows, columns))
+    x = (np.arange(columns)[None, :] + jitter[0] + shift[0] - margin - 0.5) * pitch
+    y = (np.arange(rows)[:, None] + jitter[1] + shift[1] - margin - 0.5) * pitch
+    return Scatter(x.ravel(), y.ravel(), reach(generator, x.size))
+
+
+def splat(canvas: Canvas, stamps: Scatter, profile: Profile) -> tuple[Field, Whole]:
+    """Lay stamps over one another; the highest is seen.
+
+    Returns:
+        (H, W) height, -inf where no stamp lies, and (H, W) which stamp is seen, -1 where none.
+    """
+    texel = canvas.texel_size
+    shape = (canvas.height, canvas.width)
+    top = np.full(shape[0] * shape[1], -np.inf)
+    seen = np.full(top.size, -1, dtype=np.int64)
+    left = np.ceil((stamps.x - stamps.reach) / texel - 0.5).astype(np.int64)
+    first = np.ceil((stamps.y - stamps.reach) / texel - 0.5).astype(np.int64)
+    side = np.maximum(1, np.ceil(2.0 * stamps.reach / texel).astype(np.int64))
+    visible = (
+        (left < shape[1]) & (left + side > 0) & (first < shape[0]) & (first + side > 0)
+    ).nonzero()[0]
+    # Stamps of about the same size share an array.
+    visible = visible[np.argsort(side[visible], kind="stable")]
+    start = 0
+    while start < visible.size:
+        widest = int(side[visible[start]] * 1.25) + 1
+        stop = start + max(1, _CHUNK // widest**2)
+        chosen = visible[start:stop]
+        chosen = chosen[side[chosen] <= widest]
+        start += chosen.size
+        steps = np.arange(int(side[chosen].max()))
+        column = left[chosen, None, None] + steps[None, None, :]
+        row = first[chosen, None, None] + steps[None, :, None]
+        dx = (column + 0.5) * texel - stamps.x[chosen, None, None]
+        dy = (row + 0.5) * texel - stamps.y[chosen, None, None]
+        height = profile(dx, dy, chosen[:, None, None])
+        inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+        kept = (inside & (height > -np.inf)).nonzero()
+        place = (row * shape[1] + column)[kept]
+        high = height[kept]
+        np.maximum.at(top, place, high)
+        winner = high >= top[place]
+        seen[place[winner]] = chosen[kept[0][winner]]
+    return top.reshape(shape), seen.reshape(shape)
+
+
+def spun(dx: Field, dy: Field, turn: Field) -> tuple[Field, Field]:
+    """Offsets along and across a direction, radians."""
+    cosine, sine = np.cos(turn), np.sin(turn)
+    return dx * cosine - dy * sine, dx * sine + dy * cosine
+
+
+def polygons(
+    generator: np.random.Generator, count: int, corners: int = 6, ragged: float = 0.5
+) -> Callable[[Field, Field, Whole], Field]:
+    """Convex stones of radius about 1: (u, v, which) to how far inside, 1 in the middle.
+
+    Args:
+        generator: of their shapes.
+        count: how many stones.
+        corners: sides of each.
+        ragged: 0 for regular ones, to 1.
+    """
+    step = 2.0 * math.pi / corners
+    turn = generator.uniform(0.0, 2.0 * math.pi, (count, 1)) + step * np.arange(corners)
+    turn = turn + 0.45 * ragged * step * generator.uniform(-1.0, 1.0, turn.shape)
+    away = 1.0 - 0.5 * ragged * generator.random(turn.shape)
+    cosine, sine = np.cos(turn), np.sin(turn)
+
+    def inside(u: Field, v: Field, which: Whole) -> Field:
+        least = np.full(np.broadcast_shapes(u.shape, v.shape), np.inf)
+        for side in range(corners):
+            far = u * cosine[which, side] + v * sine[which, side]
+            np.minimum(least, 1.0 - far / away[which, side], out=least)
+        return least
+
+    return inside
+
+
+def paths(
+    canvas: Canvas,
+    label: str,
+    pitch: float,
+    pieces: int,
+    step: float,
+    curl: float,
+    direction: Callable[[np.random.Generator, int], Field],
+    reach: float,
+) -> tuple[Scatter, Field, Whole]:
+    """Chains of short straight pieces: fibres, scratches.
+
+    Args:
+        canvas: where.
+        label: of its random numbers.
+        pitch: one chain to a square of this side, plane units.
+        pieces: how many to a chain.
+        step: length of a piece, plane units.
+        curl: standard deviation of the turn from piece to piece, radians.
+        direction: (generator, N) to (N,) the chains' directions, radians.
+        reach: half the width of a piece, plane units.
+
+    Returns:
+        Stamps that hold the pieces, (N,) the pieces' directions and (N,) whose chain each is of.
+    """
+    span = 0.5 * pieces * step
+    width, height = canvas.extent
+    columns, rows = (math.ceil((side + 2.0 * span) / pitch) for side in (width, height))
+    generator = canvas.stream(label)
+    count = columns * rows
+    start_x = (np.arange(columns)[None, :] + generator.random((rows, columns))) * pitch - span
+    start_y = (np.arange(rows)[:, None] + generator.random((rows, columns))) * pitch - span
+    # A steady turn, which makes arcs, and an unsteady one, which makes wriggles.
+    steady = generator.standard_normal((count, 1)) * np.arange(pieces)
+    unsteady = np.cumsum(generator.standard_normal((count, pieces)), axis=1)
+    turn = direction(generator, count)[:, None] + curl * (0.5 * steady + unsteady)
+    right, down = step * np.cos(turn), -step * np.sin(turn)
+    x = start_x.reshape(-1, 1) + np.cumsum(right, axis=1)
+    y = start_y.reshape(-1, 1) + np.cumsum(down, axis=1)
+    x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
+    x, y = x + start_x.reshape(-1, 1), y + start_y.reshape(-1, 1)
+    whose = np.repeat(np.arange(count), pieces)
+    half = np.full(x.size, 0.5 * step + 1.5 * reach)
+    return Scatter(x.ravel(), y.ravel(), half), turn.ravel(), whose

@@ -1,0 +1,116 @@
+"""What a kind of material lays down, and what all kinds have in common on top of it.
+
+A kind draws its parameters from one generator and its realisation from the canvas. It says where
+its cavities are; the finish ties darkness and gloss to them, adds fine grain and brings the relief
+to its slope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from matcap.brdf.maps import MapSet
+from matcap.lab.simulate.fields import Canvas, Field, Spectrum, bumps, noise
+from matcap.lab.simulate.materials.assemble import assemble
+from matcap.lab.simulate.materials.kinds.draws import chance, log_uniform
+
+# Ranges of real surfaces: fresh charcoal to snow, polished stone to chalk.
+_ALBEDO = (0.01, 0.9)
+_ROUGHNESS = (0.08, 0.95)
+_EDGE = (
+    0.0025  # plane units, deviation of the blur that rounds edges: 0.3 mm where 2 units are 25 cm
+)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Fields of one realisation; each broadcasts to (H, W), diffuse to (3, H, W).
+
+    Attributes:
+        diffuse: albedo, linear Rec.709.
+        specular: F0.
+        roughness: perceptual.
+        height: of any scale; the finish brings it to its slope.
+        cavity: 0 where the surface is open to 1 in its grooves.
+    """
+
+    diffuse: Field
+    specular: Field | float
+    roughness: Field | float
+    height: Field
+    cavity: Field
+
+
+# (canvas, parameters) to a realisation.
+Lay = Callable[[Canvas, np.random.Generator], Surface]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A family of materials.
+
+    Attributes:
+        lay: realises one of them.
+        slopes: between which root mean square slopes its relief is drawn.
+        grain: between which root mean square slopes its fine grain is drawn.
+    """
+
+    lay: Lay
+    slopes: tuple[float, float]
+    grain: tuple[float, float] = (0.004, 0.06)
+
+
+@dataclass(frozen=True)
+class _Finish:
+    darkening: float  # of the logarithm of albedo, from open surface to cavity
+    roughening: float  # likewise of roughness
+    spectrum: Spectrum
+    tone: float  # standard deviation of the logarithm of albedo by grain
+    wear: float  # standard deviation of roughness by grain
+    drift: float  # likewise of the logarithm of albedo, over a few features
+
+
+def finish(
+    canvas: Canvas, kind: Kind, depth: float, parameters: np.random.Generator
+) -> tuple[MapSet, Field]:
+    """Maps of a kind's realisation and the height of its relief before grain at that depth."""
+    how = _draw_finish(parameters)
+    steepness = log_uniform(parameters, *kind.grain)
+    surface = kind.lay(canvas, parameters)
+    grain = noise(canvas, "grain", how.spectrum)
+    drift = noise(canvas, "drift", Spectrum(0.16, 0.05))
+    tone = np.exp(how.tone * grain + how.drift * drift - how.darkening * surface.cavity)
+    relief = depth * _rounded(canvas, np.broadcast_to(surface.height, grain.shape))
+    rough = surface.roughness + how.roughening * surface.cavity + how.wear * grain
+    maps = assemble(
+        canvas,
+        np.clip(surface.diffuse * tone, *_ALBEDO),
+        surface.specular,
+        np.clip(rough, *_ROUGHNESS),
+        relief + steepness * bumps(canvas, "grain", how.spectrum),
+    )
+    return maps, relief
+
+
+def _rounded(canvas: Canvas, height: Field) -> Field:
+    """Steps are never sharper than wear and the lens leave them."""
+    deviation = _EDGE / canvas.texel_size
+    return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(height), (0, 0), deviation))
+
+
+def _draw_finish(rng: np.random.Generator) -> _Finish:
+    """Dirt gathers in cavities and polish on tops, in three of four; and at times nothing does."""
+    tied = not chance(rng, 0.15)
+    coarse = log_uniform(rng, 0.01, 0.06)
+    return _Finish(
+        darkening=tied * (1.0 if chance(rng, 0.75) else -0.4) * log_uniform(rng, 0.08, 1.4),
+        roughening=tied * (1.0 if chance(rng, 0.75) else -0.6) * log_uniform(rng, 0.02, 0.35),
+        spectrum=Spectrum(coarse, min(log_uniform(rng, 0.005, 0.012), 0.7 * coarse), rng.random()),
+        tone=log_uniform(rng, 0.01, 0.16),
+        wear=log_uniform(rng, 0.003, 0.05),
+        drift=log_uniform(rng, 0.01, 0.12),
+    )

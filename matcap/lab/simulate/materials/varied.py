@@ -1,0 +1,220 @@
+"""An endless stream of varied stationary materials, for training.
+
+A material has one or two layers; a layer has a pattern, two finishes between which the pattern's
+mask chooses, a relief, and fine grain in all of them. A second layer lies on the first in patches.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from matcap.brdf.maps import MapSet
+from matcap.lab.simulate.fields import Canvas, Field, Spectrum, colour, mix, noise, smoothstep
+from matcap.lab.simulate.materials.assemble import assemble
+from matcap.lab.simulate.materials.patterns import PATTERNS, Shape
+
+Colour = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Finish:
+    """A uniform surface: diffuse albedo (linear), F0 and roughness."""
+
+    diffuse: Colour
+    specular: float
+    roughness: float
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A pattern of two finishes.
+
+    Attributes:
+        pattern: a key of PATTERNS.
+        shape: its parameters.
+        first, second: finishes where the pattern's mask is 0 and 1.
+        depth: plane units of height to a unit of the pattern's relief.
+        grain: spectrum of the fine variation.
+        tone: standard deviation of the logarithm of albedo by grain.
+        wear: standard deviation of roughness by grain.
+        grain_depth: plane units of height to a standard deviation of grain.
+    """
+
+    pattern: str
+    shape: Shape
+    first: Finish
+    second: Finish
+    depth: float
+    grain: Spectrum
+    tone: float
+    wear: float
+    grain_depth: float
+
+
+@dataclass(frozen=True)
+class RandomMaterial:
+    """One material of the stream.
+
+    Attributes:
+        base: the lower layer.
+        cover: the upper one, or None.
+        patches: spectrum of where the upper one lies.
+        covered: threshold on that noise; the upper layer lies above it.
+        edge: softness of its border, in standard deviations.
+        thickness: of the upper layer, plane units.
+    """
+
+    base: Layer
+    cover: Layer | None
+    patches: Spectrum
+    covered: float
+    edge: float
+    thickness: float
+
+    def realise(self, width: int, height: int, seed: int, texel_size: float) -> MapSet:
+        """One realisation, float64 (C, height, width); see materials.realise."""
+        canvas = Canvas(width, height, texel_size, seed)
+        fields = _lay(canvas, "base", self.base)
+        if self.cover is not None:
+            patch = noise(canvas, "patches", self.patches)
+            share = smoothstep(self.covered - self.edge, self.covered + self.edge, patch)
+            upper = _lay(canvas, "cover", self.cover)
+            upper = (*upper[:3], upper[3] + self.thickness)
+            diffuse, specular, roughness, relief = (
+                mix(low, high, share) for low, high in zip(fields, upper, strict=True)
+            )
+            fields = diffuse, specular, roughness, relief
+        return assemble(canvas, *fields)
+
+
+def random_material(rng: np.random.Generator) -> RandomMaterial:
+    """Draw a material; its features repeat at least eight times across a photograph."""
+    hue = _natural_colour(rng)
+    base = _random_layer(rng, hue)
+    layered = rng.random() < 0.35
+    patch = _log_uniform(rng, 0.05, 0.16)
+    return RandomMaterial(
+        base=base,
+        cover=_random_layer(rng, hue if rng.random() < 0.4 else _natural_colour(rng))
+        if layered
+        else None,
+        patches=Spectrum(patch, _log_uniform(rng, 0.008, 0.04), rng.uniform(0.8, 2.0)),
+        covered=rng.uniform(-0.5, 1.0),
+        edge=_log_uniform(rng, 0.06, 0.8),
+        thickness=rng.choice([-1.0, 1.0]) * rng.uniform(0.0, 0.003),
+    )
+
+
+def _lay(canvas: Canvas, label: str, layer: Layer) -> tuple[Field, Field, Field, Field]:
+    """Diffuse, specular, roughness and height of a layer."""
+    mask, relief = PATTERNS[layer.pattern](canvas, label, layer.shape)
+    grain = noise(canvas, label + " grain", layer.grain)
+    first, second = layer.first, layer.second
+    tone = np.exp(layer.tone * grain)
+    return (
+        mix(colour(*first.diffuse), colour(*second.diffuse), mask) * tone,
+        first.specular + (second.specular - first.specular) * mask,
+        first.roughness + (second.roughness - first.roughness) * mask + layer.wear * grain,
+        layer.depth * relief + layer.grain_depth * grain,
+    )
+
+
+def _random_layer(rng: np.random.Generator, hue: Colour) -> Layer:
+    names = list(PATTERNS)
+    pattern = str(rng.choice(names, p=_weights(names)))
+    scale = _log_uniform(rng, 0.018, 0.16)
+    fine = min(_log_uniform(rng, 0.006, 0.03), 0.7 * scale)
+    shape = Shape(
+        scale=scale,
+        fine=fine,
+        slope=rng.uniform(0.3, 2.0),
+        stretch=_log_uniform(rng, 1.5, 8.0) if rng.random() < 0.3 else 1.0,
+        angle=rng.uniform(0.0, math.pi) if rng.random() < 0.6 else rng.choice([0.0, math.pi / 2]),
+        sharpness=rng.random(),
+        share=rng.random(),
+        irregularity=rng.random(),
+        variant=int(rng.integers(3)),
+    )
+    first = _random_finish(rng, hue)
+    coarse = _log_uniform(rng, 0.012, 0.1)
+    grain = Spectrum(
+        coarse,
+        min(_log_uniform(rng, 0.006, 0.015), 0.7 * coarse),
+        rng.uniform(0.3, 1.6),
+        stretch=shape.stretch if rng.random() < 0.5 else 1.0,
+        angle=shape.angle,
+    )
+    layer = Layer(
+        pattern=pattern,
+        shape=shape,
+        first=first,
+        second=_related_finish(rng, first, hue),
+        depth=1.0,
+        grain=grain,
+        tone=_log_uniform(rng, 0.01, 0.3),
+        wear=_log_uniform(rng, 0.003, 0.06),
+        grain_depth=1.0,
+    )
+    flat = rng.random() < 0.2
+    pattern_slope = 0.02 if flat else _log_uniform(rng, 0.04, 0.4)
+    grain_slope = _log_uniform(rng, 0.005, 0.15)
+    pattern_unit, grain_unit = _unit_slopes(layer)
+    return replace(layer, depth=pattern_slope / pattern_unit, grain_depth=grain_slope / grain_unit)
+
+
+def _unit_slopes(layer: Layer) -> tuple[float, float]:
+    """Root mean square slopes of a layer's relief and grain at depth 1, measured on a sample."""
+    texel = 2.0 / 512.0
+    canvas = Canvas(192, 144, texel, seed=0)
+    relief = PATTERNS[layer.pattern](canvas, "base", layer.shape)[1]
+    grain = noise(canvas, "base grain", layer.grain)
+
+    def slope(field: Field) -> float:
+        down, right = np.gradient(field, texel)
+        return max(float(np.sqrt((down**2 + right**2).mean())), 1.0)
+
+    return slope(relief), slope(grain)
+
+
+def _weights(names: list[str]) -> list[float]:
+    often = {"clouds": 3.0, "creases": 1.5, "grains": 1.5, "woven": 1.5}
+    weights = [often.get(name, 1.0) for name in names]
+    return [weight / sum(weights) for weight in weights]
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(math.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def _natural_colour(rng: np.random.Generator) -> Colour:
+    """A diffuse albedo: browns and greys most often, any hue at times."""
+    if rng.random() < 0.6:
+        hue, saturation = rng.normal(0.08, 0.04) % 1.0, rng.uniform(0.0, 0.7)
+    else:
+        hue, saturation = rng.random(), rng.beta(1.5, 1.5)
+    return colorsys.hsv_to_rgb(hue, saturation, _log_uniform(rng, 0.03, 0.85))
+
+
+def _random_finish(rng: np.random.Generator, hue: Colour) -> Finish:
+    if rng.random() < 0.18:
+        darkness = rng.uniform(0.02, 0.15)
+        metal = tuple(darkness * channel for channel in hue)
+        return Finish((metal[0], metal[1], metal[2]), rng.uniform(0.4, 0.9), rng.uniform(0.2, 0.7))
+    return Finish(hue, rng.uniform(0.025, 0.07), rng.uniform(0.15, 0.92))
+
+
+def _related_finish(rng: np.random.Generator, first: Finish, hue: Colour) -> Finish:
+    """A finish that goes with another: a shade of it, or something else at times."""
+    if rng.random() < 0.25:
+        return _random_finish(rng, _natural_colour(rng))
+    factor = _log_uniform(rng, 0.3, 2.5)
+    shifted = [min(0.9, channel * factor * rng.uniform(0.85, 1.15)) for channel in first.diffuse]
+    return Finish(
+        (shifted[0], shifted[1], shifted[2]),
+        float(np.clip(first.specular * rng.uniform(0.7, 1.3), 0.02, 0.95)),
+        float(np.clip(first.roughness + rng.normal(0.0, 0.15), 0.12, 0.95)),
+    )

@@ -1,0 +1,168 @@
+"""Builds the pack: real photographs of a folder, and simulated ones of an endless stream.
+
+Simulated photographs show procedural materials (matcap.lab.simulate) under random fields of view,
+flash offsets, tilts and vignetting, with sensor noise, clipping and JPEG, as a phone would.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from matcap.capture.coarse import fit_coarse
+from matcap.capture.start import log_contrast
+from matcap.errors import MatcapError
+from matcap.files.srgb import srgb_encode
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.plane import read_plane
+from matcap.lab.simulate.materials.varied import random_material
+from matcap.lab.simulate.photograph import Camera, expose, take
+from matcap.lab.train.pack import WAVE_DETAIL, Entry, Pack, decode, read_code
+from matcap.photo.photo import DEFAULT_FOV, Photo
+from matcap.statistics.lattice import find_lattice
+
+PICTURES = (".jpg", ".jpeg", ".png")
+QUALITY = 85  # of the pack's JPEGs
+LONG_SIDE = 1024  # of the pack's pictures
+_MOST_TILT = math.radians(15.0)
+_PACK_TILT = math.radians(4.0)  # deviation, of photographs meant to be taken from straight above
+
+
+@dataclass(frozen=True)
+class Built:
+    """A pack, and the pictures that could not be used with the reason why."""
+
+    pack: Pack
+    skipped: tuple[tuple[str, str], ...] = field(default=())
+
+
+def build(
+    folder: Path | None,
+    simulated: int,
+    seed: int = 0,
+    tell: Callable[[str], None] = lambda line: None,
+) -> Built:
+    """Pack the photographs of a folder and as many simulated ones.
+
+    A picture's material is its name up to the first underscore. What cannot be read is left out
+    and listed.
+
+    Raises:
+        MatcapError: the folder is missing, or no picture could be used.
+    """
+    entries: list[Entry] = []
+    skipped: list[tuple[str, str]] = []
+    for path in _pictures(folder):
+        try:
+            entries.append(read(path))
+            tell(f"{path.name}: packed")
+        except MatcapError as error:
+            skipped.append((path.name, error.what))
+            tell(f"{path.name}: left out, {error.what}")
+    for index in range(simulated):
+        entries.append(simulate(seed * 1_000_003 + index))
+        tell(f"{entries[-1].name}: packed")
+    if not entries:
+        where = str(folder) if folder else "corpus"
+        raise MatcapError(
+            "no picture could be used", where=where, remedy="give a folder of JPEGs or PNGs"
+        )
+    return Built(Pack(tuple(entries)), tuple(skipped))
+
+
+def _pictures(folder: Path | None) -> Iterator[Path]:
+    if folder is None:
+        return
+    if not folder.is_dir():
+        raise MatcapError("there is no such folder", where=str(folder), remedy="check its name")
+    yield from (p for p in sorted(folder.iterdir()) if p.suffix.lower() in PICTURES)
+
+
+def read(path: Path) -> Entry:
+    """Pack one real photograph.
+
+    Raises:
+        MatcapError: it cannot be read.
+    """
+    code = read_code(path.read_bytes(), str(path))
+    if code.shape[0] > code.shape[1]:
+        code = np.ascontiguousarray(np.rot90(code))
+    if code.shape[1] > LONG_SIDE:
+        size = (LONG_SIDE, round(LONG_SIDE * code.shape[0] / code.shape[1]))
+        code = np.asarray(cv2.resize(code, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return entry(path.name, path.stem.split("_")[0], code, DEFAULT_FOV)
+
+
+def simulate(seed: int, *, deviation: float = _PACK_TILT) -> Entry:
+    """Pack one simulated photograph; a seed is a material and a shot of it."""
+    rng = np.random.default_rng([20212, seed])
+    material = random_material(rng)
+    camera = Camera(
+        width=LONG_SIDE,
+        height=LONG_SIDE * 3 // 4,
+        focal_length=int(rng.integers(24, 36)),
+        full_well=float(rng.uniform(3000.0, 12000.0)),
+        supersampling=1,
+        blur=float(rng.uniform(0.4, 1.0)),
+        brightness=float(rng.uniform(0.15, 0.32)),
+        clipped=float(rng.uniform(0.0, 0.04)),
+    )
+    setup = random_setup(rng, deviation)
+    shot = take(lambda w, h, texel: material.realise(w, h, seed, texel), camera, setup)
+    code = srgb_bytes(expose(shot, seed))
+    name = f"simulated_{seed}"
+    return entry(name, name, code, camera.fov, tilt=setup.tilt)
+
+
+def random_setup(rng: np.random.Generator, deviation: float | None) -> FlashSetup:
+    """A phone held above a material: flash 1 to 3 cm from the lens, 15 to 30 cm away.
+
+    Args:
+        rng: random numbers.
+        deviation: of the two tilts, in radians; None draws them evenly up to 15 degrees.
+    """
+    angle, reach = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.03, 0.14)
+    if deviation is None:
+        tilt = rng.uniform(-_MOST_TILT, _MOST_TILT, 2)
+    else:
+        tilt = rng.normal(0.0, deviation, 2).clip(-_MOST_TILT, _MOST_TILT)
+    return FlashSetup(
+        offset=(reach * math.cos(angle), reach * math.sin(angle), 0.0),
+        tilt=(float(tilt[0]), float(tilt[1])),
+        vignetting=float(rng.uniform(0.0, 0.6)),
+    )
+
+
+def srgb_bytes(linear: np.ndarray) -> np.ndarray:
+    """(H, W, 3) uint8 BGR of linear RGB in [0, 1]."""
+    code = srgb_encode(linear.clip(0.0, 1.0))
+    return np.ascontiguousarray(np.round(code * 255.0).astype(np.uint8)[..., ::-1])
+
+
+def entry(
+    name: str,
+    material: str,
+    code: np.ndarray,
+    fov: float,
+    tilt: tuple[float, float] | None = None,
+) -> Entry:
+    """Pack a developed picture (H, W, 3) uint8 BGR, W >= H."""
+    jpeg = cv2.imencode(".jpg", code, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
+    photo: Photo = decode(jpeg, name, fov)
+    coarse = fit_coarse(photo)
+    plane = read_plane(photo, coarse.setup, WAVE_DETAIL)
+    return Entry(
+        name=name,
+        material=material,
+        simulated=tilt is not None,
+        jpeg=jpeg,
+        coarse=coarse,
+        contrast=log_contrast(plane.linear, plane.valid),
+        waves=find_lattice(plane.encoded(), plane.valid).waves,
+        tilt=tilt,
+    )

@@ -1,0 +1,93 @@
+"""DECODERONLY, an ablation: noise at several scales straight into the way up (paper, section 5).
+
+The way up and the head are the shipped decoder's. What reaches them from the way down is here a
+1 x 1 convolution of white noise, at every level its own: nothing looks at its neighbours before
+the way up does. It is no network that is shipped: it cannot be folded (model/freeze.py) or saved
+as a material, so its pictures are read from it as it is (`Unfolded`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from matcap.brdf.maps import MapSet
+from matcap.model.decoder import (
+    ALIGNMENT,
+    DEPTH,
+    Decoder,
+    DecoderConfig,
+    Layer,
+    Moments,
+    Step,
+    maps_from_raw,
+)
+from matcap.model.random_field import random_field
+from matcap.statistics.lattice import Wave
+
+HALO = 4 * ALIGNMENT  # texels of true noise around what is read; the way up reaches 61 of them
+
+
+class DecoderOnly(Decoder):
+    """A decoder without its way down; `config.noise_channels` are those of one level.
+
+    The field it reads has them for every level, side by side. Level k takes every 2^k-th texel of
+    its own: independent noise of that scale, and still a function of the texel's place alone.
+    """
+
+    def __init__(self, config: DecoderConfig) -> None:
+        super().__init__(replace(config, noise_channels=(DEPTH + 1) * config.noise_channels))
+        self.down = nn.ModuleList(
+            nn.Sequential(Layer(config.noise_channels, width, kernel=1)) for width in config.widths
+        )
+
+    def way_down(self, noise: Tensor, step: Callable[[Layer], Step]) -> list[Tensor]:
+        """What the way up reads at every level, full resolution first: noise of that level."""
+        groups = noise.chunk(DEPTH + 1, dim=1)
+        return [
+            step(layer)(_every(2**level, group))
+            for level, (group, (layer,)) in enumerate(zip(groups, self.down_layers(), strict=True))
+        ]
+
+
+@dataclass(frozen=True)
+class Unfolded:
+    """A frozen decoder of any kind as a generator of maps, layer by layer.
+
+    What Material is to folded ones: endless, the same texels whatever rectangle is asked for, but
+    for the rounding of float32.
+
+    Attributes:
+        decoder, code, moments, waves, texel_size: as of a Material.
+    """
+
+    decoder: Decoder
+    code: Tensor
+    moments: tuple[Moments, ...]
+    waves: tuple[Wave, ...]
+    texel_size: float
+
+    def maps(self, width: int, height: int, *, seed: int = 0, x: int = 0, y: int = 0) -> MapSet:
+        """Maps of a rectangle; all four numbers are multiples of ALIGNMENT."""
+        field = random_field(
+            seed,
+            self.decoder.config.noise_channels,
+            self.waves,
+            x - HALO,
+            y - HALO,
+            width + 2 * HALO,
+            height + 2 * HALO,
+            levels=DEPTH,
+            cells=self.decoder.config.cells,
+        )
+        with torch.inference_mode():
+            raw = self.decoder(field, self.code, self.moments, periodic=False)[0]
+        return maps_from_raw(raw[..., HALO:-HALO, HALO:-HALO], self.texel_size)
+
+
+def _every(stride: int, noise: Tensor) -> Tensor:
+    """Every so many texels of (B, C, H, W), along both sides."""
+    return noise[..., ::stride, ::stride].contiguous(memory_format=torch.channels_last)

@@ -1,0 +1,215 @@
+"""What a prior is worth: measured on photographs and materials it never saw.
+
+Held-out photographs are captured with and without the prior and by rivals that need none, and
+compared as measure.py says. Writes a Markdown table and a picture. Every result is kept as soon as
+it is there, and not made again by the next run into the same folder.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
+from pathlib import Path
+
+from torch import Tensor, zeros
+
+from matcap.capture.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR
+from matcap.capture.prior.store import Prior
+from matcap.capture.start import log_contrast, untrained
+from matcap.lab.bench.baselines import PerTexelSettings
+from matcap.lab.train.align import evaluate_alignment, make
+from matcap.lab.train.journal import first_of_each
+from matcap.lab.train.kept import key_of, once, photograph_key, prior_key
+from matcap.lab.train.measure import Made, Photographed, Result, capture, judge, photographed
+from matcap.lab.train.pack import Entry, Pack
+from matcap.lab.train.pages import COLUMNS, median, names, table, write_sheet
+from matcap.lab.train.rivals import albedo, per_texel_maps, quilts
+from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+
+UNSEEN = 1_000_000  # seeds from here on show simulated materials that training never draws
+ALBEDO, QUILTING, PER_TEXEL = "photograph as albedo", "image quilting", "per texel"
+# Pieces of the photographs themselves, which are not ours to publish: not on the sheet.
+_COPIES = (ALBEDO, QUILTING)
+
+
+@dataclass(frozen=True)
+class EvaluateSettings:
+    """What is measured.
+
+    Attributes:
+        steps: of fine-tuning from the prior.
+        longer: of fine-tuning from nothing.
+        materials: how many held-out ones.
+        tilted: unseen simulated photographs for the tilt.
+        realisations: of each material, that are compared with each other.
+        per_texel: how long that rival works.
+    """
+
+    steps: int = 100
+    longer: int = 1000
+    materials: int = 12
+    tilted: int = 100
+    realisations: int = 3
+    per_texel: PerTexelSettings = field(default_factory=PerTexelSettings)
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way from a photograph to pictures of its material.
+
+    Attributes:
+        name: a row of the table.
+        run: the way.
+        follows: everything its result follows from, beside its name and the photograph.
+    """
+
+    name: str
+    run: Callable[[Photographed], Made]
+    follows: tuple[object, ...] = ()
+
+
+def run_evaluation(
+    prior: Prior,
+    pack: Pack,
+    settings: EvaluateSettings,
+    out: Path,
+    command: str,
+    tell: Callable[[str], None] = lambda line: None,
+) -> str:
+    """Measure, write prior-evaluation.md and .jpg into a folder, and return the table.
+
+    Results are kept in its folder prior-evaluation; see kept.py.
+    """
+    entries = first_of_each(pack.reporting)[: settings.materials]
+    results = measure_all(ways_of(prior, settings), entries, out / "prior-evaluation", tell)
+    errors = evaluate_alignment(
+        prior.alignment, make(range(UNSEEN, UNSEEN + settings.tilted), 512)
+    ).abs()
+    tell(f"tilt: {float(errors.mean()):.2f} degrees")
+    page = markdown(results, errors, prior, command)
+    (out / "prior-evaluation.md").write_text(page)
+    shown = [result for result in results if result.method not in _COPIES]
+    write_sheet(shown, out / "prior-evaluation.jpg")
+    return page
+
+
+def measure_all(
+    ways: Sequence[Way],
+    entries: Sequence[Entry],
+    folder: Path,
+    tell: Callable[[str], None] = lambda line: None,
+) -> list[Result]:
+    """Every way on every photograph; those kept in the folder are not gone again."""
+    results = []
+    for entry in entries:
+        # Decoded when the first way needs it: perhaps all of them are kept.
+        shown = cache(partial(photographed, entry))
+        for way in ways:
+            key = key_of(way.name, photograph_key(entry), *way.follows)
+            result = once(folder, key, partial(_measure, way, shown))
+            tell(
+                f"{result.material}  {way.name}: style {result.style:.3f}, xyz {result.xyz:.3f}, "
+                f"diversity {result.diversity:.3f}, {result.seconds:.1f} s"
+            )
+            results.append(result)
+    return results
+
+
+def _measure(way: Way, shown: Callable[[], Photographed]) -> Result:
+    return judge(way.name, way.run(shown()), shown())
+
+
+def ways_of(prior: Prior, settings: EvaluateSettings) -> list[Way]:
+    """From the prior, from nothing, and the rivals'."""
+    count, known = settings.realisations, prior_key(prior)
+
+    def tuned(
+        begin: Begin, steps: int, rate: float = RATE_FROM_NOTHING
+    ) -> Callable[[Photographed], Made]:
+        return lambda shown: capture(shown, partial(begin, shown), steps, count, rate)
+
+    start = partial(from_prior, prior)
+    few, many = settings.steps, settings.longer
+    return [
+        Way("prior, not tuned", tuned(start, 0), (count, known)),
+        Way(
+            f"prior, {few} steps",
+            tuned(start, few, RATE_FROM_PRIOR),
+            (count, known, RATE_FROM_PRIOR),
+        ),
+        Way(f"nothing, {few} steps", tuned(from_nothing, few), (count,)),
+        Way(f"nothing, {many} steps", tuned(from_nothing, many), (count,)),
+        Way(ALBEDO, albedo),
+        Way(
+            PER_TEXEL,
+            partial(per_texel_maps, realisations=count, settings=settings.per_texel),
+            (count, settings.per_texel),
+        ),
+        Way(QUILTING, partial(quilts, realisations=count), (count,)),
+    ]
+
+
+Begin = Callable[[Photographed], tuple[Decoder, Tensor]]
+
+
+def from_prior(prior: Prior, shown: Photographed) -> tuple[Decoder, Tensor]:
+    """Decoder and code as the prior has them for a photograph."""
+    return prior.start(shown.photo, shown.entry.coarse, shown.plane)
+
+
+def from_nothing(shown: Photographed, kind: type[Decoder] = Decoder) -> tuple[Decoder, Tensor]:
+    """A random decoder around the coarse fit, and a code of zeros."""
+    contrast = log_contrast(shown.plane.linear, shown.plane.valid)
+    return untrained(DecoderConfig(), shown.entry.coarse, contrast, 0, kind), zeros(CODE_SIZE)
+
+
+def markdown(results: Sequence[Result], tilt_errors: Tensor, prior: Prior, command: str) -> str:
+    """The page."""
+    methods, materials = names(results, lambda r: r.method), names(results, lambda r: r.material)
+    style = {(r.material, r.method): r.style for r in results}
+    summary = [
+        [
+            method,
+            f"{median(results, method, lambda r: r.style):.3f}",
+            f"{median(results, method, lambda r: r.xyz):.3f}",
+            f"{median(results, method, lambda r: r.diversity):.3f}",
+            f"{median(results, method, lambda r: r.seconds):.1f}",
+        ]
+        for method in methods
+    ]
+    each = [[m, *(f"{style[m, method]:.3f}" for method in methods)] for m in materials]
+    mean, worst = float(tilt_errors.mean()), float(tilt_errors.quantile(0.95))
+    lines = [
+        "# What the prior is worth",
+        "",
+        f"Made by `{command}`: {len(materials)} held-out photographs, re-rendered under their own",
+        "flash.",
+        "",
+        *table(["method", "style", "XYZ", "diversity", "seconds"], summary),
+        "",
+        COLUMNS,
+        "",
+        f"*{ALBEDO.capitalize()}* is the photograph's corner laid in its middle and lit once more;",
+        "in its own place it would be compared with itself. *Image quilting* (Efros and Freeman",
+        "2001) copies the very texels it is compared with; it has no maps, so nothing but these",
+        "columns can be measured of it. *Per texel* has one periodic patch, only moved from one",
+        "realisation to the next. How all of them but quilting look under other lights is",
+        "measured where the truth is known, by `matcap bench quality` (docs/notes/quality.md).",
+        "",
+        "Style error of each photograph:",
+        "",
+        *table(["material", *methods], each),
+        "",
+        f"Tilt of {len(tilt_errors)} simulated photographs of unseen materials, up to 15 degrees",
+        f"either way: mean absolute error {mean:.2f} degrees, 95th percentile {worst:.2f}.",
+        "",
+        f"Codes of the training photographs: {prior.about.get('dead_dimensions', math.nan)} of",
+        f"{CODE_SIZE} dimensions dead.",
+        "",
+        "![Columns: the materials in this order. Rows: the methods that do not show the photograph",
+        "itself, in the order of the table.](prior-evaluation.jpg)",
+        "",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,118 @@
+"""From a trained state to a prior: codes made standard normal, and how bases go with them.
+
+The aggregate of all training codes is moved to zero mean and unit variance, dimension by
+dimension. Encoder and decoder take up the change exactly, so no picture changes; only random
+draws do, which now come from where the codes are.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from matcap.capture.prior.base import VARYING, base_of, varying
+from matcap.capture.prior.look import describe_windows, numbers, picture, texture
+from matcap.capture.prior.store import Habits, Prior
+from matcap.flash.rectify import rectify
+from matcap.lab.train.pack import WAVE_DETAIL, Entry
+from matcap.model.alignment import Alignment
+from matcap.model.decoder import CODE_SIZE, Decoder
+from matcap.model.encoder import Encoder
+
+_RIDGE = 10.0  # photographs' worth of belief that bases do not go with codes
+DEAD = 0.05  # variance of the codes' means below which a dimension tells nothing
+
+
+@dataclass(frozen=True)
+class Codes:
+    """Codes of photographs: means and variances, (N, CODE_SIZE) each."""
+
+    mean: Tensor
+    variance: Tensor
+
+    @property
+    def aggregate(self) -> tuple[Tensor, Tensor]:
+        """Mean and variance per dimension of codes drawn for all the photographs."""
+        spread = self.mean.var(dim=0, correction=0)
+        return self.mean.mean(0), spread + self.variance.mean(0)
+
+    def standardised(self) -> Codes:
+        """The same codes after standardise()."""
+        mean, variance = self.aggregate
+        return Codes((self.mean - mean) / variance.sqrt(), self.variance / variance)
+
+
+def codes_of(encoder: Encoder, entries: Sequence[Entry]) -> Codes:
+    """Encode photographs of the pack."""
+    means, variances = [], []
+    for entry in entries:
+        photo = entry.photo()
+        linear, valid = rectify(photo, entry.coarse.setup, WAVE_DETAIL)
+        with torch.inference_mode():
+            mean, log_variance = encoder(
+                picture(photo, encoder.config.width)[None],
+                numbers(entry.coarse, entry.contrast, WAVE_DETAIL)[None],
+                texture(describe_windows(linear, valid))[None],
+            )
+        means.append(mean[0])
+        variances.append(log_variance[0].exp())
+    return Codes(torch.stack(means), torch.stack(variances))
+
+
+def standardise(encoder: Encoder, decoder: Decoder, codes: Codes) -> tuple[Encoder, Decoder]:
+    """Copies whose codes z' = (z - mean) / deviation; every picture stays the same.
+
+    The encoder bounds log variances, which move along: where a bound held, it holds elsewhere.
+    """
+    mean, variance = codes.aggregate
+    deviation = variance.sqrt()
+    encoder, decoder = copy.deepcopy(encoder), copy.deepcopy(decoder)
+    with torch.no_grad():
+        head = encoder.head
+        head.weight[:CODE_SIZE] /= deviation[:, None]
+        head.bias[:CODE_SIZE] = (head.bias[:CODE_SIZE] - mean) / deviation
+        head.bias[CODE_SIZE:] -= 2.0 * deviation.log()
+        for layer in decoder.layers():
+            affine = layer.adain.affine
+            affine.bias.add_(affine.weight @ mean)
+            affine.weight.mul_(deviation)
+    return encoder, decoder
+
+
+def habits_of(codes: Codes, entries: Sequence[Entry]) -> Habits:
+    """Ridge regression of bases on standardised codes, and the covariance of the rest."""
+    bases = torch.stack([varying(base_of(e.coarse, e.contrast)) for e in entries]).double()
+    offset = bases.mean(0)
+    code = codes.mean.double()
+    normal = code.T @ code + _RIDGE * torch.eye(CODE_SIZE)
+    matrix = torch.linalg.solve(normal, code.T @ (bases - offset)).T
+    rest = bases - offset - code @ matrix.T
+    covariance = rest.T @ rest / len(rest) + 1e-6 * torch.eye(VARYING)
+    return Habits(matrix.float(), offset.float(), torch.linalg.cholesky(covariance).float())
+
+
+def finish(
+    encoder: Encoder,
+    decoder: Decoder,
+    alignment: Alignment,
+    entries: Sequence[Entry],
+    about: Mapping[str, Any],
+) -> Prior:
+    """A prior from trained networks and the photographs they were trained on."""
+    codes = codes_of(encoder, entries)
+    encoder, decoder = standardise(encoder, decoder, codes)
+    codes = codes.standardised()
+    mean, variance = codes.aggregate
+    told = codes.mean.var(dim=0, correction=0)
+    measured = {
+        "code_mean": [round(v, 3) for v in mean.tolist()],
+        "code_variance": [round(v, 3) for v in variance.tolist()],
+        "dead_dimensions": int((told < DEAD).sum()),
+    }
+    habits = habits_of(codes, entries)
+    return Prior(encoder, decoder, alignment, habits, {**about, **measured})

@@ -1,0 +1,175 @@
+"""Held-out photographs, and what pictures of a material are worth beside them.
+
+Everything is compared under the photograph's own flash in the middle of the photograph, where both
+have the same light: style by random filters that no capture optimises (bench/style.py), colours by
+XYZ histograms (bench/xyz.py), and the realisations with each other (bench/diversity.py).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.finetune import RATE_FROM_NOTHING, Scene, TuneSettings, finetune
+from matcap.capture.prior.look import FEATURES
+from matcap.capture.windows import cut_windows
+from matcap.files.srgb import srgb_encode_tensor
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.plane import Plane, read_plane
+from matcap.flash.render import render_flash
+from matcap.lab.bench.diversity import diversity
+from matcap.lab.bench.style import RandomFilters, difference
+from matcap.lab.bench.xyz import xyz_difference
+from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
+from matcap.lab.train.pack import Entry
+from matcap.model.decoder import Decoder
+from matcap.model.material import Material
+from matcap.photo.photo import Photo
+from matcap.statistics.filterbank import FilterBank
+
+SIZE = 384  # texels a side of the pictures compared
+DETAIL = 1024  # texels along the photograph's long side
+_WINDOW = 160
+_FIRST_SEED = 5
+
+
+@dataclass(frozen=True)
+class Photographed:
+    """A photograph ready to be captured.
+
+    Attributes:
+        entry: what the pack says.
+        photo: decoded.
+        plane: rectified.
+        scene: for fine-tuning.
+    """
+
+    entry: Entry
+    photo: Photo
+    plane: Plane
+    scene: Scene
+
+    @property
+    def middle(self) -> tuple[int, int]:
+        """Left top texel (x, y) of the square that is compared."""
+        width, height = self.plane.size
+        return (width - SIZE) // 2, (height - SIZE) // 2
+
+    @property
+    def truth(self) -> Tensor:
+        """(3, SIZE, SIZE) sRGB, the middle of the photograph."""
+        x, y = self.middle
+        return _shown(self.plane.linear[:, y : y + SIZE, x : x + SIZE])
+
+    def lit(self, maps: MapSet, setup: FlashSetup | None = None) -> Tensor:
+        """(3, SIZE, SIZE) sRGB of maps of that size lying in the middle, under the flash.
+
+        The setup is the coarse fit's, unless the maps come with another.
+        """
+        points = plane_points(*self.middle, SIZE, SIZE, self.plane.size, dtype=torch.float32)
+        with torch.inference_mode():
+            return _shown(render_flash(maps, setup or self.scene.setup, points))
+
+
+def _shown(linear: Tensor) -> Tensor:
+    """Code values of a picture."""
+    return srgb_encode_tensor(linear.clamp(0.0, 1.0))
+
+
+def photographed(entry: Entry) -> Photographed:
+    """Decode, rectify and describe a photograph of the pack."""
+    photo, setup = entry.photo(), entry.coarse.setup
+    plane, bank = read_plane(photo, setup, DETAIL), FilterBank(FEATURES)
+    windows = cut_windows(plane, bank, _WINDOW)
+    scene = Scene(windows, setup, plane.encoding, bank, entry.waves, plane.texel_size)
+    return Photographed(entry, photo, plane, scene)
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a method makes of a photograph.
+
+    Attributes:
+        pictures: (N, 3, SIZE, SIZE) sRGB realisations under the photograph's flash.
+        seconds: that the method took, without rendering them.
+    """
+
+    pictures: Tensor
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """One method on one photograph.
+
+    Attributes:
+        material: held-out one's name.
+        method: a row of the table.
+        style: error of the first realisation by random filters, 0 to 2.
+        xyz: difference of its XYZ histograms, 0 to 1.
+        diversity: mean distance between realisations, 0 to 2.
+        seconds: that the method took.
+        picture: (3, SIZE, SIZE) sRGB of the first realisation.
+    """
+
+    material: str
+    method: str
+    style: float
+    xyz: float
+    diversity: float
+    seconds: float
+    picture: Tensor
+
+
+def judge(method: str, made: Made, shown: Photographed) -> Result:
+    """Hold what a method made against the photograph as it is."""
+    first, truth, style = made.pictures[0], shown.truth, RandomFilters()
+    return Result(
+        material=shown.entry.material,
+        method=method,
+        style=float(difference(style(first[None]), style(truth[None]))),
+        xyz=xyz_difference(first, truth),
+        diversity=diversity(made.pictures),
+        seconds=made.seconds,
+        picture=first,
+    )
+
+
+def capture(
+    tuned: Photographed,
+    begin: Callable[[], tuple[Decoder, Tensor]],
+    steps: int,
+    realisations: int,
+    rate: float = RATE_FROM_NOTHING,
+) -> Made:
+    """Fine-tune a decoder to a photograph, freeze it, and render some of its realisations."""
+    started = time.perf_counter()
+    decoder, code = begin()
+    scene = tuned.scene
+    found = finetune(decoder, code, scene, TuneSettings(steps=steps, learning_rate=rate), _untold)
+    seconds = time.perf_counter() - started
+    if found.interrupted:
+        raise KeyboardInterrupt  # half a capture is no measurement
+    decoder = found.decoder.eval().requires_grad_(False)
+    frozen = (decoder, code, found.moments, scene.waves, scene.texel_size)
+    material: Material | Unfolded
+    if isinstance(decoder, DecoderOnly):
+        material = Unfolded(*frozen)
+    else:
+        material = Material("", *frozen, scene.setup)
+    pictures = [tuned.lit(material.maps(SIZE, SIZE, seed=seed)) for seed in seeds(realisations)]
+    return Made(torch.stack(pictures), seconds)
+
+
+def seeds(realisations: int) -> range:
+    """Of the realisations that are compared."""
+    return range(_FIRST_SEED, _FIRST_SEED + realisations)
+
+
+def _untold(share: float, error: float, seconds: float) -> None:
+    """Nobody listens."""

@@ -1,0 +1,67 @@
+"""Reads a training configuration: a TOML file with the names of TrainConfig."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from matcap.errors import UsageError
+from matcap.lab.train.state import TrainConfig
+from matcap.lab.train.step import fits
+from matcap.model.decoder import DecoderConfig
+from matcap.model.encoder import BACKBONES, EncoderConfig
+
+_Table = TypeVar("_Table", TrainConfig, EncoderConfig, DecoderConfig)
+
+
+def read_config(path: Path) -> TrainConfig:
+    """A configuration; what the file leaves out keeps its default.
+
+    Raises:
+        UsageError: no such file, no TOML, an unknown name or a value of the wrong kind.
+    """
+    try:
+        stated = tomllib.loads(path.read_text())
+    except OSError as error:
+        raise UsageError(f"it cannot be read ({error.strerror})", where=str(path)) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"this is no TOML ({error})", where=str(path)) from error
+    encoder = _filled(EncoderConfig(), stated.pop("encoder", {}), f"{path}, encoder")
+    decoder = _filled(DecoderConfig(), stated.pop("decoder", {}), f"{path}, decoder")
+    config = _filled(TrainConfig(), stated, str(path))
+    if encoder.backbone not in BACKBONES:
+        raise UsageError(
+            f"there is no backbone '{encoder.backbone}'",
+            where=str(path),
+            remedy=f"choose from {', '.join(BACKBONES)}",
+        )
+    if not fits(config.window):
+        raise UsageError(
+            f"the window {config.window} is no multiple of 16 from 64 on",
+            where=str(path),
+            remedy="give 96",
+        )
+    return replace(config, encoder=encoder, decoder=decoder)
+
+
+def _filled(default: _Table, stated: dict[str, Any], where: str) -> _Table:
+    """A frozen dataclass with some of its values replaced by those of a table."""
+    values: dict[str, Any] = {}
+    kinds = {f.name: type(getattr(default, f.name)) for f in fields(default)}
+    for name, value in stated.items():
+        if name not in kinds:
+            known = ", ".join(kinds)
+            raise UsageError(f"there is no setting '{name}'", where=where, remedy=f"use {known}")
+        kind = kinds[name]
+        if kind is float and type(value) is int:
+            value = float(value)
+        if kind is tuple and isinstance(value, list):
+            value = tuple(value)
+        if type(value) is not kind:
+            raise UsageError(
+                f"'{name}' is {value!r}", where=where, remedy=f"give a {kind.__name__}"
+            )
+        values[name] = value
+    return replace(default, **values)

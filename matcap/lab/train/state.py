@@ -1,0 +1,94 @@
+"""How a prior is trained, and all that training changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+
+from matcap.capture.prior.base import start_head
+from matcap.model.decoder import Decoder, DecoderConfig
+from matcap.model.encoder import Encoder, EncoderConfig
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How a prior is trained; a TOML file of the same names (cli/prior.py).
+
+    Attributes:
+        steps: when training ends; the learning rate falls to nothing over the last quarter.
+        materials: photographs of different materials in a step.
+        places: windows of each.
+        window: texels a side, MARGIN short of a multiple of 16 on either side.
+        real_share: of the photographs drawn that are real.
+        coarse_share: of the photographs drawn that are looked at with half the detail.
+        rate, encoder_rate: Adam's, of decoder and encoder.
+        weight_decay: Adam's.
+        kl: weight of the KL term, per dimension of the code.
+        kl_warmup: steps until it counts in full.
+        slope: weight of the mean squared slope.
+        average: decay of the running mean of the weights, which is what is shipped.
+        seed: of everything random.
+        checkpoint_minutes: between checkpoints.
+        report_every: steps between reports on the held-out materials.
+        encoder, decoder: their shapes.
+    """
+
+    steps: int = 6000
+    materials: int = 4
+    places: int = 2
+    window: int = 160
+    real_share: float = 0.65
+    coarse_share: float = 0.15
+    rate: float = 2e-3
+    encoder_rate: float = 5e-4
+    weight_decay: float = 1e-5
+    kl: float = 0.03
+    kl_warmup: int = 1000
+    slope: float = 0.02
+    average: float = 0.998
+    seed: int = 1
+    checkpoint_minutes: float = 4.0
+    report_every: int = 250
+    encoder: EncoderConfig = EncoderConfig()
+    decoder: DecoderConfig = DecoderConfig()
+
+
+class Model(nn.Module):
+    """Encoder and decoder."""
+
+    def __init__(self, encoder: EncoderConfig, decoder: DecoderConfig) -> None:
+        super().__init__()
+        self.encoder = Encoder(encoder)
+        self.decoder = Decoder(decoder)
+        start_head(self.decoder)
+
+
+@dataclass
+class State:
+    """All that training changes."""
+
+    model: Model
+    average: Model
+    optimiser: torch.optim.Adam
+    step: int = 0
+
+
+def start(config: TrainConfig, device: str) -> State:
+    """An untrained state."""
+    torch.manual_seed(config.seed)
+    model = Model(config.encoder, config.decoder)
+    average = Model(config.encoder, config.decoder)
+    average.load_state_dict(model.state_dict())
+    for module in (model, average):
+        module.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimiser = torch.optim.Adam(
+        [
+            {"params": list(model.encoder.parameters()), "lr": config.encoder_rate},
+            {"params": list(model.decoder.parameters()), "lr": config.rate},
+        ],
+        betas=(0.9, 0.99),
+        weight_decay=config.weight_decay,
+    )
+    return State(model, average.requires_grad_(False), optimiser)

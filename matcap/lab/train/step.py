@@ -1,0 +1,144 @@
+"""One step of training: windows of photographs against what encoder and decoder make of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.prior.base import Base
+from matcap.capture.prior.look import texture
+from matcap.lab.train.state import State, TrainConfig
+from matcap.lab.train.windows import Sample
+from matcap.model.decoder import DEPTH, Decoder, maps_from_raw
+from matcap.model.noise import noise_field
+from matcap.model.order import WAVE_CHANNELS, wave_field
+from matcap.model.random_field import RandomField
+from matcap.statistics.compare import Descriptor, Weights, describe, distance
+from matcap.statistics.filterbank import FilterBank
+from matcap.statistics.lattice import Wave
+
+MARGIN = 16  # texels cut off each side of what is decoded: its border is not valid
+
+_MOST_SLOPE = 1.0  # of a surface, root mean square at a texel, before it is held back hard
+
+
+def train_step(
+    state: State, samples: list[Sample], config: TrainConfig, bank: FilterBank, device: str
+) -> dict[str, float]:
+    """One step of Adam; returns the parts of the loss."""
+    factor = schedule(state.step, config.steps)
+    for group, rate in zip(
+        state.optimiser.param_groups, (config.encoder_rate, config.rate), strict=True
+    ):
+        group["lr"] = rate * factor
+    pictures = torch.stack([s.picture for s in samples]).to(device)
+    numbers = torch.stack([s.numbers for s in samples]).to(device)
+    wanted = targets(samples, bank, device)
+    told = torch.stack([texture(target) for target in wanted])
+    with torch.autocast(torch.device(device).type, torch.bfloat16):
+        mean, log_variance = state.model.encoder(pictures, numbers, told)
+    noise_seed = config.seed * 1_000_003 + state.step
+    generator = torch.Generator().manual_seed(noise_seed)
+    drawn = torch.randn(mean.shape, generator=generator).to(device)
+    code = mean + torch.exp(0.5 * log_variance) * drawn
+    losses, slopes = compare(state.model.decoder, code, samples, wanted, noise_seed, bank, device)
+    kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()
+    warm = min(1.0, state.step / max(1, config.kl_warmup))
+    # The logarithm keeps one plain material, whose faint statistics are easily missed by a large
+    # factor, from drowning the others.
+    loss = torch.log1p(losses).mean() + config.kl * warm * kl + config.slope * slopes.mean()
+    state.optimiser.zero_grad(set_to_none=True)
+    loss.backward()
+    nn.utils.clip_grad_norm_(state.model.parameters(), 1.0)
+    state.optimiser.step()
+    state.step += 1
+    decay = min(config.average, state.step / (state.step + 10.0))
+    with torch.no_grad():
+        for kept, new in zip(state.average.parameters(), state.model.parameters(), strict=True):
+            kept.lerp_(new, 1.0 - decay)
+    parts = {"style": torch.log1p(losses).mean(), "kl": kl, "slope": slopes.mean()}
+    return {name: float(value.detach()) for name, value in parts.items()}
+
+
+def schedule(step: int, steps: int) -> float:
+    """Share of the learning rate: a short warm-up, flat, and down over the last quarter."""
+    return min(1.0, (step + 1) / 50.0) * min(1.0, max(0.02, 4.0 * (1.0 - step / steps)))
+
+
+def targets(samples: Sequence[Sample], bank: FilterBank, device: str) -> list[Descriptor]:
+    """What the windows of each sample look like."""
+    kind = torch.device(device).type
+    with torch.no_grad(), torch.autocast(kind, torch.bfloat16):
+        return [describe(s.linear.to(device), s.encoding, bank) for s in samples]
+
+
+def compare(
+    decoder: Decoder,
+    code: Tensor,
+    samples: Sequence[Sample],
+    wanted: Sequence[Descriptor],
+    seed: int,
+    bank: FilterBank,
+    device: str,
+) -> tuple[Tensor, Tensor]:
+    """(B,) style distances of decoded materials from their windows, and (B,) slope penalties."""
+    kind = torch.device(device).type
+    size = samples[0].linear.shape[-1]
+    field = fields(decoder.config.noise_channels, [s.waves for s in samples], size, seed, device)
+    with torch.autocast(kind, torch.bfloat16):
+        output = decoder(field, code)
+    inner = output[..., MARGIN : MARGIN + size, MARGIN : MARGIN + size]
+    losses, slopes = [], []
+    for index, sample in enumerate(samples):
+        sample = sample.to(device)
+        maps = read_maps(inner[index : index + 1], sample.base, sample.texel_size)
+        with torch.autocast(kind, torch.bfloat16):
+            found = describe(sample.render(maps), sample.encoding, bank)
+        losses.append(distance(found, wanted[index], Weights()).mean())
+        slopes.append(slope_penalty(maps))
+    return torch.stack(losses), torch.stack(slopes)
+
+
+def read_maps(output: Tensor, base: Base, texel_size: float) -> MapSet:
+    """Maps of decoder outputs (B, OUTPUTS, H, W) that are in units of a base."""
+    return maps_from_raw(base.apply(output), texel_size)
+
+
+def slope_penalty(maps: MapSet) -> Tensor:
+    """Mean squared slope, and much more where slopes exceed what a flash can show."""
+    normal = maps.normal
+    squared = (normal[..., :2, :, :] / normal[..., 2:, :, :]).square().sum(-3)
+    steep = torch.relu((squared + 1e-6).sqrt() - _MOST_SLOPE).square().mean()
+    return squared.mean() + 15.0 * steep
+
+
+def fields(
+    channels: int, waves: Sequence[tuple[Wave, ...]], size: int, seed: int, device: str
+) -> RandomField:
+    """A batch of fields for windows of `size` texels: noise on a torus, waves endless."""
+    side = size + 2 * MARGIN
+    noise = noise_field(
+        seed, channels * len(waves), 0, 0, side, side, period=(side, side), device=device
+    ).view(len(waves), channels, side, side)
+    stack = []
+    for level in range(DEPTH):
+        here = side >> level
+        stack.append(
+            torch.stack(
+                [
+                    wave_field(seed, w, 0, 0, here, here, level=level, device=device)
+                    if w
+                    else torch.zeros(WAVE_CHANNELS, here, here, device=device)
+                    for w in waves
+                ]
+            )
+        )
+    return RandomField(noise, tuple(stack))
+
+
+def fits(window: int) -> bool:
+    """Whether a window with its margins is a multiple of 16 texels, and large enough to tell."""
+    return window >= 64 and (window + 2 * MARGIN) % 2**DEPTH == 0

@@ -1,0 +1,214 @@
+"""Training windows: pieces of photographs, lit and seen as where they were cut, and their turns.
+
+A flip or a quarter turn moves pixels, plane points and vignetting alike, and turns the places of
+camera and flash and the waves' directions with them, so the geometry stays true. Colours are
+permuted, and gained a little (white balance), together with the base they are read against.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.prior.base import Base, base_of
+from matcap.capture.prior.look import numbers, picture
+from matcap.flash.geometry import camera_in_plane, plane_points
+from matcap.flash.plane import read_plane
+from matcap.flash.render import shade, vignette
+from matcap.lab.train.pack import WAVE_DETAIL, Entry
+from matcap.statistics.encoding import Encoding
+from matcap.statistics.lattice import Wave
+
+_MOST_GAIN = 1.15  # of one colour over another
+_LEAST_SEEN = 0.5  # of a window that must be valid
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One of the square's eight symmetries: mirrored along x or not, then quarter turns."""
+
+    mirrored: bool = False
+    quarters: int = 0
+
+    def image(self, image: Tensor) -> Tensor:
+        """(..., H, W) moved."""
+        image = image.flip(-1) if self.mirrored else image
+        return torch.rot90(image, self.quarters, (-2, -1))
+
+    def vector(self, vector: Tensor) -> Tensor:
+        """(N, ...) vectors whose first two parts are x (right) and y (up), moved alike."""
+        x, y = vector[0], vector[1]
+        x = -x if self.mirrored else x
+        for _ in range(self.quarters % 4):
+            x, y = -y, x
+        return torch.cat([torch.stack([x, y]), vector[2:]])
+
+    def wave(self, wave: Wave) -> Wave:
+        """A wave, whose y is counted downwards, moved alike."""
+        x, y = self.vector(torch.tensor([wave.fx, -wave.fy], dtype=torch.float64)).tolist()
+        return Wave(x, -y)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A photograph ready to be cut: everything that does not change from step to step.
+
+    Attributes:
+        linear: (3, H, W) float16, rectified at WAVE_DETAIL texels across.
+        valid: (H, W) bool.
+        picture: (5, h, w) what the encoder sees.
+        encoding: the photograph's.
+        entry: what the pack says.
+    """
+
+    linear: Tensor
+    valid: Tensor
+    picture: Tensor
+    encoding: Encoding
+    entry: Entry
+
+
+def prepare(entry: Entry, encoder_width: int) -> Source:
+    """Decode and rectify a photograph of the pack."""
+    photo = entry.photo()
+    plane = read_plane(photo, entry.coarse.setup, WAVE_DETAIL)
+    shown = picture(photo, encoder_width)
+    return Source(plane.linear.half(), plane.valid, shown, plane.encoding, entry)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One material of a batch.
+
+    Attributes:
+        picture: (5, h, w) and numbers (NUMBERS,) for the encoder.
+        base: what the decoder's outputs are read against.
+        waves: of the material, in the windows' texels.
+        linear: (K, 3, S, S) windows of the photograph.
+        points: (K, 3, S, S) their plane points.
+        shading: (K, 1, S, S) vignetting.
+        camera, light, intensity: (3,) each, plane frame.
+        encoding: of the photograph, its colours permuted like the windows'.
+        texel_size: in plane units.
+    """
+
+    picture: Tensor
+    numbers: Tensor
+    base: Base
+    waves: tuple[Wave, ...]
+    linear: Tensor
+    points: Tensor
+    shading: Tensor
+    camera: Tensor
+    light: Tensor
+    intensity: Tensor
+    encoding: Encoding
+    texel_size: float
+
+    def to(self, device: str) -> Sample:
+        """The same sample on a device."""
+        return replace(
+            self,
+            base=Base(self.base.mean.to(device), self.base.deviation.to(device)),
+            linear=self.linear.to(device),
+            points=self.points.to(device),
+            shading=self.shading.to(device),
+            camera=self.camera.to(device),
+            light=self.light.to(device),
+            intensity=self.intensity.to(device),
+        )
+
+    def render(self, maps: MapSet) -> Tensor:
+        """(K, 3, S, S) the maps lit and seen as in each of the windows."""
+        shaded = shade(maps, self.points, self.camera, self.light, self.intensity)
+        return shaded * self.shading
+
+
+def cut(
+    source: Source,
+    size: int,
+    places: int,
+    coarser: int,
+    turn: Turn,
+    rng: np.random.Generator,
+    *,
+    augment: bool = True,
+) -> Sample:
+    """Cut windows of `size` texels, each `coarser` (1 or 2) of the source's, and turn them.
+
+    With `augment` their colours are permuted and gained too.
+    """
+    setup = source.entry.coarse.setup
+    height, width = source.linear.shape[-2:]
+    span = size * coarser
+    crops, points, shading = [], [], []
+    for _ in range(places):
+        x, y = _place(source.valid, span, rng)
+        crop = source.linear[:, y : y + span, x : x + span].float()
+        crops.append(F.avg_pool2d(crop, coarser) if coarser > 1 else crop)
+        place = plane_points(
+            x // coarser, y // coarser, size, size, (width // coarser, height // coarser),
+            dtype=torch.float32,
+        )  # fmt: skip
+        points.append(turn.image(turn.vector(place)))
+        shading.append(turn.image(vignette(place, setup)))
+    order, gain = torch.arange(3), torch.ones(3)
+    if augment:
+        order = torch.from_numpy(rng.permutation(3))
+        gain = torch.from_numpy(rng.uniform(1.0, _MOST_GAIN, 3)).float()
+    hue = torch.log(gain) - torch.log(gain).mean()
+    base = base_of(source.entry.coarse, source.entry.contrast)
+    told = numbers(source.entry.coarse, source.entry.contrast, WAVE_DETAIL // coarser)
+    camera, light = camera_in_plane(setup)
+    shown = torch.cat(
+        [
+            source.picture[:3][order] + hue[:, None, None],
+            turn.vector(source.picture[3:]),
+        ]
+    )
+    colours = torch.cat([order, torch.arange(3, 6)])
+    mean = base.mean[colours].clone()
+    mean[:3] += torch.log(gain)
+    told[:3], told[5:8] = told[:3][order] + torch.log(gain), told[5:8][order]
+    told[9:11], told[11:13] = _turned_numbers(told, turn)
+    return Sample(
+        picture=turn.image(shown),
+        numbers=told,
+        base=Base(mean, base.deviation[colours]),
+        waves=tuple(turn.wave(Wave(w.fx * coarser, w.fy * coarser)) for w in source.entry.waves),
+        linear=turn.image(torch.stack(crops))[:, order] * gain[:, None, None],
+        points=torch.stack(points),
+        shading=torch.stack(shading),
+        camera=turn.vector(camera).float(),
+        light=turn.vector(light).float(),
+        intensity=torch.tensor(setup.intensity),
+        encoding=Encoding(source.encoding.median, source.encoding.matrix[:, order]),
+        texel_size=2.0 * coarser / width,
+    )
+
+
+def _turned_numbers(told: Tensor, turn: Turn) -> tuple[Tensor, Tensor]:
+    """Offset and tilt among the encoder's numbers, moved.
+
+    Tilts are rotations: about x by tilt_x, about y by tilt_y. To first order the plane's normal
+    leans by (tilt_y, -tilt_x), and that vector moves like any other.
+    """
+    leaning = turn.vector(torch.stack([told[12], -told[11]]))
+    return turn.vector(told[9:11]), torch.stack([-leaning[1], leaning[0]])
+
+
+def _place(valid: Tensor, span: int, rng: np.random.Generator) -> tuple[int, int]:
+    """A random even place for a window that is mostly seen; the last of ten tries in any case."""
+    height, width = valid.shape
+    x = y = 0
+    for _ in range(10):
+        x = 2 * int(rng.integers(0, (width - span) // 2 + 1))
+        y = 2 * int(rng.integers(0, (height - span) // 2 + 1))
+        if float(valid[y : y + span : 4, x : x + span : 4].float().mean()) >= _LEAST_SEEN:
+            break
+    return x, y

@@ -1,0 +1,166 @@
+"""What the inverse network is told of a photograph, and how its answer is read as maps.
+
+The photograph enters as the logarithm of its radiance over that of a uniform material in the same
+setup (the coarse fit), beside the setup itself, told as what it *shows*: how log radiance changes
+with slope and with roughness at every texel. So one network serves every field of view, flash and
+tilt. Heights are in texels, slopes therefore physical at any detail.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.brdf.cook_torrance import cook_torrance, dot, normalize
+from matcap.brdf.maps import MapSet
+from matcap.brdf.normals import normals_from_slopes
+from matcap.flash.geometry import FlashSetup, camera_in_plane
+from matcap.flash.render import vignette
+
+_FARTHEST = 3.0  # log radiance beyond this from the uniform material's tells no more
+_STEP = 0.03  # of slope and of logit roughness, for differences of radiance
+_COARSER = 4  # what a uniform material shows is smooth: worked out on every fourth texel
+_DAMPING = 0.1  # slope told per log radiance: bounded where relief does not show
+_LOGITS = 7.0  # of roughness: 0.001 to 0.999
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """A uniform material and the setup of the photograph: what departures depart from.
+
+    Attributes:
+        diffuse: (r, g, b) albedo.
+        specular: F0.
+        roughness: in (0, 1).
+        setup: camera, flash, tilt; its intensity belongs to these albedos.
+    """
+
+    diffuse: tuple[float, float, float]
+    specular: float
+    roughness: float
+    setup: FlashSetup
+
+
+def uniform_radiance(
+    uniform: Uniform, points: Tensor, slope: tuple[float, float] = (0.0, 0.0), duller: float = 0.0
+) -> tuple[Tensor, Tensor]:
+    """Radiance (3, H, W) of the uniform material at plane points, and its diffuse part.
+
+    Args:
+        uniform: the material and its setup.
+        points: (3, H, W).
+        slope: (dh/dx, dh/dy) of the whole plane.
+        duller: added to the logit of roughness.
+    """
+    setup = uniform.setup
+    camera, light = (v.to(points)[:, None, None] for v in camera_in_plane(setup))
+    away = light - points
+    to_light, to_view = normalize(away), normalize(camera - points)
+    one = torch.ones_like(points[:1])
+    normal = normals_from_slopes(slope[0] * one, slope[1] * one)
+    rough = torch.sigmoid(torch.tensor(_logit(uniform.roughness) + duller)).to(points) * one
+    albedo = torch.tensor(uniform.diffuse).to(points)[:, None, None]
+    falloff = dot(normal, to_light).clamp_min(1e-4) / dot(away, away) * vignette(points, setup)
+    power = torch.tensor(setup.intensity).to(points)[:, None, None] * falloff
+    whole = cook_torrance(albedo, uniform.specular * one, rough, normal, to_light, to_view)
+    return whole * power, albedo / math.pi * power
+
+
+def network_inputs(linear: Tensor, valid: Tensor, uniform: Uniform, points: Tensor) -> Tensor:
+    """(len(INPUTS), H, W) of a picture on the plane's grid.
+
+    Args:
+        linear: (3, H, W) scene-linear radiance.
+        valid: (H, W) bool, seen and not clipped.
+        uniform: the coarse fit.
+        points: (3, H, W) plane points of the texels (flash.geometry.plane_points).
+    """
+    height, width = linear.shape[-2:]
+    thin = points[:, ::_COARSER, ::_COARSER]
+    flat, diffuse = uniform_radiance(uniform, thin)
+    middle = flat.mean(0, keepdim=True).log()
+
+    def change(slope: tuple[float, float] = (0.0, 0.0), duller: float = 0.0) -> Tensor:
+        moved = uniform_radiance(uniform, thin, slope, duller)[0]
+        return moved.mean(0, keepdim=True).log()
+
+    shows_x = (change((_STEP, 0.0)) - change((-_STEP, 0.0))) / (2.0 * _STEP)
+    shows_y = (change((0.0, _STEP)) - change((0.0, -_STEP))) / (2.0 * _STEP)
+    shows_roughness = (change(duller=_STEP) - middle) / _STEP
+    gloss = 1.0 - diffuse.mean(0, keepdim=True) / flat.mean(0, keepdim=True)
+    _, light = (v.to(points)[:, None, None] for v in camera_in_plane(uniform.setup))
+    tangent = (light - thin)[:2] / (light - thin)[2:]
+    smooth = torch.cat([flat.log(), tangent, shows_x, shows_y, shows_roughness, gloss])
+    smooth = _fine(smooth, thin, points)
+    log = linear.clamp_min(1e-6).log() - smooth[:3]
+    log = log.clamp(-_FARTHEST, _FARTHEST)
+    told = smooth[5:7]
+    # To first order: the slope along what shows that this departure in brightness would mean.
+    relief = log.mean(0, keepdim=True) * told / (told.square().sum(0, keepdim=True) + _DAMPING**2)
+    constants = torch.tensor(
+        [
+            _logit(uniform.roughness) / 2.0,
+            (math.log(uniform.specular) + 3.0) / 2.0,
+            (math.log(sum(uniform.diffuse) / 3.0) + 1.5) / 2.0,
+        ]
+    ).to(points)
+    return torch.cat(
+        [
+            log,
+            valid[None].to(log),
+            smooth[3:5],
+            told.clamp(-4.0, 4.0),
+            smooth[7:8].clamp(-2.0, 2.0),
+            smooth[8:9],
+            constants[:, None, None].expand(3, height, width),
+            relief.clamp(-3.0, 3.0) * 0.5,
+        ]
+    )
+
+
+def read_outputs(outputs: Tensor, uniform: Uniform, texel_size: float) -> MapSet:
+    """Maps (..., C, H, W) of the network's outputs (..., >= OUTPUTS, H, W)."""
+    albedo = torch.tensor(uniform.diffuse).to(outputs).log()[:, None, None]
+    return MapSet(
+        diffuse=(albedo + outputs[..., :3, :, :]).exp().clamp(0.001, 0.99),
+        specular=(math.log(uniform.specular) + outputs[..., 3:4, :, :]).exp().clamp(0.005, 0.99),
+        roughness=torch.sigmoid(
+            (_logit(uniform.roughness) + outputs[..., 4:5, :, :]).clamp(-_LOGITS, _LOGITS)
+        ),
+        height=outputs[..., 5:6, :, :] * texel_size,
+        texel_size=texel_size,
+    )
+
+
+def true_outputs(maps: MapSet, uniform: Uniform) -> Tensor:
+    """The inverse of read_outputs: (..., OUTPUTS, H, W) departures of true maps."""
+    albedo = torch.tensor(uniform.diffuse).to(maps.diffuse).log()[:, None, None]
+    return torch.cat(
+        [
+            maps.diffuse.clamp(0.001, 0.99).log() - albedo,
+            maps.specular.clamp(0.005, 0.99).log() - math.log(uniform.specular),
+            maps.roughness.clamp(0.001, 0.999).logit() - _logit(uniform.roughness),
+            maps.height / maps.texel_size,
+        ],
+        dim=-3,
+    )
+
+
+def _fine(smooth: Tensor, thin: Tensor, points: Tensor) -> Tensor:
+    """(C, H, W) a thinned picture's values at every texel; thinned texels keep theirs."""
+    height, width = points.shape[-2:]
+    rows = torch.arange(height).to(points) / _COARSER * 2.0 / max(1, thin.shape[-2] - 1) - 1.0
+    columns = torch.arange(width).to(points) / _COARSER * 2.0 / max(1, thin.shape[-1] - 1) - 1.0
+    grid = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1)[None]
+    return F.grid_sample(
+        smooth[None], grid, mode="bilinear", padding_mode="border", align_corners=True
+    )[0]
+
+
+def _logit(value: float) -> float:
+    inside = min(max(value, 0.001), 0.999)
+    return math.log(inside / (1.0 - inside))

@@ -1,0 +1,94 @@
+"""Maps from whatever a user points at: a material, a map set, or a folder with either."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from matcap.brdf.folder import find_mapsets, read_mapset
+from matcap.errors import MatcapError
+
+if TYPE_CHECKING:
+    from matcap.brdf.maps import MapSet
+    from matcap.model.material import Material
+
+# What a material's repeat must be a multiple of (matcap.model.noise).
+_REPEAT = 16
+
+
+@dataclass(frozen=True)
+class Found:
+    """Maps with what is known of them.
+
+    Attributes:
+        maps: without batch dimensions.
+        name: of the map set or the material.
+        provenance: how the material was made; any JSON.
+    """
+
+    maps: MapSet
+    name: str
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+def open_maps(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0) -> MapSet:
+    """Maps of a material file, a map set's JSON file, or a folder.
+
+    A folder's map set goes before its material.
+
+    Args:
+        path: what to open.
+        size: (width, height) in texels, and
+        seed: the realisation; both for a material only, since a map set has its own.
+
+    Raises:
+        MatcapError: nothing to open, more than one thing, or a broken file.
+    """
+    path = _resolved(path)
+    if path.suffix.lower() == ".matcap":
+        return _material(path).maps(*size, seed=seed)
+    return read_mapset(path)[0]
+
+
+def open_tile(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0) -> Found:
+    """As open_maps, but a material's maps repeat without a seam where their size allows it.
+
+    They do when both sides are multiples of 16.
+    """
+    path = _resolved(path)
+    if path.suffix.lower() == ".matcap":
+        material = _material(path)
+        period = None if size[0] % _REPEAT or size[1] % _REPEAT else size
+        maps = material.maps(*size, seed=seed, period=period)
+        return Found(maps, path.stem, dict(material.provenance))
+    maps, document = read_mapset(path)
+    name = str(document.get("name") or path.stem)
+    return Found(maps, name, dict(document.get("provenance") or {}))
+
+
+def _resolved(path: Path) -> Path:
+    """The path itself, or the one material of a folder without a map set."""
+    if not path.is_dir() or find_mapsets(path):
+        return path
+    materials = sorted(path.glob("*.matcap"))
+    if len(materials) > 1:
+        names = ", ".join(file.name for file in materials)
+        raise MatcapError(
+            f"there are {len(materials)} materials in this folder ({names})",
+            where=str(path),
+            remedy="name one of them",
+        )
+    if not materials:
+        raise MatcapError(
+            "there is no map set and no material in this folder",
+            where=str(path),
+            remedy="give a folder that matcap capture or matcap synth wrote",
+        )
+    return materials[0]
+
+
+def _material(path: Path) -> Material:
+    from matcap.model.material import Material
+
+    return Material.load(path)

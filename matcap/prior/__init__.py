@@ -1,1 +1,0 @@
-"""The space of materials: a corpus of photographs, training, the shipped weights, measurements."""

@@ -1,0 +1,105 @@
+"""Pieces of a field as jobs for whoever computes them; always in order, never many at once."""
+
+from __future__ import annotations
+
+import pickle
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol, TypeVar
+
+from matcap.brdf.folder import NormalStyle
+from matcap.errors import MatcapError
+from matcap.model.blocks import Piece
+from matcap.model.source import Source
+from matcap.synth.pictures import Picture, Rendered, render
+
+T_co = TypeVar("T_co", covariant=True)
+
+
+class WorkerLost(MatcapError):
+    """A worker died; what the others finished is kept for another try."""
+
+
+class Result(Protocol[T_co]):
+    """A future, of whatever library."""
+
+    def result(self) -> T_co:
+        """The value, when it is there."""
+        ...
+
+    def cancel(self) -> object:
+        """Forget about it."""
+        ...
+
+
+@dataclass(frozen=True)
+class Job:
+    """A piece of the field, and the pictures it goes into."""
+
+    piece: Piece
+    pictures: tuple[Picture, ...]
+    normal: NormalStyle
+
+
+Submit = Callable[[Job], Result[list[Rendered]]]
+
+
+@dataclass(frozen=True)
+class Crew:
+    """Workers that stand ready.
+
+    Attributes:
+        submit: gives them a job.
+        ahead: how many jobs are in flight at most.
+    """
+
+    submit: Submit
+    ahead: int
+
+    def run(self, jobs: Iterable[Job]) -> Iterator[tuple[Job, list[Rendered]]]:
+        """Results in the order of their jobs.
+
+        Raises:
+            MatcapError: of the jobs; a worker process was killed.
+        """
+        pending: deque[tuple[Job, Result[list[Rendered]]]] = deque()
+        try:
+            for job in jobs:
+                pending.append((job, self.submit(job)))
+                if len(pending) >= self.ahead:
+                    yield _first(pending)
+            while pending:
+                yield _first(pending)
+        except BrokenProcessPool as error:
+            raise WorkerLost(
+                "a worker process was killed",
+                remedy="free some memory or ask for fewer with -j, and go on with --resume",
+            ) from error
+        finally:
+            for _, result in pending:
+                result.cancel()
+
+
+def pack(source: Source) -> bytes:
+    """A source to be sent elsewhere."""
+    return pickle.dumps(source)
+
+
+def render_packed(packed: bytes, job: Job) -> list[Rendered]:
+    """The job, wherever this runs."""
+    return render(unpacked(packed), job.piece, job.pictures, job.normal)
+
+
+@lru_cache(maxsize=2)
+def unpacked(packed: bytes) -> Source:
+    """The source that was packed."""
+    source: Source = pickle.loads(packed)
+    return source
+
+
+def _first(pending: deque[tuple[Job, Result[list[Rendered]]]]) -> tuple[Job, list[Rendered]]:
+    job, result = pending.popleft()
+    return job, result.result()

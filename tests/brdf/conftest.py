@@ -1,0 +1,3 @@
+"""Map sets to write."""
+
+from random_maps import maps  # noqa: F401

@@ -1,0 +1,279 @@
+"""Map-set folders: what stands in them, what comes back, what is refused."""
+
+import errno
+import filecmp
+import json
+import os
+import subprocess
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+
+from matcap.brdf import folder as mapset
+from matcap.brdf.folder import (
+    MapSetInfo,
+    find_mapsets,
+    mapset_bytes,
+    mapset_files,
+    read_mapset,
+    write_mapset,
+)
+from matcap.errors import ExitCode, MatcapError
+
+INFO = MapSetInfo("leather", seed=7, origin=(-5, 2**33), provenance={"photo": "leather.dng"})
+KINDS = ("diffuse", "specular", "roughness", "height", "normal")
+
+
+def pixels(path):
+    (channel,) = OpenEXR.File(str(path)).channels().values()
+    return channel.pixels
+
+
+def test_the_folder_is_as_designed(tmp_path, maps):
+    document = write_mapset(maps, tmp_path / "set", INFO)
+    names = {f"leather_{kind}.exr" for kind in KINDS} | {"leather.json"}
+    assert {f.name for f in (tmp_path / "set").iterdir()} == names
+    assert document == tmp_path / "set" / "leather.json"
+    for kind in KINDS:
+        stored = pixels(tmp_path / "set" / f"leather_{kind}.exr")
+        expected = getattr(maps, kind).movedim(0, -1).squeeze(-1).numpy()
+        if kind == "height":
+            assert stored.dtype == np.float32
+            assert np.array_equal(stored, expected)
+        else:
+            assert stored.dtype == np.float16
+            assert np.array_equal(stored, expected.astype(np.float16))
+
+
+def test_the_document_says_what_the_numbers_mean(tmp_path, maps):
+    document = json.loads(write_mapset(maps, tmp_path, INFO).read_text())
+    assert (document["width"], document["height"]) == (31, 20)
+    assert (document["x"], document["y"], document["seed"]) == (-5, 2**33, 7)
+    assert document["texel_size"] == maps.texel_size
+    assert document["height_scale"] == 1.0
+    assert document["provenance"] == {"photo": "leather.dng"}
+    assert document["conventions"]["normal"] == "+Y up (OpenGL)"
+
+
+@pytest.mark.parametrize("normal", ["gl", "dx"])
+def test_reading_gives_back_what_was_written(tmp_path, maps, normal):
+    write_mapset(maps, tmp_path, INFO, normal=normal)
+    back, document = read_mapset(tmp_path)
+    assert torch.equal(back.height, maps.height)
+    for kind in ("diffuse", "specular", "roughness"):
+        assert torch.equal(getattr(back, kind), getattr(maps, kind).half().float())
+    assert torch.equal(back.normal, maps.normal)  # from the height, so never flipped
+    assert (back.texel_size, back.periodic) == (maps.texel_size, False)
+    assert document["normal"] == normal
+    assert torch.equal(read_mapset(tmp_path / "leather.json")[0].height, maps.height)
+
+
+def test_directx_normals_have_green_turned_around(tmp_path, maps):
+    write_mapset(maps, tmp_path / "gl", INFO)
+    write_mapset(maps, tmp_path / "dx", INFO, normal="dx")
+    gl = pixels(tmp_path / "gl" / "leather_normal.exr")
+    dx = pixels(tmp_path / "dx" / "leather_normal.exr")
+    assert np.array_equal(dx, gl * np.array([1, -1, 1], dtype=np.float16))
+    assert np.abs(gl[..., 1]).max() > 0.1
+
+
+def test_a_slope_that_rises_upwards_points_down_in_opengl(tmp_path, maps):
+    # +y is up and row 0 is the top: height falling with the row index rises with y.
+    rising = maps.map(lambda m: m * 0.0)
+    rows = torch.arange(20.0)[None, :, None].expand(1, 20, 31)
+    rising = type(maps)(
+        rising.diffuse, rising.specular, rising.roughness, -0.1 * rows * maps.texel_size, 2 / 512
+    )
+    write_mapset(rising, tmp_path, INFO)
+    assert (pixels(tmp_path / "leather_normal.exr")[..., 1] < -0.05).all()
+
+
+def test_pngs_have_16_bits_and_decode_to_the_maps(tmp_path, maps):
+    document = json.loads(write_mapset(maps, tmp_path, INFO, png=True).read_text())
+    assert {f.name for f in tmp_path.iterdir()} == set(mapset_files("leather"))
+    half_step = 0.5 / 65535 + 1e-7
+    for kind in KINDS:
+        stored = cv2.imread(str(tmp_path / f"leather_{kind}.png"), cv2.IMREAD_UNCHANGED)
+        assert stored.dtype == np.uint16
+        stored = stored[..., ::-1] if stored.ndim == 3 else stored
+        value = stored / 65535.0
+        expected = getattr(maps, kind).movedim(0, -1).squeeze(-1).double().numpy()
+        if kind == "diffuse":
+            high = value > 0.04045
+            value = np.where(high, ((value + 0.055) / 1.055) ** 2.4, value / 12.92)
+            assert np.abs(value - expected).max() < 2.4 * half_step
+        elif kind == "normal":
+            assert np.abs(2 * value - 1 - expected).max() < 2 * half_step
+        elif kind == "height":
+            scale, middle = document["png"]["height_scale"], document["png"]["height_midlevel"]
+            assert np.abs((value - middle) * scale - expected).max() < scale * half_step
+            assert (stored.min(), stored.max()) == (0, 65535)
+        else:
+            assert np.abs(value - expected).max() < half_step
+
+
+def test_a_flat_height_becomes_middle_grey(tmp_path, maps):
+    flat = type(maps)(
+        maps.diffuse, maps.specular, maps.roughness, torch.full_like(maps.height, 3.25), 0.01
+    )
+    document = json.loads(write_mapset(flat, tmp_path, INFO, png=True).read_text())
+    stored = cv2.imread(str(tmp_path / "leather_height.png"), cv2.IMREAD_UNCHANGED)
+    assert (stored == 32768).all()
+    scale, middle = document["png"]["height_scale"], document["png"]["height_midlevel"]
+    assert (32768 / 65535 - middle) * scale == pytest.approx(3.25, abs=1e-5)
+
+
+def test_writing_again_gives_the_same_bytes(tmp_path, maps):
+    for folder in ("a", "b"):
+        write_mapset(maps, tmp_path / folder, INFO, png=True)
+    for name in mapset_files("leather"):
+        assert filecmp.cmp(tmp_path / "a" / name, tmp_path / "b" / name, shallow=False)
+
+
+def test_a_new_set_replaces_the_old_one_pngs_included(tmp_path, maps):
+    write_mapset(maps, tmp_path, INFO, png=True)
+    (tmp_path / "notes.png").write_text("not ours")
+    write_mapset(maps, tmp_path, MapSetInfo("leather", seed=8))
+    left = {f.name for f in tmp_path.iterdir()}
+    assert left == {f"leather_{kind}.exr" for kind in KINDS} | {"leather.json", "notes.png"}
+    assert read_mapset(tmp_path)[1]["seed"] == 8
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+@pytest.mark.parametrize("kind", ["diffuse", "specular", "roughness", "height"])
+def test_values_that_are_not_finite_leave_nothing(tmp_path, maps, kind, value):
+    getattr(maps, kind)[0, 3, 4] = value
+    with pytest.raises(MatcapError, match="not finite"):
+        write_mapset(maps, tmp_path / "set", INFO)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("fails_at", ["leather_height.exr", "leather_normal.png", "leather.json"])
+def test_a_full_disk_leaves_the_old_set(tmp_path, maps, monkeypatch, fails_at):
+    write_mapset(maps, tmp_path, INFO, png=True)
+    before = {f.name: f.read_bytes() for f in tmp_path.iterdir()}
+
+    def failing(write):
+        def wrapped(path, *args, **kwargs):
+            if path.name == fails_at:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return write(path, *args, **kwargs)
+
+        return wrapped
+
+    monkeypatch.setattr(mapset, "write_exr", failing(mapset.write_exr))
+    monkeypatch.setattr(mapset, "write_png", failing(mapset.write_png))
+    monkeypatch.setattr("pathlib.Path.write_text", failing(type(tmp_path).write_text))
+    with pytest.raises(MatcapError, match="the disk is full"):
+        write_mapset(maps, tmp_path, MapSetInfo("leather", seed=9), png=True)
+    kept = {f.name: f.read_bytes() for f in tmp_path.iterdir()} == before
+    assert kept
+
+
+@pytest.fixture
+def tiny_disk(tmp_path):
+    """A disk of 64 kB: only a real one tells what the libraries do when it is full."""
+    place = tmp_path / "tiny"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(place)]
+    try:
+        mounted = subprocess.run(mount, capture_output=True, check=False).returncode == 0
+    except OSError:
+        mounted = False
+    if not mounted:
+        pytest.skip("mounting a small disk needs root")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.parametrize("png", [False, True])
+def test_a_really_full_disk(tiny_disk, maps, png):
+    side = 64 if png else 256  # PNGs come last: the EXR files of 64 x 64 still fit
+    if png:
+        (tiny_disk / "filler").write_bytes(bytes(20_000))
+    big = maps.map(lambda m: torch.rand(m.shape[0], side, side))
+    with pytest.raises(MatcapError, match="the disk is full"):
+        write_mapset(big, tiny_disk / "set", INFO, png=png)
+    assert [f.name for f in tiny_disk.iterdir()] == (["filler"] if png else [])
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "../a", ".hidden", "a\\b"])
+def test_names_that_would_leave_the_folder_are_refused(tmp_path, maps, name):
+    with pytest.raises(MatcapError, match="plain file name") as caught:
+        write_mapset(maps, tmp_path / "set", MapSetInfo(name))
+    assert caught.value.exit_code == ExitCode.USAGE
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_batches_are_refused(tmp_path, maps):
+    with pytest.raises(ValueError, match="batch"):
+        write_mapset(maps.map(lambda m: m[None]), tmp_path / "set", INFO)
+
+
+def test_folders_without_a_set_and_with_several(tmp_path, maps):
+    with pytest.raises(MatcapError, match="no such file or folder"):
+        read_mapset(tmp_path / "none")
+    (tmp_path / "report.json").write_text('{"format": "matcap report"}')
+    (tmp_path / "broken.json").write_text("{")
+    with pytest.raises(MatcapError, match="no map set in this folder"):
+        read_mapset(tmp_path)
+    with pytest.raises(MatcapError, match="not the JSON file of a map set"):
+        read_mapset(tmp_path / "report.json")
+    for name in ("one", "two"):
+        write_mapset(maps, tmp_path, MapSetInfo(name))
+    assert [f.name for f in find_mapsets(tmp_path)] == ["one.json", "two.json"]
+    with pytest.raises(MatcapError, match=r"2 map sets in this folder \(one.json, two.json\)"):
+        read_mapset(tmp_path)
+
+
+def test_missing_and_corrupt_maps_are_named(tmp_path, maps):
+    write_mapset(maps, tmp_path, INFO)
+    file = tmp_path / "leather_roughness.exr"
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+    with pytest.raises(MatcapError, match="leather_roughness.exr: the file is truncated"):
+        read_mapset(tmp_path)
+    file.unlink()
+    with pytest.raises(MatcapError, match="leather_roughness.exr: the file is missing"):
+        read_mapset(tmp_path)
+    file.write_bytes((tmp_path / "leather_diffuse.exr").read_bytes())
+    with pytest.raises(MatcapError, match="has 3 channels instead of 1"):
+        read_mapset(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"version": 2}, "version 2, this matcap reads 1; update matcap"),
+        ({"width": 30}, "is 31 x 20 texels, not 30 x 20"),
+        ({"width": 0}, "not positive"),
+        ({"width": "wide"}, "missing or wrong"),
+        ({"texel_size": float("nan")}, "not positive"),
+        ({"maps": {}}, "'diffuse' is missing or wrong"),
+        ({"maps": None}, "missing or wrong"),
+    ],
+)
+def test_documents_that_do_not_fit_are_refused(tmp_path, maps, change, said):
+    file = write_mapset(maps, tmp_path, INFO)
+    file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    with pytest.raises(MatcapError, match=said):
+        read_mapset(tmp_path)
+
+
+def test_documents_cannot_name_files_elsewhere(tmp_path, maps):
+    file = write_mapset(maps, tmp_path / "set", INFO)
+    document = json.loads(file.read_text())
+    document["maps"]["height"]["file"] = "../secret.exr"
+    file.write_text(json.dumps(document))
+    with pytest.raises(MatcapError, match="plain file name"):
+        read_mapset(tmp_path / "set")
+
+
+def test_the_room_asked_for_is_enough(tmp_path, maps):
+    noise = maps.map(lambda m: torch.rand(m.shape[0], 200, 200))
+    write_mapset(noise, tmp_path, INFO, png=True)
+    taken = sum(f.stat().st_size for f in tmp_path.iterdir())
+    assert taken < mapset_bytes(200, 200, png=True) < taken + 2_000_000

@@ -1,0 +1,231 @@
+"""Feeds spoilt files to every reader: a MatcapError or a good result, and nothing else.
+
+    python tests/fuzz/fuzz.py --count 20000
+
+A reader fails when anything but a MatcapError of one line escapes, when it takes over 10 seconds,
+when the process grows over 2 GB, or dies. Inputs that fail are kept (--keep) under their number;
+`--seed` and the number make them again. test_fuzz.py runs a shorter form.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import resource
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from inputs import spoil, write_inputs
+
+from matcap.batch.crew import Processes, Tell
+
+LONGEST = 10.0  # seconds
+LARGEST = 2 << 30  # bytes
+# How often each kind comes up.
+_WEIGHTS = {
+    "photo": 10, "exr": 3, "picture": 1, "material": 5, "mapset": 2, "scene": 3, "settings": 3,
+    "record": 1, "mesh": 1,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Input:
+    """A spoilt file and what reads it."""
+
+    number: int
+    kind: str
+    path: Path
+
+
+@dataclass(frozen=True)
+class Fault:
+    """An input that was not borne, and how it showed."""
+
+    number: int
+    kind: str
+    path: Path
+    what: str
+
+
+def read(job: Input, tell: Tell) -> tuple[str, str]:
+    """Read an input, in a worker: ("good" or "refused" or "fault", details)."""
+    from matcap.errors import MatcapError
+
+    try:
+        _READERS[job.kind](job.path)
+    except MatcapError as error:
+        sentence = str(error)
+        plain = "\n" not in sentence and "Traceback" not in sentence and error.what
+        if not plain:
+            return "fault", f"a sentence of several lines: {sentence!r}"
+        result, detail = "refused", sentence
+    except Exception:
+        return "fault", traceback.format_exc(limit=-6)
+    else:
+        result, detail = "good", ""
+    held = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return (result, detail) if held < LARGEST else ("fault", f"{held / 1e9:.1f} GB of memory")
+
+
+def prepare() -> None:
+    """Once a worker: imports outside the time of the first input, and a bound on memory."""
+    import cv2
+    import torch
+
+    import matcap.model.material
+    import matcap.photo.load
+    import matcap.relight.scenefile  # noqa: F401
+
+    warnings.simplefilter("error")  # what a user would see on the terminal is a fault, too
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    # Beyond this the machine itself would be in danger; torch alone reserves a few.
+    resource.setrlimit(resource.RLIMIT_AS, (16 << 30, 16 << 30))
+
+
+def _photo(path: Path) -> None:
+    import numpy as np
+
+    from matcap.photo.load import load_photo
+
+    photo = load_photo(path, long_side=64)
+    assert np.isfinite(photo.pixels).all() and photo.pixels.min() >= 0.0
+    assert photo.pixels.shape[1] >= photo.pixels.shape[0] and 0.0 < photo.fov < 180.0
+
+
+def _exr(path: Path) -> None:
+    from matcap.files.exr import read_exr
+
+    read_exr(path)
+
+
+def _picture(path: Path) -> None:
+    from matcap.relight.environment import read_picture
+
+    read_picture(path)
+
+
+def _material(path: Path) -> None:
+    from matcap.model.material import Material
+
+    material = Material.load(path)
+    assert Path(material.name).name == material.name and len(material.name) < 200
+    material.maps(16, 16)
+
+
+def _mapset(path: Path) -> None:
+    from matcap.brdf.folder import read_mapset
+
+    read_mapset(path)
+
+
+def _scene(path: Path) -> None:
+    from matcap.relight.scenefile import read_scene
+
+    read_scene(path)
+
+
+def _settings(path: Path) -> None:
+    from matcap.batch.settings import BatchSettings, read_settings
+
+    settings = BatchSettings.of(read_settings(path))
+    assert settings.capture.most_detail >= 64 and settings.outputs.room > 0
+
+
+def _record(path: Path) -> None:
+    from matcap.batch.record import FILE, is_done, read_record
+
+    path.rename(path.with_name(FILE))
+    read_record(path.parent)
+    is_done(path.parent, "i")
+
+
+def _mesh(path: Path) -> None:
+    from matcap.relight.surfaces.mesh import load_mesh
+
+    load_mesh(path, 2.0)
+
+
+_READERS = {
+    "photo": _photo, "exr": _exr, "picture": _picture, "material": _material, "mapset": _mapset,
+    "scene": _scene, "settings": _settings, "record": _record, "mesh": _mesh,
+}  # fmt: skip
+
+
+def fuzz(folder: Path, count: int, seed: int) -> tuple[Counter[str], list[Fault]]:
+    """How many inputs were good, refused and faults; and the faults, whose files are kept."""
+    good = folder / "good"
+    good.mkdir(parents=True)
+    files = write_inputs(good)
+    data = {path: path.read_bytes() for paths in files.values() for path in paths}
+    tally: Counter[str] = Counter()
+    faults: list[Fault] = []
+    crew = Processes(1, read, prepare)
+    try:
+        for number in range(count):
+            chance = random.Random(f"{seed} {number}")
+            kind = chance.choices(list(_WEIGHTS), list(_WEIGHTS.values()))[0]
+            source = chance.choice(files[kind])
+            others = [data[path] for path in files[kind]]
+            place = folder / "spoilt" / str(number)
+            place.mkdir(parents=True)
+            if kind == "mapset":  # its pictures stand beside it
+                for other in source.parent.iterdir():
+                    (place / other.name).symlink_to(other)
+                (place / source.name).unlink()
+            path = place / source.name
+            path.write_bytes(spoil(data[source], kind, others, chance))
+            result, detail = _outcome(crew, Input(number, kind, path))
+            tally[result] += 1
+            tally[f"{kind} {result}"] += 1
+            if result == "fault":
+                faults.append(Fault(number, kind, path, detail))
+            else:
+                for other in place.iterdir():
+                    other.unlink()
+                place.rmdir()
+    finally:
+        crew.close()
+    return tally, faults
+
+
+def _outcome(crew: Processes, job: Input) -> tuple[str, str]:
+    crew.start(job)
+    # The first one waits for the imports, too.
+    limit = time.monotonic() + LONGEST + 50.0 * (job.number == 0)
+    while time.monotonic() < limit:
+        for event in crew.wait(limit - time.monotonic()):
+            if event.kind == "died":
+                return "fault", f"the process died with code {event.value}"
+            if event.kind == "done":
+                return event.value
+    crew.close()
+    return "fault", f"no answer in {LONGEST:.0f} s"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="where inputs that fail are kept")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="matcap-fuzz-") as temporary:
+        folder = options.keep or Path(temporary)
+        began = time.monotonic()
+        tally, faults = fuzz(folder, options.count, options.seed)
+    for fault in faults:
+        print(f"{fault.number} ({fault.kind}, {fault.path}): {fault.what}", file=sys.stderr)
+    for name, number in sorted(tally.items()):
+        print(f"{number:8d}  {name}")
+    print(f"{options.count} inputs in {time.monotonic() - began:.0f} s, {len(faults)} faults")
+    sys.exit(bool(faults))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,236 @@
+"""Small good files of every kind that matcap reads, and ways to spoil them."""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import torch
+from PIL import Image, ImageCms
+
+from matcap.brdf.folder import MapSetInfo, write_mapset
+from matcap.brdf.maps import MapSet
+from matcap.flash.geometry import FlashSetup
+from matcap.lab.simulate.dng import Sensor, write_dng
+from matcap.lab.simulate.examples import realisation
+from matcap.lab.simulate.jpeg import write_jpeg
+from matcap.lab.simulate.photograph import Camera, expose, take
+from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.freeze import freeze
+from matcap.model.material import Material
+from matcap.statistics.lattice import Wave
+
+SCENE = """
+[film]
+width = 64
+height = 48
+exposure = 1.5
+[camera]
+type = "perspective"
+position = [0.0, -2.0, 2.0]
+target = [0.0, 0.0, 0.0]
+fov = 40.0
+[surface]
+type = "plane"
+size = 2.0
+[[light]]
+type = "point"
+position = [1.0, 1.0, 2.0]
+intensity = [10.0, 9.0, 8.0]
+[[light]]
+type = "directional"
+direction = [0.0, 0.5, 1.0]
+irradiance = 1.0
+"""
+SETTINGS = """
+# beside a shoot
+preset = "draft"
+detail = 512
+size = "256x128"
+time = "90s"
+fov = 60.5
+png = true
+group = "time"
+gap = 5
+"""
+_NASTY = (
+    "0", "-1", "1e400", "-1e308", "nan", "inf", "99999999999999999999", "4294967295", "true",
+    "[]", "{}", '""', '"\\u0000"', '"../../x"', "[[[[[[[[1]]]]]]]]", "1979-05-27", '"é"', "null",
+    "[1, 2, 3, 4, 5, 6, 7, 8, 9]", "2147483648", "0.0000001", '"' + "x" * 5000 + '"',
+)  # fmt: skip
+_WORDS = re.compile(rb'"[^"\n]*"|-?\d+\.?\d*(?:[eE][-+]?\d+)?|true|false|\w+')
+_NUMBERS = (0, 1, 2, 255, 256, 32767, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1, 2**24)
+
+
+def write_inputs(folder: Path) -> dict[str, list[Path]]:
+    """Good files by the kind of reader that they are for."""
+    camera = Camera(width=96, height=72, supersampling=1)
+    shot = take(realisation("leather", 3), camera, FlashSetup(offset=(0.1, 0.05, 0.0)))
+    light = expose(shot, 1).astype(np.float32)
+    code = np.round(light * 65535.0).astype(np.uint16)
+    write_dng(folder / "plain.dng", shot, Sensor(), 1)
+    write_dng(folder / "shaded.dng", shot, Sensor(shading=0.4), 1)
+    write_jpeg(folder / "exif.jpg", shot, 1)
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    Image.fromarray((code >> 8).astype(np.uint8)).save(folder / "icc.jpg", icc_profile=profile)
+    for name, pixels, form in (
+        ("8.png", (code >> 8).astype(np.uint8), "uint8"),
+        ("16.png", code, "uint16"),
+        ("8.tif", (code >> 8).astype(np.uint8), "uint8"),
+        ("16.tif", code, "uint16"),
+        ("float.tif", light, "float"),
+        ("light.exr", light, "half"),
+    ):
+        _write(folder / name, pixels, form)
+    (folder / "scene.toml").write_text(SCENE)
+    (folder / "matcap.toml").write_text(SETTINGS)
+    write_material(folder / "small.matcap")
+    maps = MapSet.from_stacked(torch.rand(6, 16, 16) * 0.5 + 0.1, 0.01)
+    write_mapset(maps, folder / "set", MapSetInfo("set"))
+    (folder / "record.json").write_text(
+        json.dumps({"format": "matcap batch record", "version": 1, "identity": "i",
+                    "files": {"a": 1}, "seconds": 3.0, "steps": 4})
+    )  # fmt: skip
+    (folder / "mesh.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
+    )
+    return {
+        "photo": [
+            *(folder / f"{name}.dng" for name in ("plain", "shaded")),
+            *(folder / f"{name}.jpg" for name in ("exif", "icc")),
+            *(folder / f"{name}.png" for name in ("8", "16")),
+            *(folder / f"{name}.tif" for name in ("8", "16", "float")),
+        ],
+        "exr": [folder / "light.exr", folder / "set" / "set_height.exr"],
+        "picture": [folder / "light.exr"],
+        "material": [folder / "small.matcap"],
+        "mapset": [folder / "set" / "set.json"],
+        "scene": [folder / "scene.toml"],
+        "settings": [folder / "matcap.toml"],
+        "record": [folder / "record.json"],
+        "mesh": [folder / "mesh.obj"],
+    }
+
+
+def write_material(path: Path) -> None:
+    """An untrained material of a few kilobytes."""
+    torch.manual_seed(0)
+    shape = DecoderConfig(noise_channels=2, widths=(4, 4, 4, 4, 4), convolutions=(1, 1), cells=2)
+    decoder = Decoder(shape)
+    code, waves = torch.zeros(CODE_SIZE), (Wave(0.1, 0.02),)
+    moments = tuple(freeze(decoder, code, waves))
+    Material("small", decoder.eval(), code, moments, waves, 0.002, FlashSetup()).save(path)
+
+
+def spoil(data: bytes, kind: str, others: list[bytes], chance: random.Random) -> bytes:
+    """One to three random things done to a file."""
+    ways: list[Callable[[bytes], bytes]] = [
+        lambda d: _flip(d, chance),
+        lambda d: _number(d, chance),
+        lambda d: _cut(d, chance),
+        lambda d: _move(d, chance),
+        lambda d: _join(d, chance.choice(others), chance),
+        lambda d: _fill(d, chance),
+    ]
+    if kind in ("scene", "settings", "mapset", "record", "mesh"):
+        ways = [lambda d: _reword(d, chance)] * 8 + ways
+    if kind == "material":
+        ways = [lambda d: _redescribe(d, chance)] * 6 + ways
+    # Most of what matters stands at the beginning of a picture.
+    if kind in ("photo", "exr", "picture"):
+        ways += [lambda d: _number(d[:2048], chance) + d[2048:]] * 4
+        ways += [lambda d: _flip(d[:1024], chance) + d[1024:]] * 2
+    for _ in range(chance.choice((1, 1, 1, 2, 3))):
+        data = chance.choice(ways)(data)
+    return data
+
+
+def _flip(data: bytes, chance: random.Random) -> bytes:
+    spoilt = bytearray(data)
+    for _ in range(chance.choice((1, 2, 8, 64))):
+        if spoilt:
+            spoilt[chance.randrange(len(spoilt))] ^= 1 << chance.randrange(8)
+    return bytes(spoilt)
+
+
+def _number(data: bytes, chance: random.Random) -> bytes:
+    form = chance.choice(("<H", ">H", "<I", ">I", "<Q", "B"))
+    number = chance.choice(_NUMBERS) & ((1 << (8 * struct.calcsize(form))) - 1)
+    place = chance.randrange(max(1, len(data) - struct.calcsize(form)))
+    return data[:place] + struct.pack(form, number) + data[place + struct.calcsize(form) :]
+
+
+def _cut(data: bytes, chance: random.Random) -> bytes:
+    return data[: chance.randrange(len(data) + 1)]
+
+
+def _move(data: bytes, chance: random.Random) -> bytes:
+    """A piece is lost, or comes twice."""
+    one, other = sorted(chance.randrange(len(data) + 1) for _ in range(2))
+    other = min(other, one + 4096)
+    return data[:one] + data[other:] if chance.random() < 0.5 else data[:other] + data[one:]
+
+
+def _join(data: bytes, other: bytes, chance: random.Random) -> bytes:
+    return data[: chance.randrange(len(data) + 1)] + other[chance.randrange(len(other) + 1) :]
+
+
+def _fill(data: bytes, chance: random.Random) -> bytes:
+    place = chance.randrange(len(data) + 1)
+    length = chance.choice((1, 4, 64, 1024))
+    return data[:place] + bytes([chance.choice((0, 255))]) * length + data[place + length :]
+
+
+def _reword(data: bytes, chance: random.Random) -> bytes:
+    found = list(_WORDS.finditer(data))
+    if not found:
+        return data
+    word = chance.choice(found)
+    new = chance.choice((*_NASTY, chance.choice(found)[0].decode("utf-8", "replace")))
+    return data[: word.start()] + new.encode() + data[word.end() :]
+
+
+def _redescribe(data: bytes, chance: random.Random) -> bytes:
+    """A .matcap whose container is right and whose description, shapes or names are not."""
+    try:
+        (length,) = struct.unpack("<Q", data[:8])
+        header = json.loads(data[8 : 8 + length])
+        if chance.random() < 0.6:
+            about = json.loads(header["__metadata__"]["matcap"])
+            header["__metadata__"]["matcap"] = json.dumps(_changed(about, chance))
+        else:
+            header = _changed(header, chance)
+        text = json.dumps(header).encode()
+    except (ValueError, KeyError, TypeError, struct.error, RecursionError):
+        return _flip(data, chance)
+    return struct.pack("<Q", len(text)) + text + data[8 + length :]
+
+
+def _changed(value: object, chance: random.Random) -> object:
+    """The same tree with one leaf, or one branch, replaced by something nasty."""
+    if isinstance(value, dict) and value and chance.random() < 0.9:
+        key = chance.choice(sorted(value))
+        if chance.random() < 0.1:
+            return {k: v for k, v in value.items() if k != key}
+        return {**value, key: _changed(value[key], chance)}
+    if isinstance(value, list) and value and chance.random() < 0.8:
+        place = chance.randrange(len(value))
+        return [*value[:place], _changed(value[place], chance), *value[place + 1 :]]
+    return chance.choice(
+        (0, -1, 1, 10**30, 1e308, float("nan"), float("inf"), None, True, "", "../../x", "\0", [],
+         {}, [1] * 100, 4096, 1024, [[[[]]]], "x" * 5000, 0.5, 2**63)
+    )  # fmt: skip
+
+
+def _write(path: Path, pixels: np.ndarray, form: str) -> None:
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, form)
+    out = oiio.ImageOutput.create(str(path))
+    out.open(str(path), spec)
+    out.write_image(pixels)
+    out.close()

@@ -1,0 +1,22 @@
+"""A small material, to run what the pages show with."""
+
+import pytest
+import torch
+
+from matcap.flash.geometry import FlashSetup
+from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.freeze import freeze
+from matcap.model.material import Material
+
+SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
+
+
+@pytest.fixture(scope="session")
+def small():
+    """An untrained material of the right form."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(3)
+        decoder = Decoder(SMALL)
+    code = torch.zeros(CODE_SIZE)
+    moments = tuple(freeze(decoder, code, ()))
+    return Material("leather", decoder, code, moments, (), 2 / 256, FlashSetup())

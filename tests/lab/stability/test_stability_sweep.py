@@ -1,0 +1,70 @@
+"""`matcap bench stability` finds what it looks for, counts it and says so by its exit code."""
+
+import pytest
+import torch
+
+from matcap.cli.main import main
+from matcap.errors import MatcapError
+from matcap.lab.bench import stability, stability_reflectance
+from matcap.lab.bench.stability import Row, StabilitySettings, markdown, run_stability, unstable
+from matcap.lab.bench.stability_reflectance import CASES, measure
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Two cases of the reflectance, three photographs."""
+    monkeypatch.setattr(stability, "CASES", {"roughness 1": CASES["roughness 1"]})
+    hard = {"a": lambda *_: "a", "b": lambda *_: "b"}
+    monkeypatch.setattr(stability, "HARD_PHOTOGRAPHS", hard)
+    return StabilitySettings(draws=50, photographs=3)
+
+
+def outcome(error):
+    def capture(pixels, settings, name):
+        raise error
+
+    return capture
+
+
+def test_a_formula_that_fails_is_found(monkeypatch):
+    def naive(diffuse, specular, roughness, normal, to_light, to_view):
+        half = to_light + to_view
+        return diffuse / torch.sqrt((half * half).sum(0, keepdim=True)) + 0.0 * (
+            specular + roughness + normal[:1]
+        )
+
+    monkeypatch.setattr(stability_reflectance, "cook_torrance", naive)
+    found = measure(CASES["light opposed to view"], 100, seed=0)
+    assert (found.draws, found.values, found.gradients) == (100, 100, 100)
+
+
+def test_a_bug_counts_and_a_refusal_does_not(monkeypatch, few):
+    monkeypatch.setattr(stability, "capture_array", outcome(IndexError("out of range")))
+    rows = run_stability(few)
+    assert [row.draws for row in rows[2:]] == [2, 1]
+    assert [row.values for row in rows[2:]] == [2, 1]
+    assert unstable(rows) == 3
+    assert "IndexError: out of range" in markdown(rows, "matcap bench stability")
+    monkeypatch.setattr(stability, "capture_array", outcome(MatcapError("the picture is bad")))
+    rows = run_stability(few)
+    assert unstable(rows) == 0
+    assert "refused: the picture is bad" in markdown(rows, "matcap bench stability")
+
+
+@pytest.mark.parametrize(("values", "code"), [(0, 0), (1, 4)])
+def test_the_command_prints_the_table_and_answers_with_its_exit_code(
+    monkeypatch, capsys, values, code
+):
+    asked = []
+
+    def run(settings, tell):
+        asked.append(settings)
+        tell("halfway")
+        return [Row("a case", settings.draws, values, 0, "1e-7", "there")]
+
+    monkeypatch.setattr("matcap.lab.bench.stability.run_stability", run)
+    assert main(["bench", "stability", "--quick", "--photographs", "7"]) == code
+    said = capsys.readouterr()
+    assert said.err == "halfway\n"
+    assert f"| a case | 5000 | {values} | 0 | 1e-7 | there |" in said.out
+    assert asked[0].photographs == 7

@@ -1,0 +1,132 @@
+"""Photographs that go wrong end in finite maps or in one sentence that says why not."""
+
+import numpy as np
+import pytest
+import torch
+
+from matcap.capture.coarse import fit_coarse
+from matcap.capture.pipeline import CaptureSettings
+from matcap.capture.windows import cut_windows
+from matcap.errors import MatcapError
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.plane import read_plane
+from matcap.flash.rectify import rectify
+from matcap.lab.bench.stability import capture_array, finite
+from matcap.lab.bench.stability_photographs import HARD_PHOTOGRAPHS, textured
+from matcap.photo.load import photo_from_array
+from matcap.statistics.encoding import fit_encoding
+from matcap.statistics.filterbank import FilterBank, FilterBankConfig
+from matcap.statistics.lattice import find_lattice
+
+# torch's forward-mode derivatives warn once, when first used.
+pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
+
+WIDTH, HEIGHT = 96, 72
+REFUSED = {
+    "black": "black",
+    "white": "white",
+    "gain 1e-6": "black",
+    "gain 1e6": "white",
+    "one NaN": "NaN or infinite",
+    "one infinity": "NaN or infinite",
+    "a strip": "too few to hold a texture",
+}
+ENDS = [name for name in HARD_PHOTOGRAPHS if name not in REFUSED]
+# Captured whole; the others go through all that looks at the photograph itself.
+CAPTURED = [
+    "grey", "one white dot on black", "checkerboard of pixels",
+    "tilted by 50 degrees twice", "64 x 64",
+]  # fmt: skip
+
+
+def made(name, seed=1):
+    return HARD_PHOTOGRAPHS[name](WIDTH, HEIGHT, seed)
+
+
+def settings(**changed):
+    return CaptureSettings(**{"steps": 2, "detail": WIDTH, "prior": "none", **changed})
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_captured_is_refused_in_one_sentence(name):
+    with pytest.raises(MatcapError, match=REFUSED[name]) as refused:
+        capture_array(made(name), settings(), name)
+    assert refused.value.remedy
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", CAPTURED)
+def test_the_others_end_in_finite_maps(name):
+    prior = "auto" if name in ("64 x 64", "grey") else "none"
+    result = capture_array(made(name), settings(prior=prior), name)
+    assert finite(result)
+    assert len(result.history) == 2
+    maps = result.maps.stacked()
+    assert maps[:5].min() >= 0 and maps[:5].max() <= 1
+
+
+@pytest.mark.parametrize("name", ENDS)
+def test_whatever_looks_at_a_photograph_gives_finite_numbers(name):
+    photo = photo_from_array(made(name), long_side=WIDTH, fov=65.0, name=name)
+    for tilt in ((0.0, 0.0), (0.9, -0.9)):
+        plane = read_plane(photo, FlashSetup(fov=65.0, tilt=tilt), WIDTH)
+        bank = FilterBank(FilterBankConfig(sizes=(3,), filters=4, levels=2))
+        windows = cut_windows(plane, bank, 64)
+        numbers = [plane.linear, plane.encoding.matrix, windows.target.mean, *windows.target.grams]
+        numbers += [*windows.target.spectra, *windows.target.quantiles]
+        assert all(bool(torch.isfinite(n).all()) for n in numbers)
+    # Tiled to the least size that is looked at.
+    colour = plane.encoded().repeat(1, 4, 3)[:, :256, :256]
+    assert len(find_lattice(colour, plane.valid.repeat(4, 3)[:256, :256]).waves) <= 2
+
+
+@pytest.fixture(scope="module")
+def ordinary():
+    """An ordinary photograph, captured."""
+    return capture_array(textured(WIDTH, HEIGHT, 3), settings(), "ordinary")
+
+
+def test_half_the_exposure_gives_the_same_maps(ordinary):
+    """Texel by texel too, but for what Adam's first steps make of rounding."""
+    half = capture_array(0.5 * textured(WIDTH, HEIGHT, 3), settings(), "half")
+    one, other = ordinary.maps.stacked(), half.maps.stacked()
+    assert torch.allclose(one[:5].mean((1, 2)), other[:5].mean((1, 2)), rtol=0.02)
+    assert torch.allclose(one.std((1, 2)), other.std((1, 2)), rtol=0.05)
+    apart = (one - other).square().mean((1, 2)).sqrt() / one.std((1, 2))
+    assert apart.max() < 0.3
+    intensities = [r.material.setup.intensity[0] for r in (ordinary, half)]
+    assert intensities[1] / intensities[0] == pytest.approx(0.5, rel=0.02)
+
+
+def test_half_the_size_gives_the_same_statistics():
+    """Both are looked at in the same detail; the small one is the large one, averaged."""
+    large = textured(4 * WIDTH, 4 * HEIGHT, 3)
+    small = large.reshape(2 * HEIGHT, 2, 2 * WIDTH, 2, 3).mean((1, 3))
+    fits, encodings = [], []
+    for pixels in (large, small):
+        photo = photo_from_array(pixels, fov=65.0, radiometric=True)
+        fits.append(fit_coarse(photo))
+        encodings.append(fit_encoding(*rectify(photo, FlashSetup(fov=65.0), WIDTH)))
+    assert fits[0].diffuse == pytest.approx(fits[1].diffuse, rel=0.02)
+    assert fits[0].roughness == pytest.approx(fits[1].roughness, abs=0.01)
+    assert encodings[0].median == pytest.approx(encodings[1].median, rel=0.01)
+    covariances = [torch.linalg.inv(e.matrix.T @ e.matrix) for e in encodings]
+    assert torch.allclose(*covariances, rtol=0.05, atol=1e-3 * float(covariances[0].max()))
+
+
+def test_turned_by_a_right_angle_the_material_stays_and_the_flash_turns():
+    square = textured(WIDTH, WIDTH, 3)
+    fits = [
+        fit_coarse(photo_from_array(np.rot90(square, k).copy(), fov=65.0, radiometric=True))
+        for k in (0, 1)
+    ]
+    assert fits[0].diffuse == pytest.approx(fits[1].diffuse, rel=0.02)
+    assert fits[0].roughness == pytest.approx(fits[1].roughness, abs=0.01)
+    (x, y, _), turned = (fit.setup.offset for fit in fits)
+    assert turned[:2] == pytest.approx((-y, x), abs=0.01)
+
+
+def test_the_same_seed_is_the_same_material_in_every_bit(ordinary):
+    again = capture_array(textured(WIDTH, HEIGHT, 3), settings(), "ordinary")
+    assert torch.equal(ordinary.maps.stacked(), again.maps.stacked())
+    assert np.array_equal(ordinary.rerendered, again.rerendered)

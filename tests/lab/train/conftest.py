@@ -1,0 +1,3 @@
+"""Small photographs and a small untrained prior."""
+
+from small import pack, prior, small_pack  # noqa: F401

@@ -1,0 +1,165 @@
+"""Training: it learns, and a killed run goes on as if nothing had happened."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from matcap.errors import MatcapError, UsageError
+from matcap.lab.train.settings import read_config
+from matcap.lab.train.state import TrainConfig
+from matcap.lab.train.step import schedule
+from matcap.lab.train.train import draw, train
+from matcap.model.decoder import DecoderConfig
+from matcap.model.encoder import Encoder, EncoderConfig
+
+TINY = TrainConfig(
+    steps=4,
+    materials=1,
+    places=1,
+    window=64,
+    report_every=2,
+    rate=1e-3,
+    encoder=EncoderConfig(width=64),
+    decoder=DecoderConfig(noise_channels=4, widths=(8, 8, 8, 8, 8), convolutions=(1, 1)),
+)
+
+
+def weights(state):
+    return {k: v.clone() for k, v in state.model.state_dict().items()} | {
+        f"average {k}": v.clone() for k, v in state.average.state_dict().items()
+    }
+
+
+def curves(folder):
+    with (folder / "curves.csv").open() as file:
+        return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+
+
+def test_a_resumed_run_ends_with_the_same_bits(small_pack, tmp_path):
+    config = replace(TINY, checkpoint_minutes=0.0)
+    whole = train(small_pack, config, tmp_path / "whole")
+
+    class Killed(Exception):
+        pass
+
+    def kill(line):
+        raise Killed
+
+    with pytest.raises(Killed):  # after step 2 is reported, before its checkpoint: step 1 is kept
+        train(small_pack, config, tmp_path / "parts", tell=kill)
+    resumed = train(small_pack, config, tmp_path / "parts", resume=True)
+    assert resumed.step == whole.step == 4
+    for name, value in weights(whole).items():
+        assert torch.equal(value, weights(resumed)[name]), name
+    assert [row["step"] for row in curves(tmp_path / "parts")] == [2, 4]
+    assert (tmp_path / "parts" / "sheet.png").is_file()
+    assert (tmp_path / "parts" / "curves.png").is_file()
+
+
+def test_a_checkpoint_of_another_shape_names_the_tensor(small_pack, tmp_path):
+    train(small_pack, replace(TINY, steps=1), tmp_path)
+    other = replace(TINY, decoder=replace(TINY.decoder, widths=(8, 8, 8, 8, 16)))
+    with pytest.raises(MatcapError, match=r"tensor 'model\.decoder\..*' should be"):
+        train(small_pack, other, tmp_path, resume=True)
+
+
+def test_a_broken_or_foreign_checkpoint_is_refused(small_pack, tmp_path):
+    path = tmp_path / "checkpoint.safetensors"
+    with pytest.raises(MatcapError, match="cannot be read"):
+        train(small_pack, TINY, tmp_path, resume=True)
+    save_file({"x": torch.zeros(1)}, path)
+    with pytest.raises(MatcapError, match="no checkpoint of version"):
+        train(small_pack, TINY, tmp_path, resume=True)
+    train(small_pack, replace(TINY, steps=1), tmp_path)
+    tensors = load_file(path)
+    tensors.pop("optimiser.exp_avg.encoder.head.bias")
+    save_file(tensors, path, {"format": "matcap-checkpoint", "version": "1", "step": "1"})
+    with pytest.raises(MatcapError, match="optimiser.exp_avg.encoder.head.bias"):
+        train(small_pack, TINY, tmp_path, resume=True)
+
+
+def test_training_lowers_the_loss(small_pack, tmp_path):
+    config = replace(TINY, steps=16, report_every=8, average=0.5, rate=5e-3)
+    train(small_pack, config, tmp_path)
+    style = [row["style"] for row in curves(tmp_path)]
+    assert style[-1] < 0.95 * style[0]
+
+
+def test_held_out_materials_are_never_drawn(pack):
+    assert len(pack.reserved) == 12
+    rng = np.random.default_rng(0)
+    drawn = {e.material for _ in range(50) for e in draw(pack.training, TINY, rng)}
+    assert drawn == {e.material for e in pack.training}
+    assert not drawn & pack.reserved
+
+
+def test_the_rate_warms_up_stays_and_falls():
+    rates = [schedule(step, 1000) for step in range(1000)]
+    assert rates[0] < 0.05
+    assert rates[100] == rates[700] == 1.0
+    assert rates[999] < 0.05
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("stepz = 3", "no setting 'stepz'"),
+        ("steps = 'many'", "'steps' is 'many'"),
+        ("steps = 3.5", "'steps' is 3.5"),
+        ("window = 100", "window 100"),
+        ("[encoder]\nbackbone = 'vit'", "no backbone 'vit'"),
+        ("steps =", "no TOML"),
+    ],
+)
+def test_a_wrong_configuration_is_told(tmp_path, text, message):
+    path = tmp_path / "train.toml"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=message):
+        read_config(path)
+
+
+def test_a_configuration_is_read(tmp_path):
+    path = tmp_path / "train.toml"
+    path.write_text("steps = 7\nrate = 1\n[encoder]\nbackbone = 'resnet50'\nwidth = 512\n")
+    config = read_config(path)
+    assert (config.steps, config.rate) == (7, 1.0)
+    assert config.encoder == EncoderConfig("resnet50", 512)
+
+
+def test_both_backbones_have_one_interface():
+    from matcap.model.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE
+
+    for backbone, least in (("small", 1e6), ("resnet50", 2e7)):
+        encoder = Encoder(EncoderConfig(backbone))
+        assert sum(p.numel() for p in encoder.parameters()) > least
+        with torch.no_grad():
+            mean, log_variance = encoder(
+                torch.randn(2, PICTURE_CHANNELS, 48, 64),
+                torch.randn(2, NUMBERS),
+                torch.randn(2, TEXTURE),
+            )
+        assert mean.shape == log_variance.shape == (2, 64)
+
+
+def test_the_papers_backbone_learns():
+    """One step of Adam on a small picture moves every weight, and none of them to NaN."""
+    from matcap.model.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE
+
+    torch.manual_seed(0)
+    encoder = Encoder(EncoderConfig("resnet50", width=64))
+    optimiser = torch.optim.Adam(encoder.parameters(), lr=1e-4)
+    before = {name: value.clone() for name, value in encoder.state_dict().items()}
+    mean, log_variance = encoder(
+        torch.randn(2, PICTURE_CHANNELS, 48, 64), torch.randn(2, NUMBERS), torch.randn(2, TEXTURE)
+    )
+    assert mean.shape == log_variance.shape == (2, 64)
+    kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()
+    (kl + (mean - 1.0).square().mean()).backward()
+    optimiser.step()
+    for name, value in encoder.state_dict().items():
+        assert bool(torch.isfinite(value).all()), name
+        assert not torch.equal(value, before[name]), name

@@ -1,0 +1,40 @@
+"""Small materials, of the shape that captures have; as fixtures, too."""
+
+import pytest
+import torch
+
+from matcap.flash.geometry import FlashSetup
+from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.model.freeze import freeze
+from matcap.model.material import Material
+from matcap.statistics.lattice import Wave
+
+TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))
+
+
+def a_material(name="tiny", seed=3, config=TINY, waves=()):
+    """Random weights; codes of different seeds look different."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        decoder = Decoder(config).eval().requires_grad_(False)
+        for layer in decoder.layers():
+            layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
+    code = torch.zeros(CODE_SIZE)
+    moments = tuple(freeze(decoder, code, waves))
+    return Material(name, decoder, code, moments, waves, 2 / 1024, FlashSetup())
+
+
+@pytest.fixture(scope="session")
+def material():
+    return a_material()
+
+
+@pytest.fixture(scope="session")
+def wavy():
+    return a_material("wavy", waves=(Wave(1 / 16.7, 0.003), Wave(0.002, 1 / 9.3)))
+
+
+@pytest.fixture(scope="session")
+def make_material():
+    """For materials of other shapes."""
+    return a_material

@@ -1,0 +1,145 @@
+"""The calibration card: drawn, photographed (simulated), and read back."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.coarse import fit_coarse, under_flash
+from matcap.cli.main import main
+from matcap.errors import MatcapError
+from matcap.files.srgb import srgb_decode
+from matcap.flash.geometry import FlashSetup
+from matcap.lab.simulate.dng import Sensor, write_dng
+from matcap.lab.simulate.jpeg import write_jpeg
+from matcap.lab.simulate.photograph import Camera, take
+from matcap.photo.calibrate import calibrated, card_sentence, fit_patches, read_card
+from matcap.photo.card import BOARD_AT, PAGE, PATCHES, SQUARE, raster, rectangles
+from matcap.photo.load import load_photo
+
+UNIT = 170.0  # millimetres: half of what the photograph's long side shows
+CAMERA = Camera(width=1024, height=768, supersampling=1, clipped=0.0)
+TILT = (0.06, -0.08)
+
+
+def card_maps(width, height, texel):
+    """The page lying on a grey table, its long side along x."""
+    page = srgb_decode(np.rot90(raster(4.0)) / 255.0)
+    albedo = np.full((height, width, 3), 0.3)
+    column = ((np.arange(width) + 0.5 - width / 2) * texel * UNIT * 4 + page.shape[1] / 2).astype(
+        int
+    )
+    row = ((np.arange(height) + 0.5 - height / 2) * texel * UNIT * 4 + page.shape[0] / 2).astype(
+        int
+    )
+    inside = np.ix_((row >= 0) & (row < page.shape[0]), (column >= 0) & (column < page.shape[1]))
+    albedo[inside] = page[row.clip(0, page.shape[0] - 1)][:, column.clip(0, page.shape[1] - 1)][
+        inside
+    ]
+    one = torch.ones(1, height, width, dtype=torch.float64)
+    return MapSet(torch.from_numpy(albedo).permute(2, 0, 1), 0.01 * one, 0.9 * one, 0 * one, texel)
+
+
+@pytest.fixture(scope="module")
+def shot():
+    return take(card_maps, CAMERA, FlashSetup(offset=(0.08, 0.05, 0.0), tilt=TILT))
+
+
+@pytest.fixture(scope="module")
+def calibration(shot, tmp_path_factory):
+    path = tmp_path_factory.mktemp("card") / "card.dng"
+    write_dng(path, shot, Sensor(), 1)
+    return read_card(path)
+
+
+def test_the_board_tells_millimetres_and_tilt(calibration):
+    assert calibration.millimetres_per_unit == pytest.approx(UNIT, rel=0.005)
+    true = math.degrees(math.acos(math.cos(TILT[0]) * math.cos(TILT[1])))
+    assert calibration.tilt == pytest.approx(true, abs=0.5)
+
+
+def test_the_patches_tell_how_bright_the_flash_is(shot, calibration):
+    distance = shot.setup.distance
+    found = math.pi * distance**2 * calibration.white
+    assert found == pytest.approx(shot.setup.intensity[0], rel=0.04)
+    # The DNG's own matrix is right already.
+    np.testing.assert_allclose(calibration.matrix, np.eye(3), atol=0.06)
+    assert calibration.residual < 0.04
+
+
+def test_a_jpeg_gives_millimetres_and_no_colours(shot, tmp_path):
+    write_jpeg(tmp_path / "card.jpg", shot, 1)
+    found = read_card(tmp_path / "card.jpg")
+    assert found.millimetres_per_unit == pytest.approx(UNIT, rel=0.005)
+    assert found.matrix is None and "albedo is relative" in card_sentence(found)
+    assert "albedo is relative" in card_sentence(None)
+
+
+@pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")  # torch's own use
+def test_albedo_becomes_absolute(calibration, tmp_path):
+    """A grey card of known albedo, whose brightness alone cannot tell it from a dim flash."""
+
+    def grey(width, height, texel):
+        one = torch.ones(1, height, width, dtype=torch.float64)
+        return MapSet(0.09 * one.expand(3, -1, -1), 0.03 * one, 0.7 * one, 0 * one, texel)
+
+    camera = replace(CAMERA, width=128, height=96, brightness=0.4)
+    shot = take(grey, camera, FlashSetup(offset=(0.08, 0.05, 0.0)))
+    path = tmp_path / "grey.dng"
+    # The same flash and exposure as the card's photograph, whatever the brightness comes to.
+    gain = math.pi * shot.setup.distance**2 * calibration.white / shot.setup.intensity[0]
+    write_dng(path, replace(shot, linear=shot.linear * gain), Sensor(), 1)
+    photo = load_photo(path)
+    known = calibrated(photo, path, calibration)
+    assert known.flash_intensity is not None and photo.flash_intensity is None
+    untold = fit_coarse(known)
+    coarse = under_flash(untold, known.flash_intensity)
+    assert np.mean(coarse.diffuse) == pytest.approx(0.09, rel=0.15)
+    assert under_flash(untold, None) is untold
+    assert calibrated(replace(photo, radiometric=False), path, calibration).flash_intensity is None
+
+
+def test_a_matrix_and_a_falloff_are_found_together():
+    rng = np.random.default_rng(0)
+    true = srgb_decode(np.array(PATCHES) / 255.0)
+    response = 0.5 * np.array([[0.8, 0.2, 0.0], [0.1, 0.9, 0.05], [0.0, 0.3, 0.7]])
+    places = rng.uniform(-0.6, 0.6, (24, 2))
+    falloff = np.exp(0.2 * places[:, 0] - 0.7 * (places**2).sum(axis=1))
+    fit = fit_patches(falloff[:, None] * (true @ response.T), places)
+    assert fit.residual < 1e-3
+    np.testing.assert_allclose(fit.matrix @ response / fit.white, np.eye(3), atol=1e-2)
+    # Colours in another order are no ColorChecker.
+    assert fit_patches(true[rng.permutation(24)], places).residual > 0.2
+
+
+def test_a_photograph_without_a_card_is_refused(tmp_path):
+    from matcap.lab.simulate.examples import realisation
+
+    shot = take(realisation("granite", 3), Camera(width=256, height=192), FlashSetup())
+    write_jpeg(tmp_path / "card.jpg", shot, 1)
+    with pytest.raises(MatcapError, match="no card is seen"):
+        read_card(tmp_path / "card.jpg")
+
+
+def test_svg_and_pdf_are_the_same_page(tmp_path, capsys):
+    assert main(["card", "-o", str(tmp_path / "card.svg"), "-q"]) == 0
+    assert main(["card", "-o", str(tmp_path / "card.pdf"), "-q"]) == 0
+    root = ET.parse(tmp_path / "card.svg").getroot()
+    assert (root.get("width"), root.get("height")) == (f"{PAGE[0]:g}mm", f"{PAGE[1]:g}mm")
+    drawn = list(root.iter("{http://www.w3.org/2000/svg}rect"))
+    assert len(drawn) == 1 + len(list(rectangles()))
+    first = drawn[1]
+    assert (float(first.get("x")), float(first.get("width"))) == (BOARD_AT[0], SQUARE)
+    pdf = (tmp_path / "card.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF-1.4") and pdf.endswith(b"%%EOF\n")
+    assert pdf.count(b" re f") == len(list(rectangles()))
+    place = int(pdf.rsplit(b"startxref\n", 1)[1].split()[0])
+    assert pdf[place:].startswith(b"xref")
+    assert b"595.2756 841.8898" in pdf  # A4 in points
+    assert main(["card", "-o", str(tmp_path / "card.png")]) == 2

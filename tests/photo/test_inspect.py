@@ -1,0 +1,195 @@
+"""What inspect says of simulated photographs, whose truth is known."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.prior.store import load_prior
+from matcap.cli.main import main
+from matcap.flash.geometry import FlashSetup
+from matcap.lab.simulate.dng import Sensor, write_dng
+from matcap.lab.simulate.examples import realisation
+from matcap.lab.simulate.jpeg import write_jpeg
+from matcap.lab.simulate.photograph import Camera, as_photo, take
+from matcap.lab.train.align import tilted_photo
+from matcap.photo.inspect import Verdict, hot_spot, inspect_photo, softness
+from matcap.photo.load import load_photo, photo_from_array
+
+CAMERA = Camera(width=320, height=240, supersampling=1)
+SETUPS = [
+    FlashSetup(offset=(0.12, 0.05, 0.0), tilt=(0.03, -0.02)),
+    FlashSetup(offset=(-0.1, 0.08, 0.0), tilt=(-0.12, 0.1)),
+    FlashSetup(offset=(0.02, -0.12, 0.0), tilt=(0.0, -0.17)),
+]
+NAMES = ["leather", "cloth", "granite", "rust", "plaster"]
+
+
+def flat(roughness: float):
+    """A uniform material: what the hot spot would be without texture."""
+
+    def realise(width, height, texel):
+        one = torch.ones(1, height, width, dtype=torch.float64)
+        return MapSet(0.25 * one.expand(3, -1, -1), 0.04 * one, roughness * one, 0.0 * one, texel)
+
+    return realise
+
+
+@pytest.fixture(scope="module")
+def shots():
+    return {
+        (name, index): take(realisation(name, 7 + index), CAMERA, setup)
+        for name in NAMES
+        for index, setup in enumerate(SETUPS)
+    }
+
+
+def test_the_hot_spot_is_within_two_percent_of_the_width(shots):
+    """Of where a uniform material of the same roughness is brightest under the same flash."""
+    errors = []
+    for (name, index), shot in shots.items():
+        maps = realisation(name, 7 + index)(64, 64, 2.0 / 320)
+        ideal = take(flat(float(maps.roughness.mean())), CAMERA, SETUPS[index]).linear.mean(-1)
+        row, column = np.unravel_index(ideal.argmax(), ideal.shape)
+        (x, y), _ = hot_spot(as_photo(shot, 1, name))
+        errors.append(math.hypot(x * 320 - column - 0.5, y * 240 - row - 0.5) / 320)
+    assert np.mean(errors) < 0.02
+
+
+@pytest.mark.parametrize("gain", [0.7, 1.3, 1.6])
+def test_the_clipped_share_is_within_one_percent(shots, tmp_path, gain):
+    """Whatever it is shrunk to, and whether or not a mosaic was developed."""
+    errors = []
+    for name in ("leather", "granite", "rust"):
+        shot = shots[name, 0]
+        shot = replace(shot, linear=shot.linear * gain)
+        truth = float((shot.linear >= 1.0).any(-1).mean())
+        write_jpeg(tmp_path / "a.jpg", shot, 1)
+        write_dng(tmp_path / "a.dng", shot, Sensor(), 1)
+        for file in ("a.jpg", "a.dng"):
+            photo = load_photo(tmp_path / file, long_side=128)
+            errors.append(inspect_photo(photo)["clipped"].value - truth)
+    assert np.abs(errors).mean() < 0.01
+
+
+def test_the_tilt_is_within_two_degrees_on_average():
+    """Unseen materials, tilted up to 15 degrees either way; the shipped alignment branch."""
+    prior, errors = load_prior(), []
+    for seed in range(900_000, 900_012):
+        photo, (tilt_x, tilt_y) = tilted_photo(seed, 256)
+        value = inspect_photo(photo, prior.tilt(photo))["tilt"].value
+        errors += [value["up"] - math.degrees(tilt_x), value["right"] + math.degrees(tilt_y)]
+    assert np.abs(errors).mean() < 2.0
+
+
+def grey(texture: float = 0.1, falloff: float = 1.0) -> np.ndarray:
+    """A shaded grey surface with fine grain."""
+    y, x = np.mgrid[-0.75:0.75:192j, -1.0:1.0:256j]
+    noise = np.random.default_rng(3).normal(0.0, texture, (192, 256, 1))
+    return (0.4 / (1.0 + falloff * (x**2 + y**2)))[..., None] * np.exp(noise) * np.ones(3)
+
+
+def photo_of(pixels: np.ndarray, **changes):
+    return replace(photo_from_array(pixels.astype(np.float32)), **changes)
+
+
+def test_a_good_photograph_is_called_good():
+    found = inspect_photo(photo_of(grey(), radiometric=True, flash_fired=True), (0.01, 0.0))
+    assert not found.doubtful
+    assert found["hot_spot"].value == pytest.approx([0.5, 0.5], abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("tilt", "turned", "side"),
+    [
+        ((0.15, 0.0), False, "upper side"),
+        ((-0.15, 0.0), False, "lower side"),
+        ((0.0, 0.15), False, "left side"),
+        ((0.1, -0.1), False, "upper right side"),
+        # Turned a quarter anticlockwise: its top is the upright picture's right.
+        ((0.15, 0.0), True, "right side"),
+        ((0.0, 0.15), True, "upper side"),
+    ],
+)
+def test_a_tilt_is_told_in_directions_of_the_upright_picture(tilt, turned, side):
+    finding = inspect_photo(photo_of(grey(), turned=turned), tilt)["tilt"]
+    assert finding.verdict is not Verdict.GOOD
+    assert side in finding.says and side in finding.remedy
+
+
+def test_the_hot_spot_of_a_portrait_is_told_upright(tmp_path):
+    """The same picture lying and standing: the file's own left top is what is told."""
+    pixels = np.roll(grey(0.02), 50, axis=1).clip(0, 1)  # towards the right
+    cv2.imwrite(str(tmp_path / "lying.png"), (pixels * 255).astype(np.uint8))
+    standing = np.rot90(pixels, -1)  # clockwise: the right is now at the bottom
+    cv2.imwrite(str(tmp_path / "standing.png"), (standing * 255).astype(np.uint8))
+    lying = inspect_photo(load_photo(tmp_path / "lying.png"))["hot_spot"].value
+    stood = inspect_photo(load_photo(tmp_path / "standing.png"))["hot_spot"].value
+    assert stood == pytest.approx([1.0 - lying[1], lying[0]], abs=0.01)
+    assert stood[1] > 0.6
+
+
+def test_what_is_wrong_is_said_with_a_remedy():
+    burnt = photo_of(np.minimum(grey() * 3.0, 1.0))
+    cases = {
+        "clipped": (burnt, "Lower the exposure"),
+        "flash": (photo_of(grey(), flash_fired=False), "flash switched on"),
+        "sharpness": (photo_of(cv2.GaussianBlur(grey(), (0, 0), 4.0)), "focus"),
+        "hot_spot": (photo_of(np.roll(grey(), 120, axis=1)[:, :128]), "in the picture"),
+    }
+    for name, (photo, word) in cases.items():
+        finding = inspect_photo(photo)[name]
+        assert finding.verdict in (Verdict.DOUBTFUL, Verdict.POOR), name
+        assert word in finding.remedy
+    even = inspect_photo(photo_of(grey(falloff=0.0), flash_fired=True))["flash"]
+    assert even.verdict is Verdict.DOUBTFUL
+
+
+@pytest.mark.parametrize("blur", [1.0, 2.0, 3.0])
+def test_softness_is_about_the_blur_in_pixels(blur):
+    """Of a picture whose gradients are equally strong at all sizes: white noise, integrated."""
+    rng = np.random.default_rng(0)
+    frequency = np.hypot(*np.meshgrid(np.fft.rfftfreq(512), np.fft.fftfreq(512)))
+    frequency[0, 0] = np.inf
+    spectrum = np.fft.rfft2(rng.normal(size=(512, 512))) / frequency
+    pattern = np.fft.irfft2(spectrum)
+    picture = np.exp(0.1 * cv2.GaussianBlur(pattern / pattern.std(), (0, 0), blur))
+    found = softness(np.repeat(picture[..., None], 3, axis=2).astype(np.float32))
+    assert found == pytest.approx(blur, rel=0.25)
+
+
+def test_two_materials_in_one_picture_do_not_look_the_same_all_over(shots):
+    one, other = (as_photo(shots[name, 0], 1, name) for name in ("leather", "cloth"))
+    mixed = one.pixels.copy()
+    mixed[:, 160:] = other.pixels[:, 160:] * one.pixels.mean() / other.pixels.mean()
+    whole, half = (inspect_photo(p)["stationarity"] for p in (one, replace(one, pixels=mixed)))
+    assert whole.verdict is Verdict.GOOD
+    assert half.verdict in (Verdict.DOUBTFUL, Verdict.POOR)
+    assert half.value > 2.0 * whole.value
+
+
+def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, capsys):
+    write_dng(tmp_path / "a.dng", shots["leather", 0], Sensor(shading=0.4), 1)
+    (tmp_path / "b.jpg").write_bytes(b"\xff\xd8\xff nothing")
+    code = main(["inspect", str(tmp_path / "a.dng"), str(tmp_path / "b.jpg"), "--json"])
+    said = capsys.readouterr()
+    good, bad = json.loads(said.out)["photographs"]
+    assert code == 4
+    assert good["radiometric"]["value"] is True and good["shading_map"]["value"] is True
+    assert good["flash"]["value"] is True and abs(good["tilt"]["value"]["degrees"]) < 8
+    assert "truncated or damaged" in bad["reason"]
+    assert main(["inspect", str(tmp_path / "b.jpg")]) == 3
+
+
+def test_the_command_speaks_in_lines(shots, tmp_path, capsys):
+    write_jpeg(tmp_path / "a.jpg", shots["granite", 1], 1)
+    assert main(["inspect", str(tmp_path / "a.jpg")]) == 0
+    out = capsys.readouterr().out
+    assert "tilted by" in out and "Stand squarer" in out and "albedo is relative" in out
