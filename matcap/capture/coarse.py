@@ -57,6 +57,7 @@ _PRIOR_SHARE_DEVELOPED, _CELLS_THAT_COUNT = 0.15, 150.0
 # Deviation of a found highlight's centre from where the plane mirrors the flash: plane units, and
 # share of its half width.
 _CENTRE_DEVIATION = (0.006, 0.1)
+_MIDDLE_DEVIATION = (0.004, 0.03)  # likewise of the middle of its half-way ring
 # What one deviation of the highlight's own measures weighs, likewise: a tone curve bends what is
 # around it, while in a RAW they only show the way.
 _EVIDENCE_DEVELOPED, _EVIDENCE_RADIOMETRIC = 1.0, 0.005
@@ -302,12 +303,17 @@ def _cells(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) 
     )
 
 
+def _circle() -> Tensor:
+    """(2, directions) unit vectors all around."""
+    turn = torch.arange(_DIRECTIONS, dtype=torch.float64) * (2.0 * math.pi / _DIRECTIONS)
+    return torch.stack([turn.cos(), turn.sin()])
+
+
 def _rings(highlight: Highlight | None) -> Tensor:
     """(2, 3 * directions) image coordinates of a highlight's middle, half width, surroundings."""
     if highlight is None:
         return torch.zeros(2, 0, dtype=torch.float64)
-    turn = torch.arange(_DIRECTIONS, dtype=torch.float64) * (2.0 * math.pi / _DIRECTIONS)
-    circle = torch.stack([turn.cos(), turn.sin()])
+    circle = _circle()
     radii = (0.0, highlight.width, 0.5 * sum(SURROUNDINGS))
     centre = torch.tensor(highlight.centre, dtype=torch.float64)[:, None]
     return torch.cat([centre + radius * circle for radius in radii], dim=1)
@@ -375,20 +381,29 @@ class _Problem:
         each = self.cells.weight.repeat(3)
         if self.highlight is None:
             return each
-        return torch.cat([each, torch.full((5,), self.evidence, dtype=each.dtype)])
+        return torch.cat([each, torch.full((7,), self.evidence, dtype=each.dtype)])
 
     def _evidence(self, parameters: Tensor, highlight: Highlight) -> Tensor:
-        """(5,) deviations of the highlight's centre, peak, half-way ring and surroundings."""
+        """(7,) deviations of the highlight's place, its middle, and peak, ring, surroundings.
+
+        Its place shows twice: where the plane mirrors the flash, which holds from afar but is a
+        wide highlight's middle only about; and by the ring being as bright on all sides.
+        """
         centre = torch.tensor(highlight.centre, dtype=parameters.dtype)
         deviation = _CENTRE_DEVIATION[0] + _CENTRE_DEVIATION[1] * highlight.width
         away = (_mirror(parameters, self.distance) - centre) / deviation
         radiance = _log_radiance(parameters, self.rings, self.distance).exp()
         light = radiance.clamp_max(max(1.0, highlight.peak)).mean(0).log()  # as the camera clips
-        levels = torch.stack([ring.mean() for ring in light.split(_DIRECTIONS)])
+        rings = light.unflatten(0, (3, _DIRECTIONS))
+        circle = _circle()
+        slope = math.log(highlight.contrast) / (2.0 * highlight.width)
+        middle_away = 2.0 * (rings[1] * circle).mean(1) / slope
+        levels = rings.mean(1)
         middle = 0.5 * (highlight.peak + highlight.surroundings)
         expected = torch.tensor([highlight.peak, middle, highlight.surroundings]).double().log()
         difference = (levels - expected) / _LEVEL_DEVIATION
-        return torch.cat([away, difference])
+        aside = middle_away / (_MIDDLE_DEVIATION[0] + _MIDDLE_DEVIATION[1] * highlight.width)
+        return torch.cat([away, aside, difference])
 
     def residuals(self, parameters: Tensor) -> Tensor:
         """(residuals,) of the parameters (11,), in log radiance."""
