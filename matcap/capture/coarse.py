@@ -489,7 +489,7 @@ def _starts(
     """Starting points whose brightness and hue already fit the photograph's median."""
     median = observed.median(dim=1).values
     hue = median - median.mean()
-    glosses = _STARTS
+    glosses: tuple[tuple[float, float, float], ...] = _STARTS
     places = [centre[6:10]]
     if highlight is not None:
         alpha = min(highlight.width / (_HALF_GGX * distance), 0.6)
