@@ -5,12 +5,12 @@
     material = matcap.capture("leather.dng")
     maps = material.maps(1024, 1024, seed=7)
 
-The names below are imported when first used, so that `import matcap` is instant.
+The names are those of api.py, most of them imported when first used: `import matcap` is instant.
 
 `capture` and `relight` are functions, and packages of those names hold what they do. Importing a
 package's submodule binds the package here, but only the first time: so both are imported before
-the functions take their names. Import from the packages with `from matcap.capture.pipeline import
-CaptureSettings`; the other form, `matcap.capture.pipeline`, would look in the function.
+the functions take their names. Import from the packages with `from matcap.capture.settings import
+CaptureSettings`; the other form, `matcap.capture.settings`, would look in the function.
 """
 
 from __future__ import annotations
@@ -18,33 +18,22 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from matcap.errors import MatcapError
-from matcap.version import __version__
-
 for _package in ("capture", "relight"):
     import_module(f"matcap.{_package}")
 
-from matcap.api import capture, relight  # noqa: E402  # after the packages, see above
+from matcap import api  # noqa: E402  # after the packages, see above
+from matcap.api import MatcapError, __version__, capture, relight  # noqa: E402
 
 if TYPE_CHECKING:
-    from matcap.brdf.folder import MapSetInfo as MapSetInfo
-    from matcap.brdf.folder import read_mapset as read_mapset
-    from matcap.brdf.folder import write_mapset as write_mapset
-    from matcap.brdf.maps import MapSet as MapSet
-    from matcap.model.field import Field as Field
-    from matcap.model.material import Material as Material
-    from matcap.photo.load import load_photo as load_photo
-
-# Each name that is imported when first used, and the module it is defined in.
-_HOMES = {
-    "Field": "matcap.model.field",
-    "MapSet": "matcap.brdf.maps",
-    "MapSetInfo": "matcap.brdf.folder",
-    "Material": "matcap.model.material",
-    "load_photo": "matcap.photo.load",
-    "read_mapset": "matcap.brdf.folder",
-    "write_mapset": "matcap.brdf.folder",
-}
+    from matcap.api import (
+        Field,
+        MapSet,
+        MapSetInfo,
+        Material,
+        load_photo,
+        read_mapset,
+        write_mapset,
+    )
 
 __all__ = [
     "Field",
@@ -62,9 +51,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f"module 'matcap' has no attribute '{name}'")
-    return getattr(import_module(_HOMES[name]), name)
+    return getattr(api, name)
 
 
 def __dir__() -> list[str]:

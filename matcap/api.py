@@ -1,21 +1,60 @@
 """What a Python program calls first: a photograph to a material, maps to a picture.
 
-Torch and what is heavy are imported when a function is called.
+Torch and what is heavy are imported when a function is called, or a name first used.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from matcap.errors import MatcapError
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.version import __version__
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
     from matcap.brdf.maps import MapSet
+    from matcap.model.field import Field
     from matcap.model.material import Material
+    from matcap.photo.load import load_photo
     from matcap.relight.render import MapSource
     from matcap.relight.scene import Scene
+
+# Each name that is imported when first used, and the module it is defined in.
+_HOMES = {
+    "Field": "matcap.model.field",
+    "MapSet": "matcap.brdf.maps",
+    "MapSetInfo": "matcap.brdf.folder",
+    "Material": "matcap.model.material",
+    "load_photo": "matcap.photo.load",
+    "read_mapset": "matcap.brdf.folder",
+    "write_mapset": "matcap.brdf.folder",
+}
+
+__all__ = [
+    "Field",
+    "MapSet",
+    "MapSetInfo",
+    "MatcapError",
+    "Material",
+    "__version__",
+    "capture",
+    "load_photo",
+    "read_mapset",
+    "relight",
+    "write_mapset",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'matcap.api' has no attribute '{name}'")
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
@@ -23,7 +62,7 @@ def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
 
     Args:
         path: RAW (DNG and others), JPEG, PNG or TIFF.
-        settings: fields of matcap.capture.pipeline.CaptureSettings: preset, steps, time_limit
+        settings: fields of matcap.capture.settings.CaptureSettings: preset, steps, time_limit
             (seconds), detail (texels along the long side), fov (degrees), seed, prior.
 
     Raises:
@@ -42,14 +81,20 @@ def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
 def relight(
     source: MapSet | MapSource,
     scene: Scene | str = "top",
-    **options: Any,  # noqa: ANN401
+    *,
+    seed: int = 0,
+    tolerance: float = DEFAULT_TOLERANCE,
+    effects: str = "auto",
 ) -> NDArray[np.float32]:
     """A picture of a material in a scene.
 
     Args:
         source: maps, or a material to read them from.
         scene: the scene, or the name of a light, such as "top" (relight.scene.scene_from_light).
-        options: seed, tolerance and effects of matcap.relight.render.relight.
+        seed: the realisation read from a material.
+        tolerance: what leaving out effects may change at most, in code values of the film from 0
+            to 1; half an 8-bit step by default.
+        effects: "auto", "all", "none", or "+x,-y".
 
     Returns:
         (H, W, 3) float32 radiance, linear Rec.709; 0 where there is no surface.
@@ -62,4 +107,4 @@ def relight(
     """
     from matcap.relight.render import relight as render
 
-    return render(source, scene, **options)
+    return render(source, scene, seed=seed, tolerance=tolerance, effects=effects)

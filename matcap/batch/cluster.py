@@ -7,14 +7,11 @@ not told, only its end.
 from __future__ import annotations
 
 import time
-from importlib import import_module
 from typing import Any
 
 from matcap.batch.crew import Event, Prepare, Work
-from matcap.errors import MatcapError
+from matcap.synth.scheduler import connect
 
-_PATIENCE = 10  # seconds for the scheduler to answer
-_WORKERS_WITHIN = 60  # seconds for a first worker to come
 _LOOK_EVERY = 0.1  # seconds; samples take minutes
 
 
@@ -31,46 +28,22 @@ class Cluster:
     """
 
     def __init__(self, scheduler: str, work: Work, prepare: Prepare) -> None:
-        try:
-            distributed: Any = import_module("distributed")
-        except ImportError as error:
-            raise MatcapError(
-                "clusters need dask.distributed", remedy='run: pip install "matcap[cluster]"'
-            ) from error
-        try:
-            self._client: Any = distributed.Client(
-                scheduler, timeout=_PATIENCE, set_as_default=False
-            )
-        except (OSError, TimeoutError, ValueError) as error:
-            raise MatcapError(
-                "no dask scheduler answers there",
-                where=scheduler,
-                remedy="start one with `dask scheduler`, and workers with `dask worker`",
-            ) from error
-        try:
-            self._client.wait_for_workers(1, timeout=_WORKERS_WITHIN)
-        except TimeoutError as error:
-            self._client.close()
-            raise MatcapError(
-                "the dask scheduler has no workers",
-                where=scheduler,
-                remedy="start some with `dask worker --nthreads 1`",
-            ) from error
+        self._client = connect(scheduler, "dask worker --nthreads 1")
         self.size = sum(self._client.nthreads().values())
         self._work, self._prepare = work, prepare
         self._futures: dict[Any, Any] = {}
 
     def busy(self) -> int:
-        """See Crew."""
+        """See BatchCrew."""
         return len(self._futures)
 
     def start(self, job: Any) -> None:  # noqa: ANN401
-        """See Crew."""
+        """See BatchCrew."""
         future = self._client.submit(_there, self._work, self._prepare, job, pure=False)
         self._futures[future] = job
 
     def wait(self, seconds: float) -> list[Event]:
-        """See Crew."""
+        """See BatchCrew."""
         limit = time.monotonic() + seconds
         while not any(future.done() for future in self._futures) and time.monotonic() < limit:
             time.sleep(_LOOK_EVERY)
@@ -85,7 +58,7 @@ class Cluster:
         return events
 
     def close(self) -> None:
-        """See Crew."""
+        """See BatchCrew."""
         for future in self._futures:
             future.cancel(force=True)
         self._futures = {}

@@ -39,7 +39,7 @@ class Event:
     value: Any
 
 
-class Crew(Protocol):
+class BatchCrew(Protocol):
     """Whoever works: processes of this machine, or a cluster."""
 
     size: int
@@ -73,11 +73,11 @@ class Processes:
         self._working: dict[Connection, tuple[_Worker, Any]] = {}
 
     def busy(self) -> int:
-        """See Crew."""
+        """See BatchCrew."""
         return len(self._working)
 
     def start(self, job: Any) -> None:  # noqa: ANN401
-        """See Crew."""
+        """See BatchCrew."""
         while self._idle:
             worker = self._idle.pop()
             if worker.give(job):
@@ -88,7 +88,7 @@ class Processes:
         self._working[worker.pipe] = (worker, job)
 
     def wait(self, seconds: float) -> list[Event]:
-        """See Crew."""
+        """See BatchCrew."""
         events = []
         for pipe in connection.wait(list(self._working), seconds):
             assert isinstance(pipe, Connection)
@@ -106,7 +106,7 @@ class Processes:
         return events
 
     def close(self) -> None:
-        """See Crew."""
+        """See BatchCrew."""
         for worker in [*self._idle, *(worker for worker, _ in self._working.values())]:
             worker.kill()
         self._idle, self._working = [], {}

@@ -14,7 +14,7 @@ from typing import Any
 
 from matcap.batch.settings import BatchSettings
 from matcap.errors import MatcapError
-from matcap.version import __version__
+from matcap.files.maker import MAKER_VERSION
 
 # Settings that say what to work on or how, and leave the material as it is; of prior and card the
 # bytes count.
@@ -29,7 +29,7 @@ def identity(
     *,
     prior: str,
     card: str = "",
-    version: str = __version__,
+    version: str = MAKER_VERSION,
 ) -> str:
     """64 hexadecimal digits.
 

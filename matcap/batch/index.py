@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from matcap.batch.index_page import PAGE
-from matcap.batch.plan import Entry
+from matcap.batch.plan import BatchEntry
 from matcap.batch.record import read_record
 from matcap.files.staging import staged
 
@@ -24,7 +24,7 @@ _STATES = {
 }  # fmt: skip
 
 
-def write_index(out: Path, entries: Sequence[Entry]) -> None:
+def write_index(out: Path, entries: Sequence[BatchEntry]) -> None:
     """Write the three files of a batch, together; they show materials of earlier shoots, too.
 
     Args:
@@ -59,7 +59,9 @@ def page(rows: Sequence[dict[str, Any]], pictures: Sequence[dict[str, str]]) -> 
     return PAGE.replace("@SUMMARY@", html.escape(" · ".join(counts))).replace("@ROWS@", body)
 
 
-def _rows(out: Path, entries: Sequence[Entry]) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
+def _rows(
+    out: Path, entries: Sequence[BatchEntry]
+) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
     rows, pictures = [], []
     for entry in entries:
         rows.append(_stated(entry))
@@ -73,7 +75,7 @@ def _rows(out: Path, entries: Sequence[Entry]) -> tuple[list[dict[str, Any]], li
     return rows, pictures
 
 
-def _stated(entry: Entry) -> dict[str, Any]:
+def _stated(entry: BatchEntry) -> dict[str, Any]:
     row = _told(entry.record, _STATES[entry.state], entry.sample.name)
     row["photographs"] = [str(path) for path in entry.sample.photos]
     row["reason"] = entry.reason

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from matcap.batch.identity import identity
 from matcap.batch.record import is_done, read_record
 from matcap.batch.settings import BatchSettings
-from matcap.batch.shoot import Sample
+from matcap.batch.shoot import ShotSample
 from matcap.batch.workspace import read_failure
 from matcap.errors import MatcapError
 
@@ -18,7 +18,7 @@ State = Literal["todo", "made", "kept", "failed", "left"]
 
 
 @dataclass
-class Entry:
+class BatchEntry:
     """A sample and how it stands; the batch goes along and changes it.
 
     Attributes:
@@ -30,7 +30,7 @@ class Entry:
         record: of the material, where there is one.
     """
 
-    sample: Sample
+    sample: ShotSample
     identity: str
     state: State
     reason: str = ""
@@ -38,7 +38,7 @@ class Entry:
 
 
 def make_plan(
-    samples: Sequence[Sample],
+    samples: Sequence[ShotSample],
     out: Path,
     settings: BatchSettings,
     *,
@@ -47,7 +47,7 @@ def make_plan(
     force: bool = False,
     retry_failed: bool = False,
     tell: Callable[[int], None] = lambda count: None,
-) -> list[Entry]:
+) -> list[BatchEntry]:
     """How every sample stands.
 
     Args:
@@ -67,7 +67,9 @@ def make_plan(
     return entries
 
 
-def look_again(entry: Entry, out: Path, *, force: bool = False, retry_failed: bool = False) -> None:
+def look_again(
+    entry: BatchEntry, out: Path, *, force: bool = False, retry_failed: bool = False
+) -> None:
     """See whether a material is done or known to fail, now."""
     folder = out / entry.sample.name
     if not force and is_done(folder, entry.identity):
@@ -79,18 +81,18 @@ def look_again(entry: Entry, out: Path, *, force: bool = False, retry_failed: bo
 
 
 def _entry(
-    sample: Sample,
+    sample: ShotSample,
     out: Path,
     settings: BatchSettings,
     prior: str,
     card: str,
     force: bool,
     retry_failed: bool,
-) -> Entry:
+) -> BatchEntry:
     try:
         digits = identity(sample.photos, settings, prior=prior, card=card)
     except MatcapError as error:
-        return Entry(sample, "", "failed", str(error))
-    entry = Entry(sample, digits, "todo")
+        return BatchEntry(sample, "", "failed", str(error))
+    entry = BatchEntry(sample, digits, "todo")
     look_again(entry, out, force=force, retry_failed=retry_failed)
     return entry

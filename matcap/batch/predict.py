@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from matcap.batch.plan import Entry
+from matcap.batch.plan import BatchEntry
 from matcap.batch.record import FILE, read_record
 from matcap.batch.settings import BatchSettings
 from matcap.batch.whole import Prepared
@@ -18,7 +18,7 @@ from matcap.batch.work import settle_threads
 from matcap.capture.settings import resolve
 from matcap.errors import MatcapError
 
-_TRIAL_STEPS = 12
+_TRIAL_STEPS = 12  # of fine-tuning
 _SETTLED = 4  # steps of a trial that say nothing of the pace
 _TRIED = 3  # photographs tried, if the first ones cannot be used
 
@@ -66,7 +66,7 @@ class Prediction:
             f"at most {self.worker_bytes / 1e9:.1f} GB of memory a worker."
         )
 
-    def document(self, entries: Sequence[Entry]) -> dict[str, Any]:
+    def document(self, entries: Sequence[BatchEntry]) -> dict[str, Any]:
         """As JSON."""
         rows = [
             {

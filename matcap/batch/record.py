@@ -15,7 +15,7 @@ from typing import Any
 
 FILE = "matcap-batch.json"
 FORMAT = "matcap batch record"
-VERSION = 1
+VERSION = 1  # of the file
 _MOST_BYTES = 20_000_000  # thumbnails included
 
 

@@ -14,17 +14,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from matcap.batch.crew import Crew, Event
-from matcap.batch.plan import Entry, look_again
+from matcap.batch.crew import BatchCrew, Event
+from matcap.batch.plan import BatchEntry, look_again
 from matcap.batch.settings import BatchSettings
-from matcap.batch.work import Failure, Job
+from matcap.batch.work import BatchJob, Failure
 from matcap.batch.workspace import Run
 from matcap.errors import ExitCode
 from matcap.photo.calibrate import Calibration
 
 _POLL = 1.0  # seconds between two looks at what another run is doing
 _PAGE_EVERY = 20.0  # seconds between two pages, at least
-_LEAST_DETAIL = 128
+_LEAST_DETAIL = 128  # texels across; memory that does not do for them does for nothing
 _FORGET = ("memory", "disk", "crash")  # faults that may be gone next time
 
 
@@ -49,13 +49,13 @@ class Show(Protocol):
     def expect(self, total: int) -> None:
         """So many samples there are."""
 
-    def started(self, entry: Entry) -> None:
+    def started(self, entry: BatchEntry) -> None:
         """Work on a sample begins."""
 
-    def progress(self, entry: Entry, stage: str, share: float) -> None:
+    def progress(self, entry: BatchEntry, stage: str, share: float) -> None:
         """It has come this far."""
 
-    def ended(self, entry: Entry) -> None:
+    def ended(self, entry: BatchEntry) -> None:
         """It is made, kept, failed or left."""
 
     def note(self, sentence: str) -> None:
@@ -64,8 +64,8 @@ class Show(Protocol):
 
 @dataclass
 class _Task:
-    entry: Entry
-    job: Job
+    entry: BatchEntry
+    job: BatchJob
     tries: int = 0
 
 
@@ -85,9 +85,9 @@ class Batch:
 
     def __init__(
         self,
-        entries: Sequence[Entry],
+        entries: Sequence[BatchEntry],
         run: Run,
-        crew: Crew,
+        crew: BatchCrew,
         settings: BatchSettings,
         policy: Policy,
         show: Show,
@@ -142,9 +142,9 @@ class Batch:
                     entry.state, entry.reason = "left", self._stop or "the batch ended early"
             self._page()
 
-    def _job(self, entry: Entry) -> Job:
+    def _job(self, entry: BatchEntry) -> BatchJob:
         sample, detail = entry.sample, self._settings.capture.most_detail
-        return Job(
+        return BatchJob(
             sample.name,
             sample.photos,
             entry.identity,
@@ -252,7 +252,7 @@ class Batch:
         self._show.ended(task.entry)
 
 
-def exit_code(entries: Sequence[Entry]) -> ExitCode:
+def exit_code(entries: Sequence[BatchEntry]) -> ExitCode:
     """Of a batch that came to its end."""
     good = sum(entry.state in ("made", "kept") for entry in entries)
     if good == len(entries):

@@ -9,14 +9,10 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from matcap.capture.outputs import OutputSettings
 from matcap.capture.settings import PRESETS, CaptureSettings, weights_file
 from matcap.errors import MatcapError, UsageError
-from matcap.export.targets import check_targets
 from matcap.files import values
-from matcap.model.decoder import ALIGNMENT
 
 FILE = "matcap.toml"
 _GROUPS = ("none", "dir", "time")
@@ -117,15 +113,7 @@ def settings_of(shoot: Path, flags: Mapping[str, Any]) -> BatchSettings:
     file = settings_file(shoot)
     read = read_settings(file) if file else {}
     given = {name: value for name, value in flags.items() if value is not None}
-    settings = BatchSettings.of(read | _checked(given, "the options"))
-    width, height = settings.outputs.size
-    if settings.outputs.tile and (width % ALIGNMENT or height % ALIGNMENT):
-        raise UsageError(
-            f"{width}x{height} cannot tile",
-            where="size",
-            remedy=f"give sides that are multiples of {ALIGNMENT}",
-        )
-    return settings
+    return BatchSettings.of(read | _checked(given, "the options"))
 
 
 def settings_file(shoot: Path) -> Path | None:
@@ -198,14 +186,14 @@ def _value(name: str, value: Any, where: str) -> Any:  # noqa: ANN401
         weights_file(value)
     if name == "export":
         names = [value] if isinstance(value, str) else [str(each) for each in value]
-        return check_targets(names, where)
+        return OutputSettings.known_targets(names, where)
     try:
         if name == "size":
             sides = values.size(str(value))
             return (sides.width, sides.height)
         if name == "time":
             return values.duration(str(value))
-    except typer.BadParameter as error:
+    except ValueError as error:
         raise UsageError(str(error), where=where, remedy=f"correct {name}") from error
     return float(value) if float in rule.kinds and number else value
 

@@ -28,7 +28,7 @@ _TAKEN = frozenset({"report", "preview", "matcap-batch"})
 
 
 @dataclass(frozen=True)
-class Sample:
+class ShotSample:
     """What becomes one material.
 
     Attributes:
@@ -49,7 +49,7 @@ def find_samples(
     gap: float = 10.0,
     without: Iterable[Path] = (),
     taken: Taken | None = None,
-) -> list[Sample]:
+) -> list[ShotSample]:
     """All samples of a shoot, in the order of their folders and names.
 
     Folders are searched to the bottom; hidden ones, links to folders and the output of batches are
@@ -175,7 +175,7 @@ def _joined(shots: Sequence[_Shot]) -> tuple[tuple[Path, ...], tuple[Path, ...]]
 
 def _named(
     grouped: Sequence[tuple[Path, str, tuple[Path, ...], tuple[Path, ...]]],
-) -> list[Sample]:
+) -> list[ShotSample]:
     """Names that no two share; a shared one gets a tag that depends on its own path alone.
 
     So a photograph that is added to the shoot never renames another one's material, unless their
@@ -189,5 +189,5 @@ def _named(
         plain = label.lstrip(".") or "photograph"
         if count[label.casefold()] > 1 or plain.casefold() in _TAKEN or plain != label:
             plain += "-" + hashlib.sha256(place.as_posix().encode()).hexdigest()[:6]
-        samples.append(Sample(plain, photos, beside))
+        samples.append(ShotSample(plain, photos, beside))
     return samples

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import cast
 
 from matcap.batch.cluster import Cluster
-from matcap.batch.crew import Crew, Processes
+from matcap.batch.crew import BatchCrew, Processes
 from matcap.batch.identity import prior_hash
 from matcap.batch.index import write_index
 from matcap.batch.memory import crew_size, free_bytes, largest_worker
-from matcap.batch.plan import Entry, make_plan
+from matcap.batch.plan import BatchEntry, make_plan
 from matcap.batch.run import Batch, Policy, Show, exit_code
 from matcap.batch.settings import BatchSettings
 from matcap.batch.shoot import Grouping, find_samples
@@ -38,13 +38,13 @@ class Prepared:
 
     out: Path
     settings: BatchSettings
-    entries: Sequence[Entry]
+    entries: Sequence[BatchEntry]
     worker_bytes: int
     workers: int
     card: Calibration | None = None
 
     @property
-    def todo(self) -> list[Entry]:
+    def todo(self) -> list[BatchEntry]:
         """What is left to be made."""
         return [entry for entry in self.entries if entry.state == "todo"]
 
@@ -131,7 +131,7 @@ def work_off(
         for entry in entries:
             if entry.state != "todo":
                 show.ended(entry)
-        crew: Crew
+        crew: BatchCrew
         if scheduler is None:
             crew = Processes(prepared.workers, do_job, settle_threads)
         else:

@@ -21,7 +21,7 @@ from matcap.files.staging import write_error
 from matcap.photo.calibrate import Calibration, calibrated
 
 if TYPE_CHECKING:
-    from matcap.capture.pipeline import CaptureResult, Progress
+    from matcap.capture.pipeline import CaptureProgress, CaptureResult
     from matcap.capture.prior.store import Prior
     from matcap.photo.inspect import Inspection
 
@@ -41,7 +41,7 @@ _DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 
 
 @dataclass(frozen=True)
-class Job:
+class BatchJob:
     """One sample to be made into one material.
 
     Attributes:
@@ -78,7 +78,7 @@ class Failure:
     sentence: str
 
 
-def do_job(job: Job, tell: Tell) -> dict[str, Any] | Failure:
+def do_job(job: BatchJob, tell: Tell) -> dict[str, Any] | Failure:
     """Make a material, put it in its place, and return its record's summary.
 
     Whatever goes wrong with this sample comes back as a Failure.
@@ -109,7 +109,7 @@ def _fault(error: MatcapError) -> Fault:
     return "photograph"
 
 
-def _do(job: Job, tell: Tell) -> dict[str, Any]:
+def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
     from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_photo, read_photograph
     from matcap.photo.inspect import inspect_photo
@@ -126,7 +126,7 @@ def _do(job: Job, tell: Tell) -> dict[str, Any]:
         photos.append(photo if job.card is None else calibrated(photo, path, job.card))
     looked_at = [inspect_photo(photo, _prior(chosen.prior).tilt(photo)) for photo in photos]
 
-    def progress(now: Progress) -> None:
+    def progress(now: CaptureProgress) -> None:
         low, high = _SHARES.get(now.stage, (0.0, 0.0))
         tell(now.stage, low + (high - low) * now.fraction)
 
@@ -142,7 +142,7 @@ def _do(job: Job, tell: Tell) -> dict[str, Any]:
     return about
 
 
-def _about(job: Job, looked_at: Sequence[Inspection], result: CaptureResult) -> dict[str, Any]:
+def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult) -> dict[str, Any]:
     """What the index tells of a material."""
     from matcap.capture.report import warnings
 
@@ -201,7 +201,7 @@ def _prior(name: str) -> Prior:
     return load_prior(None if name in ("auto", "none") else Path(name))
 
 
-def _no_memory(job: Job) -> str:
+def _no_memory(job: BatchJob) -> str:
     return (
         f"{job.photos[0]}: there is not enough memory for a detail of {job.detail}; "
         "close other programs, or lower --detail, --size or -j."

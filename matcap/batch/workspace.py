@@ -29,7 +29,7 @@ from typing import Any
 from matcap.batch.record import FILE as RECORD
 from matcap.batch.record import read_record
 from matcap.batch.shoot import WORKSPACE
-from matcap.brdf.folder import mapset_files
+from matcap.capture.outputs import output_files
 from matcap.files.staging import write_error
 
 _BEAT = 5.0  # seconds between two touches of `alive`
@@ -245,8 +245,7 @@ def _drop_stale_claims(out: Path, run: str) -> None:
 def _keep_foreign(old: Path, new: Path) -> None:
     """Move files that matcap did not write from an old folder to the new one."""
     record = read_record(old)
-    ours = {RECORD, "report.json", "error.png", "preview.png", f"{old.name}.matcap"}
-    ours |= set(mapset_files(old.name))
+    ours = {RECORD, *output_files(old.name)}
     ours |= {file.split("/")[0] for file in record["files"]} if record else set()
     for file in old.iterdir():
         if file.name not in ours and not (new / file.name).exists():

@@ -36,10 +36,10 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import read_exr, write_exr
+from matcap.files.maker import MAKER_VERSION
 from matcap.files.png import write_png
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged
-from matcap.version import __version__
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 NormalStyle = Literal["gl", "dx"]
 
 FORMAT = "matcap map set"
-VERSION = 1
+VERSION = 1  # of the document
 # Bytes a texel takes at most, for all maps: what is asked of the disk beforehand.
 EXR_BYTES = 2 * (3 + 1 + 1 + 3) + 4
 PNG_BYTES = 2 * (3 + 1 + 1 + 1 + 3)
@@ -226,7 +226,7 @@ def mapset_document(
     return {
         "format": FORMAT,
         "version": VERSION,
-        "matcap": __version__,
+        "matcap": MAKER_VERSION,
         "name": info.name,
         "width": width,
         "height": height,

@@ -13,7 +13,7 @@ from matcap.capture.coarse import CoarseFit
 from matcap.capture.finetune import (
     RATE_FROM_NOTHING,
     RATE_FROM_PRIOR,
-    Scene,
+    TuneScene,
     TuneSettings,
     finetune,
 )
@@ -48,7 +48,7 @@ def begin(
     photo: Photo,
     coarse: CoarseFit,
     plane: Plane,
-    scene: Scene,
+    scene: TuneScene,
     settings: CaptureSettings,
     effort: Effort,
     method: Method,
@@ -80,7 +80,7 @@ def begin(
 def _best_of_some(
     coarse: CoarseFit,
     plane: Plane,
-    scene: Scene,
+    scene: TuneScene,
     settings: CaptureSettings,
     effort: Effort,
     method: Method,

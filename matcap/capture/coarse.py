@@ -40,7 +40,7 @@ _PATCH_WEIGHT = 0.5
 _KNEE_DEVELOPED, _KNEE_RADIOMETRIC = 0.6, 0.95
 _CLIPPING = 0.95  # a clipped pixel's channels above this did it
 _HUBER = 0.1  # in log radiance: beyond 10 % a residual counts linearly
-_ITERATIONS = (6, 30)
+_ITERATIONS = (6, 30)  # of Levenberg-Marquardt, at most: of every start, and of those worth it
 _KEPT = 2  # starts that are worth finishing
 _STEP = 1e-5  # of a parameter, all of which are of order 1
 # A developed picture's tone curve deepens the falloff; a RAW's numbers are the light's own, and
@@ -90,11 +90,8 @@ class CoarseFit:
     lobes: tuple[tuple[float, float], ...] = ()
 
 
-# The unknowns, each with its prior mean and deviation, and the unit it is solved in.
-_NAMES = (
-    "log_red", "log_green", "log_blue", "log_f0", "logit_roughness", "log_intensity",
-    "offset_x", "offset_y", "tilt_x", "tilt_y", "vignetting",
-)  # fmt: skip
+# The unknowns, in the unit each is solved in: log red, green, blue albedo, log F0, logit roughness,
+# log intensity, offset x and y, tilt x and y, vignetting; prior means and deviations.
 _PRIOR_MEAN = torch.tensor(
     [math.log(0.25)] * 3 + [math.log(0.04), 0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.4], dtype=torch.float64
 )
@@ -461,7 +458,7 @@ def _log_radiance(parameters: Tensor, image: Tensor, distance: float) -> Tensor:
 def _lobes_of(parameters: Tensor) -> list[tuple[Tensor | float, Tensor]]:
     """(share, roughness) of one lobe or, with 13 parameters, of two."""
     narrow = torch.sigmoid(parameters[4])
-    if len(parameters) == len(_NAMES):
+    if len(parameters) == len(_PRIOR_MEAN):
         return [(1.0, narrow)]
     share = torch.sigmoid(parameters[11])
     return [(share, narrow), (1.0 - share, torch.sigmoid(parameters[4] + parameters[12].exp()))]

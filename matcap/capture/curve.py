@@ -8,10 +8,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from matcap.capture.anytime import History, forecast
 
-_SIZE = (720, 400)
+_SIZE = (720, 400)  # pixels, as are the margins
 _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 24, 60, 48
 _INK, _PAPER, _GRID, _LINE, _AHEAD = "#e1e1e1", "#181818", "#3a3a3a", "#6cb6ff", "#f0b060"
-_MINUTE = 60.0
+_MINUTE = 60.0  # seconds
 
 
 def draw_history(history: History, self_difference: float = math.nan) -> Image.Image:

@@ -17,7 +17,7 @@ from matcap.flash.plane import Plane, read_plane
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Lattice, find_lattice
 
-DETAIL = 1024
+DETAIL = 1024  # texels; docs/capture.md has what more and less of them buy
 _SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # texels: deviations of the blurs between the bands
 _MOST_COARSE = 0.08  # share of the variance in the last band: waves from some 100 to 200 texels
 _FAINTEST, _STRONGEST = 1e-4, 3.0  # linear; in log radiance from the median

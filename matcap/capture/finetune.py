@@ -27,6 +27,7 @@ from matcap.flash.render import render_flash
 from matcap.model.decoder import ALIGNMENT, DEPTH, Decoder, Moments, maps_from_raw
 from matcap.model.freeze import freeze
 from matcap.model.noise import wrap64
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import RandomField, random_field
 from matcap.statistics.compare import Features, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
@@ -64,7 +65,7 @@ class TuneSettings:
 
 
 @dataclass(frozen=True)
-class Scene:
+class TuneScene:
     """What the decoder is tuned to: one photograph, or several of one sample.
 
     Attributes:
@@ -111,7 +112,7 @@ Report = Callable[[float, float, float], None]  # share done, running error, sec
 
 
 def finetune(
-    decoder: Decoder, code: Tensor, scene: Scene, settings: TuneSettings, report: Report
+    decoder: Decoder, code: Tensor, scene: TuneScene, settings: TuneSettings, report: Report
 ) -> Tuned:
     """Tune a decoder at a code to a photograph. The decoder given is changed.
 
@@ -165,7 +166,7 @@ def _places(count: int, seed: int) -> Iterator[int]:
 def decode_window(
     decoder: Decoder,
     code: Tensor,
-    scene: Scene,
+    scene: TuneScene,
     seed: int,
     moments: list[Moments] | None,
     *,
@@ -180,10 +181,15 @@ def decode_window(
     margin = ALIGNMENT if scene.waves else 0
     full = size + 2 * margin
     noise = random_field(
-        seed, decoder.config.noise_channels, (), 0, 0, full, full, levels=0, period=(full, full)
+        Patch(seed, Rectangle(0, 0, full, full), period=(full, full)),
+        decoder.config.noise_channels,
+        (),
+        levels=0,
     ).noise
     cells = decoder.config.cells
-    waves = random_field(seed, 1, scene.waves, 0, 0, full, full, levels=DEPTH, cells=cells).waves
+    waves = random_field(
+        Patch(seed, Rectangle(0, 0, full, full)), 1, scene.waves, levels=DEPTH, cells=cells
+    ).waves
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision):
         raw = decoder(RandomField(noise, waves), code, moments)
     if margin:
@@ -191,7 +197,7 @@ def decode_window(
     return maps_from_raw(raw, scene.texel_size, periodic=margin == 0)
 
 
-def render_windows(maps: MapSet, scene: Scene, places: Tensor, step: int) -> Tensor:
+def render_windows(maps: MapSet, scene: TuneScene, places: Tensor, step: int) -> Tensor:
     """(B, 3, size, size) a window's maps, lit and seen as at some places, noise included."""
     windows = scene.windows
     points = windows.points[places]
@@ -210,7 +216,7 @@ def render_windows(maps: MapSet, scene: Scene, places: Tensor, step: int) -> Ten
 
 
 def compare_windows(
-    rendered: Tensor, scene: Scene, places: Tensor, *, half_precision: bool
+    rendered: Tensor, scene: TuneScene, places: Tensor, *, half_precision: bool
 ) -> Tensor:
     """Mean distance of renderings from the photograph at the same places; a number."""
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision):

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from matcap.capture.coarse import CoarseFit, fit_coarse
-from matcap.capture.finetune import Scene
+from matcap.capture.finetune import TuneScene
 from matcap.capture.windows import Windows, cut_windows
 from matcap.errors import MatcapError
 from matcap.flash.plane import read_plane
@@ -28,8 +28,8 @@ from matcap.statistics.compare import Descriptor
 
 
 def join(
-    scene: Scene, coarse: CoarseFit, others: Sequence[Photo], detail: int
-) -> tuple[Scene, list[dict[str, Any]]]:
+    scene: TuneScene, coarse: CoarseFit, others: Sequence[Photo], detail: int
+) -> tuple[TuneScene, list[dict[str, Any]]]:
     """A scene that holds the windows of other photographs, too, and what was found of each.
 
     Args:

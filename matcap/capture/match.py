@@ -29,7 +29,7 @@ from matcap.model.decoder import OUTPUTS
 from matcap.model.material import Material
 from matcap.statistics.encoding import shading
 
-_ROUNDS = 3
+_ROUNDS = 3  # of comparing and moving
 _BLOCK = 32  # texels a side over which light is averaged before means are compared
 _CLIPPED = 0.97  # of the clip level: brighter than this may be cut off
 _LEAST_SEEN = 0.05  # share of the texels; of fewer nothing is concluded
@@ -39,7 +39,7 @@ _DAMPING = 0.1
 # One round's bounds and those of all together: more is another material's doing.
 _GAIN_STEP, _GAIN = (0.7, 1.4), (0.6, 1.7)
 _SHIFT = 1.0  # logits of diffuse albedo
-_LOGIT_EPSILON = 1e-5
+_LOGIT_EPSILON = 1e-5  # of albedo: bounds the logit at 0 and 1
 _DIFFUSE, _HEIGHT = slice(0, 3), slice(5, 6)  # of the raw outputs
 
 

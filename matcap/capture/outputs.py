@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from matcap.brdf.folder import MapSetInfo, NormalStyle, mapset_bytes, mapset_files, write_mapset
-from matcap.export.targets import export_bytes, export_mapset
+from matcap.errors import UsageError
+from matcap.export.targets import check_targets, export_bytes, export_mapset
 from matcap.files.staging import staged
+from matcap.model.decoder import ALIGNMENT
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult
+
+PREVIEW, REPORT = "preview.png", "report.json"
 
 _BESIDES = 50_000_000  # material, preview and report, generously
 
@@ -25,8 +30,11 @@ class OutputSettings:
         seed: its realisation.
         png: 16-bit PNGs beside the EXR files.
         normal: "gl" or "dx".
-        tile: the map set repeats without a seam; both sides are multiples of 16 then.
+        tile: the map set repeats without a seam; both sides are multiples of ALIGNMENT then.
         targets: what else the map set is written for, each into a folder of its name.
+
+    Raises:
+        UsageError: the size cannot tile.
     """
 
     size: tuple[int, int] = (1024, 1024)
@@ -35,6 +43,24 @@ class OutputSettings:
     normal: NormalStyle = "gl"
     tile: bool = False
     targets: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        width, height = self.size
+        if self.tile and (width % ALIGNMENT or height % ALIGNMENT):
+            raise UsageError(
+                f"{width}x{height} cannot tile",
+                where="size",
+                remedy=f"give sides that are multiples of {ALIGNMENT}",
+            )
+
+    @staticmethod
+    def known_targets(names: Sequence[str], where: str = "--export") -> tuple[str, ...]:
+        """Targets by name, each once.
+
+        Raises:
+            UsageError: there is no such target.
+        """
+        return check_targets(names, where)
 
     @property
     def room(self) -> int:
@@ -68,9 +94,16 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
     info = MapSetInfo(name, settings.seed, provenance=dict(material.provenance))
     with staged(folder, replacing=mapset_files(name)) as stage:
         write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
-        write_preview(result, stage / "preview.png")
-        write_report(result, stage / "report.json")
+        write_preview(result, stage / PREVIEW)
+        write_report(result, stage / REPORT)
         material.save(stage / f"{name}.matcap")
     for target in settings.targets:
         export_mapset(folder / f"{name}.json", target)
     return folder / f"{name}.matcap"
+
+
+def output_files(name: str) -> list[str]:
+    """Names of all the files that write_outputs leaves in a folder of this name, but exports."""
+    from matcap.capture.report import CURVE
+
+    return [f"{name}.matcap", PREVIEW, REPORT, CURVE, *mapset_files(name)]

@@ -12,7 +12,7 @@ from matcap.brdf.maps import MapSet
 # How far the coarse fit's diffuse albedo, F0 and roughness are believed, in logits: the texture's
 # bumps widen the highlight, so its roughness tells little.
 _BELIEF = (0.4, 0.4, 0.4, 0.6, 2.0)
-_LOGIT_EPSILON = 1e-4
+_LOGIT_EPSILON = 1e-4  # of albedo, F0 and roughness: bounds the logit at 0 and 1
 # Specks are paid for once half of the work is done: what belongs there, as metal between rust,
 # begins as specks too, and has spread by then.
 _OUTLIERS_FROM = 0.5  # share of the work

@@ -18,11 +18,11 @@ from matcap.capture.anytime import self_difference
 from matcap.capture.audition import begin
 from matcap.capture.coarse import CoarseFit, fit_coarse, under_flash
 from matcap.capture.detail import plane_in_detail
-from matcap.capture.finetune import Scene, Tuned, TuneSettings, finetune
+from matcap.capture.finetune import Tuned, TuneScene, TuneSettings, finetune
 from matcap.capture.joint import join
 from matcap.capture.match import match_photograph
-from matcap.capture.progress import Clock
-from matcap.capture.progress import Progress as Progress
+from matcap.capture.progress import CaptureClock
+from matcap.capture.progress import CaptureProgress as CaptureProgress
 from matcap.capture.settings import CaptureSettings as CaptureSettings
 from matcap.capture.settings import Method, resolve, weights_file
 from matcap.capture.start import logits
@@ -83,7 +83,7 @@ def read_photograph(path: str | Path, settings: CaptureSettings) -> Photo:
 def capture_file(
     path: str | Path,
     settings: CaptureSettings,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[CaptureProgress], None] | None = None,
 ) -> CaptureResult:
     """A photograph's file to a material; see read_photograph and capture_photo."""
     return capture_photo(read_photograph(path, settings), settings, progress)
@@ -92,7 +92,7 @@ def capture_file(
 def capture_photo(
     photo: Photo,
     settings: CaptureSettings,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[CaptureProgress], None] | None = None,
     method: Method | None = None,
     others: Sequence[Photo] = (),
 ) -> CaptureResult:
@@ -111,7 +111,7 @@ def capture_photo(
     """
     method = method or Method()
     effort = resolve(settings, method)
-    clock = Clock(progress)
+    clock = CaptureClock(progress)
 
     with clock.stage("coarse fit"):
         coarse = under_flash(fit_coarse(photo), photo.flash_intensity)
@@ -121,7 +121,7 @@ def capture_photo(
         bank = _features(settings.statistics, method)
         window = _window(plane, method.window, photo.name)
         most = None if effort.steps else 1  # nothing will be compared
-        scene = Scene(
+        scene = TuneScene(
             cut_windows(plane, bank, window, most=most),
             coarse.setup,
             plane.encoding,
@@ -203,7 +203,7 @@ def _window(plane: Plane, wanted: int, name: str) -> int:
 
 
 def _material(
-    photo: Photo, tuned: Tuned, code: Tensor, scene: Scene, provenance: dict[str, Any]
+    photo: Photo, tuned: Tuned, code: Tensor, scene: TuneScene, provenance: dict[str, Any]
 ) -> Material:
     return Material(
         name=photo.name.rsplit(".", 1)[0] or photo.name,
@@ -238,6 +238,7 @@ def _provenance(
             "specular": coarse.specular,
             "roughness": coarse.roughness,
             "residual": coarse.residual,
+            "lobes": [list(lobe) for lobe in coarse.lobes],
         },
     }
     return told | ({"others": joined} if joined else {})

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.capture.pipeline import CaptureResult
 
-_COLUMNS = 4
-_CROP, _GAP, _LABEL = 256, 12, 26
+_COLUMNS = 4  # panels side by side
+_CROP, _GAP, _LABEL = 256, 12, 26  # pixels
 _PANEL = (2 * _COLUMNS * _CROP + (2 * _COLUMNS - 1) * _GAP - (_COLUMNS - 1) * _GAP) // _COLUMNS
-_INK, _PAPER = (225, 225, 225), (24, 24, 24)
+_INK, _PAPER = (225, 225, 225), (24, 24, 24)  # sRGB code values
 # From above and in front of the sample, in plane units: grazing enough to show relief.
 _TOP_LIGHT = (0.0, 2.0, 1.2)
 # A map's shown range is never narrower than this, or a flat map would show its rounding noise.

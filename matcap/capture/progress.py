@@ -14,7 +14,7 @@ _MINUTE = 60.0  # seconds
 
 
 @dataclass(frozen=True)
-class Progress:
+class CaptureProgress:
     """How far a capture is.
 
     Attributes:
@@ -34,14 +34,14 @@ class Progress:
     in_a_minute: float | None = None
 
 
-class Clock:
+class CaptureClock:
     """Times the stages of a capture and tells the caller how far things are.
 
     Attributes:
         seconds: of each stage that is over.
     """
 
-    def __init__(self, tell: Callable[[Progress], None] | None) -> None:
+    def __init__(self, tell: Callable[[CaptureProgress], None] | None) -> None:
         self.seconds: dict[str, float] = {}
         self._tell = tell or _nobody
         self._started = time.monotonic()
@@ -52,10 +52,10 @@ class Clock:
     def stage(self, name: str) -> Iterator[None]:
         """A stage, while the block runs."""
         began = time.monotonic()
-        self._tell(Progress(name, 0.0, None, began - self._started, None))
+        self._tell(CaptureProgress(name, 0.0, None, began - self._started, None))
         yield
         self.seconds[name] = time.monotonic() - began
-        self._tell(Progress(name, 1.0, None, time.monotonic() - self._started, None))
+        self._tell(CaptureProgress(name, 1.0, None, time.monotonic() - self._started, None))
 
     def tuning(self, share: float, error: float, seconds: float) -> None:
         """A step of fine-tuning is done: share of all, running error, seconds of it so far."""
@@ -64,8 +64,8 @@ class Clock:
         self._history.append((seconds, len(self._history) + 1, error))
         if len(self._history) % _FORECAST_EVERY == 0:
             self._ahead = forecast(self._history, _MINUTE)
-        self._tell(Progress("fine-tuning", share, error, elapsed, left, self._ahead))
+        self._tell(CaptureProgress("fine-tuning", share, error, elapsed, left, self._ahead))
 
 
-def _nobody(progress: Progress) -> None:
+def _nobody(progress: CaptureProgress) -> None:
     """Listens."""

@@ -37,8 +37,8 @@ from matcap.capture.anytime import forecast
 from matcap.capture.curve import draw_history
 from matcap.capture.detail import DETAIL
 from matcap.capture.settings import CaptureSettings, resolve
+from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
-from matcap.version import __version__
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult
@@ -103,7 +103,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         ],
         "provenance": result.material.provenance,
         "versions": {
-            "matcap": __version__,
+            "matcap": MAKER_VERSION,
             "python": platform.python_version(),
             "platform": platform.platform(),
             **{name: version(name) for name in _LIBRARIES},

@@ -20,7 +20,7 @@ from matcap.statistics.compare import UNSEEN, Descriptor, Features, describe
 _HISS = 2e-3  # of the clip level
 _TOGETHER = 4  # windows described at a time: more outgrow the processor's caches
 _PAIRS = 64  # of windows that tell how much statistics scatter
-_LEAST_SCALE = 0.7
+_LEAST_SCALE = 0.7  # of a target: more than that is no scatter
 _LEAST_SEEN = 0.3  # share of a window's texels that must be inside the picture and not clipped
 
 

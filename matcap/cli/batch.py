@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli.options import ExportOption, JsonOption, Normal, QuietOption
+from matcap.cli.options import ExportOption, JsonOption, Normal, QuietOption, typed
 from matcap.errors import ExitCode
 from matcap.files import values
 
 if TYPE_CHECKING:
-    from matcap.batch.plan import Entry
+    from matcap.batch.plan import BatchEntry
     from matcap.batch.predict import Prediction
 
 
@@ -37,7 +37,7 @@ def batch(
         float | None,
         typer.Option(
             "--time",
-            parser=values.duration,
+            parser=typed(values.duration),
             metavar="TIME",
             help="For each sample: 90s, 2m; without --steps the preset is reference then.",
         ),
@@ -56,7 +56,7 @@ def batch(
     seed: Annotated[int | None, typer.Option(min=0, help="Of the work and the map sets.")] = None,
     size: Annotated[
         values.Size | None,
-        typer.Option(parser=values.size, metavar="WxH", help="Size of the first map sets."),
+        typer.Option(parser=typed(values.size), metavar="WxH", help="Size of the first map sets."),
     ] = None,
     tile: Annotated[
         bool | None, typer.Option("--tile/--no-tile", help="Map sets that repeat without a seam.")
@@ -141,7 +141,7 @@ def batch(
     raise typer.Exit(code)
 
 
-def _print_results(entries: Sequence[Entry], out: Path, *, as_json: bool, quiet: bool) -> None:
+def _print_results(entries: Sequence[BatchEntry], out: Path, *, as_json: bool, quiet: bool) -> None:
     if as_json:
         rows = [_document(entry, out) for entry in entries]
         typer.echo(json.dumps({"out": str(out), "materials": rows}, indent=2))
@@ -167,7 +167,7 @@ def _print_results(entries: Sequence[Entry], out: Path, *, as_json: bool, quiet:
         typer.echo(f"matcap: {len(left)} not begun: {left[0].reason}.", err=True)
 
 
-def _document(entry: Entry, out: Path) -> dict[str, Any]:
+def _document(entry: BatchEntry, out: Path) -> dict[str, Any]:
     return {
         "name": entry.sample.name,
         "photographs": [str(photo) for photo in entry.sample.photos],
@@ -180,7 +180,7 @@ def _document(entry: Entry, out: Path) -> dict[str, Any]:
     }
 
 
-def _print_prediction(entries: Sequence[Entry], found: Prediction, *, as_json: bool) -> None:
+def _print_prediction(entries: Sequence[BatchEntry], found: Prediction, *, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(found.document(entries), indent=2))
         return

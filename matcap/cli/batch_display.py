@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
 if TYPE_CHECKING:
-    from matcap.batch.plan import Entry
+    from matcap.batch.plan import BatchEntry
 
 
 class BatchDisplay:
@@ -37,7 +37,7 @@ class BatchDisplay:
         if self._bars is not None:
             self._whole = self._bars.add_task("all", total=total, stage="", left="")
 
-    def started(self, entry: Entry) -> None:
+    def started(self, entry: BatchEntry) -> None:
         """Work on a sample begins."""
         name = entry.sample.name
         self._began = self._began or time.monotonic()
@@ -45,7 +45,7 @@ class BatchDisplay:
         if self._bars is not None and name not in self._tasks:
             self._tasks[name] = self._bars.add_task(name, total=1.0, stage="waiting", left="")
 
-    def progress(self, entry: Entry, stage: str, share: float) -> None:
+    def progress(self, entry: BatchEntry, stage: str, share: float) -> None:
         """It has come this far."""
         name = entry.sample.name
         self._shares[name] = share
@@ -54,7 +54,7 @@ class BatchDisplay:
             if self._whole is not None:
                 self._bars.update(self._whole, left=self._left())
 
-    def ended(self, entry: Entry) -> None:
+    def ended(self, entry: BatchEntry) -> None:
         """It is made, kept, failed or left."""
         name = entry.sample.name
         self._shares.pop(name, None)

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from matcap.cli import bench_time, relight, synth
+from matcap.cli.options import typed
 from matcap.errors import ExitCode
 from matcap.files import values
 
@@ -42,7 +43,9 @@ def quality(
     ] = None,
     time_limit: Annotated[
         float | None,
-        typer.Option("--time", parser=values.duration, metavar="TIME", help="For each capture."),
+        typer.Option(
+            "--time", parser=typed(values.duration), metavar="TIME", help="For each capture."
+        ),
     ] = None,
     detail: Annotated[
         int, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")
@@ -54,9 +57,8 @@ def quality(
     pieces of the same materials, beside simple ways to do the same. Errors are multiples of what
     two true pieces differ by. Writes quality.md, quality.csv and pictures; prints the table.
     """
-    from functools import partial
-
-    from matcap.api import capture
+    from matcap.capture.pipeline import capture_file
+    from matcap.capture.settings import CaptureSettings
     from matcap.files.staging import check_writable
     from matcap.lab.bench.quality import (
         METHODS,
@@ -68,8 +70,9 @@ def quality(
     from matcap.lab.simulate.examples import EXAMPLES
 
     check_writable(out, 200_000_000)
+    captured = CaptureSettings(preset, steps, time_limit, detail=detail)
     scores = run_quality(
-        partial(capture, preset=preset, steps=steps, time_limit=time_limit, detail=detail),
+        lambda photo: capture_file(photo, captured).material,
         out,
         materials=material or EXAMPLES,
         methods=method or METHODS,

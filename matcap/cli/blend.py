@@ -60,9 +60,9 @@ def blend(
 
     Codes and network weights are interpolated alike; the ends are A and B themselves.
     """
-    from matcap.capture.prior import blend as between
     from matcap.files.picture import write_picture
     from matcap.files.staging import check_writable
+    from matcap.model import between
     from matcap.model.material import Material
 
     ends = Material.load(first), Material.load(second)

@@ -18,6 +18,7 @@ from matcap.cli.options import (
     NormalOption,
     PngOption,
     QuietOption,
+    typed,
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.files import values
@@ -51,7 +52,7 @@ def capture(
         float | None,
         typer.Option(
             "--time",
-            parser=values.duration,
+            parser=typed(values.duration),
             metavar="TIME",
             help="Stop by then: 90s, 2m; without --steps the preset is reference then.",
         ),
@@ -82,7 +83,7 @@ def capture(
     size: Annotated[
         values.Size,
         typer.Option(
-            parser=values.size,
+            parser=typed(values.size),
             metavar="WxH",
             show_default="1024x1024",
             help="Size of the first map set.",
@@ -109,14 +110,13 @@ def capture(
     from matcap.capture.outputs import OutputSettings
     from matcap.capture.pipeline import CaptureSettings
     from matcap.cli.progress import display
-    from matcap.export.targets import check_targets
     from matcap.files.staging import check_writable
 
     settings = CaptureSettings(
         preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
         seed=seed, prior=prior, statistics=statistics,
     )  # fmt: skip
-    targets = check_targets(export or [])
+    targets = OutputSettings.known_targets(export or [])
     side = (size.width, size.height)
     outputs = OutputSettings(side, seed, png, normal.value, targets=targets)
     jobs = _jobs(photos, out)

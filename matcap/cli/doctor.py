@@ -20,8 +20,8 @@ def doctor(
 
     Answers 3 where something is missing or broken.
     """
+    from matcap.cli.diagnosis import diagnose
     from matcap.errors import ExitCode
-    from matcap.lab.doctor import diagnose
 
     found = diagnose(self_test=self_test)
     if json:

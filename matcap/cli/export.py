@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import Bits, JsonOption, Normals, QuietOption
+from matcap.cli.options import Bits, JsonOption, Normals, QuietOption, typed
 from matcap.files import values
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def export(
     size: Annotated[
         values.Size,
         typer.Option(
-            parser=values.size,
+            parser=typed(values.size),
             metavar="WxH",
             show_default="1024x1024",
             help="Texels read from a material; they tile where both are multiples of 16.",

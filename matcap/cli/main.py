@@ -31,7 +31,7 @@ from matcap.cli import (
     view,
 )
 from matcap.errors import ExitCode, MatcapError
-from matcap.version import __version__
+from matcap.files.maker import MAKER
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
 
@@ -61,13 +61,13 @@ app.add_typer(prior.app, name="prior")
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"matcap {__version__}")
+        typer.echo(MAKER)
         raise typer.Exit
 
 
 def _tell_cost(start: float) -> None:
     """What a command took, on stderr."""
-    cost = f"matcap {__version__}: {time.perf_counter() - start:.1f} s"
+    cost = f"{MAKER}: {time.perf_counter() - start:.1f} s"
     if sys.platform == "linux":
         import resource
 

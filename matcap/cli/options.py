@@ -2,10 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum
-from typing import Annotated
+from functools import wraps
+from typing import Annotated, Any, TypeVar
 
 import typer
+
+T = TypeVar("T")
+
+
+def typed(parse: Callable[[Any], T]) -> Callable[[Any], T]:
+    """A parser for typer: what is a ValueError to `parse` is told as a wrong option."""
+
+    @wraps(parse)
+    def parsed(text: Any) -> T:  # noqa: ANN401
+        try:
+            return parse(text)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
+
+    return parsed
 
 
 class Normal(Enum):

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
 if TYPE_CHECKING:
-    from matcap.capture.pipeline import Progress as CaptureProgress
+    from matcap.capture.progress import CaptureProgress
 
 
 class Display:

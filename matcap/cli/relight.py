@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import JsonOption, Normal, QuietOption
+from matcap.cli.options import JsonOption, Normal, QuietOption, typed
 from matcap.files import values
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def relight(
     size: Annotated[
         values.Size | None,
         typer.Option(
-            parser=values.size,
+            parser=typed(values.size),
             metavar="WxH",
             help="Pixels of the picture; by default the scene's, or one a texel of a map set.",
         ),
@@ -78,7 +78,9 @@ def relight(
     sheet: Annotated[
         values.Size | None,
         typer.Option(
-            parser=values.size, metavar="COLUMNSxROWS", help="A grid of lights in one picture."
+            parser=typed(values.size),
+            metavar="COLUMNSxROWS",
+            help="A grid of lights in one picture.",
         ),
     ] = None,
     maps_from: Annotated[
@@ -162,9 +164,9 @@ def _renderer(
     *,
     quiet: bool,
 ) -> Renderer:
+    from matcap.model.opened import open_source
     from matcap.relight.foreign import read_foreign
     from matcap.relight.render import Renderer
-    from matcap.relight.sources import open_source
 
     if maps_from is None:
         return Renderer(open_source(path), scene, seed=seed)

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from matcap.cli.options import ExportOption, Normal, NormalOption, PngOption, QuietOption
+from matcap.cli.options import ExportOption, Normal, NormalOption, PngOption, QuietOption, typed
 from matcap.errors import UsageError
 from matcap.files import values
 
 if TYPE_CHECKING:
-    from matcap.model.blocks import Rectangle
-    from matcap.model.noise import Period
+    from matcap.model.patch import Rectangle
     from matcap.synth.request import Progress as SynthProgress
+    from matcap.synth.synthesise import Axes, Growth
 
 _STRIP = values.Size(4096, 256)  # the paper's own example
 _EVERY = 10.0  # seconds between lines of progress where there is no terminal
@@ -73,14 +73,17 @@ def synth(
     size: Annotated[
         values.Size,
         typer.Option(
-            parser=values.size, metavar="WxH", show_default="1024x1024", help="Size in texels."
+            parser=typed(values.size),
+            metavar="WxH",
+            show_default="1024x1024",
+            help="Size in texels.",
         ),
     ] = values.DEFAULT_SIZE,
     seed: Annotated[int, typer.Option(help="Which realisation of the material.")] = 0,
     region: Annotated[
         values.Region | None,
         typer.Option(
-            parser=values.region,
+            parser=typed(values.region),
             metavar="x,y,w,h",
             help="A rectangle anywhere in the endless field (y downwards), not --size.",
         ),
@@ -92,7 +95,7 @@ def synth(
     udim: Annotated[
         values.Size | None,
         typer.Option(
-            parser=values.size,
+            parser=typed(values.size),
             metavar="CxR",
             help="A texture set of C columns and R rows, each tile of the given size.",
         ),
@@ -112,7 +115,9 @@ def synth(
     mask_over: Annotated[
         values.Region | None,
         typer.Option(
-            parser=values.region, metavar="x,y,w,h", help="Stretch the mask over this instead."
+            parser=typed(values.region),
+            metavar="x,y,w,h",
+            help="Stretch the mask over this instead.",
         ),
     ] = None,
     out: Annotated[
@@ -148,20 +153,14 @@ def synth(
     Without a material the prior draws one, another for every seed.
     """
     import os
-    from dataclasses import astuple
 
-    from matcap.brdf.folder import MapSetInfo
     from matcap.capture.prior.store import load_prior
     from matcap.export.targets import check_targets, export_mapset
-    from matcap.model.blocks import Rectangle
-    from matcap.model.device import find_device
     from matcap.model.material import Material
-    from matcap.model.source import check_seed, material_source
-    from matcap.synth.blend import blend_source
-    from matcap.synth.mask import read_mask
-    from matcap.synth.precision import choose
-    from matcap.synth.request import Files, Request, Work
-    from matcap.synth.stream import write_field
+    from matcap.model.source import check_seed
+    from matcap.synth.precision import Choice
+    from matcap.synth.request import Files, Work
+    from matcap.synth.synthesise import SynthRequest, synthesise
     from matcap.synth.workers import keep_memory
 
     keep_memory()  # this process is matcap's own
@@ -171,35 +170,25 @@ def synth(
         raise UsageError(
             "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
         )
-    _check_blend(blend, mask, mask_over)
-    # A cluster's machines may have no CUDA device, and their blocks must be alike.
-    place = find_device("cpu" if scheduler and device is Device.auto else device.value)
-    asked = region or values.Region(0, 0, size.width, size.height)
-    area = Rectangle(asked.x, asked.y, asked.width, asked.height)
+    growth = _growth(blend, mask, mask_over)
+    area = _rectangle(region or values.Region(0, 0, size.width, size.height))
     files = Files(png, normal.value, single, mip, (udim.width, udim.height) if udim else None)
-    whole = files.whole(area)
-    period = _period(tile, whole)
     subject = load_prior().draw(seed) if material is None else Material.load(material)
     name = subject.name if material is None else material.stem
-    provenance = dict(subject.provenance)
-    if blend is None or mask is None:
-        choice = choose(material_source(subject, seed, period, place), precision.value)
-    else:
-        over = Rectangle(*astuple(mask_over)) if mask_over else whole
-        other = Material.load(blend)
-        spread = read_mask(mask, over, period)
-        between = blend_source(subject, other, spread, seed, period, place)
-        choice = choose(between, precision.value)
-        provenance |= {"blend": [subject.name, other.name], "mask_over": list(astuple(over))}
-    if precision is Precision.auto and not quiet:
-        typer.echo(choice.sentence(), err=True)
-    info = MapSetInfo(name, seed, (area.x, area.y), provenance)
-    request = Request(choice.source, area, info, files)
+    axes: Axes | None = tile.value if tile else None
+    asked = SynthRequest(
+        subject, area, seed, name, files, axes, growth, precision.value, device.value
+    )
     folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}")
+
+    def told(choice: Choice) -> None:
+        if precision is Precision.auto and not quiet:
+            typer.echo(choice.sentence(), err=True)
+
     try:
         with _progress(quiet=quiet) as tell:
             work = Work(workers or os.cpu_count() or 1, scheduler, resume, tell)
-            document = write_field(request, folder, work)
+            document = synthesise(asked, folder, work, told)
     except KeyboardInterrupt:
         typer.echo("interrupted; the same command with --resume goes on", err=True)
         raise
@@ -209,23 +198,25 @@ def synth(
         typer.echo(f"wrote {document}", err=True)
 
 
-def _period(tile: Tile | None, area: Rectangle) -> Period | None:
-    """What repeats: the whole of what is written."""
-    if tile is None:
-        return None
-    return (
-        None if tile is Tile.y else area.width,
-        None if tile is Tile.x else area.height,
-    )
+def _growth(blend: Path | None, mask: Path | None, over: values.Region | None) -> Growth | None:
+    """What to grow into: a blend needs a mask, and the mask's options a blend."""
+    from matcap.model.material import Material
+    from matcap.synth.synthesise import Growth
 
-
-def _check_blend(blend: Path | None, mask: Path | None, over: values.Region | None) -> None:
-    """A blend needs a mask, and the mask's options a blend."""
-    if blend is not None and mask is None:
-        raise UsageError("there is no mask", where="--blend", remedy="give a picture with --mask")
     for name, option in (("--mask", mask), ("--mask-over", over)):
         if blend is None and option is not None:
             raise UsageError("there is nothing to blend with", where=name, remedy="give --blend")
+    if blend is None:
+        return None
+    if mask is None:
+        raise UsageError("there is no mask", where="--blend", remedy="give a picture with --mask")
+    return Growth(Material.load(blend), mask, None if over is None else _rectangle(over))
+
+
+def _rectangle(region: values.Region) -> Rectangle:
+    from matcap.model.patch import Rectangle
+
+    return Rectangle(region.x, region.y, region.width, region.height)
 
 
 @contextmanager
@@ -276,7 +267,7 @@ def bench(
     size: Annotated[
         values.Size,
         typer.Option(
-            parser=values.size, metavar="WxH", show_default="4096x256", help="Of the map."
+            parser=typed(values.size), metavar="WxH", show_default="4096x256", help="Of the map."
         ),
     ] = _STRIP,
     network: Annotated[
@@ -307,7 +298,7 @@ def bench(
             raise UsageError(
                 "there is no such network", where=name, remedy=f"use {' or '.join(NETWORKS)}"
             )
-    blocks = [values.size(one) for one in block or BLOCKS]
+    blocks = [typed(values.size)(one) for one in block or BLOCKS]
     for side in (side for one in (size, *blocks) for side in (one.width, one.height)):
         if side % ALIGNMENT:
             raise UsageError(

@@ -20,7 +20,7 @@ from matcap.export.specular_workflow import base_colour
 from matcap.export.stored import Stored
 from matcap.export.surface import Surface
 from matcap.export.textures import Export, Job, coded_normal, seen, seen_normal
-from matcap.version import __version__
+from matcap.files.maker import MAKER
 
 # Beyond this F0 the index of refraction runs off to infinity; a factor above 1 does the rest.
 _LARGEST_F0 = 0.9
@@ -116,7 +116,7 @@ def _document(
     }
     accessors, primitive = _plane(job, binary, metres)
     return {
-        "asset": {"version": "2.0", "generator": f"matcap {__version__}"},
+        "asset": {"version": "2.0", "generator": MAKER},
         "extensionsUsed": sorted(extensions),
         "scene": 0,
         "scenes": [{"nodes": [0]}],

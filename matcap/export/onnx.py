@@ -24,6 +24,7 @@ from matcap.files.staging import write_error
 from matcap.model.decoder import DEPTH, OUTPUTS, maps_from_raw
 from matcap.model.freeze import FoldedDecoder, FoldedLayer
 from matcap.model.order import WAVE_CHANNELS
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import RandomField, random_field
 from matcap.model.spans import Span, spans_of
 
@@ -177,9 +178,12 @@ def _difference(runtime: Any, model: bytes, material: Material) -> float:  # noq
     """Largest difference between onnxruntime's and torch's maps of one field."""
     decoder = material.folded()
     field = random_field(
-        1, decoder.noise_channels, material.waves, 0, 0, *_CHECKED,
-        levels=DEPTH, cells=decoder.cells,
-    )  # fmt: skip
+        Patch(1, Rectangle(0, 0, *_CHECKED)),
+        decoder.noise_channels,
+        material.waves,
+        levels=DEPTH,
+        cells=decoder.cells,
+    )
     session = runtime.InferenceSession(model, providers=["CPUExecutionProvider"])
     given = {"noise": field.noise.numpy()}
     if decoder.has_waves:

@@ -37,8 +37,8 @@ from matcap.export.presets import PRESETS, Choice, pack
 from matcap.export.surface import Residual, residual
 from matcap.export.textures import Export, Job
 from matcap.export.usd import usd
+from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
-from matcap.version import __version__
 
 FORMAT = "matcap export"
 VERSION = 1
@@ -167,7 +167,7 @@ def _sidecar(made: Export, job: Job, target: str, off: Residual | None) -> dict[
     return {
         "format": FORMAT,
         "version": VERSION,
-        "matcap": __version__,
+        "matcap": MAKER_VERSION,
         "target": target,
         "name": job.name,
         "width": width,

@@ -32,7 +32,7 @@ from matcap.export.textures import (
     seen,
     seen_normal,
 )
-from matcap.version import __version__
+from matcap.files.maker import MAKER
 
 _ALIGNMENT = 64
 _HEADER = 30  # bytes of a zip's local header, without name and extra field
@@ -98,7 +98,7 @@ def _stage(job: Job, files: dict[str, str], scale: float, midlevel: float) -> st
     return f'''#usda 1.0
 (
     customLayerData = {{
-        string creator = "matcap {__version__}"
+        string creator = "{MAKER}"
     }}
     defaultPrim = "{name}"
     metersPerUnit = {metres!r}

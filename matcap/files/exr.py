@@ -19,7 +19,7 @@ from matcap.errors import MatcapError
 
 # x and y of the red, green and blue primaries and of white (ITU-R BT.709-6; D65).
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-_LARGEST_HALF = 65504.0
+_LARGEST_HALF = 65504.0  # of half float (IEEE 754)
 
 
 def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:

@@ -1,6 +1,6 @@
 """All files or none: outputs are written in a hidden folder beside their place, then renamed.
 
-Read next: mapset.py and picture.py, which write through here.
+Read next: picture.py and brdf/folder.py, which write through here.
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
-"""What users type for sizes, rectangles and times, as values; parsers for typer."""
+"""What users type for sizes, rectangles and times, as values.
+
+What is none is a ValueError that says so. A value passes through as it is.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import dataclass
-
-import typer
 
 _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 LIMIT = 2**40  # coordinates of the endless field
@@ -37,15 +38,15 @@ DEFAULT_SIZE = Size(1024, 1024)
 
 
 def size(text: str | Size) -> Size:
-    """'4096x256' to 4096 by 256; '512' to 512 by 512. Typer passes defaults through here too."""
+    """'4096x256' to 4096 by 256; '512' to 512 by 512."""
     if isinstance(text, Size):
         return text
     found = re.fullmatch(r"(\d{1,18})(?:[xX](\d{1,18}))?", text.strip())
     if not found:
-        raise typer.BadParameter(f"'{text}' is not a size such as 4096x256")
+        raise ValueError(f"'{text}' is not a size such as 4096x256")
     sides = Size(int(found[1]), int(found[2] or found[1]))
     if min(sides.width, sides.height) < 1:
-        raise typer.BadParameter(f"'{text}' has a side of zero")
+        raise ValueError(f"'{text}' has a side of zero")
     return sides
 
 
@@ -56,11 +57,11 @@ def region(text: str | Region) -> Region:
     try:
         x, y, width, height = (int(part) for part in text.split(","))
     except ValueError:
-        raise typer.BadParameter(f"'{text}' is not a rectangle such as -100,0,512,512") from None
+        raise ValueError(f"'{text}' is not a rectangle such as -100,0,512,512") from None
     if width < 1 or height < 1:
-        raise typer.BadParameter(f"'{text}' has a side of zero or less")
+        raise ValueError(f"'{text}' has a side of zero or less")
     if max(abs(x), abs(y), abs(x + width), abs(y + height)) > LIMIT:
-        raise typer.BadParameter(f"'{text}' reaches outside the field, -2^40 to 2^40")
+        raise ValueError(f"'{text}' reaches outside the field, -2^40 to 2^40")
     return Region(x, y, width, height)
 
 
@@ -71,5 +72,5 @@ def duration(text: str | float) -> float:
     found = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([smh]?)", text.strip())
     seconds = float(found[1]) * _SECONDS[found[2]] if found else math.nan
     if not 0 < seconds < math.inf:
-        raise typer.BadParameter(f"'{text}' is not a time such as 90s or 1.5m")
+        raise ValueError(f"'{text}' is not a time such as 90s or 1.5m")
     return seconds

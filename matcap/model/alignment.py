@@ -3,8 +3,8 @@
 Falloff, the highlight's place and the texture's foreshortening all speak of it. The first two
 keep their place in the picture, so features are pooled on a grid, not over the whole picture, and
 the blurred picture itself is handed on. Trained on simulated photographs of known tilt
-(prior/align.py). The angles are those of FlashSetup: positive tilt_x turns the plane's upper edge
-towards the camera, positive tilt_y its left edge.
+(lab/train/align.py). The angles are those of FlashSetup: positive tilt_x turns the plane's upper
+edge towards the camera, positive tilt_y its left edge.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from matcap.model.encoder import PICTURE_CHANNELS, Residual
+from matcap.model.encoder import PICTURE_CHANNELS, ResidualBlock
 
 WIDTH = 256  # picture columns it is shown
 _GRID = (3, 4)  # rows and columns of the pooled features
-_BLURRED = (12, 16)
-_WIDTHS = (32, 48, 64, 64)
+_BLURRED = (12, 16)  # rows and columns of the pooled picture
+_WIDTHS = (32, 48, 64, 64)  # channels of the layers after the first
 _UNIT = 0.15  # radians: what the last layer calls 1
 
 
 class Alignment(nn.Module):
-    """A photograph (as prior/look.py shows it) and its field of view to two tilt angles."""
+    """A photograph (as capture/prior/look.py shows it) and its field of view to two tilt angles."""
 
     def __init__(self) -> None:
         super().__init__()
         layers: list[nn.Module] = [nn.Conv2d(PICTURE_CHANNELS, 16, 5, 2, 2), nn.ReLU(inplace=True)]
         channels = 16
         for width in _WIDTHS:
-            layers.append(Residual(channels, width, 2))
+            layers.append(ResidualBlock(channels, width, 2))
             channels = width
         self.features = nn.Sequential(*layers)
         inputs = channels * _GRID[0] * _GRID[1] + 3 * _BLURRED[0] * _BLURRED[1] + 1

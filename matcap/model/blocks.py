@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from matcap.errors import UsageError
-from matcap.model.noise import COORDINATE_LIMIT, Period
+from matcap.model.noise import COORDINATE_LIMIT
+from matcap.model.patch import Period
+from matcap.model.patch import Rectangle as Rectangle
 
 BLOCK = 512  # texels along x; docs/notes/synthesis.md has the measurement
 BLOCK_HEIGHT = 256
@@ -18,16 +20,6 @@ class Grid:
 
     width: int = BLOCK
     height: int = BLOCK_HEIGHT
-
-
-@dataclass(frozen=True)
-class Rectangle:
-    """Texels x to x + width, y (downwards) to y + height."""
-
-    x: int
-    y: int
-    width: int
-    height: int
 
 
 @dataclass(frozen=True)

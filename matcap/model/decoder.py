@@ -11,7 +11,7 @@ reference field (frozen; see freeze.py).
 
 Nothing here invents data at a border: a rectangle is decoded either as a torus (`periodic=True`,
 a field that repeats with the rectangle) or with a halo of true noise, whose border is cut off by
-the caller (synth/field.py).
+the caller (model/field.py).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from matcap.brdf.maps import MapSet
 from matcap.model.order import WAVE_CHANNELS
 from matcap.model.random_field import RandomField
 
-CODE_SIZE = 64
+CODE_SIZE = 64  # numbers; the paper's
 OUTPUTS = 6  # diffuse (3), specular, roughness, height
 DEPTH = 4  # poolings; rectangles are multiples of 2^DEPTH
-ALIGNMENT = 2**DEPTH
+ALIGNMENT = 2**DEPTH  # texels: what sides and periods are multiples of
 _ORDER_GAIN = 3.0  # waves and cells are few among many features; they start with a fair say
 _EPSILON = 1e-5  # of a variance: keeps a constant feature finite
 
@@ -117,7 +117,7 @@ class AdaIN(nn.Module):
         return adapted, (own, inverse.reciprocal())
 
 
-class Layer(nn.Module):
+class ConvolutionLayer(nn.Module):
     """Convolution, AdaIN, ReLU."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int = 3, activate: bool = True) -> None:
@@ -165,17 +165,17 @@ class Decoder(nn.Module):
                 first.convolution.weight[:, -config.order_channels :] *= _ORDER_GAIN
         self.down = nn.ModuleList(down)
         self.up = nn.ModuleList(up)
-        self.head = Layer(channels, OUTPUTS, kernel=1, activate=False)
+        self.head = ConvolutionLayer(channels, OUTPUTS, kernel=1, activate=False)
 
-    def down_layers(self) -> list[list[Layer]]:
+    def down_layers(self) -> list[list[ConvolutionLayer]]:
         """Layers of every block on the way down, full resolution first."""
         return [_layers_of(block) for block in self.down]
 
-    def up_layers(self) -> list[list[Layer]]:
+    def up_layers(self) -> list[list[ConvolutionLayer]]:
         """Layers of every block on the way up, coarsest first."""
         return [_layers_of(block) for block in self.up]
 
-    def layers(self) -> list[Layer]:
+    def layers(self) -> list[ConvolutionLayer]:
         """All layers in the order they run."""
         blocks = [*self.down_layers(), *self.up_layers()]
         return [layer for block in blocks for layer in block] + [self.head]
@@ -198,7 +198,7 @@ class Decoder(nn.Module):
         """
         remaining = None if moments is None else iter(moments)
 
-        def adapt(layer: Layer, features: Tensor) -> Tensor:
+        def adapt(layer: ConvolutionLayer, features: Tensor) -> Tensor:
             return layer.adain(features, code, None if remaining is None else next(remaining))
 
         return self._run(field, adapt, periodic)
@@ -207,7 +207,7 @@ class Decoder(nn.Module):
         """Every layer's statistics on a periodic reference field, in running order."""
         recorded: list[Moments] = []
 
-        def adapt(layer: Layer, features: Tensor) -> Tensor:
+        def adapt(layer: ConvolutionLayer, features: Tensor) -> Tensor:
             adapted, moments = layer.adain.measured(features, code)
             recorded.append(moments)
             return adapted
@@ -215,14 +215,17 @@ class Decoder(nn.Module):
         self._run(field, adapt, periodic=True)
         return recorded
 
-    def way_down(self, noise: Tensor, step: Callable[[Layer], Step]) -> list[Tensor]:
+    def way_down(self, noise: Tensor, step: Callable[[ConvolutionLayer], Step]) -> list[Tensor]:
         """What the way up reads at every level, full resolution first."""
         return descend(noise, [[step(layer) for layer in block] for block in self.down_layers()])
 
     def _run(
-        self, field: RandomField, adapt: Callable[[Layer, Tensor], Tensor], periodic: bool
+        self,
+        field: RandomField,
+        adapt: Callable[[ConvolutionLayer, Tensor], Tensor],
+        periodic: bool,
     ) -> Tensor:
-        def step(layer: Layer) -> Step:
+        def step(layer: ConvolutionLayer) -> Step:
             def apply(features: Tensor) -> Tensor:
                 adapted = adapt(layer, layer.convolve(features, periodic))
                 return F.relu_(adapted) if layer.activate else adapted
@@ -334,8 +337,10 @@ def _draw(weight: Tensor, deviation: float) -> None:
 
 def _block(inputs: int, outputs: int, convolutions: int) -> nn.Sequential:
     sizes = [inputs] + [outputs] * convolutions
-    return nn.Sequential(*(Layer(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True)))
+    return nn.Sequential(
+        *(ConvolutionLayer(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+    )
 
 
-def _layers_of(block: nn.Module) -> list[Layer]:
-    return [layer for layer in block.children() if isinstance(layer, Layer)]
+def _layers_of(block: nn.Module) -> list[ConvolutionLayer]:
+    return [layer for layer in block.children() if isinstance(layer, ConvolutionLayer)]

@@ -18,12 +18,12 @@ from matcap.errors import UsageError
 from matcap.model.decoder import CODE_SIZE
 
 PICTURE_CHANNELS = 5  # log colour, and the two image coordinates
-NUMBERS = 16  # what prior/look.py tells of the coarse fit
+NUMBERS = 16  # what capture/prior/look.py tells of the coarse fit
 TEXTURE = 231  # what it tells of the texture at full detail
 BACKBONES = ("small", "resnet50")
 
 _GROUP = 16  # channels normalised together
-_LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0
+_LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0  # of a code's number
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class EncoderConfig:
     width: int = 256
 
 
-class Residual(nn.Module):
+class ResidualBlock(nn.Module):
     """Two 3 x 3 convolutions beside a shortcut."""
 
     def __init__(self, inputs: int, outputs: int, stride: int) -> None:
@@ -112,7 +112,7 @@ class Encoder(nn.Module):
         """Mean and log-variance, (B, CODE_SIZE) each.
 
         Args:
-            picture: (B, PICTURE_CHANNELS, h, w) as prior/look.py shows it.
+            picture: (B, PICTURE_CHANNELS, h, w) as capture/prior/look.py shows it.
             numbers: (B, NUMBERS) likewise.
             texture: (B, TEXTURE) likewise.
         """
@@ -138,8 +138,8 @@ def _small() -> tuple[nn.Module, int]:
         nn.ReLU(inplace=True),
     ]
     for inputs, outputs in zip(widths[:-1], widths[1:], strict=True):
-        layers.append(Residual(inputs, outputs, 2))
-    layers.append(Residual(widths[-1], widths[-1], 1))
+        layers.append(ResidualBlock(inputs, outputs, 2))
+    layers.append(ResidualBlock(widths[-1], widths[-1], 1))
     return nn.Sequential(*layers), widths[-1]
 
 

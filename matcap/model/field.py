@@ -15,10 +15,10 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.model.blocks import BLOCK, Piece, Rectangle, check_rectangle, pieces_of
+from matcap.model.blocks import BLOCK, Piece, check_rectangle, pieces_of
 from matcap.model.decoder import OUTPUTS
 from matcap.model.device import DeviceName, find_device
-from matcap.model.noise import Period
+from matcap.model.patch import Period, Rectangle
 from matcap.model.single import single_threaded
 from matcap.model.source import RING, Generator, Source, material_source
 

@@ -17,7 +17,16 @@ from torch import Tensor
 
 from matcap.model import winograd
 from matcap.model.convolve import CHANNELS_LAST, Steps
-from matcap.model.decoder import DEPTH, Decoder, DecoderConfig, Layer, Moments, Step, unet
+from matcap.model.decoder import (
+    DEPTH,
+    ConvolutionLayer,
+    Decoder,
+    DecoderConfig,
+    Moments,
+    Step,
+    unet,
+)
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import RandomField, random_field
 from matcap.model.spans import Span, Spans
 from matcap.statistics.lattice import Wave
@@ -31,9 +40,12 @@ def reference_field(
 ) -> RandomField:
     """The periodic field on which statistics are frozen."""
     return random_field(
-        _REFERENCE_SEED, config.noise_channels, waves, 0, 0, size, size,
-        levels=DEPTH, cells=config.cells, period=(size, size),
-    )  # fmt: skip
+        Patch(_REFERENCE_SEED, Rectangle(0, 0, size, size), period=(size, size)),
+        config.noise_channels,
+        waves,
+        levels=DEPTH,
+        cells=config.cells,
+    )
 
 
 def freeze(decoder: Decoder, code: Tensor, waves: tuple[Wave, ...]) -> list[Moments]:
@@ -190,7 +202,7 @@ def fold(
     with torch.no_grad():
         remaining = iter(moments)
 
-        def folded(layer: Layer, sizes: Sequence[int] = ()) -> FoldedLayer:
+        def folded(layer: ConvolutionLayer, sizes: Sequence[int] = ()) -> FoldedLayer:
             scale, shift = layer.adain.affine_of(code, next(remaining))
             weight = layer.convolution.weight * scale[:, None, None, None]
             parts = weight.split(list(sizes), dim=1) if sizes else (weight,)

@@ -43,11 +43,11 @@ from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, Decoder, Moments
 from matcap.model.field import Field
 from matcap.model.freeze import FoldedDecoder, fold
-from matcap.model.stored import DAMAGED, Stored, decoder_config, empty_decoder
+from matcap.model.stored import DAMAGED, StoredTensors, decoder_config, empty_decoder
 from matcap.statistics.lattice import Wave
 
 FORMAT = "matcap-material"
-VERSION = 1
+VERSION = 1  # of the file
 _NAMED = re.compile(r"[^\w .,()+-]+")
 _REMEDY = "capture the photograph again, or fetch the file again"
 
@@ -156,7 +156,7 @@ class Material:
         try:
             with safe_open(path, framework="pt") as file:
                 about = _about(file.metadata(), path)
-                stored = Stored(file, path, _REMEDY)
+                stored = StoredTensors(file, path, _REMEDY)
                 decoder = empty_decoder(decoder_config(about["decoder"]))
                 state = {
                     name: stored.tensor(f"decoder.{name}", tuple(value.shape))

@@ -15,13 +15,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-COORDINATE_LIMIT = 2**40
+from matcap.model.patch import Patch
+
+COORDINATE_LIMIT = 2**40  # texels either way
 SEED_LIMIT = 2**63
 
-# What repeats: texels along x and along y, None for an axis that never does.
-Period = tuple[int | None, int | None]
-
-_CHANNELS_PER_HASH = 4
+_CHANNELS_PER_HASH = 4  # of 16 bits each
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
 _TOP_BITS = 0x8000800080008000  # of the four numbers in a hash
 _MIX_1 = 0xBF58476D1CE4E5B9  # the multipliers of splitmix64's finaliser (Steele et al. 2014)
@@ -53,38 +52,25 @@ def keys(seed: int, count: int) -> Tensor:
     return _scramble(counter * wrap64(_GOLDEN) + start)
 
 
-def noise_field(
-    seed: int,
-    channels: int,
-    x: int,
-    y: int,
-    width: int,
-    height: int,
-    *,
-    period: Period | None = None,
-    device: torch.device | str = "cpu",
-) -> Tensor:
+def noise_field(patch: Patch, channels: int) -> Tensor:
     """(channels, height, width) float32 uniform noise of zero mean and unit variance.
 
     In memory channels come last, as the network's convolutions like it.
 
     Args:
-        seed: any integer in [-2^63, 2^63).
+        patch: of level 0.
         channels: how many independent fields.
-        x, y: the left top texel; y grows downwards.
-        width, height: the rectangle's size in texels.
-        period: (along x, along y) repeat in texels; None for what is endless.
-        device: where to compute; the numbers are the same everywhere.
     """
-    columns, rows = places(x, y, width, height, period, device)
-    return noise_at(seed, channels, columns[None, :], rows[:, None])
+    columns, rows = patch.places()
+    return noise_at(patch.seed, channels, columns[None, :], rows[:, None])
 
 
 def noise_at(seed: int, channels: int, columns: Tensor, rows: Tensor) -> Tensor:
     """(channels, height, width) of the same noise at texels of one's own choice.
 
     Args:
-        seed, channels: as for noise_field.
+        seed: of the realisation.
+        channels: as for noise_field.
         columns, rows: int64, which broadcast to (height, width).
     """
     hashes = -(-channels // _CHANNELS_PER_HASH)
@@ -102,22 +88,3 @@ def noise_at(seed: int, channels: int, columns: Tensor, rows: Tensor) -> Tensor:
     # (k + 1/2) / 2^16 - 1/2, times sqrt(12): centred, unit variance.
     fields.add_(0.5).mul_(math.sqrt(12.0) / 65536.0)
     return fields.flatten(2)[..., :channels].permute(2, 0, 1)
-
-
-def places(
-    x: int,
-    y: int,
-    width: int,
-    height: int,
-    period: Period | None,
-    device: torch.device | str,
-) -> tuple[Tensor, Tensor]:
-    """Columns (width,) and rows (height,) of a rectangle, within the first period, as int64."""
-    columns = torch.arange(x, x + width, dtype=torch.int64, device=device)
-    rows = torch.arange(y, y + height, dtype=torch.int64, device=device)
-    if period is not None:
-        columns, rows = (
-            along if length is None else along.remainder(length)
-            for along, length in zip((columns, rows), period, strict=True)
-        )
-    return columns, rows

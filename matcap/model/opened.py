@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.model.material import Material
 
-# What a material's repeat must be a multiple of (matcap.model.noise).
-_REPEAT = 16
-
 
 @dataclass(frozen=True)
 class Found:
@@ -58,13 +55,25 @@ def open_tile(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0
     """
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
+        from matcap.model.decoder import ALIGNMENT
+
         material = _material(path)
-        period = None if size[0] % _REPEAT or size[1] % _REPEAT else size
+        period = None if size[0] % ALIGNMENT or size[1] % ALIGNMENT else size
         maps = material.maps(*size, seed=seed, period=period)
         return Found(maps, path.stem, dict(material.provenance))
     maps, document = read_mapset(path)
     name = str(document.get("name") or path.stem)
     return Found(maps, name, dict(document.get("provenance") or {}))
+
+
+def open_source(path: Path) -> MapSet | Material:
+    """A map set's maps, or a material itself, to be read where it is seen.
+
+    Raises:
+        MatcapError: nothing to open, more than one thing, or a broken file.
+    """
+    path = _resolved(path)
+    return _material(path) if path.suffix.lower() == ".matcap" else read_mapset(path)[0]
 
 
 def _resolved(path: Path) -> Path:

@@ -18,10 +18,11 @@ import math
 import torch
 from torch import Tensor
 
-from matcap.model.noise import Period, keys, noise_at, places, shift, wrap64
+from matcap.model.noise import keys, noise_at, shift, wrap64
+from matcap.model.patch import Patch
 from matcap.statistics.lattice import Wave
 
-WAVE_CHANNELS = 12
+WAVE_CHANNELS = 12  # cosine and sine of six harmonics
 CELL_CHANNELS = 4  # for a material that has waves
 
 _ORDERS_OF_ONE = ((1,), (2,), (3,), (4,))
@@ -30,51 +31,20 @@ _FINEST = 0.36  # cycles per texel: finer waves would alias
 _PHASES, _CELLS = 0x94D049BB133111EB, 0xBF58476D1CE4E5B9  # set their seeds apart from the noise's
 
 
-def order_field(
-    seed: int,
-    waves: tuple[Wave, ...],
-    cells: int,
-    x: int,
-    y: int,
-    width: int,
-    height: int,
-    *,
-    level: int = 0,
-    period: Period | None = None,
-    device: torch.device | str = "cpu",
-) -> Tensor:
+def order_field(patch: Patch, waves: tuple[Wave, ...], cells: int) -> Tensor:
     """(WAVE_CHANNELS + cells, height, width) float32: waves, then cells.
 
     Args:
-        seed: moves the phases and draws the cells.
+        patch: its seed moves the phases and draws the cells. What is too fine for texels of its
+            level is zero, not aliased; each wave is moved to the nearest one that fits its period.
         waves: at most two; absent ones are zero.
         cells: channels of noise for every cell.
-        x, y, width, height: the rectangle, in texels of this level.
-        level: texels are 2^level times as large; what is too fine for them is zero, not aliased.
-        period: in texels of level 0; each wave is moved to the nearest one that fits.
-        device: where to compute; phases and cells are the same everywhere.
     """
-    field = wave_field(seed, waves, x, y, width, height, level=level, period=period, device=device)
-    if not cells:
-        return field
-    drawn = cell_field(
-        seed, waves, cells, x, y, width, height, level=level, period=period, device=device
-    )
-    return torch.cat([field, drawn])
+    field = wave_field(patch, waves)
+    return torch.cat([field, cell_field(patch, waves, cells)]) if cells else field
 
 
-def wave_field(
-    seed: int,
-    waves: tuple[Wave, ...],
-    x: int,
-    y: int,
-    width: int,
-    height: int,
-    *,
-    level: int = 0,
-    period: Period | None = None,
-    device: torch.device | str = "cpu",
-) -> Tensor:
+def wave_field(patch: Patch, waves: tuple[Wave, ...]) -> Tensor:
     """(WAVE_CHANNELS, height, width) float32: cosine and sine of every wave, unit variance.
 
     Besides the waves themselves their sums, differences and doubles, which a pattern on the
@@ -82,11 +52,11 @@ def wave_field(
 
     The arguments are order_field's.
     """
-    scale = 2**level
-    along_x, along_y = (None, None) if period is None else period
-    columns, rows = _places(x, y, width, height, level, period, device)
-    start = keys(wrap64(seed ^ _PHASES), 2).tolist()
-    field = torch.zeros(WAVE_CHANNELS, height, width, device=device)
+    scale = 2**patch.level
+    along_x, along_y = patch.along
+    columns, rows = patch.places()
+    start = keys(wrap64(patch.seed ^ _PHASES), 2).tolist()
+    field = torch.zeros(WAVE_CHANNELS, *patch.shape, device=patch.device)
     for index, (orders, fx, fy) in enumerate(_harmonics(waves)):
         if max(abs(fx), abs(fy)) * scale > _FINEST:
             continue
@@ -109,36 +79,24 @@ def wave_field(
     return field
 
 
-def cell_field(
-    seed: int,
-    waves: tuple[Wave, ...],
-    channels: int,
-    x: int,
-    y: int,
-    width: int,
-    height: int,
-    *,
-    level: int = 0,
-    period: Period | None = None,
-    device: torch.device | str = "cpu",
-) -> Tensor:
+def cell_field(patch: Patch, waves: tuple[Wave, ...], channels: int) -> Tensor:
     """(channels, height, width) float32 noise, constant over each cell of the waves' lattice.
 
     A cell is where every wave has made the same number of whole turns. The arguments are
     order_field's.
     """
-    scale = 2**level
+    scale = 2**patch.level
     if not waves or any(max(abs(w.fx), abs(w.fy)) * scale > _FINEST for w in waves):
-        return torch.zeros(channels, height, width, device=device)
-    along = (None, None) if period is None else period
+        return torch.zeros(channels, *patch.shape, device=patch.device)
     columns, rows = (
-        [coordinate * scale for coordinate in line.tolist()]
-        for line in _places(x, y, width, height, level, period, "cpu")
+        [coordinate * scale for coordinate in line.tolist()] for line in patch.places("cpu")
     )
-    start = keys(wrap64(seed ^ _PHASES), 2).tolist()
+    start = keys(wrap64(patch.seed ^ _PHASES), 2).tolist()
     counts, repeats = [], []
     for wave, begin in zip(waves, start, strict=False):
-        step_x, step_y = (_turns(f, p) for f, p in zip((wave.fx, wave.fy), along, strict=True))
+        step_x, step_y = (
+            _turns(f, p) for f, p in zip((wave.fx, wave.fy), patch.along, strict=True)
+        )
         offset = begin + (step_x + step_y) * (scale - 1) // 2  # as in wave_field: a texel's centre
         counts.append(
             _whole_turns([step_x * c + offset for c in columns], [step_y * r for r in rows])
@@ -146,7 +104,7 @@ def cell_field(
         repeats.append(
             [
                 0 if p is None else round(f * p)
-                for f, p in zip((wave.fx, wave.fy), along, strict=True)
+                for f, p in zip((wave.fx, wave.fy), patch.along, strict=True)
             ]
         )
     if len(waves) == 1:
@@ -155,22 +113,8 @@ def cell_field(
     first, second = counts
     (one_x, one_y), (other_x, other_y) = repeats
     one, other = (one_x, other_x), (one_y, other_y)
-    return _drawn(wrap64(seed ^ _CELLS), channels, first, second, one, other).to(device)
-
-
-def _places(
-    x: int,
-    y: int,
-    width: int,
-    height: int,
-    level: int,
-    period: Period | None,
-    device: torch.device | str,
-) -> tuple[Tensor, Tensor]:
-    """Columns and rows of a rectangle of a level, wrapped at a period of level 0."""
-    along_x, along_y = (None, None) if period is None else period
-    shrunk = (along_x and along_x >> level, along_y and along_y >> level)
-    return places(x, y, width, height, shrunk, device)
+    drawn = _drawn(wrap64(patch.seed ^ _CELLS), channels, first, second, one, other)
+    return drawn.to(patch.device)
 
 
 def _drawn(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
-from matcap.model.noise import Period, noise_field
+from matcap.model.noise import noise_field
 from matcap.model.order import order_field
+from matcap.model.patch import Patch
 from matcap.statistics.lattice import Wave
 
 
@@ -26,30 +26,21 @@ class RandomField:
 
 
 def random_field(
-    seed: int,
+    patch: Patch,
     noise_channels: int,
     waves: tuple[Wave, ...],
-    x: int,
-    y: int,
-    width: int,
-    height: int,
     *,
     levels: int,
     cells: int = 0,
-    period: Period | None = None,
-    device: torch.device | str = "cpu",
 ) -> RandomField:
     """All the decoder reads for one rectangle, as a batch of one.
 
-    x, y, width, height and the period are multiples of 2^levels; the rest as noise_field and
-    order_field.
+    Args:
+        patch: of level 0; its sides, corner and period are multiples of 2^levels.
+        noise_channels: as noise_field's.
+        waves: as order_field's.
+        levels: of order.
+        cells: as order_field's.
     """
-    noise = noise_field(seed, noise_channels, x, y, width, height, period=period, device=device)
-    stack = tuple(
-        order_field(
-            seed, waves, cells, x >> k, y >> k, width >> k, height >> k,
-            level=k, period=period, device=device,
-        )[None]
-        for k in range(levels)
-    )  # fmt: skip
-    return RandomField(noise[None], stack)
+    stack = tuple(order_field(patch.at_level(k), waves, cells)[None] for k in range(levels))
+    return RandomField(noise_field(patch, noise_channels)[None], stack)

@@ -9,12 +9,13 @@ import torch
 from torch import Tensor
 
 from matcap.errors import UsageError
-from matcap.model.blocks import Grid, Rectangle
+from matcap.model.blocks import Grid
 from matcap.model.decoder import ALIGNMENT, maps_from_raw
 from matcap.model.device import repeatable
 from matcap.model.freeze import FoldedDecoder
-from matcap.model.noise import SEED_LIMIT, Period, noise_field
+from matcap.model.noise import SEED_LIMIT, noise_field
 from matcap.model.order import order_field
+from matcap.model.patch import Patch, Period, Rectangle
 from matcap.model.random_field import RandomField
 from matcap.model.spans import Span, Spans, spans_of
 from matcap.statistics.lattice import Wave
@@ -113,10 +114,9 @@ def read_noise(source: Seeded, area: Area, channels: int) -> Tensor:
     """(1, channels, H, W) noise of an area."""
     columns, rows = area.columns.down[0], area.rows.down[0]
     x, y = area.block.x + columns.start, area.block.y + rows.start
-    return noise_field(
-        source.seed, channels, x, y, columns.size, rows.size,
-        period=source.period, device=source.device,
-    )[None]  # fmt: skip
+    part = Rectangle(x, y, columns.size, rows.size)
+    patch = Patch(source.seed, part, period=source.period, device=source.device)
+    return noise_field(patch, channels)[None]
 
 
 def read_order(
@@ -130,10 +130,9 @@ def read_order(
         zip(area.columns.joined, area.rows.joined, strict=True)
     ):
         x, y = (area.block.x >> level) + columns.start, (area.block.y >> level) + rows.start
-        field = order_field(
-            source.seed, waves, cells, x, y, columns.size, rows.size,
-            level=level, period=source.period, device=source.device,
-        )  # fmt: skip
+        part = Rectangle(x, y, columns.size, rows.size)
+        patch = Patch(source.seed, part, level, source.period, source.device)
+        field = order_field(patch, waves, cells)
         stack.append(field[None].contiguous(memory_format=torch.channels_last))
     return tuple(stack)
 

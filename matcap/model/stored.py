@@ -34,7 +34,7 @@ _MOST_NUMBERS = 64_000_000  # weights; a quarter of a gigabyte
 
 
 @dataclass(frozen=True)
-class Stored:
+class StoredTensors:
     """An open file.
 
     Attributes:

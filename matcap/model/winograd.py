@@ -20,7 +20,7 @@ from torch import Tensor
 
 from matcap.model.convolve import Steps
 
-_WIDE = 32
+_WIDE = 32  # channels from which on it is faster
 
 
 def available() -> bool:

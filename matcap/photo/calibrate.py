@@ -31,10 +31,10 @@ from matcap.photo.photo import Photo
 Values = NDArray[np.float64]
 
 _WIDTH = 2048  # pixels across that cards are looked for at
-_LEAST_CORNERS = 6
-_ROUGH_ROUNDS = 6
-_MOVES = 60
-_MOST_CLIPPED = 0.02
+_LEAST_CORNERS = 6  # of the board; a homography needs four
+_ROUGH_ROUNDS = 6  # of fit_patches, while patches are still looked for
+_MOVES = 60  # of the patches, each nearer than the last
+_MOST_CLIPPED = 0.02  # share of the places looked at
 # A ColorChecker's grid as OpenCV's box around it: patches and gaps, in patch sides.
 _GAP = 0.15
 _INSIDE = 0.25  # of a patch's side around its middle that is measured, either way

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from matcap.errors import UsageError
 from matcap.files.staging import staged
@@ -43,7 +42,7 @@ _NOTES = (
 
 
 @dataclass(frozen=True)
-class Rectangle:
+class CardRectangle:
     """A filled rectangle, millimetres from the page's left top; colour in sRGB."""
 
     x: float
@@ -53,14 +52,14 @@ class Rectangle:
     colour: tuple[int, int, int] = (0, 0, 0)
 
 
-def rectangles() -> Iterator[Rectangle]:
+def rectangles() -> Iterator[CardRectangle]:
     """The card, back to front."""
     columns, rows = SQUARES
     for row in range(rows):
         for column in range(columns):
             x, y = BOARD_AT[0] + column * SQUARE, BOARD_AT[1] + row * SQUARE
             if (row + column) % 2 == 0:
-                yield Rectangle(x, y, SQUARE, SQUARE)
+                yield CardRectangle(x, y, SQUARE, SQUARE)
     inset = (SQUARE - MARKER) / 2.0
     whites = [(r, c) for r in range(rows) for c in range(columns) if (r + c) % 2]
     for number, (row, column) in enumerate(whites):
@@ -68,11 +67,11 @@ def rectangles() -> Iterator[Rectangle]:
         y = BOARD_AT[1] + row * SQUARE + inset
         yield from _marker(number, x, y)
     (left, top), (width, height) = PATCHES_AT, PATCHES_SIZE
-    yield Rectangle(left - _MARGIN, top - _MARGIN, width + 2 * _MARGIN, height + 2 * _MARGIN)
+    yield CardRectangle(left - _MARGIN, top - _MARGIN, width + 2 * _MARGIN, height + 2 * _MARGIN)
     for index, colour in enumerate(PATCHES):
         row, column = divmod(index, 6)
         x, y = left + column * (_PATCH + _GAP), top + row * (_PATCH + _GAP)
-        yield Rectangle(x, y, _PATCH, _PATCH, colour)
+        yield CardRectangle(x, y, _PATCH, _PATCH, colour)
 
 
 def write_card(path: Path) -> None:
@@ -99,31 +98,20 @@ def board() -> Any:  # noqa: ANN401
     return cv2.aruco.CharucoBoard(SQUARES, SQUARE, MARKER, _dictionary())
 
 
-def raster(pixels_per_mm: float) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 sRGB picture of the page."""
-    width, height = (round(side * pixels_per_mm) for side in PAGE)
-    picture = np.full((height, width, 3), 255, np.uint8)
-    for r in rectangles():
-        left, right = (round(v * pixels_per_mm) for v in (r.x, r.x + r.width))
-        top, bottom = (round(v * pixels_per_mm) for v in (r.y, r.y + r.height))
-        picture[top:bottom, left:right] = r.colour
-    return picture
-
-
 def _dictionary() -> Any:  # noqa: ANN401
     import cv2
 
     return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
 
 
-def _marker(number: int, x: float, y: float) -> Iterator[Rectangle]:
+def _marker(number: int, x: float, y: float) -> Iterator[CardRectangle]:
     import cv2
 
     cells = cv2.aruco.generateImageMarker(_dictionary(), number, _CELLS, borderBits=1)
     side = MARKER / _CELLS
-    yield Rectangle(x, y, MARKER, MARKER)
+    yield CardRectangle(x, y, MARKER, MARKER)
     for row, column in np.argwhere(cells > 127):
-        yield Rectangle(x + column * side, y + row * side, side, side, (255, 255, 255))
+        yield CardRectangle(x + column * side, y + row * side, side, side, (255, 255, 255))
 
 
 def _svg() -> bytes:

@@ -14,8 +14,8 @@ from matcap.photo.refusals import decoding
 if TYPE_CHECKING:
     from tifffile import TiffPage
 
-_CFA, _LINEAR_RAW = 32803, 34892
-_JPEG_XL = 52546
+_CFA, _LINEAR_RAW = 32803, 34892  # photometric interpretations (DNG 1.7)
+_JPEG_XL = 52546  # a compression (DNG 1.7)
 _MOST_PAGES = 64  # a damaged file may claim any number of them
 _ACTIVE_AREA, _OPCODES_ON_MOSAIC, _OPCODES_AFTER = 50829, 51009, 51022
 

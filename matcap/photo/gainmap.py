@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-_GAIN_MAP, _RADIAL_VIGNETTE = 9, 3
+_GAIN_MAP, _RADIAL_VIGNETTE = 9, 3  # opcodes (DNG 1.7, chapter 7)
 _HEADER = struct.Struct(">4I 4I 2I 4d I")
-_MOST_POINTS = 1 << 24
+_MOST_POINTS = 1 << 24  # of a map: a file cannot ask for more memory
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@
 of networks. Every finding has a number, a verdict and a sentence. Places and directions are those
 of the photograph as it is looked at, upright; see `_upright`.
 
-The formulas are this file's own; tests/inspect holds them against simulated photographs.
+The formulas are this file's own; tests/photo holds them against simulated photographs.
 """
 
 from __future__ import annotations

@@ -25,9 +25,9 @@ from matcap.photo.shrink import ReadRows, Rows, shrink
 
 _LINEARIZATION, _BLACK, _BLACK_REPEAT, _WHITE = 50712, 50714, 50713, 50717
 _COLOR_MATRICES, _ILLUMINANTS, _NEUTRAL, _CFA_PATTERN = (50721, 50722), (50778, 50779), 50728, 33422
-_D65 = 21
+_D65 = 21  # a calibration illuminant (Exif's LightSource)
 _BAYER = ([0, 1, 1, 2], [2, 1, 1, 0], [1, 0, 2, 1], [1, 2, 0, 1])
-_FULL = 65535.0
+_FULL = 65535.0  # code values
 
 # Linear Rec.709 to XYZ relative to D65 (IEC 61966-2-1), as DNG colour matrices start from XYZ.
 _REC709_TO_XYZ = np.array(
@@ -40,7 +40,7 @@ _REC709_TO_XYZ = np.array(
 
 
 @dataclass(frozen=True)
-class Sensor:
+class MosaicLevels:
     """How stored numbers become camera colours.
 
     Attributes:
@@ -112,7 +112,7 @@ def read_with_tifffile(path: Path, long_side: int | None, corrections: Correctio
 
 
 def develop(
-    samples: NDArray[Any], sensor: Sensor, corrections: Corrections, long_side: int | None
+    samples: NDArray[Any], sensor: MosaicLevels, corrections: Corrections, long_side: int | None
 ) -> Rows:
     """Stored numbers, (H, W) of a mosaic or (H, W, 3), to linear Rec.709 and the clip mask."""
     size = (samples.shape[0], samples.shape[1])
@@ -177,7 +177,7 @@ def _demosaic(
     )
 
 
-def _sensor(page: Any, planes: int) -> Sensor:  # noqa: ANN401
+def _sensor(page: Any, planes: int) -> MosaicLevels:  # noqa: ANN401
     repeat = [int(n) for n in _numbers(page, _BLACK_REPEAT, (1, 1))]
     black = np.array(_numbers(page, _BLACK, (0.0,)))
     count = repeat[0] * repeat[1] * planes
@@ -191,7 +191,7 @@ def _sensor(page: Any, planes: int) -> Sensor:  # noqa: ANN401
     bayer = pattern is None or pattern.ravel().tolist() in _BAYER
     if white <= black.max() or neutral.min() <= 0 or not bayer:
         raise ValueError("the levels or colours make no sense")
-    return Sensor(
+    return MosaicLevels(
         black=np.resize(black, count).reshape(*repeat, planes),
         white=white,
         lift=neutral.max() / neutral,

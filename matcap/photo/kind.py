@@ -13,7 +13,7 @@ from matcap.errors import MatcapError
 from matcap.photo.refusals import READABLE, decoding
 
 
-class Kind(Enum):
+class FileKind(Enum):
     """The readers there are."""
 
     RAW = "RAW"
@@ -37,10 +37,10 @@ _RAW_SUFFIXES = frozenset(
         *("nrw", "pef", "raw", "rwl", "sr2", "srf", "srw"),
     )
 )
-_DNG_VERSION = 50706
+_DNG_VERSION = 50706  # a TIFF tag
 
 
-def file_kind(path: Path) -> Kind:
+def file_kind(path: Path) -> FileKind:
     """Look at a file and say how to read it.
 
     Raises:
@@ -48,17 +48,17 @@ def file_kind(path: Path) -> Kind:
     """
     head = _head(path)
     if head.startswith(_JPEG):
-        return Kind.JPEG
+        return FileKind.JPEG
     if head.startswith(_PNG):
-        return Kind.PNG
+        return FileKind.PNG
     if head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS:
-        return Kind.HEIC
+        return FileKind.HEIC
     if head[4:12] == b"ftypcrx " or head.startswith(_RAW):
-        return Kind.RAW
+        return FileKind.RAW
     if head.startswith(_TIFF):
         if _has_dng_version(path):
-            return Kind.DNG
-        return Kind.RAW if path.suffix.lower() in _RAW_SUFFIXES else Kind.TIFF
+            return FileKind.DNG
+        return FileKind.RAW if path.suffix.lower() in _RAW_SUFFIXES else FileKind.TIFF
     raise MatcapError(f"this is not a photograph{_guess(head)}", where=str(path), remedy=READABLE)
 
 

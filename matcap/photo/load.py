@@ -15,7 +15,7 @@ from matcap.photo.developed import Coded, decode, read_heic, read_jpeg, read_png
 from matcap.photo.dng import Corrections, read_corrections
 from matcap.photo.exif import Exif, read_exif
 from matcap.photo.jxl import read_jxl
-from matcap.photo.kind import Kind, file_kind
+from matcap.photo.kind import FileKind, file_kind
 from matcap.photo.orient import quarter_turn, upright
 from matcap.photo.photo import DEFAULT_FOV, Photo
 from matcap.photo.quiet import quiet_decoders
@@ -94,13 +94,13 @@ def photo_from_array(
 
 def _read(path: Path, long_side: int | None, noise: bool) -> tuple[Decoded, Exif]:
     kind = file_kind(path)
-    if kind is Kind.JPEG:
+    if kind is FileKind.JPEG:
         return read_jpeg(path, long_side)
-    if kind is Kind.HEIC:
+    if kind is FileKind.HEIC:
         return read_heic(path, long_side)
-    if kind in (Kind.PNG, Kind.TIFF):
+    if kind in (FileKind.PNG, FileKind.TIFF):
         return read_png_or_tiff(path, kind.value, long_side)
-    corrections = read_corrections(path) if kind is Kind.DNG else Corrections()
+    corrections = read_corrections(path) if kind is FileKind.DNG else Corrections()
     if corrections.jpeg_xl:
         return read_jxl(path, long_side, corrections), read_exif(path)
     return read_raw(path, long_side, corrections, noise=noise), read_exif(path)

@@ -26,16 +26,16 @@ _SMOOTH = 1.5  # photosites of one colour: standard deviation of the blur that t
 _BLOCK = 16  # photosites a side of what a variance is measured in
 _TILE = 256  # photosites a side of what is looked at in one piece
 _TILES = 48  # looked at, at most
-_BINS, _BLOCKS_IN_BIN = 16, 20
+_BINS, _BLOCKS_IN_BIN = 16, 20  # by brightness: so many at most, of so many at least
 _PLAIN = 0.1  # share of the blocks of one brightness that is taken to be plain
 # What the plainest tenth of a flat field's blocks vary by, as a share of its noise's variance; the
 # smoothing's own noise is part of it.
 _FLAT_FIELD = 0.69
 _AGREES = 1.05  # bins farther above the line than this hold texture
-_LEAST_BINS = 4
+_LEAST_BINS = 4  # that the line is laid through
 _ROUNDING = 1 / 12  # variance of whole numbers
 _DARKEST = 1 / 500  # of the white level; below it relative noise means nothing
-_STRIP_PHOTOSITES = 1 << 20
+_STRIP_PHOTOSITES = 1 << 20  # looked at in one go
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,9 @@ from matcap.photo.shrink import Rows, shrink
 
 # Photosites saturate one by one a little below the white level.
 CLIP_SHARE = 0.99
-_FULL = 65535
+_FULL = 65535  # code values
 _AVERAGED = 6.0  # stored pixels along a pixel's side at which noise has averaged out
-_SEED = 0
+_SEED = 0  # of the noise that is drawn once more
 # LibRaw's flip (bits: mirror columns, mirror rows, transpose) to EXIF's orientation.
 _ORIENTATION = {0: 1, 1: 2, 2: 4, 3: 3, 4: 5, 5: 8, 6: 6, 7: 7}
 

@@ -11,7 +11,7 @@ Rows = tuple[NDArray[np.float32], NDArray[np.bool_]]
 ReadRows = Callable[[int, int], Rows]
 
 CLIPPED_SHARE = 0.25  # a shrunk pixel counts as clipped when this much of its area was
-_STRIP_PIXELS = 1 << 20
+_STRIP_PIXELS = 1 << 20  # made linear in one go
 
 
 def shrink(read: ReadRows, width: int, height: int, long_side: int | None) -> Rows:

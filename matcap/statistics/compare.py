@@ -25,7 +25,7 @@ from matcap.statistics.gram import covariance, gram
 from matcap.statistics.spectrum import autocorrelation
 
 _REACH = 12  # lags of the autocorrelation at every level, in that level's texels
-_QUANTILES = 64
+_QUANTILES = 64  # of each channel's values
 _LARGEST = 144  # texels a side of what is looked at on one level
 # Mean size below which a target's statistic cannot be seen, and is not what others are measured
 # by: a tenth of the faintest found in photographs of textures. Without it a plain photograph's

@@ -18,10 +18,10 @@ from torch import Tensor
 
 from matcap.statistics.spectrum import power_spectrum
 
-_WINDOW = 256
+_WINDOW = 256  # texels a side: what spectra are taken of
 _PEAK_RATIO = 8.0  # a peak stands this far above the median of its surroundings
 _LEAST_SHARE = 0.004  # and holds this share of the texture's power
-_MOST_PEAKS = 12
+_MOST_PEAKS = 12  # of the spectrum, the strongest
 _LONGEST = 80.0  # texels: longer periods repeat too few times to be called regular
 _ORDERS = range(-4, 5)
 _TOLERANCE = 0.9  # spectral bins by which a peak may miss its lattice point

@@ -8,7 +8,7 @@ lose their contrast where both are half there.
 The share is a function of the texel alone: blocks, order and workers change no bit. Where it is 0
 or 1 the texels are those of the one material.
 
-Not here: prior/blend.py, which makes one material between two others.
+Not here: model/between.py, which makes one material between two others.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from matcap.model.blocks import Grid, Rectangle
+from matcap.model.blocks import Grid
 from matcap.model.material import Material
-from matcap.model.noise import Period
+from matcap.model.patch import Period, Rectangle
 from matcap.model.source import RING, MaterialSource, material_source
 from matcap.model.spans import Span
 from matcap.synth.mask import Mask

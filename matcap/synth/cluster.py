@@ -8,17 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from typing import Any
 
 from matcap.errors import MatcapError
 from matcap.model.single import single_threaded
 from matcap.synth.jobs import Crew, Job, Result, WorkerLost, render_packed
 from matcap.synth.pictures import Rendered
+from matcap.synth.scheduler import connect
 
 _AHEAD = 2  # blocks in flight for each thread of the cluster
-_PATIENCE = 10  # seconds for the scheduler to answer
-_WORKERS_WITHIN = 60  # seconds for a first worker to come
 
 
 @contextmanager
@@ -32,29 +30,7 @@ def cluster(scheduler: str, packed: bytes) -> Iterator[Crew]:
     Raises:
         MatcapError: the extra is missing, nobody answers at the address, or there is no worker.
     """
-    try:
-        distributed: Any = import_module("distributed")
-    except ImportError as error:
-        raise MatcapError(
-            "clusters need dask.distributed", remedy='pip install "matcap[cluster]"'
-        ) from error
-    try:
-        client = distributed.Client(scheduler, timeout=_PATIENCE, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise MatcapError(
-            "no dask scheduler answers there",
-            where=scheduler,
-            remedy="start one with `dask scheduler`, and workers with `dask worker`",
-        ) from error
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=_WORKERS_WITHIN)
-        except TimeoutError as error:
-            raise MatcapError(
-                "the dask scheduler has no workers",
-                where=scheduler,
-                remedy="start some with `dask worker`",
-            ) from error
+    with connect(scheduler) as client:
         threads = sum(client.nthreads().values())
         held = client.scatter(packed, broadcast=True, hash=False)
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.errors import MatcapError, UsageError
-from matcap.model.blocks import Rectangle, check_rectangle
-from matcap.model.noise import Period
+from matcap.model.blocks import check_rectangle
+from matcap.model.patch import Period, Rectangle
 from matcap.model.spans import Span
 
 

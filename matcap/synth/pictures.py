@@ -12,7 +12,8 @@ from torch import Tensor
 
 from matcap.brdf.folder import NormalStyle
 from matcap.brdf.normals import normals_from_slopes
-from matcap.model.blocks import Piece, Rectangle
+from matcap.model.blocks import Piece
+from matcap.model.patch import Rectangle
 from matcap.model.source import RING, Source
 from matcap.synth.exr_tiles import TILE, Channel, Layout, Tile, encode_tile, stored
 

@@ -21,10 +21,11 @@ from matcap.brdf.folder import (
     plain_name,
 )
 from matcap.errors import UsageError
-from matcap.model.blocks import Piece, Rectangle, check_rectangle, pieces_of
+from matcap.files.maker import MAKER_VERSION
+from matcap.model.blocks import Piece, check_rectangle, pieces_of
+from matcap.model.patch import Rectangle
 from matcap.model.source import Source
 from matcap.synth.pictures import Picture, channels_of, pictures_of
-from matcap.version import __version__
 
 _UDIM_COLUMNS = 10
 _UDIM_ROWS = 900
@@ -170,7 +171,7 @@ class Request:
     def key(self) -> str:
         """The same for requests whose files have the same bytes: a digest, and the device."""
         digest = hashlib.sha256()
-        versions = (__version__, torch.__version__)
+        versions = (MAKER_VERSION, torch.__version__)
         _feed(digest.update, (versions, self.source, self.area, self.info.name, self.files))
         return f"{digest.hexdigest()} {self.source.device.type}"
 

@@ -1,6 +1,6 @@
 """Files of a run until all of them are complete: in a hidden folder, then in their place.
 
-Unlike export/staging.py, what an interrupted run leaves is kept and gone on with.
+Unlike files/staging.py, what an interrupted run leaves is kept and gone on with.
 """
 
 from __future__ import annotations

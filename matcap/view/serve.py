@@ -45,7 +45,7 @@ def serve(
         ) from error
     import torch
 
-    # A block is computed on one thread (synth/field.py); several blocks side by side must not
+    # A block is computed on one thread (model/field.py); several blocks side by side must not
     # change that setting under each other.
     torch.set_num_threads(1)
     listening = listen(port)

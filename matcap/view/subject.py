@@ -88,7 +88,7 @@ class Materials:
         return self._field(seed, share).read(x, y, width, height, workers=1)
 
     def _open(self, seed: int, share: float) -> Field:
-        from matcap.capture.prior.blend import blend
+        from matcap.model.between import blend
         from matcap.model.field import Field
 
         if self.second is None:

@@ -47,7 +47,7 @@ def test_jobs_are_done_and_losses_are_told(address):
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
-    monkeypatch.setattr("matcap.batch.cluster._PATIENCE", 0.2)
+    monkeypatch.setattr("matcap.synth.scheduler._PATIENCE", 0.2)
     with pytest.raises(MatcapError, match="no dask scheduler answers"):
         Cluster("tcp://127.0.0.1:9", work, prepare)
 
@@ -56,6 +56,6 @@ def test_without_the_extra_the_remedy_is_its_installation(monkeypatch):
     def missing(name):
         raise ImportError(name)
 
-    monkeypatch.setattr("matcap.batch.cluster.import_module", missing)
+    monkeypatch.setattr("matcap.synth.scheduler.import_module", missing)
     with pytest.raises(MatcapError, match=r"matcap\[cluster\]"):
         Cluster("tcp://127.0.0.1:9", work, prepare)

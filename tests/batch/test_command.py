@@ -10,10 +10,10 @@ from kills import make_shoot
 from rich.console import Console
 
 from matcap.batch.memory import crew_size, photo_pixels, worker_bytes
-from matcap.batch.plan import Entry
+from matcap.batch.plan import BatchEntry
 from matcap.batch.predict import _trial
 from matcap.batch.settings import BatchSettings
-from matcap.batch.shoot import Sample
+from matcap.batch.shoot import ShotSample
 from matcap.capture import outputs, pipeline
 from matcap.cli.batch_display import BatchDisplay
 from matcap.cli.main import main
@@ -112,8 +112,8 @@ def test_on_a_dumb_terminal_a_line_tells_of_each_end(tmp_path):
     shown = BatchDisplay(Console(file=said, width=200), None, quiet=False)
     shown.expect(2)
     record = {"error": 0.5, "doubtful": True, "seconds": 12.0}
-    good = Entry(Sample("a [b]", (tmp_path / "a.jpg",)), "i", "made", "", record)
-    bad = Entry(Sample("c", (tmp_path / "c.jpg",)), "i", "failed", "black.")
+    good = BatchEntry(ShotSample("a [b]", (tmp_path / "a.jpg",)), "i", "made", "", record)
+    bad = BatchEntry(ShotSample("c", (tmp_path / "c.jpg",)), "i", "failed", "black.")
     for entry in (good, bad):
         shown.started(entry)
         shown.progress(entry, "fine-tuning", 0.5)

@@ -6,9 +6,9 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from matcap.batch.index import write_index
-from matcap.batch.plan import Entry
+from matcap.batch.plan import BatchEntry
 from matcap.batch.record import write_record
-from matcap.batch.shoot import Sample
+from matcap.batch.shoot import ShotSample
 
 RECORD = {
     "identity": "i", "photographs": ["/shoot/a & b.jpg"], "error": 0.5, "tilt_degrees": [1.0, -7.5],
@@ -46,8 +46,8 @@ def written(tmp_path):
             record = RECORD
             (tmp_path / name).mkdir()
             write_record(tmp_path / name, record)
-        sample = Sample(name, (Path(f"/shoot/{state}.jpg"),))
-        entries.append(Entry(sample, "i", state, reason, dict(record)))
+        sample = ShotSample(name, (Path(f"/shoot/{state}.jpg"),))
+        entries.append(BatchEntry(sample, "i", state, reason, dict(record)))
     (tmp_path / "earlier").mkdir()
     write_record(tmp_path / "earlier", {**RECORD, "doubtful": False})
     write_index(tmp_path, entries)

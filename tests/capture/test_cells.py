@@ -5,6 +5,7 @@ import torch
 from matcap.capture.start import reading_cells
 from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, with_cells
 from matcap.model.order import CELL_CHANNELS, WAVE_CHANNELS
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import RandomField, random_field
 from matcap.statistics.lattice import Wave
 
@@ -14,7 +15,9 @@ CODE = torch.zeros(CODE_SIZE)
 
 
 def a_field():
-    return random_field(4, 2, WAVES, 0, 0, 64, 64, levels=DEPTH, cells=CELL_CHANNELS)
+    return random_field(
+        Patch(4, Rectangle(0, 0, 64, 64)), 2, WAVES, levels=DEPTH, cells=CELL_CHANNELS
+    )
 
 
 def without_cells(field):

@@ -13,6 +13,7 @@ from matcap.capture.penalty import Penalties, price
 from matcap.flash.render import render_flash
 from matcap.model.decoder import DEPTH, maps_from_raw
 from matcap.model.freeze import fold
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.compare import Weights, describe, distance
 
@@ -23,9 +24,11 @@ def error_of(decoder, moments=None, seeds=range(100, 108)):
     with torch.no_grad():
         for seed in seeds:
             field = random_field(
-                seed, CONFIG.noise_channels, (), 0, 0, WINDOW, WINDOW,
-                levels=DEPTH, period=(WINDOW, WINDOW),
-            )  # fmt: skip
+                Patch(seed, Rectangle(0, 0, WINDOW, WINDOW), period=(WINDOW, WINDOW)),
+                CONFIG.noise_channels,
+                (),
+                levels=DEPTH,
+            )
             maps = maps_from_raw(decoder(field, CODE, moments), seen.texel_size, periodic=True)
             rendered = render_flash(maps, seen.setup, seen.windows.points)
             found = describe(rendered, seen.encoding, seen.bank)
@@ -47,7 +50,9 @@ def test_what_it_hands_back_is_what_it_optimised():
     """Frozen statistics belong to the decoder: folded, it is the same network."""
     tuned = tune(steps=80)
     folded = fold(tuned.decoder, CODE, tuned.moments, has_waves=False)
-    field = random_field(7, CONFIG.noise_channels, (), 0, 0, 256, 256, levels=DEPTH)
+    field = random_field(
+        Patch(7, Rectangle(0, 0, 256, 256)), CONFIG.noise_channels, (), levels=DEPTH
+    )
     with torch.no_grad():
         one = folded(field)[..., 96:-96, 96:-96]
         other = tuned.decoder(field, CODE, list(tuned.moments), periodic=False)[..., 96:-96, 96:-96]

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.finetune import Scene, render_windows
+from matcap.capture.finetune import TuneScene, render_windows
 from matcap.capture.pipeline import CaptureSettings, capture_photo
 from matcap.capture.windows import Windows
 from matcap.flash.geometry import FlashSetup, plane_points
@@ -27,7 +27,7 @@ def test_each_window_is_rendered_as_in_its_own_photograph():
     maps = MapSet.from_stacked(torch.rand(1, 6, 16, 16) * 0.5 + 0.1, 2.0 / 64)
     points = plane_points(8, 4, 16, 16, (64, 48), dtype=torch.float32)[None].repeat(3, 1, 1, 1)
     windows = Windows(16, points, None, photographs=torch.tensor([1, 0, 0]))
-    scene = Scene(windows, SETUPS[0], None, None, (), 2.0 / 64, others=SETUPS[1:])
+    scene = TuneScene(windows, SETUPS[0], None, None, (), 2.0 / 64, others=SETUPS[1:])
     found = render_windows(maps, scene, torch.tensor([0, 2]), step=1)
     expected = torch.cat([render_flash(maps, SETUPS[number], points[:1]) for number in (1, 0)])
     torch.testing.assert_close(found, expected)

@@ -3,7 +3,7 @@
 import torch
 
 from matcap.capture.coarse import CoarseFit
-from matcap.capture.finetune import Scene, TuneSettings, finetune
+from matcap.capture.finetune import TuneScene, TuneSettings, finetune
 from matcap.capture.start import log_contrast, untrained
 from matcap.capture.windows import cut_windows
 from matcap.flash.geometry import FlashSetup
@@ -36,7 +36,7 @@ def scene():
     plane = plane_of(linear, valid)
     bank = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
     windows = cut_windows(plane, bank, WINDOW)
-    return Scene(windows, SETUP, plane.encoding, bank, (), plane.texel_size)
+    return TuneScene(windows, SETUP, plane.encoding, bank, (), plane.texel_size)
 
 
 def start(seed=0):

@@ -10,7 +10,7 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture import pipeline as capturing
-from matcap.capture.pipeline import CaptureResult, Progress
+from matcap.capture.pipeline import CaptureProgress, CaptureResult
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
@@ -71,7 +71,9 @@ class FakePipeline:
         for fraction in (0.0, 0.5, 1.0):
             if progress is not None:
                 progress(
-                    Progress("fine-tuning", fraction, 1.0 - fraction / 2, fraction, 1 - fraction)
+                    CaptureProgress(
+                        "fine-tuning", fraction, 1.0 - fraction / 2, fraction, 1 - fraction
+                    )
                 )
         return CaptureResult(
             photo=photo,

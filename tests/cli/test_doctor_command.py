@@ -25,7 +25,7 @@ def test_text_tells_how_to_install_what_is_missing(matcap, monkeypatch):
             raise PackageNotFoundError(name)
         return version(name)
 
-    monkeypatch.setattr("matcap.lab.doctor.version", without)
+    monkeypatch.setattr("matcap.cli.diagnosis.version", without)
     said = matcap("doctor", "--no-self-test")
     assert said.code == 0  # extras are no need
     assert 'not installed: pip install "matcap[heic]"' in said.out
@@ -38,7 +38,7 @@ def test_a_missing_need_is_a_fault(matcap, monkeypatch):
             raise PackageNotFoundError(name)
         return version(name)
 
-    monkeypatch.setattr("matcap.lab.doctor.version", without)
+    monkeypatch.setattr("matcap.cli.diagnosis.version", without)
     said = matcap("doctor")
     assert said.code == 3
     assert "rawpy" in said.out

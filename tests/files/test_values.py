@@ -1,7 +1,6 @@
 """Sizes, rectangles and times as typed."""
 
 import pytest
-import typer
 
 from matcap.files.values import Region, Size, duration, region, size
 
@@ -14,7 +13,7 @@ def test_sizes():
 
 @pytest.mark.parametrize("text", ["", "x", "4x", "x4", "4x0", "0", "-4x4", "4.5x4", "4x4x4", "1e3"])
 def test_wrong_sizes(text):
-    with pytest.raises(typer.BadParameter):
+    with pytest.raises(ValueError, match=r"^'.*' "):
         size(text)
 
 
@@ -25,7 +24,7 @@ def test_regions():
 
 @pytest.mark.parametrize("text", ["", "1,2,3", "1,2,3,x", "0,0,0,5", "0,0,5,-5", f"{2**40},0,1,1"])
 def test_wrong_regions(text):
-    with pytest.raises(typer.BadParameter):
+    with pytest.raises(ValueError, match=r"^'.*' "):
         region(text)
 
 
@@ -38,5 +37,5 @@ def test_durations(text, seconds):
 
 @pytest.mark.parametrize("text", ["", "0", "-1", "s", "1d", "nan", "inf", "1e3", "9" * 400])
 def test_wrong_durations(text):
-    with pytest.raises(typer.BadParameter):
+    with pytest.raises(ValueError, match=r"^'.*' "):
         duration(text)

@@ -6,6 +6,7 @@ import torch
 from matcap.model.decoder import CODE_SIZE, DEPTH, AdaIN, Decoder, DecoderConfig
 from matcap.model.noise import noise_field
 from matcap.model.order import WAVE_CHANNELS
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import RandomField
 
 TINY = DecoderConfig(noise_channels=2, widths=(4, 4, 4, 4, 4), convolutions=(1, 1))
@@ -62,7 +63,7 @@ def test_adain_of_constant_features_is_finite_with_its_gradient(adain):
 def test_gradients_of_a_decoder_follow_finite_differences():
     torch.manual_seed(5)
     decoder = Decoder(TINY).double()
-    noise = noise_field(1, 2, 0, 0, 32, 32, period=(32, 32)).double()
+    noise = noise_field(Patch(1, Rectangle(0, 0, 32, 32), period=(32, 32)), 2).double()
     waves = tuple(torch.zeros(1, WAVE_CHANNELS, 32 >> n, 32 >> n) for n in range(DEPTH))
     field = RandomField(noise.reshape(1, 2, 32, 32), waves)
     code = torch.randn(CODE_SIZE, dtype=torch.float64)

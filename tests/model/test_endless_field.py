@@ -18,6 +18,7 @@ from matcap.model.freeze import freeze, reference_field
 from matcap.model.material import Material
 from matcap.model.noise import noise_field
 from matcap.model.order import wave_field
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.lattice import Wave
 
@@ -58,9 +59,12 @@ def test_blocks_are_the_network_that_was_tuned_on_the_whole_torus(material):
     period = (BLOCK + 64, BLOCK_HEIGHT + 96)
     found = Field(material, 5, period).read(0, 0, *period).stacked()
     field = random_field(
-        5, SMALL.noise_channels, material.waves, 0, 0, *period,
-        levels=DEPTH, cells=material.decoder.config.cells, period=period,
-    )  # fmt: skip
+        Patch(5, Rectangle(0, 0, *period), period=period),
+        SMALL.noise_channels,
+        material.waves,
+        levels=DEPTH,
+        cells=material.decoder.config.cells,
+    )
     with torch.no_grad():
         raw = material.decoder(field, material.code, material.moments)[0]
     expected = maps_from_raw(raw, material.texel_size).stacked()
@@ -178,23 +182,33 @@ def test_what_is_out_of_range_is_refused(seed, period, rectangle):
 
 
 def test_noise_is_uniform_and_independent():
-    a = noise_field(11, 6, -50, 2**40 - 300, 300, 300)
+    a = noise_field(Patch(11, Rectangle(-50, 2**40 - 300, 300, 300)), 6)
     assert a.abs().max() <= 3**0.5
     assert a.mean(dim=(1, 2)).abs().max() < 0.02
     assert (a.std(dim=(1, 2)) - 1).abs().max() < 0.01
     histogram = torch.histc(a[0], bins=16) / a[0].numel()
     assert (histogram - 1 / 16).abs().max() < 0.004
-    others = [a[1], a[5], a[0].roll(1, 0), a[0].roll(1, 1), noise_field(12, 1, -50, 0, 300, 300)[0]]
+    others = [
+        a[1],
+        a[5],
+        a[0].roll(1, 0),
+        a[0].roll(1, 1),
+        noise_field(Patch(12, Rectangle(-50, 0, 300, 300)), 1)[0],
+    ]
     for other in others:
         assert abs(float((a[0] * other).mean())) < 0.015
 
 
 def test_far_noise_and_waves_are_exact():
     far = 2**40 - 64
-    wide = noise_field(1, 4, far, -far, 64, 32)
-    assert torch.equal(wide[:, 5:, 9:], noise_field(1, 4, far + 9, -far + 5, 55, 27))
+    wide = noise_field(Patch(1, Rectangle(far, -far, 64, 32)), 4)
+    assert torch.equal(
+        wide[:, 5:, 9:], noise_field(Patch(1, Rectangle(far + 9, -far + 5, 55, 27)), 4)
+    )
     wave = (Wave(0.1234567, 0.0),)
-    near, distant = (wave_field(4, wave, x, 0, 8, 1)[:2, 0].double() for x in (0, far))
+    near, distant = (
+        wave_field(Patch(4, Rectangle(x, 0, 8, 1)), wave)[:2, 0].double() for x in (0, far)
+    )
     step = round(wave[0].fx * 2**64)
     turn = 2 * torch.pi * ((step * far) % 2**64) / 2**64
     cosine, sine = torch.cos(torch.tensor(turn)), torch.sin(torch.tensor(turn))

@@ -11,6 +11,7 @@ from matcap.model.order import (
     order_field,
     wave_field,
 )
+from matcap.model.patch import Patch, Rectangle
 from matcap.statistics.lattice import Wave
 
 STRAIGHT = (Wave(1 / 43.3, 0.0), Wave(0.0, 1 / 42.7))
@@ -32,7 +33,7 @@ def whole_turns(waves, seed, x, y, level=0):
 
 def numbers_of_cells(waves, x, y, size, level=0):
     """Every cell's numbers, and that no texel of it has others."""
-    field = cell_field(5, waves, 3, x, y, size, size, level=level)
+    field = cell_field(Patch(5, Rectangle(x, y, size, size), level=level), waves, 3)
     found = {}
     for row in range(size):
         for column in range(size):
@@ -60,8 +61,8 @@ def test_levels_agree_on_a_cell_s_numbers():
 
 @LATTICES
 def test_a_rectangle_is_cut_out_of_a_larger_one(waves):
-    whole = cell_field(3, waves, 4, -50, -70, 200, 160)
-    part = cell_field(3, waves, 4, 10, -10, 64, 33)
+    whole = cell_field(Patch(3, Rectangle(-50, -70, 200, 160)), waves, 4)
+    part = cell_field(Patch(3, Rectangle(10, -10, 64, 33)), waves, 4)
     assert torch.equal(part, whole[:, 60:93, 60:124])
 
 
@@ -70,7 +71,9 @@ def test_a_rectangle_is_cut_out_of_a_larger_one(waves):
 @pytest.mark.parametrize("level", [0, 2])
 def test_cells_repeat_and_stay_whole_where_the_ends_meet(waves, period, level):
     side, height = 480 >> level, 288 >> level
-    field = cell_field(3, waves, 2, -30, 5, side, height, level=level, period=period)
+    field = cell_field(
+        Patch(3, Rectangle(-30, 5, side, height), level=level, period=period), waves, 2
+    )
     shift = [length and length >> level for length in (period[1], period[0])]
     assert torch.equal(field, field.roll([s or 0 for s in shift], (1, 2)))
     if all(period) and len(waves) == 2 and level == 0:
@@ -81,13 +84,15 @@ def test_cells_repeat_and_stay_whole_where_the_ends_meet(waves, period, level):
 
 def test_a_block_where_far_ends_meet_is_made_of_the_same_cells():
     period = (2**14, 2**14)
-    meeting = cell_field(3, OBLIQUE, 2, -20, -20, 64, 64, period=period)
-    corner = cell_field(3, OBLIQUE, 2, 0, 0, 44, 44, period=period)
+    meeting = cell_field(Patch(3, Rectangle(-20, -20, 64, 64), period=period), OBLIQUE, 2)
+    corner = cell_field(Patch(3, Rectangle(0, 0, 44, 44), period=period), OBLIQUE, 2)
     assert torch.equal(meeting[:, 20:, 20:], corner)
 
 
 def test_cells_have_zero_mean_and_unit_variance_and_are_independent():
-    cells = cell_field(1, (Wave(0.25, 0.0), Wave(0.0, 0.25)), 2, 0, 0, 800, 800)[:, ::4, ::4]
+    cells = cell_field(Patch(1, Rectangle(0, 0, 800, 800)), (Wave(0.25, 0.0), Wave(0.0, 0.25)), 2)[
+        :, ::4, ::4
+    ]
     assert cells.mean(dim=(1, 2)).abs().max() < 0.02
     assert (cells.std(dim=(1, 2)) - 1.0).abs().max() < 0.02
     for other in (cells[1], cells[0].roll(1, 0), cells[0].roll(1, 1)):
@@ -95,12 +100,18 @@ def test_cells_have_zero_mean_and_unit_variance_and_are_independent():
 
 
 def test_cells_too_fine_for_a_level_are_left_out():
-    assert cell_field(1, OBLIQUE, 2, 0, 0, 8, 8, level=2).abs().max() == 0
-    assert cell_field(1, (), 2, 0, 0, 8, 8).abs().max() == 0
+    assert cell_field(Patch(1, Rectangle(0, 0, 8, 8), level=2), OBLIQUE, 2).abs().max() == 0
+    assert cell_field(Patch(1, Rectangle(0, 0, 8, 8)), (), 2).abs().max() == 0
 
 
 def test_order_is_waves_then_cells():
-    field = order_field(9, STRAIGHT, 3, 4, 5, 20, 10)
-    assert torch.equal(field[:WAVE_CHANNELS], wave_field(9, STRAIGHT, 4, 5, 20, 10))
-    assert torch.equal(field[WAVE_CHANNELS:], cell_field(9, STRAIGHT, 3, 4, 5, 20, 10))
-    assert torch.equal(order_field(9, STRAIGHT, 0, 4, 5, 20, 10), field[:WAVE_CHANNELS])
+    field = order_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT, 3)
+    assert torch.equal(
+        field[:WAVE_CHANNELS], wave_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT)
+    )
+    assert torch.equal(
+        field[WAVE_CHANNELS:], cell_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT, 3)
+    )
+    assert torch.equal(
+        order_field(Patch(9, Rectangle(4, 5, 20, 10)), STRAIGHT, 0), field[:WAVE_CHANNELS]
+    )

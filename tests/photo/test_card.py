@@ -20,12 +20,23 @@ from matcap.lab.simulate.dng import Sensor, write_dng
 from matcap.lab.simulate.jpeg import write_jpeg
 from matcap.lab.simulate.photograph import Camera, take
 from matcap.photo.calibrate import calibrated, card_sentence, fit_patches, read_card
-from matcap.photo.card import BOARD_AT, PAGE, PATCHES, SQUARE, raster, rectangles
+from matcap.photo.card import BOARD_AT, PAGE, PATCHES, SQUARE, rectangles
 from matcap.photo.load import load_photo
 
 UNIT = 170.0  # millimetres: half of what the photograph's long side shows
 CAMERA = Camera(width=1024, height=768, supersampling=1, clipped=0.0)
 TILT = (0.06, -0.08)
+
+
+def raster(pixels_per_mm):
+    """(H, W, 3) uint8 sRGB picture of the page."""
+    width, height = (round(side * pixels_per_mm) for side in PAGE)
+    picture = np.full((height, width, 3), 255, np.uint8)
+    for r in rectangles():
+        left, right = (round(v * pixels_per_mm) for v in (r.x, r.x + r.width))
+        top, bottom = (round(v * pixels_per_mm) for v in (r.y, r.y + r.height))
+        picture[top:bottom, left:right] = r.colour
+    return picture
 
 
 def card_maps(width, height, texel):

@@ -6,9 +6,10 @@ import torch
 from draws import run
 from repetition import correlations
 
-from matcap.model.blocks import BLOCK, Rectangle
+from matcap.model.blocks import BLOCK
 from matcap.model.field import Field, read_source
 from matcap.model.noise import noise_field
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.source import material_source
 from matcap.synth.blend import blend_source
 from matcap.synth.mask import Mask
@@ -47,14 +48,14 @@ def test_repetition_would_be_found(material):
 @pytest.mark.parametrize("place", [0, 2**31, 2**40 - 256])
 def test_the_hash_is_uniform_and_independent(place):
     """Chi-square, correlation and the sign patterns of neighbours, within five deviations."""
-    noise = noise_field(5, 6, place, -place, 256, 256).numpy()
+    noise = noise_field(Patch(5, Rectangle(place, -place, 256, 256)), 6).numpy()
     levels = np.floor((noise / 12**0.5 + 0.5) * 64).astype(int)
     for channel in levels:
         counts = np.bincount(channel.ravel(), minlength=64)
         expected = channel.size / 64
         assert abs(((counts - expected) ** 2 / expected).sum() - 63) < 5 * (2 * 63) ** 0.5
     deviation = 1 / 256
-    others = noise_field(6, 6, place, -place, 256, 256).numpy()
+    others = noise_field(Patch(6, Rectangle(place, -place, 256, 256)), 6).numpy()
     for a in range(6):
         for shift in ((0, 1), (1, 0), (1, 1), (16, 0), (0, 64)):
             assert abs((noise[a] * np.roll(noise[a], shift, (0, 1))).mean()) < 5 * deviation
@@ -64,12 +65,12 @@ def test_the_hash_is_uniform_and_independent(place):
 
 
 def test_every_bit_of_seed_and_place_changes_half_of_the_hash():
-    one = noise_field(0, 4, 0, 0, 32, 32)
+    one = noise_field(Patch(0, Rectangle(0, 0, 32, 32)), 4)
     for bit in (5, 20, 31, 39):
         for changed in (
-            noise_field(2**bit, 4, 0, 0, 32, 32),
-            noise_field(0, 4, 2**bit, 0, 32, 32),
-            noise_field(0, 4, 0, -(2**bit), 32, 32),
+            noise_field(Patch(2**bit, Rectangle(0, 0, 32, 32)), 4),
+            noise_field(Patch(0, Rectangle(2**bit, 0, 32, 32)), 4),
+            noise_field(Patch(0, Rectangle(0, -(2**bit), 32, 32)), 4),
         ):
             # The sign is a hash's top bit: it should be a coin's toss.
             assert abs(float((one.sign() != changed.sign()).float().mean()) - 0.5) < 0.05

@@ -10,7 +10,7 @@ PROGRAM = """
 import resource, sys
 from matcap.lab.bench.synth import material
 from matcap.model.decoder import DecoderConfig
-from matcap.model.blocks import Rectangle
+from matcap.model.patch import Rectangle
 from matcap.model.single import single_threaded
 from matcap.model.source import material_source
 from matcap.synth.workers import keep_memory

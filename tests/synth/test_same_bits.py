@@ -2,8 +2,8 @@
 
 Beside this file, in `before/`: a small material with random weights, the maps of a corner of its
 field, and digests of what `matcap synth` wrote of it. Bits are the same on one machine and build
-(docs/guide/how-it-works.md): the digests are compared where processor and PyTorch are those they were
-written with; the corner is compared everywhere.
+(docs/guide/how-it-works.md): the digests are compared where processor and PyTorch are those they
+were written with; the corner is compared everywhere.
 
 Written again, after a change that is meant to change bits, by
 `python tests/synth/test_same_bits.py`.

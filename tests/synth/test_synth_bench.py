@@ -10,6 +10,7 @@ from matcap.lab.bench import synth
 from matcap.lab.bench.synth import Settings, comma_separated, efficiency, markdown, paper_form
 from matcap.model.decoder import PAPER_CONFIG, Decoder
 from matcap.model.noise import noise_field
+from matcap.model.patch import Patch, Rectangle
 
 
 def test_the_papers_network_has_its_size():
@@ -24,10 +25,10 @@ def test_the_papers_network_has_its_size():
 
 def test_the_papers_form_is_the_decoder_but_for_the_blur(material, monkeypatch):
     monkeypatch.setattr(synth, "_blurred", lambda features: features)
-    noise = noise_field(1, 2, 0, 0, 96, 64)[None]
+    noise = noise_field(Patch(1, Rectangle(0, 0, 96, 64)), 2)[None]
     from matcap.model.random_field import random_field
 
-    field = random_field(1, 2, (), 0, 0, 96, 64, levels=4, period=(96, 64))
+    field = random_field(Patch(1, Rectangle(0, 0, 96, 64), period=(96, 64)), 2, (), levels=4)
     with torch.no_grad():
         found = paper_form(material.decoder, material.code, noise.contiguous())
         expected = material.decoder(field, material.code)
@@ -53,7 +54,7 @@ def test_a_short_run_fills_the_tables():
 
 def test_counted_multiplications_are_those_of_the_network(material):
     """By hand: one level-0 convolution of the head, 2 channels to 6, on the block and its ring."""
-    from matcap.model.blocks import Rectangle
+    from matcap.model.patch import Rectangle
     from matcap.model.source import area_of, material_source
 
     decoder = material_source(material, 0).decoder

@@ -9,7 +9,8 @@ import pytest
 
 from matcap.brdf.folder import MapSetInfo
 from matcap.errors import MatcapError
-from matcap.model.blocks import Grid, Rectangle
+from matcap.model.blocks import Grid
+from matcap.model.patch import Rectangle
 from matcap.model.source import material_source
 from matcap.synth.request import Request, Work
 from matcap.synth.stream import write_field
@@ -53,7 +54,7 @@ def test_a_worker_is_killed_half_way(material, tmp_path, cluster):
 
 
 def test_nobody_answers(material, tmp_path, monkeypatch):
-    from matcap.synth import cluster as module
+    from matcap.synth import scheduler as module
 
     monkeypatch.setattr(module, "_PATIENCE", 0.5)
     request = Request(material_source(material, 2), Rectangle(0, 0, 8, 8), MapSetInfo("m", 2))

@@ -102,7 +102,7 @@ def test_block_is_the_fields_own_bytes(client, material, column, row, seed):
 
 
 def test_share_blends(client, subject):
-    from matcap.capture.prior.blend import blend
+    from matcap.model.between import blend
 
     found = np.frombuffer(get(client, "block", column=1, row=1, share=0.25).content, "<f4")
     between = blend(subject.first, subject.second, 0.25)

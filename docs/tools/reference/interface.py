@@ -20,18 +20,19 @@ plane units, half the photograph's long side.
 """
 # Beyond `import matcap`: what the guide uses.
 MODULES = {
-    "matcap.capture.settings": ("CaptureSettings",),
-    "matcap.capture.pipeline": ("capture_photo", "CaptureResult"),
+    "matcap.capture.settings": ("CaptureSettings", "resolve"),
+    "matcap.capture.pipeline": ("capture_file", "capture_photo", "CaptureResult"),
     "matcap.photo.photo": ("Photo",),
     "matcap.flash.geometry": ("FlashSetup",),
     "matcap.brdf.cook_torrance": ("cook_torrance",),
+    "matcap.synth.synthesise": ("synthesise", "SynthRequest", "Growth"),
     "matcap.relight.scene": (
         "Scene", "Film", "Camera", "Surface", "PointLight", "DirectionalLight", "SphereLight",
         "RectangleLight", "EnvironmentLight",
     ),
     "matcap.relight.render": ("Renderer",),
     "matcap.relight.presets": ("light_orbit",),
-    "matcap.capture.prior.blend": ("blend",),
+    "matcap.model.between": ("blend",),
     "matcap.capture.prior.store": ("Prior", "load_prior"),
     "matcap.view.document": ("sealed_page",),
     "matcap.view.subject": ("Materials",),

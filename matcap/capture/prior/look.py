@@ -27,7 +27,7 @@ _TOLD = FilterBankConfig(sizes=(5,), filters=1, crossed=False)
 WINDOW = 96  # texels a side of the windows whose texture is told
 _PLACES_ACROSS, _PLACES_DOWN = (0.1, 0.37, 0.63, 0.9), (0.15, 0.5, 0.85)
 _LEVELS = 3  # of the pyramid; what a window of 64 texels has
-_LAGS_DOWN = (0, 1, 2, 4, 7, 11)
+_LAGS_DOWN = (0, 1, 2, 4, 7, 11)  # texels of a level, as are those across
 _LAGS_ACROSS = (-11, -7, -4, -2, -1, 0, 1, 2, 4, 7, 11)
 _QUANTILES = (1, 5, 12, 24, 39, 51, 58, 62)  # of 64
 _STRONGEST = 2  # the encoding's channel of most variance

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from matcap.capture.prior.store import Prior
 from matcap.flash.render import render_rectified
 
-_COLUMNS = 4
+_COLUMNS = 4  # materials side by side
 _BRIGHTNESS = 0.25  # mean radiance every picture is exposed to
 
 

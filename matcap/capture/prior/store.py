@@ -32,11 +32,11 @@ from matcap.model.decoder import CODE_SIZE, Decoder
 from matcap.model.encoder import BACKBONES, Encoder, EncoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.model.stored import DAMAGED, Stored, decoder_config, empty_decoder
+from matcap.model.stored import DAMAGED, StoredTensors, decoder_config, empty_decoder
 from matcap.photo.photo import Photo
 
 FORMAT = "matcap-prior"
-VERSION = 1
+VERSION = 1  # of the file
 SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
 
 _DETAIL = 1024  # texels across the photograph a drawn material is meant for
@@ -173,7 +173,7 @@ def load_prior(path: Path | None = None) -> Prior:
     try:
         with safe_open(path, framework="pt") as file:
             about = _about(file.metadata(), path)
-            stored = Stored(file, path, _REMEDY)
+            stored = StoredTensors(file, path, _REMEDY)
             encoder = Encoder(_encoder_config(about["encoder"]))
             prior = Prior(
                 encoder=encoder,

@@ -39,6 +39,7 @@ from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.photograph import Camera, Realise, Shot, take
 from matcap.model.decoder import PAPER_CONFIG, DecoderConfig
 from matcap.model.material import Material
+from matcap.model.patch import Patch, Rectangle
 from matcap.statistics.filterbank import FilterBankConfig
 
 _BASE_STEPS, _BASE_PLACES = 160, 2  # of every point that does not vary them
@@ -330,7 +331,10 @@ def step_seconds(way: str, *, steps: int = 3) -> tuple[float, float]:
         began = time.perf_counter()
         channels = method.decoder.noise_channels
         noise = random_field(
-            seed, channels, (), 0, 0, width, height, levels=DEPTH, period=(width, height)
+            Patch(seed, Rectangle(0, 0, width, height), period=(width, height)),
+            channels,
+            (),
+            levels=DEPTH,
         )
         with torch.autocast("cpu", torch.bfloat16, enabled=method.half_precision):
             raw = decoder(noise, code)

@@ -31,13 +31,21 @@ from torch import Tensor
 
 from matcap.files.staging import staged
 from matcap.flash.geometry import FlashSetup
-from matcap.model.blocks import Grid, Rectangle
-from matcap.model.decoder import CODE_SIZE, DEPTH, PAPER_CONFIG, Decoder, DecoderConfig, Layer
+from matcap.model.blocks import Grid
+from matcap.model.decoder import (
+    CODE_SIZE,
+    DEPTH,
+    PAPER_CONFIG,
+    ConvolutionLayer,
+    Decoder,
+    DecoderConfig,
+)
 from matcap.model.field import read_source
 from matcap.model.freeze import FoldedDecoder, FoldedLayer, freeze
 from matcap.model.material import Material
 from matcap.model.noise import noise_field
 from matcap.model.order import WAVE_CHANNELS
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.single import single_threaded
 from matcap.model.source import Area, MaterialSource, area_of, material_source
 from matcap.model.spans import Span
@@ -188,7 +196,7 @@ def material(config: DecoderConfig) -> Material:
 def paper_form(decoder: Decoder, code: Tensor, noise: Tensor) -> Tensor:
     """The network as the paper has it, on a whole periodic field (1, C, H, W); without waves."""
 
-    def step(layer: Layer, features: Tensor, weight: Tensor) -> Tensor:
+    def step(layer: ConvolutionLayer, features: Tensor, weight: Tensor) -> Tensor:
         if weight.shape[-1] > 1:
             features = F.pad(features, (1, 1, 1, 1), mode="circular")
         features = F.conv2d(features, weight)
@@ -290,7 +298,9 @@ def comma_separated(report: Report) -> str:
 
 def _rows(name: str, subject: Material, allocator: str, settings: Settings) -> Iterator[Row]:
     width, height = settings.size
-    noise = noise_field(1, subject.decoder.config.noise_channels, 0, 0, width, height)[None]
+    noise = noise_field(
+        Patch(1, Rectangle(0, 0, width, height)), subject.decoder.config.noise_channels
+    )[None]
     noise = noise.contiguous()
     for workers in settings.workers:
         for block in settings.blocks:

@@ -18,13 +18,14 @@ from matcap.brdf.maps import MapSet
 from matcap.model.decoder import (
     ALIGNMENT,
     DEPTH,
+    ConvolutionLayer,
     Decoder,
     DecoderConfig,
-    Layer,
     Moments,
     Step,
     maps_from_raw,
 )
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.lattice import Wave
 
@@ -41,10 +42,11 @@ class DecoderOnly(Decoder):
     def __init__(self, config: DecoderConfig) -> None:
         super().__init__(replace(config, noise_channels=(DEPTH + 1) * config.noise_channels))
         self.down = nn.ModuleList(
-            nn.Sequential(Layer(config.noise_channels, width, kernel=1)) for width in config.widths
+            nn.Sequential(ConvolutionLayer(config.noise_channels, width, kernel=1))
+            for width in config.widths
         )
 
-    def way_down(self, noise: Tensor, step: Callable[[Layer], Step]) -> list[Tensor]:
+    def way_down(self, noise: Tensor, step: Callable[[ConvolutionLayer], Step]) -> list[Tensor]:
         """What the way up reads at every level, full resolution first: noise of that level."""
         groups = noise.chunk(DEPTH + 1, dim=1)
         return [
@@ -73,13 +75,9 @@ class Unfolded:
     def maps(self, width: int, height: int, *, seed: int = 0, x: int = 0, y: int = 0) -> MapSet:
         """Maps of a rectangle; all four numbers are multiples of ALIGNMENT."""
         field = random_field(
-            seed,
+            Patch(seed, Rectangle(x - HALO, y - HALO, width + 2 * HALO, height + 2 * HALO)),
             self.decoder.config.noise_channels,
             self.waves,
-            x - HALO,
-            y - HALO,
-            width + 2 * HALO,
-            height + 2 * HALO,
             levels=DEPTH,
             cells=self.decoder.config.cells,
         )

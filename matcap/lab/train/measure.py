@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.finetune import RATE_FROM_NOTHING, Scene, TuneSettings, finetune
+from matcap.capture.finetune import RATE_FROM_NOTHING, TuneScene, TuneSettings, finetune
 from matcap.capture.prior.look import FEATURES
 from matcap.capture.windows import cut_windows
 from matcap.files.srgb import srgb_encode_tensor
@@ -52,7 +52,7 @@ class Photographed:
     entry: Entry
     photo: Photo
     plane: Plane
-    scene: Scene
+    scene: TuneScene
 
     @property
     def middle(self) -> tuple[int, int]:
@@ -86,7 +86,7 @@ def photographed(entry: Entry) -> Photographed:
     photo, setup = entry.photo(), entry.coarse.setup
     plane, bank = read_plane(photo, setup, DETAIL), FilterBank(FEATURES)
     windows = cut_windows(plane, bank, _WINDOW)
-    scene = Scene(windows, setup, plane.encoding, bank, entry.waves, plane.texel_size)
+    scene = TuneScene(windows, setup, plane.encoding, bank, entry.waves, plane.texel_size)
     return Photographed(entry, photo, plane, scene)
 
 

@@ -48,7 +48,7 @@ class Entry:
         simulated: made by matcap.lab.simulate.
         jpeg: the encoded picture.
         coarse: its coarse fit.
-        contrast: (3,) log contrast (prior/base.py).
+        contrast: (3,) log contrast (capture/prior/base.py).
         waves: of its lattice, at WAVE_DETAIL texels across.
         tilt: the true (tilt_x, tilt_y) in radians, or None where unknown.
     """

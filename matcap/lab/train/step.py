@@ -15,6 +15,7 @@ from matcap.lab.train.windows import Sample
 from matcap.model.decoder import DEPTH, Decoder, maps_from_raw
 from matcap.model.noise import noise_field
 from matcap.model.order import WAVE_CHANNELS, wave_field
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import RandomField
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
@@ -121,7 +122,8 @@ def fields(
     """A batch of fields for windows of `size` texels: noise on a torus, waves endless."""
     side = size + 2 * MARGIN
     noise = noise_field(
-        seed, channels * len(waves), 0, 0, side, side, period=(side, side), device=device
+        Patch(seed, Rectangle(0, 0, side, side), period=(side, side), device=device),
+        channels * len(waves),
     ).view(len(waves), channels, side, side)
     stack = []
     for level in range(DEPTH):
@@ -129,7 +131,9 @@ def fields(
         stack.append(
             torch.stack(
                 [
-                    wave_field(seed, w, 0, 0, here, here, level=level, device=device)
+                    wave_field(
+                        Patch(seed, Rectangle(0, 0, here, here), level=level, device=device), w
+                    )
                     if w
                     else torch.zeros(WAVE_CHANNELS, here, here, device=device)
                     for w in waves

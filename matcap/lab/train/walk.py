@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.prior.blend import blend
 from matcap.files.srgb import srgb_encode_tensor
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified
 from matcap.lab.bench.style import RandomFilters, difference
+from matcap.model.between import blend
 from matcap.model.material import Material
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
 

@@ -6,7 +6,7 @@ import math
 import pytest
 from PIL import Image
 
-from matcap.capture.pipeline import PRESETS
+from matcap.capture.settings import PRESETS
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.lab.bench import capture

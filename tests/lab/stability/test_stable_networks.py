@@ -17,6 +17,7 @@ from matcap.model.field import BLOCK, Field
 from matcap.model.freeze import fold, freeze, reference_field
 from matcap.model.material import Material
 from matcap.model.noise import COORDINATE_LIMIT
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.lattice import Wave
 
@@ -36,7 +37,9 @@ def a_decoder(gain=1.0):
 
 
 def a_field(size=64, seed=0, x=0, y=0):
-    return random_field(seed, CONFIG.noise_channels, WAVES, x, y, size, size, levels=DEPTH)
+    return random_field(
+        Patch(seed, Rectangle(x, y, size, size)), CONFIG.noise_channels, WAVES, levels=DEPTH
+    )
 
 
 def a_material(decoder):

@@ -6,7 +6,7 @@ import pytest
 import torch
 from small import SMALL, coarse, entry
 
-from matcap.capture.finetune import Scene, TuneSettings, finetune
+from matcap.capture.finetune import TuneScene, TuneSettings, finetune
 from matcap.capture.start import untrained
 from matcap.capture.windows import cut_windows
 from matcap.flash.plane import read_plane
@@ -14,6 +14,7 @@ from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap.model.decoder import CODE_SIZE, DEPTH, OUTPUTS, Decoder
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
+from matcap.model.patch import Patch, Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import Wave
@@ -34,7 +35,9 @@ def frozen() -> Unfolded:
 
 def test_it_decodes_a_field_of_its_own_channels():
     made = decoder()
-    field = random_field(3, made.config.noise_channels, (), 0, 0, 64, 32, levels=DEPTH)
+    field = random_field(
+        Patch(3, Rectangle(0, 0, 64, 32)), made.config.noise_channels, (), levels=DEPTH
+    )
     raw = made(field, CODE)
     assert raw.shape == (1, OUTPUTS, 32, 64)
     assert bool(torch.isfinite(raw).all())
@@ -42,7 +45,9 @@ def test_it_decodes_a_field_of_its_own_channels():
 
 def test_every_level_reads_white_noise_of_its_own():
     made = decoder()
-    field = random_field(1, made.config.noise_channels, (), 0, 0, 256, 256, levels=0)
+    field = random_field(
+        Patch(1, Rectangle(0, 0, 256, 256)), made.config.noise_channels, (), levels=0
+    )
     read = made.way_down(field.noise, lambda layer: lambda noise: noise)
     assert [noise.shape[-1] for noise in read] == [256, 128, 64, 32, 16]
     for level, noise in enumerate(read):
@@ -81,7 +86,7 @@ def test_it_tunes_with_a_finite_loss():
     plane = read_plane(photographed.photo(), photographed.coarse.setup, 192)
     bank = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
     windows = cut_windows(plane, bank, 64)
-    scene = Scene(windows, photographed.coarse.setup, plane.encoding, bank, WAVES, 2.0 / 192)
+    scene = TuneScene(windows, photographed.coarse.setup, plane.encoding, bank, WAVES, 2.0 / 192)
     before = decoder().state_dict()
     tuned = finetune(decoder(), CODE, scene, TuneSettings(steps=2), lambda *_: None)
     assert [step for _, step, _ in tuned.history] == [1, 2]

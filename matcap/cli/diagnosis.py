@@ -14,7 +14,7 @@ from time import perf_counter
 from typing import Any
 
 from matcap.errors import MatcapError
-from matcap.version import __version__
+from matcap.files.maker import MAKER_VERSION
 
 _PLACE = Path(__file__).parents[1]  # the installed package
 _SIDE = 256  # texels of the self-test's maps
@@ -146,7 +146,7 @@ def diagnose(*, self_test: bool = True) -> Diagnosis:
     packages, extras = _requirements()
     missing = [package.name for package in packages if package.version is None]
     return Diagnosis(
-        matcap=__version__,
+        matcap=MAKER_VERSION,
         python=platform.python_version(),
         system=f"{platform.system()} {platform.machine()}",
         place=str(_PLACE),

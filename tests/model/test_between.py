@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from matcap.capture.prior.blend import blend, blend_waves
 from matcap.capture.start import reading_cells
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
+from matcap.model.between import blend, blend_waves
 from matcap.model.decoder import Decoder, DecoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.material import Material

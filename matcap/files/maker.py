@@ -1,0 +1,8 @@
+"""Who made a file: what every file that matcap writes says of the program."""
+
+from __future__ import annotations
+
+from matcap.version import __version__
+
+MAKER_VERSION = __version__
+MAKER = f"matcap {MAKER_VERSION}"
