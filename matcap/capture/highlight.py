@@ -22,7 +22,8 @@ SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlight
 _WIDEST = 0.5  # a half width beyond this is the falloff itself
 _FAINTEST = 1.3  # the faintest highlight's peak over what of the surroundings ...
 _USUAL = 0.9  # ... so large a share is darker than: a white square of a plaid is no highlight
-_ROUNDS = 6
+_TOP = 0.3  # of the way down from the peak, what its centre is the centroid of
+_ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -71,10 +72,11 @@ def find_highlight(light: Light) -> Highlight | None:
         if found is None:
             return None
         peak, surroundings, half = found
-        middle = 0.5 * (peak + surroundings)
-        # Light above the half-way level, none of it counting for more than the peak.
-        over = np.clip(_blur(light, 0.25 * half / cell) - middle, 0.0, peak - middle)
-        over = over * (away < 2.0 * half + 2.0 * cell)
+        # Light near the top, none of it counting for more than the peak: lower down, what is around
+        # the highlight pulls it to the brighter side.
+        high = peak - _TOP * (peak - surroundings)
+        over = np.clip(_blur(light, 0.25 * half / cell) - high, 0.0, peak - high)
+        over = over * (away < 1.2 * half + 2.0 * cell)
         if over.sum() <= 0.0:
             return None
         moved = np.array([(over * u[None, :]).sum(), (over * v[:, None]).sum()]) / over.sum()
