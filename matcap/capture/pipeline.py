@@ -254,6 +254,7 @@ def _provenance(
             "specular": coarse.specular,
             "roughness": coarse.roughness,
             "residual": coarse.residual,
+            "lobes": [list(lobe) for lobe in coarse.lobes],
         },
     }
     return told | ({"others": joined} if joined else {})
