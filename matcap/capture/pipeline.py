@@ -186,7 +186,7 @@ def capture_photo(
 
 
 def _shown(material: Material, plane: Plane, seed: int) -> MapSet:
-    """Maps to look at beside the photograph: of the piece itself, where it is what is rearranged."""
+    """Maps to look at beside the photograph: of the piece itself, where that is rearranged."""
     if material.exemplar is not None:
         return piece_maps(material.exemplar)
     return material.maps(*plane.size, seed=seed)
