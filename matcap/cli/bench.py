@@ -57,7 +57,7 @@ def quality(
     pieces of the same materials, beside simple ways to do the same. Errors are multiples of what
     two true pieces differ by. Writes quality.md, quality.csv and pictures; prints the table.
     """
-    from matcap.capture.pipeline import capture_file
+    from matcap.capture import pipeline
     from matcap.capture.settings import CaptureSettings
     from matcap.files.staging import check_writable
     from matcap.lab.bench.quality import (
@@ -72,7 +72,7 @@ def quality(
     check_writable(out, 200_000_000)
     captured = CaptureSettings(preset, steps, time_limit, detail=detail)
     scores = run_quality(
-        lambda photo: capture_file(photo, captured).material,
+        lambda photo: pipeline.capture_file(photo, captured).material,
         out,
         materials=material or EXAMPLES,
         methods=method or METHODS,
@@ -82,6 +82,43 @@ def quality(
     command = shlex.join(["matcap", *sys.argv[1:]])
     write_scores(scores, out, command)
     typer.echo(markdown(scores, command))
+
+
+@app.command()
+def highlight(
+    photographs: Annotated[
+        list[Path] | None, typer.Argument(help="Real photographs; those without a highlight pass.")
+    ] = None,
+    simulated: Annotated[
+        int, typer.Option(min=0, help="So many simulated photographs, of known offset and tilt.")
+    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the simulated ones.")] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for photograph and re-rendering side by side."),
+    ] = None,
+) -> None:
+    """Whether the coarse fit keeps highlights, and finds flash and tilt where they were.
+
+    Compares the highlight's centre, width and contrast in photographs and in re-renderings of
+    their coarse fits. Prints a line a photograph, and errors of offset and tilt on simulated ones.
+    """
+    from matcap.lab.bench.highlight import keep, markdown, place, write_pair
+    from matcap.lab.bench.highlight import simulated as make
+    from matcap.photo.load import load_photo
+
+    kept = []
+    for path in photographs or []:
+        photo = load_photo(path, noise=False)
+        one, fit = keep(photo)
+        if one is None or fit is None:
+            continue
+        kept.append(one)
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            write_pair(fit, photo, out / f"{path.stem}.png")
+    placed = [place(*shot) for shot in make(simulated, seed)]
+    typer.echo(markdown(kept, placed, shlex.join(["matcap", *sys.argv[1:]])))
 
 
 @app.command()

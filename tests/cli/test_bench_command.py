@@ -1,7 +1,10 @@
 """`matcap bench`: what the command hands to the measurement and prints of it."""
 
+from types import SimpleNamespace
+
 import pytest
 
+from matcap.capture import pipeline
 from matcap.errors import MatcapError
 from matcap.lab.bench.quality import Score
 
@@ -20,7 +23,7 @@ def measured(monkeypatch):
     return calls
 
 
-def test_the_table_is_printed_and_written(matcap, measured, tmp_path):
+def test_the_table_is_printed_and_written(matcap, measured, tmp_path, monkeypatch):
     said = matcap(
         "bench", "quality", "-o", tmp_path / "q", "--material", "granite", "--detail", 256,
         "--preset", "draft",
@@ -33,8 +36,11 @@ def test_the_table_is_printed_and_written(matcap, measured, tmp_path):
     assert out == tmp_path / "q"
     assert options["materials"] == ["granite"]
     assert options["settings"].detail == 256
-    assert capture.keywords["preset"] == "draft"
-    assert capture.keywords["detail"] == 256
+    monkeypatch.setattr(
+        pipeline, "capture_file", lambda path, settings: SimpleNamespace(material=settings)
+    )
+    captured = capture(tmp_path / "photo.dng")
+    assert (captured.preset, captured.detail) == ("draft", 256)
 
 
 def test_a_failed_capture_is_3(matcap, monkeypatch, tmp_path):
@@ -46,3 +52,22 @@ def test_a_failed_capture_is_3(matcap, monkeypatch, tmp_path):
     assert (said.code, said.out) == (3, "")
     assert said.err == 'matcap: plenoptic is not installed; pip install "matcap[bench]".\n'
     assert list(tmp_path.iterdir()) == []
+
+
+def test_bench_highlight_tells_what_was_kept_and_where_things_were(monkeypatch, matcap):
+    """Only what is plain to see counts; nothing is fitted here."""
+    from matcap.capture.highlight import Highlight
+    from matcap.lab.bench import highlight as bench
+
+    there = Highlight((0.0, 0.0), 0.2, 0.8, 0.1)
+    again = Highlight((0.01, 0.0), 0.21, 0.8, 0.09)
+    lost = bench.Kept("stone", there, None, 1.0)
+    monkeypatch.setattr(bench, "simulated", lambda count, seed: [("gravel", None, None)] * count)
+    monkeypatch.setattr(
+        bench, "place", lambda kind, photo, truth: bench.Placed(kind, True, 0.02, 1.25)
+    )
+    assert bench.Kept("leather", there, again, 1.0).whole and not lost.whole
+    assert "| stone | inf | 0.00 | 0.00 | no |" in bench.markdown([lost], [], "matcap bench")
+    said = matcap("bench", "highlight", "--simulated", 2)
+    assert said.code == 0
+    assert "| all | 2 | 0.020 | 0.020 | 1.25° | 1.25° | 0 |" in said.out

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from matcap.lab.simulate.fields import Canvas, Field, Spectrum, noise, smoothstep
-from matcap.lab.simulate.materials.kinds.draws import METALS, Whole, angle, chance, log_uniform, natural
+from matcap.lab.simulate.materials.kinds.draws import (
+    METALS,
+    Whole,
+    angle,
+    chance,
+    log_uniform,
+    natural,
+)
 from matcap.lab.simulate.materials.kinds.place import scatter, splat
 from matcap.lab.simulate.materials.kinds.surface import Surface
 

@@ -1,0 +1,129 @@
+"""Where a flash's highlight is in a picture, how wide, and how far it stands out.
+
+Measured alike in a photograph and in a re-rendering of it, so that the two can be compared: on a
+grid of cells, with medians over rings, which texture and glints do not move, and without a model.
+Clipping flattens the top in both: a re-rendering is clipped where the photograph was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Light = NDArray[np.float64]
+
+CELLS = 256  # across the long side: a spot of four pixels in a thousand is still a cell
+_SEED_BLUR = 0.04  # plane units, deviation: a glint is smaller, a highlight is not
+_RINGS = 0.02  # plane units a ring
+SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlights
+_WIDEST = 0.5  # a half width beyond this is the falloff itself
+_FAINTEST = 1.3  # the faintest highlight's peak over what of the surroundings ...
+_USUAL = 0.9  # ... so large a share is darker than: a white square of a plaid is no highlight
+_TOP = 0.3  # of the way down from the peak, what its centre is the centroid of
+_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class Highlight:
+    """A highlight.
+
+    Attributes:
+        centre: image coordinates (u right, v up; the long side in [-1, 1]).
+        width: radius at which light is half-way between peak and surroundings, plane units.
+        peak: light in its middle, no more than the picture's clip level.
+        surroundings: light 0.5 to 0.7 plane units away.
+    """
+
+    centre: tuple[float, float]
+    width: float
+    peak: float
+    surroundings: float
+
+    @property
+    def contrast(self) -> float:
+        """Peak over surroundings."""
+        return self.peak / self.surroundings
+
+
+def light_of(pixels: NDArray[np.float32], cells: int = CELLS) -> Light:
+    """(h, w) mean of the channels (H, W, 3) on a grid `cells` across."""
+    height, width = pixels.shape[:2]
+    size = (cells, max(8, round(cells * height / width)))
+    how = cv2.INTER_AREA if width >= cells else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(pixels, size, interpolation=how).mean(axis=2), np.float64)
+
+
+def find_highlight(light: Light) -> Highlight | None:
+    """The brightest smooth spot of a picture (h, w), linear; None where none stands out."""
+    height, width = light.shape
+    cell = 2.0 / width
+    u = (np.arange(width) + 0.5) * cell - 1.0
+    v = height / width - (np.arange(height) + 0.5) * cell
+    smooth = _blur(light, _SEED_BLUR / cell)
+    row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
+    centre, found = np.array([u[column], v[row]]), None
+    reach = 2.0 * _RINGS
+    for _ in range(_ROUNDS):
+        away = np.hypot(u[None, :] - centre[0], v[:, None] - centre[1])
+        found = _profile(light, away, reach)
+        if found is None:
+            return None
+        peak, surroundings, half = found
+        # Light near the top, none of it counting for more than the peak: lower down, what is around
+        # the highlight pulls it to the brighter side.
+        high = peak - _TOP * (peak - surroundings)
+        over = np.clip(_blur(light, 0.25 * half / cell) - high, 0.0, peak - high)
+        over = over * (away < 1.2 * half + 2.0 * cell)
+        if over.sum() <= 0.0:
+            return None
+        moved = np.array([(over * u[None, :]).sum(), (over * v[:, None]).sum()]) / over.sum()
+        reach = max(0.35 * half, 1.5 * cell)
+        done = float(np.hypot(*(moved - centre))) < 0.1 * cell
+        centre = moved
+        if done:
+            break
+    if found is None:
+        return None
+    peak, surroundings, half = found[0], max(found[1], 1e-6), found[2]
+    ring = (away > SURROUNDINGS[0]) & (away < SURROUNDINGS[1])
+    if peak < _FAINTEST * float(np.quantile(light[ring], _USUAL)):
+        return None
+    return Highlight((float(centre[0]), float(centre[1])), half, peak, surroundings)
+
+
+def _profile(light: Light, away: Light, reach: float) -> tuple[float, float, float] | None:
+    """Peak, surroundings and the radius half-way between them; None without one."""
+    ring = (away < SURROUNDINGS[1]) & (away > SURROUNDINGS[0])
+    if not ring.any():
+        return None
+    surroundings = float(np.median(light[ring]))
+    inner = away < max(reach, float(away.min()))
+    peak = float(np.median(light[inner])) if inner.any() else float(light.flat[away.argmin()])
+    middle = 0.5 * (peak + surroundings)
+    # Medians of rings, the first of them a disc, from the middle outwards.
+    last_radius, last = 0.0, peak
+    step = min(_RINGS, 0.5 * max(reach, _RINGS / 2.0))
+    for k in range(1, int(_WIDEST / step) + 1):
+        radius = k * step
+        inside = (away >= radius - 0.5 * step) & (away < radius + 0.5 * step)
+        if not inside.any():
+            continue
+        value = float(np.median(light[inside]))
+        if value < middle:
+            share = (last - middle) / max(last - value, 1e-12)
+            return (
+                peak,
+                surroundings,
+                last_radius + float(np.clip(share, 0.0, 1.0)) * (radius - last_radius),
+            )
+        last_radius, last = radius, value
+    return None
+
+
+def _blur(light: Light, deviation: float) -> Light:
+    return np.asarray(
+        cv2.GaussianBlur(light, (0, 0), max(deviation, 0.3), borderType=cv2.BORDER_REFLECT_101)
+    )
