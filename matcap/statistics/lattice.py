@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -26,6 +26,11 @@ _LONGEST = 80.0  # texels: longer periods repeat too few times to be called regu
 _ORDERS = range(-4, 5)
 _TOLERANCE = 0.9  # spectral bins by which a peak may miss its lattice point
 _LEAST_VARIANCE = 1e-4  # of the encoded picture; what is fainter is rounding
+_MULTIPLES = (1, 2, 3, 4)  # of a peak's period that the texture's own may be
+_CLEARLY = 0.05  # by how much more the texture must be like itself after a longer shift
+_REACH = 0.4  # of the picture's sides: longer shifts have too little left to compare
+_NEAR = 2  # texels that a shift may miss, as lattices bend
+_SHADING = 255  # texels: what varies more slowly is shading
 _LEAST_EXPLAINED = 0.05  # of the texture's power, or there is no order worth keeping
 
 
@@ -78,7 +83,67 @@ def find_lattice(colour: Tensor, valid: Tensor) -> Lattice:
             best = (explained - cost, basis, explained)
     if best[2] < _LEAST_EXPLAINED:
         return Lattice((), best[2])
-    return Lattice(tuple(Wave(fx / _WINDOW, fy / _WINDOW) for fx, fy in best[1]), best[2])
+    waves = tuple(Wave(fx / _WINDOW, fy / _WINDOW) for fx, fy in best[1])
+    return Lattice(_whole_periods(waves, colour, valid), best[2])
+
+
+def _whole_periods(waves: tuple[Wave, ...], colour: Tensor, valid: Tensor) -> tuple[Wave, ...]:
+    """Waves as long as the texture's periods, which may be several times those of its peaks.
+
+    A check of 87 texels whose third harmonic is the strongest, or whose fundamental is too long
+    for the windows, has its peaks at 29. Moved by 29 texels it is less like itself than by 87.
+    """
+    alike = _alike(colour, valid)
+    found = []
+    for wave, (x, y) in zip(waves, _periods(waves), strict=True):
+        likeness = {m: alike(m * x, m * y) for m in _MULTIPLES}
+        times = max(_MULTIPLES, key=lambda m: likeness[m] - _CLEARLY * (m > 1))
+        found.append(Wave(wave.fx / times, wave.fy / times))
+    return tuple(found)
+
+
+def _periods(waves: tuple[Wave, ...]) -> list[tuple[float, float]]:
+    """For each wave the shift, in texels, that turns it once and the other one not at all."""
+    if len(waves) == 1:
+        square = waves[0].fx ** 2 + waves[0].fy ** 2
+        return [(waves[0].fx / square, waves[0].fy / square)]
+    a, b = waves
+    area = a.fx * b.fy - a.fy * b.fx
+    return [(b.fy / area, -b.fx / area), (-a.fy / area, a.fx / area)]
+
+
+def _alike(colour: Tensor, valid: Tensor) -> Callable[[float, float], float]:
+    """How well a texture correlates with itself moved by (x, y) texels, at most 1."""
+    height, width = valid.shape
+    seen = valid.to(colour.dtype)
+    # Shading is the same after any shift.
+    share = _around(seen[None]).clamp_min(1e-6)
+    texture = (colour - _around(colour * seen) / share) * seen
+    size = (2 * height, 2 * width)
+
+    def correlated(planes: Tensor) -> Tensor:
+        power = torch.fft.rfft2(planes, s=size).abs().square().sum(0)
+        return torch.fft.irfft2(power, s=size)
+
+    both = correlated(seen[None])
+    correlation = correlated(texture) / both.clamp_min(1.0)
+    variance = float(correlation[0, 0].clamp_min(1e-12))
+
+    def likeness(x: float, y: float) -> float:
+        if abs(x) > width * _REACH or abs(y) > height * _REACH:
+            return -1.0
+        rows = torch.arange(round(y) - _NEAR, round(y) + _NEAR + 1) % size[0]
+        columns = torch.arange(round(x) - _NEAR, round(x) + _NEAR + 1) % size[1]
+        return float(correlation[rows[:, None], columns].max()) / variance
+
+    return likeness
+
+
+def _around(planes: Tensor) -> Tensor:
+    """Means over squares of _SHADING texels; beyond the border lies nothing."""
+    half = _SHADING // 2
+    rows = F.avg_pool2d(planes, (_SHADING, 1), stride=1, padding=(half, 0))
+    return F.avg_pool2d(rows, (1, _SHADING), stride=1, padding=(0, half))
 
 
 def _mean_spectrum(colour: Tensor, valid: Tensor) -> Tensor | None:

@@ -81,3 +81,25 @@ def test_nothing_comes_of_nothing(value):
     flat = torch.full((3, SIZE, SIZE), value)
     assert find_lattice(flat, ALL).waves == ()
     assert find_lattice(noise(), ~ALL).waves == ()
+
+
+@pytest.mark.parametrize(("along_x", "along_y"), [(72.0, 87.0), (40.0, 110.0), (31.0, 24.0)])
+def test_a_check_has_the_periods_of_all_its_stripes(along_x, along_y):
+    """Three stripes to a period, one of another colour: the third harmonic is the strongest."""
+    rows, columns = torch.meshgrid(torch.arange(560), torch.arange(640), indexing="ij")
+
+    def stripes(places, period):
+        turn = places / period % 1.0
+        return torch.tanh(4.0 * torch.cos(2 * math.pi * 3 * turn)) * (1.0 - 0.7 * (turn < 1 / 3))
+
+    check = stripes(columns, along_x)[None] + stripes(rows, along_y)[None]
+    picture = check.repeat(3, 1, 1) + 0.4 * torch.randn(
+        3, 560, 640, generator=torch.Generator().manual_seed(1)
+    )
+    lattice = find_lattice(picture, torch.ones(560, 640, dtype=torch.bool))
+    assert len(lattice.waves) == 2
+    for wanted in ((1 / along_x, 0.0), (0.0, 1 / along_y)):
+        assert generates(lattice.waves, wanted) < MISS
+    # And no finer than that: the cell is one period of the check.
+    (ax, ay), (bx, by) = ((w.fx, w.fy) for w in lattice.waves)
+    assert abs(ax * by - ay * bx) * along_x * along_y == pytest.approx(1.0, rel=0.02)
