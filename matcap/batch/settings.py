@@ -88,6 +88,8 @@ _RULES: Mapping[str, _Rule] = {
     "seed": _Rule((int,), 0, 2**63 - 1),
     "prior": _Rule((str,)),
     "statistics": _Rule((str,)),
+    "generator": _Rule((str,), words=("decoder", "example")),
+    "aligned": _Rule((bool,)),
     "size": _Rule((str, int)),
     "tile": _Rule((bool,)),
     "png": _Rule((bool,)),

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 NormalStyle = Literal["gl", "dx"]
 
 FORMAT = "matcap map set"
+PIECE = "_photo"  # after a material's name: the maps of the photographed piece itself
 VERSION = 1  # of the document
 # Bytes a texel takes at most, for all maps: what is asked of the disk beforehand.
 EXR_BYTES = 2 * (3 + 1 + 1 + 3) + 4
@@ -193,8 +194,13 @@ def mapset_bytes(width: int, height: int, *, png: bool) -> int:
 
 
 def find_mapsets(folder: Path) -> list[Path]:
-    """The JSON files of the map sets in a folder, sorted."""
-    return [file for file in sorted(folder.glob("*.json")) if _load_document(file) is not None]
+    """The JSON files of the map sets in a folder, sorted.
+
+    A photographed piece beside its material's own set is that one's companion, and not listed.
+    """
+    found = [file for file in sorted(folder.glob("*.json")) if _load_document(file) is not None]
+    names = {file.stem for file in found}
+    return [file for file in found if file.stem.removesuffix(PIECE) not in names - {file.stem}]
 
 
 def _arrays(maps: MapSet, normal: NormalStyle) -> dict[str, NDArray[np.float32]]:

@@ -7,13 +7,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from matcap.brdf.folder import MapSetInfo, NormalStyle, mapset_bytes, mapset_files, write_mapset
+from matcap.brdf.folder import (
+    PIECE,
+    MapSetInfo,
+    NormalStyle,
+    mapset_bytes,
+    mapset_files,
+    write_mapset,
+)
 from matcap.errors import UsageError
 from matcap.export.targets import check_targets, export_bytes, export_mapset
+from matcap.files.exr import write_exr_channels
 from matcap.files.staging import staged
 from matcap.model.decoder import ALIGNMENT
+from matcap.model.exemplar import CHANNELS
 
 if TYPE_CHECKING:
+    from matcap.capture.exemplar.find import FoundExemplar
     from matcap.capture.pipeline import CaptureResult
 
 PREVIEW, REPORT = "preview.png", "report.json"
@@ -92,11 +102,13 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
     period = settings.size if settings.tile else None
     maps = material.maps(*settings.size, seed=settings.seed, period=period)
     info = MapSetInfo(name, settings.seed, provenance=dict(material.provenance))
-    with staged(folder, replacing=mapset_files(name)) as stage:
+    with staged(folder, replacing=[*mapset_files(name), *_piece_files(name)]) as stage:
         write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
         write_preview(result, stage / PREVIEW)
         write_report(result, stage / REPORT)
         material.save(stage / f"{name}.matcap")
+        if result.found is not None and result.settings.aligned:
+            _write_piece(result.found, stage, name, settings)
     for target in settings.targets:
         export_mapset(folder / f"{name}.json", target)
     return folder / f"{name}.matcap"
@@ -107,3 +119,23 @@ def output_files(name: str) -> list[str]:
     from matcap.capture.report import CURVE
 
     return [f"{name}.matcap", PREVIEW, REPORT, CURVE, *mapset_files(name)]
+
+
+def _write_piece(found: FoundExemplar, stage: Path, name: str, settings: OutputSettings) -> None:
+    """Maps of the photographed piece, and how far each is trusted."""
+    from matcap.capture.exemplar.find import piece_maps
+
+    exemplar = found.exemplar
+    about = {"of": "the photographed piece", "error": found.error}
+    info = MapSetInfo(name + PIECE, None, provenance=about)
+    write_mapset(piece_maps(exemplar), stage, info, png=settings.png, normal=settings.normal)
+    trusted = dict(zip(CHANNELS, exemplar.confidence, strict=True))
+    write_exr_channels(stage / _confidence_file(name), trusted)
+
+
+def _piece_files(name: str) -> list[str]:
+    return [*mapset_files(name + PIECE), _confidence_file(name)]
+
+
+def _confidence_file(name: str) -> str:
+    return f"{name}{PIECE}_confidence.exr"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,8 @@ from matcap.capture.anytime import self_difference
 from matcap.capture.audition import begin
 from matcap.capture.coarse import CoarseFit, fit_coarse, under_flash
 from matcap.capture.detail import plane_in_detail
+from matcap.capture.exemplar.find import FoundExemplar, find_exemplar, piece_maps
+from matcap.capture.exemplar.store import load_inverse
 from matcap.capture.finetune import Tuned, TuneScene, TuneSettings, finetune
 from matcap.capture.joint import join
 from matcap.capture.match import match_photograph
@@ -55,6 +57,7 @@ class CaptureResult:
         settings: as given.
         interrupted: ended by Ctrl-C, with the best so far.
         self_difference: error between neighbouring windows of the photograph; NaN if it has none.
+        found: maps of the photographed piece, where they were asked for.
     """
 
     photo: Photo
@@ -67,6 +70,7 @@ class CaptureResult:
     settings: CaptureSettings
     interrupted: bool
     self_difference: float = math.nan
+    found: FoundExemplar | None = None
 
 
 def read_photograph(path: str | Path, settings: CaptureSettings) -> Photo:
@@ -154,8 +158,19 @@ def capture_photo(
         with clock.stage("matching"):  # to the first photograph, if there are others
             material = match_photograph(material, plane, settings.seed)
 
+    found = None
+    if settings.finds_exemplar:
+        with clock.stage("exemplar"):
+            found = find_exemplar(plane, coarse, load_inverse(), scene.waves)
+        if settings.generator == "example":
+            material = replace(material, example=found.example)
+
     with clock.stage("rendering"):
-        maps = material.maps(*plane.size, seed=settings.seed)
+        # By example, the photographed piece itself tells more than another piece would.
+        if found is not None and settings.generator == "example":
+            maps = piece_maps(found.exemplar)
+        else:
+            maps = material.maps(*plane.size, seed=settings.seed)
         with torch.inference_mode():
             rerendered = render_rectified(maps, material.setup)
 
@@ -170,6 +185,7 @@ def capture_photo(
         settings=settings,
         interrupted=tuned.interrupted,
         self_difference=own,
+        found=found,
     )
 
 

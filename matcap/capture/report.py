@@ -18,6 +18,10 @@ Keys:
     seconds: that the work took.
     stage_seconds: that each stage took.
     error_over_time: seconds, step and error, as the work went on.
+    exemplar: of the maps of the photographed piece, or null: `error` (median difference of log
+        radiance between photograph and re-rendering), `slow` (its slow part, not the
+        material's), `relief` (root-mean-square slope that the photograph tells outright, or
+        null), `confidence` (mean, by map).
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.
 """
@@ -39,8 +43,10 @@ from matcap.capture.detail import DETAIL
 from matcap.capture.settings import CaptureSettings, resolve
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
+from matcap.model.exemplar import CHANNELS
 
 if TYPE_CHECKING:
+    from matcap.capture.exemplar.find import FoundExemplar
     from matcap.capture.pipeline import CaptureResult
 
 CURVE = "error.png"
@@ -101,6 +107,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
             {"seconds": seconds, "step": step, "error": error}
             for seconds, step, error in result.history
         ],
+        "exemplar": _exemplar(result.found),
         "provenance": result.material.provenance,
         "versions": {
             "matcap": MAKER_VERSION,
@@ -108,6 +115,18 @@ def report(result: CaptureResult) -> dict[str, Any]:
             "platform": platform.platform(),
             **{name: version(name) for name in _LIBRARIES},
         },
+    }
+
+
+def _exemplar(found: FoundExemplar | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    means = found.exemplar.confidence.mean((1, 2)).tolist()
+    return {
+        "error": found.error,
+        "slow": found.slow,
+        "relief": None if found.strengths is None else found.strengths.relief,
+        "confidence": dict(zip(CHANNELS, means, strict=True)),
     }
 
 

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from matcap.capture.detail import DETAIL
 from matcap.errors import UsageError
 from matcap.model.decoder import DecoderConfig
+from matcap.model.source import Generator
 from matcap.statistics.filterbank import FilterBankConfig
 
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
@@ -65,6 +66,9 @@ class CaptureSettings:
         prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
         statistics: that textures are compared by: "filterbank", or "vgg19=FILE" with
             torchvision's weights.
+        generator: that the material is read by: "decoder" (the fine-tuned network) or "example"
+            (the photographed piece, rearranged).
+        aligned: the maps of the photographed piece itself are found, too.
 
     With a time limit or a target, and without steps, the preset is "reference": the limit alone
     decides when to stop.
@@ -79,6 +83,13 @@ class CaptureSettings:
     seed: int = 0
     prior: str = "auto"
     statistics: str = "filterbank"
+    generator: Generator = "decoder"
+    aligned: bool = False
+
+    @property
+    def finds_exemplar(self) -> bool:
+        """Whether the photographed piece's own maps are wanted."""
+        return self.aligned or self.generator == "example"
 
     @property
     def most_detail(self) -> int:

@@ -57,7 +57,7 @@ def quality(
     pieces of the same materials, beside simple ways to do the same. Errors are multiples of what
     two true pieces differ by. Writes quality.md, quality.csv and pictures; prints the table.
     """
-    from matcap.capture.pipeline import capture_file
+    from matcap.capture import pipeline
     from matcap.capture.settings import CaptureSettings
     from matcap.files.staging import check_writable
     from matcap.lab.bench.quality import (
@@ -72,7 +72,7 @@ def quality(
     check_writable(out, 200_000_000)
     captured = CaptureSettings(preset, steps, time_limit, detail=detail)
     scores = run_quality(
-        lambda photo: capture_file(photo, captured).material,
+        lambda photo: pipeline.capture_file(photo, captured).material,
         out,
         materials=material or EXAMPLES,
         methods=method or METHODS,

@@ -13,6 +13,7 @@ import typer
 
 from matcap.cli.options import (
     ExportOption,
+    GeneratorName,
     JsonOption,
     Normal,
     NormalOption,
@@ -99,6 +100,20 @@ def capture(
         str,
         typer.Option(metavar="filterbank|vgg19=FILE", help="What textures are compared by."),
     ] = "filterbank",
+    generator: Annotated[
+        GeneratorName,
+        typer.Option(
+            help="What the material is read by: the fine-tuned network (decoder), or the "
+            "photographed piece rearranged (example)."
+        ),
+    ] = GeneratorName.decoder,
+    aligned: Annotated[
+        bool,
+        typer.Option(
+            "--aligned",
+            help="Also the maps of the photographed piece itself, NAME_photo, with confidence.",
+        ),
+    ] = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -114,7 +129,7 @@ def capture(
 
     settings = CaptureSettings(
         preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
-        seed=seed, prior=prior, statistics=statistics,
+        seed=seed, prior=prior, statistics=statistics, generator=generator.value, aligned=aligned,
     )  # fmt: skip
     targets = OutputSettings.known_targets(export or [])
     side = (size.width, size.height)

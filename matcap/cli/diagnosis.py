@@ -15,8 +15,10 @@ from typing import Any
 
 from matcap.errors import MatcapError
 from matcap.files.maker import MAKER_VERSION
+from matcap.model.example.compiled import kernel
 
 _PLACE = Path(__file__).parents[1]  # the installed package
+_PLAIN = "plain loops, slow; for compiled ones install matcap again where there is a C compiler"
 _SIDE = 256  # texels of the self-test's maps
 
 
@@ -82,6 +84,8 @@ class Diagnosis:
         place: where matcap is installed.
         cores: this process may use.
         devices: what torch can compute on.
+        compiled: whether the inner loops of the field by example were built; without them it is
+            the same bits, slowly.
         prior: bytes of the trained prior that comes along, or None where it is missing.
         packages: what matcap cannot do without.
         extras: what it can.
@@ -94,6 +98,7 @@ class Diagnosis:
     place: str
     cores: int
     devices: tuple[str, ...]
+    compiled: bool
     prior: int | None
     packages: tuple[Package, ...]
     extras: tuple[Extra, ...]
@@ -118,6 +123,7 @@ class Diagnosis:
             f"matcap {self.matcap} in {self.place}",
             f"Python {self.python}, {self.system}",
             f"{self.cores} cores; devices: {', '.join(self.devices) or 'unknown'}",
+            "field by example: " + ("compiled loops" if self.compiled else _PLAIN),
             "prior " + ("MISSING" if self.prior is None else f"{self.prior / 1e6:.1f} MB"),
             "",
             "Needed",
@@ -152,6 +158,7 @@ def diagnose(*, self_test: bool = True) -> Diagnosis:
         place=str(_PLACE),
         cores=_cores(),
         devices=_devices(),
+        compiled=kernel() is not None,
         prior=_prior(),
         packages=packages,
         extras=extras,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import Bits, JsonOption, Normals, QuietOption, typed
+from matcap.cli.options import Bits, GeneratorOption, JsonOption, Normals, QuietOption, typed
 from matcap.files import values
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ def export(
         ),
     ] = values.DEFAULT_SIZE,
     seed: Annotated[int, typer.Option(help="Realisation read from a material.")] = 0,
+    generator: GeneratorOption = None,
     bits: Annotated[
         Bits | None,
         typer.Option(
@@ -109,7 +110,12 @@ def export(
     target = check_target(to=to, preset=preset)
     if out is not None:
         check_writable(out, export_bytes(size.width, size.height))
-    found = open_tile(path, size=(size.width, size.height), seed=seed)
+    found = open_tile(
+        path,
+        size=(size.width, size.height),
+        seed=seed,
+        generator=generator and generator.value,
+    )
     folder = out or Path(f"{found.name}_{target}")
     check_writable(folder, export_bytes(*found.maps.size))
     job = Job(found.maps, found.name, unit, bits and bits.value, found.provenance)

@@ -24,6 +24,7 @@ from matcap.cli import (
     doctor,
     export,
     inspect,
+    inverse,
     prior,
     relight,
     sample,
@@ -57,6 +58,7 @@ app.command("sample")(sample.sample)
 app.command("doctor")(doctor.doctor)
 app.add_typer(bench.app, name="bench")
 app.add_typer(prior.app, name="prior")
+app.add_typer(inverse.app, name="inverse")
 
 
 def _print_version(wanted: bool) -> None:

@@ -49,6 +49,20 @@ class Bits(Enum):
     float = "float"
 
 
+class GeneratorName(Enum):
+    """How a material's field is made."""
+
+    example = "example"
+    decoder = "decoder"
+
+
+GeneratorOption = Annotated[
+    GeneratorName | None,
+    typer.Option(
+        show_default="example, where the material has an exemplar",
+        help="Rearrange the photographed piece (example), or ask the network (decoder).",
+    ),
+]
 NormalOption = Annotated[Normal, typer.Option(help="Normals with +Y up (gl) or down (dx).")]
 PngOption = Annotated[bool, typer.Option("--png", help="16-bit PNGs beside the EXR files.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import JsonOption, Normal, QuietOption, typed
+from matcap.cli.options import (
+    GeneratorName,
+    GeneratorOption,
+    JsonOption,
+    Normal,
+    QuietOption,
+    typed,
+)
 from matcap.files import values
 
 if TYPE_CHECKING:
@@ -56,6 +63,7 @@ def relight(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Realisation read from a material.")] = 0,
+    generator: GeneratorOption = None,
     effects: Annotated[
         str,
         typer.Option(metavar="auto|all|none|+x,-y", help="Which effects run (see --explain)."),
@@ -114,7 +122,7 @@ def relight(
     parse_choice(effects)
     chosen = _scene(scene, light, size)
     limit = DEFAULT_TOLERANCE if tolerance is None else tolerance
-    renderer = _renderer(path, maps_from, normal, chosen, seed, quiet=quiet)
+    renderer = _renderer(path, maps_from, normal, chosen, seed, generator, quiet=quiet)
     film = renderer.film
     pictures = frames if animate else sheet.width * sheet.height if sheet else 1
     check_writable(out.parent, 16 * film.width * film.height * pictures)
@@ -161,6 +169,7 @@ def _renderer(
     normal: Normal | None,
     scene: Scene,
     seed: int,
+    generator: GeneratorName | None,
     *,
     quiet: bool,
 ) -> Renderer:
@@ -169,7 +178,7 @@ def _renderer(
     from matcap.relight.render import Renderer
 
     if maps_from is None:
-        return Renderer(open_source(path), scene, seed=seed)
+        return Renderer(open_source(path, generator and generator.value), scene, seed=seed)
     foreign = read_foreign(maps_from, normal=normal.value if normal else None)
     if not quiet:
         for note in foreign.notes:

@@ -12,12 +12,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from matcap.cli.options import ExportOption, Normal, NormalOption, PngOption, QuietOption, typed
+from matcap.cli.options import (
+    ExportOption,
+    GeneratorOption,
+    Normal,
+    NormalOption,
+    PngOption,
+    QuietOption,
+    typed,
+)
 from matcap.errors import UsageError
 from matcap.files import values
 
 if TYPE_CHECKING:
-    from matcap.model.patch import Rectangle
+    from matcap.model.material import Material
+    from matcap.model.plane import Rectangle
+    from matcap.synth.precision import Choice
     from matcap.synth.request import Progress as SynthProgress
     from matcap.synth.synthesise import Axes, Growth
 
@@ -131,6 +141,7 @@ def synth(
         int | None,
         typer.Option("--workers", "-j", min=1, max=1024, help="Processes; by default one a core."),
     ] = None,
+    generator: GeneratorOption = None,
     precision: Annotated[
         Precision,
         typer.Option(help="auto: as much bf16 as changes no map by half an 8-bit step."),
@@ -154,18 +165,18 @@ def synth(
     """
     import os
 
-    from matcap.capture.prior.store import load_prior
-    from matcap.export.targets import check_targets, export_mapset
-    from matcap.model.material import Material
-    from matcap.model.source import check_seed
-    from matcap.synth.precision import Choice
+    from matcap.model.plane import check_seed
     from matcap.synth.request import Files, Work
     from matcap.synth.synthesise import SynthRequest, synthesise
     from matcap.synth.workers import keep_memory
 
     keep_memory()  # this process is matcap's own
     check_seed(seed)
-    targets = check_targets(export or [])
+    targets: tuple[str, ...] = ()
+    if export:
+        from matcap.export.targets import check_targets
+
+        targets = check_targets(export)
     if targets and (single or udim):
         raise UsageError(
             "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
@@ -173,12 +184,12 @@ def synth(
     growth = _growth(blend, mask, mask_over)
     area = _rectangle(region or values.Region(0, 0, size.width, size.height))
     files = Files(png, normal.value, single, mip, (udim.width, udim.height) if udim else None)
-    subject = load_prior().draw(seed) if material is None else Material.load(material)
-    name = subject.name if material is None else material.stem
+    subject, name = _subject(material, seed)
     axes: Axes | None = tile.value if tile else None
     asked = SynthRequest(
-        subject, area, seed, name, files, axes, growth, precision.value, device.value
-    )
+        subject, area, seed, name, files, axes, growth, precision.value, device.value,
+        generator and generator.value,
+    )  # fmt: skip
     folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}")
 
     def told(choice: Choice) -> None:
@@ -193,14 +204,25 @@ def synth(
         typer.echo("interrupted; the same command with --resume goes on", err=True)
         raise
     for target in targets:
+        from matcap.export.targets import export_mapset
+
         export_mapset(document, target)
     if not quiet:
         typer.echo(f"wrote {document}", err=True)
 
 
+def _subject(material: Path | None, seed: int) -> tuple[Path | Material, str]:
+    """The material's file, or a material that the prior draws; and what its maps are called."""
+    if material is not None:
+        return material, material.stem
+    from matcap.capture.prior.store import load_prior
+
+    drawn = load_prior().draw(seed)
+    return drawn, drawn.name
+
+
 def _growth(blend: Path | None, mask: Path | None, over: values.Region | None) -> Growth | None:
     """What to grow into: a blend needs a mask, and the mask's options a blend."""
-    from matcap.model.material import Material
     from matcap.synth.synthesise import Growth
 
     for name, option in (("--mask", mask), ("--mask-over", over)):
@@ -210,11 +232,11 @@ def _growth(blend: Path | None, mask: Path | None, over: values.Region | None) -
         return None
     if mask is None:
         raise UsageError("there is no mask", where="--blend", remedy="give a picture with --mask")
-    return Growth(Material.load(blend), mask, None if over is None else _rectangle(over))
+    return Growth(blend, mask, None if over is None else _rectangle(over))
 
 
 def _rectangle(region: values.Region) -> Rectangle:
-    from matcap.model.patch import Rectangle
+    from matcap.model.plane import Rectangle
 
     return Rectangle(region.x, region.y, region.width, region.height)
 

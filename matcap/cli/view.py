@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.options import QuietOption
+from matcap.cli.options import GeneratorOption, QuietOption
 
 
 def view(
@@ -26,6 +26,7 @@ def view(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Realisation shown first.")] = 0,
+    generator: GeneratorOption = None,
     port: Annotated[
         int, typer.Option(min=0, max=65535, show_default="a free one", help="Of the server.")
     ] = 0,
@@ -54,7 +55,7 @@ def view(
 
     if html is not None:
         check_page_path(html)
-    subject = open_subject(path, blend, seed)
+    subject = open_subject(path, blend, seed, generator and generator.value)
     beside = photo or find_photograph(path, subject.facts.name)
     picture = browser_picture(beside) if beside else None
     if html is not None:

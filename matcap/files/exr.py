@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -47,6 +47,19 @@ def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
         OpenEXR.File(header, {"RGB" if stored.ndim == 3 else "Y": stored}).write(str(path))
     except RuntimeError as error:
         # OpenEXR keeps the cause only in its words.
+        full = "No space left" in str(error)
+        raise OSError(errno.ENOSPC if full else errno.EIO, str(error)) from error
+
+
+def write_exr_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) -> None:
+    """Write (H, W) planes in half float under names of their own; otherwise as write_exr."""
+    import OpenEXR
+
+    stored = {name: np.ascontiguousarray(plane, np.float16) for name, plane in channels.items()}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    try:
+        OpenEXR.File(header, stored).write(str(path))
+    except RuntimeError as error:
         full = "No space left" in str(error)
         raise OSError(errno.ENOSPC if full else errno.EIO, str(error)) from error
 

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from matcap.errors import UsageError
-from matcap.model.noise import COORDINATE_LIMIT
-from matcap.model.patch import Period
-from matcap.model.patch import Rectangle as Rectangle
+from matcap.model.plane import COORDINATE_LIMIT, Period
+from matcap.model.plane import Rectangle as Rectangle
 
 BLOCK = 512  # texels along x; docs/notes/synthesis.md has the measurement
 BLOCK_HEIGHT = 256
+RING = 1  # texels around a block that its normals look at
 
 
 @dataclass(frozen=True)

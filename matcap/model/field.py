@@ -12,7 +12,6 @@ from __future__ import annotations
 import os
 
 import torch
-from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.model.blocks import BLOCK, Piece, check_rectangle, pieces_of
@@ -20,7 +19,7 @@ from matcap.model.decoder import OUTPUTS
 from matcap.model.device import DeviceName, find_device
 from matcap.model.patch import Period, Rectangle
 from matcap.model.single import single_threaded
-from matcap.model.source import RING, Generator, Source, material_source
+from matcap.model.source import Generator, Material, Source, field_source, inner
 
 __all__ = ["BLOCK", "Field", "Rectangle"]
 
@@ -31,24 +30,29 @@ class Field:
     Args:
         material: what to read.
         seed: which realisation, in [-2^63, 2^63).
-        period: repeat in texels along (x, y), multiples of ALIGNMENT; None, for both or for one
-            of them, is endless.
+        period: repeat in texels along (x, y), multiples of ALIGNMENT (for an exemplar finer
+            than 1536 texels, of as much more); None, for both or for one of them, is endless.
         device: where to compute: "cpu", "cuda", or "auto" for CUDA where it is there. The maps
-            come back to the processor. Devices differ in the last bits.
+            come back to the processor. Devices differ in the last bits. By example always on
+            the processor.
+        generator: "example" or "decoder"; by default by example where there is an exemplar.
 
     Raises:
-        UsageError: a seed or period out of range, or no CUDA device where one was asked for.
+        UsageError: a seed or period out of range, or no CUDA device or exemplar where one was
+            asked for.
     """
 
     def __init__(
         self,
-        material: Generator,
+        material: Material,
         seed: int = 0,
         period: Period | None = None,
         *,
         device: DeviceName = "cpu",
+        generator: Generator | None = None,
     ) -> None:
-        self.source: Source = material_source(material, seed, period, find_device(device))
+        place = find_device(device)
+        self.source: Source = field_source(material, seed, period, place, generator)
 
     def read(
         self, x: int, y: int, width: int, height: int, *, workers: int | None = None
@@ -81,8 +85,3 @@ def read_source(source: Source, wanted: Rectangle, workers: int) -> MapSet:
         list(pool.map(fill, pieces))
     whole = source.period == (wanted.width, wanted.height)
     return MapSet.from_stacked(stacked, source.texel_size, periodic=whole)
-
-
-def inner(maps: Tensor) -> Tensor:
-    """A block's maps without their ring."""
-    return maps[..., RING:-RING, RING:-RING]

@@ -1,7 +1,7 @@
 """Material: a captured material and its file, `.matcap`.
 
-One safetensors file of float32 tensors, whose metadata has one entry, `matcap`, which is JSON.
-Nothing in it is executed, and every shape is checked against the stated configuration before
+One safetensors file of float32 tensors and bytes, whose metadata has one entry, `matcap`, which is
+JSON. Nothing in it is executed, and every shape is checked against the stated configuration before
 anything is read.
 
 Tensors:
@@ -9,6 +9,8 @@ Tensors:
     code: (64,), the material's code.
     moments.*.mean: (channels of layer *,), frozen mean of its AdaIN's input.
     moments.*.deviation: (channels of layer *,), frozen deviation of it.
+    example.exemplar.*: bytes, one map of the photographed piece each; see exemplar.py.
+    example.index.*: bytes, what rearranging it looks up; see example/index.py.
 
 Metadata:
     format: "matcap-material".
@@ -20,36 +22,44 @@ Metadata:
     texel_size: plane units.
     setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`.
     provenance: how it was made.
+    example: `exemplar` and `index`, what their tensors mean; absent where there is none.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
+import torch
+from safetensors import SafetensorError
 from safetensors.torch import save
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.model.decoder import CODE_SIZE, Decoder, Moments
+from matcap.model.decoder import ALIGNMENT, CODE_SIZE, Decoder, Moments
+from matcap.model.example.example import Example
+from matcap.model.exemplar import Exemplar
 from matcap.model.field import Field
 from matcap.model.freeze import FoldedDecoder, fold
-from matcap.model.stored import DAMAGED, StoredTensors, decoder_config, empty_decoder
+from matcap.model.header import (
+    EXAMPLE,
+    FORMAT,
+    REMEDY,
+    VERSION,
+    opened,
+    plain_name,
+    read_example,
+)
+from matcap.model.source import Generator, no_exemplar
+from matcap.model.stored import StoredTensors, decoder_config, empty_decoder
 from matcap.statistics.lattice import Wave
-
-FORMAT = "matcap-material"
-VERSION = 1  # of the file
-_NAMED = re.compile(r"[^\w .,()+-]+")
-_REMEDY = "capture the photograph again, or fetch the file again"
 
 
 @dataclass(frozen=True)
@@ -65,6 +75,8 @@ class Material:
         texel_size: in plane units (half the photograph's long side).
         setup: camera and flash of the photograph.
         provenance: anything worth knowing about how it was made; JSON.
+        example: maps of the photographed piece, indexed to be rearranged; materials captured
+            before there were any have none, and only their decoder.
     """
 
     name: str
@@ -75,6 +87,29 @@ class Material:
     texel_size: float
     setup: FlashSetup
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    example: Example | None = None
+
+    @property
+    def exemplar(self) -> Exemplar | None:
+        """Maps of the photographed piece, if they were made."""
+        return None if self.example is None else self.example.exemplar
+
+    def by(self, generator: Generator | None) -> Material:
+        """The same with one generator alone; with both where none is named.
+
+        Raises:
+            UsageError: it has no exemplar, and is to be read by example.
+        """
+        if generator == "decoder":
+            return replace(self, example=None)
+        if generator == "example" and self.example is None:
+            raise no_exemplar()
+        return self
+
+    @property
+    def alignment(self) -> int:
+        """What periods of its field are multiples of, in texels."""
+        return ALIGNMENT if self.example is None else self.example.alignment
 
     @cached_property
     def _folded(self) -> FoldedDecoder:
@@ -93,6 +128,7 @@ class Material:
         x: int = 0,
         y: int = 0,
         period: tuple[int, int] | None = None,
+        generator: Generator | None = None,
     ) -> MapSet:
         """Maps of a rectangle of the endless field; see model.field.Field.read.
 
@@ -103,8 +139,9 @@ class Material:
             x: of the left top texel.
             y: of the left top texel, downwards.
             period: repeat of the field in texels, or None for an endless one.
+            generator: "example" or "decoder"; by default by example where there is an exemplar.
         """
-        return Field(self, seed, period).read(x, y, width, height)
+        return Field(self, seed, period, generator=generator).read(x, y, width, height)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file: to a temporary name beside it, then renamed.
@@ -128,6 +165,11 @@ class Material:
             "setup": asdict(self.setup),
             "provenance": dict(self.provenance),
         }
+        if self.example is not None:
+            found, about["example"] = self.example.stored()
+            tensors |= {
+                EXAMPLE + name: torch.from_numpy(data.copy()) for name, data in found.items()
+            }
         temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
             # As bytes: save_file would give the file to its owner alone, whatever the umask says.
@@ -150,76 +192,32 @@ class Material:
             MatcapError: missing, not a material, of another version, or damaged; names the tensor.
         """
         path = Path(path)
-        if not path.is_file():
-            what = "this is a folder" if path.is_dir() else "there is no such file"
-            raise MatcapError(what, where=str(path), remedy="give a .matcap file")
-        try:
-            with safe_open(path, framework="pt") as file:
-                about = _about(file.metadata(), path)
-                stored = StoredTensors(file, path, _REMEDY)
-                decoder = empty_decoder(decoder_config(about["decoder"]))
-                state = {
-                    name: stored.tensor(f"decoder.{name}", tuple(value.shape))
-                    for name, value in decoder.state_dict().items()
-                }
-                decoder.load_state_dict(state, assign=True)
-                code = stored.tensor("code", (CODE_SIZE,))
-                moments = []
-                for index, layer in enumerate(decoder.layers()):
-                    shape = (layer.convolution.weight.shape[0],)
-                    mean = stored.tensor(f"moments.{index}.mean", shape)
-                    deviation = stored.tensor(f"moments.{index}.deviation", shape)
-                    moments.append((mean, deviation))
-                return Material(
-                    name=_plain(str(about["name"])),
-                    decoder=decoder.eval().requires_grad_(False),
-                    code=code,
-                    moments=tuple(moments),
-                    waves=_waves(about["waves"]),
-                    texel_size=_number(about, "texel_size", 1e-9, 1e3),
-                    setup=_setup(about["setup"]),
-                    provenance=dict(about["provenance"]),
-                )
-        except (SafetensorError, OSError) as error:
-            raise MatcapError(
-                f"this is not a material, or it is damaged ({error})",
-                where=str(path),
-                remedy=_REMEDY,
-            ) from error
-        except DAMAGED as error:
-            raise MatcapError(
-                f"the material's description is damaged ({error})",
-                where=str(path),
-                remedy=_REMEDY,
-            ) from error
-
-
-def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
-    if not metadata or "matcap" not in metadata:
-        raise MatcapError(
-            "this safetensors file is not a matcap material",
-            where=str(path),
-            remedy="give a .matcap file written by matcap capture",
-        )
-    about: dict[str, Any] = json.loads(metadata["matcap"])
-    if about["format"] != FORMAT:
-        raise MatcapError(
-            f"this holds a {about['format']}, not a material",
-            where=str(path),
-            remedy="give a .matcap file written by matcap capture",
-        )
-    if about["version"] != VERSION:
-        raise MatcapError(
-            f"this material is of version {about['version']}; this matcap reads {VERSION}",
-            where=str(path),
-            remedy="install the matcap that wrote it, or capture the photograph again",
-        )
-    return about
-
-
-def _plain(name: str) -> str:
-    """The name as one that may be a file's: nothing of it leads to another folder."""
-    return _NAMED.sub("_", name)[:100].strip(" .") or "material"
+        with opened(path, "pt") as (file, about):
+            stored = StoredTensors(file, path, REMEDY)
+            decoder = empty_decoder(decoder_config(about["decoder"]))
+            state = {
+                name: stored.tensor(f"decoder.{name}", tuple(value.shape))
+                for name, value in decoder.state_dict().items()
+            }
+            decoder.load_state_dict(state, assign=True)
+            code = stored.tensor("code", (CODE_SIZE,))
+            moments = []
+            for index, layer in enumerate(decoder.layers()):
+                shape = (layer.convolution.weight.shape[0],)
+                mean = stored.tensor(f"moments.{index}.mean", shape)
+                deviation = stored.tensor(f"moments.{index}.deviation", shape)
+                moments.append((mean, deviation))
+            return Material(
+                name=plain_name(str(about["name"])),
+                decoder=decoder.eval().requires_grad_(False),
+                code=code,
+                moments=tuple(moments),
+                waves=_waves(about["waves"]),
+                texel_size=_number(about, "texel_size", 1e-9, 1e3),
+                setup=_setup(about["setup"]),
+                provenance=dict(about["provenance"]),
+                example=read_example(about, lambda name: file.get_tensor(name).numpy()),
+            )
 
 
 def _waves(stated: list[Mapping[str, Any]]) -> tuple[Wave, ...]:

@@ -16,9 +16,8 @@ import torch
 from torch import Tensor
 
 from matcap.model.patch import Patch
-
-COORDINATE_LIMIT = 2**40  # texels either way
-SEED_LIMIT = 2**63
+from matcap.model.plane import COORDINATE_LIMIT as COORDINATE_LIMIT
+from matcap.model.plane import SEED_LIMIT as SEED_LIMIT
 
 _CHANNELS_PER_HASH = 4  # of 16 bits each
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64

@@ -12,6 +12,7 @@ from matcap.errors import MatcapError
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.model.material import Material
+    from matcap.model.source import Generator
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,13 @@ class Found:
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
-def open_maps(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0) -> MapSet:
+def open_maps(
+    path: Path,
+    *,
+    size: tuple[int, int] = (1024, 1024),
+    seed: int = 0,
+    generator: Generator | None = None,
+) -> MapSet:
     """Maps of a material file, a map set's JSON file, or a folder.
 
     A folder's map set goes before its material.
@@ -37,28 +44,34 @@ def open_maps(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0
     Args:
         path: what to open.
         size: (width, height) in texels, and
-        seed: the realisation; both for a material only, since a map set has its own.
+        seed: the realisation, and
+        generator: "example" or "decoder"; all for a material only, since a map set has its own.
 
     Raises:
         MatcapError: nothing to open, more than one thing, or a broken file.
     """
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
-        return _material(path).maps(*size, seed=seed)
+        return _material(path).maps(*size, seed=seed, generator=generator)
     return read_mapset(path)[0]
 
 
-def open_tile(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0) -> Found:
+def open_tile(
+    path: Path,
+    *,
+    size: tuple[int, int] = (1024, 1024),
+    seed: int = 0,
+    generator: Generator | None = None,
+) -> Found:
     """As open_maps, but a material's maps repeat without a seam where their size allows it.
 
-    They do when both sides are multiples of 16.
+    They do when both sides are multiples of the material's alignment, 16 for most.
     """
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
-        from matcap.model.decoder import ALIGNMENT
-
-        material = _material(path)
-        period = None if size[0] % ALIGNMENT or size[1] % ALIGNMENT else size
+        material = _material(path).by(generator)
+        repeat = material.alignment
+        period = None if size[0] % repeat or size[1] % repeat else size
         maps = material.maps(*size, seed=seed, period=period)
         return Found(maps, path.stem, dict(material.provenance))
     maps, document = read_mapset(path)
@@ -66,14 +79,17 @@ def open_tile(path: Path, *, size: tuple[int, int] = (1024, 1024), seed: int = 0
     return Found(maps, name, dict(document.get("provenance") or {}))
 
 
-def open_source(path: Path) -> MapSet | Material:
-    """A map set's maps, or a material itself, to be read where it is seen.
+def open_source(path: Path, generator: Generator | None = None) -> MapSet | Material:
+    """A map set's maps, or a material itself, to be read where it is seen; by one generator alone
+    where one is named.
 
     Raises:
         MatcapError: nothing to open, more than one thing, or a broken file.
     """
     path = _resolved(path)
-    return _material(path) if path.suffix.lower() == ".matcap" else read_mapset(path)[0]
+    return (
+        _material(path).by(generator) if path.suffix.lower() == ".matcap" else read_mapset(path)[0]
+    )
 
 
 def _resolved(path: Path) -> Path:

@@ -7,18 +7,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-# What repeats: texels along x and along y, None for an axis that never does.
-Period = tuple[int | None, int | None]
-
-
-@dataclass(frozen=True)
-class Rectangle:
-    """Texels x to x + width, y (downwards) to y + height."""
-
-    x: int
-    y: int
-    width: int
-    height: int
+from matcap.model.plane import Period as Period
+from matcap.model.plane import Rectangle as Rectangle
 
 
 @dataclass(frozen=True)

@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Literal, Protocol
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.brdf.folder import NormalStyle
+from matcap.brdf.normals import normals_from_slopes
 from matcap.errors import UsageError
+from matcap.model.blocks import RING as RING
 from matcap.model.blocks import Grid
 from matcap.model.decoder import ALIGNMENT, maps_from_raw
 from matcap.model.device import repeatable
+from matcap.model.example.example import Example
+from matcap.model.example.source import ExampleSource, example_source
 from matcap.model.freeze import FoldedDecoder
-from matcap.model.noise import SEED_LIMIT, noise_field
+from matcap.model.noise import noise_field
 from matcap.model.order import order_field
 from matcap.model.patch import Patch, Period, Rectangle
+from matcap.model.plane import check_period
+from matcap.model.plane import check_seed as check_seed
 from matcap.model.random_field import RandomField
 from matcap.model.spans import Span, Spans, spans_of
 from matcap.statistics.lattice import Wave
 
-RING = 1  # texels around a block that its normals look at
+# How a field is made: by rearranging the exemplar, or by the network.
+Generator = Literal["example", "decoder"]
 _CPU = torch.device("cpu")
 
 
@@ -43,21 +53,34 @@ class Source(Protocol):
         ...
 
     @property
-    def device(self) -> torch.device:
-        """Where it is computed."""
-        ...
-
-    def lowered(self, finest: int) -> Source:
-        """The same in bfloat16 from level `finest` on to the coarser ones."""
+    def device_type(self) -> str:
+        """Where it is computed: "cpu" or "cuda"."""
         ...
 
     def maps(self, block: Rectangle) -> Tensor:
         """Stacked maps (OUTPUTS, height + 2 RING, width + 2 RING) of a block and its ring."""
         ...
 
+    def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
+        """(9, height, width) of a block: the six maps and the normal."""
+        ...
 
-class Generator(Protocol):
-    """What a field is made from: a material."""
+
+class Network(Source, Protocol):
+    """A source that a network computes, in a precision that can be chosen."""
+
+    @property
+    def device(self) -> torch.device:
+        """Where it is computed."""
+        ...
+
+    def lowered(self, finest: int) -> Network:
+        """The same in bfloat16 from level `finest` on to the coarser ones."""
+        ...
+
+
+class Material(Protocol):
+    """What a field is made from: see material.py, which reads this module."""
 
     @property
     def waves(self) -> tuple[Wave, ...]:
@@ -67,6 +90,11 @@ class Generator(Protocol):
     @property
     def texel_size(self) -> float:
         """A texel's side in plane units."""
+        ...
+
+    @property
+    def example(self) -> Example | None:
+        """The exemplar, indexed, where there is one."""
         ...
 
     def folded(self) -> FoldedDecoder:
@@ -162,6 +190,11 @@ class MaterialSource:
         """Where it is computed."""
         return self.decoder.device
 
+    @property
+    def device_type(self) -> str:
+        """Where it is computed."""
+        return self.device.type
+
     def lowered(self, finest: int) -> MaterialSource:
         """The same in bfloat16 from level `finest` on to the coarser ones."""
         return replace(self, decoder=self.decoder.lowered(finest))
@@ -179,9 +212,32 @@ class MaterialSource:
             # differently, so it must see the same rows whatever rectangle is asked for.
             return maps_from_raw(raw, self.texel_size).stacked()
 
+    def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
+        """(9, height, width) of a block: the six maps and the normal."""
+        return planes_of(self, block, normal)
+
+
+def planes_of(source: Source, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
+    """(9, height, width) of a block, on the processor: the six maps and the normal."""
+    with torch.inference_mode():
+        maps = source.maps(block)
+        height, size = maps[5:], 2 * source.texel_size
+        below, above = height[:, 2 * RING :, RING:-RING], height[:, : -2 * RING, RING:-RING]
+        right, left = height[:, RING:-RING, 2 * RING :], height[:, RING:-RING, : -2 * RING]
+        normals = normals_from_slopes((right - left) / size, (above - below) / size)
+        if normal == "dx":
+            normals[1].neg_()
+        found: NDArray[np.float32] = torch.cat([inner(maps), normals]).cpu().numpy()
+        return found
+
+
+def inner(maps: Tensor) -> Tensor:
+    """A block's maps without their ring."""
+    return maps[..., RING:-RING, RING:-RING]
+
 
 def material_source(
-    material: Generator, seed: int, period: Period | None = None, device: torch.device = _CPU
+    material: Material, seed: int, period: Period | None = None, device: torch.device = _CPU
 ) -> MaterialSource:
     """The source of a material's field, computed on a device.
 
@@ -189,24 +245,41 @@ def material_source(
         UsageError: a seed or period out of range.
     """
     check_seed(seed)
-    check_period(period)
+    check_period(period, ALIGNMENT)
     decoder = material.folded().to(device)
     return MaterialSource(decoder, material.waves, material.texel_size, seed, period)
 
 
-def check_seed(seed: int) -> int:
-    """The seed, or a UsageError when it is out of range."""
-    if not -SEED_LIMIT <= seed < SEED_LIMIT:
-        raise UsageError(f"the seed {seed} is out of range", remedy="give one in [-2^63, 2^63)")
-    return seed
+def field_source(
+    material: Material,
+    seed: int,
+    period: Period | None = None,
+    device: torch.device = _CPU,
+    generator: Generator | None = None,
+) -> MaterialSource | ExampleSource:
+    """The source of a material's field: by example where it has an exemplar.
+
+    Args:
+        material: what to read.
+        seed: which realisation.
+        period: what repeats.
+        device: where a decoder computes.
+        generator: to insist on one.
+
+    Raises:
+        UsageError: a seed or period out of range, or no exemplar where one was asked for.
+    """
+    if generator == "decoder" or (generator is None and material.example is None):
+        return material_source(material, seed, period, device)
+    if material.example is None:
+        raise no_exemplar()
+    return example_source(material.example, seed, period)
 
 
-def check_period(period: Period | None) -> Period | None:
-    """The period, or a UsageError when an axis is no positive multiple of ALIGNMENT."""
-    for length in period or ():
-        if length is not None and (length <= 0 or length % ALIGNMENT):
-            raise UsageError(
-                f"the period {length} is not a positive multiple of {ALIGNMENT}",
-                remedy=f"round it to a multiple of {ALIGNMENT}",
-            )
-    return period
+def no_exemplar() -> UsageError:
+    """What a material without an exemplar cannot do."""
+    return UsageError(
+        "this material has no exemplar",
+        where="--generator example",
+        remedy="capture the photograph again, or use its decoder",
+    )

@@ -18,16 +18,6 @@ from torch import Tensor
 from matcap.errors import MatcapError
 from matcap.model.decoder import DEPTH, Decoder, DecoderConfig
 
-# What reading JSON raises that is not as it should be.
-DAMAGED = (
-    KeyError,
-    IndexError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-)
 _LARGEST_WIDTH = 1024  # channels; a stranger's file cannot ask for more memory than this allows
 _MOST_CELLS = 64  # channels at full resolution, whatever the network makes of them
 _MOST_NUMBERS = 64_000_000  # weights; a quarter of a gigabyte

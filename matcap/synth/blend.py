@@ -15,13 +15,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.model.blocks import Grid
+from matcap.brdf.folder import NormalStyle
+from matcap.model.blocks import RING, Grid
+from matcap.model.example.source import ExampleSource
 from matcap.model.material import Material
 from matcap.model.patch import Period, Rectangle
-from matcap.model.source import RING, MaterialSource, material_source
+from matcap.model.source import Generator, MaterialSource, field_source, planes_of
 from matcap.model.spans import Span
 from matcap.synth.mask import Mask
 
@@ -44,8 +48,8 @@ class BlendSource:
         mask: the second one's share of every texel.
     """
 
-    first: MaterialSource
-    second: MaterialSource
+    first: MaterialSource | ExampleSource
+    second: MaterialSource | ExampleSource
     means: tuple[float, float]
     deviation: float
     mask: Mask
@@ -68,12 +72,24 @@ class BlendSource:
     @property
     def device(self) -> torch.device:
         """Where it is computed."""
-        return self.first.device
+        return self.first.device if isinstance(self.first, MaterialSource) else _CPU
+
+    @property
+    def device_type(self) -> str:
+        """Where it is computed."""
+        return self.device.type
 
     def lowered(self, finest: int) -> BlendSource:
         """The same in bfloat16 from level `finest` on to the coarser ones."""
-        first, second = self.first.lowered(finest), self.second.lowered(finest)
+        first, second = (
+            source.lowered(finest) if isinstance(source, MaterialSource) else source
+            for source in (self.first, self.second)
+        )
         return replace(self, first=first, second=second)
+
+    def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
+        """(9, height, width) of a block: the six maps and the normal."""
+        return planes_of(self, block, normal)
 
     def maps(self, block: Rectangle) -> Tensor:
         """Stacked maps (OUTPUTS, height + 2 RING, width + 2 RING) of a block and its ring."""
@@ -108,16 +124,22 @@ def blend_source(
     seed: int,
     period: Period | None = None,
     device: torch.device = _CPU,
+    generator: Generator | None = None,
 ) -> BlendSource:
     """The field that is `first` where the mask is black and `second` where it is white.
 
     The texel size is the first one's: the second material is drawn at as many texels as it has.
+    By example, if both have an exemplar and nothing else is asked for; otherwise by both decoders.
 
     Raises:
-        UsageError: a seed or period out of range.
+        UsageError: a seed or period out of range, or generator of which a material has none.
     """
-    start, end = (material_source(material, seed, period, device) for material in (first, second))
-    end = replace(end, texel_size=start.texel_size)
+    if generator is None and (first.example is None or second.example is None):
+        generator = "decoder"
+    start, end = (
+        field_source(material, seed, period, device, generator) for material in (first, second)
+    )
+    end = replace(end, texel_size=start.texel_size, grid=start.grid)
     heights = [
         replace(source, seed=0, period=None).maps(_SAMPLE)[_HEIGHT] for source in (start, end)
     ]

@@ -8,13 +8,15 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from matcap.brdf.folder import NormalStyle
 from matcap.errors import MatcapError
 from matcap.model.blocks import Piece
-from matcap.model.source import Source
 from matcap.synth.pictures import Picture, Rendered, render
+
+if TYPE_CHECKING:
+    from matcap.model.source import Source
 
 T_co = TypeVar("T_co", covariant=True)
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from matcap.brdf.folder import NormalStyle
-from matcap.brdf.normals import normals_from_slopes
 from matcap.model.blocks import Piece
-from matcap.model.patch import Rectangle
-from matcap.model.source import RING, Source
 from matcap.synth.exr_tiles import TILE, Channel, Layout, Tile, encode_tile, stored
+
+if TYPE_CHECKING:
+    from matcap.model.source import Source
 
 # Every stored map's channels, as they are called in a file of their own and in one of all maps.
 _OWN = {"diffuse": "RGB", "specular": "Y", "roughness": "Y", "height": "Y", "normal": "RGB"}
@@ -109,26 +108,8 @@ def render(
     Raises:
         MatcapError: a value is not finite, or too large for half float.
     """
-    wanted = stored_planes(source, piece.block, normal)[(..., *piece.source)].numpy()
+    wanted = source.planes(piece.block, normal)[(..., *piece.source)]
     return [_render(picture, piece, wanted) for picture in pictures]
-
-
-def stored_planes(source: Source, block: Rectangle, normal: NormalStyle) -> Tensor:
-    """(9, height, width) of a block, on the CPU: the six maps and the normal."""
-    with torch.inference_mode():
-        return _planes(source.maps(block), source.texel_size, normal).cpu()
-
-
-def _planes(maps: Tensor, texel_size: float, normal: NormalStyle) -> Tensor:
-    height = maps[5:]
-    below, above = height[:, 2 * RING :, RING:-RING], height[:, : -2 * RING, RING:-RING]
-    right, left = height[:, RING:-RING, 2 * RING :], height[:, RING:-RING, : -2 * RING]
-    normals = normals_from_slopes(
-        (right - left) / (2 * texel_size), (above - below) / (2 * texel_size)
-    )
-    if normal == "dx":
-        normals[1].neg_()
-    return torch.cat([maps[..., RING:-RING, RING:-RING], normals])
 
 
 def _render(picture: Picture, piece: Piece, planes: NDArray[np.float32]) -> Rendered:

@@ -18,8 +18,8 @@ from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_picture
 from matcap.model.patch import Rectangle
 from matcap.model.single import single_threaded
-from matcap.model.source import Source
-from matcap.synth.pictures import KIND_PLANES, stored_planes
+from matcap.model.source import Network, Source
+from matcap.synth.pictures import KIND_PLANES
 
 Precision = Literal["fp32", "bf16", "auto"]
 HALF_STEP = 0.5
@@ -51,7 +51,7 @@ class Choice:
         return f"precision {self.name}: at most {self.steps[worst]:.2f} 8-bit steps off ({worst})"
 
 
-def choose(source: Source, precision: Precision) -> Choice:
+def choose(source: Network, precision: Precision) -> Choice:
     """The source in a precision.
 
     Args:
@@ -90,13 +90,13 @@ def multiplies_bfloat16(device: torch.device) -> bool:
     return device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
 
 
-def _samples(source: Source) -> Iterator[Tensor]:
+def _samples(source: Network) -> Iterator[Tensor]:
     """The stored planes of the sample blocks."""
     grid = source.grid
     with single_threaded(1) as pool:
         for column, row in _SAMPLES:
             block = Rectangle(column * grid.width, row * grid.height, grid.width, grid.height)
-            yield pool.submit(stored_planes, source, block, "gl").result()
+            yield torch.from_numpy(pool.submit(source.planes, block, "gl").result())
 
 
 def _largest(exact: list[Tensor], rough: Iterator[Tensor]) -> dict[str, float]:

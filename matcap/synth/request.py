@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
 from matcap.brdf.folder import (
     EXR_BYTES,
@@ -23,9 +24,11 @@ from matcap.brdf.folder import (
 from matcap.errors import UsageError
 from matcap.files.maker import MAKER_VERSION
 from matcap.model.blocks import Piece, check_rectangle, pieces_of
-from matcap.model.patch import Rectangle
-from matcap.model.source import Source
+from matcap.model.plane import Rectangle
 from matcap.synth.pictures import Picture, channels_of, pictures_of
+
+if TYPE_CHECKING:
+    from matcap.model.source import Source
 
 _UDIM_COLUMNS = 10
 _UDIM_ROWS = 900
@@ -103,9 +106,9 @@ class Work:
     resume: bool = False
     progress: Callable[[Progress], None] = _silent
 
-    def check(self, device: torch.device) -> None:
+    def check(self, device_type: str) -> None:
         """Raise UsageError for a source whose device a cluster may not have."""
-        if self.scheduler is not None and device.type != "cpu":
+        if self.scheduler is not None and device_type != "cpu":
             raise UsageError(
                 "a cluster computes on its processors",
                 where="--scheduler",
@@ -171,9 +174,9 @@ class Request:
     def key(self) -> str:
         """The same for requests whose files have the same bytes: a digest, and the device."""
         digest = hashlib.sha256()
-        versions = (MAKER_VERSION, torch.__version__)
+        versions = (MAKER_VERSION, version("torch"))
         _feed(digest.update, (versions, self.source, self.area, self.info.name, self.files))
-        return f"{digest.hexdigest()} {self.source.device.type}"
+        return f"{digest.hexdigest()} {self.source.device_type}"
 
     def canvases(self) -> list[Canvas]:
         """The map sets to write, left to right, the lowest row of a texture set first."""
@@ -252,7 +255,8 @@ def _feed(update: Callable[[bytes], object], value: object) -> None:
     """Tell a digest of everything that a value is made of."""
     if is_dataclass(value):
         value = (type(value).__name__, *(getattr(value, part.name) for part in fields(value)))
-    if isinstance(value, torch.Tensor):
+    torch = sys.modules.get("torch")  # a value made without it holds none of its tensors
+    if torch is not None and isinstance(value, torch.Tensor):
         update(repr((value.dtype, tuple(value.shape))).encode())
         update(value.detach().cpu().contiguous().view(torch.uint8).numpy().tobytes())
     elif isinstance(value, np.ndarray):

@@ -41,7 +41,7 @@ def write_field(request: Request, folder: str | Path, work: Work | None = None) 
     """
     request.check()
     work = work or Work()
-    work.check(request.source.device)
+    work.check(request.source.device_type)
     folder, name = Path(folder), request.info.name
     left = unfinished_bytes(folder, name) if work.resume else 0
     check_writable(folder, max(request.room - left, 0))

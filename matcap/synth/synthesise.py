@@ -1,22 +1,27 @@
-"""More of a material, as files: what `matcap synth` does, for Python too."""
+"""More of a material, as files: what `matcap synth` does, for Python too.
+
+Without PyTorch until it is needed: a material's file with an exemplar needs none, and it takes
+longer to start than such a map takes to make.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from matcap.brdf.folder import MapSetInfo
-from matcap.model.device import DeviceName, find_device
-from matcap.model.material import Material
-from matcap.model.patch import Period, Rectangle
-from matcap.model.source import Source, check_seed, material_source
-from matcap.synth.blend import blend_source
-from matcap.synth.mask import read_mask
-from matcap.synth.precision import Choice, Precision, choose
+from matcap.model.plane import Period, Rectangle, check_seed
+from matcap.synth.fields import Wanted, open_blend, open_field
 from matcap.synth.request import Files, Request, Work
 from matcap.synth.stream import write_field
+
+if TYPE_CHECKING:
+    from matcap.model.device import DeviceName
+    from matcap.model.material import Material
+    from matcap.model.source import Generator
+    from matcap.synth.precision import Choice, Precision
 
 Axes = Literal["both", "x", "y"]
 
@@ -26,12 +31,12 @@ class Growth:
     """What a material grows into.
 
     Attributes:
-        material: the other one.
+        material: the other one, or its file.
         mask: a grey picture; where it is white the other one is.
         over: the rectangle that the mask is stretched over, or None for all that is written.
     """
 
-    material: Material
+    material: Material | Path
     mask: Path
     over: Rectangle | None = None
 
@@ -41,18 +46,20 @@ class SynthRequest:
     """What is wanted of a material.
 
     Attributes:
-        material: to make more of.
+        material: to make more of, or its file.
         area: of the one map set, or of a texture set's left top tile, in texels of the field.
         seed: which realisation, in [-2^63, 2^63).
         name: of the files; the material's unless given.
         files: how maps are stored.
         tile: the axes along which the whole of it repeats exactly, or None.
         growth: what it grows into, or None.
-        precision: "fp32", "bf16", or "auto" for as much bfloat16 as no eye can see.
-        device: "cpu", "cuda", or "auto" for CUDA where it is there.
+        precision: of the decoder: "fp32", "bf16", or "auto" for as much bfloat16 as no eye can
+            see.
+        device: of the decoder: "cpu", "cuda", or "auto" for CUDA where it is there.
+        generator: "example" or "decoder"; None: by example where there is an exemplar.
     """
 
-    material: Material
+    material: Material | Path
     area: Rectangle
     seed: int = 0
     name: str = ""
@@ -61,6 +68,7 @@ class SynthRequest:
     growth: Growth | None = None
     precision: Precision = "fp32"
     device: DeviceName = "auto"
+    generator: Generator | None = None
 
 
 def synthesise(
@@ -75,7 +83,7 @@ def synthesise(
         asked: what.
         folder: where to; made when missing.
         work: who does it, and with whom to tell how far it is.
-        told: called with the precision, once it is chosen.
+        told: called with a decoder's precision, once it is chosen.
 
     Raises:
         UsageError: a seed, size or repeat out of range, a device that is not there.
@@ -88,27 +96,20 @@ def synthesise(
     check_seed(asked.seed)
     # A cluster's machines may have no CUDA device, and their blocks must be alike.
     device = "cpu" if work.scheduler and asked.device == "auto" else asked.device
-    source, provenance = _source(asked, device)
-    choice = choose(source, asked.precision)
-    told(choice)
-    origin = (asked.area.x, asked.area.y)
-    info = MapSetInfo(asked.name or asked.material.name, asked.seed, origin, provenance)
-    return write_field(Request(choice.source, asked.area, info, asked.files), folder, work)
-
-
-def _source(asked: SynthRequest, device: DeviceName) -> tuple[Source, dict[str, object]]:
-    """What blocks are read from, and how it was made."""
-    place = find_device(device)
-    material, growth, whole = asked.material, asked.growth, asked.files.whole(asked.area)
+    whole = asked.files.whole(asked.area)
     period = _period(asked.tile, whole)
-    provenance = dict(material.provenance)
+    wanted = Wanted(asked.seed, period, asked.generator, asked.precision, device)
+    growth = asked.growth
     if growth is None:
-        return material_source(material, asked.seed, period, place), provenance
-    over = growth.over or whole
-    spread = read_mask(growth.mask, over, period)
-    source = blend_source(material, growth.material, spread, asked.seed, period, place)
-    names = [material.name, growth.material.name]
-    return source, provenance | {"blend": names, "mask_over": list(astuple(over))}
+        found = open_field(asked.material, wanted)
+    else:
+        over = growth.over or whole
+        found = open_blend(asked.material, growth.material, growth.mask, over, wanted)
+    if found.choice is not None:
+        told(found.choice)
+    origin = (asked.area.x, asked.area.y)
+    info = MapSetInfo(asked.name or found.name, asked.seed, origin, found.provenance)
+    return write_field(Request(found.source, asked.area, info, asked.files), folder, work)
 
 
 def _period(tile: Axes | None, area: Rectangle) -> Period | None:

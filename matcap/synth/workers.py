@@ -14,15 +14,15 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from multiprocessing.process import BaseProcess
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
-
-from matcap.model.single import single_threaded
-from matcap.model.source import Source
+from matcap.model.single import compute_alone, single_threaded
 from matcap.synth.cluster import cluster
 from matcap.synth.jobs import Crew, Job, pack, unpacked
 from matcap.synth.pictures import Rendered, render
+
+if TYPE_CHECKING:
+    from matcap.model.source import Source
 
 _AHEAD = 2  # blocks in flight for each worker: one computed, one waiting
 _FEW = 24  # blocks that are done before processes have started
@@ -47,7 +47,7 @@ def crew(source: Source, workers: int, jobs: int, scheduler: str | None = None) 
     if scheduler is not None:
         with cluster(scheduler, pack(source)) as ready:
             yield ready
-    elif workers == 1 or jobs <= _FEW or source.device.type != "cpu":
+    elif workers == 1 or jobs <= _FEW or source.device_type != "cpu":
         with single_threaded(workers) as pool:
             yield Crew(
                 lambda job: pool.submit(render, source, job.piece, job.pictures, job.normal),
@@ -75,7 +75,7 @@ _task: list[Source] = []
 def _prepare(packed: bytes) -> None:
     """Settle a worker process: one thread, kept memory, and no life after its parent."""
     _task.append(unpacked(packed))
-    torch.set_num_threads(1)
+    compute_alone()
     keep_memory()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()

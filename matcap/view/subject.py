@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.model.field import Field
     from matcap.model.material import Material
+    from matcap.model.source import Generator
 
 _FIELDS = 8  # seeds and shares kept at hand: each is a folded network, a megabyte or so
 
@@ -130,7 +131,12 @@ class Maps:
         return replace(cut, periodic=False)
 
 
-def open_subject(path: Path, second: Path | None = None, seed: int = 0) -> Subject:
+def open_subject(
+    path: Path,
+    second: Path | None = None,
+    seed: int = 0,
+    generator: Generator | None = None,
+) -> Subject:
     """What a path holds.
 
     Args:
@@ -138,6 +144,7 @@ def open_subject(path: Path, second: Path | None = None, seed: int = 0) -> Subje
             material is preferred to its map set.
         second: a material to blend with.
         seed: the realisation shown first.
+        generator: "example" or "decoder"; what lies between two materials is the decoder's.
 
     Raises:
         MatcapError: nothing to open, more than one thing, a broken file, or materials that cannot
@@ -148,7 +155,9 @@ def open_subject(path: Path, second: Path | None = None, seed: int = 0) -> Subje
 
     file = _material_in(path)
     if file is not None:
-        return Materials(Material.load(file), Material.load(second) if second else None, seed)
+        return Materials(
+            Material.load(file).by(generator), Material.load(second) if second else None, seed
+        )
     from matcap.brdf.folder import read_mapset
 
     maps, document = read_mapset(path)

@@ -1,7 +1,10 @@
 """`matcap bench`: what the command hands to the measurement and prints of it."""
 
+from types import SimpleNamespace
+
 import pytest
 
+from matcap.capture import pipeline
 from matcap.errors import MatcapError
 from matcap.lab.bench.quality import Score
 
@@ -20,7 +23,7 @@ def measured(monkeypatch):
     return calls
 
 
-def test_the_table_is_printed_and_written(matcap, measured, tmp_path):
+def test_the_table_is_printed_and_written(matcap, measured, tmp_path, monkeypatch):
     said = matcap(
         "bench", "quality", "-o", tmp_path / "q", "--material", "granite", "--detail", 256,
         "--preset", "draft",
@@ -33,8 +36,11 @@ def test_the_table_is_printed_and_written(matcap, measured, tmp_path):
     assert out == tmp_path / "q"
     assert options["materials"] == ["granite"]
     assert options["settings"].detail == 256
-    assert capture.keywords["preset"] == "draft"
-    assert capture.keywords["detail"] == 256
+    monkeypatch.setattr(
+        pipeline, "capture_file", lambda path, settings: SimpleNamespace(material=settings)
+    )
+    captured = capture(tmp_path / "photo.dng")
+    assert (captured.preset, captured.detail) == ("draft", 256)
 
 
 def test_a_failed_capture_is_3(matcap, monkeypatch, tmp_path):

@@ -16,8 +16,8 @@ def material(monkeypatch, maps):
     asked = []
 
     def load(path):
-        def read(width, height, *, seed):
-            asked.append((path.name, width, height, seed))
+        def read(width, height, *, seed, generator):
+            asked.append((path.name, width, height, seed, generator))
             return maps
 
         return SimpleNamespace(maps=read)
@@ -28,8 +28,9 @@ def material(monkeypatch, maps):
 
 def test_a_material_file_is_read_at_the_size_and_seed_asked_for(tmp_path, material, maps):
     (tmp_path / "a.MATCAP").touch()
-    assert open_maps(tmp_path / "a.MATCAP", size=(40, 30), seed=5) is maps
-    assert material == [("a.MATCAP", 40, 30, 5)]
+    asked = {"size": (40, 30), "seed": 5, "generator": "decoder"}
+    assert open_maps(tmp_path / "a.MATCAP", **asked) is maps
+    assert material == [("a.MATCAP", 40, 30, 5, "decoder")]
 
 
 def test_a_folder_with_a_material_only(tmp_path, material, maps):

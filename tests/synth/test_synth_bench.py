@@ -38,7 +38,7 @@ def test_the_papers_form_is_the_decoder_but_for_the_blur(material, monkeypatch):
 
 
 def test_a_short_run_fills_the_tables():
-    settings = Settings((64, 32), ("shipped",), ("64x32",), (1,), 1)
+    settings = Settings((64, 32), ("shipped",), ("64x32",), (1,), 1, (120, 96))
     said = []
     threads = torch.get_num_threads()
     report = synth.run_synth(settings, said.append)
@@ -50,6 +50,8 @@ def test_a_short_run_fills_the_tables():
         seconds, paper = float(row["seconds"]), float(row["paper_seconds"])
         assert float(row["ratio"]) == pytest.approx(paper / seconds)
     assert "matcap bench synth" in markdown(report, "matcap bench synth")
+    assert [one.step.split(",")[0] for one in report.examples][-1] == "180x180"
+    assert all(one.processor_seconds > 0 for one in report.examples if one.megatexels)
 
 
 def test_counted_multiplications_are_those_of_the_network(material):

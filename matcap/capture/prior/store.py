@@ -31,8 +31,9 @@ from matcap.model.alignment import WIDTH, Alignment
 from matcap.model.decoder import CODE_SIZE, Decoder
 from matcap.model.encoder import BACKBONES, Encoder, EncoderConfig
 from matcap.model.freeze import freeze
+from matcap.model.header import DAMAGED
 from matcap.model.material import Material
-from matcap.model.stored import DAMAGED, StoredTensors, decoder_config, empty_decoder
+from matcap.model.stored import StoredTensors, decoder_config, empty_decoder
 from matcap.photo.photo import Photo
 
 FORMAT = "matcap-prior"

@@ -1,4 +1,5 @@
-"""What the endless field costs, beside the same network in the paper's form.
+"""What the endless field costs: the decoder's beside the same network in the paper's form, and
+the one by example (example.py).
 
 The paper's form: instance normalisation over the whole picture, circular padding, a blur after
 each upsampling, channels first, weights that nothing is folded into; at matcap's own widths and at
@@ -31,6 +32,7 @@ from torch import Tensor
 
 from matcap.files.staging import staged
 from matcap.flash.geometry import FlashSetup
+from matcap.lab.bench.example import ExampleCost, example_costs, example_table
 from matcap.model.blocks import Grid
 from matcap.model.decoder import (
     CODE_SIZE,
@@ -67,6 +69,7 @@ class Settings:
         blocks: sizes such as "512x256".
         workers: numbers of threads.
         repeats: of every measurement, of which the median counts.
+        exemplar: (width, height) of the piece that is rearranged by example.
     """
 
     size: tuple[int, int] = (4096, 256)
@@ -74,6 +77,7 @@ class Settings:
     blocks: tuple[str, ...] = BLOCKS
     workers: tuple[int, ...] = (1, 2)
     repeats: int = 3
+    exemplar: tuple[int, int] = (1024, 768)
 
 
 @dataclass(frozen=True)
@@ -141,11 +145,13 @@ class Report:
         rows: the table.
         efficiencies: one a network and precision.
         megabytes: of memory at most, of one process, paper's form and all.
+        examples: what the field by example costs.
     """
 
     rows: list[Row]
     efficiencies: list[Efficiency]
     megabytes: float
+    examples: list[ExampleCost]
 
 
 def run_synth(settings: Settings, tell: Callable[[str], None]) -> Report:
@@ -164,6 +170,7 @@ def run_synth(settings: Settings, tell: Callable[[str], None]) -> Report:
         [row for half in halves for row in half.rows],
         [one for half in halves for one in half.efficiencies],
         max(half.megabytes for half in halves),
+        [one for half in halves for one in half.examples],
     )
 
 
@@ -179,8 +186,13 @@ def _measure(settings: Settings, allocator: str) -> Report:
         for precision in _precisions()
         if allocator == "kept"
     ]
+    examples = []
+    if allocator == "kept":
+        examples = list(
+            example_costs(settings.size, settings.exemplar, settings.workers, settings.repeats)
+        )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return Report(rows, efficiencies, peak / (1e6 if sys.platform == "darwin" else 1e3))
+    return Report(rows, efficiencies, peak / (1e6 if sys.platform == "darwin" else 1e3), examples)
 
 
 def material(config: DecoderConfig) -> Material:
@@ -279,6 +291,8 @@ def markdown(report: Report, command: str) -> str:
             f"| {one.share:.0%} |"
             for one in report.efficiencies
         ),
+        "",
+        *example_table(report.examples),
         "",
         f"Peak memory of the whole benchmark: {report.megabytes:.0f} MB.",
     ]

@@ -30,7 +30,7 @@ _FLAT = 0.02  # root-mean-square slope, below which strength is not told apart
 _PLAIN = 0.02  # likewise of log albedo
 _BLACK = 0.02  # albedo: darker ones differ little to the eye
 _DARKEST = 0.01  # radiance, of a white plane's
-_LIGHTS = 3
+_LIGHTS = 2
 # Of relit pictures; other filters than those a capture is tuned by or judged by.
 _BANK = FilterBank(FilterBankConfig(sizes=(5,), filters=20, levels=4, seed=91))
 _WHITE = 0.35  # radiance of a picture's mean, as its statistics are taken
@@ -43,10 +43,10 @@ class LossWeights:
     albedo: float = 1.0
     specular: float = 0.3
     roughness: float = 0.5
-    slope: float = 1.0
-    energy: float = 0.25
+    slope: float = 0.5
+    energy: float = 0.5
     render: float = 1.0
-    style: float = 0.5
+    style: float = 1.0
     doubt: float = 0.1
 
 
@@ -71,9 +71,7 @@ def loss_parts(
     apart = (found - truth).abs()
     slopes_found, slopes_true = _slopes(found[5:6]), _slopes(truth[5:6])
     strength = slopes_true[0].square().mean().sqrt() + _FLAT
-    slope_apart = [
-        (a - b).abs().mean() for a, b in zip(slopes_found, slopes_true, strict=True)
-    ]
+    slope_apart = [(a - b).abs().mean() for a, b in zip(slopes_found, slopes_true, strict=True)]
     fine = (slopes_found[0] - slopes_true[0]).abs().mean(0)
     inner = (slice(1, -1), slice(1, -1))
     errors = torch.stack([albedo_apart.mean(0)[inner], apart[3][inner], apart[4][inner], fine])
@@ -91,7 +89,7 @@ def loss_parts(
     }
 
 
-def total(parts: dict[str, Tensor], weights: LossWeights = LossWeights()) -> Tensor:  # noqa: B008
+def total(parts: dict[str, Tensor], weights: LossWeights = LossWeights()) -> Tensor:
     """Weighted sum of the parts."""
     return torch.stack([getattr(weights, name) * part for name, part in parts.items()]).sum()
 
@@ -121,9 +119,7 @@ def _energies(
     bands_found, bands_true = _bands(albedo_found), _bands(albedo_true)
     for level, (a, b) in enumerate(zip(bands_found, bands_true, strict=True)):
         cell = max(4, _CELLS >> level)
-        differences.append(
-            0.5 * (_strength(a, cell, _PLAIN**2) - _strength(b, cell, _PLAIN**2))
-        )
+        differences.append(0.5 * (_strength(a, cell, _PLAIN**2) - _strength(b, cell, _PLAIN**2)))
     return torch.stack([d.abs().mean() for d in differences]).mean()
 
 
@@ -174,7 +170,8 @@ def _rendered(
                 ]
             )
         found = _lit(maps, normals_found, sample.points, light, to_view)
-        true = _lit(sample.truth, normals_true, sample.points, light, to_view)
+        with torch.no_grad():
+            true = _lit(sample.truth, normals_true, sample.points, light, to_view)
         differences.append(((found + _DARKEST).log() - (true + _DARKEST).log()).abs().mean())
         if index:
             gain = _WHITE / float(true.mean())

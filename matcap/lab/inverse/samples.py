@@ -2,8 +2,8 @@
 
 A sample is a pure function of its number, so that training resumes exactly. A piece of material is
 photographed several times, some pieces in turn, since making it takes longer than lighting it.
-What is drawn: the material, its scale, field of view, the flash's place, tilt, exposure, noise, what a developed
-picture's tone curve does, and a coarse fit that is off by what coarse fits are off by.
+What is drawn: the material, its scale, field of view, the flash's place, tilt, exposure, noise,
+what a developed picture's tone curve does, and a coarse fit that is off by what they are off by.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash
-from matcap.model.inverse.inputs import Uniform, uniform_radiance
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
+from matcap.model.inverse.inputs import Uniform, uniform_radiance
 
 # Kinds never trained on: capture is judged by them.
 HELD_OUT = ("leather", "granite", "tile")
@@ -180,17 +180,17 @@ def _exposed(radiance: Tensor, rng: np.random.Generator) -> tuple[Tensor, float]
     if rng.random() < 0.4:  # a developed picture: contrast of its own, falloff not quite undone
         middle = float(linear.median().clamp_min(1e-4))
         linear = middle * (linear / middle).clamp_min(1e-4) ** rng.uniform(0.8, 1.25)
-        linear = linear * _drift(linear.shape[-2:], rng)
+        linear = linear * _drift(linear.shape[-2], linear.shape[-1], rng)
     level = rng.uniform(0.0, 1.0) ** 2
     noise = torch.from_numpy(rng.standard_normal(tuple(linear.shape)).astype(np.float32))
     deviation = (linear.clamp_min(0.0) * (0.03 * level) ** 2 + (0.004 * level) ** 2).sqrt()
     return (linear + deviation * noise).clamp(0.0, 1.0), gain
 
 
-def _drift(size: tuple[int, int], rng: np.random.Generator) -> Tensor:
+def _drift(height: int, width: int, rng: np.random.Generator) -> Tensor:
     """(3, H, W) slow changes of colour and brightness that are not the material's."""
     coarse = np.exp(rng.normal(0.0, 0.05, (2, 3, 1)) + rng.normal(0.0, 0.02, (2, 3, 3)))
-    smooth = cv2.resize(coarse.astype(np.float32), size[::-1], interpolation=cv2.INTER_CUBIC)
+    smooth = cv2.resize(coarse.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
     return torch.from_numpy(smooth).permute(2, 0, 1)
 
 

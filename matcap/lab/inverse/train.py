@@ -11,9 +11,11 @@ import json
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from multiprocessing.pool import AsyncResult
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,12 +23,15 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from matcap.capture.exemplar.store import save_inverse
+from matcap.errors import MatcapError
 from matcap.lab.inverse.losses import loss_parts, total
-from matcap.lab.inverse.samples import Sample, draw_sample
+from matcap.lab.inverse.samples import HELD_OUT, HELD_OUT_PATTERNS, Sample, draw_sample
 from matcap.model.inverse.inputs import network_inputs
 from matcap.model.inverse.network import Inverse, InverseConfig
 
 _AHEAD = 4  # samples made before they are wanted
+_STATE = "state.safetensors"
 
 
 @dataclass(frozen=True)
@@ -47,10 +52,10 @@ class TrainSettings:
 
     steps: int = 100_000
     seconds: float = float("inf")
-    rate: float = 6e-4
+    rate: float = 1e-3
     average: float = 0.999
-    width: int = 288
-    height: int = 224
+    width: int = 224
+    height: int = 160
     batch: int = 1
     save_every: int = 250
     workers: int = 1
@@ -63,8 +68,8 @@ class State:
     def __init__(self, config: InverseConfig, device: str) -> None:
         torch.manual_seed(0)
         self.step = 0
-        self.model = Inverse(config).to(device, memory_format=torch.channels_last)
-        self.average = Inverse(config).to(device, memory_format=torch.channels_last)
+        self.model = Inverse(config).to(device)
+        self.average = Inverse(config).to(device)
         self.average.load_state_dict(self.model.state_dict())
         self.average.requires_grad_(False)
         self.first = [torch.zeros_like(p) for p in self.model.parameters()]
@@ -108,7 +113,7 @@ def train(
         tell: called with a line every 50 steps.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "state.safetensors"
+    path = folder / _STATE
     state = State(config, settings.device)
     if path.exists():
         state.load(path)
@@ -147,7 +152,7 @@ def train_step(
     parameters = list(state.model.parameters())
     gradients = torch.autograd.grad(loss, parameters)
     state.step += 1
-    _adam(state, parameters, list(gradients), settings.rate)
+    _adam(state, parameters, gradients, settings.rate)
     decay = min(settings.average, state.step / (state.step + 10.0))
     with torch.no_grad():
         for kept, new in zip(state.average.parameters(), parameters, strict=True):
@@ -159,7 +164,9 @@ def train_step(
 
 
 @torch.no_grad()
-def _adam(state: State, parameters: list[Tensor], gradients: list[Tensor], rate: float) -> None:
+def _adam(
+    state: State, parameters: Sequence[Tensor], gradients: Sequence[Tensor], rate: float
+) -> None:
     """Adam with gradients of a norm of at most 1, and a short warm-up."""
     norm = torch.stack([g.norm() for g in gradients]).norm()
     if not bool(torch.isfinite(norm)):
@@ -176,7 +183,9 @@ def _adam(state: State, parameters: list[Tensor], gradients: list[Tensor], rate:
         parameter.sub_(rate * correction * first / (second.sqrt() + 1e-8))
 
 
-def _samples(step: int, settings: TrainSettings) -> Iterator[list[tuple[Tensor, Sample]]]:
+def _samples(
+    step: int, settings: TrainSettings
+) -> Generator[list[tuple[Tensor, Sample]], None, None]:
     """Batches from a step on, made ahead by worker processes."""
     if settings.workers == 0:
         while True:
@@ -184,7 +193,7 @@ def _samples(step: int, settings: TrainSettings) -> Iterator[list[tuple[Tensor, 
             step += 1
     context = multiprocessing.get_context("spawn")
     with context.Pool(settings.workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-        waiting = []
+        waiting: list[AsyncResult[tuple[Tensor, Sample]]] = []
         number = step * settings.batch
         while True:
             while len(waiting) < _AHEAD * settings.batch:
@@ -200,8 +209,25 @@ def _made(asked: tuple[int, TrainSettings]) -> tuple[Tensor, Sample]:
     return inputs, sample
 
 
-if __name__ == "__main__":
-    import sys
+def ship(folder: Path, out: Path) -> dict[str, Any]:
+    """Write a training's running average as captures read it; returns its card.
 
-    torch.set_num_threads(1)
-    train(Path(sys.argv[1]), TrainSettings(seconds=float(sys.argv[2]), rate=float(sys.argv[3])))
+    Raises:
+        MatcapError: the folder holds no training.
+    """
+    path = folder / _STATE
+    if not path.is_file():
+        raise MatcapError(
+            "there is no training in this folder",
+            where=str(folder),
+            remedy="give the folder that `matcap inverse train` was given",
+        )
+    state = State(InverseConfig(), "cpu")
+    state.load(path)
+    card = {
+        "steps": state.step,
+        "photographs": "simulated (matcap/lab/inverse/samples.py), another one every step",
+        "held_out": [*HELD_OUT, *(f"random materials of {name}" for name in HELD_OUT_PATTERNS)],
+    }
+    save_inverse(state.average, out, card)
+    return card

@@ -80,7 +80,9 @@ def network_inputs(linear: Tensor, valid: Tensor, uniform: Uniform, points: Tens
         points: (3, H, W) plane points of the texels (flash.geometry.plane_points).
     """
     height, width = linear.shape[-2:]
-    thin = points[:, ::_COARSER, ::_COARSER]
+    size = tuple(max(2, -(-side // _COARSER)) for side in (height, width))
+    # From the first texel to the last one, whose points lie on a grid.
+    thin = _resized(points, size)
     flat, diffuse = uniform_radiance(uniform, thin)
     middle = flat.mean(0, keepdim=True).log()
 
@@ -95,7 +97,7 @@ def network_inputs(linear: Tensor, valid: Tensor, uniform: Uniform, points: Tens
     _, light = (v.to(points)[:, None, None] for v in camera_in_plane(uniform.setup))
     tangent = (light - thin)[:2] / (light - thin)[2:]
     smooth = torch.cat([flat.log(), tangent, shows_x, shows_y, shows_roughness, gloss])
-    smooth = _fine(smooth, thin, points)
+    smooth = _resized(smooth, (height, width))
     log = linear.clamp_min(1e-6).log() - smooth[:3]
     log = log.clamp(-_FARTHEST, _FARTHEST)
     told = smooth[5:7]
@@ -150,15 +152,9 @@ def true_outputs(maps: MapSet, uniform: Uniform) -> Tensor:
     )
 
 
-def _fine(smooth: Tensor, thin: Tensor, points: Tensor) -> Tensor:
-    """(C, H, W) a thinned picture's values at every texel; thinned texels keep theirs."""
-    height, width = points.shape[-2:]
-    rows = torch.arange(height).to(points) / _COARSER * 2.0 / max(1, thin.shape[-2] - 1) - 1.0
-    columns = torch.arange(width).to(points) / _COARSER * 2.0 / max(1, thin.shape[-1] - 1) - 1.0
-    grid = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1)[None]
-    return F.grid_sample(
-        smooth[None], grid, mode="bilinear", padding_mode="border", align_corners=True
-    )[0]
+def _resized(picture: Tensor, size: tuple[int, ...]) -> Tensor:
+    """(C, *size) of (C, H, W), corner texels on corner texels."""
+    return F.interpolate(picture[None], size=list(size), mode="bilinear", align_corners=True)[0]
 
 
 def _logit(value: float) -> float:

@@ -16,14 +16,17 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 # Channels of the input, in this order (inputs.py).
-INPUTS = ("red", "green", "blue", "valid", "light x", "light y", "shows x", "shows y",
-          "shows roughness", "gloss", "roughness", "f0", "albedo", "relief x", "relief y")  # fmt: skip
+INPUTS = (
+    "red", "green", "blue", "valid", "light x", "light y", "shows x", "shows y",
+    "shows roughness", "gloss", "roughness", "f0", "albedo", "relief x", "relief y",
+)  # fmt: skip
 # Channels of the output: departures of log albedo, log F0 and logit roughness, height in texels,
 # and the logarithm of the error to be expected of each (albedo, F0, roughness, slope).
 OUTPUTS = 6
 ERRORS = 4
 _WEIGHTINGS = 3  # of the context's means: even, by what shows of relief, by gloss
 _SLOPE = 0.2  # of LeakyReLU
+_GROUPS = 4  # of channels that are normalised together
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class InverseConfig:
         context: channels of what is told across the picture.
     """
 
-    widths: tuple[int, ...] = (48, 64, 96, 128, 160)
+    widths: tuple[int, ...] = (32, 48, 64, 96, 128)
     context: int = 96
 
     @property
@@ -47,7 +50,7 @@ class InverseConfig:
 class Inverse(nn.Module):
     """The network; see the module."""
 
-    def __init__(self, config: InverseConfig = InverseConfig()) -> None:  # noqa: B008
+    def __init__(self, config: InverseConfig = InverseConfig()) -> None:
         super().__init__()
         self.config = config
         widths = config.widths
@@ -122,18 +125,21 @@ class Inverse(nn.Module):
 
 
 class _Block(nn.Module):
-    """Two convolutions beside a shortcut."""
+    """Two convolutions beside a shortcut, each after normalisation over the whole picture."""
 
     def __init__(self, before: int, width: int) -> None:
         super().__init__()
+        self.before = nn.GroupNorm(_GROUPS, before)
         self.first = nn.Conv2d(before, width, 3, padding=1)
+        self.between = nn.GroupNorm(_GROUPS, width)
         self.second = nn.Conv2d(width, width, 3, padding=1)
         self.shortcut = nn.Conv2d(before, width, 1) if before != width else nn.Identity()
         with torch.no_grad():
             self.second.weight.mul_(0.3)
 
     def forward(self, x: Tensor) -> Tensor:
-        y = self.second(F.leaky_relu(self.first(F.leaky_relu(x, _SLOPE)), _SLOPE))
+        y = self.first(F.leaky_relu(self.before(x), _SLOPE))
+        y = self.second(F.leaky_relu(self.between(y), _SLOPE))
         return self.shortcut(x) + y
 
 

@@ -1,0 +1,1 @@
+"""The maps of the photographed piece itself: network, strength, refinement, confidence."""

@@ -1,0 +1,174 @@
+"""From a photograph on its plane to the exemplar: the maps of the photographed piece.
+
+The network reads the whole picture; what the photograph says outright of relief's strength holds
+its answer to the truth; levels and texels are then moved until the maps re-render to the
+photograph.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.coarse import CoarseFit
+from matcap.capture.exemplar.equalise import equalise
+from matcap.capture.exemplar.fill import fill
+from matcap.capture.exemplar.refine import flatten, level, refine
+from matcap.capture.exemplar.strengths import Strengths, measure_strengths
+from matcap.flash.geometry import plane_points
+from matcap.flash.plane import Plane
+from matcap.model.example.example import Example
+from matcap.model.exemplar import Exemplar
+from matcap.model.inverse.inputs import Uniform, network_inputs, read_outputs
+from matcap.model.inverse.network import OUTPUTS, Inverse
+from matcap.statistics.lattice import Wave
+
+# Expected errors at which confidence has fallen to 1/e: log albedo, log F0, logit roughness, slope.
+_DOUBTED = (0.3, 0.6, 0.6, 0.15)
+_RAW_NOISE = 0.01  # of log radiance, where the sensor's is not known
+
+
+@dataclass(frozen=True)
+class FoundExemplar:
+    """The exemplar and how it was found.
+
+    Attributes:
+        example: the maps, indexed to be rearranged.
+        strengths: what the photograph says of relief and albedo outright, or None.
+        error: median difference of log radiance between photograph and re-rendering, of texels
+            seen and not clipped.
+        slow: mean size of its part that varies slowly, which is not the material's.
+    """
+
+    example: Example
+    strengths: Strengths | None
+    error: float
+    slow: float
+
+    @property
+    def exemplar(self) -> Exemplar:
+        """The maps."""
+        return self.example.exemplar
+
+
+@torch.inference_mode()
+def find_exemplar(
+    plane: Plane,
+    coarse: CoarseFit,
+    network: Inverse,
+    waves: tuple[Wave, ...] = (),
+    steps: int = 3,
+) -> FoundExemplar:
+    """Maps of the photographed piece.
+
+    Args:
+        plane: the photograph.
+        coarse: its coarse fit.
+        network: reads it (store.load_inverse).
+        waves: of its regular order, in cycles per texel.
+        steps: of refinement.
+    """
+    width, height = plane.size
+    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    uniform = Uniform(coarse.diffuse, coarse.specular, coarse.roughness, coarse.setup)
+    inputs = network_inputs(plane.linear, plane.valid, uniform, points)
+    outputs = _read(network, inputs)
+    found, errors = outputs[:OUTPUTS].clone(), outputs[OUTPUTS:]
+    noise = noise_level(plane)
+    strengths = measure_strengths(
+        inputs[:3].mean(0).numpy(), inputs[6:8].numpy(), plane.valid.numpy(), noise
+    )
+    found[5] = torch.from_numpy(equalise(found[5].numpy(), strengths))
+    trusted = confidence(errors, plane.valid)
+    found = flatten(found, torch.from_numpy(trusted))
+    found = level(found, plane.linear, plane.valid, uniform, points)
+    refined = refine(
+        found,
+        errors,
+        plane.linear,
+        plane.valid,
+        uniform,
+        points,
+        steps=steps,
+        noise=max(noise, _RAW_NOISE),
+        relief=False,
+    )
+    maps = read_outputs(refined.outputs, uniform, plane.texel_size)
+    exemplar = Exemplar(
+        diffuse=maps.diffuse.numpy(),
+        specular=maps.specular.numpy(),
+        roughness=maps.roughness.numpy(),
+        height=maps.height.numpy(),
+        confidence=trusted,
+        texel_size=plane.texel_size,
+    )
+    seen = refined.residual[:, plane.valid]
+    return FoundExemplar(
+        example=_indexed(exemplar, waves),
+        strengths=strengths,
+        error=float(seen.abs().median()) if seen.numel() else 0.0,
+        slow=float(refined.slow.abs().mean()),
+    )
+
+
+def _indexed(exemplar: Exemplar, waves: tuple[Wave, ...]) -> Example:
+    """An exemplar ready to be rearranged, with what was not seen of it drawn from elsewhere."""
+    order = tuple((wave.fx, wave.fy) for wave in waves)
+    example = Example.of(exemplar, order)
+    whole = fill(exemplar, example)
+    return example if whole is exemplar else Example.of(whole, order)
+
+
+def piece_maps(exemplar: Exemplar) -> MapSet:
+    """The photographed piece as a map set."""
+    stacked = torch.from_numpy(exemplar.stacked())
+    return MapSet.from_stacked(stacked, exemplar.texel_size)
+
+
+def confidence(errors: Tensor, valid: Tensor) -> NDArray[np.float32]:
+    """(4, H, W) in [0, 1] of expected errors (4, H, W), logarithms; 0 where nothing was seen.
+
+    Of neighbourhoods: confidence is about where the light shows a map, not about which of the
+    material's features are easily read, or only its plain places would be believed.
+    """
+    doubt = errors.clamp(-8.0, 4.0).exp().numpy() / np.array(_DOUBTED, np.float32)[:, None, None]
+    believed = np.stack([np.exp(-_around(plane)) for plane in doubt])
+    # What a clipped texel's neighbours hold is partly its own.
+    seen = cv2.erode(valid.numpy().astype(np.uint8), np.ones((5, 5), np.uint8))
+    return np.ascontiguousarray(believed * seen, dtype=np.float32)
+
+
+def _around(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Mean over a neighbourhood, a twelfth of the long side."""
+    size = plane.shape[::-1]
+    small = (max(2, size[0] // 16), max(2, size[1] // 16))
+    thin = cv2.resize(plane, small, interpolation=cv2.INTER_AREA)
+    smooth = cv2.GaussianBlur(thin, (0, 0), max(small) / 12.0)
+    return np.asarray(cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR))
+
+
+def noise_level(plane: Plane) -> float:
+    """Standard deviation of log radiance that is the sensor's; 0 where it is not known."""
+    if plane.noise is None:
+        return 0.0
+    share = plane.noise.mean(0) / plane.linear.mean(0).clamp_min(1e-4)
+    seen = share[plane.valid]
+    return float(seen.clamp(-1.0, 1.0).square().mean().sqrt()) if seen.numel() else 0.0
+
+
+def _read(network: Inverse, inputs: Tensor) -> Tensor:
+    """(OUTPUTS + ERRORS, H, W) of a picture of any size."""
+    height, width = inputs.shape[-2:]
+    multiple = network.config.multiple
+    pad = (0, -width % multiple, 0, -height % multiple)
+    mode = "reflect" if max(pad[1], pad[3]) < min(height, width) else "replicate"
+    whole = F.pad(inputs[None], pad, mode=mode) if any(pad) else inputs[None]
+    answer: Tensor = network(whole.contiguous(memory_format=torch.channels_last))
+    return answer[0, :, :height, :width]

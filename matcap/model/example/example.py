@@ -1,0 +1,182 @@
+"""An exemplar ready to be rearranged: its index, and what is looked up in both.
+
+Places are found on a grid of at most some 1500 texels; an exemplar of more detail is read at 2, 4
+or 8 times that grid's resolution, so that a finer photograph costs no more to rearrange.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.model.example import appearance, compiled, plain, relief
+from matcap.model.example.coordinates import Area, Correct, coordinates
+from matcap.model.example.grids import level_count
+from matcap.model.example.index import Index, Project, build_index
+from matcap.model.example.lookup import Lookup, prepare
+from matcap.model.example.order import Period, Wave
+from matcap.model.example.plain import Places
+from matcap.model.exemplar import Exemplar, Floats
+
+_GRID = 1536  # texels of the longer side of the grid at most
+
+
+@dataclass(frozen=True)
+class Example:
+    """An exemplar and its index; picklable.
+
+    Attributes:
+        exemplar: as a file gives it back (Exemplar.rounded).
+        index: of the exemplar on its grid.
+    """
+
+    exemplar: Exemplar
+    index: Index
+
+    @staticmethod
+    def of(exemplar: Exemplar, waves: tuple[Wave, ...] = ()) -> Example:
+        """Index an exemplar.
+
+        Args:
+            exemplar: of at least 14 texels a side.
+            waves: about where those of its regular order are, in cycles per texel of it.
+
+        Raises:
+            ValueError: it is too small.
+        """
+        exemplar = exemplar.rounded()
+        bits = detail_bits(exemplar)
+        coarse = coarsened(exemplar, bits)
+        if not level_count(*coarse.size):
+            raise ValueError(f"an exemplar of {exemplar.size} texels")
+        scaled = tuple((fx * 2**bits, fy * 2**bits) for fx, fy in waves)
+        return Example(exemplar, build_index(coarse, scaled, loops()[0]))
+
+    @property
+    def alignment(self) -> int:
+        """What periods are multiples of, in texels."""
+        return 1 << (detail_bits(self.exemplar) + len(self.index.bases) - 1)
+
+    def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
+        """Tensors and a description for JSON, from which read() makes it again."""
+        maps, about = self.exemplar.stored()
+        chosen, about_index = self.index.stored()
+        tensors = {f"exemplar.{name}": data for name, data in maps.items()}
+        tensors |= {f"index.{name}": data for name, data in chosen.items()}
+        return tensors, {"exemplar": about, "index": about_index}
+
+    @staticmethod
+    def read(about: Mapping[str, Any], tensor: Callable[[str], NDArray[np.uint8]]) -> Example:
+        """An example from what stored() gave.
+
+        Raises:
+            ValueError, KeyError, TypeError: it is not as it should be.
+        """
+        exemplar = Exemplar.read(about["exemplar"], lambda name: tensor(f"exemplar.{name}"))
+        bits = detail_bits(exemplar)
+        width, height = exemplar.size
+        index = Index.read(
+            about["index"], lambda name: tensor(f"index.{name}"), (width >> bits, height >> bits)
+        )
+        return Example(exemplar, index)
+
+    def maps(self, seed: int, area: Area, period: Period | None) -> Floats:
+        """(6, height, width) stacked maps of an area of the field, a pure function of texels.
+
+        Args:
+            seed: in [-2^63, 2^63).
+            area: in texels.
+            period: that the field repeats in, multiples of `alignment`.
+        """
+        reach = relief.REACH
+        places = self.places(seed, area.grown(reach), period)
+        x, y = places[..., 0].astype(np.intp), places[..., 1].astype(np.intp)
+        flat = y * self.exemplar.size[0] + x
+        unit, low = self.exemplar.height_coding()
+        bands = self._bands.reshape(relief.BANDS, -1)
+        heights = relief.joined(np.stack([band[flat] for band in bands]))
+        found = np.empty((6, area.height, area.width), np.float32)
+        inner = np.ascontiguousarray(flat[reach:-reach, reach:-reach])
+        for plane, values in zip(found, self._planes, strict=False):
+            np.take(values, inner, out=plane)
+        np.multiply(heights, np.float32(unit / 2**relief.FRACTION), out=found[5], casting="unsafe")
+        found[5] += np.float32(low * unit)
+        return found
+
+    def places(self, seed: int, area: Area, period: Period | None) -> Places:
+        """(height, width, 2) int16: x, y of the exemplar that every texel of an area shows."""
+        bits = detail_bits(self.exemplar)
+        x, y = area.x >> bits, area.y >> bits
+        right, bottom = -(-(area.x + area.width) >> bits), -(-(area.y + area.height) >> bits)
+        coarse = Area(x, y, right - x, bottom - y)
+        repeat = None
+        if period is not None:
+            repeat = (period[0] and period[0] >> bits, period[1] and period[1] >> bits)
+        found = coordinates(self._lookup, seed, coarse, repeat, loops()[1])
+        if not bits:
+            return found
+        side = 1 << bits
+        found = (found.repeat(side, axis=0).repeat(side, axis=1)) << np.int16(bits)
+        within = np.arange(side, dtype=np.int16)
+        found[..., 0] += np.tile(within, coarse.width)
+        found[..., 1] += np.tile(within, coarse.height)[:, None]
+        left, top = area.x - (x << bits), area.y - (y << bits)
+        return found[top : top + area.height, left : left + area.width]
+
+    @cached_property
+    def _lookup(self) -> Lookup:
+        coarse = coarsened(self.exemplar, detail_bits(self.exemplar))
+        return prepare(coarse, self.index, loops()[0])
+
+    @cached_property
+    def _planes(self) -> tuple[Floats, ...]:
+        maps = (self.exemplar.diffuse, self.exemplar.specular, self.exemplar.roughness)
+        return tuple(plane.ravel() for planes in maps for plane in planes)
+
+    @cached_property
+    def _bands(self) -> relief.Heights:
+        return relief.bands_of(self.exemplar.height_codes())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what can be made again."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def loops() -> tuple[Project, Correct]:
+    """The inner loops: compiled where they were built."""
+    if compiled.kernel() is None:
+        return appearance.project, plain.correct
+    return compiled.project, compiled.correct
+
+
+def detail_bits(exemplar: Exemplar) -> int:
+    """How often an exemplar is halved to the grid that places are found on."""
+    bits = 0
+    while max(exemplar.size) >> bits > _GRID:
+        bits += 1
+    return bits
+
+
+def coarsened(exemplar: Exemplar, bits: int) -> Exemplar:
+    """An exemplar of texels 2^bits as large: means, in a fixed order."""
+    for _ in range(bits):
+        exemplar = replace(
+            exemplar,
+            **{
+                name: _halved(getattr(exemplar, name))
+                for name in ("diffuse", "specular", "roughness", "height", "confidence")
+            },
+            texel_size=2.0 * exemplar.texel_size,
+        )
+    return exemplar
+
+
+def _halved(planes: Floats) -> Floats:
+    rows, columns = planes.shape[1] // 2 * 2, planes.shape[2] // 2 * 2
+    pairs = planes[:, 0:rows:2, :columns] + planes[:, 1:rows:2, :columns]
+    return (pairs[:, :, 0::2] + pairs[:, :, 1::2]) * np.float32(0.25)

@@ -1,0 +1,50 @@
+"""Random integers as a pure function of (seed, level, x, y), exact anywhere in [-2^40, 2^40].
+
+The counter-based hash of noise.py in NumPy: a column and a row are scrambled apart and joined by
+one more scrambling, all modulo 2^64.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Hashes = NDArray[np.uint64]
+Integers = NDArray[np.int64]
+
+_WORD = 2**64
+_GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)  # the multipliers of splitmix64's finaliser
+_MIX_2 = np.uint64(0x94D049BB133111EB)  # (Steele et al. 2014)
+_DRAW = 0xD6E8FEB86659FD93  # sets the draws of one place apart
+
+
+def scramble(value: Hashes) -> Hashes:
+    """splitmix64's finaliser: a bijection in which every bit reaches all."""
+    value = (value ^ (value >> np.uint64(30))) * _MIX_1
+    value = (value ^ (value >> np.uint64(27))) * _MIX_2
+    return value ^ (value >> np.uint64(31))
+
+
+def hash_places(seed: int, level: int, x: Integers, y: Integers) -> Hashes:
+    """Hashes of places (x, y), of shapes that broadcast.
+
+    Args:
+        seed: in [-2^63, 2^63).
+        level: sets the places of a seed apart.
+        x, y: columns and rows.
+    """
+    start = scramble(np.array([(seed + _GOLDEN) % _WORD], np.uint64))
+    counter = [(2 * level + 1) * _GOLDEN % _WORD, (2 * level + 2) * _GOLDEN % _WORD]
+    for_column, for_row = scramble(np.array(counter, np.uint64) + start)
+    golden = np.uint64(_GOLDEN)
+    column = scramble(x.astype(np.uint64) * golden + for_column)
+    row = scramble(y.astype(np.uint64) * golden + for_row)
+    return scramble(column ^ row)
+
+
+def draw(hashes: Hashes, index: int, count: int) -> Integers:
+    """The index-th random integer in [0, count) of each hash; count is at most 2^31."""
+    apart = np.array([index * _DRAW % _WORD], np.uint64)
+    bits = scramble(hashes + apart) >> np.uint64(32)
+    return (bits * np.uint64(count) >> np.uint64(32)).astype(np.int64)

@@ -1,0 +1,98 @@
+"""All that synthesis looks up, level by level: made from an exemplar and its index.
+
+A level is a grid of output places 2^level texels apart. Neighbouring places are compared by the
+appearance of the exemplar smoothed to that spacing, at places known to half a step.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.model.example.appearance import Appearance
+from matcap.model.example.features import features_of, planes_of
+from matcap.model.example.grids import Frame, frame_of, grid_bits, grids_of, similar_bits
+from matcap.model.example.index import Index, Project
+from matcap.model.example.order import Order, Phases
+from matcap.model.exemplar import Exemplar
+
+_ORDERED = 1  # levels from this one on keep to the order
+_DEAR = 19  # bits: a place of full reluctance costs 255 * 2^19 = 1.3e8, as a bad seam
+
+
+@dataclass(frozen=True)
+class Level:
+    """What one level looks up.
+
+    Attributes:
+        spacing: texels between places of the output.
+        frame: of the places.
+        bits: the appearance's grid is 2^bits texels wide.
+        appearance: (H, W, DIMENSIONS) int16.
+        similar_bits: the grid of similar places is 2^similar_bits texels wide.
+        similar: (H, W, 2) int16 x, y in texels.
+        price: (H, W) int32 of a place in squares of 2^PRICE_BITS texels, beside how well it fits.
+        phases: (H, W, 2) of the appearance's grid, where there is order to keep.
+    """
+
+    spacing: int
+    frame: Frame
+    bits: int
+    appearance: Appearance
+    similar_bits: int
+    similar: NDArray[np.int16]
+    price: NDArray[np.int32]
+    phases: Phases | None
+
+
+@dataclass(frozen=True)
+class Lookup:
+    """Levels, the finest first, and the order they keep."""
+
+    levels: tuple[Level, ...]
+    order: Order | None
+
+
+def prepare(exemplar: Exemplar, index: Index, project: Project) -> Lookup:
+    """What an exemplar and its index are looked up in.
+
+    Args:
+        exemplar: that the index is of.
+        index: of it.
+        project: appearance.project, or the compiled one.
+    """
+    width, height = exemplar.size
+    features = features_of(planes_of(exemplar), index.scale)
+    grids = grids_of(features, len(index.bases))
+    with ThreadPoolExecutor() as pool:
+        appearances = list(pool.map(project, grids, index.bases))
+    price = index.reluctance.astype(np.int32) << _DEAR
+    levels = tuple(
+        Level(
+            spacing=1 << level,
+            frame=frame_of(level, width, height),
+            bits=grid_bits(level),
+            appearance=appearance,
+            similar_bits=similar_bits(level),
+            similar=similar,
+            price=price,
+            phases=_phases(index.order, level, appearance),
+        )
+        for level, (appearance, similar) in enumerate(zip(appearances, index.similar, strict=True))
+    )
+    return Lookup(levels, index.order)
+
+
+def _phases(order: Order | None, level: int, appearance: Appearance) -> Phases | None:
+    if order is None or level < _ORDERED:
+        return None
+    rows, columns = (np.arange(n) << grid_bits(level) for n in appearance.shape[:2])
+    return two_phases(order.phases(columns[None, :], rows[:, None]))
+
+
+def two_phases(phases: Phases) -> Phases:
+    """(..., 2): the second of one wave is always nought."""
+    return np.pad(phases, ((0, 0), (0, 0), (0, 2 - phases.shape[-1])))

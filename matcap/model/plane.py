@@ -1,0 +1,44 @@
+"""The endless plane: where it is addressed, what repeats, which realisations there are.
+
+Without PyTorch, so that what needs none can start without it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from matcap.errors import UsageError
+
+COORDINATE_LIMIT = 2**40  # texels either way
+SEED_LIMIT = 2**63
+
+# What repeats: texels along x and along y, None for an axis that never does.
+Period = tuple[int | None, int | None]
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """Texels x to x + width, y (downwards) to y + height."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+def check_seed(seed: int) -> int:
+    """The seed, or a UsageError when it is out of range."""
+    if not -SEED_LIMIT <= seed < SEED_LIMIT:
+        raise UsageError(f"the seed {seed} is out of range", remedy="give one in [-2^63, 2^63)")
+    return seed
+
+
+def check_period(period: Period | None, alignment: int) -> Period | None:
+    """The period, or a UsageError when an axis is no positive multiple of the alignment."""
+    for length in period or ():
+        if length is not None and (length <= 0 or length % alignment):
+            raise UsageError(
+                f"the period {length} is not a positive multiple of {alignment}",
+                remedy=f"round it to a multiple of {alignment}",
+            )
+    return period

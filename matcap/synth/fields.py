@@ -1,0 +1,124 @@
+"""The field that was asked for: of one material or between two, by example or by the network.
+
+By example without PyTorch, which alone takes longer to start than a map takes to make: so its
+modules are imported where they are needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from matcap.model.example.source import example_source
+from matcap.model.header import read_exemplified
+
+if TYPE_CHECKING:
+    from matcap.model.device import DeviceName
+    from matcap.model.material import Material
+    from matcap.model.plane import Period, Rectangle
+    from matcap.model.source import Generator, Source
+    from matcap.synth.precision import Choice, Precision
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which field of a material.
+
+    Attributes:
+        seed: which realisation.
+        period: what repeats.
+        generator: "example" or "decoder"; None: by example where there is an exemplar.
+        precision: of the network.
+        device: where the network computes.
+    """
+
+    seed: int = 0
+    period: Period | None = None
+    generator: Generator | None = None
+    precision: Precision = "fp32"
+    device: DeviceName = "cpu"
+
+
+@dataclass(frozen=True)
+class Found:
+    """A field with what is told of it.
+
+    Attributes:
+        source: of its blocks.
+        name: of the material.
+        provenance: how it was made; JSON.
+        choice: of a decoder's precision.
+    """
+
+    source: Source
+    name: str
+    provenance: dict[str, Any]
+    choice: Choice | None = None
+
+
+def open_field(material: Path | Material, wanted: Wanted) -> Found:
+    """The field of one material.
+
+    Args:
+        material: itself, or its file.
+        wanted: which of its fields.
+
+    Raises:
+        MatcapError: the file is missing, damaged, or no material; the device is not there, or
+            does not compute in this precision.
+        UsageError: a seed or period out of range, or no exemplar where one was asked for.
+    """
+    if isinstance(material, Path) and wanted.generator != "decoder":
+        held = read_exemplified(material)
+        if held is not None:
+            source = example_source(held.example, wanted.seed, wanted.period)
+            return Found(source, held.name, held.provenance)
+    from matcap.model.device import find_device
+    from matcap.model.source import MaterialSource, field_source
+    from matcap.synth.precision import choose
+
+    subject = _loaded(material)
+    place = find_device(wanted.device)
+    field = field_source(subject, wanted.seed, wanted.period, place, wanted.generator)
+    provenance = dict(subject.provenance)
+    if not isinstance(field, MaterialSource):
+        return Found(field, subject.name, provenance)
+    choice = choose(field, wanted.precision)
+    return Found(choice.source, subject.name, provenance, choice)
+
+
+def open_blend(
+    first: Path | Material, second: Path | Material, mask: Path, over: Rectangle, wanted: Wanted
+) -> Found:
+    """The field that is the first material where a mask is black, the second where it is white.
+
+    Args:
+        first: itself, or its file.
+        second: likewise.
+        mask: a grey picture,
+        over: stretched over this.
+        wanted: which of their fields.
+
+    Raises:
+        MatcapError, UsageError: as open_field; or the mask is no picture.
+    """
+    from matcap.model.device import find_device
+    from matcap.synth.blend import blend_source
+    from matcap.synth.mask import read_mask
+    from matcap.synth.precision import choose
+
+    start, end = _loaded(first), _loaded(second)
+    between = blend_source(
+        start, end, read_mask(mask, over, wanted.period), wanted.seed, wanted.period,
+        find_device(wanted.device), wanted.generator,
+    )  # fmt: skip
+    choice = choose(between, wanted.precision)
+    told = {"blend": [start.name, end.name], "mask_over": list(astuple(over))}
+    return Found(choice.source, start.name, dict(start.provenance) | told, choice)
+
+
+def _loaded(material: Path | Material) -> Material:
+    from matcap.model.material import Material
+
+    return Material.load(material) if isinstance(material, Path) else material

@@ -1,0 +1,93 @@
+"""Training of the inverse network: samples, losses, legs that continue one another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from matcap.lab.inverse.losses import loss_parts, total
+from matcap.lab.inverse.samples import draw_sample, is_held_out, training_material
+from matcap.lab.inverse.train import TrainSettings, train
+from matcap.lab.simulate.materials import random_material
+from matcap.model.inverse.inputs import network_inputs, true_outputs
+from matcap.model.inverse.network import ERRORS, InverseConfig
+
+TINY = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)
+SMALL = TrainSettings(width=64, height=64, workers=0, save_every=1000)
+
+
+def test_a_sample_is_a_function_of_its_number() -> None:
+    first, again, other = (draw_sample(n, 64, 64) for n in (5, 5, 6))
+    assert torch.equal(first.linear, again.linear)
+    assert not torch.equal(first.linear, other.linear)
+    assert first.uniform == again.uniform
+
+
+def test_samples_are_finite_and_within_range() -> None:
+    for number in range(12):
+        sample = draw_sample(number, 96, 64)
+        inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
+        assert bool(torch.isfinite(inputs).all())
+        assert bool(torch.isfinite(sample.truth.stacked()).all())
+        assert float(sample.linear.min()) >= 0.0 and float(sample.linear.max()) <= 1.0
+        # The coarse fit is about as bright as the picture.
+        assert float(inputs[:3].median().abs()) < 1.0
+
+
+def test_held_out_patterns_are_never_trained_on() -> None:
+    shown = [random_material(np.random.default_rng(seed)) for seed in range(200)]
+    assert any(is_held_out(material) for material in shown)
+    for seed in range(40):
+        realise = training_material(np.random.default_rng(seed))
+        owner = getattr(realise, "__self__", None)
+        assert owner is None or not hasattr(owner, "base") or not is_held_out(owner)
+
+
+def test_the_truth_has_no_loss_but_doubt() -> None:
+    sample = draw_sample(3, 96, 64)
+    truth = true_outputs(sample.truth, sample.uniform)
+    certain = torch.full((ERRORS, *truth.shape[-2:]), float(np.log(0.01)))
+    parts = loss_parts(torch.cat([truth, certain]), sample, np.random.default_rng(0))
+    for name, part in parts.items():
+        assert float(part) < 2e-3, name
+    wrong = truth.clone()
+    wrong[5] *= 0.3
+    shrunk = loss_parts(torch.cat([wrong, certain]), sample, np.random.default_rng(0))
+    assert float(shrunk["energy"]) > 0.1
+    assert float(shrunk["slope"]) > 0.1
+
+
+def test_legs_continue_exactly(tmp_path: Path) -> None:
+    torch.set_num_threads(1)
+    whole = train(tmp_path / "whole", TrainSettings(**{**vars(SMALL), "steps": 4}), TINY, _quiet)
+    train(tmp_path / "legs", TrainSettings(**{**vars(SMALL), "steps": 2}), TINY, _quiet)
+    resumed = train(tmp_path / "legs", TrainSettings(**{**vars(SMALL), "steps": 4}), TINY, _quiet)
+    assert resumed.step == whole.step == 4
+    for a, b in zip(whole.model.parameters(), resumed.model.parameters(), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_a_few_steps_on_one_picture_lower_its_loss() -> None:
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    from matcap.model.inverse.network import Inverse
+
+    network = Inverse(TINY)
+    sample = draw_sample(1, 64, 64)
+    inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)[None]
+    optimiser = torch.optim.SGD(network.parameters(), lr=0.02)
+    losses = []
+    for _ in range(12):
+        loss = total(loss_parts(network(inputs)[0], sample, np.random.default_rng(0)))
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    assert min(losses[-3:]) < losses[0]
+
+
+def _quiet(_line: str) -> None:
+    pass
