@@ -16,8 +16,6 @@ import torch
 from torch import Tensor
 
 from matcap.model.patch import Patch
-from matcap.model.plane import COORDINATE_LIMIT as COORDINATE_LIMIT
-from matcap.model.plane import SEED_LIMIT as SEED_LIMIT
 
 _CHANNELS_PER_HASH = 4  # of 16 bits each
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64

@@ -13,8 +13,7 @@ from torch import Tensor
 from matcap.brdf.folder import NormalStyle
 from matcap.brdf.normals import normals_from_slopes
 from matcap.errors import UsageError
-from matcap.model.blocks import RING as RING
-from matcap.model.blocks import Grid
+from matcap.model.blocks import RING, Grid
 from matcap.model.decoder import ALIGNMENT, maps_from_raw
 from matcap.model.device import repeatable
 from matcap.model.example.example import Example
@@ -23,8 +22,7 @@ from matcap.model.freeze import FoldedDecoder
 from matcap.model.noise import noise_field
 from matcap.model.order import order_field
 from matcap.model.patch import Patch, Period, Rectangle
-from matcap.model.plane import check_period
-from matcap.model.plane import check_seed as check_seed
+from matcap.model.plane import check_period, check_seed
 from matcap.model.random_field import RandomField
 from matcap.model.spans import Span, Spans, spans_of
 from matcap.statistics.lattice import Wave
