@@ -162,15 +162,11 @@ def capture_photo(
     if settings.finds_exemplar:
         with clock.stage("exemplar"):
             found = find_exemplar(plane, coarse, load_inverse(), scene.waves)
-        if settings.generator == "example":
-            material = replace(material, example=found.example)
+    if found is not None and settings.generator == "example":
+        material = replace(material, example=found.example)
 
     with clock.stage("rendering"):
-        # By example, the photographed piece itself tells more than another piece would.
-        if found is not None and settings.generator == "example":
-            maps = piece_maps(found.exemplar)
-        else:
-            maps = material.maps(*plane.size, seed=settings.seed)
+        maps = _shown(material, plane, settings.seed)
         with torch.inference_mode():
             rerendered = render_rectified(maps, material.setup)
 
@@ -187,6 +183,13 @@ def capture_photo(
         self_difference=own,
         found=found,
     )
+
+
+def _shown(material: Material, plane: Plane, seed: int) -> MapSet:
+    """Maps to look at beside the photograph: of the piece itself, where that is rearranged."""
+    if material.exemplar is not None:
+        return piece_maps(material.exemplar)
+    return material.maps(*plane.size, seed=seed)
 
 
 def _features(statistics: str, method: Method) -> Features:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli.options import ExportOption, JsonOption, Normal, QuietOption, typed
+from matcap.cli.options import ExportOption, GeneratorName, JsonOption, Normal, QuietOption, typed
 from matcap.errors import ExitCode
 from matcap.files import values
 
@@ -75,6 +75,14 @@ def batch(
         str | None,
         typer.Option(metavar="filterbank|vgg19=FILE", help="What textures are compared by."),
     ] = None,
+    generator: Annotated[
+        GeneratorName | None,
+        typer.Option(help="What materials are read by: decoder, or the piece rearranged, example."),
+    ] = None,
+    aligned: Annotated[
+        bool | None,
+        typer.Option("--aligned/--no-aligned", help="Also the maps of the photographed pieces."),
+    ] = None,
     group: Annotated[
         str | None,
         typer.Option(metavar="none|dir|time", help="Which photographs show one sample."),
@@ -117,6 +125,7 @@ def batch(
         "jobs": jobs, "preset": preset, "steps": steps, "time": time_limit, "detail": detail,
         "fov": fov, "seed": seed, "size": str(size) if size else None, "tile": tile, "png": png,
         "normal": normal.value if normal else None, "prior": prior, "group": group, "gap": gap,
+        "generator": generator.value if generator else None, "aligned": aligned,
         "target": target, "statistics": statistics, "export": export or None, "card": card,
     }  # fmt: skip
     settings = settings_of(shoot, flags)

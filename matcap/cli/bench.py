@@ -122,6 +122,29 @@ def highlight(
 
 
 @app.command()
+def aligned(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for photographs.")] = Path(
+        "bench/aligned"
+    ),
+    material: Annotated[
+        list[str] | None, typer.Option(help="Only this material; may be given several times.")
+    ] = None,
+) -> None:
+    """How right the maps of the photographed piece are, texel by texel.
+
+    Photographs simulated materials and compares what is found with the true maps, by distance from
+    the flash, beside the photograph as albedo and the coarse fit alone. Prints a table.
+    """
+    from matcap.files.staging import check_writable
+    from matcap.lab.bench.aligned import aligned_markdown, run_aligned
+    from matcap.lab.simulate.examples import EXAMPLES
+
+    check_writable(out, 100_000_000)
+    rows = run_aligned(out, material or EXAMPLES, tell=lambda line: typer.echo(line, err=True))
+    typer.echo(aligned_markdown(rows))
+
+
+@app.command()
 def stability(
     quick: Annotated[
         bool, typer.Option("--quick", help="5,000 draws of the reflectance, each photograph once.")

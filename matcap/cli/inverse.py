@@ -61,12 +61,14 @@ def ship(
     out: Annotated[Path, typer.Option("--out", "-o", help="The network's file.")] = Path(
         "inverse.safetensors"
     ),
+    quiet: QuietOption = False,
 ) -> None:
     """Write a training's running average as the file that captures read, in half precision."""
     from matcap.lab.inverse.train import ship as run
 
     card = run(folder, out)
-    typer.echo(f"wrote {out}: {card['steps']} steps", err=True)
+    if not quiet:
+        typer.echo(f"wrote {out}: {card['steps']} steps", err=True)
 
 
 def _tell(line: str) -> None:

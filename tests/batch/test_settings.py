@@ -85,7 +85,7 @@ def test_bytes_that_are_no_text_are_refused(tmp_path):
 CHANGES = {
     "preset": "draft", "steps": 7, "time": 5.0, "detail": 77, "fov": 30.0, "seed": 3,
     "size": (64, 32), "tile": True, "png": True, "normal": "dx", "target": 2.0,
-    "export": ("gltf",), "statistics": "vgg19=weights.pth",
+    "export": ("gltf",), "statistics": "vgg19=weights.pth", "generator": "example", "aligned": True,
 }  # fmt: skip
 
 

@@ -3,8 +3,9 @@
 import ast
 import json
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 
+import numpy as np
 import pytest
 import typer.main
 from make_reference import FOLDER, PAGES, written
@@ -14,6 +15,8 @@ from safetensors import safe_open
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import app, main
 from matcap.errors import ExitCode
+from matcap.model.example.example import Example
+from matcap.model.exemplar import CHANNELS, Exemplar
 from matcap.relight import scenefile
 from matcap.relight.scene import Camera, Film, Surface
 
@@ -75,7 +78,13 @@ def test_every_exit_code_is_there():
 
 
 def test_a_material_holds_what_is_told(small, tmp_path):
-    small.save(tmp_path / "leather.matcap")
+    maps = small.maps(96, 96)
+    piece = Exemplar(
+        *(getattr(maps, name).numpy() for name in CHANNELS),
+        confidence=np.ones((4, 96, 96), np.float32),
+        texel_size=maps.texel_size,
+    )
+    replace(small, example=Example.of(piece)).save(tmp_path / "leather.matcap")
     with safe_open(tmp_path / "leather.matcap", framework="pt") as file:
         about, tensors = json.loads(file.metadata()["matcap"]), list(file.keys())
     assert set(about) == formats.keys("matcap.model.material", "Metadata")

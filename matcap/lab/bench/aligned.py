@@ -8,16 +8,24 @@ What one photograph cannot tell, the gain between flash and albedo, cancels.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import astuple, dataclass, fields, replace
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.coarse import CoarseFit, fit_coarse
+from matcap.errors import UsageError
 from matcap.files.srgb import srgb_decode_tensor
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
-from matcap.lab.bench.relit import Scene, relight_all
+from matcap.lab.bench.baselines import photo_as_albedo
+from matcap.lab.bench.piece import photographed_piece
+from matcap.lab.bench.relit import Scene, bench_scene, relight_all
+from matcap.lab.simulate.dng import write_dng
+from matcap.lab.simulate.examples import EXAMPLES
+from matcap.lab.simulate.photograph import Camera, as_photo
 
 # Distances from the flash's foot in plane units that divide the picture.
 RINGS = (("foot", 0.0, 0.35), ("middle", 0.35, 0.75), ("rim", 0.75, math.inf), ("all", 0.0, 9.0))
@@ -121,3 +129,62 @@ def _correlation(found: Tensor, true: Tensor) -> float:
 
 def _mean(values: Tensor) -> float:
     return float(values.mean()) if values.numel() else 0.0
+
+
+def run_aligned(
+    out: Path,
+    materials: Iterable[str],
+    detail: int = 1024,
+    tell: Callable[[str], None] = lambda _line: None,
+) -> list[tuple[str, str, dict[str, AlignedErrors]]]:
+    """Photograph materials, find their maps, and compare them with the truth.
+
+    Beside two baselines: the photograph as albedo with flat relief, and the coarse fit alone.
+
+    Args:
+        out: folder for the photographs (DNG).
+        materials: names in EXAMPLES.
+        detail: texels across.
+        tell: called with a line for each row.
+
+    Raises:
+        UsageError: no such material.
+    """
+    rows = []
+    camera = Camera()
+    for name in materials:
+        if name not in EXAMPLES:
+            raise UsageError(
+                "there is none of this name",
+                where=name,
+                remedy=f"choose from {', '.join(EXAMPLES)}",
+            )
+        example = EXAMPLES[name]
+        shot = example.take(camera)
+        out.mkdir(parents=True, exist_ok=True)
+        path = out / f"{name}.dng"
+        write_dng(path, shot, example.sensor, example.seed)
+        photo = as_photo(shot, example.seed, path.name)
+        shrunk = replace(camera, width=detail, height=detail * camera.height // camera.width)
+        truth = example.truth(shrunk).map(lambda m: m.float())
+        piece = photographed_piece(path, detail)
+        albedo = photo_as_albedo(photo, shot.setup, detail)
+        coarse = fit_coarse(photo)
+        for method, maps, setup in (
+            ("exemplar", piece.whole, piece.setup),
+            ("photo-as-albedo", albedo.whole, albedo.setup),
+            ("coarse fit", _uniform(coarse, truth), coarse.setup),
+        ):
+            found = aligned_errors(maps, setup, truth, shot.setup, bench_scene(shot.setup))
+            rows.append((name, method, found))
+            tell(f"{name} {method}: relit {found['all'].relit:.3f}")
+    return rows
+
+
+def _uniform(coarse: CoarseFit, like: MapSet) -> MapSet:
+    """The coarse fit's uniform material, as maps of the size of others."""
+    one = torch.ones_like(like.height)
+    diffuse = torch.tensor(coarse.diffuse)[:, None, None] * one
+    return MapSet(
+        diffuse, coarse.specular * one, coarse.roughness * one, 0.0 * one, like.texel_size
+    )

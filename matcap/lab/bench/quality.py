@@ -27,6 +27,7 @@ from matcap.files.srgb import srgb_decode_tensor
 from matcap.files.staging import staged
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.baselines import PerTexelSettings, per_texel, photo_as_albedo
+from matcap.lab.bench.piece import photographed_piece, rearranged_piece
 from matcap.lab.bench.relit import LIGHTS, Scene, bench_scene, relight_all
 from matcap.lab.bench.style import PortillaSimoncelli, RandomFilters, Style, difference
 from matcap.lab.simulate.dng import write_dng
@@ -35,7 +36,8 @@ from matcap.lab.simulate.photograph import Camera, Realise, Shot, as_photo
 from matcap.photo.photo import Photo
 
 CAPTURE, ALBEDO, PER_TEXEL = "capture", "photo-as-albedo", "per-texel"
-METHODS = (CAPTURE, ALBEDO, PER_TEXEL)
+EXEMPLAR, BY_EXAMPLE = "exemplar", "by-example"
+METHODS = (CAPTURE, EXEMPLAR, BY_EXAMPLE, ALBEDO, PER_TEXEL)
 _TRUTH_SEEDS = (1001, 1002, 1003)  # none of the examples'
 _FINER = 2  # true radiance is averaged over this many texels a side: it has detail below a pixel
 
@@ -283,7 +285,19 @@ def _methods(
     def texels(subject: Subject) -> Captured:
         return per_texel(subject.photo, subject.shot.setup, settings.detail, settings.per_texel)
 
-    return {CAPTURE: captured, ALBEDO: albedo, PER_TEXEL: texels}
+    def piece(subject: Subject) -> Captured:
+        return photographed_piece(subject.path, settings.detail)
+
+    def rearranged(subject: Subject) -> Captured:
+        return rearranged_piece(subject.path, settings.detail)
+
+    return {
+        CAPTURE: captured,
+        EXEMPLAR: piece,
+        BY_EXAMPLE: rearranged,
+        ALBEDO: albedo,
+        PER_TEXEL: texels,
+    }
 
 
 def _photograph(example: Example, out: Path, camera: Camera) -> Subject:

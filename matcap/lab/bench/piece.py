@@ -1,0 +1,67 @@
+"""The photographed piece of a photograph's file, and the field that rearranges it, to be measured.
+
+Without the decoder: coarse fit, inverse network, refinement, index.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.coarse import fit_coarse
+from matcap.capture.exemplar.find import FoundExemplar, find_exemplar, piece_maps
+from matcap.capture.exemplar.store import load_inverse
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.plane import read_plane
+from matcap.lab.bench.baselines import Fixed
+from matcap.model.example.coordinates import Area
+from matcap.model.example.example import Example
+from matcap.photo.load import load_photo
+from matcap.statistics.lattice import find_lattice
+
+
+@dataclass(frozen=True)
+class Rearranged:
+    """An example as an endless field.
+
+    Attributes:
+        example: what is rearranged.
+        setup: camera and flash it goes with.
+    """
+
+    example: Example
+    setup: FlashSetup
+
+    @property
+    def texel_size(self) -> float:
+        """A texel's side in plane units."""
+        return self.example.exemplar.texel_size
+
+    def maps(self, width: int, height: int, *, seed: int = 0) -> MapSet:
+        """One realisation."""
+        stacked = torch.from_numpy(self.example.maps(seed, Area(0, 0, width, height), None))
+        return MapSet.from_stacked(stacked, self.texel_size)
+
+
+def found_piece(path: Path, detail: int) -> tuple[FoundExemplar, FlashSetup]:
+    """The exemplar of a photograph's file, and its setup as fitted."""
+    photo = load_photo(path, long_side=detail, noise=True)
+    coarse = fit_coarse(photo)
+    plane = read_plane(photo, coarse.setup, detail)
+    waves = find_lattice(plane.encoded(), plane.valid).waves
+    return find_exemplar(plane, coarse, load_inverse(), waves), coarse.setup
+
+
+def photographed_piece(path: Path, detail: int) -> Fixed:
+    """The maps themselves."""
+    found, setup = found_piece(path, detail)
+    return Fixed(piece_maps(found.exemplar), setup)
+
+
+def rearranged_piece(path: Path, detail: int) -> Rearranged:
+    """More of them."""
+    found, setup = found_piece(path, detail)
+    return Rearranged(found.example, setup)

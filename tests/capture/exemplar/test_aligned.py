@@ -1,0 +1,62 @@
+"""`capture --aligned` and `--generator example`, as a user gives them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from photographed import photographed
+from typer.testing import CliRunner
+
+from matcap.brdf.folder import find_mapsets, read_mapset
+from matcap.cli.main import app
+from matcap.files.exr import read_exr
+from matcap.files.srgb import srgb_encode
+from matcap.model.material import Material
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("aligned")
+    shot = photographed(0.15, 0.2, width=320, height=240)
+    linear = (shot.linear / shot.linear.quantile(0.995)).permute(1, 2, 0).numpy()
+    photo = out / "bumps.png"
+    cv2.imwrite(
+        str(photo), (srgb_encode(linear.clip(0.0, 1.0))[..., ::-1] * 65535).astype(np.uint16)
+    )
+    told = CliRunner().invoke(
+        app,
+        ["capture", str(photo), "-o", str(out), "--preset", "instant", "--size", "64x64",
+         "--detail", "320",
+         "--aligned", "--generator", "example", "-q"],
+    )  # fmt: skip
+    assert told.exit_code == 0, told.output
+    return out / photo.stem
+
+
+def test_the_piece_is_written_beside_the_material(folder: Path) -> None:
+    name = folder.name
+    maps, document = read_mapset(folder / f"{name}_photo.json")
+    trusted = read_exr(folder / f"{name}_photo_confidence.exr")
+    assert trusted.shape == (maps.size[1], maps.size[0], 4)
+    assert 0.0 <= trusted.min() <= trusted.max() <= 1.0
+    assert document["provenance"]["of"] == "the photographed piece"
+    # A folder still means its material's own set.
+    assert find_mapsets(folder) == [folder / f"{name}.json"]
+
+
+def test_the_material_holds_the_piece_and_is_read_by_it(folder: Path) -> None:
+    material = Material.load(folder / f"{folder.name}.matcap")
+    assert material.exemplar is not None
+    by_example = material.maps(48, 48, seed=2)
+    decoded = material.maps(48, 48, seed=2, generator="decoder")
+    assert not by_example.diffuse.equal(decoded.diffuse)
+
+
+def test_the_report_says_how_right_it_is(folder: Path) -> None:
+    told = json.loads((folder / "report.json").read_text())["exemplar"]
+    assert 0.0 <= told["error"] < 0.5
+    assert set(told["confidence"]) == {"diffuse", "specular", "roughness", "height"}

@@ -1,0 +1,104 @@
+"""From a photograph's plane to the exemplar."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from photographed import photographed
+
+from matcap.capture.coarse import CoarseFit
+from matcap.capture.exemplar.fill import fill
+from matcap.capture.exemplar.find import confidence, find_exemplar, piece_maps
+from matcap.capture.exemplar.store import load_inverse, read_inverse, save_inverse
+from matcap.errors import MatcapError
+from matcap.flash.plane import plane_of
+from matcap.model.example.example import Example
+from matcap.model.inverse.network import Inverse, InverseConfig
+
+
+def _plane(clip: float = 1e9):
+    shot = photographed(0.15, 0.15, width=256, height=192)
+    uniform = shot.uniform
+    coarse = CoarseFit(
+        uniform.diffuse, uniform.specular, uniform.roughness, uniform.setup, residual=0.0
+    )
+    clipped = shot.linear.clamp_max(clip)
+    return plane_of(clipped, (clipped < clip).all(0)), coarse, shot
+
+
+def test_the_piece_re_renders_to_its_photograph() -> None:
+    plane, coarse, shot = _plane()
+    found = find_exemplar(plane, coarse, load_inverse())
+    assert found.error < 0.05
+    maps = piece_maps(found.exemplar)
+    assert maps.size == plane.size
+    assert bool(torch.isfinite(maps.stacked()).all())
+    # Brightness is the truth's, whatever the network has learnt yet.
+    ratio = maps.diffuse.mean((1, 2)) / shot.maps.diffuse.mean((1, 2))
+    assert float((ratio.log()).abs().max()) < 0.25
+
+
+def test_even_an_untaught_network_gives_maps_within_their_ranges() -> None:
+    plane, coarse, _ = _plane()
+    torch.manual_seed(1)
+    network = Inverse(InverseConfig(widths=(8, 8, 12), context=8)).eval().requires_grad_(False)
+    exemplar = find_exemplar(plane, coarse, network).exemplar  # checks ranges when it is made
+    assert float(np.abs(exemplar.height).max()) < 1.0
+
+
+def test_nothing_is_trusted_where_nothing_was_seen() -> None:
+    plane, coarse, shot = _plane(clip=float(photographed(0.15, 0.15, width=256, height=192)
+                                            .linear.quantile(0.98)))  # fmt: skip
+    found = find_exemplar(plane, coarse, load_inverse())
+    unseen = ~plane.valid.numpy()
+    assert unseen.any()
+    assert float(found.exemplar.confidence[:, unseen].max()) == 0.0
+    assert float(found.exemplar.confidence[:, ~unseen].mean()) > 0.2
+
+
+def test_confidence_falls_with_the_error_to_be_expected() -> None:
+    valid = torch.ones(64, 96, dtype=torch.bool)
+    sure, unsure = (confidence(torch.full((4, 64, 96), e), valid) for e in (-4.0, 0.0))
+    assert (sure > unsure).all()
+    assert sure.max() <= 1.0 and unsure.min() >= 0.0
+
+
+def test_holes_are_filled_with_what_looks_like_the_rest() -> None:
+    shot = photographed(0.1, 0.3, width=256, height=192)
+    maps = shot.maps
+    truth = maps.diffuse.clamp(0.0, 0.95).numpy()
+    trusted = np.ones((4, 192, 256), np.float32)
+    trusted[:, 80:110, 120:160] = 0.0
+    burnt = truth.copy()
+    burnt[:, 80:110, 120:160] = 0.9
+    from matcap.model.exemplar import Exemplar
+
+    exemplar = Exemplar(burnt, maps.specular.numpy(), maps.roughness.numpy(),
+                        maps.height.numpy(), trusted, maps.texel_size)  # fmt: skip
+    whole = fill(exemplar, Example.of(exemplar))
+    hole = whole.diffuse[:, 80:110, 120:160]
+    assert abs(hole.mean() - truth.mean()) < 0.35 * truth.mean()
+    assert np.array_equal(whole.height, exemplar.height)
+    assert np.array_equal(whole.diffuse[:, :40], exemplar.diffuse[:, :40])
+    seen = replace(exemplar, confidence=np.ones_like(trusted))
+    assert fill(seen, Example.of(seen)) is seen
+
+
+def test_weights_survive_storing_and_are_refused_when_damaged(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = Inverse(InverseConfig(widths=(8, 8, 12), context=8))
+    path = tmp_path / "inverse.safetensors"
+    save_inverse(network, path, {"steps": 3})
+    again, card = read_inverse(path)
+    assert card == {"steps": 3}
+    for a, b in zip(network.parameters(), again.parameters(), strict=True):
+        assert torch.allclose(a, b, atol=1e-3)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(MatcapError, match="damaged"):
+        read_inverse(path)
+    with pytest.raises(MatcapError, match="damaged"):
+        read_inverse(tmp_path / "missing")
