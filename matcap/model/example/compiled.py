@@ -17,7 +17,6 @@ from matcap.model.example.lookup import Level
 from matcap.model.example.order import Phases
 from matcap.model.example.plain import Places, margin
 
-
 _FORM = 2  # of kernel.c
 
 
