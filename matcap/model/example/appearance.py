@@ -17,8 +17,8 @@ from matcap.model.example.features import LIMIT, PLANES, Features
 
 DIMENSIONS = 8
 # Of an appearance: three times a difference of two fits 16 bits, and the sum of its squares over
-# four neighbours of eight dimensions 31 bits: (3 * 2 * 1023)^2 * 32 = 1.2e9.
-LARGEST = 1023
+# four neighbours of eight dimensions 30 bits, and so twice that: (3 * 2 * 700)^2 * 32 = 5.6e8.
+LARGEST = 700
 _RADIUS = 2
 TAPS = (2 * _RADIUS + 1) ** 2 * PLANES  # 200 * 127 * 127 < 2^24
 _FALL_OFF = 8.0  # of the weights, in squared steps of the neighbourhood

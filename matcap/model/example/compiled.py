@@ -17,6 +17,8 @@ from matcap.model.example.lookup import Level
 from matcap.model.example.order import Phases
 from matcap.model.example.plain import Places, margin
 
+_FORM = 2  # of kernel.c
+
 
 class _Level(ctypes.Structure):
     _fields_ = (
@@ -36,13 +38,15 @@ class _Level(ctypes.Structure):
 
 @cache
 def kernel() -> Any | None:  # noqa: ANN401
-    """The library, or None where it was not built."""
+    """The library, or None where it was not built, or from another form of its file."""
     for suffix in EXTENSION_SUFFIXES:
         path = Path(__file__).with_name(f"kernel{suffix}")
         if path.is_file():
             try:
-                return ctypes.CDLL(str(path))
-            except OSError:
+                library = ctypes.CDLL(str(path))
+                if library.matcap_form() == _FORM:
+                    return library
+            except (OSError, AttributeError):
                 continue
     return None
 

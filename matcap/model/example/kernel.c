@@ -8,11 +8,30 @@
 #include <emmintrin.h>
 #endif
 
-enum { DIMENSIONS = 8, PLANES = 8, SIDE = 5, LARGEST = 1023, DIAGONALS = 4, AROUND = 9, REACH = 2, PHASE_SHIFT = 2, PRICE_BITS = 2, STRIP = 512 };
+enum {
+    /* As in appearance.py, grids.py and plain.py. */
+    DIMENSIONS = 8,
+    PLANES = 8,
+    SIDE = 5,
+    LARGEST = 700,
+    DIAGONALS = 4,
+    AROUND = 9,
+    REACH = 2,
+    PHASE_SHIFT = 2,
+    PRICE_BITS = 2,
+    SIMILAR_TIMES = 2,
+    STRIP = 512, /* places of a row that are looked at together */
+};
 
 typedef struct {
     int16_t x, y;
 } Place;
+
+/* Raised with every change of results or arguments, here and in compiled.py: a library that was
+   built from another file is not used. */
+enum { FORM = 2 };
+
+int32_t matcap_form(void) { return FORM; }
 
 typedef struct {
     uint16_t one, two;
@@ -62,7 +81,7 @@ static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *want
         }
         if (cost >= most) return cost;
     }
-    if (similar) cost += cost >> 2;
+    if (similar) cost *= SIMILAR_TIMES;
     if (l->phases) {
         const ptrdiff_t place = (ptrdiff_t)(y >> l->bits) * l->columns + (x >> l->bits);
         const int32_t one = (int16_t)(l->phases[place].one - ordered->one) >> PHASE_SHIFT;

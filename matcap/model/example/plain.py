@@ -17,6 +17,9 @@ _DIAGONALS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 _AROUND = ((0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 # A tenth of a turn costs as much as a seam that is seen.
 PHASE_SHIFT = 2
+# What is merely similar must fit so many times better than what continues a piece: pieces stay
+# large, and what is drawn whole.
+SIMILAR_TIMES = 2
 _NEVER = np.int32(2**31 - 1)
 
 
@@ -139,7 +142,7 @@ def _cost(
         step = np.array([x * level.spacing, y * level.spacing], np.int32)
         cost += np.square(3 * _looked_up(level, safe + step) - target).sum(-1, dtype=np.int32)
     if similar:
-        cost += cost >> 2
+        cost *= SIMILAR_TIMES
     at = safe[..., 1] >> level.bits, safe[..., 0] >> level.bits
     cost += level.price[safe[..., 1] >> PRICE_BITS, safe[..., 0] >> PRICE_BITS]
     if ordered is not None and level.phases is not None:
