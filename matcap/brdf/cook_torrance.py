@@ -21,6 +21,7 @@ from torch import Tensor
 # Roughness below this shows as this: alpha = 1e-6, whose square and whose peak D = 1 / (pi
 # alpha^2) both stay far inside float32, and which no photograph or picture can tell from 0.
 MIN_ROUGHNESS = 1e-3
+SINGLE_ROUGHNESS = 0.05  # likewise of single_lobe: a tenth of a per cent of alpha is float32's
 
 # Smallest denominator of the visibility term, reached only when both cosines are grazing.
 _TINY = 1e-7
@@ -70,6 +71,26 @@ def schlick(specular: Tensor, l_dot_h: Tensor) -> Tensor:
     one_minus = (1.0 - l_dot_h).clamp(0.0, 1.0)
     squared = one_minus.square()
     return specular + (1.0 - specular) * squared.square() * one_minus
+
+
+def single_lobe(
+    specular: Tensor, roughness: Tensor, normal: Tensor, to_light: Tensor, to_view: Tensor
+) -> Tensor:
+    """specular_lobe in the tensors' own precision, for fits: quicker, and never quite dark.
+
+    Within 1 % of it in float32 from roughness SINGLE_ROUGHNESS up, below which it shows as that;
+    cosines below 1e-3 count as 1e-3, so that gradients do not end at the horizon.
+    """
+    half = normalize(to_light + to_view)
+    cross = torch.linalg.cross(*torch.broadcast_tensors(normal, half), dim=-3)
+    alpha = roughness.clamp_min(SINGLE_ROUGHNESS).square()
+    n_dot_l = dot(normal, to_light).clamp_min(1e-3)
+    n_dot_v = dot(normal, to_view).clamp_min(1e-3)
+    return (
+        ggx(dot(normal, half), dot(cross, cross), alpha)
+        * smith_visibility(n_dot_l, n_dot_v, alpha)
+        * schlick(specular, dot(to_light, half))
+    )
 
 
 def specular_lobe(

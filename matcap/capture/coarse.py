@@ -27,6 +27,7 @@ from torch import Tensor
 from matcap.brdf.cook_torrance import dot, normalize, specular_lobe
 from matcap.capture.highlight import SURROUNDINGS, Highlight, find_highlight, light_of
 from matcap.flash.geometry import FlashSetup, rotation
+from matcap.flash.uniform import Uniform
 from matcap.photo.photo import Photo
 
 # Cells across the long side, enough for what is smooth; first all starts are tried on the former.
@@ -69,23 +70,15 @@ _ABOVE_KNEE = 0.25
 
 
 @dataclass(frozen=True)
-class CoarseFit:
-    """A uniform material and the setup it was photographed with.
+class CoarseFit(Uniform):
+    """The uniform material that comes nearest to a photograph.
 
     Attributes:
-        diffuse: (r, g, b) albedo in (0, 1).
-        specular: F0 in (0, 1).
-        roughness: in (0, 1).
-        setup: camera, flash and tilt; its intensity belongs to these albedos.
         residual: root-mean-square of the log residual over unclipped cells.
         lobes: (share, roughness) of the two lobes that the highlight is best made of, the narrow
             one first; `roughness` is the one lobe that comes nearest.
     """
 
-    diffuse: tuple[float, float, float]
-    specular: float
-    roughness: float
-    setup: FlashSetup
     residual: float
     lobes: tuple[tuple[float, float], ...] = ()
 

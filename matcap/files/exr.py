@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,23 +44,31 @@ def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
         "type": OpenEXR.scanlineimage,
         "chromaticities": REC709,
     }
-    try:
-        OpenEXR.File(header, {"RGB" if stored.ndim == 3 else "Y": stored}).write(str(path))
-    except RuntimeError as error:
-        # OpenEXR keeps the cause only in its words.
-        full = "No space left" in str(error)
-        raise OSError(errno.ENOSPC if full else errno.EIO, str(error)) from error
+    _write(path, header, {"RGB" if stored.ndim == 3 else "Y": stored})
 
 
 def write_exr_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) -> None:
-    """Write (H, W) planes in half float under names of their own; otherwise as write_exr."""
+    """Write planes (H, W) of [0, 1] in half float under names of their own, no colours.
+
+    Not atomic: write into a staged folder.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
     import OpenEXR
 
     stored = {name: np.ascontiguousarray(plane, np.float16) for name, plane in channels.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    _write(path, header, stored)
+
+
+def _write(path: Path, header: dict[str, Any], channels: dict[str, Any]) -> None:
+    import OpenEXR
+
     try:
-        OpenEXR.File(header, stored).write(str(path))
+        OpenEXR.File(header, channels).write(str(path))
     except RuntimeError as error:
+        # OpenEXR keeps the cause only in its words.
         full = "No space left" in str(error)
         raise OSError(errno.ENOSPC if full else errno.EIO, str(error)) from error
 

@@ -5,7 +5,14 @@ import math
 import pytest
 import torch
 
-from matcap.brdf.cook_torrance import cook_torrance, ggx, normalize, specular_lobe
+from matcap.brdf.cook_torrance import (
+    SINGLE_ROUGHNESS,
+    cook_torrance,
+    ggx,
+    normalize,
+    single_lobe,
+    specular_lobe,
+)
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height
 from matcap.flash.geometry import FlashSetup, plane_points, project, unproject
@@ -71,6 +78,23 @@ def test_gradients_are_finite_where_the_papers_code_was_not(roughness, theta):
     value.sum().backward()
     assert torch.isfinite(value).all()
     assert all(torch.isfinite(p.grad).all() for p in (diffuse, specular, rough))
+
+
+@pytest.mark.parametrize("roughness", [SINGLE_ROUGHNESS, 0.1, 0.3, 1.0])
+@pytest.mark.parametrize("apart", [0.0, 0.01, 0.3, 1.1])
+def test_the_single_precision_lobe_is_the_lobe(roughness, apart):
+    arguments = scalar(0.04), scalar(roughness), UP, direction(0.4 + apart), direction(0.4, math.pi)
+    exact = specular_lobe(*arguments)
+    single = single_lobe(*(a.float() for a in arguments))
+    assert single.dtype == torch.float32
+    assert torch.allclose(single.double(), exact, rtol=0.01)
+
+
+def test_the_single_precision_lobe_keeps_gradients_below_the_horizon():
+    roughness = scalar(0.5, torch.float32).requires_grad_()
+    up = UP.float()
+    single_lobe(scalar(0.04).float(), roughness, up, direction(1.7).float(), up).sum().backward()
+    assert torch.isfinite(roughness.grad).all() and (roughness.grad != 0.0).all()
 
 
 def test_a_zero_vector_stays_zero():

@@ -10,13 +10,8 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
 from matcap.flash.render import render_flash
-from matcap.model.inverse.inputs import (
-    Uniform,
-    network_inputs,
-    read_outputs,
-    true_outputs,
-    uniform_radiance,
-)
+from matcap.flash.uniform import Uniform, uniform_radiance
+from matcap.model.inverse.inputs import network_inputs, read_outputs, true_outputs
 from matcap.model.inverse.network import ERRORS, INPUTS, OUTPUTS, Inverse, InverseConfig
 
 SETUP = FlashSetup(fov=60.0, offset=(0.1, -0.05, 0.0), tilt=(0.05, -0.03), intensity=(8.0,) * 3)

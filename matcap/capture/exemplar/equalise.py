@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from matcap.capture.exemplar.integrate import integrate
+from matcap.capture.exemplar.smooth import coarse_smoothed, enlarged
 from matcap.capture.exemplar.strengths import Strengths, slope_strengths
 
 Height = NDArray[np.float32]
@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 _BLURS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _ABOUT = ((3, 4), (2,), (1,), (0,), (0,), (0,))
 _AROUND = 64.0  # texels: deviation of a neighbourhood
-_COARSER = 8  # texels a side that are one, where neighbourhoods are averaged
 _GAINS = (0.25, 5.0)  # slopes are not weakened or strengthened more than this
 _TRUSTED = 0.8  # of the photograph's own word, where it stands out clearly
 _LEAST = 1e-4  # slope
@@ -46,7 +45,7 @@ def equalise(height: Height, strengths: Strengths | None) -> Height:
         gain = _gain(_covariance(x, y, around), wanted[index] * _own(x, y), height.shape)
         even_x += gain[0] * x + gain[1] * y
         even_y += gain[1] * x + gain[2] * y
-    return integrate(torch.from_numpy(even_x)[None], torch.from_numpy(even_y)[None])[0].numpy()
+    return integrate(even_x, even_y)
 
 
 def _wanted(height: Height, strengths: Strengths | None) -> list[float]:
@@ -64,24 +63,17 @@ def _wanted(height: Height, strengths: Strengths | None) -> list[float]:
 
 
 def _own(x: Height, y: Height) -> Array:
-    """(3,) xx, xy and yy of a band's slopes on the whole, as even in direction as the plane.
+    """(3,) xx, xy and yy of a band's slopes over the whole picture.
 
-    What a flash in the middle does to directions cancels over the picture; what is left is the
-    material's.
+    What a flash in the middle does to directions cancels there; what is left is the material's.
     """
     return np.array([np.square(x).mean(), (x * y).mean(), np.square(y).mean()], np.float64)
 
 
 def _covariance(x: Height, y: Height, deviation: float) -> Array:
     """(3, h, w) xx, xy and yy of slopes in every neighbourhood, on a coarser grid."""
-    rows, columns = x.shape
-    small = (-(-columns // _COARSER), -(-rows // _COARSER))
-
-    def mean(product: Height) -> Array:
-        thin = cv2.resize(product, small, interpolation=cv2.INTER_AREA)
-        return np.asarray(cv2.GaussianBlur(thin, (0, 0), deviation / _COARSER), np.float64)
-
-    return np.stack([mean(x * x), mean(x * y), mean(y * y)])
+    products = (x * x, x * y, y * y)
+    return np.stack([coarse_smoothed(p, deviation) for p in products]).astype(np.float64)
 
 
 def _gain(local: Array, wanted: Array, shape: tuple[int, ...]) -> Height:
@@ -95,9 +87,7 @@ def _gain(local: Array, wanted: Array, shape: tuple[int, ...]) -> Height:
     gain = _sandwich(inverse, middle)
     values, vectors = _eigen(gain)
     gain = _compose(np.clip(values, *_GAINS), vectors)
-    size = (shape[1], shape[0])
-    fine = [cv2.resize(g.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) for g in gain]
-    return np.stack(fine)
+    return np.stack([enlarged(g.astype(np.float32), shape) for g in gain])
 
 
 def _eigen(matrix: Array) -> tuple[Array, Array]:

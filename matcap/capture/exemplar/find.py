@@ -7,7 +7,7 @@ photograph.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -20,19 +20,21 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.coarse import CoarseFit
 from matcap.capture.exemplar.equalise import equalise
 from matcap.capture.exemplar.fill import fill
-from matcap.capture.exemplar.refine import flatten, level, refine
+from matcap.capture.exemplar.refine import Light, flatten, level, refine
+from matcap.capture.exemplar.smooth import smoothed
 from matcap.capture.exemplar.strengths import Strengths, measure_strengths
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
 from matcap.model.example.example import Example
 from matcap.model.exemplar import Exemplar
-from matcap.model.inverse.inputs import Uniform, network_inputs, read_outputs
-from matcap.model.inverse.network import OUTPUTS, Inverse
+from matcap.model.inverse.inputs import network_inputs, read_outputs
+from matcap.model.inverse.network import COLOUR, OUTPUTS, SHOWN, Inverse
 from matcap.statistics.lattice import Wave
 
 # Expected errors at which confidence has fallen to 1/e: log albedo, log F0, logit roughness, slope.
 _DOUBTED = (0.3, 0.6, 0.6, 0.15)
-_RAW_NOISE = 0.01  # of log radiance, where the sensor's is not known
+_LEAST_NOISE = 0.01  # of log radiance: what is not explained, where the sensor's is less
+_AROUND = 12.0  # the long side over the deviation of a neighbourhood's confidence
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,6 @@ def find_exemplar(
     coarse: CoarseFit,
     network: Inverse,
     waves: tuple[Wave, ...] = (),
-    steps: int = 3,
 ) -> FoundExemplar:
     """Maps of the photographed piece.
 
@@ -73,34 +74,24 @@ def find_exemplar(
         coarse: its coarse fit.
         network: reads it (store.load_inverse).
         waves: of its regular order, in cycles per texel.
-        steps: of refinement.
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    uniform = Uniform(coarse.diffuse, coarse.specular, coarse.roughness, coarse.setup)
-    inputs = network_inputs(plane.linear, plane.valid, uniform, points)
+    inputs = network_inputs(plane.linear, plane.valid, coarse, points)
     outputs = _read(network, inputs)
     found, errors = outputs[:OUTPUTS].clone(), outputs[OUTPUTS:]
     noise = noise_level(plane)
     strengths = measure_strengths(
-        inputs[:3].mean(0).numpy(), inputs[6:8].numpy(), plane.valid.numpy(), noise
+        inputs[COLOUR].mean(0).numpy(), inputs[SHOWN].numpy(), plane.valid.numpy(), noise
     )
     found[5] = torch.from_numpy(equalise(found[5].numpy(), strengths))
     trusted = confidence(errors, plane.valid)
     found = flatten(found, torch.from_numpy(trusted))
-    found = level(found, plane.linear, plane.valid, uniform, points)
-    refined = refine(
-        found,
-        errors,
-        plane.linear,
-        plane.valid,
-        uniform,
-        points,
-        steps=steps,
-        noise=max(noise, _RAW_NOISE),
-        relief=False,
-    )
-    maps = read_outputs(refined.outputs, uniform, plane.texel_size)
+    light = Light(coarse, points)
+    found = level(found, plane.linear, plane.valid, light)
+    noise = max(noise, _LEAST_NOISE)
+    refined = refine(found, errors, plane.linear, plane.valid, light, noise=noise)
+    maps = read_outputs(refined.outputs, coarse, plane.texel_size)
     exemplar = Exemplar(
         diffuse=maps.diffuse.numpy(),
         specular=maps.specular.numpy(),
@@ -123,7 +114,8 @@ def _indexed(exemplar: Exemplar, waves: tuple[Wave, ...]) -> Example:
     order = tuple((wave.fx, wave.fy) for wave in waves)
     example = Example.of(exemplar, order)
     whole = fill(exemplar, example)
-    return example if whole is exemplar else Example.of(whole, order)
+    # Nothing is drawn from a hole, so filling it leaves the index as it is.
+    return example if whole is exemplar else replace(example, exemplar=whole.rounded())
 
 
 def piece_maps(exemplar: Exemplar) -> MapSet:
@@ -139,19 +131,11 @@ def confidence(errors: Tensor, valid: Tensor) -> NDArray[np.float32]:
     material's features are easily read, or only its plain places would be believed.
     """
     doubt = errors.clamp(-8.0, 4.0).exp().numpy() / np.array(_DOUBTED, np.float32)[:, None, None]
-    believed = np.stack([np.exp(-_around(plane)) for plane in doubt])
+    around = max(valid.shape) / _AROUND
+    believed = np.stack([np.exp(-smoothed(plane, around)) for plane in doubt])
     # What a clipped texel's neighbours hold is partly its own.
     seen = cv2.erode(valid.numpy().astype(np.uint8), np.ones((5, 5), np.uint8))
     return np.ascontiguousarray(believed * seen, dtype=np.float32)
-
-
-def _around(plane: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Mean over a neighbourhood, a twelfth of the long side."""
-    size = plane.shape[::-1]
-    small = (max(2, size[0] // 16), max(2, size[1] // 16))
-    thin = cv2.resize(plane, small, interpolation=cv2.INTER_AREA)
-    smooth = cv2.GaussianBlur(thin, (0, 0), max(small) / 12.0)
-    return np.asarray(cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR))
 
 
 def noise_level(plane: Plane) -> float:

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
+
+Field = NDArray[np.float32]
 
 
-def integrate(slope_x: Tensor, slope_y: Tensor) -> Tensor:
-    """(1, H, W) height of zero mean, in texels, by least squares.
+def integrate(slope_x: Field, slope_y: Field) -> Field:
+    """(H, W) height of zero mean, in texels, by least squares.
 
     The Poisson equation with nothing passing the borders, solved by the discrete cosine transform.
 
     Args:
-        slope_x: (1, H, W) dh/dx per texel, x to the right.
-        slope_y: (1, H, W) dh/dy per texel, y upwards (rows run downwards).
+        slope_x: (H, W) dh/dx per texel, x to the right.
+        slope_y: (H, W) dh/dy per texel, y upwards (rows run downwards).
     """
-    height, width = slope_x.shape[-2:]
+    height, width = slope_x.shape
     # cv2.dct wants even sides; a mirrored row or column changes next to nothing.
-    p = _even(slope_x[0].numpy().astype(np.float32))
-    q = _even(-slope_y[0].numpy().astype(np.float32))
+    p = _even(slope_x)
+    q = _even(-slope_y)
     # Differences between texels are means of both texels' slopes.
     across, down = (p[:, 1:] + p[:, :-1]) / 2.0, (q[1:] + q[:-1]) / 2.0
     divergence = np.zeros_like(p)
@@ -35,8 +35,8 @@ def integrate(slope_x: Tensor, slope_y: Tensor) -> Tensor:
     laplacian[0, 0] = 1.0
     waves = cv2.dct(divergence) / laplacian.astype(np.float32)
     waves[0, 0] = 0.0
-    return torch.from_numpy(cv2.idct(waves)[:height, :width].copy())[None]
+    return np.ascontiguousarray(cv2.idct(waves)[:height, :width])
 
 
-def _even(field: NDArray[np.float32]) -> NDArray[np.float32]:
+def _even(field: Field) -> Field:
     return np.pad(field, [(0, side % 2) for side in field.shape], mode="edge")

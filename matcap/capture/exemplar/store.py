@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from matcap.errors import MatcapError
+from matcap.files.staging import staged
 from matcap.model.inverse.network import Inverse, InverseConfig
 
 FORMAT = "matcap-inverse"
-VERSION = 1
+VERSION = 1  # of the file
+SHIPPED = Path(__file__).parent / "weights" / "inverse.safetensors"
 _WIDEST, _DEEPEST = 512, 8
 _REMEDY = "install matcap again, or give another file"
 
@@ -30,6 +30,9 @@ def save_inverse(network: Inverse, path: Path, card: Mapping[str, Any]) -> None:
         network: the network.
         path: of the file.
         card: how it was trained; JSON.
+
+    Raises:
+        MatcapError: the folder cannot be written.
     """
     tensors = {name: value.half().contiguous() for name, value in network.state_dict().items()}
     about = {
@@ -39,9 +42,9 @@ def save_inverse(network: Inverse, path: Path, card: Mapping[str, Any]) -> None:
         "context": network.config.context,
         "card": dict(card),
     }
-    temporary = path.with_name(path.name + ".part")
-    save_file(tensors, temporary, {"matcap": json.dumps(about)})
-    os.replace(temporary, path)
+    with staged(path.parent) as stage:
+        # As bytes: save_file would give the file to its owner alone, whatever the umask says.
+        (stage / path.name).write_bytes(save(tensors, metadata={"matcap": json.dumps(about)}))
 
 
 def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
@@ -80,6 +83,4 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
 @cache
 def load_inverse() -> Inverse:
     """The network that comes with matcap."""
-    folder = resources.files("matcap.capture.exemplar") / "weights"
-    with resources.as_file(folder / "inverse.safetensors") as path:
-        return read_inverse(path)[0]
+    return read_inverse(SHIPPED)[0]

@@ -8,7 +8,7 @@ whose mean g along a direction is s, the energy of the band's waves in that dire
     E(s) = A + 2 C s + S s^2,
 
 A albedo's energy, S the slopes', C how both go together. Windows differ in s, and a regression
-over them recovers all three.
+over them recovers A and S.
 """
 
 from __future__ import annotations
@@ -38,18 +38,12 @@ class Strengths:
     Attributes:
         albedo: of log albedo.
         slope: of the slope along the direction.
-        together: correlation of the two, -1 to 1; negative where grooves are dark on a slope
-            that faces away. Slope and albedo of one symmetric feature are out of phase, so it is
-            near 0 for most materials.
         trust: how far the slope's strength stands out of its own scatter, 0 to 1.
-        windows: that were looked at.
     """
 
     albedo: Array
     slope: Array
-    together: Array
     trust: Array
-    windows: int
 
     @property
     def relief(self) -> float:
@@ -89,21 +83,18 @@ def measure_strengths(
     if len(energies) < _FEWEST:
         return None
     energy, slant = np.array(energies), np.array(slants)
-    found = np.zeros((4, len(BANDS), DIRECTIONS))
+    found = np.zeros((3, len(BANDS), DIRECTIONS))
     for band, masked in enumerate(masks):
         for direction in range(DIRECTIONS):
             white = noise**2 * masked[direction].sum() / window.size
             found[:, band, direction] = _regress(
                 slant[:, direction], np.maximum(energy[:, band, direction] - white, 0.0)
             )
-    albedo, cross, slope, error = found
-    together = cross / np.sqrt(np.maximum(albedo * slope, 1e-12))
+    albedo, slope, error = found
     return Strengths(
         albedo=np.sqrt(albedo),
         slope=np.sqrt(slope),
-        together=together.clip(-1.0, 1.0),
         trust=np.square(slope) / (np.square(slope) + np.square(error) + 1e-12),
-        windows=len(energies),
     )
 
 
@@ -113,12 +104,13 @@ def slope_strengths(height: NDArray[np.float32]) -> Array:
     power = float(np.square(window).sum())
     across = np.gradient(height, axis=1)
     up = -np.gradient(height, axis=0)
+    masks = _masks()
     total = np.zeros((len(BANDS), DIRECTIONS))
     count = 0
     for cut in _windows(height.shape):
         waves = [np.fft.fft2((s[cut] - s[cut].mean()) * window) for s in (across, up)]
         spectrum = sum(np.square(np.abs(w)) for w in waves) / power / window.size
-        total += [[(spectrum * mask).sum() for mask in band] for band in _masks()]
+        total += [[(spectrum * mask).sum() for mask in band] for band in masks]
         count += 1
     return np.sqrt(total / max(1, count))
 
@@ -145,8 +137,8 @@ def _masks() -> list[list[Array]]:
     return bands
 
 
-def _regress(slant: Array, energy: Array) -> tuple[float, float, float, float]:
-    """A, C, S and S's standard error, A and S not negative, by weighted least squares."""
+def _regress(slant: Array, energy: Array) -> tuple[float, float, float]:
+    """A, S and S's standard error, A and S not negative, by weighted least squares."""
     columns = np.stack([np.ones_like(slant), 2.0 * slant, np.square(slant)], axis=1)
     weight: NDArray[Any] = np.ones_like(slant)
     solution: NDArray[Any] = np.zeros(3)
@@ -159,4 +151,4 @@ def _regress(slant: Array, energy: Array) -> tuple[float, float, float, float]:
     scatter = np.square((energy - columns @ solution) * weight).sum() / (len(slant) - 3)
     inverse = np.linalg.pinv(weighted.T @ weighted)
     error = float(np.sqrt(scatter * max(inverse[2, 2], 0.0)))
-    return float(solution[0]), float(solution[1]), float(solution[2]), error
+    return float(solution[0]), float(solution[2]), error

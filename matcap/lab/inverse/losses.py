@@ -16,7 +16,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import dot, ggx, normalize, schlick, smith_visibility
+from matcap.brdf.cook_torrance import dot, normalize, single_lobe
 from matcap.brdf.maps import MapSet
 from matcap.lab.inverse.samples import Sample
 from matcap.model.inverse.inputs import read_outputs, true_outputs
@@ -201,15 +201,7 @@ def _lit(maps: MapSet, normal: Tensor, points: Tensor, light: Tensor, to_view: T
     away = light[:, None, None] - points
     squared = dot(away, away)
     to_light = away * squared.rsqrt()
-    half = normalize(to_light + to_view)
-    cross = torch.linalg.cross(normal, half, dim=-3)
     n_dot_l = dot(normal, to_light).clamp_min(1e-3)
-    n_dot_v = dot(normal, to_view).clamp_min(1e-3)
-    alpha = maps.roughness.clamp_min(0.05).square()
-    lobe = (
-        ggx(dot(normal, half), dot(cross, cross), alpha)
-        * smith_visibility(n_dot_l, n_dot_v, alpha)
-        * schlick(maps.specular, dot(to_light, half))
-    )
+    lobe = single_lobe(maps.specular, maps.roughness, normal, to_light, to_view)
     strength = math.pi * float(light.square().sum()) ** 1.5 / float(light[2])
     return (maps.diffuse / math.pi + lobe) * n_dot_l / squared * strength

@@ -21,10 +21,10 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash
+from matcap.flash.uniform import Uniform, uniform_radiance
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
-from matcap.model.inverse.inputs import Uniform, uniform_radiance
 
 # Kinds never trained on: capture is judged by them.
 HELD_OUT = ("leather", "granite", "tile")

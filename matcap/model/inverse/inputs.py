@@ -9,65 +9,20 @@ tilt. Heights are in texels, slopes therefore physical at any detail.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import cook_torrance, dot, normalize
 from matcap.brdf.maps import MapSet
-from matcap.brdf.normals import normals_from_slopes
-from matcap.flash.geometry import FlashSetup, camera_in_plane
-from matcap.flash.render import vignette
+from matcap.flash.geometry import camera_in_plane
+from matcap.flash.uniform import Uniform, roughness_logit, uniform_radiance
 
 _FARTHEST = 3.0  # log radiance beyond this from the uniform material's tells no more
 _STEP = 0.03  # of slope and of logit roughness, for differences of radiance
 _COARSER = 4  # what a uniform material shows is smooth: worked out on every fourth texel
 _DAMPING = 0.1  # slope told per log radiance: bounded where relief does not show
 _LOGITS = 7.0  # of roughness: 0.001 to 0.999
-
-
-@dataclass(frozen=True)
-class Uniform:
-    """A uniform material and the setup of the photograph: what departures depart from.
-
-    Attributes:
-        diffuse: (r, g, b) albedo.
-        specular: F0.
-        roughness: in (0, 1).
-        setup: camera, flash, tilt; its intensity belongs to these albedos.
-    """
-
-    diffuse: tuple[float, float, float]
-    specular: float
-    roughness: float
-    setup: FlashSetup
-
-
-def uniform_radiance(
-    uniform: Uniform, points: Tensor, slope: tuple[float, float] = (0.0, 0.0), duller: float = 0.0
-) -> tuple[Tensor, Tensor]:
-    """Radiance (3, H, W) of the uniform material at plane points, and its diffuse part.
-
-    Args:
-        uniform: the material and its setup.
-        points: (3, H, W).
-        slope: (dh/dx, dh/dy) of the whole plane.
-        duller: added to the logit of roughness.
-    """
-    setup = uniform.setup
-    camera, light = (v.to(points)[:, None, None] for v in camera_in_plane(setup))
-    away = light - points
-    to_light, to_view = normalize(away), normalize(camera - points)
-    one = torch.ones_like(points[:1])
-    normal = normals_from_slopes(slope[0] * one, slope[1] * one)
-    rough = torch.sigmoid(torch.tensor(_logit(uniform.roughness) + duller)).to(points) * one
-    albedo = torch.tensor(uniform.diffuse).to(points)[:, None, None]
-    falloff = dot(normal, to_light).clamp_min(1e-4) / dot(away, away) * vignette(points, setup)
-    power = torch.tensor(setup.intensity).to(points)[:, None, None] * falloff
-    whole = cook_torrance(albedo, uniform.specular * one, rough, normal, to_light, to_view)
-    return whole * power, albedo / math.pi * power
 
 
 def network_inputs(linear: Tensor, valid: Tensor, uniform: Uniform, points: Tensor) -> Tensor:
@@ -105,7 +60,7 @@ def network_inputs(linear: Tensor, valid: Tensor, uniform: Uniform, points: Tens
     relief = log.mean(0, keepdim=True) * told / (told.square().sum(0, keepdim=True) + _DAMPING**2)
     constants = torch.tensor(
         [
-            _logit(uniform.roughness) / 2.0,
+            roughness_logit(uniform.roughness) / 2.0,
             (math.log(uniform.specular) + 3.0) / 2.0,
             (math.log(sum(uniform.diffuse) / 3.0) + 1.5) / 2.0,
         ]
@@ -131,7 +86,7 @@ def read_outputs(outputs: Tensor, uniform: Uniform, texel_size: float) -> MapSet
         diffuse=(albedo + outputs[..., :3, :, :]).exp().clamp(0.001, 0.99),
         specular=(math.log(uniform.specular) + outputs[..., 3:4, :, :]).exp().clamp(0.005, 0.99),
         roughness=torch.sigmoid(
-            (_logit(uniform.roughness) + outputs[..., 4:5, :, :]).clamp(-_LOGITS, _LOGITS)
+            (roughness_logit(uniform.roughness) + outputs[..., 4:5, :, :]).clamp(-_LOGITS, _LOGITS)
         ),
         height=outputs[..., 5:6, :, :] * texel_size,
         texel_size=texel_size,
@@ -145,7 +100,7 @@ def true_outputs(maps: MapSet, uniform: Uniform) -> Tensor:
         [
             maps.diffuse.clamp(0.001, 0.99).log() - albedo,
             maps.specular.clamp(0.005, 0.99).log() - math.log(uniform.specular),
-            maps.roughness.clamp(0.001, 0.999).logit() - _logit(uniform.roughness),
+            maps.roughness.clamp(0.001, 0.999).logit() - roughness_logit(uniform.roughness),
             maps.height / maps.texel_size,
         ],
         dim=-3,
@@ -155,8 +110,3 @@ def true_outputs(maps: MapSet, uniform: Uniform) -> Tensor:
 def _resized(picture: Tensor, size: tuple[int, ...]) -> Tensor:
     """(C, *size) of (C, H, W), corner texels on corner texels."""
     return F.interpolate(picture[None], size=list(size), mode="bilinear", align_corners=True)[0]
-
-
-def _logit(value: float) -> float:
-    inside = min(max(value, 0.001), 0.999)
-    return math.log(inside / (1.0 - inside))

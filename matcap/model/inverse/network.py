@@ -20,6 +20,8 @@ INPUTS = (
     "red", "green", "blue", "valid", "light x", "light y", "shows x", "shows y",
     "shows roughness", "gloss", "roughness", "f0", "albedo", "relief x", "relief y",
 )  # fmt: skip
+COLOUR, SHOWN = slice(0, 3), slice(6, 8)  # log radiance; what it changes by with slope
+_VALID, _GLOSS = slice(3, 4), slice(9, 10)
 # Channels of the output: departures of log albedo, log F0 and logit roughness, height in texels,
 # and the logarithm of the error to be expected of each (albedo, F0, roughness, slope).
 OUTPUTS = 6
@@ -120,7 +122,7 @@ class Inverse(nn.Module):
         out = self.out(fine)
         coarse = F.interpolate(height, scale_factor=2.0, mode="bilinear", align_corners=False)
         # The photograph's own departure is the first guess of albedo's.
-        albedo = out[:, :3] + inputs[:, :3]
+        albedo = out[:, :3] + inputs[:, COLOUR]
         return torch.cat([albedo, out[:, 3:5], out[:, 5:6] + coarse, out[:, 6:]], dim=1)
 
 
@@ -145,9 +147,9 @@ class _Block(nn.Module):
 
 def _weightings(inputs: Tensor) -> Tensor:
     """(B, _WEIGHTINGS, H, W): even, by what shows of relief, by gloss; of valid texels."""
-    valid = inputs[:, 3:4] + 1e-3
-    relief = inputs[:, 6:8].square().sum(1, keepdim=True)
-    return torch.cat([valid, valid * relief, valid * inputs[:, 9:10]], dim=1)
+    valid = inputs[:, _VALID] + 1e-3
+    relief = inputs[:, SHOWN].square().sum(1, keepdim=True)
+    return torch.cat([valid, valid * relief, valid * inputs[:, _GLOSS]], dim=1)
 
 
 def _means(features: Tensor, weights: Tensor) -> Tensor:

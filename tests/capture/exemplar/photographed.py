@@ -11,7 +11,7 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash
-from matcap.model.inverse.inputs import Uniform
+from matcap.flash.uniform import Uniform
 
 SETUP = FlashSetup(fov=65.0, offset=(0.08, 0.04, 0.0), intensity=(6.0,) * 3)
 

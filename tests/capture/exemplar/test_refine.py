@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from photographed import photographed
 
-from matcap.capture.exemplar.refine import level, refine
+from matcap.capture.exemplar.refine import Light, level, refine
 from matcap.model.inverse.inputs import true_outputs
 
 ERRORS = torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None]
@@ -19,7 +19,7 @@ def _setting(slope: float = 0.1, contrast: float = 0.1):
 
 def test_the_truth_is_left_alone() -> None:
     shot, valid, truth, errors = _setting()
-    refined = refine(truth, errors, shot.linear, valid, shot.uniform, shot.points)
+    refined = refine(truth, errors, shot.linear, valid, Light(shot.uniform, shot.points))
     assert float(refined.residual.abs().median()) < 1e-3
     assert float((refined.outputs - truth).abs().max()) < 0.05
 
@@ -27,7 +27,7 @@ def test_the_truth_is_left_alone() -> None:
 def test_a_flat_guess_is_moved_until_it_re_renders() -> None:
     shot, valid, truth, errors = _setting()
     guess = torch.zeros_like(truth)
-    refined = refine(guess, errors, shot.linear, valid, shot.uniform, shot.points, steps=4)
+    refined = refine(guess, errors, shot.linear, valid, Light(shot.uniform, shot.points))
     texture = refined.residual - refined.slow
     assert float(texture.abs().median()) < 0.01
 
@@ -35,7 +35,7 @@ def test_a_flat_guess_is_moved_until_it_re_renders() -> None:
 def test_slow_drift_is_not_the_materials() -> None:
     shot, valid, truth, errors = _setting()
     drift = torch.linspace(-0.15, 0.15, 192).exp()
-    refined = refine(truth, errors, shot.linear * drift, valid, shot.uniform, shot.points)
+    refined = refine(truth, errors, shot.linear * drift, valid, Light(shot.uniform, shot.points))
     assert float((refined.outputs - truth)[:3].mean((0, 1)).diff().abs().mean()) < 1e-3
     assert float(refined.slow.abs().mean()) > 0.04
 
@@ -46,7 +46,7 @@ def test_clipped_texels_are_lower_bounds() -> None:
     clip = float(shot.linear.quantile(0.7))
     clipped = shot.linear.clamp_max(clip)
     unclipped = (shot.linear < clip).all(0)
-    refined = refine(truth, errors, clipped, unclipped, shot.uniform, shot.points)
+    refined = refine(truth, errors, clipped, unclipped, Light(shot.uniform, shot.points))
     assert float((refined.outputs - truth).abs().max()) < 0.05
 
 
@@ -54,12 +54,12 @@ def test_levels_are_found_again() -> None:
     shot, valid, truth, _ = _setting()
     off = truth.clone()
     off[:3] -= 0.3
-    found = level(off, shot.linear, valid, shot.uniform, shot.points)
+    found = level(off, shot.linear, valid, Light(shot.uniform, shot.points))
     assert float((found - truth)[:3].mean().abs()) < 0.06
 
 
-def test_relief_stays_where_it_is_told_to() -> None:
+def test_relief_is_not_touched() -> None:
     shot, valid, truth, errors = _setting()
     guess = torch.zeros_like(truth)
-    refined = refine(guess, errors, shot.linear, valid, shot.uniform, shot.points, relief=False)
+    refined = refine(guess, errors, shot.linear, valid, Light(shot.uniform, shot.points))
     assert float(refined.outputs[5].abs().max()) == 0.0
