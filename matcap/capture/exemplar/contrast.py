@@ -16,6 +16,7 @@ Array = NDArray[np.float32]
 _AROUND = 64.0  # texels: deviation of a neighbourhood
 _GAINS = (0.5, 3.0)  # contrast is not lowered or raised more than this
 _LEAST = 1e-4  # of log albedo
+_LEAST_SEEN = 0.05  # of the weight of a place, for what is there
 
 
 def even_contrast(albedo: Array, weight: Array) -> Array:
@@ -25,15 +26,15 @@ def even_contrast(albedo: Array, weight: Array) -> Array:
         albedo: as the network gives it.
         weight: (H, W) how far it is seen, in [0, 1].
     """
-    weight = weight + np.float32(1e-4)
-    under = smoothed(weight, _AROUND)
+    local = weight + np.float32(_LEAST_SEEN)
+    under = smoothed(local, _AROUND)
     grey = split(albedo.mean(0))
     channels = [split(channel) for channel in albedo]
     even = np.stack([bands[-1] for bands in channels])
     for index, band in enumerate(grey[:-1]):
-        seen = np.square(band) * weight
-        wanted = np.sqrt(seen.sum() / weight.sum())
-        here = np.sqrt(smoothed(seen, _AROUND) / under)
+        squared = np.square(band)
+        wanted = np.sqrt((squared * weight).sum() / max(float(weight.sum()), 1e-9))
+        here = np.sqrt(smoothed(squared * local, _AROUND) / under)
         gain = (wanted / np.maximum(here, _LEAST)).clip(*_GAINS)
         even += gain * np.stack([bands[index] for bands in channels])
     return even

@@ -1,0 +1,68 @@
+"""Adaptation: levels and strengths found from windows at other places."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from photographed import photographed
+
+from matcap.capture.exemplar.adapt import adapt
+from matcap.capture.finetune import TuneScene
+from matcap.capture.settings import FEATURES
+from matcap.capture.windows import cut_windows
+from matcap.flash.plane import plane_of
+from matcap.statistics.filterbank import FilterBank
+
+SEEN = np.ones((384, 512), bool)
+
+
+@pytest.fixture(scope="module")
+def shot():
+    return photographed(0.3, 0.15)
+
+
+@pytest.fixture(scope="module")
+def scene(shot):
+    plane = plane_of(shot.linear, shot.linear.amax(0) < 0.98)
+    bank = FilterBank(FEATURES)
+    windows = cut_windows(plane, bank, 96)
+    return TuneScene(windows, shot.uniform.setup, plane.encoding, bank, (), shot.maps.texel_size)
+
+
+def _slope(maps) -> float:
+    normal = maps.normal
+    return float((normal[:2] / normal[2:]).square().mean().sqrt())
+
+
+def test_relief_and_albedo_that_are_off_come_back(shot, scene) -> None:
+    true = shot.maps
+    off = replace(true, diffuse=true.diffuse * 0.8, height=true.height * 0.6)
+    found = adapt(off, SEEN, scene, 30)
+    assert _slope(off) < 0.7 * _slope(true)
+    assert _slope(found) == pytest.approx(_slope(true), rel=0.2)
+    assert float(found.diffuse.mean()) == pytest.approx(float(true.diffuse.mean()), rel=0.08)
+
+
+def test_the_drawing_stays(shot, scene) -> None:
+    found = adapt(shot.maps, SEEN, scene, 3)
+    both = torch.stack([found.height.flatten(), shot.maps.height.flatten()])
+    assert float(torch.corrcoef(both)[0, 1]) > 0.98
+
+
+def test_no_steps_change_nothing_and_the_same_seed_gives_the_same_maps(shot, scene) -> None:
+    assert adapt(shot.maps, SEEN, scene, 0) is shot.maps
+    first, again = (adapt(shot.maps, SEEN, scene, 2, seed=3).stacked() for _ in range(2))
+    assert torch.equal(first, again)
+
+
+def test_windows_that_were_not_seen_are_left_out(shot, scene) -> None:
+    seen = SEEN.copy()
+    seen[:, :256] = False
+    broken = shot.maps.map(lambda m: torch.where(torch.from_numpy(seen), m, 0.5 * m))
+    found = adapt(broken, seen, scene, 2)
+    whole = adapt(shot.maps, seen, scene, 2)
+    right = (slice(None), slice(None), slice(320, None))
+    assert torch.allclose(found.roughness[right], whole.roughness[right], atol=0.02)
