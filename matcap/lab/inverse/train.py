@@ -140,12 +140,13 @@ def train_step(
     state: State, samples: list[tuple[Tensor, Sample]], settings: TrainSettings
 ) -> dict[str, float]:
     """One step of Adam; returns the loss's parts."""
-    inputs = torch.stack([x for x, _ in samples]).to(settings.device)
+    device = settings.device
+    inputs = torch.stack([x for x, _ in samples]).to(device)
     outputs = state.model(inputs.contiguous(memory_format=torch.channels_last))
     losses, all_parts = [], []
     for index, (_, sample) in enumerate(samples):
         rng = np.random.default_rng([state.step, index, 5])
-        parts = loss_parts(outputs[index], sample, rng)
+        parts = loss_parts(outputs[index], sample.to(device), rng)
         losses.append(total(parts))
         all_parts.append(parts)
     loss = torch.stack(losses).mean()
