@@ -9,7 +9,6 @@ Borders are padded with zeros: cut `halo` texels (in the file's metadata) off ev
 
 from __future__ import annotations
 
-import os
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import CHANNELS
 from matcap.errors import MatcapError
-from matcap.files.staging import write_error
+from matcap.files.staging import staged_file
 from matcap.model.decoder import DEPTH, OUTPUTS, maps_from_raw
 from matcap.model.freeze import FoldedDecoder, FoldedLayer
 from matcap.model.order import WAVE_CHANNELS
@@ -54,14 +53,8 @@ def write_onnx(material: Material, path: str | Path) -> float:
     error = _difference(runtime, model, material)
     if not error <= _TOLERANCE:
         raise MatcapError(f"onnxruntime's maps differ by {error:g}", where=str(path))
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(model)
-        os.replace(temporary, path)
-    except OSError as failure:
-        raise write_error(path, failure) from failure
-    finally:
-        temporary.unlink(missing_ok=True)
+    with staged_file(path) as file:
+        file.write_bytes(model)
     return error
 
 

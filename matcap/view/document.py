@@ -94,11 +94,11 @@ def write_page(document: str, path: Path) -> None:
         UsageError: the name does not end in .html.
         MatcapError: the file cannot be written.
     """
-    from matcap.files.staging import staged
+    from matcap.files.staging import staged_file
 
     check_page_path(path)
-    with staged(path.parent) as stage:
-        (stage / path.name).write_text(document, encoding="utf-8")
+    with staged_file(path) as file:
+        file.write_text(document, encoding="utf-8")
 
 
 def check_page_path(path: Path) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from matcap.files.staging import staged
+from matcap.files.staging import staged_file
 from matcap.lab.simulate.photograph import Camera, Shot, sensor_noise
 
 # Linear Rec.709 to XYZ at D65 (IEC 61966-2-1).
@@ -97,8 +97,7 @@ def write_dng(path: Path, shot: Shot, sensor: Sensor, seed: int) -> None:
     Raises:
         MatcapError: the file cannot be written.
     """
-    with staged(path.parent) as stage:
-        file = stage / path.name
+    with staged_file(path) as file:
         tifffile.imwrite(
             file,
             mosaic(shot, sensor, seed),

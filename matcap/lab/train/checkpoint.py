@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from matcap.errors import MatcapError
+from matcap.files.tensors import write_tensors
 from matcap.lab.train.state import State
 
 VERSION = 1
@@ -19,16 +18,8 @@ _REMEDY = "start again without --resume"
 
 def save_checkpoint(path: Path, state: State) -> None:
     """Write a checkpoint; whole or not at all."""
-    temporary = path.with_name(path.name + ".part")
-    try:
-        save_file(
-            {name: tensor.contiguous() for name, tensor in _tensors(state).items()},
-            temporary,
-            {"format": "matcap-checkpoint", "version": str(VERSION), "step": str(state.step)},
-        )
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    about = {"format": "matcap-checkpoint", "version": str(VERSION), "step": str(state.step)}
+    write_tensors(path, _tensors(state), about)
 
 
 def load_checkpoint(path: Path, state: State) -> None:
