@@ -26,7 +26,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.materials import MATERIALS
 from matcap.lab.simulate.materials.varied import random_material
-from matcap.lab.simulate.photograph import Camera, expose, take
+from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.relight.pictures import encode
 from matcap.relight.presets import SCENES
 from matcap.relight.render import relight
@@ -45,7 +45,7 @@ DRAWS = (11, 17, 24, 41, 42, 43, 45, 47, 49, 51, 52)
 # Cast shadows of relief this fine hardly show on a sphere, and take most of the time.
 _QUICK = "auto,-environment,-visibility,-interreflection,-shadows,-parallax"
 _GROUND = np.float32(0.1)  # grey behind spheres, in code values
-_SMALL = Camera(width=640, height=480, supersampling=1)
+_SMALL = PhoneCamera(width=640, height=480, supersampling=1)
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ from matcap.model.decoder import OUTPUTS
 from matcap.model.device import DeviceName, find_device
 from matcap.model.patch import Period, Rectangle
 from matcap.model.single import single_threaded
-from matcap.model.source import Generator, Material, Source, field_source, inner
+from matcap.model.source import Generator, MaterialLike, Source, field_source, inner
 
 __all__ = ["BLOCK", "Field", "Rectangle"]
 
@@ -44,7 +44,7 @@ class Field:
 
     def __init__(
         self,
-        material: Material,
+        material: MaterialLike,
         seed: int = 0,
         period: Period | None = None,
         *,

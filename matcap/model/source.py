@@ -77,7 +77,7 @@ class Network(Source, Protocol):
         ...
 
 
-class Material(Protocol):
+class MaterialLike(Protocol):
     """What a field is made from: see material.py, which reads this module."""
 
     @property
@@ -235,7 +235,7 @@ def inner(maps: Tensor) -> Tensor:
 
 
 def material_source(
-    material: Material, seed: int, period: Period | None = None, device: torch.device = _CPU
+    material: MaterialLike, seed: int, period: Period | None = None, device: torch.device = _CPU
 ) -> MaterialSource:
     """The source of a material's field, computed on a device.
 
@@ -249,7 +249,7 @@ def material_source(
 
 
 def field_source(
-    material: Material,
+    material: MaterialLike,
     seed: int,
     period: Period | None = None,
     device: torch.device = _CPU,

@@ -32,7 +32,7 @@ WHOLE = 1.01
 
 
 @dataclass(frozen=True)
-class Region:
+class VisibleRegion:
     """Where visible points of the surface can be.
 
     Attributes:
@@ -142,7 +142,7 @@ def gather(
     scene: Scene,
     texture: Texture,
     view: View,
-    region: Region,
+    region: VisibleRegion,
     footprint: float,
     skies: Sequence[Environment],
 ) -> Facts:
@@ -182,7 +182,9 @@ def gather(
 
 
 def _light_facts(
-    light: PointLight | DirectionalLight | SphereLight | RectangleLight, region: Region, view: View
+    light: PointLight | DirectionalLight | SphereLight | RectangleLight,
+    region: VisibleRegion,
+    view: View,
 ) -> LightFacts:
     if isinstance(light, DirectionalLight):
         direction = unit3(light.direction)
@@ -201,7 +203,7 @@ def _light_facts(
 
 
 def _reach(
-    light: PointLight | SphereLight | RectangleLight, near: float, region: Region
+    light: PointLight | SphereLight | RectangleLight, near: float, region: VisibleRegion
 ) -> tuple[float, float, float]:
     """Largest radiant intensity, radius around the middle, and lowest elevation's tangent."""
     if isinstance(light, PointLight):
@@ -218,7 +220,7 @@ def _reach(
     return spot, half, min(region.tangent(place) for place in rim)
 
 
-def _angle_cosine(light: Light, near: float, region: Region, view: View) -> float:
+def _angle_cosine(light: Light, near: float, region: VisibleRegion, view: View) -> float:
     """Cosine of half the angle under which camera and light are seen, at least.
 
     In any triangle the side opposite to an angle g is at least the sum of the others times

@@ -119,14 +119,14 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Choice:
+class EffectChoice:
     """What a user asked for: a start ("auto", "all" or "none") and effects forced on or off."""
 
     start: str = "auto"
     forced: tuple[tuple[str, bool], ...] = ()
 
 
-def parse_choice(text: str) -> Choice:
+def parse_choice(text: str) -> EffectChoice:
     """The choice that `--effects` means: "all", "none", "+x,-y", or both: "none,+diffuse".
 
     Raises:
@@ -146,7 +146,7 @@ def parse_choice(text: str) -> Choice:
                 remedy=f"give all, none, or +{near} or -{near} (of {', '.join(EFFECTS)})",
             )
         forced.append((name, sign == "+"))
-    return Choice(start, tuple(forced))
+    return EffectChoice(start, tuple(forced))
 
 
 def radiance_tolerance(tolerance: float, film: Film) -> float:
@@ -156,7 +156,7 @@ def radiance_tolerance(tolerance: float, film: Film) -> float:
     return float(srgb_decode(np.array(tolerance))) / film.gain
 
 
-def make_plan(facts: Facts, tolerance: float, choice: Choice) -> Plan:
+def make_plan(facts: Facts, tolerance: float, choice: EffectChoice) -> Plan:
     """Decide what runs.
 
     Args:

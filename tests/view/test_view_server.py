@@ -10,7 +10,7 @@ from matcap.brdf.maps import MapSet
 from matcap.model.field import Field
 from matcap.view.blocks import SIDE, Blocks, Place
 from matcap.view.document import SCRIPTS, STYLE
-from matcap.view.photograph import Picture
+from matcap.view.photograph import EncodedPicture
 from matcap.view.subject import Maps
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
@@ -18,7 +18,7 @@ server = pytest.importorskip("matcap.view.server")
 
 ADDRESS = server.Address(8123, "secret-token")
 BASE = "http://127.0.0.1:8123"
-PHOTO = Picture(b"\x89PNG and so on", "image/png")
+PHOTO = EncodedPicture(b"\x89PNG and so on", "image/png")
 
 
 @pytest.fixture(scope="module")

@@ -81,7 +81,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Row:
+class Timing:
     """One measurement.
 
     Attributes:
@@ -148,7 +148,7 @@ class Report:
         examples: what the field by example costs.
     """
 
-    rows: list[Row]
+    rows: list[Timing]
     efficiencies: list[Efficiency]
     megabytes: float
     examples: list[ExampleCost]
@@ -302,7 +302,7 @@ def markdown(report: Report, command: str) -> str:
 def comma_separated(report: Report) -> str:
     """The rows as CSV."""
     text = io.StringIO()
-    names = [field.name for field in fields(Row)]
+    names = [field.name for field in fields(Timing)]
     table = csv.DictWriter(text, [*names, "ratio", "processor_ratio"], lineterminator="\n")
     table.writeheader()
     for row in report.rows:
@@ -310,7 +310,7 @@ def comma_separated(report: Report) -> str:
     return text.getvalue()
 
 
-def _rows(name: str, subject: Material, allocator: str, settings: Settings) -> Iterator[Row]:
+def _rows(name: str, subject: Material, allocator: str, settings: Settings) -> Iterator[Timing]:
     width, height = settings.size
     noise = noise_field(
         Patch(1, Rectangle(0, 0, width, height)), subject.decoder.config.noise_channels
@@ -330,7 +330,7 @@ def _rows(name: str, subject: Material, allocator: str, settings: Settings) -> I
                         paper_form(subject.decoder, subject.code, noise)
 
                 wall, processor = _in_turn((ours, theirs), settings.repeats)
-                yield Row(name, allocator, workers, block, precision, *wall, *processor)
+                yield Timing(name, allocator, workers, block, precision, *wall, *processor)
 
 
 def _in_turn(calls: Sequence[Callable[[], None]], repeats: int) -> tuple[list[float], list[float]]:
@@ -395,7 +395,7 @@ def _blurred(features: Tensor) -> Tensor:
     return F.conv2d(padded, kernel, groups=channels)
 
 
-def _line(row: Row) -> str:
+def _line(row: Timing) -> str:
     return (
         f"| {row.network} | {row.allocator} | {row.workers} | {row.block} | {row.precision} "
         f"| {row.seconds:.2f} | {row.paper_seconds:.2f} | {row.ratio:.2f} "

@@ -27,7 +27,7 @@ _EDGE = (
 
 
 @dataclass(frozen=True)
-class Surface:
+class SurfaceFields:
     """Fields of one realisation; each broadcasts to (H, W), diffuse to (3, H, W).
 
     Attributes:
@@ -46,7 +46,7 @@ class Surface:
 
 
 # (canvas, parameters) to a realisation.
-Lay = Callable[[Canvas, np.random.Generator], Surface]
+Lay = Callable[[Canvas, np.random.Generator], SurfaceFields]
 
 
 @dataclass(frozen=True)
