@@ -23,10 +23,8 @@ from matcap.capture.exemplar.store import load_inverse
 from matcap.capture.finetune import Tuned, TuneScene, TuneSettings, finetune
 from matcap.capture.joint import join
 from matcap.capture.match import match_photograph
-from matcap.capture.progress import CaptureClock
-from matcap.capture.progress import CaptureProgress as CaptureProgress
-from matcap.capture.settings import CaptureSettings as CaptureSettings
-from matcap.capture.settings import Method, resolve, weights_file
+from matcap.capture.progress import CaptureClock, CaptureProgress
+from matcap.capture.settings import CaptureSettings, Method, resolve, weights_file
 from matcap.capture.start import logits
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError

@@ -26,7 +26,7 @@ from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.capture.outputs import OutputSettings
-    from matcap.capture.pipeline import CaptureSettings
+    from matcap.capture.settings import CaptureSettings
     from matcap.cli.progress import Display
 
 
@@ -123,7 +123,7 @@ def capture(
     set, preview.png and report.json. Ctrl-C ends with the best so far, saved.
     """
     from matcap.capture.outputs import OutputSettings
-    from matcap.capture.pipeline import CaptureSettings
+    from matcap.capture.settings import CaptureSettings
     from matcap.cli.progress import display
     from matcap.files.staging import check_writable
 

@@ -109,8 +109,9 @@ def relight(
 
     from matcap.errors import UsageError
     from matcap.files.staging import check_writable
+    from matcap.relight.effects.bound import DEFAULT_TOLERANCE
     from matcap.relight.pictures import check_path, write_movie, write_still
-    from matcap.relight.plan import DEFAULT_TOLERANCE, parse_choice
+    from matcap.relight.plan import parse_choice
     from matcap.relight.sequence import ANIMATIONS, light_sheet
     from matcap.relight.sequence import animate as animated
 

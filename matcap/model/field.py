@@ -17,7 +17,7 @@ from matcap.brdf.maps import MapSet
 from matcap.model.blocks import BLOCK, Piece, check_rectangle, pieces_of
 from matcap.model.decoder import OUTPUTS
 from matcap.model.device import DeviceName, find_device
-from matcap.model.patch import Period, Rectangle
+from matcap.model.plane import Period, Rectangle
 from matcap.model.single import single_threaded
 from matcap.model.source import Generator, MaterialLike, Source, field_source, inner
 

@@ -26,7 +26,8 @@ from matcap.model.decoder import (
     Step,
     unet,
 )
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import RandomField, random_field
 from matcap.model.spans import Span, Spans
 from matcap.statistics.lattice import Wave

@@ -21,8 +21,8 @@ from matcap.model.example.source import ExampleSource, example_source
 from matcap.model.freeze import FoldedDecoder
 from matcap.model.noise import noise_field
 from matcap.model.order import order_field
-from matcap.model.patch import Patch, Period, Rectangle
-from matcap.model.plane import check_period, check_seed
+from matcap.model.patch import Patch
+from matcap.model.plane import Period, Rectangle, check_period, check_seed
 from matcap.model.random_field import RandomField
 from matcap.model.spans import Span, Spans, spans_of
 from matcap.statistics.lattice import Wave

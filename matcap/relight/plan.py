@@ -20,26 +20,23 @@ from matcap.errors import UsageError
 from matcap.files.srgb import srgb_decode
 from matcap.relight.effects import (
     area,
-    diffuse,
+    direct,
     environment,
-    falloff,
     filtering,
     interreflection,
     multiscatter,
     parallax,
     shadows,
-    specular,
     visibility,
 )
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE as DEFAULT_TOLERANCE
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
 from matcap.relight.scene import Film
 
 EFFECTS: Mapping[str, Callable[[Facts], Bound]] = {
-    "diffuse": diffuse.bound,
-    "specular": specular.bound,
-    "falloff": falloff.bound,
+    "diffuse": direct.diffuse_bound,
+    "specular": direct.specular_bound,
+    "falloff": direct.falloff_bound,
     "area": area.bound,
     "environment": environment.bound,
     "filtering": filtering.bound,

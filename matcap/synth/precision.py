@@ -16,7 +16,7 @@ from torch import Tensor
 
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_picture
-from matcap.model.patch import Rectangle
+from matcap.model.plane import Rectangle
 from matcap.model.single import single_threaded
 from matcap.model.source import Network, Source
 from matcap.synth.pictures import KIND_PLANES

@@ -10,7 +10,8 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.finetune import TuneScene, render_windows
-from matcap.capture.pipeline import CaptureSettings, capture_photo
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.settings import CaptureSettings
 from matcap.capture.windows import Windows
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash

@@ -8,7 +8,8 @@ import torch
 from tuning import CODE, SETUP, start
 
 from matcap.capture.match import _Blocks, _gain, _shift, correction, match_photograph
-from matcap.capture.pipeline import CaptureSettings, capture_photo
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.settings import CaptureSettings
 from matcap.capture.windows import shot_deviation
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.render import render_rectified

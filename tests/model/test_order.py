@@ -11,7 +11,8 @@ from matcap.model.order import (
     order_field,
     wave_field,
 )
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.statistics.lattice import Wave
 
 STRAIGHT = (Wave(1 / 43.3, 0.0), Wave(0.0, 1 / 42.7))

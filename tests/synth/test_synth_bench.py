@@ -10,7 +10,8 @@ from matcap.lab.bench import synth
 from matcap.lab.bench.synth import Settings, comma_separated, efficiency, markdown, paper_form
 from matcap.model.decoder import PAPER_CONFIG, Decoder
 from matcap.model.noise import noise_field
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 
 
 def test_the_papers_network_has_its_size():
@@ -56,7 +57,7 @@ def test_a_short_run_fills_the_tables():
 
 def test_counted_multiplications_are_those_of_the_network(material):
     """By hand: one level-0 convolution of the head, 2 channels to 6, on the block and its ring."""
-    from matcap.model.patch import Rectangle
+    from matcap.model.plane import Rectangle
     from matcap.model.source import area_of, material_source
 
     decoder = material_source(material, 0).decoder

@@ -39,7 +39,8 @@ from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take
 from matcap.model.decoder import PAPER_CONFIG, DecoderConfig
 from matcap.model.material import Material
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.statistics.filterbank import FilterBankConfig
 
 _BASE_STEPS, _BASE_PLACES = 160, 2  # of every point that does not vary them

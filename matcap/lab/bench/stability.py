@@ -17,7 +17,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.capture.pipeline import CaptureResult, CaptureSettings, capture_photo
+from matcap.capture.pipeline import CaptureResult, capture_photo
+from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError
 from matcap.lab.bench.stability_photographs import FOV, HARD_PHOTOGRAPHS
 from matcap.lab.bench.stability_reflectance import (

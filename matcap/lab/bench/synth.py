@@ -47,7 +47,8 @@ from matcap.model.freeze import FoldedDecoder, FoldedLayer, freeze
 from matcap.model.material import Material
 from matcap.model.noise import noise_field
 from matcap.model.order import WAVE_CHANNELS
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.single import single_threaded
 from matcap.model.source import Area, MaterialSource, area_of, material_source
 from matcap.model.spans import Span

@@ -15,7 +15,8 @@ from matcap.lab.train.windows import TrainingSample
 from matcap.model.decoder import DEPTH, Decoder, maps_from_raw
 from matcap.model.noise import noise_field
 from matcap.model.order import WAVE_CHANNELS, wave_field
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import RandomField
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank

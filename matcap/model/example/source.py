@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.folder import NormalStyle
-from matcap.model.blocks import RING, Grid, Rectangle
+from matcap.model.blocks import RING, Grid
 from matcap.model.example.coordinates import Area
 from matcap.model.example.example import Example
-from matcap.model.plane import Period, check_period, check_seed
+from matcap.model.plane import Period, Rectangle, check_period, check_seed
 
 if TYPE_CHECKING:
     from torch import Tensor

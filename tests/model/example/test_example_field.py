@@ -11,12 +11,13 @@ import torch
 from exemplars import PERIODS, an_example, blobs, ordered
 
 from matcap.errors import UsageError
-from matcap.model.blocks import Grid, Rectangle
+from matcap.model.blocks import Grid
 from matcap.model.example import plain
 from matcap.model.example.coordinates import Area, coordinates
 from matcap.model.example.example import Example, coarsened
 from matcap.model.example.source import example_source
 from matcap.model.field import read_source
+from matcap.model.plane import Rectangle
 
 EXAMPLES = pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])
 
