@@ -1,4 +1,4 @@
-"""Field: random access to the endless material (DESIGN, sections 2 and 7).
+"""Field: random access to the endless material.
 
 The plane is cut into a fixed grid of blocks. A block is always computed whole, on the same grid,
 from the same true noise around it, on one thread: its texels are the same bits whoever asks, in

@@ -3,7 +3,7 @@
 Instance normalisation makes an output depend on the rectangle that was decoded. Measured over a
 large reference field instead and stored, the statistics turn every AdaIN into an affine map,
 which folds into the convolution before it: what is left is convolutions, ReLUs, poolings and
-upsamplings, the same for every rectangle (DESIGN, section 4).
+upsamplings, the same for every rectangle.
 """
 
 from __future__ import annotations
