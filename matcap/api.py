@@ -76,7 +76,7 @@ def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
     from matcap.capture.pipeline import capture_file
     from matcap.capture.settings import CaptureSettings
 
-    return capture_file(path, CaptureSettings(**settings)).material
+    return capture_file(path, CaptureSettings.of(settings)).material
 
 
 def relight(

@@ -99,7 +99,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
             "vignetting": setup.vignetting,
         },
         "texel_size": result.material.texel_size,
-        "settings": asdict(result.settings),
+        "settings": result.settings.named(),
         "effort": asdict(resolve(result.settings)),
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
