@@ -27,8 +27,8 @@ from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.materials import MATERIALS
 from matcap.lab.simulate.materials.varied import random_material
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
-from matcap.relight.pictures import encode
-from matcap.relight.presets import SCENES
+from matcap.relight.named import SCENES
+from matcap.relight.output import encode
 from matcap.relight.render import relight
 from matcap.relight.scene import (
     EnvironmentLight,
@@ -143,10 +143,10 @@ def page(paths: list[Path]) -> None:
     import uvicorn
     from playwright.sync_api import sync_playwright
 
-    from matcap.view.blocks import Blocks
-    from matcap.view.photograph import browser_picture, find_photograph
+    from matcap.view.block_cache import Blocks
     from matcap.view.serve import listen
     from matcap.view.server import make_app, new_address
+    from matcap.view.shown_photograph import browser_picture, find_photograph
     from matcap.view.subject import open_subject
 
     subject = open_subject(*paths[:2])

@@ -27,7 +27,7 @@ from matcap.files import values
 if TYPE_CHECKING:
     from matcap.capture.outputs import OutputSettings
     from matcap.capture.settings import CaptureSettings
-    from matcap.cli.progress import Display
+    from matcap.cli.capture_display import Display
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def capture(
     """
     from matcap.capture.outputs import OutputSettings
     from matcap.capture.settings import CaptureSettings, Statistics
-    from matcap.cli.progress import display
+    from matcap.cli.capture_display import display
     from matcap.files.staging import check_writable
 
     settings = CaptureSettings(

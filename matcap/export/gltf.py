@@ -17,8 +17,8 @@ import numpy as np
 
 from matcap.errors import UsageError
 from matcap.export.specular_workflow import base_colour
-from matcap.export.stored import Stored
 from matcap.export.surface import TargetSurface
+from matcap.export.texture_file import Stored
 from matcap.export.textures import Export, ExportJob, coded_normal, seen, seen_normal
 from matcap.files.maker import MAKER
 

@@ -16,8 +16,8 @@ from importlib.resources import files as resources
 
 import numpy as np
 
-from matcap.export.stored import Stored
 from matcap.export.surface import TargetSurface
+from matcap.export.texture_file import Stored
 from matcap.export.textures import Export, ExportJob, Standard, seen, seen_normal
 
 _SCRIPT = "matcap_bsdf.py"

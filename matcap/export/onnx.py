@@ -22,10 +22,10 @@ from matcap.errors import MatcapError
 from matcap.files.staging import staged_file
 from matcap.model.decoder import DEPTH, OUTPUTS, maps_from_raw
 from matcap.model.freeze import FoldedDecoder, FoldedLayer
-from matcap.model.order import WAVE_CHANNELS
 from matcap.model.patch import Patch
 from matcap.model.plane import Rectangle
 from matcap.model.random_field import RandomField, random_field
+from matcap.model.regular_order import WAVE_CHANNELS
 from matcap.model.spans import Span, spans_of
 
 if TYPE_CHECKING:

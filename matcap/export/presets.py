@@ -19,8 +19,8 @@ from matcap.brdf.folder import plain_name
 from matcap.errors import UsageError
 from matcap.export.metallic import Metallic, to_metallic
 from matcap.export.names import known
-from matcap.export.stored import Depth, Stored
 from matcap.export.surface import TargetSurface
+from matcap.export.texture_file import Depth, Stored
 from matcap.export.textures import (
     BASE,
     CODED_HEIGHT,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.folder import height_range
-from matcap.export.stored import Depth, Stored
+from matcap.export.texture_file import Depth, Stored
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -17,8 +17,8 @@ import numpy as np
 
 from matcap.errors import UsageError
 from matcap.export.specular_workflow import base_colour
-from matcap.export.stored import Stored
 from matcap.export.surface import TargetSurface
+from matcap.export.texture_file import Stored
 from matcap.export.textures import (
     BASE,
     CODED_HEIGHT,

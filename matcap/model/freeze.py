@@ -98,7 +98,7 @@ class FoldedDecoder:
     Attributes:
         noise_channels: of white noise that it reads.
         cells: channels of the noise of cells; 0 without waves.
-        has_waves: whether it reads the order of order.py.
+        has_waves: whether it reads the order of regular_order.py.
         down, up, head: its layers, block by block.
     """
 

@@ -20,10 +20,10 @@ from matcap.model.example.example import Example
 from matcap.model.example.source import ExampleSource, example_source
 from matcap.model.freeze import FoldedDecoder
 from matcap.model.noise import noise_field
-from matcap.model.order import order_field
 from matcap.model.patch import Patch
 from matcap.model.plane import Period, Rectangle, check_period, check_seed
 from matcap.model.random_field import RandomField
+from matcap.model.regular_order import order_field
 from matcap.model.spans import Span, Spans, spans_of
 from matcap.statistics.lattice import Wave
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from matcap.relight.camera import View
-from matcap.relight.environment import Environment
+from matcap.relight.environment_map import Environment
 from matcap.relight.lobes import alpha_of
 from matcap.relight.scene import (
     DirectionalLight,

@@ -16,7 +16,7 @@ from matcap.relight.camera import View, view_of
 from matcap.relight.clock import Clock
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.effects.environment import samples_for
-from matcap.relight.environment import Environment, environment_of
+from matcap.relight.environment_map import Environment, environment_of
 from matcap.relight.facts import gather
 from matcap.relight.horizons import Horizons, find_horizons
 from matcap.relight.plan import EffectChoice, Plan, make_plan, parse_choice, radiance_tolerance

@@ -18,7 +18,7 @@ from matcap.relight.effects import (
     shadows,
     visibility,
 )
-from matcap.relight.environment import Environment
+from matcap.relight.environment_map import Environment
 from matcap.relight.horizons import Horizons
 from matcap.relight.lobes import ggx_smith, schlick_weight
 from matcap.relight.plan import Plan

@@ -18,7 +18,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from matcap.files.staging import check_writable
-from matcap.synth.assemble import Assembly, assembly
+from matcap.synth.assembly import Assembly, assembly
 from matcap.synth.jobs import Crew, Job
 from matcap.synth.levels import write_levels
 from matcap.synth.request import PlannedMapSet, Progress, Request, Work

@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.errors import UsageError
-from matcap.view.blocks import SIDE
-from matcap.view.photograph import EncodedPicture
+from matcap.view.block_cache import SIDE
+from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from matcap.errors import MatcapError
-from matcap.view.blocks import Blocks, Place
-from matcap.view.photograph import EncodedPicture
+from matcap.view.block_cache import Blocks, Place
 from matcap.view.server import make_app, new_address
+from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import Viewable
 
 HOST = "127.0.0.1"

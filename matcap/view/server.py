@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from matcap.errors import MatcapError, UsageError
-from matcap.view.blocks import Blocks, Place
+from matcap.view.block_cache import Blocks, Place
 from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
-from matcap.view.photograph import EncodedPicture
+from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import ViewFacts
 
 if TYPE_CHECKING:

@@ -28,10 +28,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.dng import Sensor, write_dng
 from matcap.lab.simulate.examples import realisation
-from matcap.lab.simulate.jpeg import write_jpeg
 from matcap.lab.simulate.photograph import PhoneCamera, take
+from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_jpeg import write_jpeg
 
 COMMAND = (sys.executable, "-c", "from matcap.cli.main import run; run()", "batch")
 SMALL = ("--steps", "2", "--detail", "128", "--size", "64")

@@ -16,9 +16,9 @@ from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.dng import Sensor, write_dng
-from matcap.lab.simulate.jpeg import write_jpeg
 from matcap.lab.simulate.photograph import PhoneCamera, take
+from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.photo.calibrate import calibrated, card_sentence, fit_patches, read_card
 from matcap.photo.card import BOARD_AT, PAGE, PATCHES, SQUARE, rectangles
 from matcap.photo.load import load_photo

@@ -15,10 +15,10 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.prior.store import load_prior
 from matcap.cli.main import main
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.dng import Sensor, write_dng
 from matcap.lab.simulate.examples import realisation
-from matcap.lab.simulate.jpeg import write_jpeg
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
+from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.lab.train.align import tilted_photo
 from matcap.photo.inspect import Verdict, hot_spot, inspect_photo, softness
 from matcap.photo.load import load_photo, photo_from_array

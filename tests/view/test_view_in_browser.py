@@ -12,11 +12,11 @@ import torch
 from PIL import Image
 
 from matcap.files.exr import write_exr
-from matcap.relight.pictures import encode
+from matcap.relight.output import encode
 from matcap.relight.render import relight
 from matcap.relight.scene import Camera, EnvironmentLight, Film, PointLight, Scene, Surface
 from matcap.view.document import sealed_page
-from matcap.view.photograph import EncodedPicture
+from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import Maps
 
 # What the page does, and nothing of what it says it does not.

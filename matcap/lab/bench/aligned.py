@@ -23,9 +23,9 @@ from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
 from matcap.lab.bench.baselines import photo_as_albedo
 from matcap.lab.bench.piece import photographed_piece
 from matcap.lab.bench.relit import BenchScene, bench_scene, relight_all
-from matcap.lab.simulate.dng import write_dng
 from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
+from matcap.lab.simulate.write_dng import write_dng
 
 # Distances from the flash's foot in plane units that divide the picture.
 RINGS = (("foot", 0.0, 0.35), ("middle", 0.35, 0.75), ("rim", 0.75, math.inf), ("all", 0.0, 9.0))

@@ -33,10 +33,10 @@ from matcap.lab.bench.quality import QualitySettings, Yardstick
 from matcap.lab.bench.relit import BenchLight, BenchScene, relight_all
 from matcap.lab.bench.style import PortillaSimoncelli, RandomFilters, Style
 from matcap.lab.bench.table import Measurement, append, machine, read
-from matcap.lab.simulate.dng import Sensor, write_dng
 from matcap.lab.simulate.examples import EXAMPLES, realisation
 from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take
+from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.model.decoder import PAPER_CONFIG, DecoderConfig
 from matcap.model.material import Material
 from matcap.model.patch import Patch

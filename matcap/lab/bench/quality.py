@@ -30,9 +30,9 @@ from matcap.lab.bench.baselines import PerTexelSettings, per_texel, photo_as_alb
 from matcap.lab.bench.piece import photographed_piece, rearranged_piece
 from matcap.lab.bench.relit import LIGHTS, BenchScene, bench_scene, relight_all
 from matcap.lab.bench.style import PortillaSimoncelli, RandomFilters, Style, difference
-from matcap.lab.simulate.dng import write_dng
 from matcap.lab.simulate.examples import EXAMPLES, ExamplePhotograph, realisation
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, as_photo
+from matcap.lab.simulate.write_dng import write_dng
 from matcap.photo.photo import Photo
 
 CAPTURE, ALBEDO, PER_TEXEL = "capture", "photo-as-albedo", "per-texel"

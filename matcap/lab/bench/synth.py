@@ -1,5 +1,5 @@
 """What the endless field costs: the decoder's beside the same network in the paper's form, and
-the one by example (example.py).
+the one by example (by_example.py).
 
 The paper's form: instance normalisation over the whole picture, circular padding, a blur after
 each upsampling, channels first, weights that nothing is folded into; at matcap's own widths and at
@@ -32,7 +32,7 @@ from torch import Tensor
 
 from matcap.files.staging import staged
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.bench.example import ExampleCost, example_costs, example_table
+from matcap.lab.bench.by_example import ExampleCost, example_costs, example_table
 from matcap.model.blocks import Grid
 from matcap.model.decoder import (
     CODE_SIZE,
@@ -46,9 +46,9 @@ from matcap.model.field import read_source
 from matcap.model.freeze import FoldedDecoder, FoldedLayer, freeze
 from matcap.model.material import Material
 from matcap.model.noise import noise_field
-from matcap.model.order import WAVE_CHANNELS
 from matcap.model.patch import Patch
 from matcap.model.plane import Rectangle
+from matcap.model.regular_order import WAVE_CHANNELS
 from matcap.model.single import single_threaded
 from matcap.model.source import Area, MaterialSource, area_of, material_source
 from matcap.model.spans import Span

@@ -9,9 +9,9 @@ from types import MappingProxyType
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.dng import Sensor
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take, true_maps
+from matcap.lab.simulate.write_dng import Sensor
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The flash photograph that a camera would take of a material whose maps are known.
 
 Shading happens on the plane in float64, finer than the photograph's pixels; the tilt's homography
-and the pixels' areas then turn it into a picture. Files are written by dng.py and jpeg.py.
+and the pixels' areas then turn it into a picture. write_dng.py and write_jpeg.py make files of it.
 """
 
 from __future__ import annotations

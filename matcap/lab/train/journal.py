@@ -17,7 +17,7 @@ from matcap.files.srgb import srgb_decode_tensor, srgb_picture
 from matcap.lab.train.pack import Entry, Pack
 from matcap.lab.train.state import TrainConfig, TrainingState
 from matcap.lab.train.step import MARGIN, compare, fields, read_maps, targets
-from matcap.lab.train.windows import PreparedPhotograph, TrainingSample, Turn, cut
+from matcap.lab.train.training_windows import PreparedPhotograph, TrainingSample, Turn, cut
 from matcap.statistics.compare import Descriptor
 from matcap.statistics.filterbank import FilterBank
 

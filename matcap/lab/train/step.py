@@ -11,13 +11,13 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.prior.base import Base
 from matcap.capture.prior.look import texture
 from matcap.lab.train.state import TrainConfig, TrainingState
-from matcap.lab.train.windows import TrainingSample
+from matcap.lab.train.training_windows import TrainingSample
 from matcap.model.decoder import DEPTH, Decoder, maps_from_raw
 from matcap.model.noise import noise_field
-from matcap.model.order import WAVE_CHANNELS, wave_field
 from matcap.model.patch import Patch
 from matcap.model.plane import Rectangle
 from matcap.model.random_field import RandomField
+from matcap.model.regular_order import WAVE_CHANNELS, wave_field
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.lattice import Wave

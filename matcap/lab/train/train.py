@@ -24,7 +24,7 @@ from matcap.lab.train.journal import Journal
 from matcap.lab.train.pack import Entry, Pack
 from matcap.lab.train.state import TrainConfig, TrainingState, start
 from matcap.lab.train.step import train_step
-from matcap.lab.train.windows import PreparedPhotograph, Turn, cut, prepare
+from matcap.lab.train.training_windows import PreparedPhotograph, Turn, cut, prepare
 from matcap.statistics.filterbank import FilterBank
 
 

@@ -24,7 +24,7 @@ from collections.abc import Callable
 import numpy as np
 
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
-from matcap.relight.environment import Environment, Sun
+from matcap.relight.environment_map import Environment, Sun
 from matcap.relight.facts import WHOLE, Facts
 from matcap.relight.lobes import ggx_smith, schlick_weight
 from matcap.relight.sampling import SurfaceSample

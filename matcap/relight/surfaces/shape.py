@@ -11,8 +11,8 @@ from matcap.relight.facts import VisibleRegion
 from matcap.relight.relief import Relief
 from matcap.relight.scene import Film, Surface
 from matcap.relight.surfaces.curved import cylinder_hits, sphere_hits
+from matcap.relight.surfaces.flat import plane_hits, plane_region
 from matcap.relight.surfaces.hits import Hits
-from matcap.relight.surfaces.plane import plane_hits, plane_region
 from matcap.relight.texture import Texture
 
 # How much room the photograph's camera leaves around a curved surface.

@@ -17,10 +17,10 @@ from PIL import Image, ImageCms
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.dng import Sensor, write_dng
 from matcap.lab.simulate.examples import realisation
-from matcap.lab.simulate.jpeg import write_jpeg
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
+from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.material import Material

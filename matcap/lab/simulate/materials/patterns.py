@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from matcap.lab.simulate.fields import (
+from matcap.lab.simulate.procedural import (
     Canvas,
     Field,
     Spectrum,

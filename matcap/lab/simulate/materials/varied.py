@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, colour, mix, noise, smoothstep
 from matcap.lab.simulate.materials.assemble import assemble
 from matcap.lab.simulate.materials.patterns import PATTERNS, PatternShape
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, colour, mix, noise, smoothstep
 
 Colour = tuple[float, float, float]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Spectrum, cells, mix, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     CLAYS,
     STONES,
@@ -18,8 +17,9 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shade,
     shades,
 )
+from matcap.lab.simulate.materials.kinds.kind import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import rim, warp
-from matcap.lab.simulate.materials.kinds.surface import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Spectrum, cells, mix, noise, smoothstep
 
 
 def plates(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, cells, mix, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     METALS,
     STONES,
@@ -25,8 +24,9 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shades,
     streaks,
 )
+from matcap.lab.simulate.materials.kinds.kind import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import rim, scatter, splat, spun, warp
-from matcap.lab.simulate.materials.kinds.surface import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, cells, mix, noise, smoothstep
 
 
 def _ground(canvas: Canvas, rng: np.random.Generator) -> tuple[Field, Field, Field, Field]:

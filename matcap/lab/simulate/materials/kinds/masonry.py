@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, mix, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     CLAYS,
     STONES,
@@ -23,8 +22,9 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shades,
     streaks,
 )
+from matcap.lab.simulate.materials.kinds.kind import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import turned
-from matcap.lab.simulate.materials.kinds.surface import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
 
 
 @dataclass(frozen=True)

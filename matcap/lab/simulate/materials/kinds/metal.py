@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     METALS,
     Whole,
@@ -13,8 +12,9 @@ from matcap.lab.simulate.materials.kinds.draws import (
     log_uniform,
     natural,
 )
+from matcap.lab.simulate.materials.kinds.kind import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import scatter, splat
-from matcap.lab.simulate.materials.kinds.surface import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, noise, smoothstep
 
 
 def hammered(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:

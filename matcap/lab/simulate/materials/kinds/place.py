@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, VoronoiCells, noise
 from matcap.lab.simulate.materials.kinds.draws import Whole
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, VoronoiCells, noise
 
 # Evaluations of a stamp's profile worked on at a time: small enough to stay in the cache.
 _CHUNK = 200_000

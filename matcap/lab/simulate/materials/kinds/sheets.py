@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, bumps, cells, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     METALS,
     Whole,
@@ -19,8 +18,9 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shade,
     shades,
 )
+from matcap.lab.simulate.materials.kinds.kind import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import paths, scatter, splat, spun, turned
-from matcap.lab.simulate.materials.kinds.surface import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, bumps, cells, noise, smoothstep
 
 
 def felt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:

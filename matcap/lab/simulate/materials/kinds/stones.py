@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, mix, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     STONES,
     Whole,
@@ -16,8 +15,9 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shade,
     shades,
 )
+from matcap.lab.simulate.materials.kinds.kind import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import polygons, scatter, splat, spun
-from matcap.lab.simulate.materials.kinds.surface import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
 
 
 def _mixed(rng: np.random.Generator, mood: float) -> Field:

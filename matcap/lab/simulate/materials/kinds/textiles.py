@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     WOODS,
     Whole,
@@ -22,8 +21,9 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shades,
     streaks,
 )
+from matcap.lab.simulate.materials.kinds.kind import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import turned
-from matcap.lab.simulate.materials.kinds.surface import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, noise, smoothstep
 
 
 def _fuzz(canvas: Canvas, size: float) -> Field:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, mix, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     WOODS,
     Whole,
@@ -20,8 +19,9 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shades,
     streaks,
 )
+from matcap.lab.simulate.materials.kinds.kind import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import paths, polygons, scatter, splat, spun, turned
-from matcap.lab.simulate.materials.kinds.surface import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
 
 
 def planks(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:

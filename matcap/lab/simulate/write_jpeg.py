@@ -11,8 +11,8 @@ from PIL.TiffImagePlugin import IFDRational
 
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged_file
-from matcap.lab.simulate.dng import exif_of
 from matcap.lab.simulate.photograph import Shot, expose
+from matcap.lab.simulate.write_dng import exif_of
 
 _QUALITY = 95
 _EXIF_IFD = 34665
