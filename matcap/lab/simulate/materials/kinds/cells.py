@@ -17,7 +17,7 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shade,
     shades,
 )
-from matcap.lab.simulate.materials.kinds.kind import SurfaceFields
+from matcap.lab.simulate.materials.kinds.finish import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import rim, warp
 from matcap.lab.simulate.procedural import Canvas, Spectrum, cells, mix, noise, smoothstep
 

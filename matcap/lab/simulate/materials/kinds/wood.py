@@ -19,7 +19,7 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shades,
     streaks,
 )
-from matcap.lab.simulate.materials.kinds.kind import SurfaceFields
+from matcap.lab.simulate.materials.kinds.finish import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import paths, polygons, scatter, splat, spun, turned
 from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
 
