@@ -6,7 +6,7 @@ import os
 import platform
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
@@ -252,15 +252,21 @@ def _self_test() -> tuple[Check, ...]:
             write(folder)
             export_mapset(Path(folder), "gltf")
 
-    steps: tuple[tuple[str, Callable[[], None]], ...] = (
-        ("draw a material from the prior", draw),
-        (f"read {_SIDE} x {_SIDE} texels of it", field),
-        ("light them", light),
-        ("write them and read them back", disk),
-        ("export them as glTF", export),
+    return _checked(
+        {
+            "draw a material from the prior": draw,
+            f"read {_SIDE} x {_SIDE} texels of it": field,
+            "light them": light,
+            "write them and read them back": disk,
+            "export them as glTF": export,
+        }
     )
+
+
+def _checked(steps: Mapping[str, Callable[[], None]]) -> tuple[Check, ...]:
+    """Steps taken in turn, up to the first fault."""
     checks: list[Check] = []
-    for name, step in steps:
+    for name, step in steps.items():
         start = perf_counter()
         try:
             step()
