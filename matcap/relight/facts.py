@@ -156,24 +156,24 @@ def gather(
         footprint: what a pixel covers on the material at most, in texels.
         skies: the scene's environments.
     """
-    summary = texture.summary
+    extremes = texture.extremes
     lights = tuple(
         _light_facts(light, region, view)
         for light in scene.lights
         if not isinstance(light, EnvironmentLight)
     )
     lift = scene.surface.displacement
-    low, high = (float(alpha_of(np.asarray(r, dtype=np.float32))) for r in summary.roughness)
+    low, high = (float(alpha_of(np.asarray(r, dtype=np.float32))) for r in extremes.roughness)
     if footprint > 1.0:
         # Filtering turns unresolved slopes into roughness.
-        high = min(math.sqrt(high**2 + summary.slope**2), 1.0)
+        high = min(math.sqrt(high**2 + extremes.slope**2), 1.0)
     return Facts(
-        diffuse=summary.diffuse,
-        specular=summary.specular,
+        diffuse=extremes.diffuse,
+        specular=extremes.specular,
         alpha=(low, high),
-        slope=summary.slope,
-        relief_slope=summary.relief_slope * lift,
-        relief=summary.relief * lift / scene.surface.repeat,
+        slope=extremes.slope,
+        relief_slope=extremes.relief_slope * lift,
+        relief=extremes.relief * lift / scene.surface.repeat,
         lights=lights,
         sky=sum(sky.brightest for sky in skies),
         sky_varying=sum(sky.varying for sky in skies),

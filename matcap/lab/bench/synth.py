@@ -50,7 +50,7 @@ from matcap.model.patch import Patch
 from matcap.model.plane import Rectangle
 from matcap.model.regular_order import WAVE_CHANNELS
 from matcap.model.single import single_threaded
-from matcap.model.source import Area, MaterialSource, area_of, material_source
+from matcap.model.source import BlockSpans, MaterialSource, material_source, spans_of_block
 from matcap.model.spans import Span
 from matcap.synth.precision import multiplies_bfloat16
 from matcap.synth.workers import keep_memory
@@ -239,7 +239,7 @@ def efficiency(name: str, subject: Material, precision: str, repeats: int) -> Ef
     """Multiply-adds a second of one block and of its convolutions alone, on one thread."""
     source = _source(subject, Grid(), precision)
     block = Rectangle(0, 0, source.grid.width, source.grid.height)
-    shapes = list(_convolutions(source.decoder, area_of(block, source.decoder.convolutions)))
+    shapes = list(_convolutions(source.decoder, spans_of_block(block, source.decoder.convolutions)))
     count = sum(
         weight.numel()
         * (part.shape[2] - weight.shape[2] + 1)
@@ -347,9 +347,9 @@ def _in_turn(calls: Sequence[Callable[[], None]], repeats: int) -> tuple[list[fl
     return [statistics.median(t) for t in wall], [statistics.median(t) for t in processor]
 
 
-def _convolutions(decoder: FoldedDecoder, area: Area) -> Iterator[tuple[Tensor, Tensor]]:
+def _convolutions(decoder: FoldedDecoder, spans: BlockSpans) -> Iterator[tuple[Tensor, Tensor]]:
     """Random features and the weights they meet, of every convolution of a block."""
-    rows, columns = area.rows, area.columns
+    rows, columns = spans.rows, spans.columns
     steps: list[tuple[FoldedLayer, Span, Span]] = [(decoder.head, rows.output, columns.output)]
     for blocks, high, wide in (
         (decoder.down, rows.down, columns.down),
