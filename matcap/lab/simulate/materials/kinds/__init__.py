@@ -2,7 +2,7 @@
 
 `random_material` (varied.py) draws patterns; this draws things: gravel, knits, bonds, hammered
 metal, planks. Where features lie, `place.py`; their numbers, `draws.py`; what all have in common,
-`finish.py`; one file a group of kinds.
+`surface_fields.py`; one file a group of kinds.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from matcap.lab.simulate.materials.kinds import (
     wood,
 )
 from matcap.lab.simulate.materials.kinds.draws import log_uniform
-from matcap.lab.simulate.materials.kinds.finish import Kind, finish
+from matcap.lab.simulate.materials.kinds.surface_fields import Kind, finish
 from matcap.lab.simulate.procedural import Canvas, Field
 
 __all__ = ["KINDS", "RandomKind", "kind_of", "random_kind"]

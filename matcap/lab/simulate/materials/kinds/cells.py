@@ -17,8 +17,8 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shade,
     shades,
 )
-from matcap.lab.simulate.materials.kinds.finish import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import rim, warp
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Spectrum, cells, mix, noise, smoothstep
 
 

@@ -24,8 +24,8 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shades,
     streaks,
 )
-from matcap.lab.simulate.materials.kinds.finish import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import rim, scatter, splat, spun, warp
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, cells, mix, noise, smoothstep
 
 

@@ -22,8 +22,8 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shades,
     streaks,
 )
-from matcap.lab.simulate.materials.kinds.finish import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import turned
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
 
 

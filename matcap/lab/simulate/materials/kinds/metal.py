@@ -12,8 +12,8 @@ from matcap.lab.simulate.materials.kinds.draws import (
     log_uniform,
     natural,
 )
-from matcap.lab.simulate.materials.kinds.finish import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import scatter, splat
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, noise, smoothstep
 
 

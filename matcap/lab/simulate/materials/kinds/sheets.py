@@ -18,8 +18,8 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shade,
     shades,
 )
-from matcap.lab.simulate.materials.kinds.finish import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import paths, scatter, splat, spun, turned
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, bumps, cells, noise, smoothstep
 
 

@@ -15,8 +15,8 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shade,
     shades,
 )
-from matcap.lab.simulate.materials.kinds.finish import SurfaceFields
 from matcap.lab.simulate.materials.kinds.place import polygons, scatter, splat, spun
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
 
 
