@@ -10,7 +10,6 @@ bit.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +17,9 @@ from numpy.typing import NDArray
 from matcap.model.example.grids import PRICE_BITS, Frame
 from matcap.model.example.hashing import Hashes, draw, hash_places
 from matcap.model.example.lookup import Level, Lookup, two_phases
-from matcap.model.example.order import Cells, Integers, Order, Period, Phases, cells_of
+from matcap.model.example.order import Cells, Integers, Order, Phases, cells_of
 from matcap.model.example.plain import Places, margin
+from matcap.model.plane import Period, Rectangle
 
 Correct = Callable[
     [Places, Level, NDArray[np.bool_], NDArray[np.bool_], int, Phases | None], Places
@@ -33,30 +33,10 @@ _JITTER_COARSE = 8
 _PASSES = (1, 2)  # of correction at the finest level, and at every coarser one
 
 
-@dataclass(frozen=True)
-class Area:
-    """Columns x to x + width and rows y to y + height of a level's places."""
-
-    x: int
-    y: int
-    width: int
-    height: int
-
-    def grown(self, by: int) -> Area:
-        """With so many more on every side."""
-        return Area(self.x - by, self.y - by, self.width + 2 * by, self.height + 2 * by)
-
-    def halved(self) -> Area:
-        """Of the next coarser level: all that these places are taken from."""
-        x, y = self.x >> 1, self.y >> 1
-        right, bottom = (self.x + self.width + 1) >> 1, (self.y + self.height + 1) >> 1
-        return Area(x, y, right - x, bottom - y)
-
-
 def coordinates(
     lookup: Lookup,
     seed: int,
-    area: Area,
+    area: Rectangle,
     period: Period | None,
     correct: Correct,
 ) -> Places:
@@ -91,7 +71,7 @@ def _passes(depth: int) -> int:
     return _PASSES[min(depth, 1)]
 
 
-def _wrapped(area: Area, depth: int, period: Period | None) -> tuple[Integers, Integers]:
+def _wrapped(area: Rectangle, depth: int, period: Period | None) -> tuple[Integers, Integers]:
     """Columns and rows of an area within the first period."""
     columns = np.arange(area.x, area.x + area.width)
     rows = np.arange(area.y, area.y + area.height)
@@ -186,7 +166,7 @@ def _refine(
     lookup: Lookup,
     seed: int,
     depth: int,
-    area: Area,
+    area: Rectangle,
     columns: Integers,
     rows: Integers,
 ) -> Places:
@@ -207,6 +187,6 @@ def _refine(
 
 
 def _clamped(places: NDArray[np.integer], frame: Frame) -> Places:
-    least = np.array([frame.left, frame.top])
-    most = np.array([frame.right, frame.bottom])
-    return places.clip(least, most).astype(np.int16)
+    least = np.array([frame.left, frame.top], places.dtype)
+    most = np.array([frame.right, frame.bottom], places.dtype)
+    return places.clip(least, most).astype(np.int16, copy=False)

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.model.example import appearance, compiled, plain, relief
-from matcap.model.example.coordinates import Area, Correct, coordinates
+from matcap.model.example.coordinates import Correct, coordinates
 from matcap.model.example.grids import level_count
 from matcap.model.example.index import Index, Project, build_index
 from matcap.model.example.lookup import Lookup, prepare
-from matcap.model.example.order import Period, Wave
+from matcap.model.example.order import Wave
 from matcap.model.example.plain import Places
 from matcap.model.exemplar import Exemplar, Floats
+from matcap.model.plane import Period, Rectangle
 
 _GRID = 1536  # texels of the longer side of the grid at most
 
@@ -85,7 +86,7 @@ class Example:
         )
         return Example(exemplar, index)
 
-    def maps(self, seed: int, area: Area, period: Period | None) -> Floats:
+    def maps(self, seed: int, area: Rectangle, period: Period | None) -> Floats:
         """(6, height, width) stacked maps of an area of the field, a pure function of texels.
 
         Args:
@@ -108,12 +109,12 @@ class Example:
         found[5] += np.float32(low * unit)
         return found
 
-    def places(self, seed: int, area: Area, period: Period | None) -> Places:
+    def places(self, seed: int, area: Rectangle, period: Period | None) -> Places:
         """(height, width, 2) int16: x, y of the exemplar that every texel of an area shows."""
         bits = detail_bits(self.exemplar)
         x, y = area.x >> bits, area.y >> bits
         right, bottom = -(-(area.x + area.width) >> bits), -(-(area.y + area.height) >> bits)
-        coarse = Area(x, y, right - x, bottom - y)
+        coarse = Rectangle(x, y, right - x, bottom - y)
         repeat = None
         if period is not None:
             repeat = (period[0] and period[0] >> bits, period[1] and period[1] >> bits)

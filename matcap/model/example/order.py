@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.model.example.hashing import scramble
+from matcap.model.plane import Period
 
 Phases = NDArray[np.int16]
 Integers = NDArray[np.int64]
-Period = tuple[int | None, int | None]
 Wave = tuple[float, float]  # cycles per texel along x (right) and y (down)
 
 GRID = 4  # bits: phases are stored every 16 texels
