@@ -4,7 +4,10 @@
 #include <stdint.h>
 #include <string.h>
 
-#if defined(__SSE2__)
+#if defined(__x86_64__) && defined(__GNUC__)
+#define MATCAP_AVX2 /* asked for at run time */
+#include <immintrin.h>
+#elif defined(__SSE2__)
 #include <emmintrin.h>
 #endif
 
@@ -218,24 +221,6 @@ void matcap_correct(const Level *l, Place *places, Place *scratch, int32_t colum
    other; exact, in whatever order they are added. */
 static void project(const int16_t *here, ptrdiff_t row, ptrdiff_t step, const int16_t *weights,
                     int32_t *sums) {
-#if defined(__SSE2__)
-    __m128i total[DIMENSIONS];
-    for (int d = 0; d < DIMENSIONS; d++) total[d] = _mm_setzero_si128();
-    for (int tap = 0; tap < SIDE * SIDE; tap++) {
-        const int16_t *at = here + (tap / SIDE) * row + (tap % SIDE) * step;
-        const __m128i feature = _mm_loadu_si128((const __m128i *)at);
-        for (int d = 0; d < DIMENSIONS; d++) {
-            const int16_t *w = weights + (d * SIDE * SIDE + tap) * PLANES;
-            const __m128i weight = _mm_loadu_si128((const __m128i *)w);
-            total[d] = _mm_add_epi32(total[d], _mm_madd_epi16(feature, weight));
-        }
-    }
-    for (int d = 0; d < DIMENSIONS; d++) {
-        int32_t part[4];
-        _mm_storeu_si128((__m128i *)part, total[d]);
-        sums[d] = part[0] + part[1] + part[2] + part[3];
-    }
-#else
     for (int d = 0; d < DIMENSIONS; d++) {
         sums[d] = 0;
         for (int tap = 0; tap < SIDE * SIDE; tap++) {
@@ -244,21 +229,62 @@ static void project(const int16_t *here, ptrdiff_t row, ptrdiff_t step, const in
             for (int k = 0; k < PLANES; k++) sums[d] += (int32_t)at[k] * w[k];
         }
     }
-#endif
 }
+
+#if defined(MATCAP_AVX2)
+/* The same of two places beside each other: (2, DIMENSIONS) sums. */
+__attribute__((target("avx2"))) static void project_two(const int16_t *here, ptrdiff_t row,
+                                                        ptrdiff_t step, const int16_t *weights,
+                                                        int32_t *sums) {
+    __m256i total[DIMENSIONS];
+    for (int d = 0; d < DIMENSIONS; d++) total[d] = _mm256_setzero_si256();
+    for (int y = 0; y < SIDE; y++) {
+        for (int x = 0; x < SIDE; x++) {
+            const int16_t *at = here + y * row + x * step;
+            const __m256i features = _mm256_loadu_si256((const __m256i *)at);
+            for (int d = 0; d < DIMENSIONS; d++) {
+                const int16_t *w = weights + ((d * SIDE + y) * SIDE + x) * PLANES;
+                const __m256i weight =
+                    _mm256_broadcastsi128_si256(_mm_loadu_si128((const __m128i *)w));
+                total[d] = _mm256_add_epi32(total[d], _mm256_madd_epi16(features, weight));
+            }
+        }
+    }
+    for (int d = 0; d < DIMENSIONS; d += 4) {
+        const __m256i one = _mm256_hadd_epi32(total[d], total[d + 1]);
+        const __m256i two = _mm256_hadd_epi32(total[d + 2], total[d + 3]);
+        const __m256i all = _mm256_hadd_epi32(one, two);
+        _mm_storeu_si128((__m128i *)(sums + d), _mm256_castsi256_si128(all));
+        _mm_storeu_si128((__m128i *)(sums + DIMENSIONS + d), _mm256_extracti128_si256(all, 1));
+    }
+}
+
+static int two_at_once(void) { return __builtin_cpu_supports("avx2"); }
+#else
+static void project_two(const int16_t *here, ptrdiff_t row, ptrdiff_t step, const int16_t *weights,
+                        int32_t *sums) {
+    project(here, row, step, weights, sums);
+    project(here + PLANES, row, step, weights, sums + DIMENSIONS);
+}
+
+static int two_at_once(void) { return 0; }
+#endif
 
 /* appearance.project: features (rows + 4 step) x (columns + 4 step) x PLANES, weights DIMENSIONS x
    SIDE x SIDE x PLANES, found rows x columns x DIMENSIONS. */
 void matcap_project(const int16_t *features, const int16_t *weights, int32_t step, int32_t shift,
                     int32_t columns, int32_t rows, int16_t *found) {
     const ptrdiff_t row = (ptrdiff_t)(columns + (SIDE - 1) * step) * PLANES;
+    const int fast = two_at_once();
     for (int32_t y = 0; y < rows; y++) {
-        for (int32_t x = 0; x < columns; x++) {
-            int32_t sums[DIMENSIONS];
-            project(features + y * row + (ptrdiff_t)x * PLANES, step * row,
-                    (ptrdiff_t)step * PLANES, weights, sums);
+        for (int32_t x = 0, count; x < columns; x += count) {
+            int32_t sums[2 * DIMENSIONS];
+            count = fast && x + 1 < columns ? 2 : 1;
+            (count == 2 ? project_two : project)(features + y * row + (ptrdiff_t)x * PLANES,
+                                                 step * row, (ptrdiff_t)step * PLANES, weights,
+                                                 sums);
             int16_t *to = found + ((ptrdiff_t)y * columns + x) * DIMENSIONS;
-            for (int d = 0; d < DIMENSIONS; d++) {
+            for (int d = 0; d < count * DIMENSIONS; d++) {
                 const int32_t value = sums[d] >> shift;
                 to[d] = (int16_t)(value > LARGEST ? LARGEST : value < -LARGEST ? -LARGEST : value);
             }
