@@ -142,7 +142,8 @@ def build_index(exemplar: Exemplar, waves: tuple[Wave, ...], project: Project) -
     planes = planes_of(exemplar)
     scale = choose_scale(planes)
     features = features_of(planes, scale)
-    order = measure_order(features - features.mean(axis=(1, 2), keepdims=True), waves)
+    means = features.mean(axis=(1, 2), keepdims=True)
+    order = measure_order(np.subtract(features, means, dtype=np.float32), waves)
     count = level_count(width, height)
     if order is not None:
         count = min(count, _ordered_levels(order))

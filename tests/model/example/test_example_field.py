@@ -13,8 +13,10 @@ from exemplars import PERIODS, an_example, blobs, ordered
 from matcap.errors import UsageError
 from matcap.model.blocks import Grid, Rectangle
 from matcap.model.example import plain
+from matcap.model.example.appearance import project
 from matcap.model.example.coordinates import coordinates
 from matcap.model.example.example import Example, coarsened
+from matcap.model.example.lookup import prepare
 from matcap.model.example.source import example_source
 from matcap.model.field import read_source
 
@@ -125,11 +127,42 @@ def test_order_neither_drifts_nor_breaks():
         assert abs(apart.mean()) < 0.02
 
 
+def joints(example, x, y, side):
+    """Turns from a joint to (x, y) along x and y, by the waves of the relief that is shown."""
+    height = example.maps(3, Rectangle(x, y, side, side), None)[5]
+    height = height - height.mean()
+    # A window without leakage from the other wave or from harmonics.
+    window = np.blackman(side)
+    found = []
+    for wave in example.index.order.waves:
+        columns, rows = np.arange(side), np.arange(side)[:, None]
+        turns = wave[0] * columns + wave[1] * rows
+        carried = height * np.exp(-2j * np.pi * turns) * window * window[:, None]
+        # Joints are lowest: half a turn from where the wave is highest.
+        found.append(np.angle(-carried.sum()) / (2 * np.pi))
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("size", "periods"), [((240, 200), PERIODS), ((620, 560), (72.0, 87.0))], ids=["small", "large"]
+)
+def test_a_lattice_keeps_its_phase_over_sixteen_thousand_texels(size, periods):
+    """Measured in the relief that is shown, not in places: a tenth of a period is a fault."""
+    example = ordered(*size, periods)
+    waves = np.array(example.index.order.waves)
+    assert [1 / wave[k] for k, wave in enumerate(waves)] == pytest.approx(periods, rel=0.01)
+    side = 5 * round(max(periods))
+    start = joints(example, 0, 0, side)
+    for x, y in ((16384, 0), (0, -16384), (16384, 16384)):
+        drift = joints(example, x, y, side) - start - waves @ (x, y)
+        assert np.abs((drift + 0.5) % 1.0 - 0.5).max() < 0.1
+
+
 def test_order_is_found_where_it_was_bent():
     example = ordered()
     x = np.arange(30, 210)
     phases = example.index.order.phases(x, np.full(x.shape, 100))[:, 1].astype(float) / 2**16
-    bend = 1.7 * np.sin(x / 90.0) / PERIODS[1]
+    bend = 0.1 * np.sin(x / 90.0)
     apart = (phases - bend) % 1.0
     apart = np.angle(np.exp(2j * np.pi * apart)) / (2 * np.pi)
     assert np.ptp(np.unwrap(2 * np.pi * apart)) / (2 * np.pi) < 0.06
@@ -147,16 +180,17 @@ def test_detail_is_read_at_the_exemplars_own_resolution(monkeypatch):
     assert coarsened(fine, 1).size == (96, 80) and example.alignment % 2 == 0
 
 
-def test_the_plain_form_is_the_field():
-    from matcap.model.example.appearance import project
-    from matcap.model.example.lookup import prepare
-
-    for example in (an_example(), ordered()):
-        lookup = prepare(example.exemplar, example.index, project)
-        for period in (None, (80, 48)):
-            area = Rectangle(-5, 9, 40, 30)
-            expected = coordinates(lookup, 8, area, period, plain.correct)
-            assert np.array_equal(example.places(8, area, period), expected)
+@EXAMPLES
+def test_the_plain_form_is_the_field(example):
+    lookup = prepare(example.exemplar, example.index, project)
+    draws = random.Random(3)
+    for period in (None, (80, 48), (None, 112), None):
+        far = draws.choice([100, 2**40 - 100])
+        x, y = (draws.randint(-far, far) for _ in range(2))
+        area = Rectangle(x, y, draws.randint(1, 40), draws.randint(1, 40))
+        seed = draws.randint(-(2**63), 2**63 - 1)
+        expected = coordinates(lookup, seed, area, period, plain.correct)
+        assert np.array_equal(example.places(seed, area, period), expected)
 
 
 def test_it_needs_no_torch():
