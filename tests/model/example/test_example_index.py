@@ -100,7 +100,7 @@ def test_costs_fit_31_bits():
     """The largest that correction can add up: see appearance.LARGEST."""
     worst = 4 * 8 * (3 * 2 * LARGEST) ** 2
     phases = 2 * (2**15 >> plain.PHASE_SHIFT) ** 2
-    price = 255 << 19
+    price = 255**2 << 11
     assert plain.SIMILAR_TIMES * worst + phases + price < 2**31
     assert 6 * LARGEST < 2**15
     assert appearance.TAPS * 127 * 127 < 2**24
