@@ -17,8 +17,8 @@ from matcap.capture.exemplar.store import load_inverse
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import read_plane
 from matcap.lab.bench.baselines import Fixed
-from matcap.model.example.coordinates import Area
 from matcap.model.example.example import Example
+from matcap.model.plane import Rectangle
 from matcap.photo.load import load_photo
 from matcap.statistics.lattice import find_lattice
 
@@ -42,7 +42,7 @@ class Rearranged:
 
     def maps(self, width: int, height: int, *, seed: int = 0) -> MapSet:
         """One realisation."""
-        stacked = torch.from_numpy(self.example.maps(seed, Area(0, 0, width, height), None))
+        stacked = torch.from_numpy(self.example.maps(seed, Rectangle(0, 0, width, height), None))
         return MapSet.from_stacked(stacked, self.texel_size)
 
 
