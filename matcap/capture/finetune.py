@@ -128,7 +128,7 @@ def finetune(
         return Tuned(decoder, tuple(freeze(decoder, code, scene.waves)), (), False)
     schedule = Schedule(settings.steps, settings.seconds, settings.target)
     guard = Guard(decoder, settings.learning_rate)
-    order = _places(scene.windows.count, settings.seed)
+    order = shuffled(scene.windows.count, settings.seed)
     half = settings.half_precision
     moments: list[Moments] | None = None
     history: list[tuple[float, int, float]] = []
@@ -157,8 +157,8 @@ def finetune(
     return Tuned(decoder, tuple(moments), tuple(history), interrupted)
 
 
-def _places(count: int, seed: int) -> Iterator[int]:
-    """Every window once in a random order, for ever."""
+def shuffled(count: int, seed: int) -> Iterator[int]:
+    """Every number under `count` once in a random order, for ever."""
     generator = torch.Generator().manual_seed(seed)
     while True:
         yield from torch.randperm(count, generator=generator).tolist()

@@ -24,7 +24,7 @@ from matcap.capture.finetune import Tuned, TuneScene, TuneSettings, finetune
 from matcap.capture.joint import join
 from matcap.capture.match import match_photograph
 from matcap.capture.progress import CaptureClock, CaptureProgress
-from matcap.capture.settings import CaptureSettings, Method, Statistics, resolve
+from matcap.capture.settings import CaptureSettings, Effort, Method, Statistics, resolve
 from matcap.capture.start import logits
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError
@@ -78,8 +78,9 @@ def read_photograph(path: str | Path, settings: CaptureSettings) -> Photo:
         UsageError: an unknown preset.
         MatcapError: the file is not a photograph that can be read.
     """
-    compared = resolve(settings).steps > 0  # with the photograph, whose noise must be known then
-    return load_photo(path, long_side=settings.most_detail, fov=settings.fov, noise=compared)
+    # What is compared with the photograph must know its noise.
+    noise = _compares(settings, resolve(settings))
+    return load_photo(path, long_side=settings.most_detail, fov=settings.fov, noise=noise)
 
 
 def capture_file(
@@ -122,7 +123,7 @@ def capture_photo(
         plane, lattice = plane_in_detail(photo, coarse.setup, settings.detail)
         bank = _features(settings.statistics, method)
         window = _window(plane, method.window, photo.name)
-        most = None if effort.steps else 1  # nothing will be compared
+        most = None if _compares(settings, effort) else 1
         scene = TuneScene(
             cut_windows(plane, bank, window, most=most),
             coarse.setup,
@@ -159,7 +160,9 @@ def capture_photo(
     found = None
     if settings.finds_exemplar:
         with clock.stage("exemplar"):
-            found = find_exemplar(plane, coarse, load_inverse(), scene.waves)
+            found = find_exemplar(
+                plane, coarse, load_inverse(), scene, steps=effort.adapted, seed=settings.seed
+            )
     if found is not None and settings.generator == "example":
         material = replace(material, example=found.example)
 
@@ -181,6 +184,11 @@ def capture_photo(
         self_difference=own,
         found=found,
     )
+
+
+def _compares(settings: CaptureSettings, effort: Effort) -> bool:
+    """Whether anything is going to be compared with the photograph."""
+    return effort.steps > 0 or (settings.finds_exemplar and effort.adapted > 0)
 
 
 def _shown(material: Material, plane: Plane, seed: int) -> MapSet:

@@ -26,12 +26,14 @@ class Effort:
         steps: of fine-tuning.
         places: windows a step; all see the same maps, so one more costs a fifth more.
         matched: mean and contrast moved to the photograph's at the end (match.py).
+        adapted: steps by which the exemplar is held to the photograph (exemplar/adapt.py).
     """
 
     preset: str
     steps: int
     places: int = 2
     matched: bool = True
+    adapted: int = 80
 
 
 # docs/notes/capture.md has what each costs and buys.
@@ -39,11 +41,11 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
     {
         effort.preset: effort
         for effort in (
-            Effort("instant", 0),
-            Effort("draft", 32, matched=False),
+            Effort("instant", 0, adapted=0),
+            Effort("draft", 32, matched=False, adapted=16),
             Effort("standard", 160, places=3),
-            Effort("high", 320, places=3),
-            Effort("reference", 800),
+            Effort("high", 320, places=3, adapted=160),
+            Effort("reference", 800, adapted=240),
         )
     }
 )

@@ -9,19 +9,17 @@ and made a height again.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.capture.exemplar.integrate import integrate
-from matcap.capture.exemplar.smooth import coarse_smoothed, enlarged
+from matcap.capture.exemplar.smooth import BLURS, coarse_smoothed, enlarged, split
 from matcap.capture.exemplar.strengths import Strengths, slope_strengths
 
 Height = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-# Deviations in texels of the blurs between bands, and which of strengths.BANDS each is about.
-_BLURS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+# Which of strengths.BANDS each band is about.
 _ABOUT = ((3, 4), (2,), (1,), (0,), (0,), (0,))
 _AROUND = 64.0  # texels: deviation of a neighbourhood
 _GAINS = (0.25, 5.0)  # slopes are not weakened or strengthened more than this
@@ -41,7 +39,7 @@ def equalise(height: Height, strengths: Strengths | None) -> Height:
     # What is slower than all bands is the bowl that a highlight's error leaves, not relief.
     for index, band in enumerate(split(height)[:-1]):
         x, y = slopes(band)
-        around = max(_AROUND, 2.0 * _BLURS[index])
+        around = max(_AROUND, 2.0 * BLURS[index])
         gain = _gain(_covariance(x, y, around), wanted[index] * _own(x, y), height.shape)
         even_x += gain[0] * x + gain[1] * y
         even_y += gain[1] * x + gain[2] * y
@@ -120,16 +118,6 @@ def _sandwich(outer: Array, inner: Array) -> Array:
     return np.stack(
         [left[0] * a + left[1] * b, left[0] * b + left[1] * d, left[2] * b + left[3] * d]
     )
-
-
-def split(height: Height) -> list[Height]:
-    """Bands of a height, finest first, and the rest; they add up to it."""
-    bands = []
-    for blur in _BLURS:
-        smooth = cv2.GaussianBlur(height, (0, 0), blur)
-        bands.append(height - smooth)
-        height = np.asarray(smooth, np.float32)
-    return [*bands, height]
 
 
 def slopes(height: Height) -> tuple[Height, Height]:

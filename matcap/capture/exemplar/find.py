@@ -18,22 +18,28 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.coarse import CoarseFit
+from matcap.capture.exemplar.adapt import adapt
+from matcap.capture.exemplar.contrast import even_contrast
 from matcap.capture.exemplar.equalise import equalise
 from matcap.capture.exemplar.fill import fill
-from matcap.capture.exemplar.refine import Light, flatten, level, refine
+from matcap.capture.exemplar.refine import Light, Refined, flatten, level, refine
 from matcap.capture.exemplar.smooth import smoothed
 from matcap.capture.exemplar.strengths import Strengths, measure_strengths
+from matcap.capture.finetune import TuneScene
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
 from matcap.model.example.example import Example
 from matcap.model.exemplar import Exemplar
-from matcap.model.inverse.inputs import network_inputs, read_outputs
-from matcap.model.inverse.network import COLOUR, OUTPUTS, SHOWN, Inverse
+from matcap.model.inverse.inputs import network_inputs, read_outputs, true_outputs
+from matcap.model.inverse.network import COLOUR, GLOSS, OUTPUTS, SHOWN, Inverse
 from matcap.statistics.lattice import Wave
 
 # Expected errors at which confidence has fallen to 1/e: log albedo, log F0, logit roughness, slope.
 _DOUBTED = (0.3, 0.6, 0.6, 0.15)
 _LEAST_NOISE = 0.01  # of log radiance: what is not explained, where the sensor's is less
+# Legs of adaptation and how far each reaches; in between, what relief no longer explains goes back
+# to albedo. Short steps at the end: long ones stray by a tenth of relief's strength.
+_LEGS = (1.0, 0.35)
 _AROUND = 12.0  # the long side over the deviation of a neighbourhood's confidence
 
 
@@ -60,12 +66,15 @@ class FoundExemplar:
         return self.example.exemplar
 
 
-@torch.inference_mode()
+@torch.no_grad()
 def find_exemplar(
     plane: Plane,
     coarse: CoarseFit,
     network: Inverse,
-    waves: tuple[Wave, ...] = (),
+    scene: TuneScene | None = None,
+    *,
+    steps: int = 0,
+    seed: int = 0,
 ) -> FoundExemplar:
     """Maps of the photographed piece.
 
@@ -73,7 +82,9 @@ def find_exemplar(
         plane: the photograph.
         coarse: its coarse fit.
         network: reads it (store.load_inverse).
-        waves: of its regular order, in cycles per texel.
+        scene: the photograph's statistics and order; without them the piece is not adapted.
+        steps: of adaptation.
+        seed: of adaptation.
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
@@ -86,11 +97,31 @@ def find_exemplar(
     )
     found[5] = torch.from_numpy(equalise(found[5].numpy(), strengths))
     trusted = confidence(errors, plane.valid)
-    found = flatten(found, torch.from_numpy(trusted))
+    matte = (1.0 - inputs[GLOSS].numpy()).clip(0.0, 1.0)
     light = Light(coarse, points)
-    found = level(found, plane.linear, plane.valid, light)
-    noise = max(noise, _LEAST_NOISE)
-    refined = refine(found, errors, plane.linear, plane.valid, light, noise=noise)
+    found = level(flatten(found, torch.from_numpy(trusted)), plane.linear, plane.valid, light)
+
+    def explained(outputs: Tensor) -> Refined:
+        least = max(noise, _LEAST_NOISE)
+        return refine(outputs, errors, plane.linear, plane.valid, light, noise=least)
+
+    refined = explained(found)
+    for leg, reach in enumerate(_LEGS if scene and steps else ()):
+        assert scene is not None
+        outputs = refined.outputs
+        albedo = even_contrast(outputs[:3].numpy(), np.square(trusted[0] * matte))
+        maps = read_outputs(
+            torch.cat([torch.from_numpy(albedo), outputs[3:]]), coarse, plane.texel_size
+        )
+        maps = adapt(
+            maps,
+            plane.valid.numpy(),
+            scene,
+            -(-steps // len(_LEGS)),
+            reach=reach,
+            seed=seed * len(_LEGS) + leg,
+        )
+        refined = explained(true_outputs(maps, coarse))
     maps = read_outputs(refined.outputs, coarse, plane.texel_size)
     exemplar = Exemplar(
         diffuse=maps.diffuse.numpy(),
@@ -102,7 +133,7 @@ def find_exemplar(
     )
     seen = refined.residual[:, plane.valid]
     return FoundExemplar(
-        example=_indexed(exemplar, waves),
+        example=_indexed(exemplar, scene.waves if scene else ()),
         strengths=strengths,
         error=float(seen.abs().median()) if seen.numel() else 0.0,
         slow=float(refined.slow.abs().mean()),

@@ -32,6 +32,7 @@ _LEAST_ERROR, _MOST_ERROR = 0.02, 1.0  # expected errors believed in
 _DARKEST = 1e-5  # linear radiance
 _SLOW = 12.0  # the picture's long side over the deviation of what counts as slow
 _MOST = 0.5  # of log radiance a step explains
+_GLARE = 0.5  # of log radiance: what a highlight's fit leaves where all light is mirrored
 _CHROMA = 0.3  # deviation of albedo's colour as a share of its lightness's
 _LEVEL_STEPS = 4
 # Deviations of what is off on the whole: log albedo, log F0, logit roughness.
@@ -202,9 +203,10 @@ def refine(
         residual = _unexplained(observed, found, valid)
         residual = (residual - _slow(residual, valid)).clamp(-_MOST, _MOST)
         grey, share = residual.mean(0, keepdim=True), shares.mean(0, keepdim=True)
-        total = share.square() * albedo + (shows.square() * gloss).sum(0, keepdim=True) + noise**2
+        unknown = noise**2 + (_GLARE * (1.0 - share)).square()
+        total = share.square() * albedo + (shows.square() * gloss).sum(0, keepdim=True) + unknown
         common = grey / total
-        own = (residual - grey) * shares * colour / (shares.square() * colour + noise**2)
+        own = (residual - grey) * shares * colour / (shares.square() * colour + unknown)
         outputs[:3] += share * albedo * common + own
         outputs[3:5] += shows * gloss * common
     found, _ = light.logs(light.maps(outputs), normals)

@@ -1,4 +1,4 @@
-"""Wide blurs on fewer texels: of what is smooth they say as much."""
+"""Bands of a plane, and wide blurs on fewer texels, which of what is smooth say as much."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Plane = NDArray[np.float32]
+
+BLURS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # texels: deviations between bands
 
 _COARSER = 8  # texels a side that are one
 
@@ -28,3 +30,13 @@ def enlarged(plane: Plane, shape: tuple[int, ...]) -> Plane:
     """A coarser plane at every texel of a finer one's (H, W)."""
     size = (shape[1], shape[0])
     return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def split(plane: Plane) -> list[Plane]:
+    """Bands of a plane (H, W) between BLURS, finest first, and the rest; they add up to it."""
+    bands = []
+    for blur in BLURS:
+        smooth = np.asarray(cv2.GaussianBlur(plane, (0, 0), blur), np.float32)
+        bands.append(plane - smooth)
+        plane = smooth
+    return [*bands, plane]

@@ -11,16 +11,13 @@ from pathlib import Path
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.coarse import fit_coarse
-from matcap.capture.exemplar.find import FoundExemplar, find_exemplar, piece_maps
-from matcap.capture.exemplar.store import load_inverse
+from matcap.capture.exemplar.find import FoundExemplar, piece_maps
+from matcap.capture.pipeline import capture_file
+from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.plane import read_plane
 from matcap.lab.bench.baselines import Fixed
 from matcap.model.example.example import Example
 from matcap.model.plane import Rectangle
-from matcap.photo.load import load_photo
-from matcap.statistics.lattice import find_lattice
 
 
 @dataclass(frozen=True)
@@ -48,11 +45,10 @@ class Rearranged:
 
 def found_piece(path: Path, detail: int) -> tuple[FoundExemplar, FlashSetup]:
     """The exemplar of a photograph's file, and its setup as fitted."""
-    photo = load_photo(path, long_side=detail, noise=True)
-    coarse = fit_coarse(photo)
-    plane = read_plane(photo, coarse.setup, detail)
-    waves = find_lattice(plane.encoded(), plane.valid).waves
-    return find_exemplar(plane, coarse, load_inverse(), waves), coarse.setup
+    settings = CaptureSettings(steps=0, detail=detail, aligned=True)  # no decoder is asked for
+    result = capture_file(path, settings)
+    assert result.found is not None
+    return result.found, result.material.setup
 
 
 def photographed_piece(path: Path, detail: int) -> Fixed:

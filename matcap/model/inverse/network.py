@@ -21,7 +21,8 @@ INPUTS = (
     "shows roughness", "gloss", "roughness", "f0", "albedo", "relief x", "relief y",
 )  # fmt: skip
 COLOUR, SHOWN = slice(0, 3), slice(6, 8)  # log radiance; what it changes by with slope
-_VALID, _GLOSS = slice(3, 4), slice(9, 10)
+GLOSS = 9  # share of the uniform material's radiance that is mirrored
+_VALID, _GLOSS = slice(3, 4), slice(GLOSS, GLOSS + 1)
 # Channels of the output: departures of log albedo, log F0 and logit roughness, height in texels,
 # and the logarithm of the error to be expected of each (albedo, F0, roughness, slope).
 OUTPUTS = 6

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from photographed import photographed
 
-from matcap.capture.exemplar.equalise import equalise, slopes, split
+from matcap.capture.exemplar.equalise import equalise, slopes
+from matcap.capture.exemplar.smooth import split
 
 
 def _bumps() -> np.ndarray:
