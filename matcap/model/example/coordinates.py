@@ -29,7 +29,7 @@ Correct = Callable[
 
 # Texels along a side of the pieces that the coarsest level begins with, and of the exemplar's
 # shorter side the part that they are at most.
-_PIECE, _PART = 128, 3
+_PIECE, _PART = 128, 2
 _DRAWS = 4  # pieces that each is the cheapest of
 _PASSES = (1, 2)  # of correction at the finest level, and at every coarser one
 
