@@ -9,10 +9,10 @@ import argparse
 from pathlib import Path
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
-from matcap.lab.simulate.dng import write_dng
 from matcap.lab.simulate.examples import EXAMPLES
-from matcap.lab.simulate.jpeg import write_jpeg
-from matcap.lab.simulate.photograph import Camera
+from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.lab.simulate.write_dng import write_dng
+from matcap.lab.simulate.write_jpeg import write_jpeg
 
 
 def main() -> None:
@@ -22,7 +22,7 @@ def main() -> None:
     parser.add_argument("--only", choices=list(EXAMPLES), action="append", help="these alone")
     parser.add_argument("--truth", type=Path, help="folder for the true map sets")
     chosen = parser.parse_args()
-    camera = Camera()
+    camera = PhoneCamera()
     for name in chosen.only or EXAMPLES:
         example = EXAMPLES[name]
         shot = example.take(camera)

@@ -73,9 +73,10 @@ def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
         m = matcap.capture("leather.dng", preset="draft")
         maps = m.maps(1024, 1024, seed=7)
     """
-    from matcap.capture.pipeline import CaptureSettings, capture_file
+    from matcap.capture.pipeline import capture_file
+    from matcap.capture.settings import CaptureSettings
 
-    return capture_file(path, CaptureSettings(**settings)).material
+    return capture_file(path, CaptureSettings.of(settings)).material
 
 
 def relight(

@@ -1,4 +1,4 @@
-"""The one error that users see, and the exit codes of the command line (DESIGN, section 2)."""
+"""The one error that users see, and the exit codes of the command line."""
 
 from __future__ import annotations
 

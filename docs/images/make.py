@@ -26,9 +26,9 @@ from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.materials import MATERIALS
 from matcap.lab.simulate.materials.varied import random_material
-from matcap.lab.simulate.photograph import Camera, expose, take
-from matcap.relight.pictures import encode
-from matcap.relight.presets import SCENES
+from matcap.lab.simulate.photograph import PhoneCamera, expose, take
+from matcap.relight.named import SCENES
+from matcap.relight.output import encode
 from matcap.relight.render import relight
 from matcap.relight.scene import (
     EnvironmentLight,
@@ -45,7 +45,7 @@ DRAWS = (11, 17, 24, 41, 42, 43, 45, 47, 49, 51, 52)
 # Cast shadows of relief this fine hardly show on a sphere, and take most of the time.
 _QUICK = "auto,-environment,-visibility,-interreflection,-shadows,-parallax"
 _GROUND = np.float32(0.1)  # grey behind spheres, in code values
-_SMALL = Camera(width=640, height=480, supersampling=1)
+_SMALL = PhoneCamera(width=640, height=480, supersampling=1)
 
 
 def main() -> None:
@@ -143,10 +143,10 @@ def page(paths: list[Path]) -> None:
     import uvicorn
     from playwright.sync_api import sync_playwright
 
-    from matcap.view.blocks import Blocks
-    from matcap.view.photograph import browser_picture, find_photograph
+    from matcap.view.block_cache import Blocks
     from matcap.view.serve import listen
     from matcap.view.server import make_app, new_address
+    from matcap.view.shown_photograph import browser_picture, find_photograph
     from matcap.view.subject import open_subject
 
     subject = open_subject(*paths[:2])

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from matcap.batch.plan import BatchEntry
+from matcap.batch.entries import BatchEntry
 from matcap.batch.record import FILE, read_record
 from matcap.batch.settings import BatchSettings
 from matcap.batch.whole import Prepared

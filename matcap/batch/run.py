@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from matcap.batch.crew import BatchCrew, Event
-from matcap.batch.plan import BatchEntry, look_again
+from matcap.batch.entries import BatchEntry, look_again
 from matcap.batch.settings import BatchSettings
 from matcap.batch.work import BatchJob, Failure
 from matcap.batch.workspace import Run

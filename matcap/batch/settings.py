@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from matcap.capture.outputs import OutputSettings
-from matcap.capture.settings import PRESETS, CaptureSettings, weights_file
+from matcap.capture.settings import PRESETS, CaptureSettings, Statistics
 from matcap.errors import MatcapError, UsageError
 from matcap.files import values
 
@@ -54,13 +54,13 @@ class BatchSettings:
 
         capture, outputs = part(CaptureSettings), part(OutputSettings)
         return BatchSettings(
-            CaptureSettings(**capture), OutputSettings(**outputs), **part(BatchSettings)
+            CaptureSettings.of(capture), OutputSettings(**outputs), **part(BatchSettings)
         )
 
     def named(self) -> dict[str, Any]:
         """All settings by the names of options; BatchSettings.of() of them is these again."""
-        values = asdict(self)
-        values |= values.pop("outputs") | values.pop("capture")
+        values = asdict(self) | asdict(self.outputs) | self.capture.named()
+        del values["outputs"], values["capture"]
         back = {field: name for name, field in _RENAMED.items()}
         return {back.get(name, name): value for name, value in values.items()}
 
@@ -147,9 +147,9 @@ def read_settings(file: Path) -> dict[str, Any]:
     for name, plain in (("prior", ("auto", "none")), ("card", ("auto", "none"))):
         if name in read and read[name] not in plain:
             read[name] = str(file.parent / read[name])
-    weights = weights_file(read["statistics"]) if "statistics" in read else None
+    weights = read.get("statistics", Statistics()).weights
     if weights is not None:
-        read["statistics"] = f"vgg19={file.parent / weights}"
+        read["statistics"] = Statistics(file.parent / weights)
     return read
 
 
@@ -185,7 +185,7 @@ def _value(name: str, value: Any, where: str) -> Any:  # noqa: ANN401
             remedy=f"give between {rule.least:g} and {rule.most:g}",
         )
     if name == "statistics":
-        weights_file(value)
+        return Statistics.parse(value)
     if name == "export":
         names = [value] if isinstance(value, str) else [str(each) for each in value]
         return OutputSettings.known_targets(names, where)

@@ -9,10 +9,10 @@ from typing import cast
 
 from matcap.batch.cluster import Cluster
 from matcap.batch.crew import BatchCrew, Processes
+from matcap.batch.entries import BatchEntry, make_plan
 from matcap.batch.identity import prior_hash
-from matcap.batch.index import write_index
 from matcap.batch.memory import crew_size, free_bytes, largest_worker
-from matcap.batch.plan import BatchEntry, make_plan
+from matcap.batch.overview import write_index
 from matcap.batch.run import Batch, Policy, Show, exit_code
 from matcap.batch.settings import BatchSettings
 from matcap.batch.shoot import Grouping, find_samples

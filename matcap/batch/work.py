@@ -21,8 +21,9 @@ from matcap.files.staging import write_error
 from matcap.photo.calibrate import Calibration, calibrated
 
 if TYPE_CHECKING:
-    from matcap.capture.pipeline import CaptureProgress, CaptureResult
+    from matcap.capture.pipeline import CaptureResult
     from matcap.capture.prior.store import Prior
+    from matcap.capture.progress import CaptureProgress
     from matcap.photo.inspect import Inspection
 
 Tell = Callable[[str, float], None]  # stage, share of the whole

@@ -1,4 +1,4 @@
-"""MapSet: the spatially varying reflectance that matcap produces (DESIGN, section 2)."""
+"""MapSet: the spatially varying reflectance that matcap produces."""
 
 from __future__ import annotations
 

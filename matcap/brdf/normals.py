@@ -1,4 +1,4 @@
-"""Normals of a height field by central differences (DESIGN, section 2)."""
+"""Normals of a height field by central differences."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from matcap.capture.settings import CaptureSettings, Effort, Method
 from matcap.capture.start import log_contrast, reading_cells, untrained
 from matcap.flash.plane import Plane
 from matcap.model.decoder import CODE_SIZE, Decoder
-from matcap.model.order import CELL_CHANNELS
+from matcap.model.regular_order import CELL_CHANNELS
 from matcap.photo.photo import Photo
 
 # From nothing, where a run ends depends on where it starts: the best of a few short runs goes on.

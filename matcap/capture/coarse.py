@@ -1,4 +1,6 @@
-"""The coarse fit: a handful of numbers for a photograph's smooth part (DESIGN, section 6).
+"""The coarse fit: a handful of numbers for a photograph's smooth part.
+
+How far it is off is measured in docs/notes/coarse-fit.md.
 
 A flat, uniform material under a flash is fitted to the blurred photograph by robust least squares
 on the logarithm of radiance: albedo, F0, roughness, flash intensity and offset, tilt, vignetting.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +23,8 @@ from matcap.capture.exemplar.store import load_inverse
 from matcap.capture.finetune import Tuned, TuneScene, TuneSettings, finetune
 from matcap.capture.joint import join
 from matcap.capture.match import match_photograph
-from matcap.capture.progress import CaptureClock
-from matcap.capture.progress import CaptureProgress as CaptureProgress
-from matcap.capture.settings import CaptureSettings as CaptureSettings
-from matcap.capture.settings import Effort, Method, resolve, weights_file
+from matcap.capture.progress import CaptureClock, CaptureProgress
+from matcap.capture.settings import CaptureSettings, Effort, Method, Statistics, resolve
 from matcap.capture.start import logits
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError
@@ -200,9 +198,9 @@ def _shown(material: Material, plane: Plane, seed: int) -> MapSet:
     return material.maps(*plane.size, seed=seed)
 
 
-def _features(statistics: str, method: Method) -> Features:
+def _features(statistics: Statistics, method: Method) -> Features:
     """What textures are compared by."""
-    weights = weights_file(statistics)
+    weights = statistics.weights
     return FilterBank(method.features) if weights is None else Vgg19.load(weights)
 
 
@@ -258,7 +256,7 @@ def _provenance(
 ) -> dict[str, Any]:
     told: dict[str, Any] = {
         "photograph": photo.name,
-        "settings": asdict(settings),
+        "settings": settings.named(),
         "steps": steps,
         "coarse": {
             "diffuse": list(coarse.diffuse),

@@ -20,8 +20,9 @@ Keys:
     error_over_time: seconds, step and error, as the work went on.
     exemplar: of the maps of the photographed piece, or null: `error` (median difference of log
         radiance between photograph and re-rendering), `slow` (its slow part, not the
-        material's), `relief` (root-mean-square slope that the photograph tells outright, or
-        null), `confidence` (mean, by map).
+        material's), `left_out` (share that matches nothing else in it, and is not rearranged),
+        `relief` (root-mean-square slope that the photograph tells outright, or null),
+        `confidence` (mean, by map).
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.
 """
@@ -99,7 +100,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
             "vignetting": setup.vignetting,
         },
         "texel_size": result.material.texel_size,
-        "settings": asdict(result.settings),
+        "settings": result.settings.named(),
         "effort": asdict(resolve(result.settings)),
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
@@ -125,6 +126,7 @@ def _exemplar(found: FoundExemplar | None) -> dict[str, Any] | None:
     return {
         "error": found.error,
         "slow": found.slow,
+        "left_out": found.example.index.left_out,
         "relief": None if found.strengths is None else found.strengths.relief,
         "confidence": dict(zip(CHANNELS, means, strict=True)),
     }

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from matcap.capture.detail import DETAIL
 from matcap.errors import UsageError
@@ -53,6 +54,39 @@ UNLIMITED = "reference"
 
 
 @dataclass(frozen=True)
+class Statistics:
+    """What textures are compared by: VGG-19, or the filter bank.
+
+    Attributes:
+        weights: torchvision's file of VGG-19's; None for the filter bank.
+    """
+
+    weights: Path | None = None
+
+    def __str__(self) -> str:
+        return "filterbank" if self.weights is None else f"vgg19={self.weights}"
+
+    @staticmethod
+    def parse(text: str | Statistics) -> Statistics:
+        """The statistics that "filterbank" or "vgg19=FILE" means.
+
+        Raises:
+            UsageError: neither.
+        """
+        if isinstance(text, Statistics):
+            return text
+        name, _, path = text.partition("=")
+        if name == "vgg19" and path:
+            return Statistics(Path(path))
+        if text != "filterbank":
+            raise UsageError(
+                f"there are no statistics {text!r}",
+                remedy="choose filterbank, or vgg19=FILE with torchvision's weights",
+            )
+        return Statistics()
+
+
+@dataclass(frozen=True)
 class CaptureSettings:
     """What the user decides.
 
@@ -66,8 +100,7 @@ class CaptureSettings:
         fov: field of view across the long side in degrees, instead of the photograph's.
         seed: of everything random.
         prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
-        statistics: that textures are compared by: "filterbank", or "vgg19=FILE" with
-            torchvision's weights.
+        statistics: that textures are compared by.
         generator: that the material is read by: "decoder" (the fine-tuned network) or "example"
             (the photographed piece, rearranged).
         aligned: the maps of the photographed piece itself are found, too.
@@ -84,9 +117,24 @@ class CaptureSettings:
     fov: float | None = None
     seed: int = 0
     prior: str = "auto"
-    statistics: str = "filterbank"
+    statistics: Statistics = Statistics()
     generator: Generator = "decoder"
     aligned: bool = False
+
+    @staticmethod
+    def of(named: Mapping[str, Any]) -> CaptureSettings:
+        """Settings by name, statistics perhaps in words; the rest as by default.
+
+        Raises:
+            TypeError: an unknown setting.
+            UsageError: unknown statistics.
+        """
+        typed = {"statistics": Statistics.parse(named.get("statistics", Statistics()))}
+        return CaptureSettings(**{**named, **typed})
+
+    def named(self) -> dict[str, Any]:
+        """All settings by name, as files tell of them: numbers, words and None."""
+        return asdict(self) | {"statistics": str(self.statistics)}
 
     @property
     def finds_exemplar(self) -> bool:
@@ -97,26 +145,6 @@ class CaptureSettings:
     def most_detail(self) -> int:
         """Texels along the long side that a photograph has to be read with."""
         return self.detail or DETAIL
-
-
-def weights_file(statistics: str) -> Path | None:
-    """VGG-19's weights that textures are compared by; None for the filter bank.
-
-    Args:
-        statistics: "filterbank" or "vgg19=FILE".
-
-    Raises:
-        UsageError: neither.
-    """
-    name, _, path = statistics.partition("=")
-    if name == "vgg19" and path:
-        return Path(path)
-    if statistics != "filterbank":
-        raise UsageError(
-            f"there are no statistics {statistics!r}",
-            remedy="choose filterbank, or vgg19=FILE with torchvision's weights",
-        )
-    return None
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from matcap.capture.coarse import CoarseFit
 from matcap.model.decoder import Decoder, DecoderConfig, with_cells
-from matcap.model.order import CELL_CHANNELS
+from matcap.model.regular_order import CELL_CHANNELS
 from matcap.statistics.encoding import shading
 
 _CONTRAST_GAIN = 1.2  # a sigmoid's slope below 1/2 is under 1: logits must swing a little further

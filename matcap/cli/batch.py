@@ -14,7 +14,7 @@ from matcap.errors import ExitCode
 from matcap.files import values
 
 if TYPE_CHECKING:
-    from matcap.batch.plan import BatchEntry
+    from matcap.batch.entries import BatchEntry
     from matcap.batch.predict import Prediction
 
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
 if TYPE_CHECKING:
-    from matcap.batch.plan import BatchEntry
+    from matcap.batch.entries import BatchEntry
 
 
 class BatchDisplay:

@@ -182,3 +182,29 @@ def stability(
     rows = run_stability(settings, tell=lambda line: typer.echo(line, err=True))
     typer.echo(markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
     raise typer.Exit(ExitCode.SOME_FAILED if unstable(rows) else ExitCode.DONE)
+
+
+@app.command()
+def repetition(
+    materials: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MATERIAL]...",
+            help="Simulated materials by name, or .matcap files; six simulated ones by default.",
+        ),
+    ] = None,
+    size: Annotated[int, typer.Option(min=512, max=8192, help="Texels a side.")] = 4096,
+) -> None:
+    """Whether a field by example shows its tricks.
+
+    Its correlation with itself beside that of two seeds, sizes of verbatim copies, and how far two
+    seeds are apart. Prints a table.
+    """
+    from matcap.lab.bench.repetition import example_of, markdown, measure
+    from matcap.lab.simulate.examples import EXAMPLES
+
+    found = [
+        measure(Path(material).stem, example_of(material), size)
+        for material in materials or EXAMPLES
+    ]
+    typer.echo(markdown(found, size, shlex.join(["matcap", *sys.argv[1:]])))

@@ -26,8 +26,8 @@ from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.capture.outputs import OutputSettings
-    from matcap.capture.pipeline import CaptureSettings
-    from matcap.cli.progress import Display
+    from matcap.capture.settings import CaptureSettings
+    from matcap.cli.capture_display import Display
 
 
 @dataclass(frozen=True)
@@ -123,13 +123,14 @@ def capture(
     set, preview.png and report.json. Ctrl-C ends with the best so far, saved.
     """
     from matcap.capture.outputs import OutputSettings
-    from matcap.capture.pipeline import CaptureSettings
-    from matcap.cli.progress import display
+    from matcap.capture.settings import CaptureSettings, Statistics
+    from matcap.cli.capture_display import display
     from matcap.files.staging import check_writable
 
     settings = CaptureSettings(
         preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
-        seed=seed, prior=prior, statistics=statistics, generator=generator.value, aligned=aligned,
+        seed=seed, prior=prior, statistics=Statistics.parse(statistics), generator=generator.value,
+        aligned=aligned,
     )  # fmt: skip
     targets = OutputSettings.known_targets(export or [])
     side = (size.width, size.height)

@@ -6,7 +6,7 @@ import os
 import platform
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
@@ -217,10 +217,12 @@ def _prior() -> int | None:
 
 def _self_test() -> tuple[Check, ...]:
     """From the prior that comes along to a picture and back from disk."""
-    from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
     from matcap.capture.prior.store import load_prior
     from matcap.export.targets import export_mapset
+    from matcap.model.opened import open_maps
+    from matcap.model.plane import Rectangle
     from matcap.relight.render import relight
+    from matcap.synth.synthesise import SynthRequest, synthesise
 
     found: dict[str, Any] = {}
 
@@ -235,27 +237,36 @@ def _self_test() -> tuple[Check, ...]:
         if not 0.0 < float(picture.mean()) < 1e3:
             raise MatcapError("the picture is black or not finite")
 
+    def write(folder: str) -> None:
+        area = Rectangle(0, 0, _SIDE, _SIDE)
+        synthesise(SynthRequest(found["material"], area, device="cpu"), folder)
+
     def disk() -> None:
         with tempfile.TemporaryDirectory() as folder:
-            write_mapset(found["maps"], folder, MapSetInfo("test"))
-            back, _ = read_mapset(folder)
-            if (back.height != found["maps"].height).any():
+            write(folder)
+            if (open_maps(Path(folder)).height != found["maps"].height).any():
                 raise MatcapError("a map set does not come back as it was written")
 
     def export() -> None:
         with tempfile.TemporaryDirectory() as folder:
-            write_mapset(found["maps"], folder, MapSetInfo("test"))
+            write(folder)
             export_mapset(Path(folder), "gltf")
 
-    steps: tuple[tuple[str, Callable[[], None]], ...] = (
-        ("draw a material from the prior", draw),
-        (f"read {_SIDE} x {_SIDE} texels of it", field),
-        ("light them", light),
-        ("write them and read them back", disk),
-        ("export them as glTF", export),
+    return _checked(
+        {
+            "draw a material from the prior": draw,
+            f"read {_SIDE} x {_SIDE} texels of it": field,
+            "light them": light,
+            "write them and read them back": disk,
+            "export them as glTF": export,
+        }
     )
+
+
+def _checked(steps: Mapping[str, Callable[[], None]]) -> tuple[Check, ...]:
+    """Steps taken in turn, up to the first fault."""
     checks: list[Check] = []
-    for name, step in steps:
+    for name, step in steps.items():
         start = perf_counter()
         try:
             step()

@@ -93,9 +93,9 @@ def export(
     docs/guide/export.md.
     """
     from matcap.errors import UsageError
-    from matcap.export.presets import Choice
+    from matcap.export.presets import PresetOptions
     from matcap.export.targets import check_target, export_bytes, write_export, write_preset
-    from matcap.export.textures import Job
+    from matcap.export.textures import ExportJob
     from matcap.files.staging import check_writable
     from matcap.model.opened import open_tile
 
@@ -118,12 +118,14 @@ def export(
     )
     folder = out or Path(f"{found.name}_{target}")
     check_writable(folder, export_bytes(*found.maps.size))
-    job = Job(found.maps, found.name, unit, bits and bits.value, found.provenance)
+    job = ExportJob(found.maps, found.name, unit, bits and bits.value, found.provenance)
     if to is not None:
         done = write_export(job, target, folder)
     else:
         chosen = [one.strip() for one in maps.split(",")] if maps else []
-        done = write_preset(job, target, folder, Choice(name, chosen, normal and normal.value))
+        done = write_preset(
+            job, target, folder, PresetOptions(name, chosen, normal and normal.value)
+        )
     _report(done, as_json=json, quiet=quiet)
 
 

@@ -1,8 +1,9 @@
-"""`matcap inspect`: what to do better at the next shot."""
+"""`matcap inspect`: what to do better at the next shot, and what a material holds."""
 
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,14 +14,16 @@ from matcap.errors import ExitCode, MatcapError, UsageError
 
 if TYPE_CHECKING:
     from matcap.capture.prior.store import Prior
-    from matcap.photo.inspect import Inspection
 
 _MARKS = {"good": "ok", "note": "  ", "doubtful": "? ", "poor": "! "}
 
 
 def inspect(
     photos: Annotated[
-        list[Path], typer.Argument(metavar="PHOTO...", help="RAW (DNG, ...), JPEG, PNG or TIFF.")
+        list[Path],
+        typer.Argument(
+            metavar="PHOTO...", help="RAW (DNG, ...), JPEG, PNG or TIFF; or a material (.matcap)."
+        ),
     ],
     detail: Annotated[
         int, typer.Option(min=64, max=8192, help="Pixels across that a capture would look at.")
@@ -34,42 +37,62 @@ def inspect(
     """Say how good photographs are, and what to do at the next shot.
 
     Flash, clipping, hot spot, tilt, sharpness, sameness all over, and what kind of file it is.
-    Lines marked "!" hurt, "?" may hurt.
+    Lines marked "!" hurt, "?" may hurt. Of a material: its exemplar, and what of it is left out.
     """
-    from matcap.capture.prior.store import load_prior
-
-    prior = load_prior()
-    documents: list[dict[str, Any]] = []
+    photographs: list[dict[str, Any]] = []
+    materials: list[dict[str, Any]] = []
     failures = 0
     for path in photos:
+        of_material = path.suffix.lower() == ".matcap"
+        documents = materials if of_material else photographs
+        kind = "material" if of_material else "photo"
         try:
-            found = _inspected(path, detail, fov, prior)
+            document, text = _material(path) if of_material else _photo(path, detail, fov)
         except UsageError:
             raise
         except MatcapError as error:
             failures += 1
-            documents.append({"photo": str(path), "reason": str(error)})
+            documents.append({kind: str(path), "reason": str(error)})
             typer.echo(f"matcap: {error}", err=True)
             continue
-        documents.append({"photo": str(path), **found.document()})
+        documents.append({kind: str(path), **document})
         if not as_json:
-            typer.echo(_text(path, found))
+            typer.echo(text)
     if as_json:
-        typer.echo(json.dumps({"photographs": documents}, indent=2, allow_nan=False))
+        told = {"photographs": photographs} | ({"materials": materials} if materials else {})
+        typer.echo(json.dumps(told, indent=2, allow_nan=False))
     if failures:
         some = failures < len(photos)
         raise typer.Exit(ExitCode.SOME_FAILED if some else ExitCode.NOTHING_SUCCEEDED)
 
 
-def _inspected(path: Path, detail: int, fov: float | None, prior: Prior) -> Inspection:
+def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], str]:
+    """What is found, for JSON and as text."""
     from matcap.photo.inspect import inspect_photo
     from matcap.photo.load import load_photo
 
     photo = load_photo(path, long_side=detail, fov=fov, noise=False)
-    return inspect_photo(photo, prior.tilt(photo))
-
-
-def _text(path: Path, found: Inspection) -> str:
+    found = inspect_photo(photo, _prior().tilt(photo))
     lines = [f"{path}: {found.verdict.value}"]
     lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in found.findings]
-    return "\n".join(lines)
+    return found.document(), "\n".join(lines)
+
+
+@cache
+def _prior() -> Prior:
+    from matcap.capture.prior.store import load_prior
+
+    return load_prior()
+
+
+def _material(path: Path) -> tuple[dict[str, Any], str]:
+    """What a material holds, for JSON and as text."""
+    from matcap.model.example.summary import summary
+    from matcap.model.header import read_exemplified
+
+    held = read_exemplified(path)
+    if held is None:
+        return {"exemplar": None}, f"{path}: a network alone, without an exemplar"
+    about = summary(held.example)
+    lines = [f"     {name:<13} {says}" for name, says in about.lines()]
+    return {"exemplar": about.document()}, "\n".join([f"{path}: by example", *lines])

@@ -109,8 +109,9 @@ def relight(
 
     from matcap.errors import UsageError
     from matcap.files.staging import check_writable
-    from matcap.relight.pictures import check_path, write_movie, write_still
-    from matcap.relight.plan import DEFAULT_TOLERANCE, parse_choice
+    from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+    from matcap.relight.output import check_path, write_movie, write_still
+    from matcap.relight.plan import parse_choice
     from matcap.relight.sequence import ANIMATIONS, light_sheet
     from matcap.relight.sequence import animate as animated
 
@@ -150,7 +151,7 @@ def relight(
 def _scene(name: str | None, light: str | None, size: values.Size | None) -> Scene:
     from dataclasses import replace
 
-    from matcap.relight.presets import preset
+    from matcap.relight.named import preset
     from matcap.relight.scene import Film, scene_from_light
     from matcap.relight.scenefile import read_scene
 

@@ -27,7 +27,7 @@ from matcap.files import values
 if TYPE_CHECKING:
     from matcap.model.material import Material
     from matcap.model.plane import Rectangle
-    from matcap.synth.precision import Choice
+    from matcap.synth.precision import ChosenPrecision
     from matcap.synth.request import Progress as SynthProgress
     from matcap.synth.synthesise import Axes, Growth
 
@@ -35,7 +35,7 @@ _STRIP = values.Size(4096, 256)  # the paper's own example
 _EVERY = 10.0  # seconds between lines of progress where there is no terminal
 
 
-class Tile(Enum):
+class TileAxes(Enum):
     """Along which axes the maps repeat."""
 
     both = "both"
@@ -68,8 +68,8 @@ class SynthCommand(TyperCommand):
         for index, argument in enumerate(args):
             after = args[index + 1] if index + 1 < len(args) else ""
             told.append(argument)
-            if argument == "--tile" and after not in [axis.value for axis in Tile]:
-                told.append(Tile.both.value)
+            if argument == "--tile" and after not in [axis.value for axis in TileAxes]:
+                told.append(TileAxes.both.value)
         return super().parse_args(ctx, told)
 
 
@@ -99,7 +99,7 @@ def synth(
         ),
     ] = None,
     tile: Annotated[
-        Tile | None,
+        TileAxes | None,
         typer.Option(help="Repeat exactly along both axes, or along x or y alone."),
     ] = None,
     udim: Annotated[
@@ -192,7 +192,7 @@ def synth(
     )  # fmt: skip
     folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}")
 
-    def told(choice: Choice) -> None:
+    def told(choice: ChosenPrecision) -> None:
         if precision is Precision.auto and not quiet:
             typer.echo(choice.sentence(), err=True)
 

@@ -49,8 +49,8 @@ def view(
     The page is served to this machine alone, until Ctrl-C. Its address goes to stdout.
     """
     from matcap.view.document import check_page_path, sealed_page, write_page
-    from matcap.view.photograph import browser_picture, find_photograph
     from matcap.view.serve import serve
+    from matcap.view.shown_photograph import browser_picture, find_photograph
     from matcap.view.subject import open_subject
 
     if html is not None:

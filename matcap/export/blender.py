@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from importlib.resources import files as resources
 
-from matcap.export.textures import Export, Job, Standard
+from matcap.export.textures import Export, ExportJob, Standard
 
 
-def blender(job: Job) -> Export:
+def blender(job: ExportJob) -> Export:
     """NAME_blender.py beside its textures."""
     textures = Standard.of(job)
     files = textures.files(job.name)

@@ -17,9 +17,9 @@ import numpy as np
 
 from matcap.errors import UsageError
 from matcap.export.specular_workflow import base_colour
-from matcap.export.stored import Stored
-from matcap.export.surface import Surface
-from matcap.export.textures import Export, Job, coded_normal, seen, seen_normal
+from matcap.export.surface import TargetSurface
+from matcap.export.texture_file import Stored
+from matcap.export.textures import Export, ExportJob, coded_normal, seen, seen_normal
 from matcap.files.maker import MAKER
 
 # Beyond this F0 the index of refraction runs off to infinity; a factor above 1 does the rest.
@@ -29,7 +29,7 @@ _VERTICES, _INDICES = 34962, 34963
 _REPEAT, _LINEAR, _MIPMAPS = 10497, 9729, 9987
 
 
-def gltf(job: Job) -> Export:
+def gltf(job: ExportJob) -> Export:
     """NAME.glb, everything inside: colours of 8 bits, roughness and normals of 16.
 
     Raises:
@@ -53,7 +53,7 @@ def gltf(job: Job) -> Export:
     }
     ior = (1.0 + math.sqrt(limit)) / (1.0 - math.sqrt(limit))
     f0 = (seen(tint)[:1] * largest).clamp(max=1.0)
-    surface = Surface(
+    surface = TargetSurface(
         seen(pictures["base_color"]),
         f0,
         seen(pictures["roughness"])[1:2],
@@ -95,7 +95,7 @@ class _Binary:
 
 
 def _document(
-    job: Job, binary: _Binary, pictures: dict[str, Stored], ior: float, factor: float
+    job: ExportJob, binary: _Binary, pictures: dict[str, Stored], ior: float, factor: float
 ) -> dict[str, Any]:
     metres = 1.0 if job.millimetres is None else job.millimetres / 1000.0
     images = [
@@ -144,7 +144,9 @@ def _document(
     }
 
 
-def _plane(job: Job, binary: _Binary, metres: float) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+def _plane(
+    job: ExportJob, binary: _Binary, metres: float
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Accessors and the primitive of a quad around the origin, facing +z, y up."""
     x, y = (side * metres / 2.0 for side in job.extent)
     corners = [(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)]

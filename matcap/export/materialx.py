@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 
-from matcap.export.textures import Export, Job, Standard
+from matcap.export.textures import Export, ExportJob, Standard
 
 _VERSION = "1.39"
 
 
-def materialx(job: Job) -> Export:
+def materialx(job: ExportJob) -> Export:
     """NAME.mtlx beside its textures."""
     textures = Standard.of(job)
     files = textures.files(job.name)
@@ -25,7 +25,7 @@ def materialx(job: Job) -> Export:
 
 
 def _document(
-    job: Job, diffuse: str, specular: str, roughness: str, normal: str, height: str
+    job: ExportJob, diffuse: str, specular: str, roughness: str, normal: str, height: str
 ) -> bytes:
     """The .mtlx file; names of the five textures."""
     root = ET.Element("materialx", version=_VERSION, colorspace="lin_rec709")

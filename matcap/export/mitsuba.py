@@ -16,9 +16,9 @@ from importlib.resources import files as resources
 
 import numpy as np
 
-from matcap.export.stored import Stored
-from matcap.export.surface import Surface
-from matcap.export.textures import Export, Job, Standard, seen, seen_normal
+from matcap.export.surface import TargetSurface
+from matcap.export.texture_file import Stored
+from matcap.export.textures import Export, ExportJob, Standard, seen, seen_normal
 
 _SCRIPT = "matcap_bsdf.py"
 _LARGEST_SHARE = 0.98
@@ -26,7 +26,7 @@ _LARGEST_FILM = 512
 _VERSION = "3.6.0"
 
 
-def mitsuba(job: Job) -> Export:
+def mitsuba(job: ExportJob) -> Export:
     """NAME.xml, NAME_exact.xml and matcap_bsdf.py beside the textures."""
     textures = Standard.of(job)
     diffuse, f0 = job.picture("diffuse"), job.picture("specular")
@@ -43,7 +43,7 @@ def mitsuba(job: Job) -> Export:
     standard = textures.files(job.name)
     names = {kind: f"{job.name}_{kind}{made.suffix}" for kind, made in blend.items()}
     made = {kind: seen(one) for kind, one in blend.items()}
-    surface = Surface(
+    surface = TargetSurface(
         made["blend_diffuse"] * (1.0 - made["share"]),
         made["blend_specular"] * made["share"],
         seen(textures.roughness),
@@ -77,7 +77,7 @@ def mitsuba(job: Job) -> Export:
     )
 
 
-def _scene(job: Job, bsdf: ET.Element, normal: str) -> bytes:
+def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:
     """A rectangle of the material, seen as photographed, under one point light."""
     from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
 

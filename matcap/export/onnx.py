@@ -9,7 +9,6 @@ Borders are padded with zeros: cut `halo` texels (in the file's metadata) off ev
 
 from __future__ import annotations
 
-import os
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,12 +19,13 @@ from torch import Tensor
 
 from matcap.brdf.maps import CHANNELS
 from matcap.errors import MatcapError
-from matcap.files.staging import write_error
+from matcap.files.staging import staged_file
 from matcap.model.decoder import DEPTH, OUTPUTS, maps_from_raw
 from matcap.model.freeze import FoldedDecoder, FoldedLayer
-from matcap.model.order import WAVE_CHANNELS
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import RandomField, random_field
+from matcap.model.regular_order import WAVE_CHANNELS
 from matcap.model.spans import Span, spans_of
 
 if TYPE_CHECKING:
@@ -54,14 +54,8 @@ def write_onnx(material: Material, path: str | Path) -> float:
     error = _difference(runtime, model, material)
     if not error <= _TOLERANCE:
         raise MatcapError(f"onnxruntime's maps differ by {error:g}", where=str(path))
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(model)
-        os.replace(temporary, path)
-    except OSError as failure:
-        raise write_error(path, failure) from failure
-    finally:
-        temporary.unlink(missing_ok=True)
+    with staged_file(path) as file:
+        file.write_bytes(model)
     return error
 
 

@@ -19,8 +19,8 @@ from matcap.brdf.folder import plain_name
 from matcap.errors import UsageError
 from matcap.export.metallic import Metallic, to_metallic
 from matcap.export.names import known
-from matcap.export.stored import Depth, Stored
-from matcap.export.surface import Surface
+from matcap.export.surface import TargetSurface
+from matcap.export.texture_file import Depth, Stored
 from matcap.export.textures import (
     BASE,
     CODED_HEIGHT,
@@ -30,7 +30,7 @@ from matcap.export.textures import (
     SIGNED_NORMAL,
     SPECULAR,
     Export,
-    Job,
+    ExportJob,
     coded_normal,
     scaled_height,
     seen,
@@ -43,10 +43,10 @@ _NO_OCCLUSION = "occlusion is left white: shadows are for the renderer"
 
 
 @dataclass(frozen=True)
-class Material:
+class PackedMaterial:
     """Maps being packed, with what several pictures of a preset share."""
 
-    job: Job
+    job: ExportJob
     lowest: float
     highest: float
     layer: float | None
@@ -66,7 +66,7 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Texture:
+class PresetTexture:
     """One picture of a preset.
 
     Attributes:
@@ -79,7 +79,7 @@ class Texture:
 
     label: str
     depth: Depth
-    make: Callable[[Material], NDArray[np.float32]]
+    make: Callable[[PackedMaterial], NDArray[np.float32]]
     meaning: str
     srgb: bool = False
 
@@ -100,7 +100,7 @@ class Preset:
     """
 
     pattern: str
-    textures: dict[str, Texture]
+    textures: dict[str, PresetTexture]
     normal: Literal["gl", "dx"] = "gl"
     normal_labels: tuple[str, str] = ("normal_gl", "normal_dx")
     thousand: str = "k"
@@ -109,25 +109,25 @@ class Preset:
     notes: tuple[str, ...] = ()
 
 
-def _map(kind: str) -> Callable[[Material], NDArray[np.float32]]:
+def _map(kind: str) -> Callable[[PackedMaterial], NDArray[np.float32]]:
     return lambda material: material.job.picture(kind)
 
 
-def _orm(material: Material) -> NDArray[np.float32]:
+def _orm(material: PackedMaterial) -> NDArray[np.float32]:
     parts = (material.ones, material.job.picture("roughness"), material.metallic.metallic)
     return np.stack(parts, axis=-1)
 
 
-def _mask(material: Material) -> NDArray[np.float32]:
+def _mask(material: PackedMaterial) -> NDArray[np.float32]:
     ones, smoothness = material.ones, 1.0 - material.job.picture("roughness")
     return np.stack([material.metallic.metallic, ones, ones, smoothness], axis=-1)
 
 
-def _base(material: Material) -> NDArray[np.float32]:
+def _base(material: PackedMaterial) -> NDArray[np.float32]:
     return material.metallic.base
 
 
-def _unreal_specular(material: Material) -> NDArray[np.float32]:
+def _unreal_specular(material: PackedMaterial) -> NDArray[np.float32]:
     return material.metallic.dielectric / np.float32(0.08)
 
 
@@ -135,21 +135,21 @@ def _unreal_specular(material: Material) -> NDArray[np.float32]:
 _ORM = "R: occlusion, G: roughness, B: metallic"
 
 
-def _height(label: str, depth: Depth = "16") -> Texture:
-    return Texture(label, depth, _map("height"), CODED_HEIGHT)
+def _height(label: str, depth: Depth = "16") -> PresetTexture:
+    return PresetTexture(label, depth, _map("height"), CODED_HEIGHT)
 
 
-def _normal(depth: Depth = "16") -> Texture:
-    return Texture("", depth, _map("normal"), NORMAL)
+def _normal(depth: Depth = "16") -> PresetTexture:
+    return PresetTexture("", depth, _map("normal"), NORMAL)
 
 
 PRESETS: dict[str, Preset] = {
     "polyhaven": Preset(
         "{stem}_{map}_{res}",
         {
-            "diffuse": Texture("diff", "8", _map("diffuse"), DIFFUSE, srgb=True),
-            "specular": Texture("spec", "16", _map("specular"), SPECULAR),
-            "roughness": Texture("rough", "16", _map("roughness"), ROUGHNESS),
+            "diffuse": PresetTexture("diff", "8", _map("diffuse"), DIFFUSE, srgb=True),
+            "specular": PresetTexture("spec", "16", _map("specular"), SPECULAR),
+            "roughness": PresetTexture("rough", "16", _map("roughness"), ROUGHNESS),
             "height": _height("disp"),
             "normal": _normal(),
         },
@@ -158,9 +158,9 @@ PRESETS: dict[str, Preset] = {
     "ambientcg": Preset(
         "{stem}_{res}-{format}_{map}",
         {
-            "diffuse": Texture("Color", "8", _map("diffuse"), DIFFUSE, srgb=True),
-            "specular": Texture("Specular", "16", _map("specular"), SPECULAR),
-            "roughness": Texture("Roughness", "16", _map("roughness"), ROUGHNESS),
+            "diffuse": PresetTexture("Color", "8", _map("diffuse"), DIFFUSE, srgb=True),
+            "specular": PresetTexture("Specular", "16", _map("specular"), SPECULAR),
+            "roughness": PresetTexture("Roughness", "16", _map("roughness"), ROUGHNESS),
             "height": _height("Displacement"),
             "normal": _normal(),
         },
@@ -170,9 +170,11 @@ PRESETS: dict[str, Preset] = {
     "unreal": Preset(
         "T_{stem}_{map}",
         {
-            "base": Texture("BaseColor", "8", _base, BASE, srgb=True),
-            "orm": Texture("ORM", "8", _orm, _ORM),
-            "specular": Texture("Specular", "8", _unreal_specular, "F0 / 0.08 of the dielectric"),
+            "base": PresetTexture("BaseColor", "8", _base, BASE, srgb=True),
+            "orm": PresetTexture("ORM", "8", _orm, _ORM),
+            "specular": PresetTexture(
+                "Specular", "8", _unreal_specular, "F0 / 0.08 of the dielectric"
+            ),
             "height": _height("Height"),
             "normal": _normal("8"),
         },
@@ -184,8 +186,8 @@ PRESETS: dict[str, Preset] = {
     "unity-hdrp": Preset(
         "{stem}_{map}",
         {
-            "base": Texture("BaseMap", "8", _base, BASE, srgb=True),
-            "mask": Texture(
+            "base": PresetTexture("BaseMap", "8", _base, BASE, srgb=True),
+            "mask": PresetTexture(
                 "MaskMap", "8", _mask, "R: metallic, G: occlusion, B: detail, A: smoothness"
             ),
             "height": _height("HeightMap"),
@@ -198,8 +200,8 @@ PRESETS: dict[str, Preset] = {
     "gltf": Preset(
         "{stem}_{map}",
         {
-            "base": Texture("baseColor", "8", _base, BASE, srgb=True),
-            "orm": Texture("occlusionRoughnessMetallic", "8", _orm, _ORM),
+            "base": PresetTexture("baseColor", "8", _base, BASE, srgb=True),
+            "orm": PresetTexture("occlusionRoughnessMetallic", "8", _orm, _ORM),
             "height": _height("height"),
             "normal": _normal("8"),
         },
@@ -210,9 +212,9 @@ PRESETS: dict[str, Preset] = {
     "raw": Preset(
         "{stem}_{map}",
         {
-            "diffuse": Texture("diffuse", "half", _map("diffuse"), DIFFUSE, srgb=True),
-            "specular": Texture("specular", "half", _map("specular"), SPECULAR),
-            "roughness": Texture("roughness", "half", _map("roughness"), ROUGHNESS),
+            "diffuse": PresetTexture("diffuse", "half", _map("diffuse"), DIFFUSE, srgb=True),
+            "specular": PresetTexture("specular", "half", _map("specular"), SPECULAR),
+            "roughness": PresetTexture("roughness", "half", _map("roughness"), ROUGHNESS),
             "height": _height("height", "float"),
             "normal": _normal("half"),
         },
@@ -221,7 +223,7 @@ PRESETS: dict[str, Preset] = {
 
 
 @dataclass(frozen=True)
-class Choice:
+class PresetOptions:
     """What the user wants otherwise than the preset.
 
     Attributes:
@@ -235,17 +237,17 @@ class Choice:
     normal: Normals | None = None
 
 
-def pack(job: Job, name: str, choice: Choice | None = None) -> Export:
+def pack(job: ExportJob, name: str, choice: PresetOptions | None = None) -> Export:
     """The textures of a preset.
 
     Raises:
         UsageError: no such preset, map or field of a name; a name that leaves the folder, or two
             pictures of one name.
     """
-    preset, choice = PRESETS[known(name, PRESETS, "--preset")], choice or Choice()
+    preset, choice = PRESETS[known(name, PRESETS, "--preset")], choice or PresetOptions()
     wanted = [known(one, preset.textures, f"--maps for {name}") for one in choice.maps]
     pattern = _checked(choice.pattern or preset.pattern)
-    material = Material(job, *(preset.metallic or (0.0, 1.0)), preset.layer)
+    material = PackedMaterial(job, *(preset.metallic or (0.0, 1.0)), preset.layer)
     stored: dict[str, tuple[str, Stored]] = {}
     facts: dict[str, object] = {}
     for kind, texture in preset.textures.items():
@@ -283,7 +285,7 @@ def _ways(normal: Normals) -> tuple[Literal["gl", "dx"], ...]:
     return ("gl", "dx") if normal == "both" else (normal,)
 
 
-def _stored_normal(job: Job, depth: Depth, *, dx: bool) -> Stored:
+def _stored_normal(job: ExportJob, depth: Depth, *, dx: bool) -> Stored:
     """PNGs hold 0.5 + 0.5 n, EXR files n itself."""
     up = "+Y down (DirectX)" if dx else "+Y up (OpenGL)"
     coded = coded_normal(job, dx=dx)
@@ -292,7 +294,9 @@ def _stored_normal(job: Job, depth: Depth, *, dx: bool) -> Stored:
     return Stored(2.0 * coded - 1.0, depth, meaning=f"{SIGNED_NORMAL}, {up}")
 
 
-def _metallic_surface(job: Job, preset: Preset, stored: dict[str, tuple[str, Stored]]) -> Surface:
+def _metallic_surface(
+    job: ExportJob, preset: Preset, stored: dict[str, tuple[str, Stored]]
+) -> TargetSurface:
     """What an engine makes of the packed textures."""
     assert preset.metallic is not None
     files = {kind: made for kind, (_, made) in stored.items()}
@@ -313,7 +317,7 @@ def _metallic_surface(job: Job, preset: Preset, stored: dict[str, tuple[str, Sto
         normal = seen(files[f"normal_{way}"])
     if way == "dx":
         normal = normal * normal.new_tensor([1.0, -1.0, 1.0])[:, None, None]
-    return Surface(
+    return TargetSurface(
         base * (1.0 - metallic),
         dielectric * (1.0 - metallic) + base * metallic,
         roughness,
@@ -338,7 +342,7 @@ def _checked(pattern: str) -> str:
     return pattern
 
 
-def _resolution(job: Job, thousand: str) -> str:
+def _resolution(job: ExportJob, thousand: str) -> str:
     """The long side: "2k" for 2048, "600" for 600."""
     side = max(job.maps.size)
     return f"{side // 1024}{thousand}" if side % 1024 == 0 else str(side)

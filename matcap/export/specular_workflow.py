@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from matcap.export.textures import Job
+    from matcap.export.textures import ExportJob
 
 
-def base_colour(job: Job) -> tuple[NDArray[np.float32], tuple[str, ...]]:
+def base_colour(job: ExportJob) -> tuple[NDArray[np.float32], tuple[str, ...]]:
     """(H, W, 3) base colour in [0, 1], and what must be said of it."""
     rest = np.maximum(1.0 - job.picture("specular"), 1e-6)[..., None]
     base = job.picture("diffuse") / rest

@@ -2,7 +2,7 @@
 
 Targets differ from matcap's reflectance (brdf/cook_torrance.py) in a few ways only: where Fresnel
 ends at grazing, whether what is reflected is taken from the diffuse part, and which masking they
-know. A Surface says these things of a target, with the maps as its files hold them.
+know. A TargetSurface says these things of a target, with the maps as its files hold them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _TEXELS = 65_536
 
 
 @dataclass(frozen=True)
-class Surface:
+class TargetSurface:
     """Parameters of a target's reflectance, per texel.
 
     Attributes:
@@ -49,17 +49,19 @@ class Surface:
     masking: Literal["correlated", "separable"] = "correlated"
 
     @staticmethod
-    def of_maps(maps: MapSet) -> Surface:
+    def of_maps(maps: MapSet) -> TargetSurface:
         """What matcap means by a map set."""
-        return Surface(maps.diffuse, maps.specular, maps.roughness, maps.normal)
+        return TargetSurface(maps.diffuse, maps.specular, maps.roughness, maps.normal)
 
-    def every(self, step: int) -> Surface:
+    def every(self, step: int) -> TargetSurface:
         """Every step-th texel of every step-th row, in float64."""
 
         def thin(value: Any) -> Any:  # noqa: ANN401
             return value[..., ::step, ::step].double() if isinstance(value, Tensor) else value
 
-        return Surface(**{field.name: thin(getattr(self, field.name)) for field in fields(self)})
+        return TargetSurface(
+            **{field.name: thin(getattr(self, field.name)) for field in fields(self)}
+        )
 
     def shine(self, to_light: Tensor, to_view: Tensor) -> Tensor:
         """(3, H, W) reflectance times n.l; 0 where light or view is below the surface.
@@ -111,7 +113,7 @@ class Residual:
         return f"{self.mean:.2%} of the light on average, {self.worst:.2%} at worst"
 
 
-def residual(maps: MapSet, surface: Surface) -> Residual:
+def residual(maps: MapSet, surface: TargetSurface) -> Residual:
     """How far a target's surface is from what matcap means by the maps.
 
     Reflected radiance of both, straight from above and at 45 degrees, under lights 15, 40 and 65
@@ -120,7 +122,7 @@ def residual(maps: MapSet, surface: Surface) -> Residual:
     """
     width, height = maps.size
     step = max(1, math.ceil(math.sqrt(width * height / _TEXELS)))
-    ours, theirs = Surface.of_maps(maps).every(step), surface.every(step)
+    ours, theirs = TargetSurface.of_maps(maps).every(step), surface.every(step)
     off, total, worst = 0.0, 0.0, 0.0
     for view in _VIEWS:
         for tilt in _LIGHTS:

@@ -33,9 +33,9 @@ from matcap.export.gltf import gltf
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
 from matcap.export.names import known
-from matcap.export.presets import PRESETS, Choice, pack
+from matcap.export.presets import PRESETS, PresetOptions, pack
 from matcap.export.surface import Residual, residual
-from matcap.export.textures import Export, Job
+from matcap.export.textures import Export, ExportJob
 from matcap.export.usd import usd
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
@@ -47,7 +47,7 @@ VERSION = 1
 _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
 
 # Targets with a document of their own.
-DOCUMENTS: dict[str, Callable[[Job], Export]] = {
+DOCUMENTS: dict[str, Callable[[ExportJob], Export]] = {
     "materialx": materialx,
     "usd": usd,
     "gltf": gltf,
@@ -108,7 +108,7 @@ def export_mapset(folder: Path, target: str) -> Exported:
 
     found = open_tile(folder)
     place = folder if folder.is_dir() else folder.parent
-    job = Job(found.maps, found.name, provenance=found.provenance)
+    job = ExportJob(found.maps, found.name, provenance=found.provenance)
     return write_export(job, target, place / target)
 
 
@@ -117,7 +117,9 @@ def export_bytes(width: int, height: int) -> int:
     return width * height * _TEXEL_BYTES + 1_000_000
 
 
-def write_export(job: Job, target: str, folder: Path, choice: Choice | None = None) -> Exported:
+def write_export(
+    job: ExportJob, target: str, folder: Path, choice: PresetOptions | None = None
+) -> Exported:
     """Write maps for a target, all files or none.
 
     Args:
@@ -135,7 +137,9 @@ def write_export(job: Job, target: str, folder: Path, choice: Choice | None = No
     return write_preset(job, target, folder, choice)
 
 
-def write_preset(job: Job, preset: str, folder: Path, choice: Choice | None = None) -> Exported:
+def write_preset(
+    job: ExportJob, preset: str, folder: Path, choice: PresetOptions | None = None
+) -> Exported:
     """Write loose textures under a preset's names, all files or none.
 
     Raises:
@@ -145,7 +149,7 @@ def write_preset(job: Job, preset: str, folder: Path, choice: Choice | None = No
     return _write(pack(job, preset, choice), job, preset, folder)
 
 
-def _write(made: Export, job: Job, target: str, folder: Path) -> Exported:
+def _write(made: Export, job: ExportJob, target: str, folder: Path) -> Exported:
     """Write what an exporter made, and its sidecar NAME_TARGET.json."""
     off = residual(job.maps, made.surface) if made.surface else None
     sidecar = f"{job.name}_{target}.json"
@@ -160,7 +164,7 @@ def _write(made: Export, job: Job, target: str, folder: Path) -> Exported:
     return Exported(folder, files, off, made.notes)
 
 
-def _sidecar(made: Export, job: Job, target: str, off: Residual | None) -> dict[str, Any]:
+def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) -> dict[str, Any]:
     """NAME_TARGET.json; the module tells its keys."""
     width, height = job.maps.size
     across, down = (side * job.unit_length for side in job.extent)

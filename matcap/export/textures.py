@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.folder import height_range
-from matcap.export.stored import Depth, Stored
+from matcap.export.texture_file import Depth, Stored
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from matcap.brdf.maps import MapSet
-    from matcap.export.surface import Surface
+    from matcap.export.surface import TargetSurface
 
 # What textures' values are, for sidecars.
 DIFFUSE = "diffuse albedo, Rec.709"
@@ -30,7 +30,7 @@ BASE = "base colour, Rec.709"
 
 
 @dataclass(frozen=True)
-class Job:
+class ExportJob:
     """A map set to be exported.
 
     Attributes:
@@ -88,7 +88,7 @@ class Export:
 
     textures: dict[str, Stored]
     documents: dict[str, bytes]
-    surface: Surface | None
+    surface: TargetSurface | None
     notes: tuple[str, ...] = ()
     facts: dict[str, Any] = field(default_factory=dict)
 
@@ -104,7 +104,7 @@ class Standard:
     height: Stored
 
     @staticmethod
-    def of(job: Job) -> Standard:
+    def of(job: ExportJob) -> Standard:
         """PNGs of 16 bits, the height in 32-bit float and plane units."""
         depth = job.depth_or("16")
         return Standard(
@@ -128,23 +128,23 @@ class Standard:
             )
         }
 
-    def surface(self) -> Surface:
+    def surface(self) -> TargetSurface:
         """What a target that adds diffuse and specular reads."""
-        from matcap.export.surface import Surface
+        from matcap.export.surface import TargetSurface
 
-        return Surface(
+        return TargetSurface(
             seen(self.diffuse), seen(self.specular), seen(self.roughness), seen_normal(self.normal)
         )
 
 
-def coded_normal(job: Job, *, dx: bool = False) -> NDArray[np.float32]:
+def coded_normal(job: ExportJob, *, dx: bool = False) -> NDArray[np.float32]:
     """(H, W, 3) 0.5 + 0.5 n, green turned around for DirectX."""
     sign = np.array([1.0, -1.0 if dx else 1.0, 1.0], dtype=np.float32)
     coded: NDArray[np.float32] = np.float32(0.5) + np.float32(0.5) * sign * job.picture("normal")
     return coded
 
 
-def scaled_height(job: Job, depth: Depth) -> tuple[Stored, float, float]:
+def scaled_height(job: ExportJob, depth: Depth) -> tuple[Stored, float, float]:
     """The height filling [0, 1], and (scale, midlevel): height = (value - midlevel) * scale.
 
     The scale is in plane units. Floats keep the height itself: scale 1, midlevel 0.

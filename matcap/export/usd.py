@@ -17,8 +17,8 @@ import numpy as np
 
 from matcap.errors import UsageError
 from matcap.export.specular_workflow import base_colour
-from matcap.export.stored import Stored
-from matcap.export.surface import Surface
+from matcap.export.surface import TargetSurface
+from matcap.export.texture_file import Stored
 from matcap.export.textures import (
     BASE,
     CODED_HEIGHT,
@@ -26,7 +26,7 @@ from matcap.export.textures import (
     ROUGHNESS,
     SPECULAR,
     Export,
-    Job,
+    ExportJob,
     coded_normal,
     scaled_height,
     seen,
@@ -40,7 +40,7 @@ _HEADER = 30  # bytes of a zip's local header, without name and extra field
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 
-def usd(job: Job) -> Export:
+def usd(job: ExportJob) -> Export:
     """NAME.usda beside its textures, and NAME.usdz with all of them inside.
 
     Raises:
@@ -60,7 +60,7 @@ def usd(job: Job) -> Export:
         "height": Stored(height.values, height.depth, meaning=CODED_HEIGHT),
     }
     f0 = seen(textures["specular"])[:1]
-    surface = Surface(
+    surface = TargetSurface(
         seen(textures["base_color"]),
         f0,
         seen(textures["roughness"]),
@@ -82,7 +82,7 @@ def usd(job: Job) -> Export:
     )
 
 
-def _stage(job: Job, files: dict[str, str], scale: float, midlevel: float) -> str:
+def _stage(job: ExportJob, files: dict[str, str], scale: float, midlevel: float) -> str:
     """The .usda text."""
     x, y = (side / 2.0 for side in job.extent)
     metres = 1.0 if job.millimetres is None else job.millimetres / 1000.0

@@ -11,7 +11,7 @@ from matcap.errors import UsageError
 from matcap.files.exr import write_exr
 from matcap.files.png import write_png
 from matcap.files.srgb import srgb_picture
-from matcap.files.staging import staged
+from matcap.files.staging import staged_file
 
 SUFFIXES = (".exr", ".png")
 
@@ -32,8 +32,8 @@ def write_picture(image: NDArray[np.float32], path: Path) -> None:
         MatcapError: values that are not finite; the file cannot be written.
     """
     check_picture_path(path)
-    with staged(path.parent) as stage:
+    with staged_file(path) as file:
         if path.suffix.lower() == ".exr":
-            write_exr(stage / path.name, image, half=False)
+            write_exr(file, image, half=False)
         else:
-            write_png(stage / path.name, srgb_picture(image), bits=8)
+            write_png(file, srgb_picture(image), bits=8)

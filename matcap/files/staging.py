@@ -1,6 +1,6 @@
 """All files or none: outputs are written in a hidden folder beside their place, then renamed.
 
-Read next: picture.py and brdf/folder.py, which write through here.
+Read next: picture.py, tensors.py and brdf/folder.py, which write through here.
 """
 
 from __future__ import annotations
@@ -52,7 +52,10 @@ def staged(folder: Path, *, replacing: Iterable[str] = ()) -> Iterator[Path]:
         yield stage
         # The documents last: whoever sees one finds what it names.
         for file in sorted(stage.iterdir(), key=lambda file: (file.suffix == ".json", file.name)):
-            os.replace(file, folder / file.name)
+            try:
+                os.replace(file, folder / file.name)
+            except OSError as error:
+                raise write_error(folder / file.name, error) from error
             fresh.add(file.name)
         for name in set(replacing) - fresh:
             (folder / name).unlink(missing_ok=True)
@@ -63,6 +66,20 @@ def staged(folder: Path, *, replacing: Iterable[str] = ()) -> Iterator[Path]:
         if stage is not None:
             shutil.rmtree(stage, ignore_errors=True)
         _remove_empty(made)
+
+
+@contextmanager
+def staged_file(path: Path) -> Iterator[Path]:
+    """A temporary path; the file written there appears at `path` whole, or not at all.
+
+    Args:
+        path: of the file; its folder is made when missing.
+
+    Raises:
+        MatcapError: as of staged().
+    """
+    with staged(path.parent) as stage:
+        yield stage / path.name
 
 
 def check_writable(folder: Path, room: int) -> None:

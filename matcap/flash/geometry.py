@@ -1,4 +1,4 @@
-"""Where camera, flash and plane are when a flash photograph is taken (DESIGN, section 2).
+"""Where camera, flash and plane are when a flash photograph is taken.
 
 Two frames share the origin, the point of the plane on the optical axis:
 

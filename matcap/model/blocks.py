@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from matcap.errors import UsageError
-from matcap.model.plane import COORDINATE_LIMIT, Period
-from matcap.model.plane import Rectangle as Rectangle
+from matcap.model.plane import COORDINATE_LIMIT, Period, Rectangle
 
 BLOCK = 512  # texels along x; docs/notes/synthesis.md has the measurement
 BLOCK_HEIGHT = 256

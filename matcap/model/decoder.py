@@ -2,7 +2,8 @@
 
 Noise enters at full resolution, is halved by max-pooling four times and doubled back by bilinear
 upsampling with skip connections. On the way up every level is also told the material's regular
-order, if it has any (order.py); told on the way down, waves would beat with the poolings' grid.
+order, if it has any (regular_order.py); told on the way down, waves would beat with the poolings'
+grid.
 
 Every convolution is followed by AdaIN (Huang and Belongie 2017), whose mean and deviation are
 affine in the 64-D code; also the last one, so the code states each map's mean and contrast
@@ -26,8 +27,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from matcap.brdf.maps import MapSet
-from matcap.model.order import WAVE_CHANNELS
 from matcap.model.random_field import RandomField
+from matcap.model.regular_order import WAVE_CHANNELS
 
 CODE_SIZE = 64  # numbers; the paper's
 OUTPUTS = 6  # diffuse (3), specular, roughness, height
@@ -45,8 +46,8 @@ class DecoderConfig:
         noise_channels: channels of uniform noise read at full resolution.
         widths: feature channels per level, full resolution first; DEPTH + 1 of them.
         convolutions: 3 x 3 convolutions per block on the way down and on the way up.
-        cells: channels of noise for the cells of regular order (order.py), for materials that
-            have any.
+        cells: channels of noise for the cells of regular order (regular_order.py), for materials
+            that have any.
     """
 
     noise_channels: int = 8

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -133,23 +134,29 @@ class Exemplar:
         exponent, low = int(about["height_unit"]), int(about["height_low"])
         if not (-60 <= exponent <= 20 and abs(low) < 2**23):
             raise ValueError(f"heights of {low} and more 2^{exponent}")
-        maps = {
-            name: unpack(tensor(name), (channels, rows, columns), np.uint16)
-            .view(np.float16)
-            .astype(np.float32)
-            for name, channels in CHANNELS.items()
-            if name != "height"
-        }
-        codes = unpack(tensor("height"), (1, rows, columns), np.uint16)
-        trusted = unpack(tensor("confidence"), (len(CHANNELS), rows, columns), np.uint8)
-        return Exemplar(
-            diffuse=maps["diffuse"],
-            specular=maps["specular"],
-            roughness=maps["roughness"],
-            height=_height(codes, math.ldexp(0.5, exponent), low),
-            confidence=_confidence(trusted),
-            texel_size=float(about["texel_size"]),
-        )
+
+        def halves(name: str) -> Floats:
+            shape = (CHANNELS[name], rows, columns)
+            return unpack(tensor(name), shape, np.uint16).view(np.float16).astype(np.float32)
+
+        def heights() -> Floats:
+            codes = unpack(tensor("height"), (1, rows, columns), np.uint16)
+            return _height(codes, math.ldexp(0.5, exponent), low)
+
+        with ThreadPoolExecutor() as pool:
+            diffuse, specular, roughness = (
+                pool.submit(halves, name) for name in ("diffuse", "specular", "roughness")
+            )
+            height = pool.submit(heights)
+            trusted = unpack(tensor("confidence"), (len(CHANNELS), rows, columns), np.uint8)
+            return Exemplar(
+                diffuse=diffuse.result(),
+                specular=specular.result(),
+                roughness=roughness.result(),
+                height=height.result(),
+                confidence=_confidence(trusted),
+                texel_size=float(about["texel_size"]),
+            )
 
 
 def _check_size(width: int, height: int) -> None:

@@ -1,4 +1,4 @@
-"""Field: random access to the endless material (DESIGN, sections 2 and 7).
+"""Field: random access to the endless material.
 
 The plane is cut into a fixed grid of blocks. A block is always computed whole, on the same grid,
 from the same true noise around it, on one thread: its texels are the same bits whoever asks, in
@@ -17,9 +17,9 @@ from matcap.brdf.maps import MapSet
 from matcap.model.blocks import BLOCK, Piece, check_rectangle, pieces_of
 from matcap.model.decoder import OUTPUTS
 from matcap.model.device import DeviceName, find_device
-from matcap.model.patch import Period, Rectangle
+from matcap.model.plane import Period, Rectangle
 from matcap.model.single import single_threaded
-from matcap.model.source import Generator, Material, Source, field_source, inner
+from matcap.model.source import Generator, MaterialLike, Source, field_source, inner
 
 __all__ = ["BLOCK", "Field", "Rectangle"]
 
@@ -44,7 +44,7 @@ class Field:
 
     def __init__(
         self,
-        material: Material,
+        material: MaterialLike,
         seed: int = 0,
         period: Period | None = None,
         *,

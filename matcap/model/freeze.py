@@ -3,7 +3,7 @@
 Instance normalisation makes an output depend on the rectangle that was decoded. Measured over a
 large reference field instead and stored, the statistics turn every AdaIN into an affine map,
 which folds into the convolution before it: what is left is convolutions, ReLUs, poolings and
-upsamplings, the same for every rectangle (DESIGN, section 4).
+upsamplings, the same for every rectangle.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from matcap.model.decoder import (
     Step,
     unet,
 )
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import RandomField, random_field
 from matcap.model.spans import Span, Spans
 from matcap.statistics.lattice import Wave
@@ -97,7 +98,7 @@ class FoldedDecoder:
     Attributes:
         noise_channels: of white noise that it reads.
         cells: channels of the noise of cells; 0 without waves.
-        has_waves: whether it reads the order of order.py.
+        has_waves: whether it reads the order of regular_order.py.
         down, up, head: its layers, block by block.
     """
 

@@ -36,12 +36,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import save
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.errors import MatcapError
+from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import ALIGNMENT, CODE_SIZE, Decoder, Moments
 from matcap.model.example.example import Example
@@ -144,17 +142,16 @@ class Material:
         return Field(self, seed, period, generator=generator).read(x, y, width, height)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file: to a temporary name beside it, then renamed.
+        """Write the file; whole or not at all.
 
         Raises:
             MatcapError: the folder cannot be written, or the disk is full.
         """
-        path = Path(path)
-        tensors = {f"decoder.{k}": v.contiguous() for k, v in self.decoder.state_dict().items()}
-        tensors["code"] = self.code.contiguous()
+        tensors = {f"decoder.{k}": v for k, v in self.decoder.state_dict().items()}
+        tensors["code"] = self.code
         for index, (mean, deviation) in enumerate(self.moments):
-            tensors[f"moments.{index}.mean"] = mean.contiguous()
-            tensors[f"moments.{index}.deviation"] = deviation.contiguous()
+            tensors[f"moments.{index}.mean"] = mean
+            tensors[f"moments.{index}.deviation"] = deviation
         about = {
             "format": FORMAT,
             "version": VERSION,
@@ -170,19 +167,7 @@ class Material:
             tensors |= {
                 EXAMPLE + name: torch.from_numpy(data.copy()) for name, data in found.items()
             }
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            # As bytes: save_file would give the file to its owner alone, whatever the umask says.
-            temporary.write_bytes(save(tensors, metadata={"matcap": json.dumps(about)}))
-            os.replace(temporary, path)
-        except (OSError, SafetensorError) as error:
-            raise MatcapError(
-                f"the material cannot be written ({error})",
-                where=str(path),
-                remedy="choose a folder that can be written and has room",
-            ) from error
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_tensors(Path(path), tensors, {"matcap": json.dumps(about)})
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Material:

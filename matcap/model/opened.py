@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Found:
+class OpenedMaps:
     """Maps with what is known of them.
 
     Attributes:
@@ -62,7 +62,7 @@ def open_tile(
     size: tuple[int, int] = (1024, 1024),
     seed: int = 0,
     generator: Generator | None = None,
-) -> Found:
+) -> OpenedMaps:
     """As open_maps, but a material's maps repeat without a seam where their size allows it.
 
     They do when both sides are multiples of the material's alignment, 16 for most.
@@ -73,10 +73,10 @@ def open_tile(
         repeat = material.alignment
         period = None if size[0] % repeat or size[1] % repeat else size
         maps = material.maps(*size, seed=seed, period=period)
-        return Found(maps, path.stem, dict(material.provenance))
+        return OpenedMaps(maps, path.stem, dict(material.provenance))
     maps, document = read_mapset(path)
     name = str(document.get("name") or path.stem)
-    return Found(maps, name, dict(document.get("provenance") or {}))
+    return OpenedMaps(maps, name, dict(document.get("provenance") or {}))
 
 
 def open_source(path: Path, generator: Generator | None = None) -> MapSet | Material:

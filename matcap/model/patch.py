@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from matcap.model.plane import Period as Period
-from matcap.model.plane import Rectangle as Rectangle
+from matcap.model.plane import Period, Rectangle
 
 
 @dataclass(frozen=True)

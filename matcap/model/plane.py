@@ -25,6 +25,16 @@ class Rectangle:
     width: int
     height: int
 
+    def grown(self, by: int) -> Rectangle:
+        """With so many texels more on every side."""
+        return Rectangle(self.x - by, self.y - by, self.width + 2 * by, self.height + 2 * by)
+
+    def halved(self) -> Rectangle:
+        """On a grid twice as coarse: every texel that it has a part of."""
+        x, y = self.x >> 1, self.y >> 1
+        right, bottom = (self.x + self.width + 1) >> 1, (self.y + self.height + 1) >> 1
+        return Rectangle(x, y, right - x, bottom - y)
+
 
 def check_seed(seed: int) -> int:
     """The seed, or a UsageError when it is out of range."""

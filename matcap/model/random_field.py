@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from matcap.model.noise import noise_field
-from matcap.model.order import order_field
 from matcap.model.patch import Patch
+from matcap.model.regular_order import order_field
 from matcap.statistics.lattice import Wave
 
 

@@ -20,10 +20,10 @@ from matcap.model.example.example import Example
 from matcap.model.example.source import ExampleSource, example_source
 from matcap.model.freeze import FoldedDecoder
 from matcap.model.noise import noise_field
-from matcap.model.order import order_field
-from matcap.model.patch import Patch, Period, Rectangle
-from matcap.model.plane import check_period, check_seed
+from matcap.model.patch import Patch
+from matcap.model.plane import Period, Rectangle, check_period, check_seed
 from matcap.model.random_field import RandomField
+from matcap.model.regular_order import order_field
 from matcap.model.spans import Span, Spans, spans_of
 from matcap.statistics.lattice import Wave
 
@@ -77,7 +77,7 @@ class Network(Source, Protocol):
         ...
 
 
-class Material(Protocol):
+class MaterialLike(Protocol):
     """What a field is made from: see material.py, which reads this module."""
 
     @property
@@ -120,42 +120,42 @@ class Seeded(Protocol):
 
 
 @dataclass(frozen=True)
-class Area:
-    """What decoding a block reads."""
+class BlockSpans:
+    """What decoding a block reads: the block, and rows and columns of every level around it."""
 
     block: Rectangle
     rows: Spans
     columns: Spans
 
 
-def area_of(block: Rectangle, convolutions: tuple[int, int]) -> Area:
-    """The area of a block and its ring, for a decoder of so many convolutions."""
+def spans_of_block(block: Rectangle, convolutions: tuple[int, int]) -> BlockSpans:
+    """The spans that decoding a block and its ring reads, for a decoder of so many convolutions."""
     rows, columns = (
         spans_of(Span(-RING, size + RING), convolutions) for size in (block.height, block.width)
     )
-    return Area(block, rows, columns)
+    return BlockSpans(block, rows, columns)
 
 
-def read_noise(source: Seeded, area: Area, channels: int) -> Tensor:
-    """(1, channels, H, W) noise of an area."""
-    columns, rows = area.columns.down[0], area.rows.down[0]
-    x, y = area.block.x + columns.start, area.block.y + rows.start
+def read_noise(source: Seeded, spans: BlockSpans, channels: int) -> Tensor:
+    """(1, channels, H, W) noise of a block's spans."""
+    columns, rows = spans.columns.down[0], spans.rows.down[0]
+    x, y = spans.block.x + columns.start, spans.block.y + rows.start
     part = Rectangle(x, y, columns.size, rows.size)
     patch = Patch(source.seed, part, period=source.period, device=source.device)
     return noise_field(patch, channels)[None]
 
 
 def read_order(
-    source: Seeded, area: Area, waves: tuple[Wave, ...], cells: int
+    source: Seeded, spans: BlockSpans, waves: tuple[Wave, ...], cells: int
 ) -> tuple[Tensor, ...]:
-    """Per level (1, WAVE_CHANNELS + cells, H, W) order of an area; none of no waves."""
+    """Per level (1, WAVE_CHANNELS + cells, H, W) order of a block's spans; none of no waves."""
     if not waves:
         return ()
     stack = []
     for level, (columns, rows) in enumerate(
-        zip(area.columns.joined, area.rows.joined, strict=True)
+        zip(spans.columns.joined, spans.rows.joined, strict=True)
     ):
-        x, y = (area.block.x >> level) + columns.start, (area.block.y >> level) + rows.start
+        x, y = (spans.block.x >> level) + columns.start, (spans.block.y >> level) + rows.start
         part = Rectangle(x, y, columns.size, rows.size)
         patch = Patch(source.seed, part, level, source.period, source.device)
         field = order_field(patch, waves, cells)
@@ -199,13 +199,13 @@ class MaterialSource:
 
     def maps(self, block: Rectangle) -> Tensor:
         """Stacked maps (OUTPUTS, height + 2 RING, width + 2 RING) of a block and its ring."""
-        area = area_of(block, self.decoder.convolutions)
+        spans = spans_of_block(block, self.decoder.convolutions)
         with torch.inference_mode(), repeatable(self.device):
             field = RandomField(
-                read_noise(self, area, self.decoder.noise_channels),
-                read_order(self, area, self.waves, self.decoder.cells),
+                read_noise(self, spans, self.decoder.noise_channels),
+                read_order(self, spans, self.waves, self.decoder.cells),
             )
-            raw = self.decoder.decode(field, area.rows, area.columns)[0].contiguous()
+            raw = self.decoder.decode(field, spans.rows, spans.columns)[0].contiguous()
             # Before anything is cut off: a vectorised sigmoid rounds a row's last few texels
             # differently, so it must see the same rows whatever rectangle is asked for.
             return maps_from_raw(raw, self.texel_size).stacked()
@@ -235,7 +235,7 @@ def inner(maps: Tensor) -> Tensor:
 
 
 def material_source(
-    material: Material, seed: int, period: Period | None = None, device: torch.device = _CPU
+    material: MaterialLike, seed: int, period: Period | None = None, device: torch.device = _CPU
 ) -> MaterialSource:
     """The source of a material's field, computed on a device.
 
@@ -249,7 +249,7 @@ def material_source(
 
 
 def field_source(
-    material: Material,
+    material: MaterialLike,
     seed: int,
     period: Period | None = None,
     device: torch.device = _CPU,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.files.staging import staged
+from matcap.files.staging import staged_file
 
 PAGE = (210.0, 297.0)  # mm, A4
 SQUARES = (7, 5)  # of the board
@@ -87,8 +87,8 @@ def write_card(path: Path) -> None:
         raise UsageError(
             "a card is an SVG or a PDF", where=str(path), remedy="end the name in .svg or .pdf"
         )
-    with staged(path.parent) as stage:
-        (stage / path.name).write_bytes(form())
+    with staged_file(path) as file:
+        file.write_bytes(form())
 
 
 def board() -> Any:  # noqa: ANN401

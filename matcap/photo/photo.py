@@ -1,4 +1,4 @@
-"""Photo: what the rest of matcap sees of a photograph file (DESIGN, sections 2 and 3)."""
+"""Photo: what the rest of matcap sees of a photograph file."""
 
 from __future__ import annotations
 

@@ -22,8 +22,8 @@ from matcap.errors import MatcapError
 from matcap.photo.decoded import Decoded
 from matcap.photo.dng import Corrections
 from matcap.photo.gainmap import GainMap, Shading
-from matcap.photo.noise import find_noise
 from matcap.photo.refusals import check_size, decoding, unreadable
+from matcap.photo.sensor_noise import find_noise
 from matcap.photo.shrink import Rows, shrink
 
 # Photosites saturate one by one a little below the white level.

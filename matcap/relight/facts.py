@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from matcap.relight.camera import View
-from matcap.relight.environment import Environment
+from matcap.relight.environment_map import Environment
 from matcap.relight.lobes import alpha_of
 from matcap.relight.scene import (
     DirectionalLight,
@@ -32,7 +32,7 @@ WHOLE = 1.01
 
 
 @dataclass(frozen=True)
-class Region:
+class VisibleRegion:
     """Where visible points of the surface can be.
 
     Attributes:
@@ -142,7 +142,7 @@ def gather(
     scene: Scene,
     texture: Texture,
     view: View,
-    region: Region,
+    region: VisibleRegion,
     footprint: float,
     skies: Sequence[Environment],
 ) -> Facts:
@@ -156,24 +156,24 @@ def gather(
         footprint: what a pixel covers on the material at most, in texels.
         skies: the scene's environments.
     """
-    summary = texture.summary
+    extremes = texture.extremes
     lights = tuple(
         _light_facts(light, region, view)
         for light in scene.lights
         if not isinstance(light, EnvironmentLight)
     )
     lift = scene.surface.displacement
-    low, high = (float(alpha_of(np.asarray(r, dtype=np.float32))) for r in summary.roughness)
+    low, high = (float(alpha_of(np.asarray(r, dtype=np.float32))) for r in extremes.roughness)
     if footprint > 1.0:
         # Filtering turns unresolved slopes into roughness.
-        high = min(math.sqrt(high**2 + summary.slope**2), 1.0)
+        high = min(math.sqrt(high**2 + extremes.slope**2), 1.0)
     return Facts(
-        diffuse=summary.diffuse,
-        specular=summary.specular,
+        diffuse=extremes.diffuse,
+        specular=extremes.specular,
         alpha=(low, high),
-        slope=summary.slope,
-        relief_slope=summary.relief_slope * lift,
-        relief=summary.relief * lift / scene.surface.repeat,
+        slope=extremes.slope,
+        relief_slope=extremes.relief_slope * lift,
+        relief=extremes.relief * lift / scene.surface.repeat,
         lights=lights,
         sky=sum(sky.brightest for sky in skies),
         sky_varying=sum(sky.varying for sky in skies),
@@ -182,7 +182,9 @@ def gather(
 
 
 def _light_facts(
-    light: PointLight | DirectionalLight | SphereLight | RectangleLight, region: Region, view: View
+    light: PointLight | DirectionalLight | SphereLight | RectangleLight,
+    region: VisibleRegion,
+    view: View,
 ) -> LightFacts:
     if isinstance(light, DirectionalLight):
         direction = unit3(light.direction)
@@ -201,7 +203,7 @@ def _light_facts(
 
 
 def _reach(
-    light: PointLight | SphereLight | RectangleLight, near: float, region: Region
+    light: PointLight | SphereLight | RectangleLight, near: float, region: VisibleRegion
 ) -> tuple[float, float, float]:
     """Largest radiant intensity, radius around the middle, and lowest elevation's tangent."""
     if isinstance(light, PointLight):
@@ -218,7 +220,7 @@ def _reach(
     return spot, half, min(region.tangent(place) for place in rim)
 
 
-def _angle_cosine(light: Light, near: float, region: Region, view: View) -> float:
+def _angle_cosine(light: Light, near: float, region: VisibleRegion, view: View) -> float:
     """Cosine of half the angle under which camera and light are seen, at least.
 
     In any triangle the side opposite to an angle g is at least the sum of the others times

@@ -1,6 +1,6 @@
 """The reflectance of matcap.brdf in NumPy, in the form that costs a relit picture least.
 
-Same formula (DESIGN, section 2), same limits: GGX from |n x h|^2 without cancellation, the
+Same formula, same limits: GGX from |n x h|^2 without cancellation, the
 height-correlated Smith visibility, Schlick's Fresnel. Everything broadcasts and keeps its dtype.
 tests/relight/test_relight_lobes.py holds it to matcap.brdf.cook_torrance.
 """

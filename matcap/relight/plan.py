@@ -20,26 +20,23 @@ from matcap.errors import UsageError
 from matcap.files.srgb import srgb_decode
 from matcap.relight.effects import (
     area,
-    diffuse,
+    direct,
     environment,
-    falloff,
     filtering,
     interreflection,
     multiscatter,
     parallax,
     shadows,
-    specular,
     visibility,
 )
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE as DEFAULT_TOLERANCE
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
 from matcap.relight.scene import Film
 
 EFFECTS: Mapping[str, Callable[[Facts], Bound]] = {
-    "diffuse": diffuse.bound,
-    "specular": specular.bound,
-    "falloff": falloff.bound,
+    "diffuse": direct.diffuse_bound,
+    "specular": direct.specular_bound,
+    "falloff": direct.falloff_bound,
     "area": area.bound,
     "environment": environment.bound,
     "filtering": filtering.bound,
@@ -119,14 +116,14 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Choice:
+class EffectChoice:
     """What a user asked for: a start ("auto", "all" or "none") and effects forced on or off."""
 
     start: str = "auto"
     forced: tuple[tuple[str, bool], ...] = ()
 
 
-def parse_choice(text: str) -> Choice:
+def parse_choice(text: str) -> EffectChoice:
     """The choice that `--effects` means: "all", "none", "+x,-y", or both: "none,+diffuse".
 
     Raises:
@@ -146,7 +143,7 @@ def parse_choice(text: str) -> Choice:
                 remedy=f"give all, none, or +{near} or -{near} (of {', '.join(EFFECTS)})",
             )
         forced.append((name, sign == "+"))
-    return Choice(start, tuple(forced))
+    return EffectChoice(start, tuple(forced))
 
 
 def radiance_tolerance(tolerance: float, film: Film) -> float:
@@ -156,7 +153,7 @@ def radiance_tolerance(tolerance: float, film: Film) -> float:
     return float(srgb_decode(np.array(tolerance))) / film.gain
 
 
-def make_plan(facts: Facts, tolerance: float, choice: Choice) -> Plan:
+def make_plan(facts: Facts, tolerance: float, choice: EffectChoice) -> Plan:
     """Decide what runs.
 
     Args:

@@ -14,22 +14,16 @@ from numpy.typing import NDArray
 
 from matcap.relight.camera import View, view_of
 from matcap.relight.clock import Clock
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.effects.environment import samples_for
-from matcap.relight.environment import Environment, environment_of
+from matcap.relight.environment_map import Environment, environment_of
 from matcap.relight.facts import gather
 from matcap.relight.horizons import Horizons, find_horizons
-from matcap.relight.plan import (
-    DEFAULT_TOLERANCE,
-    Choice,
-    Plan,
-    make_plan,
-    parse_choice,
-    radiance_tolerance,
-)
+from matcap.relight.plan import EffectChoice, Plan, make_plan, parse_choice, radiance_tolerance
 from matcap.relight.relief import Relief
 from matcap.relight.sampling import Sampler
 from matcap.relight.scene import EnvironmentLight, Film, Scene, Surface, scene_from_light
-from matcap.relight.shade import Job, shade
+from matcap.relight.shade import ShadingContext, shade
 from matcap.relight.surfaces.shape import Shape, shape_of
 from matcap.relight.texture import Texture
 
@@ -133,7 +127,7 @@ class Renderer:
         scene: Scene | None = None,
         *,
         tolerance: float = DEFAULT_TOLERANCE,
-        effects: str | Choice = "auto",
+        effects: str | EffectChoice = "auto",
     ) -> Rendering:
         """One picture.
 
@@ -155,13 +149,15 @@ class Renderer:
         clock = Clock()
         horizons = self._find_horizons(plan, clock)
         samples = samples_for(tolerance)
-        job = Job(scene, self.sampler, self.relief, plan, skies, horizons, clock, samples)
+        context = ShadingContext(
+            scene, self.sampler, self.relief, plan, skies, horizons, clock, samples
+        )
         picture = np.zeros((film.height, film.width, 3), dtype=np.float32)
 
         def rows(top: int, bottom: int) -> None:
             hits = shape.hits(view, top, bottom)
             if hits.seen is None or hits.seen.any():
-                picture[top:bottom] = np.moveaxis(shade(job, hits), 0, -1)
+                picture[top:bottom] = np.moveaxis(shade(context, hits), 0, -1)
 
         _in_blocks(view, rows)
         return Rendering(picture, plan.timed(clock.seconds), film, perf_counter() - start)

@@ -16,7 +16,7 @@ _ALIGNED = 1e-3
 
 
 @dataclass(frozen=True)
-class Sample:
+class SurfaceSample:
     """The material at a block of pixels, (rows, W) arrays.
 
     Attributes:
@@ -45,7 +45,7 @@ class Sampler:
         step = self.repeat / self.texture.texel_size
         return place[0] * step + (width - 1) / 2.0, (height - 1) / 2.0 - place[1] * step
 
-    def read(self, place: tuple[Array, Array], footprint: Array | None = None) -> Sample:
+    def read(self, place: tuple[Array, Array], footprint: Array | None = None) -> SurfaceSample:
         """The material at places (u, v) in plane units.
 
         Args:
@@ -78,7 +78,7 @@ class Sampler:
         x = np.mod(np.rint(column).astype(np.int64), width)
         return np.mod(np.rint(row).astype(np.int64), height) * width + x
 
-    def _aligned(self, column: Array, row: Array) -> Sample | None:
+    def _aligned(self, column: Array, row: Array) -> SurfaceSample | None:
         """Texels themselves, where places are a grid of neighbouring texel centres."""
         if column.shape[0] != 1 or row.shape[1] != 1:
             return None
@@ -95,19 +95,19 @@ class Sampler:
             return None
         cut = (slice(None), slice(top, below), slice(first, right))
         maps = self.texture
-        return Sample(
+        return SurfaceSample(
             tuple(maps.diffuse[cut]),
             tuple(maps.specular[cut]),
             self._alpha[cut[1:]],
             tuple(maps.normal[cut]),
         )
 
-    def _unpacked(self, values: Array) -> Sample:
+    def _unpacked(self, values: Array) -> SurfaceSample:
         split = 3 + len(self.texture.specular)
         squared, x, y, variance = values[split:]
         z = 1.0 / np.sqrt(1.0 + x * x + y * y)
         alpha = np.sqrt(np.minimum(squared + variance, np.float32(1.0)))
-        return Sample(tuple(values[:3]), tuple(values[3:split]), alpha, (-x * z, -y * z, z))
+        return SurfaceSample(tuple(values[:3]), tuple(values[3:split]), alpha, (-x * z, -y * z, z))
 
     @cached_property
     def _alpha(self) -> Array:

@@ -5,7 +5,7 @@
     [surface]  type, size, file, repeat, displacement
     [[light]]  type and the keys of its kind (see docs/reference/file-formats.md)
 
-Files named inside are relative to the scene file. Presets are in presets.py.
+Files named inside are relative to the scene file. Presets are in named.py.
 """
 
 from __future__ import annotations

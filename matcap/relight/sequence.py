@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.relight.plan import DEFAULT_TOLERANCE, Plan
-from matcap.relight.presets import light_orbit, sheet_lights, turntable
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.named import light_orbit, sheet_lights, turntable
+from matcap.relight.plan import Plan
 from matcap.relight.render import Renderer, Rendering
 from matcap.relight.scene import Scene
 

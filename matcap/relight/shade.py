@@ -18,12 +18,12 @@ from matcap.relight.effects import (
     shadows,
     visibility,
 )
-from matcap.relight.environment import Environment
+from matcap.relight.environment_map import Environment
 from matcap.relight.horizons import Horizons
 from matcap.relight.lobes import ggx_smith, schlick_weight
 from matcap.relight.plan import Plan
 from matcap.relight.relief import Relief
-from matcap.relight.sampling import Sample, Sampler
+from matcap.relight.sampling import Sampler, SurfaceSample
 from matcap.relight.scene import (
     Colour,
     DirectionalLight,
@@ -43,7 +43,7 @@ _ONE: Any = np.float32(1.0)
 
 
 @dataclass(frozen=True)
-class Job:
+class ShadingContext:
     """What all blocks of a picture share.
 
     Attributes:
@@ -67,18 +67,18 @@ class Job:
     samples: int
 
 
-def shade(job: Job, hits: Hits) -> Array:
+def shade(context: ShadingContext, hits: Hits) -> Array:
     """(3, rows, W) radiance of a block; 0 where nothing is seen."""
     height: Array = np.zeros((1, 1), dtype=np.float32)
-    if job.plan.on("parallax"):
-        with job.clock.on("parallax"):
-            hits, height = _displaced(job.relief, hits)
-    elif job.plan.on("shadows"):
-        height = job.relief.at(*hits.place)
-    with job.clock.on("filtering" if job.plan.on("filtering") else "reading"):
-        footprint = hits.footprint if job.plan.on("filtering") else None
-        sample = job.sampler.read(hits.place, footprint)
-    radiance = _Block(job, hits, height, sample).radiance()
+    if context.plan.on("parallax"):
+        with context.clock.on("parallax"):
+            hits, height = _displaced(context.relief, hits)
+    elif context.plan.on("shadows"):
+        height = context.relief.at(*hits.place)
+    with context.clock.on("filtering" if context.plan.on("filtering") else "reading"):
+        footprint = hits.footprint if context.plan.on("filtering") else None
+        sample = context.sampler.read(hits.place, footprint)
+    radiance = _Block(context, hits, height, sample).radiance()
     if hits.seen is not None:
         radiance *= hits.seen
     return radiance
@@ -98,16 +98,18 @@ def _displaced(relief: Relief, hits: Hits) -> tuple[Hits, Array]:
 class _Block:
     """One block's radiance while it is added up."""
 
-    def __init__(self, job: Job, hits: Hits, height: Array, sample: Sample) -> None:
-        self.job, self.hits, self.height, self.sample = job, hits, height, sample
-        self.plan = job.plan
+    def __init__(
+        self, context: ShadingContext, hits: Hits, height: Array, sample: SurfaceSample
+    ) -> None:
+        self.context, self.hits, self.height, self.sample = context, hits, height, sample
+        self.plan = context.plan
         shape = np.broadcast_shapes(*(p.shape for p in hits.place), sample.alpha.shape)
         self.total = np.zeros((3, *shape), dtype=np.float32)
         self.n_dot_v = np.maximum(dot(sample.normal, hits.to_view), _ZERO)
         self.facing = (self.n_dot_v > 0.0) & (hits.to_view[2] > 0.0)
         self.scatter: list[tuple[Array, Array]] = []
         if self.plan.on("multiscatter"):
-            with job.clock.on("multiscatter"):
+            with context.clock.on("multiscatter"):
                 self.near = albedo().near(sample.alpha)
                 self.scatter = [
                     multiscatter.terms(f0, self.near, self.n_dot_v) for f0 in sample.specular
@@ -120,8 +122,8 @@ class _Block:
         return self.plan.on("interreflection")
 
     def radiance(self) -> Array:
-        skies = iter(self.job.skies)
-        for light in self.job.scene.lights:
+        skies = iter(self.context.skies)
+        for light in self.context.scene.lights:
             if isinstance(light, EnvironmentLight):
                 self.add_sky(next(skies))
             elif isinstance(light, SphereLight | RectangleLight):
@@ -129,7 +131,7 @@ class _Block:
             else:
                 self.add_point(light)
         if self.bounces:
-            with self.job.clock.on("interreflection"):
+            with self.context.clock.on("interreflection"):
                 self.add_bounce()
         if not self.facing.all():
             self.total *= self.facing
@@ -156,7 +158,7 @@ class _Block:
             received = self.fading(light, node) * self.lit(node.to_light, node.distance)
             self.add(node.to_light, received, light.radiance)
             return
-        with self.job.clock.on("area"):
+        with self.context.clock.on("area"):
             offset = subtract(vec(light.position), hits.point)
             nearest = float(np.sqrt(dot(offset, offset).min()))
             order = area.order(light, nearest, float(self.sample.alpha.min()))
@@ -226,9 +228,9 @@ class _Block:
         """1 where light arrives past the relief, 0 where it does not."""
         if not self.casts:
             return np.float32(1.0)
-        with self.job.clock.on("shadows"):
+        with self.context.clock.on("shadows"):
             return shadows.lit(
-                self.job.relief, self.hits.place, self.height, to_light, distance
+                self.context.relief, self.hits.place, self.height, to_light, distance
             ).astype(np.float32)
 
     def add(self, to_light: Vec, received: Array, colour: Colour, *, lobe: bool = True) -> None:
@@ -254,7 +256,7 @@ class _Block:
             light *= np.float32(colour[0])
         glare: list[Array] = []
         if lobe and self.plan.on("specular"):
-            with self.job.clock.on("specular"):
+            with self.context.clock.on("specular"):
                 mirror, l_dot_h = ggx_smith(
                     sample.normal, self.hits.to_view, to_light, self.n_dot_v, n_dot_l, sample.alpha
                 )
@@ -266,12 +268,12 @@ class _Block:
                 for one in glare:
                     one += weight
         if self.scatter:
-            with self.job.clock.on("multiscatter"):
+            with self.context.clock.on("multiscatter"):
                 lost = albedo().missing(self.near, n_dot_l)
                 lost *= light
                 extra = [strength * lost for strength, _ in self.scatter]
                 glare = [a + b for a, b in zip(glare, extra, strict=True)] if glare else extra
-        with self.job.clock.on("diffuse"):
+        with self.context.clock.on("diffuse"):
             light *= np.float32(1.0 / math.pi)
             for channel in range(3):
                 value = glare[channel if len(glare) == 3 else 0] if glare else _ZERO
@@ -286,17 +288,19 @@ class _Block:
 
     def add_sky(self, sky: Environment) -> None:
         """Add the light of the surroundings."""
-        sample, hits, job = self.sample, self.hits, self.job
+        sample, hits, context = self.sample, self.hits, self.context
         hides = self.plan.on("visibility")
         varied = self.plan.on("environment")
         seen: Any = np.float32(1.0)
         horizon = None
         if hides:
-            with job.clock.on("visibility"):
-                assert job.horizons is not None
-                seen = job.sampler.extra(job.horizons.open, hits.place)[0]
-                horizon = visibility.horizon_test(job.horizons, job.sampler.nearest(hits.place))
-        with job.clock.on("environment"):
+            with context.clock.on("visibility"):
+                assert context.horizons is not None
+                seen = context.sampler.extra(context.horizons.open, hits.place)[0]
+                horizon = visibility.horizon_test(
+                    context.horizons, context.sampler.nearest(hits.place)
+                )
+        with context.clock.on("environment"):
             if varied:
                 irradiance = environment.diffuse_irradiance(sky, sample.normal, hits)
             else:
@@ -309,7 +313,7 @@ class _Block:
             if self.plan.on("specular"):
                 if varied:
                     parts = environment.specular(
-                        sky, sample, hits, self.n_dot_v, job.samples, horizon
+                        sky, sample, hits, self.n_dot_v, context.samples, horizon
                     )
                 else:
                     parts = environment.uniform_specular(sky, sample, self.n_dot_v)
@@ -319,7 +323,7 @@ class _Block:
                     mirror = f0 * parts[0][channel] + parts[1][channel]
                     self.total[channel] += mirror
         if self.scatter:
-            with job.clock.on("multiscatter"):
+            with context.clock.on("multiscatter"):
                 for channel in range(3):
                     _, share = self.scatter[channel if len(self.scatter) == 3 else 0]
                     self.total[channel] += share * irradiance[channel] * np.float32(1.0 / math.pi)
@@ -329,8 +333,8 @@ class _Block:
 
     def add_bounce(self) -> None:
         """Add what neighbours reflect of all the light collected."""
-        assert self.job.horizons is not None and self.job.horizons.bounced is not None
-        bounced = self.job.sampler.extra(self.job.horizons.bounced, self.hits.place)
+        assert self.context.horizons is not None and self.context.horizons.bounced is not None
+        bounced = self.context.sampler.extra(self.context.horizons.bounced, self.hits.place)
         arriving = interreflection.received(bounced, self.flow)
         for channel in range(3):
             lambert = self.sample.diffuse[channel] * np.float32(1.0 / math.pi)

@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from matcap.relight.vectors import Array
-from matcap.relight.visible_normals import Point, lattice
+from matcap.relight.visible_normals import LatticePoint, lattice
 
 _SIZE = 64
 _POINTS = 987
@@ -121,7 +121,7 @@ def albedo() -> Albedo:
     return Albedo(bias.astype(f), total.astype(f), np.asarray(average, dtype=f))
 
 
-def _visible(mu: Array, alpha: Array, point: Point) -> tuple[Array, Array]:
+def _visible(mu: Array, alpha: Array, point: LatticePoint) -> tuple[Array, Array]:
     """G2 / G1 times the weight, and the cosine v.h, of one visible normal."""
     sine = np.sqrt(np.maximum(1.0 - mu * mu, 0.0))
     vx, vz = alpha * sine, mu

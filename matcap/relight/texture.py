@@ -17,7 +17,7 @@ Map = Array
 
 
 @dataclass(frozen=True)
-class Summary:
+class Extremes:
     """Extremes of a texture, over all its texels.
 
     Attributes:
@@ -96,7 +96,7 @@ class Texture:
         return np.stack([-x * z, -y * z, z])
 
     @cached_property
-    def summary(self) -> Summary:
+    def extremes(self) -> Extremes:
         """Extremes, for the plan."""
         height = self.height[0]
         # Inside a cell a bilinear surface is nowhere steeper than along its sides.
@@ -106,7 +106,7 @@ class Texture:
         down = np.maximum(down, np.roll(down, -1, axis=1))
         steepest = float((across * across + down * down).max()) ** 0.5 / self.texel_size
         x, y = self.slopes
-        return Summary(
+        return Extremes(
             float(self.diffuse.max()),
             float(self.specular.max()),
             (float(self.roughness.min()), float(self.roughness.max())),

@@ -18,13 +18,13 @@ from typing import NamedTuple
 import numpy as np
 
 from matcap.relight.lobes import schlick_weight
-from matcap.relight.sampling import Sample
+from matcap.relight.sampling import SurfaceSample
 from matcap.relight.vectors import Array, Vec, dot, scale
 
 _FIBONACCI = (34, 55, 89, 144, 233, 377, 610, 987, 1597, 2584, 4181)
 
 
-class Point(NamedTuple):
+class LatticePoint(NamedTuple):
     """One point of the lattice: height on the cap, cosine and sine of its azimuth, weight."""
 
     u: float
@@ -34,7 +34,7 @@ class Point(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def lattice(count: int) -> tuple[Point, ...]:
+def lattice(count: int) -> tuple[LatticePoint, ...]:
     """As many points as are asked for, or the next Fibonacci number; weights add up to 1."""
     index = min(bisect_left(_FIBONACCI, count), len(_FIBONACCI) - 1)
     size = _FIBONACCI[index]
@@ -45,7 +45,7 @@ def lattice(count: int) -> tuple[Point, ...]:
         angle = 2.0 * math.pi * ((i * before / size) % 1.0)
         # u = 1 - (1 - t)^2.
         weight = 2.0 * rest / size
-        points.append(Point(1.0 - rest * rest, math.cos(angle), math.sin(angle), weight))
+        points.append(LatticePoint(1.0 - rest * rest, math.cos(angle), math.sin(angle), weight))
     return tuple(points)
 
 
@@ -94,7 +94,7 @@ class Lobe:
             some(self.alpha),
         )
 
-    def mirrored(self, point: Point) -> Mirrored:
+    def mirrored(self, point: LatticePoint) -> Mirrored:
         """Where the lattice's point sends the view."""
         vx, vy, vz = self.stretched
         z = np.float32(1.0 - point.u) * (1.0 + vz) - vz
@@ -132,7 +132,7 @@ class Mirrored:
     """
 
     lobe: Lobe
-    point: Point
+    point: LatticePoint
     cap: Vec
     half: Vec
     inverse: Array
@@ -194,7 +194,7 @@ class Mirrored:
         return schlick_weight(self.reach * np.sqrt(np.float32(0.25) / self.inverse))
 
 
-def lobe_of(sample: Sample, to_view: Vec, n_dot_v: Array) -> Lobe:
+def lobe_of(sample: SurfaceSample, to_view: Vec, n_dot_v: Array) -> Lobe:
     """The lobes of a block.
 
     Args:

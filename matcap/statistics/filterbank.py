@@ -1,4 +1,4 @@
-"""Features without learnt weights: random filters on a pyramid (DESIGN, section 5).
+"""Features without learnt weights: random filters on a pyramid.
 
 One layer of random zero-mean unit-norm filters of a few sizes, with ReLU, at every level of a
 pyramid. Gram matrices of such features already describe a texture well (Ustyuzhaninov et al.

@@ -24,7 +24,7 @@ from matcap.brdf.folder import NormalStyle
 from matcap.model.blocks import RING, Grid
 from matcap.model.example.source import ExampleSource
 from matcap.model.material import Material
-from matcap.model.patch import Period, Rectangle
+from matcap.model.plane import Period, Rectangle
 from matcap.model.source import Generator, MaterialSource, field_source, planes_of
 from matcap.model.spans import Span
 from matcap.synth.mask import Mask

@@ -12,7 +12,7 @@ from typing import Any
 
 from matcap.errors import MatcapError
 from matcap.model.single import single_threaded
-from matcap.synth.jobs import Crew, Job, Result, WorkerLost, render_packed
+from matcap.synth.jobs import Crew, Future, Job, WorkerLost, render_packed
 from matcap.synth.pictures import Rendered
 from matcap.synth.scheduler import connect
 
@@ -34,7 +34,7 @@ def cluster(scheduler: str, packed: bytes) -> Iterator[Crew]:
         threads = sum(client.nthreads().values())
         held = client.scatter(packed, broadcast=True, hash=False)
 
-        def submit(job: Job) -> Result[list[Rendered]]:
+        def submit(job: Job) -> Future[list[Rendered]]:
             return _Guarded(client.submit(render_single, held, job, pure=False))
 
         yield Crew(submit, _AHEAD * max(threads, 1))

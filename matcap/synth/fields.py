@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matcap.model.material import Material
     from matcap.model.plane import Period, Rectangle
     from matcap.model.source import Generator, Source
-    from matcap.synth.precision import Choice, Precision
+    from matcap.synth.precision import ChosenPrecision, Precision
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Found:
+class OpenedField:
     """A field with what is told of it.
 
     Attributes:
@@ -54,10 +54,10 @@ class Found:
     source: Source
     name: str
     provenance: dict[str, Any]
-    choice: Choice | None = None
+    choice: ChosenPrecision | None = None
 
 
-def open_field(material: Path | Material, wanted: Wanted) -> Found:
+def open_field(material: Path | Material, wanted: Wanted) -> OpenedField:
     """The field of one material.
 
     Args:
@@ -73,7 +73,7 @@ def open_field(material: Path | Material, wanted: Wanted) -> Found:
         held = read_exemplified(material)
         if held is not None:
             source = example_source(held.example, wanted.seed, wanted.period)
-            return Found(source, held.name, held.provenance)
+            return OpenedField(source, held.name, held.provenance)
     from matcap.model.device import find_device
     from matcap.model.source import MaterialSource, field_source
     from matcap.synth.precision import choose
@@ -83,14 +83,14 @@ def open_field(material: Path | Material, wanted: Wanted) -> Found:
     field = field_source(subject, wanted.seed, wanted.period, place, wanted.generator)
     provenance = dict(subject.provenance)
     if not isinstance(field, MaterialSource):
-        return Found(field, subject.name, provenance)
+        return OpenedField(field, subject.name, provenance)
     choice = choose(field, wanted.precision)
-    return Found(choice.source, subject.name, provenance, choice)
+    return OpenedField(choice.source, subject.name, provenance, choice)
 
 
 def open_blend(
     first: Path | Material, second: Path | Material, mask: Path, over: Rectangle, wanted: Wanted
-) -> Found:
+) -> OpenedField:
     """The field that is the first material where a mask is black, the second where it is white.
 
     Args:
@@ -115,7 +115,7 @@ def open_blend(
     )  # fmt: skip
     choice = choose(between, wanted.precision)
     told = {"blend": [start.name, end.name], "mask_over": list(astuple(over))}
-    return Found(choice.source, start.name, dict(start.provenance) | told, choice)
+    return OpenedField(choice.source, start.name, dict(start.provenance) | told, choice)
 
 
 def _loaded(material: Path | Material) -> Material:

@@ -25,7 +25,7 @@ class WorkerLost(MatcapError):
     """A worker died; what the others finished is kept for another try."""
 
 
-class Result(Protocol[T_co]):
+class Future(Protocol[T_co]):
     """A future, of whatever library."""
 
     def result(self) -> T_co:
@@ -46,7 +46,7 @@ class Job:
     normal: NormalStyle
 
 
-Submit = Callable[[Job], Result[list[Rendered]]]
+Submit = Callable[[Job], Future[list[Rendered]]]
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Crew:
         Raises:
             MatcapError: of the jobs; a worker process was killed.
         """
-        pending: deque[tuple[Job, Result[list[Rendered]]]] = deque()
+        pending: deque[tuple[Job, Future[list[Rendered]]]] = deque()
         try:
             for job in jobs:
                 pending.append((job, self.submit(job)))
@@ -102,6 +102,6 @@ def unpacked(packed: bytes) -> Source:
     return source
 
 
-def _first(pending: deque[tuple[Job, Result[list[Rendered]]]]) -> tuple[Job, list[Rendered]]:
+def _first(pending: deque[tuple[Job, Future[list[Rendered]]]]) -> tuple[Job, list[Rendered]]:
     job, result = pending.popleft()
     return job, result.result()

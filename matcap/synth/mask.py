@@ -13,7 +13,7 @@ from torch import Tensor
 
 from matcap.errors import MatcapError, UsageError
 from matcap.model.blocks import check_rectangle
-from matcap.model.patch import Period, Rectangle
+from matcap.model.plane import Period, Rectangle
 from matcap.model.spans import Span
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_picture
-from matcap.model.patch import Rectangle
+from matcap.model.plane import Rectangle
 from matcap.model.single import single_threaded
 from matcap.model.source import Network, Source
 from matcap.synth.pictures import KIND_PLANES
@@ -30,7 +30,7 @@ _CHOICES = {0: "bf16", 1: "bf16 below full resolution", 2: "bf16 below half reso
 
 
 @dataclass(frozen=True)
-class Choice:
+class ChosenPrecision:
     """A precision.
 
     Attributes:
@@ -51,7 +51,7 @@ class Choice:
         return f"precision {self.name}: at most {self.steps[worst]:.2f} 8-bit steps off ({worst})"
 
 
-def choose(source: Network, precision: Precision) -> Choice:
+def choose(source: Network, precision: Precision) -> ChosenPrecision:
     """The source in a precision.
 
     Args:
@@ -63,22 +63,22 @@ def choose(source: Network, precision: Precision) -> Choice:
         MatcapError: bfloat16 was asked for and the device does not multiply it.
     """
     if precision == "fp32":
-        return Choice(source, "fp32", {})
+        return ChosenPrecision(source, "fp32", {})
     if not multiplies_bfloat16(source.device):
         if precision == "auto":
-            return Choice(source, "fp32", {})
+            return ChosenPrecision(source, "fp32", {})
         raise MatcapError(
             "this device does not multiply bfloat16", where="--precision", remedy="use fp32"
         )
     if precision == "bf16":
-        return Choice(source.lowered(0), "bf16", {})
+        return ChosenPrecision(source.lowered(0), "bf16", {})
     exact = list(_samples(source))
     for finest, name in _CHOICES.items():
         cheaper = source.lowered(finest)
         steps = _largest(exact, _samples(cheaper))
         if max(steps.values()) < HALF_STEP:
-            return Choice(cheaper, name, steps)
-    return Choice(source, "fp32", {})
+            return ChosenPrecision(cheaper, name, steps)
+    return ChosenPrecision(source, "fp32", {})
 
 
 def multiplies_bfloat16(device: torch.device) -> bool:

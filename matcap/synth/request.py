@@ -117,7 +117,7 @@ class Work:
 
 
 @dataclass(frozen=True)
-class Canvas:
+class PlannedMapSet:
     """One map set's worth of a request: the whole of it, or one tile of a texture set."""
 
     area: Rectangle
@@ -178,15 +178,15 @@ class Request:
         _feed(digest.update, (versions, self.source, self.area, self.info.name, self.files))
         return f"{digest.hexdigest()} {self.source.device_type}"
 
-    def canvases(self) -> list[Canvas]:
+    def mapsets(self) -> list[PlannedMapSet]:
         """The map sets to write, left to right, the lowest row of a texture set first."""
         name, area = self.info.name, self.area
         wrap = self._wrap()
         if self.files.udim is None:
-            return [Canvas(area, self._pictures(f"{name}_{{kind}}", wrap))]
+            return [PlannedMapSet(area, self._pictures(f"{name}_{{kind}}", wrap))]
         columns, rows = self.files.udim
         return [
-            Canvas(
+            PlannedMapSet(
                 # A texture set's rows are counted upwards.
                 Rectangle(
                     area.x + column * area.width,
@@ -200,9 +200,9 @@ class Request:
             for column in range(columns)
         ]
 
-    def pieces(self, canvas: Canvas) -> Iterator[Piece]:
-        """What every block gives to a canvas, in order."""
-        return pieces_of(canvas.area, self.source.grid, self.source.period)
+    def pieces(self, mapset: PlannedMapSet) -> Iterator[Piece]:
+        """What every block gives to a map set, in order."""
+        return pieces_of(mapset.area, self.source.grid, self.source.period)
 
     def document(self, heights: tuple[float, float] | None) -> dict[str, Any]:
         """The JSON document.

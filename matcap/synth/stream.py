@@ -18,10 +18,10 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from matcap.files.staging import check_writable
-from matcap.synth.assemble import Assembly, assembly
+from matcap.synth.assembly import Assembly, assembly
 from matcap.synth.jobs import Crew, Job
 from matcap.synth.levels import write_levels
-from matcap.synth.request import Canvas, Progress, Request, Work
+from matcap.synth.request import PlannedMapSet, Progress, Request, Work
 from matcap.synth.strips import height_coding, write_pngs
 from matcap.synth.unfinished import unfinished, unfinished_bytes
 from matcap.synth.workers import crew
@@ -45,19 +45,19 @@ def write_field(request: Request, folder: str | Path, work: Work | None = None) 
     folder, name = Path(folder), request.info.name
     left = unfinished_bytes(folder, name) if work.resume else 0
     check_writable(folder, max(request.room - left, 0))
-    canvases = request.canvases()
+    mapsets = request.mapsets()
     with (
         unfinished(folder, name, request.key, resume=work.resume) as stage,
         ExitStack() as stack,
     ):
         clock = _Clock(request.whole.width * request.whole.height, work.progress)
-        blocks = sum(1 for canvas in canvases for _ in request.pieces(canvas))
+        blocks = sum(1 for mapset in mapsets for _ in request.pieces(mapset))
         ready = stack.enter_context(crew(request.source, work.workers, blocks, work.scheduler))
         sets = []
-        for canvas in canvases:
-            files = stack.enter_context(assembly(stage, canvas.pictures))
-            _fill(request, canvas, files, ready, clock)
-            for picture, file in zip(canvas.pictures, files.files, strict=True):
+        for mapset in mapsets:
+            files = stack.enter_context(assembly(stage, mapset.pictures))
+            _fill(request, mapset, files, ready, clock)
+            for picture, file in zip(mapset.pictures, files.files, strict=True):
                 write_levels(picture, file, work.workers)
                 file.finish()
             sets.append(files)
@@ -70,13 +70,15 @@ def write_field(request: Request, folder: str | Path, work: Work | None = None) 
     return folder / f"{name}.json"
 
 
-def _fill(request: Request, canvas: Canvas, files: Assembly, ready: Crew, clock: _Clock) -> None:
-    """Compute all blocks of a canvas whose tiles are not there yet."""
+def _fill(
+    request: Request, mapset: PlannedMapSet, files: Assembly, ready: Crew, clock: _Clock
+) -> None:
+    """Compute all blocks of a map set whose tiles are not there yet."""
 
     def missing() -> Iterator[Job]:
-        for piece in request.pieces(canvas):
+        for piece in request.pieces(mapset):
             if files.lacks(piece):
-                yield Job(piece, canvas.pictures, request.files.normal)
+                yield Job(piece, mapset.pictures, request.files.normal)
             else:
                 clock.skip(piece.texels)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from matcap.brdf.folder import MEANINGS, coded
 from matcap.errors import MatcapError
-from matcap.synth.assemble import Assembly
+from matcap.synth.assembly import Assembly
 from matcap.synth.exr_tiles import TILE, TileFile
 from matcap.synth.levels import read_planes
 from matcap.synth.pictures import KIND_PLANES, Picture

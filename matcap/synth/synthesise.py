@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matcap.model.device import DeviceName
     from matcap.model.material import Material
     from matcap.model.source import Generator
-    from matcap.synth.precision import Choice, Precision
+    from matcap.synth.precision import ChosenPrecision, Precision
 
 Axes = Literal["both", "x", "y"]
 
@@ -75,7 +75,7 @@ def synthesise(
     asked: SynthRequest,
     folder: str | Path,
     work: Work | None = None,
-    told: Callable[[Choice], None] = lambda choice: None,
+    told: Callable[[ChosenPrecision], None] = lambda choice: None,
 ) -> Path:
     """Write it into a folder, all of its files or none; returns the JSON file.
 

@@ -26,9 +26,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.errors import UsageError
-from matcap.view.blocks import SIDE
-from matcap.view.photograph import Picture
-from matcap.view.subject import Facts, Maps, Materials, Subject
+from matcap.view.block_cache import SIDE
+from matcap.view.shown_photograph import EncodedPicture
+from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -47,7 +47,7 @@ def page_file(name: str) -> str:
     return (files("matcap.view") / "page" / name).read_text(encoding="utf-8")
 
 
-def served_page(facts: Facts, photo: Picture | None) -> str:
+def served_page(facts: ViewFacts, photo: EncodedPicture | None) -> str:
     """The document that fetches scripts and blocks from its server.
 
     Args:
@@ -60,7 +60,7 @@ def served_page(facts: Facts, photo: Picture | None) -> str:
     return _document(facts, head, scripts, about)
 
 
-def sealed_page(subject: Subject, size: int = SIDE, photo: Picture | None = None) -> str:
+def sealed_page(subject: Viewable, size: int = SIDE, photo: EncodedPicture | None = None) -> str:
     """One self-contained document: a tile of the subject that repeats without a seam.
 
     Args:
@@ -94,11 +94,11 @@ def write_page(document: str, path: Path) -> None:
         UsageError: the name does not end in .html.
         MatcapError: the file cannot be written.
     """
-    from matcap.files.staging import staged
+    from matcap.files.staging import staged_file
 
     check_page_path(path)
-    with staged(path.parent) as stage:
-        (stage / path.name).write_text(document, encoding="utf-8")
+    with staged_file(path) as file:
+        file.write_text(document, encoding="utf-8")
 
 
 def check_page_path(path: Path) -> None:
@@ -109,7 +109,7 @@ def check_page_path(path: Path) -> None:
         )
 
 
-def _tile(subject: Subject, size: int) -> MapSet:
+def _tile(subject: Viewable, size: int) -> MapSet:
     if isinstance(subject, Materials):
         if not 16 <= size <= _LARGEST_TILE or size % 16:
             raise UsageError(
@@ -144,12 +144,12 @@ def _packed(maps: MapSet) -> dict[str, Any]:
     return {"size": list(maps.size), "low": low, "span": span, "data": text}
 
 
-def _about(facts: Facts, url: str, photo: Picture | None) -> dict[str, Any]:
+def _about(facts: ViewFacts, url: str, photo: EncodedPicture | None) -> dict[str, Any]:
     shown = {"photo": url if photo else None, "photo_is_sheet": bool(photo and photo.sheet)}
     return asdict(facts) | shown | {"side": SIDE}
 
 
-def _document(facts: Facts, head: str, scripts: str, about: dict[str, Any]) -> str:
+def _document(facts: ViewFacts, head: str, scripts: str, about: dict[str, Any]) -> str:
     # Inside a script element only '<' could end it.
     data = json.dumps(about, allow_nan=False).replace("<", "\\u003c")
     parts = {"title": escape(facts.name), "head": head, "about": data, "scripts": scripts}
@@ -161,5 +161,5 @@ def _document(facts: Facts, head: str, scripts: str, about: dict[str, Any]) -> s
     return text
 
 
-def _data_url(picture: Picture) -> str:
+def _data_url(picture: EncodedPicture) -> str:
     return f"data:{picture.kind};base64,{base64.b64encode(picture.data).decode()}"

@@ -8,19 +8,19 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from matcap.errors import MatcapError
-from matcap.view.blocks import Blocks, Place
-from matcap.view.photograph import Picture
+from matcap.view.block_cache import Blocks, Place
 from matcap.view.server import make_app, new_address
-from matcap.view.subject import Subject
+from matcap.view.shown_photograph import EncodedPicture
+from matcap.view.subject import Viewable
 
 HOST = "127.0.0.1"
 
 
 def serve(
-    subject: Subject,
+    subject: Viewable,
     *,
     port: int = 0,
-    photo: Picture | None = None,
+    photo: EncodedPicture | None = None,
     opens: bool = True,
     announce: Callable[[str], None],
 ) -> None:

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from matcap.errors import MatcapError, UsageError
-from matcap.view.blocks import Blocks, Place
+from matcap.view.block_cache import Blocks, Place
 from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
-from matcap.view.photograph import Picture
-from matcap.view.subject import Facts
+from matcap.view.shown_photograph import EncodedPicture
+from matcap.view.subject import ViewFacts
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -60,7 +60,9 @@ def new_address(port: int) -> Address:
     return Address(port, secrets.token_urlsafe(24))
 
 
-def make_app(facts: Facts, blocks: Blocks, address: Address, photo: Picture | None) -> Starlette:
+def make_app(
+    facts: ViewFacts, blocks: Blocks, address: Address, photo: EncodedPicture | None
+) -> Starlette:
     """The server's application.
 
     Args:

@@ -19,7 +19,7 @@ _FIELDS = 8  # seeds and shares kept at hand: each is a folded network, a megaby
 
 
 @dataclass(frozen=True)
-class Facts:
+class ViewFacts:
     """What the page tells of its subject.
 
     Attributes:
@@ -37,11 +37,11 @@ class Facts:
     seed: int
 
 
-class Subject(Protocol):
+class Viewable(Protocol):
     """Something that maps of any rectangle can be read from."""
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> ViewFacts:
         """What the page tells of it."""
         ...
 
@@ -78,13 +78,13 @@ class Materials:
         self._field(seed, 0.0 if second is None else 0.5)  # what is wrong is told at once
 
     @property
-    def facts(self) -> Facts:
-        """See Subject."""
+    def facts(self) -> ViewFacts:
+        """See Viewable."""
         second = self.second.name if self.second else ""
-        return Facts(self.first.name, second, self.first.texel_size, None, self.seed)
+        return ViewFacts(self.first.name, second, self.first.texel_size, None, self.seed)
 
     def read(self, x: int, y: int, width: int, height: int, *, seed: int, share: float) -> MapSet:
-        """See Subject."""
+        """See Viewable."""
         # One block a call, computed here: the caller decides how many run side by side.
         return self._field(seed, share).read(x, y, width, height, workers=1)
 
@@ -114,12 +114,12 @@ class Maps:
     name: str
 
     @property
-    def facts(self) -> Facts:
-        """See Subject."""
-        return Facts(self.name, "", self.maps.texel_size, self.maps.size, 0)
+    def facts(self) -> ViewFacts:
+        """See Viewable."""
+        return ViewFacts(self.name, "", self.maps.texel_size, self.maps.size, 0)
 
     def read(self, x: int, y: int, width: int, height: int, *, seed: int, share: float) -> MapSet:
-        """See Subject."""
+        """See Viewable."""
         import torch
 
         if seed != 0 or share != 0.0:
@@ -136,7 +136,7 @@ def open_subject(
     second: Path | None = None,
     seed: int = 0,
     generator: Generator | None = None,
-) -> Subject:
+) -> Viewable:
     """What a path holds.
 
     Args:

@@ -28,10 +28,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.dng import Sensor, write_dng
 from matcap.lab.simulate.examples import realisation
-from matcap.lab.simulate.jpeg import write_jpeg
-from matcap.lab.simulate.photograph import Camera, take
+from matcap.lab.simulate.photograph import PhoneCamera, take
+from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_jpeg import write_jpeg
 
 COMMAND = (sys.executable, "-c", "from matcap.cli.main import run; run()", "batch")
 SMALL = ("--steps", "2", "--detail", "128", "--size", "64")
@@ -44,7 +44,7 @@ _PATIENCE = 600.0  # seconds that any batch may take
 
 def make_shoot(folder: Path, count: int) -> None:
     """Photographs of 128 x 96 pixels: leather as DNG and JPEG, the others as JPEGs."""
-    camera = Camera(width=128, height=96, supersampling=1)
+    camera = PhoneCamera(width=128, height=96, supersampling=1)
     folder.mkdir(parents=True, exist_ok=True)
     for index, name in enumerate(("leather", "granite", "rust", "plaster")[:count]):
         setup = FlashSetup(offset=(0.1, 0.05, 0.0), tilt=(0.02 * index, -0.02))

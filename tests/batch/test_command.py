@@ -9,8 +9,8 @@ import pytest
 from kills import make_shoot
 from rich.console import Console
 
+from matcap.batch.entries import BatchEntry
 from matcap.batch.memory import crew_size, photo_pixels, worker_bytes
-from matcap.batch.plan import BatchEntry
 from matcap.batch.predict import _trial
 from matcap.batch.settings import BatchSettings
 from matcap.batch.shoot import ShotSample

@@ -5,8 +5,8 @@ import json
 from html.parser import HTMLParser
 from pathlib import Path
 
-from matcap.batch.index import write_index
-from matcap.batch.plan import BatchEntry
+from matcap.batch.entries import BatchEntry
+from matcap.batch.overview import write_index
 from matcap.batch.record import write_record
 from matcap.batch.shoot import ShotSample
 

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from matcap.batch.crew import Event
-from matcap.batch.plan import make_plan
+from matcap.batch.entries import make_plan
 from matcap.batch.record import write_record
 from matcap.batch.run import Batch, Policy, exit_code
 from matcap.batch.settings import BatchSettings

@@ -4,7 +4,7 @@ import pytest
 
 from matcap.batch.identity import identity
 from matcap.batch.settings import BatchSettings, settings_of
-from matcap.capture.settings import CaptureSettings
+from matcap.capture.settings import CaptureSettings, Statistics
 from matcap.errors import UsageError
 
 
@@ -44,7 +44,7 @@ def test_a_prior_is_found_beside_the_file(tmp_path):
 
 def test_weights_are_found_beside_the_file(tmp_path):
     (tmp_path / "matcap.toml").write_text('statistics = "vgg19=mine.pth"\n')
-    assert settings_of(tmp_path, {}).capture.statistics == f"vgg19={tmp_path / 'mine.pth'}"
+    assert settings_of(tmp_path, {}).capture.statistics == Statistics(tmp_path / "mine.pth")
 
 
 @pytest.mark.parametrize(

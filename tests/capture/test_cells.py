@@ -4,9 +4,10 @@ import torch
 
 from matcap.capture.start import reading_cells
 from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, with_cells
-from matcap.model.order import CELL_CHANNELS, WAVE_CHANNELS
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import RandomField, random_field
+from matcap.model.regular_order import CELL_CHANNELS, WAVE_CHANNELS
 from matcap.statistics.lattice import Wave
 
 CONFIG = DecoderConfig(noise_channels=2, widths=(4, 4, 6, 6, 6))

@@ -13,7 +13,8 @@ from matcap.capture.penalty import Penalties, price
 from matcap.flash.render import render_flash
 from matcap.model.decoder import DEPTH, maps_from_raw
 from matcap.model.freeze import fold
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.compare import Weights, describe, distance
 

@@ -10,12 +10,13 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.finetune import TuneScene, render_windows
-from matcap.capture.pipeline import CaptureSettings, capture_photo
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.settings import CaptureSettings
 from matcap.capture.windows import Windows
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash
 from matcap.lab.simulate.examples import realisation
-from matcap.lab.simulate.photograph import Camera, as_photo, take
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
 
 SETUPS = (
     FlashSetup(offset=(0.1, 0.0, 0.0), tilt=(0.1, 0.0), intensity=(5.0, 5.0, 5.0)),
@@ -36,7 +37,7 @@ def test_each_window_is_rendered_as_in_its_own_photograph():
 
 @pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
 def test_each_photograph_keeps_its_own_geometry_and_gain():
-    camera = Camera(width=128, height=96, supersampling=1)
+    camera = PhoneCamera(width=128, height=96, supersampling=1)
     material = realisation("leather", 4)
     first, second = (
         as_photo(take(material, camera, setup), 1, f"{index}.dng")

@@ -8,12 +8,13 @@ import torch
 from tuning import CODE, SETUP, start
 
 from matcap.capture.match import _Blocks, _gain, _shift, correction, match_photograph
-from matcap.capture.pipeline import CaptureSettings, capture_photo
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.settings import CaptureSettings
 from matcap.capture.windows import shot_deviation
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.render import render_rectified
 from matcap.lab.simulate.examples import realisation
-from matcap.lab.simulate.photograph import Camera, as_photo, take
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
 from matcap.statistics.encoding import fit_encoding, shading
@@ -165,7 +166,7 @@ def test_a_render_that_is_not_finite_changes_nothing(truth, photo):
 @pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
 def test_a_capture_ends_with_it_but_for_drafts():
     setup = SETUP.with_intensity((3.0, 3.0, 3.0))
-    shot = take(realisation("leather", 1), Camera(128, 96, supersampling=1), setup)
+    shot = take(realisation("leather", 1), PhoneCamera(128, 96, supersampling=1), setup)
     stages = {}
     for name, settings in (
         ("tuned", CaptureSettings(steps=2, detail=128)),

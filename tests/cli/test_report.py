@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from reference.formats import keys
 
-from matcap.capture.pipeline import CaptureSettings
 from matcap.capture.report import report, warnings, write_report
+from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import FlashSetup
 
 

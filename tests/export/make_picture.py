@@ -16,7 +16,7 @@ from round_trips import DIRECTION, blender_picture, lit, mitsuba_picture
 
 import matcap
 from matcap.export.targets import write_export
-from matcap.export.textures import Job
+from matcap.export.textures import ExportJob
 from matcap.files.srgb import srgb_picture
 from matcap.model.opened import open_tile
 from matcap.relight.scene import DirectionalLight, Scene, Surface
@@ -29,7 +29,7 @@ def main(material: Path, out: Path) -> None:
     with tempfile.TemporaryDirectory() as place:
         folders = {target: Path(place) / target for target in ("materialx", "mitsuba", "blender")}
         for target, folder in folders.items():
-            write_export(Job(maps, "m"), target, folder)
+            write_export(ExportJob(maps, "m"), target, folder)
         above = [
             lit(maps),
             mitsuba_picture(folders["mitsuba"], "m.xml"),

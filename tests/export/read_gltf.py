@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from exported import channels, linear
 
-from matcap.export.surface import Surface
+from matcap.export.surface import TargetSurface
 
 VALIDATOR = Path(__file__).parents[2] / ".node" / "node_modules" / "gltf-validator"
 
@@ -55,7 +55,7 @@ def opened(path):
     return document, view
 
 
-def surface(path) -> Surface:
+def surface(path) -> TargetSurface:
     """As the specification and its extensions specular and ior say, and no other way."""
     document, view = opened(path)
     (material,) = document["materials"]
@@ -74,7 +74,7 @@ def surface(path) -> Surface:
     factor = torch.tensor(tint["specularColorFactor"], dtype=torch.float64)[:, None, None]
     colour = channels(linear(read(tint["specularColorTexture"])))
     f0 = (((ior - 1.0) / (ior + 1.0)) ** 2 * factor * colour).clamp(max=1.0)
-    return Surface(
+    return TargetSurface(
         channels(linear(read(rough["baseColorTexture"]))),
         f0,
         channels(read(rough["metallicRoughnessTexture"]))[1:2],

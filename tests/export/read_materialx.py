@@ -9,7 +9,7 @@ import numpy as np
 from exported import channels, linear, picture
 from MaterialX import PyMaterialXGenGlsl, PyMaterialXGenShader
 
-from matcap.export.surface import Surface
+from matcap.export.surface import TargetSurface
 
 # Software WebGL, which needs no screen.
 _FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
@@ -31,7 +31,7 @@ def complaints(path) -> list[str]:
     return [] if valid else [said]
 
 
-def surface(path) -> Surface:
+def surface(path) -> TargetSurface:
     """Walks the document: every texture found by following links, none by its name."""
     document = load(path)
     lit = document.getNodeGraph("NG_matcap").getOutput("surface_out").getConnectedNode()
@@ -50,7 +50,7 @@ def surface(path) -> Surface:
     def read(node):
         return channels(_texture(path, node))
 
-    return Surface(
+    return TargetSurface(
         read(base.getConnectedNode("color")),
         read(gloss.getConnectedNode("color0").getConnectedNode("in")),
         read(alpha.getConnectedNode("roughness")),

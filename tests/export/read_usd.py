@@ -5,7 +5,7 @@ import numpy as np
 from exported import channels, linear
 from pxr import Ar, Usd, UsdShade, UsdValidation
 
-from matcap.export.surface import Surface
+from matcap.export.surface import TargetSurface
 
 
 def complaints(path) -> list[str]:
@@ -40,7 +40,7 @@ def read(shader_, input_):
     return channels(coded)
 
 
-def surface(path) -> Surface:
+def surface(path) -> TargetSurface:
     """As UsdPreviewSurface has it with its specular workflow."""
     stage = Usd.Stage.Open(str(path))
     bound = shader(stage)
@@ -48,4 +48,4 @@ def surface(path) -> Surface:
     assert bound.GetInput("useSpecularWorkflow").Get() == 1
     f0 = read(bound, "specularColor")
     base, rough, normal = (read(bound, i) for i in ("diffuseColor", "roughness", "normal"))
-    return Surface(base, f0, rough, normal, layer=f0)
+    return TargetSurface(base, f0, rough, normal, layer=f0)

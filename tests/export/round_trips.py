@@ -20,7 +20,7 @@ import matcap
 from matcap.export.presets import PRESETS
 from matcap.export.surface import residual
 from matcap.export.targets import DOCUMENTS, write_export, write_preset
-from matcap.export.textures import Job
+from matcap.export.textures import ExportJob
 from matcap.files.exr import read_exr
 from matcap.lab.simulate.materials import MATERIALS, realise
 from matcap.model.opened import open_tile
@@ -131,7 +131,7 @@ def main(words) -> None:
             count += 1
             for target in DOCUMENTS:
                 folder = Path(place) / f"{count}_{target}"
-                done = write_export(Job(maps, name), target, folder)
+                done = write_export(ExportJob(maps, name), target, folder)
                 rows.setdefault(f"{target}, residual told", []).append(done.residual.mean)
                 found, surface = checked(target, folder, name)
                 if found is not None:
@@ -144,7 +144,9 @@ def main(words) -> None:
                         rows.setdefault(f"{what}, rendered", []).append(off)
             for preset, about in PRESETS.items():
                 if about.metallic:
-                    done = write_preset(Job(maps, name), preset, Path(place) / f"{count}_{preset}p")
+                    done = write_preset(
+                        ExportJob(maps, name), preset, Path(place) / f"{count}_{preset}p"
+                    )
                     rows.setdefault(f"preset {preset}", []).append(done.residual.mean)
     print(f"{count} materials of {SIZE} x {SIZE} texels\n")
     print("| target | mean | worst material |\n| --- | --- | --- |")

@@ -4,13 +4,13 @@ import json
 import re
 
 from matcap.export.targets import write_export
-from matcap.export.textures import Job
+from matcap.export.textures import ExportJob
 
 
 def test_the_script_finds_all_it_reads(tmp_path, made):
     import ast
 
-    write_export(Job(made["leather"], "leather", 85.0), "blender", tmp_path)
+    write_export(ExportJob(made["leather"], "leather", 85.0), "blender", tmp_path)
     code = (tmp_path / "leather_blender.py").read_text()
     ast.parse(code)
     sidecar = json.loads((tmp_path / "leather_blender.json").read_text())

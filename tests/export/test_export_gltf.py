@@ -10,13 +10,13 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.export.surface import residual
 from matcap.export.targets import write_export
-from matcap.export.textures import Job
+from matcap.export.textures import ExportJob
 
 
 @pytest.mark.parametrize("depth", [None, "8", "16"])
 @pytest.mark.parametrize("name", MATERIALS)
 def test_its_material_gives_the_light_of_the_maps(tmp_path, made, name, depth):
-    done = write_export(Job(made[name], name, depth=depth), "gltf", tmp_path)
+    done = write_export(ExportJob(made[name], name, depth=depth), "gltf", tmp_path)
     off = residual(made[name], surface(tmp_path / f"{name}.glb"))
     assert off.mean == pytest.approx(done.residual.mean, rel=1e-3)
     if depth != "8":
@@ -24,7 +24,7 @@ def test_its_material_gives_the_light_of_the_maps(tmp_path, made, name, depth):
 
 
 def test_the_plane_is_as_large_as_the_maps(tmp_path, made):
-    write_export(Job(made["leather"], "leather", millimetres=90.0), "gltf", tmp_path)
+    write_export(ExportJob(made["leather"], "leather", millimetres=90.0), "gltf", tmp_path)
     document, view = opened(tmp_path / "leather.glb")
     (primitive,) = document["meshes"][0]["primitives"]
     accessor = document["accessors"][primitive["attributes"]["POSITION"]]
@@ -47,20 +47,20 @@ def test_the_plane_is_as_large_as_the_maps(tmp_path, made):
 def test_any_f0_is_kept(tmp_path, f0):
     flat = torch.zeros(1, 8, 8)
     maps = MapSet(flat.expand(3, 8, 8), flat + f0, flat + 0.5, flat, 0.1)
-    assert write_export(Job(maps, "even"), "gltf", tmp_path).residual.worst < 0.02
+    assert write_export(ExportJob(maps, "even"), "gltf", tmp_path).residual.worst < 0.02
 
 
 def test_more_light_than_a_layer_allows_is_told(tmp_path):
     flat = torch.zeros(1, 8, 8)
     maps = MapSet(flat.expand(3, 8, 8) + 0.9, flat + 0.5, flat + 0.5, flat, 0.1)
-    done = write_export(Job(maps, "bright"), "gltf", tmp_path)
+    done = write_export(ExportJob(maps, "bright"), "gltf", tmp_path)
     assert "clipped" in done.notes[0]
     assert done.residual.mean > 0.1
 
 
 def test_floats_are_refused(tmp_path, made):
     with pytest.raises(UsageError, match="no textures of floats"):
-        write_export(Job(made["leather"], "leather", depth="half"), "gltf", tmp_path)
+        write_export(ExportJob(made["leather"], "leather", depth="half"), "gltf", tmp_path)
 
 
 @pytest.mark.skipif(
@@ -68,7 +68,7 @@ def test_floats_are_refused(tmp_path, made):
 )
 @pytest.mark.parametrize("depth", ["8", "16"])
 def test_the_validator_finds_nothing(tmp_path, made, depth):
-    write_export(Job(made["rust"], "rust", 85.0, depth), "gltf", tmp_path)
+    write_export(ExportJob(made["rust"], "rust", 85.0, depth), "gltf", tmp_path)
     assert complaints(tmp_path / "rust.glb") == []
     broken = (tmp_path / "rust.glb").read_bytes().replace(b'"VEC3"', b'"VEC4"')
     (tmp_path / "rust.glb").write_bytes(broken)

@@ -8,7 +8,7 @@ from exported import MATERIALS
 
 from matcap.export.surface import residual
 from matcap.export.targets import write_export
-from matcap.export.textures import Job
+from matcap.export.textures import ExportJob
 from matcap.files.exr import read_exr
 
 
@@ -22,12 +22,12 @@ def read_materialx():
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_it_is_valid(tmp_path, made, read_materialx, name):
-    write_export(Job(made[name], name, millimetres=90.0), "materialx", tmp_path)
+    write_export(ExportJob(made[name], name, millimetres=90.0), "materialx", tmp_path)
     assert read_materialx.complaints(tmp_path / f"{name}.mtlx") == []
 
 
 def test_the_validator_would_object(tmp_path, made, read_materialx):
-    write_export(Job(made["leather"], "leather"), "materialx", tmp_path)
+    write_export(ExportJob(made["leather"], "leather"), "materialx", tmp_path)
     file = tmp_path / "leather.mtlx"
     file.write_text(file.read_text().replace('nodename="alpha"', 'nodename="alfa"'))
     assert read_materialx.complaints(file)
@@ -35,13 +35,13 @@ def test_the_validator_would_object(tmp_path, made, read_materialx):
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_its_graph_gives_the_light_of_the_maps(tmp_path, made, read_materialx, name):
-    write_export(Job(made[name], name), "materialx", tmp_path)
+    write_export(ExportJob(made[name], name), "materialx", tmp_path)
     off = residual(made[name], read_materialx.surface(tmp_path / f"{name}.mtlx"))
     assert off.worst < 1e-3
 
 
 def test_a_shader_can_be_made_of_it(tmp_path, made, read_materialx):
-    write_export(Job(made["leather"], "leather"), "materialx", tmp_path)
+    write_export(ExportJob(made["leather"], "leather"), "materialx", tmp_path)
     made_of_it = read_materialx.shader(read_materialx.load(tmp_path / "leather.mtlx"))
     code = made_of_it.getSourceCode("pixel")
     assert "mx_generalized_schlick_bsdf(closureData" in code
@@ -55,7 +55,7 @@ def test_its_picture_is_matcaps(tmp_path, made, read_materialx):
     from matcap.relight.scene import DirectionalLight, Scene, Surface
 
     maps = made["rust"]
-    write_export(Job(maps, "rust"), "materialx", tmp_path)
+    write_export(ExportJob(maps, "rust"), "materialx", tmp_path)
     direction = (0.0, 0.6, 0.8)
     try:
         found = read_materialx.render(
@@ -73,7 +73,7 @@ def test_its_picture_is_matcaps(tmp_path, made, read_materialx):
 
 @pytest.mark.parametrize(("unit", "scale"), [(None, 1.0), (85.0, 85.0)])
 def test_heights_are_real(tmp_path, made, read_materialx, unit, scale):
-    write_export(Job(made["leather"], "leather", unit), "materialx", tmp_path)
+    write_export(ExportJob(made["leather"], "leather", unit), "materialx", tmp_path)
     document = read_materialx.load(tmp_path / "leather.mtlx")
     graph = document.getNodeGraph("NG_matcap")
     lift = graph.getOutput("displacement_out").getConnectedNode()

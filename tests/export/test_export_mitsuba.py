@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from matcap.export.targets import write_export
-from matcap.export.textures import Job
+from matcap.export.textures import ExportJob
 
 
 def test_every_texture_named_is_there(tmp_path, made):
-    write_export(Job(made["leather"], "leather"), "mitsuba", tmp_path)
+    write_export(ExportJob(made["leather"], "leather"), "mitsuba", tmp_path)
     for scene in ("leather.xml", "leather_exact.xml"):
         root = ET.parse(tmp_path / scene).getroot()
         named = [one.get("value") for one in root.iter("string") if one.get("name") == "filename"]
@@ -25,7 +25,7 @@ def test_its_picture_is_matcaps(tmp_path, made, scene, monkeypatch):
 
     name = "rust"
     maps = made[name]
-    write_export(Job(maps, name), "mitsuba", tmp_path)
+    write_export(ExportJob(maps, name), "mitsuba", tmp_path)
     mi.set_variant("scalar_rgb")
     monkeypatch.syspath_prepend(str(tmp_path))
     import matcap_bsdf  # noqa: F401

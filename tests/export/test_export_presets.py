@@ -12,10 +12,10 @@ from exported import linear, picture
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.export.metallic import to_metallic
-from matcap.export.presets import PRESETS, Choice, pack
+from matcap.export.presets import PRESETS, PresetOptions, pack
 from matcap.export.surface import residual
 from matcap.export.targets import write_preset
-from matcap.export.textures import Job
+from matcap.export.textures import ExportJob
 from matcap.files.exr import read_exr
 
 NAMES = {
@@ -34,12 +34,12 @@ NAMES = {
 }  # fmt: skip
 
 
-def moss(**options) -> Job:
+def moss(**options) -> ExportJob:
     """1024 x 2 texels, so that {res} is a round one."""
     generator = torch.Generator().manual_seed(1)
     stack = torch.rand(6, 2, 1024, generator=generator)
     stack[5] *= 0.01
-    return Job(MapSet.from_stacked(stack, 2.0 / 1024), "moss", **options)
+    return ExportJob(MapSet.from_stacked(stack, 2.0 / 1024), "moss", **options)
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -55,7 +55,7 @@ def test_files_are_called_as_they_are_there(tmp_path, preset):
 @pytest.mark.parametrize("normal", ["gl", "dx", "both"])
 def test_the_direction_of_normals_is_in_the_name_and_in_the_file(preset, normal):
     job = moss()
-    files = pack(job, preset, Choice(normal=normal)).textures
+    files = pack(job, preset, PresetOptions(normal=normal)).textures
     found = {
         re.search(r"(gl|dx)(?=[_.]|$)", name.rsplit(".", 1)[0], re.IGNORECASE)[1].lower(): texture
         for name, texture in files.items()
@@ -123,7 +123,7 @@ def test_floats_are_the_numbers_themselves(tmp_path, bits):
 
 
 def test_patterns_of_the_users_own():
-    names = set(pack(moss(), "raw", Choice("{map}-of-{stem}.{format}.{res}")).textures)
+    names = set(pack(moss(), "raw", PresetOptions("{map}-of-{stem}.{format}.{res}")).textures)
     assert "diffuse-of-moss.EXR.1k.exr" in names
     assert "normal_gl-of-moss.EXR.1k.exr" in names
 
@@ -141,16 +141,16 @@ def test_patterns_of_the_users_own():
 )
 def test_patterns_that_cannot_be(pattern, said):
     with pytest.raises(UsageError, match=re.escape(said)):
-        pack(moss(), "raw", Choice(pattern))
+        pack(moss(), "raw", PresetOptions(pattern))
 
 
 def test_only_the_maps_asked_for():
-    made = pack(moss(), "polyhaven", Choice(maps=["roughness", "diffuse"]))
+    made = pack(moss(), "polyhaven", PresetOptions(maps=["roughness", "diffuse"]))
     assert set(made.textures) == {"moss_diff_1k.png", "moss_rough_1k.png"}
     with pytest.raises(UsageError, match="'diffuze'; did you mean 'diffuse'"):
-        pack(moss(), "polyhaven", Choice(maps=["diffuze"]))
+        pack(moss(), "polyhaven", PresetOptions(maps=["diffuze"]))
     with pytest.raises(UsageError, match="choose from base, mask, height, normal"):
-        pack(moss(), "unity-hdrp", Choice(maps=["roughness"]))
+        pack(moss(), "unity-hdrp", PresetOptions(maps=["roughness"]))
 
 
 def test_unknown_presets_name_the_nearest():
@@ -189,5 +189,5 @@ class TestMetallic:
         red[0] = 0.5
         flat = torch.zeros(1, 4, 4)
         maps = MapSet(red, flat + 0.2, flat + 0.4, flat, 0.1)
-        assert pack(Job(maps, "red"), "unity-hdrp").surface is not None
-        assert residual(maps, pack(Job(maps, "red"), "unity-hdrp").surface).mean > 0.05
+        assert pack(ExportJob(maps, "red"), "unity-hdrp").surface is not None
+        assert residual(maps, pack(ExportJob(maps, "red"), "unity-hdrp").surface).mean > 0.05

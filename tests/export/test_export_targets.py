@@ -8,13 +8,13 @@ from exported import MATERIALS
 
 from matcap.errors import MatcapError, UsageError
 from matcap.export.targets import DOCUMENTS, write_export
-from matcap.export.textures import Job
+from matcap.export.textures import ExportJob
 
 
 @pytest.mark.parametrize("target", DOCUMENTS)
 @pytest.mark.parametrize("name", MATERIALS)
 def test_targets_that_know_the_model_keep_it(tmp_path, made, name, target):
-    done = write_export(Job(made[name], name), target, tmp_path / "out")
+    done = write_export(ExportJob(made[name], name), target, tmp_path / "out")
     assert done.residual is not None
     assert done.residual.mean < 0.01
     assert {file.name for file in (tmp_path / "out").iterdir()} == set(done.files)
@@ -28,7 +28,7 @@ def test_targets_that_know_the_model_keep_it(tmp_path, made, name, target):
 def test_the_same_maps_give_the_same_bytes(tmp_path, made, target):
     folders = [tmp_path / "a", tmp_path / "b"]
     for folder in folders:
-        write_export(Job(made["leather"], "leather"), target, folder)
+        write_export(ExportJob(made["leather"], "leather"), target, folder)
     for file in folders[0].iterdir():
         assert filecmp.cmp(file, folders[1] / file.name, shallow=False)
 
@@ -38,10 +38,10 @@ def test_broken_maps_leave_nothing(tmp_path, made, target):
     broken = made["leather"].map(lambda map_: map_.clone())
     broken.specular[0, 3, 4] = float("nan")
     with pytest.raises(MatcapError, match="not finite"):
-        write_export(Job(broken, "leather"), target, tmp_path / "out")
+        write_export(ExportJob(broken, "leather"), target, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_unknown_targets_name_the_nearest(tmp_path, made):
     with pytest.raises(UsageError, match="did you mean 'unreal'"):
-        write_export(Job(made["leather"], "leather"), "unral", tmp_path)
+        write_export(ExportJob(made["leather"], "leather"), "unral", tmp_path)

@@ -9,7 +9,7 @@ from exported import MATERIALS
 from matcap.errors import UsageError
 from matcap.export.surface import residual
 from matcap.export.targets import write_export
-from matcap.export.textures import Job
+from matcap.export.textures import ExportJob
 
 
 @pytest.fixture
@@ -23,12 +23,12 @@ def read_usd():
 @pytest.mark.parametrize("suffix", ["usda", "usdz"])
 @pytest.mark.parametrize("name", ["leather", "2001 façade-1"])
 def test_it_is_valid(tmp_path, made, read_usd, suffix, name):
-    write_export(Job(made["leather"], name, millimetres=90.0), "usd", tmp_path)
+    write_export(ExportJob(made["leather"], name, millimetres=90.0), "usd", tmp_path)
     assert read_usd.complaints(tmp_path / f"{name}.{suffix}") == []
 
 
 def test_the_validators_would_object(tmp_path, made, read_usd):
-    write_export(Job(made["leather"], "leather"), "usd", tmp_path)
+    write_export(ExportJob(made["leather"], "leather"), "usd", tmp_path)
     file = tmp_path / "leather.usda"
     file.write_text(file.read_text().replace("color3f inputs:diff", "float inputs:diff"))
     assert read_usd.complaints(file)
@@ -37,7 +37,7 @@ def test_the_validators_would_object(tmp_path, made, read_usd):
 @pytest.mark.parametrize("suffix", ["usda", "usdz"])
 @pytest.mark.parametrize("name", MATERIALS)
 def test_its_network_gives_the_light_of_the_maps(tmp_path, made, read_usd, name, suffix):
-    write_export(Job(made[name], name), "usd", tmp_path)
+    write_export(ExportJob(made[name], name), "usd", tmp_path)
     if suffix == "usdz":
         for file in tmp_path.glob("*.png"):
             file.unlink()  # so that only the package's own can be read
@@ -50,7 +50,7 @@ def test_its_network_gives_the_light_of_the_maps(tmp_path, made, read_usd, name,
 def test_heights_are_real(tmp_path, made, read_usd, unit, metres):
     from pxr import Usd, UsdGeom
 
-    write_export(Job(made["leather"], "leather", unit), "usd", tmp_path)
+    write_export(ExportJob(made["leather"], "leather", unit), "usd", tmp_path)
     stage = Usd.Stage.Open(str(tmp_path / "leather.usda"))
     assert UsdGeom.GetStageMetersPerUnit(stage) == pytest.approx(metres)
     height = made["leather"].height
@@ -59,7 +59,7 @@ def test_heights_are_real(tmp_path, made, read_usd, unit, metres):
 
 
 def test_files_lie_at_multiples_of_64_bytes(tmp_path, made):
-    write_export(Job(made["leather"], "leather"), "usd", tmp_path)
+    write_export(ExportJob(made["leather"], "leather"), "usd", tmp_path)
     path = tmp_path / "leather.usdz"
     content = path.read_bytes()
     with zipfile.ZipFile(path) as package:
@@ -73,4 +73,4 @@ def test_files_lie_at_multiples_of_64_bytes(tmp_path, made):
 
 def test_floats_are_refused(tmp_path, made):
     with pytest.raises(UsageError, match="PNGs only"):
-        write_export(Job(made["leather"], "leather", depth="half"), "usd", tmp_path)
+        write_export(ExportJob(made["leather"], "leather", depth="half"), "usd", tmp_path)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from matcap.errors import ExitCode, MatcapError
-from matcap.files.staging import check_writable, staged
+from matcap.files.staging import check_writable, staged, staged_file
 
 
 def test_files_appear_together_in_a_new_folder(tmp_path):
@@ -49,6 +49,27 @@ def test_replaced_files_go_with_the_old_set(tmp_path):
         (stage / "both.png").write_text("new")
     assert sorted(f.name for f in tmp_path.iterdir()) == ["both.png", "kept.png"]
     assert (tmp_path / "both.png").read_text() == "new"
+
+
+def test_a_single_file_is_replaced_when_it_is_whole(tmp_path):
+    path = tmp_path / "a" / "one.txt"
+    with staged_file(path) as file:
+        file.write_text("old")
+    with pytest.raises(ZeroDivisionError), staged_file(path) as file:
+        file.write_text("new")
+        _ = 1 / 0
+    assert [f.name for f in path.parent.iterdir()] == ["one.txt"]
+    assert path.read_text() == "old"
+
+
+def test_the_file_that_cannot_take_its_place_is_named(tmp_path):
+    (tmp_path / "taken").mkdir()
+    with (
+        pytest.raises(MatcapError, match=r"taken: a folder stands where a file is needed"),
+        staged_file(tmp_path / "taken") as file,
+    ):
+        file.write_text("1")
+    assert [f.name for f in tmp_path.iterdir()] == ["taken"]
 
 
 @pytest.mark.parametrize(

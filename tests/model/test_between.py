@@ -12,7 +12,7 @@ from matcap.model.between import blend, blend_waves
 from matcap.model.decoder import Decoder, DecoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.model.order import CELL_CHANNELS
+from matcap.model.regular_order import CELL_CHANNELS
 from matcap.statistics.lattice import Wave
 
 

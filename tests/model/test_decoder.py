@@ -5,9 +5,10 @@ import torch
 
 from matcap.model.decoder import CODE_SIZE, DEPTH, AdaIN, Decoder, DecoderConfig
 from matcap.model.noise import noise_field
-from matcap.model.order import WAVE_CHANNELS
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import RandomField
+from matcap.model.regular_order import WAVE_CHANNELS
 
 TINY = DecoderConfig(noise_channels=2, widths=(4, 4, 4, 4, 4), convolutions=(1, 1))
 

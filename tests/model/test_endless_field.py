@@ -17,9 +17,10 @@ from matcap.model.field import Field
 from matcap.model.freeze import freeze, reference_field
 from matcap.model.material import Material
 from matcap.model.noise import noise_field
-from matcap.model.order import wave_field
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import random_field
+from matcap.model.regular_order import wave_field
 from matcap.statistics.lattice import Wave
 
 SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))

@@ -4,14 +4,15 @@ import pytest
 import torch
 
 from matcap.model.noise import keys, wrap64
-from matcap.model.order import (
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
+from matcap.model.regular_order import (
     _PHASES,
     WAVE_CHANNELS,
     cell_field,
     order_field,
     wave_field,
 )
-from matcap.model.patch import Patch, Rectangle
 from matcap.statistics.lattice import Wave
 
 STRAIGHT = (Wave(1 / 43.3, 0.0), Wave(0.0, 1 / 42.7))

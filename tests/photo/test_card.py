@@ -16,15 +16,15 @@ from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.dng import Sensor, write_dng
-from matcap.lab.simulate.jpeg import write_jpeg
-from matcap.lab.simulate.photograph import Camera, take
+from matcap.lab.simulate.photograph import PhoneCamera, take
+from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.photo.calibrate import calibrated, card_sentence, fit_patches, read_card
 from matcap.photo.card import BOARD_AT, PAGE, PATCHES, SQUARE, rectangles
 from matcap.photo.load import load_photo
 
 UNIT = 170.0  # millimetres: half of what the photograph's long side shows
-CAMERA = Camera(width=1024, height=768, supersampling=1, clipped=0.0)
+CAMERA = PhoneCamera(width=1024, height=768, supersampling=1, clipped=0.0)
 TILT = (0.06, -0.08)
 
 
@@ -132,7 +132,7 @@ def test_a_matrix_and_a_falloff_are_found_together():
 def test_a_photograph_without_a_card_is_refused(tmp_path):
     from matcap.lab.simulate.examples import realisation
 
-    shot = take(realisation("granite", 3), Camera(width=256, height=192), FlashSetup())
+    shot = take(realisation("granite", 3), PhoneCamera(width=256, height=192), FlashSetup())
     write_jpeg(tmp_path / "card.jpg", shot, 1)
     with pytest.raises(MatcapError, match="no card is seen"):
         read_card(tmp_path / "card.jpg")

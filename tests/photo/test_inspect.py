@@ -15,15 +15,15 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.prior.store import load_prior
 from matcap.cli.main import main
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.dng import Sensor, write_dng
 from matcap.lab.simulate.examples import realisation
-from matcap.lab.simulate.jpeg import write_jpeg
-from matcap.lab.simulate.photograph import Camera, as_photo, take
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
+from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.lab.train.align import tilted_photo
 from matcap.photo.inspect import Verdict, hot_spot, inspect_photo, softness
 from matcap.photo.load import load_photo, photo_from_array
 
-CAMERA = Camera(width=320, height=240, supersampling=1)
+CAMERA = PhoneCamera(width=320, height=240, supersampling=1)
 SETUPS = [
     FlashSetup(offset=(0.12, 0.05, 0.0), tilt=(0.03, -0.02)),
     FlashSetup(offset=(-0.1, 0.08, 0.0), tilt=(-0.12, 0.1)),

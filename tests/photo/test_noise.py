@@ -6,7 +6,7 @@ import pytest
 from dng_files import BLACK, WHITE, gain_map, mosaic, opcode_list, write_dng
 
 from matcap.photo.load import load_photo
-from matcap.photo.noise import SensorNoise, find_noise
+from matcap.photo.sensor_noise import SensorNoise, find_noise
 
 LEVELS = np.full((2, 2), float(BLACK))
 RANGE = WHITE - BLACK

@@ -3,7 +3,8 @@
 Needs the extra `reference`. Writes small EXR pictures into tests/relight/references; takes about
 ten minutes on one core. Mitsuba provides geometry, intersections, emitters and their sampling, and
 for the embossed scene the path tracer; the reflectance is written here a second time, in plain
-Python, from DESIGN's formula, with Mitsuba's own GGX distribution.
+Python, from the formula in the header of brdf/cook_torrance.py, with Mitsuba's own GGX
+distribution.
 
 Flat scenes: rays through pixel centres, direct light by Mitsuba's emitter sampling at the points
 of a Hammersley set. Embossed scene: the height field as a mesh, three by three repetitions, with
@@ -37,7 +38,7 @@ DISTANCE = 1.0 / math.tan(math.radians(22.5))
 
 
 def reflectance(diffuse, f0, roughness, normal, wi, wo):
-    """(3,) f of DESIGN, section 2; 0 below either horizon."""
+    """(3,) f as in the header of brdf/cook_torrance.py; 0 below either horizon."""
     nl, nv = float(normal @ wo), float(normal @ wi)
     if nl <= 0 or nv <= 0 or wo[2] <= 0 or wi[2] <= 0:
         return np.zeros(3)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.relight.plan import DEFAULT_TOLERANCE
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     Camera,

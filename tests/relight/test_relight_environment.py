@@ -8,7 +8,7 @@ from relight_samples import flat
 
 from matcap.errors import MatcapError
 from matcap.files.exr import write_exr
-from matcap.relight.environment import environment_of
+from matcap.relight.environment_map import environment_of
 from matcap.relight.render import Renderer, relight
 from matcap.relight.scene import DirectionalLight, EnvironmentLight, Film, Scene, Surface
 from matcap.relight.vectors import vec

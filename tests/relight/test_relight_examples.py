@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from relight_samples import bumpy
 
-from matcap.relight.presets import PRESETS, preset
+from matcap.relight.named import PRESETS, preset
 from matcap.relight.render import relight
 from matcap.relight.scene import Film
 from matcap.relight.scenefile import read_scene

@@ -9,7 +9,8 @@ from random_scenes import worst_difference
 from relight_samples import bumpy, flat
 
 from matcap.errors import UsageError
-from matcap.relight.plan import DEFAULT_TOLERANCE, EFFECTS, parse_choice, radiance_tolerance
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.plan import EFFECTS, parse_choice, radiance_tolerance
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     DirectionalLight,
@@ -46,7 +47,7 @@ def test_a_flat_surface_needs_no_relief():
 
 def test_no_light_above_the_steepest_slope_casts_shadows():
     maps = bumpy(relief=0.02)
-    steepest = Renderer(maps, scene_from_light("top")).texture.summary.relief_slope
+    steepest = Renderer(maps, scene_from_light("top")).texture.extremes.relief_slope
     for factor, on in ((1.01, False), (0.99, True)):
         light = DirectionalLight((1.0, 0.0, factor * steepest))
         assert plan_of(maps, (light,)).on("shadows") is on

@@ -5,7 +5,7 @@ import torch
 from safetensors.torch import save_file
 
 from matcap.capture.pipeline import _features
-from matcap.capture.settings import CaptureSettings, Method
+from matcap.capture.settings import CaptureSettings, Method, Statistics
 from matcap.errors import MatcapError, UsageError
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import fit_encoding
@@ -56,7 +56,7 @@ def test_weights_are_read_by_name_and_anything_else_is_refused(network, tmp_path
     path = tmp_path / "vgg19.safetensors"
     extra = {"classifier.0.weight": torch.zeros(2, 2)}  # the published file holds more
     save_file({**network.state_dict(), **extra}, path)
-    read = _features(f"vgg19={path}", Method())
+    read = _features(Statistics.parse(f"vgg19={path}"), Method())
     assert all(
         torch.equal(a, b)
         for a, b in zip(read.state_dict().values(), network.state_dict().values(), strict=True)
@@ -72,5 +72,13 @@ def test_weights_are_read_by_name_and_anything_else_is_refused(network, tmp_path
 @pytest.mark.parametrize("statistics", ["vgg19", "vgg16", ""])
 def test_unknown_statistics_are_wrong_usage(statistics):
     with pytest.raises(UsageError, match="no statistics"):
-        _features(statistics, Method())
-    assert CaptureSettings().statistics == "filterbank"
+        Statistics.parse(statistics)
+
+
+@pytest.mark.parametrize("words", ["filterbank", "vgg19=some/file.pth"])
+def test_settings_tell_of_statistics_in_words(words):
+    settings = CaptureSettings.of({"statistics": words})
+    assert settings.statistics == Statistics.parse(words)
+    assert settings.named()["statistics"] == str(settings.statistics) == words
+    assert CaptureSettings.of(settings.named()) == settings
+    assert CaptureSettings().named()["statistics"] == "filterbank"

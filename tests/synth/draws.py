@@ -12,7 +12,7 @@ import torch
 
 from matcap.model.blocks import Grid, pieces_of
 from matcap.model.field import inner, read_source
-from matcap.model.patch import Rectangle
+from matcap.model.plane import Rectangle
 from matcap.model.single import single_threaded
 from matcap.model.source import material_source
 

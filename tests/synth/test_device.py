@@ -9,7 +9,7 @@ from test_stream import ODD, contents, request
 from matcap.errors import MatcapError, UsageError
 from matcap.model.device import find_device, repeatable
 from matcap.model.field import Field
-from matcap.model.patch import Rectangle
+from matcap.model.plane import Rectangle
 from matcap.model.source import MaterialSource, material_source
 from matcap.synth.request import Work
 from matcap.synth.stream import write_field

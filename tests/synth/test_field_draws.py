@@ -9,7 +9,8 @@ from repetition import correlations
 from matcap.model.blocks import BLOCK
 from matcap.model.field import Field, read_source
 from matcap.model.noise import noise_field
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.source import material_source
 from matcap.synth.blend import blend_source
 from matcap.synth.mask import Mask

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from matcap.errors import MatcapError
-from matcap.model.patch import Rectangle
+from matcap.model.plane import Rectangle
 from matcap.model.source import material_source
 from matcap.synth import precision
 from matcap.synth.precision import choose

@@ -10,7 +10,8 @@ from matcap.lab.bench import synth
 from matcap.lab.bench.synth import Settings, comma_separated, efficiency, markdown, paper_form
 from matcap.model.decoder import PAPER_CONFIG, Decoder
 from matcap.model.noise import noise_field
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 
 
 def test_the_papers_network_has_its_size():
@@ -56,11 +57,11 @@ def test_a_short_run_fills_the_tables():
 
 def test_counted_multiplications_are_those_of_the_network(material):
     """By hand: one level-0 convolution of the head, 2 channels to 6, on the block and its ring."""
-    from matcap.model.patch import Rectangle
-    from matcap.model.source import area_of, material_source
+    from matcap.model.plane import Rectangle
+    from matcap.model.source import material_source, spans_of_block
 
     decoder = material_source(material, 0).decoder
-    found = list(synth._convolutions(decoder, area_of(Rectangle(0, 0, 64, 32), (1, 1))))
+    found = list(synth._convolutions(decoder, spans_of_block(Rectangle(0, 0, 64, 32), (1, 1))))
     assert [tuple(t.shape) for t in found[0]] == [(1, 2, 34, 66), (6, 2, 1, 1)]
     assert len(found) == 1 + 5 + 4 * 2
     one = efficiency("tiny", material, "fp32", 1)

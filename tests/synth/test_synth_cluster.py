@@ -10,7 +10,7 @@ import pytest
 from matcap.brdf.folder import MapSetInfo
 from matcap.errors import MatcapError
 from matcap.model.blocks import Grid
-from matcap.model.patch import Rectangle
+from matcap.model.plane import Rectangle
 from matcap.model.source import material_source
 from matcap.synth.request import Request, Work
 from matcap.synth.stream import write_field

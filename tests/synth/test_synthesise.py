@@ -9,7 +9,7 @@ import torch
 from matcap.brdf.folder import read_mapset
 from matcap.errors import UsageError
 from matcap.files.png import write_png
-from matcap.model.patch import Rectangle
+from matcap.model.plane import Rectangle
 from matcap.synth.request import Files
 from matcap.synth.synthesise import Growth, SynthRequest, synthesise
 

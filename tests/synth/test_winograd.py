@@ -7,7 +7,7 @@ from draws import run
 from matcap.model import winograd
 from matcap.model.convolve import CHANNELS_LAST
 from matcap.model.decoder import PAPER_CONFIG, DecoderConfig
-from matcap.model.patch import Rectangle
+from matcap.model.plane import Rectangle
 from matcap.model.source import material_source
 from matcap.model.winograd import WINOGRAD
 from matcap.statistics.lattice import Wave

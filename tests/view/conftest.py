@@ -12,7 +12,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.view.blocks import Blocks
+from matcap.view.block_cache import Blocks
 from matcap.view.subject import Materials
 
 SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))

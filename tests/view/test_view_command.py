@@ -17,8 +17,8 @@ from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
 from matcap.errors import UsageError
 from matcap.view.document import sealed_page
-from matcap.view.photograph import find_photograph
 from matcap.view.serve import HOST
+from matcap.view.shown_photograph import find_photograph
 from matcap.view.subject import Maps, Materials, open_subject
 
 

@@ -12,11 +12,11 @@ import torch
 from PIL import Image
 
 from matcap.files.exr import write_exr
-from matcap.relight.pictures import encode
+from matcap.relight.output import encode
 from matcap.relight.render import relight
 from matcap.relight.scene import Camera, EnvironmentLight, Film, PointLight, Scene, Surface
 from matcap.view.document import sealed_page
-from matcap.view.photograph import Picture
+from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import Maps
 
 # What the page does, and nothing of what it says it does not.
@@ -252,7 +252,7 @@ def test_page_fits_its_window(tab, address, size):
 
 def test_enclosed_page_draws_the_same_and_fetches_nothing(tab, material, subject, tmp_path):
     path = tmp_path / "page.html"
-    photo = Picture(jpeg(), "image/jpeg")
+    photo = EncodedPicture(jpeg(), "image/jpeg")
     path.write_text(sealed_page(subject, 256, photo), encoding="utf-8")
     page = tab(path.as_uri())
     shown = picture(page, x=700, y=-900, span=WIDTH, lamp=LAMP)

@@ -8,9 +8,9 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.model.field import Field
-from matcap.view.blocks import SIDE, Blocks, Place
+from matcap.view.block_cache import SIDE, Blocks, Place
 from matcap.view.document import SCRIPTS, STYLE
-from matcap.view.photograph import Picture
+from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import Maps
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
@@ -18,7 +18,7 @@ server = pytest.importorskip("matcap.view.server")
 
 ADDRESS = server.Address(8123, "secret-token")
 BASE = "http://127.0.0.1:8123"
-PHOTO = Picture(b"\x89PNG and so on", "image/png")
+PHOTO = EncodedPicture(b"\x89PNG and so on", "image/png")
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,7 @@ def test_failures_are_not_kept(subject, monkeypatch):
 
 
 def test_memory_is_bounded(monkeypatch):
-    monkeypatch.setattr("matcap.view.blocks._KEPT", 3)
+    monkeypatch.setattr("matcap.view.block_cache._KEPT", 3)
     blocks = Blocks(Maps(flat(16, 16), "flat"), workers=1)
     futures = [blocks.ask(Place(column, 0)) for column in range(9)]
     assert all(future.result() for future in futures)

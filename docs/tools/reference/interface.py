@@ -31,7 +31,7 @@ MODULES = {
         "RectangleLight", "EnvironmentLight",
     ),
     "matcap.relight.render": ("Renderer",),
-    "matcap.relight.presets": ("light_orbit",),
+    "matcap.relight.named": ("light_orbit",),
     "matcap.model.between": ("blend",),
     "matcap.capture.prior.store": ("Prior", "load_prior"),
     "matcap.view.document": ("sealed_page",),

@@ -11,9 +11,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from matcap.model.example.coordinates import Area
 from matcap.model.example.example import Example
 from matcap.model.exemplar import Exemplar, Floats
+from matcap.model.plane import Rectangle
 
 _LEAST = 2e-4  # share of the texels, below which nothing is worth filling
 _REACH = 9  # texels around a hole that its glare has touched
@@ -36,7 +36,7 @@ def fill(exemplar: Exemplar, example: Example) -> Exemplar:
     share = cv2.GaussianBlur(wide.astype(np.float32), (0, 0), _EDGE)
     share = np.maximum(share, unseen)[None]
     width, height = exemplar.size
-    piece = example.maps(0, Area(0, 0, width, height), None)
+    piece = example.maps(0, Rectangle(0, 0, width, height), None)
 
     def mixed(map_: Floats, drawn: Floats) -> Floats:
         return np.asarray(map_ + share * (drawn - map_), np.float32).clip(0.0, 1.0)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,7 +16,6 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor, nn
 
 from matcap.capture.coarse import CoarseFit
@@ -25,6 +23,7 @@ from matcap.capture.prior.base import VARYING, Base, base_from, base_of, fold
 from matcap.capture.prior.look import describe_windows, numbers, picture, texture
 from matcap.capture.start import log_contrast
 from matcap.errors import MatcapError
+from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane
 from matcap.model.alignment import WIDTH, Alignment
@@ -136,12 +135,12 @@ class Prior:
     def save(self, path: Path) -> None:
         """Write the file, in half precision; whole or not at all."""
         tensors = {
-            f"{part}.{name}": tensor.half().contiguous()
+            f"{part}.{name}": tensor.half()
             for part, module in self._modules().items()
             for name, tensor in module.state_dict().items()
         }
         for name, tensor in vars(self.habits).items():
-            tensors[f"habits.{name}"] = tensor.float().contiguous()
+            tensors[f"habits.{name}"] = tensor.float()
         about = {
             "format": FORMAT,
             "version": VERSION,
@@ -149,13 +148,7 @@ class Prior:
             "decoder": asdict(self.decoder.config),
             "about": dict(self.about),
         }
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            temporary.write_bytes(save(tensors, metadata={"matcap": json.dumps(about)}))
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_tensors(path, tensors, {"matcap": json.dumps(about)})
 
     def _modules(self) -> dict[str, nn.Module]:
         return {"encoder": self.encoder, "decoder": self.decoder, "alignment": self.alignment}

@@ -22,10 +22,10 @@ from matcap.files.srgb import srgb_decode_tensor
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
 from matcap.lab.bench.baselines import photo_as_albedo
 from matcap.lab.bench.piece import photographed_piece
-from matcap.lab.bench.relit import Scene, bench_scene, relight_all
-from matcap.lab.simulate.dng import write_dng
+from matcap.lab.bench.relit import BenchScene, bench_scene, relight_all
 from matcap.lab.simulate.examples import EXAMPLES
-from matcap.lab.simulate.photograph import Camera, as_photo
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo
+from matcap.lab.simulate.write_dng import write_dng
 
 # Distances from the flash's foot in plane units that divide the picture.
 RINGS = (("foot", 0.0, 0.35), ("middle", 0.35, 0.75), ("rim", 0.75, math.inf), ("all", 0.0, 9.0))
@@ -55,7 +55,7 @@ class AlignedErrors:
 
 
 def aligned_errors(
-    maps: MapSet, setup: FlashSetup, truth: MapSet, true_setup: FlashSetup, scene: Scene
+    maps: MapSet, setup: FlashSetup, truth: MapSet, true_setup: FlashSetup, scene: BenchScene
 ) -> dict[str, AlignedErrors]:
     """Errors by ring.
 
@@ -103,7 +103,7 @@ def aligned_markdown(rows: Sequence[tuple[str, str, dict[str, AlignedErrors]]]) 
     return "\n".join(lines) + "\n"
 
 
-def _difference(pictures: Tensor, truth: MapSet, setup: FlashSetup, scene: Scene) -> Tensor:
+def _difference(pictures: Tensor, truth: MapSet, setup: FlashSetup, scene: BenchScene) -> Tensor:
     """(H, W) mean absolute difference of log radiance over lights."""
     true = relight_all(truth, setup.intensity, scene)
 
@@ -151,7 +151,7 @@ def run_aligned(
         UsageError: no such material.
     """
     rows = []
-    camera = Camera()
+    camera = PhoneCamera()
     for name in materials:
         if name not in EXAMPLES:
             raise UsageError(

@@ -30,16 +30,17 @@ from matcap.capture.settings import FEATURES, PRESETS, CaptureSettings, Method
 from matcap.errors import UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.quality import QualitySettings, Yardstick
-from matcap.lab.bench.relit import PointLight, Scene, relight_all
+from matcap.lab.bench.relit import BenchLight, BenchScene, relight_all
 from matcap.lab.bench.style import PortillaSimoncelli, RandomFilters, Style
 from matcap.lab.bench.table import Measurement, append, machine, read
-from matcap.lab.simulate.dng import Sensor, write_dng
 from matcap.lab.simulate.examples import EXAMPLES, realisation
 from matcap.lab.simulate.materials import random_material
-from matcap.lab.simulate.photograph import Camera, Realise, Shot, take
+from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take
+from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.model.decoder import PAPER_CONFIG, DecoderConfig
 from matcap.model.material import Material
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.statistics.filterbank import FilterBankConfig
 
 _BASE_STEPS, _BASE_PLACES = 160, 2  # of every point that does not vary them
@@ -235,8 +236,8 @@ class _Judge:
         make = partial(Yardstick, subject, flash, self._quality, styles, pieces=specimen.pieces)
         self._relit = make()
         x, y, z = flash.offset
-        own = PointLight((x, y, z + flash.distance), 1.0)
-        self._flash = make(scene=Scene(flash.distance, (own,)))
+        own = BenchLight((x, y, z + flash.distance), 1.0)
+        self._flash = make(scene=BenchScene(flash.distance, (own,)))
 
     def judge(self, material: Material) -> tuple[float, float, float]:
         """Errors under the bench's lights and under the photograph's, in floors; diversity."""
@@ -260,7 +261,7 @@ class _Judge:
 
 def _photograph(subject: str, bench: CaptureBench) -> tuple[Path, Shot]:
     specimen = SUBJECTS[subject]
-    camera: Camera = bench.quality.camera
+    camera: PhoneCamera = bench.quality.camera
     shot = take(specimen.pieces(specimen.seed), camera, specimen.setup)
     path = bench.out / f"{subject}.dng"
     write_dng(path, shot, specimen.sensor, specimen.seed)

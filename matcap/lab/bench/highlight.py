@@ -24,7 +24,7 @@ from matcap.files.picture import write_picture
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.materials.kinds import random_kind
-from matcap.lab.simulate.photograph import Camera, as_photo, take
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
 from matcap.photo.photo import Photo
 
 # A highlight that is plain to see: narrower than the falloff, and so much over its surroundings.
@@ -135,7 +135,7 @@ def simulated(count: int, seed: int) -> Iterator[tuple[str, Photo, FlashSetup]]:
             tilt=(lean * math.cos(about), lean * math.sin(about)),
             vignetting=0.02,
         )
-        camera = Camera(
+        camera = PhoneCamera(
             width=width, height=height, focal_length=round(18.0 / half), supersampling=1, blur=0.5
         )
 

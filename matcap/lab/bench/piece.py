@@ -16,8 +16,8 @@ from matcap.capture.pipeline import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.baselines import Fixed
-from matcap.model.example.coordinates import Area
 from matcap.model.example.example import Example
+from matcap.model.plane import Rectangle
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Rearranged:
 
     def maps(self, width: int, height: int, *, seed: int = 0) -> MapSet:
         """One realisation."""
-        stacked = torch.from_numpy(self.example.maps(seed, Area(0, 0, width, height), None))
+        stacked = torch.from_numpy(self.example.maps(seed, Rectangle(0, 0, width, height), None))
         return MapSet.from_stacked(stacked, self.texel_size)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from matcap.errors import MatcapError
-from matcap.files.staging import staged
+from matcap.files.staging import staged_file
 from matcap.lab.bench.table import Point, front
 
 _LABELLED = "preset"  # group whose points bear their names even off the front
@@ -69,8 +69,8 @@ def draw(found: Sequence[Point], path: Path, *, title: str, error: str) -> None:
     axes.grid(alpha=0.25, which="both")
     axes.legend(fontsize=7)
     figure.tight_layout()
-    with staged(path.parent) as stage:
-        figure.savefig(stage / path.name, dpi=110, metadata={"Software": None})
+    with staged_file(path) as file:
+        figure.savefig(file, dpi=110, metadata={"Software": None})
 
 
 def _figure() -> tuple[Any, Any]:

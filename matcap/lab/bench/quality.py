@@ -28,11 +28,11 @@ from matcap.files.staging import staged
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.baselines import PerTexelSettings, per_texel, photo_as_albedo
 from matcap.lab.bench.piece import photographed_piece, rearranged_piece
-from matcap.lab.bench.relit import LIGHTS, Scene, bench_scene, relight_all
+from matcap.lab.bench.relit import LIGHTS, BenchScene, bench_scene, relight_all
 from matcap.lab.bench.style import PortillaSimoncelli, RandomFilters, Style, difference
-from matcap.lab.simulate.dng import write_dng
-from matcap.lab.simulate.examples import EXAMPLES, Example, realisation
-from matcap.lab.simulate.photograph import Camera, Realise, Shot, as_photo
+from matcap.lab.simulate.examples import EXAMPLES, ExamplePhotograph, realisation
+from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, as_photo
+from matcap.lab.simulate.write_dng import write_dng
 from matcap.photo.photo import Photo
 
 CAPTURE, ALBEDO, PER_TEXEL = "capture", "photo-as-albedo", "per-texel"
@@ -71,7 +71,7 @@ class Subject:
         shot: the truth.
     """
 
-    example: Example
+    example: ExamplePhotograph
     path: Path
     photo: Photo
     shot: Shot
@@ -93,7 +93,7 @@ class QualitySettings:
 
     detail: int = 1024
     size: int = 384
-    camera: Camera = field(default_factory=Camera)
+    camera: PhoneCamera = field(default_factory=PhoneCamera)
     per_texel: PerTexelSettings = field(default_factory=PerTexelSettings)
 
 
@@ -130,7 +130,7 @@ class Yardstick:
         styles: Sequence[Style],
         *,
         pieces: Callable[[int], Realise] | None = None,
-        scene: Scene | None = None,
+        scene: BenchScene | None = None,
     ) -> None:
         """Relight the true pieces under the bench's lights.
 
@@ -300,14 +300,14 @@ def _methods(
     }
 
 
-def _photograph(example: Example, out: Path, camera: Camera) -> Subject:
+def _photograph(example: ExamplePhotograph, out: Path, camera: PhoneCamera) -> Subject:
     shot = example.take(camera)
     path = out / f"{example.material}.dng"
     write_dng(path, shot, example.sensor, example.seed)
     return Subject(example, path, as_photo(shot, example.seed, path.name), shot)
 
 
-def _relit(captured: Captured, settings: QualitySettings, scene: Scene) -> torch.Tensor:
+def _relit(captured: Captured, settings: QualitySettings, scene: BenchScene) -> torch.Tensor:
     expected = 2.0 / settings.detail
     if abs(captured.texel_size / expected - 1.0) > 1e-3:
         raise UsageError(

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from matcap.relight.presets import SCENES
+from matcap.relight.named import SCENES
 from matcap.relight.render import Renderer
 from matcap.relight.scene import Film, RectangleLight, Scene, Surface, scene_from_light
 from matcap.relight.scenefile import read_scene

@@ -24,7 +24,7 @@ _ROWS = 128  # shaded at a time
 
 
 @dataclass(frozen=True)
-class PointLight:
+class BenchLight:
     """A point light above the plane.
 
     Attributes:
@@ -37,7 +37,7 @@ class PointLight:
 
 
 @dataclass(frozen=True)
-class Scene:
+class BenchScene:
     """Where camera and lights are.
 
     Attributes:
@@ -46,10 +46,10 @@ class Scene:
     """
 
     distance: float
-    lights: tuple[PointLight, ...]
+    lights: tuple[BenchLight, ...]
 
 
-def bench_scene(flash: FlashSetup) -> Scene:
+def bench_scene(flash: FlashSetup) -> BenchScene:
     """The photograph's camera and the bench's fixed lights, spread over the hemisphere in a spiral.
 
     Each light is as strong as makes a white matte plane's middle as bright as a flash at the
@@ -68,15 +68,15 @@ def bench_scene(flash: FlashSetup) -> Scene:
             distance * math.cos(polar),
         )
         strength = (distance / flash.distance) ** 2 / math.cos(polar)
-        found.append(PointLight(place, strength))
-    return Scene(flash.distance, tuple(found))
+        found.append(BenchLight(place, strength))
+    return BenchScene(flash.distance, tuple(found))
 
 
 def relight(
     maps: MapSet,
     intensity: tuple[float, float, float],
-    scene: Scene,
-    light: PointLight,
+    scene: BenchScene,
+    light: BenchLight,
     *,
     finer: int = 1,
     blur: float = 0.0,
@@ -121,7 +121,7 @@ def relight(
 def relight_all(
     maps: MapSet,
     intensity: tuple[float, float, float],
-    scene: Scene,
+    scene: BenchScene,
     *,
     finer: int = 1,
     blur: float = 0.0,

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from matcap.errors import MatcapError
-from matcap.files.staging import staged
+from matcap.files.staging import staged_file
 from matcap.lab.bench.plot import draw
 from matcap.lab.bench.table import Measurement, Point, comparable, front, points, read
 
@@ -74,8 +74,8 @@ def write_report(tables: Sequence[Path], page: Path, command: Sequence[str]) -> 
         for bench in dict.fromkeys(one.bench for one in measured):
             lines += ["", *_section(bench, [m for m in measured if m.bench == bench], table, page)]
     text = "\n".join(lines) + "\n"
-    with staged(page.parent) as stage:
-        (stage / page.name).write_text(text, encoding="utf-8")
+    with staged_file(page) as file:
+        file.write_text(text, encoding="utf-8")
     return text
 
 

@@ -17,10 +17,17 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.capture.pipeline import CaptureResult, CaptureSettings, capture_photo
+from matcap.capture.pipeline import CaptureResult, capture_photo
+from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError
 from matcap.lab.bench.stability_photographs import FOV, HARD_PHOTOGRAPHS
-from matcap.lab.bench.stability_reflectance import CASES, SMOOTH, Finding, measure, measure_shading
+from matcap.lab.bench.stability_reflectance import (
+    CASES,
+    SMOOTH,
+    CaseResult,
+    measure,
+    measure_shading,
+)
 from matcap.photo.load import photo_from_array
 
 _MAPS = ("diffuse", "specular", "roughness", "height", "normal")
@@ -138,7 +145,7 @@ def finite(result: CaptureResult) -> bool:
     )
 
 
-def _reflectance_row(name: str, found: Finding) -> Row:
+def _reflectance_row(name: str, found: CaseResult) -> Row:
     errors = [
         f"{error:.1e} {which} roughness {SMOOTH}"
         for error, which in ((found.worst, "from"), (found.worst_smooth, "below"))

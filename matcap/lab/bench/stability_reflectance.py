@@ -52,7 +52,7 @@ class Draws:
 
 
 @dataclass(frozen=True)
-class Finding:
+class CaseResult:
     """What a case came to.
 
     Attributes:
@@ -75,7 +75,7 @@ class Finding:
 Case = Callable[[int, torch.Generator], Draws]
 
 
-def measure(case: Case, draws: int, seed: int) -> Finding:
+def measure(case: Case, draws: int, seed: int) -> CaseResult:
     """Draw, evaluate in float32 and float64, differentiate, and count.
 
     Args:
@@ -84,13 +84,13 @@ def measure(case: Case, draws: int, seed: int) -> Finding:
         seed: of the draws.
     """
     generator = torch.Generator().manual_seed(seed)
-    found = Finding(0, 0, 0, 0.0, 0.0, "")
+    found = CaseResult(0, 0, 0, 0.0, 0.0, "")
     for first in range(0, draws, _CHUNK):
         found = _joined(found, _measure(case(min(_CHUNK, draws - first), generator)))
     return found
 
 
-def _measure(drawn: Draws) -> Finding:
+def _measure(drawn: Draws) -> CaseResult:
     inputs = [tensor.float().requires_grad_() for tensor in drawn.tensors()]
     value = cook_torrance(*inputs)
     gradients = torch.autograd.grad(value.sum(), inputs)
@@ -106,7 +106,7 @@ def _measure(drawn: Draws) -> Finding:
         float(error[which].max()) if bool(which.any()) else 0.0 for which in (rough, ~rough)
     )
     at = int(error.argmax())
-    return Finding(
+    return CaseResult(
         draws=len(error),
         values=int((~finite).sum()),
         gradients=int((~smooth_gradients.all(dim=0)).sum()),
@@ -127,7 +127,7 @@ def _words(inputs: list[Tensor], at: int) -> str:
     )
 
 
-def _joined(first: Finding, second: Finding) -> Finding:
+def _joined(first: CaseResult, second: CaseResult) -> CaseResult:
     worse = max(second.worst, second.worst_smooth) >= max(first.worst, first.worst_smooth)
     return replace(
         second if worse else first,
@@ -291,19 +291,19 @@ CASES: Mapping[str, Case] = MappingProxyType(
 )
 
 
-def measure_shading(draws: int, seed: int) -> Finding:
+def measure_shading(draws: int, seed: int) -> CaseResult:
     """The whole flash rendering, slopes and falloff included, with lights from 1e-3 to 1e9 away.
 
     The light's strength grows with its distance squared, so that what is seen stays visible.
     """
     generator = torch.Generator().manual_seed(seed)
-    found = Finding(0, 0, 0, 0.0, 0.0, "")
+    found = CaseResult(0, 0, 0, 0.0, 0.0, "")
     for first in range(0, draws, _CHUNK):
         found = _joined(found, _measure_shading(min(_CHUNK, draws - first), generator))
     return found
 
 
-def _measure_shading(n: int, g: torch.Generator) -> Finding:
+def _measure_shading(n: int, g: torch.Generator) -> CaseResult:
     base = _anywhere(n, g)
     distance = _log_uniform(n, g, 1e-3, 1e9)
     given = [
@@ -332,7 +332,7 @@ def _measure_shading(n: int, g: torch.Generator) -> Finding:
     # Slopes round before the reflectance sees them, so errors count against the brightest.
     error = (value.double() - exact).abs() / exact.abs().clamp_min(1e-2)
     rough = (inputs[2].detach() >= SMOOTH).expand_as(error)
-    return Finding(
+    return CaseResult(
         draws=n,
         values=int((~torch.isfinite(value)).any(dim=0).sum()),
         gradients=int((~torch.isfinite(torch.cat(gradients)).all(dim=0)).sum()),

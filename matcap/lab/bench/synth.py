@@ -1,5 +1,5 @@
 """What the endless field costs: the decoder's beside the same network in the paper's form, and
-the one by example (example.py).
+the one by example (by_example.py).
 
 The paper's form: instance normalisation over the whole picture, circular padding, a blur after
 each upsampling, channels first, weights that nothing is folded into; at matcap's own widths and at
@@ -32,7 +32,7 @@ from torch import Tensor
 
 from matcap.files.staging import staged
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.bench.example import ExampleCost, example_costs, example_table
+from matcap.lab.bench.by_example import ExampleCost, example_costs, example_table
 from matcap.model.blocks import Grid
 from matcap.model.decoder import (
     CODE_SIZE,
@@ -46,10 +46,11 @@ from matcap.model.field import read_source
 from matcap.model.freeze import FoldedDecoder, FoldedLayer, freeze
 from matcap.model.material import Material
 from matcap.model.noise import noise_field
-from matcap.model.order import WAVE_CHANNELS
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
+from matcap.model.regular_order import WAVE_CHANNELS
 from matcap.model.single import single_threaded
-from matcap.model.source import Area, MaterialSource, area_of, material_source
+from matcap.model.source import BlockSpans, MaterialSource, material_source, spans_of_block
 from matcap.model.spans import Span
 from matcap.synth.precision import multiplies_bfloat16
 from matcap.synth.workers import keep_memory
@@ -81,7 +82,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Row:
+class Timing:
     """One measurement.
 
     Attributes:
@@ -148,7 +149,7 @@ class Report:
         examples: what the field by example costs.
     """
 
-    rows: list[Row]
+    rows: list[Timing]
     efficiencies: list[Efficiency]
     megabytes: float
     examples: list[ExampleCost]
@@ -238,7 +239,7 @@ def efficiency(name: str, subject: Material, precision: str, repeats: int) -> Ef
     """Multiply-adds a second of one block and of its convolutions alone, on one thread."""
     source = _source(subject, Grid(), precision)
     block = Rectangle(0, 0, source.grid.width, source.grid.height)
-    shapes = list(_convolutions(source.decoder, area_of(block, source.decoder.convolutions)))
+    shapes = list(_convolutions(source.decoder, spans_of_block(block, source.decoder.convolutions)))
     count = sum(
         weight.numel()
         * (part.shape[2] - weight.shape[2] + 1)
@@ -302,7 +303,7 @@ def markdown(report: Report, command: str) -> str:
 def comma_separated(report: Report) -> str:
     """The rows as CSV."""
     text = io.StringIO()
-    names = [field.name for field in fields(Row)]
+    names = [field.name for field in fields(Timing)]
     table = csv.DictWriter(text, [*names, "ratio", "processor_ratio"], lineterminator="\n")
     table.writeheader()
     for row in report.rows:
@@ -310,7 +311,7 @@ def comma_separated(report: Report) -> str:
     return text.getvalue()
 
 
-def _rows(name: str, subject: Material, allocator: str, settings: Settings) -> Iterator[Row]:
+def _rows(name: str, subject: Material, allocator: str, settings: Settings) -> Iterator[Timing]:
     width, height = settings.size
     noise = noise_field(
         Patch(1, Rectangle(0, 0, width, height)), subject.decoder.config.noise_channels
@@ -330,7 +331,7 @@ def _rows(name: str, subject: Material, allocator: str, settings: Settings) -> I
                         paper_form(subject.decoder, subject.code, noise)
 
                 wall, processor = _in_turn((ours, theirs), settings.repeats)
-                yield Row(name, allocator, workers, block, precision, *wall, *processor)
+                yield Timing(name, allocator, workers, block, precision, *wall, *processor)
 
 
 def _in_turn(calls: Sequence[Callable[[], None]], repeats: int) -> tuple[list[float], list[float]]:
@@ -346,9 +347,9 @@ def _in_turn(calls: Sequence[Callable[[], None]], repeats: int) -> tuple[list[fl
     return [statistics.median(t) for t in wall], [statistics.median(t) for t in processor]
 
 
-def _convolutions(decoder: FoldedDecoder, area: Area) -> Iterator[tuple[Tensor, Tensor]]:
+def _convolutions(decoder: FoldedDecoder, spans: BlockSpans) -> Iterator[tuple[Tensor, Tensor]]:
     """Random features and the weights they meet, of every convolution of a block."""
-    rows, columns = area.rows, area.columns
+    rows, columns = spans.rows, spans.columns
     steps: list[tuple[FoldedLayer, Span, Span]] = [(decoder.head, rows.output, columns.output)]
     for blocks, high, wide in (
         (decoder.down, rows.down, columns.down),
@@ -395,7 +396,7 @@ def _blurred(features: Tensor) -> Tensor:
     return F.conv2d(padded, kernel, groups=channels)
 
 
-def _line(row: Row) -> str:
+def _line(row: Timing) -> str:
     return (
         f"| {row.network} | {row.allocator} | {row.workers} | {row.block} | {row.precision} "
         f"| {row.seconds:.2f} | {row.paper_seconds:.2f} | {row.ratio:.2f} "

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.files.srgb import srgb_decode
-from matcap.lab.simulate.dng import REC709_TO_XYZ
+from matcap.lab.simulate.write_dng import REC709_TO_XYZ
 
 BINS = 64
 

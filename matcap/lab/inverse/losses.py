@@ -147,7 +147,7 @@ def _rendered(
     """Mean difference of log radiance, and of style, under lights elsewhere."""
     distance = sample.uniform.setup.distance
     height, width = sample.points.shape[-2:]
-    camera = torch.tensor([0.0, 0.0, distance])[:, None, None]
+    camera = torch.tensor([0.0, 0.0, distance]).to(sample.points)[:, None, None]
     to_view = normalize(camera - sample.points)
     normals_found, normals_true = maps.normal, sample.truth.normal
     differences: list[Tensor] = []
@@ -198,7 +198,7 @@ def _style(found: Tensor, true: Tensor) -> Tensor:
 
 def _lit(maps: MapSet, normal: Tensor, points: Tensor, light: Tensor, to_view: Tensor) -> Tensor:
     """Radiance of maps by a light that makes a white plane's middle 1; float32 throughout."""
-    away = light[:, None, None] - points
+    away = light.to(points)[:, None, None] - points
     squared = dot(away, away)
     to_light = away * squared.rsqrt()
     n_dot_l = dot(normal, to_light).clamp_min(1e-3)

@@ -57,6 +57,16 @@ class Sample:
     uniform: Uniform
     points: Tensor
 
+    def to(self, device: str) -> Sample:
+        """The same sample with its tensors on a device."""
+        return replace(
+            self,
+            linear=self.linear.to(device),
+            valid=self.valid.to(device),
+            truth=self.truth.map(lambda m: m.to(device)),
+            points=self.points.to(device),
+        )
+
 
 def is_held_out(material: RandomMaterial) -> bool:
     """Whether a random material shows a pattern that is left out of training."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
@@ -20,11 +19,11 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors import safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from matcap.capture.exemplar.store import save_inverse
 from matcap.errors import MatcapError
+from matcap.files.tensors import write_tensors
 from matcap.lab.inverse.losses import loss_parts, total
 from matcap.lab.inverse.samples import HELD_OUT, HELD_OUT_PATTERNS, Sample, draw_sample
 from matcap.model.inverse.inputs import network_inputs
@@ -77,13 +76,11 @@ class State:
 
     def save(self, path: Path) -> None:
         """Write whole or not at all."""
-        tensors = {f"model.{k}": v.contiguous() for k, v in self.model.state_dict().items()}
-        tensors |= {f"average.{k}": v.contiguous() for k, v in self.average.state_dict().items()}
+        tensors = {f"model.{k}": v for k, v in self.model.state_dict().items()}
+        tensors |= {f"average.{k}": v for k, v in self.average.state_dict().items()}
         for name, moments in (("first", self.first), ("second", self.second)):
-            tensors |= {f"{name}.{i}": m.contiguous() for i, m in enumerate(moments)}
-        temporary = path.with_name(path.name + ".part")
-        save_file(tensors, temporary, {"step": json.dumps(self.step)})
-        os.replace(temporary, path)
+            tensors |= {f"{name}.{i}": m for i, m in enumerate(moments)}
+        write_tensors(path, tensors, {"step": json.dumps(self.step)})
 
     def load(self, path: Path) -> None:
         """Go on from a file."""
@@ -140,12 +137,13 @@ def train_step(
     state: State, samples: list[tuple[Tensor, Sample]], settings: TrainSettings
 ) -> dict[str, float]:
     """One step of Adam; returns the loss's parts."""
-    inputs = torch.stack([x for x, _ in samples]).to(settings.device)
+    device = settings.device
+    inputs = torch.stack([x for x, _ in samples]).to(device)
     outputs = state.model(inputs.contiguous(memory_format=torch.channels_last))
     losses, all_parts = [], []
     for index, (_, sample) in enumerate(samples):
         rng = np.random.default_rng([state.step, index, 5])
-        parts = loss_parts(outputs[index], sample, rng)
+        parts = loss_parts(outputs[index], sample.to(device), rng)
         losses.append(total(parts))
         all_parts.append(parts)
     loss = torch.stack(losses).mean()

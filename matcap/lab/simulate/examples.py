@@ -9,13 +9,13 @@ from types import MappingProxyType
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.dng import Sensor
 from matcap.lab.simulate.materials import realise
-from matcap.lab.simulate.photograph import Camera, Realise, Shot, take, true_maps
+from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take, true_maps
+from matcap.lab.simulate.write_dng import Sensor
 
 
 @dataclass(frozen=True)
-class Example:
+class ExamplePhotograph:
     """One example photograph.
 
     Attributes:
@@ -48,11 +48,11 @@ class Example:
         """The piece of material that was photographed."""
         return realisation(self.material, self.seed)
 
-    def take(self, camera: Camera) -> Shot:
+    def take(self, camera: PhoneCamera) -> Shot:
         """Photograph it."""
         return take(self.realise, camera, self.setup)
 
-    def truth(self, camera: Camera) -> MapSet:
+    def truth(self, camera: PhoneCamera) -> MapSet:
         """True maps of the plane rectangle x in [-1, 1], one texel a pixel."""
         return true_maps(self.realise, camera, self.setup)
 
@@ -66,13 +66,13 @@ def realisation(material: str, seed: int) -> Realise:
     return piece
 
 
-EXAMPLES: Mapping[str, Example] = MappingProxyType(
+EXAMPLES: Mapping[str, ExamplePhotograph] = MappingProxyType(
     {
-        "leather": Example("leather", 11, (0.12, 0.05, 0.0), (1.5, -2.0)),
-        "cloth": Example("cloth", 12, (-0.10, 0.06, 0.0), (-1.0, 1.2)),
-        "granite": Example("granite", 13, (0.11, -0.04, 0.0), (2.2, 1.0), shading=0.45),
-        "rust": Example("rust", 14, (0.08, 0.09, 0.0), (-2.0, -1.5)),
-        "plaster": Example("plaster", 15, (0.13, 0.02, 0.0), (1.0, 2.6)),
-        "tile": Example("tile", 16, (-0.07, 0.08, 0.0), (1.8, -1.0)),
+        "leather": ExamplePhotograph("leather", 11, (0.12, 0.05, 0.0), (1.5, -2.0)),
+        "cloth": ExamplePhotograph("cloth", 12, (-0.10, 0.06, 0.0), (-1.0, 1.2)),
+        "granite": ExamplePhotograph("granite", 13, (0.11, -0.04, 0.0), (2.2, 1.0), shading=0.45),
+        "rust": ExamplePhotograph("rust", 14, (0.08, 0.09, 0.0), (-2.0, -1.5)),
+        "plaster": ExamplePhotograph("plaster", 15, (0.13, 0.02, 0.0), (1.0, 2.6)),
+        "tile": ExamplePhotograph("tile", 16, (-0.07, 0.08, 0.0), (1.8, -1.0)),
     }
 )

@@ -1,7 +1,7 @@
 """The flash photograph that a camera would take of a material whose maps are known.
 
 Shading happens on the plane in float64, finer than the photograph's pixels; the tilt's homography
-and the pixels' areas then turn it into a picture. Files are written by dng.py and jpeg.py.
+and the pixels' areas then turn it into a picture. write_dng.py and write_jpeg.py make files of it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _HALF_FRAME = 18.0  # mm, half the long side of the 35 mm film frame
 
 
 @dataclass(frozen=True)
-class Camera:
+class PhoneCamera:
     """A phone's camera.
 
     Attributes:
@@ -71,10 +71,10 @@ class Shot:
 
     linear: NDArray[np.float64]
     setup: FlashSetup
-    camera: Camera
+    camera: PhoneCamera
 
 
-def take(realise: Realise, camera: Camera, setup: FlashSetup) -> Shot:
+def take(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> Shot:
     """Photograph a material; exposure is automatic.
 
     Args:
@@ -98,7 +98,7 @@ def take(realise: Realise, camera: Camera, setup: FlashSetup) -> Shot:
     return Shot(linear * gain, setup.with_intensity((gain, gain, gain)), camera)
 
 
-def true_maps(realise: Realise, camera: Camera, setup: FlashSetup) -> MapSet:
+def true_maps(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> MapSet:
     """Maps of the plane rectangle x in [-1, 1] of the same shot, one texel a pixel."""
     x, y, width, height = _seen(camera, setup)
     return realise(width, height, 2.0 / camera.width).crop(-x, -y, camera.width, camera.height)
@@ -109,7 +109,9 @@ def expose(shot: Shot, seed: int) -> NDArray[np.float64]:
     return np.clip(sensor_noise(shot.linear, shot.camera, seed), 0.0, 1.0)
 
 
-def sensor_noise(signal: NDArray[np.float64], camera: Camera, seed: int) -> NDArray[np.float64]:
+def sensor_noise(
+    signal: NDArray[np.float64], camera: PhoneCamera, seed: int
+) -> NDArray[np.float64]:
     """A signal, of which 1 fills the well, with shot and read noise, any shape."""
     electrons = np.clip(signal, 0.0, 1.5) * camera.full_well
     deviation = np.sqrt(electrons + camera.read_noise**2) / camera.full_well
@@ -131,7 +133,7 @@ def as_photo(shot: Shot, seed: int, name: str) -> Photo:
     )
 
 
-def _seen(camera: Camera, setup: FlashSetup) -> tuple[int, int, int, int]:
+def _seen(camera: PhoneCamera, setup: FlashSetup) -> tuple[int, int, int, int]:
     """The plane rectangle (x, y, width, height) that holds picture and plane grid, in pixels."""
     w, h = camera.width, camera.height
     sides = torch.tensor([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]], dtype=torch.float64)
@@ -188,7 +190,7 @@ def _through_lens(
     )
 
 
-def _exposure(linear: NDArray[np.float64], camera: Camera) -> float:
+def _exposure(linear: NDArray[np.float64], camera: PhoneCamera) -> float:
     """Gain that brings the mean to the camera's brightness, or the brightest pixels to 1."""
     brightest = float(np.quantile(linear.max(axis=-1), 1.0 - camera.clipped))
     return min(camera.brightness / float(linear.mean()), 1.0 / brightest)

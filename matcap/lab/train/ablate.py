@@ -16,7 +16,7 @@ from pathlib import Path
 from matcap.capture.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR
 from matcap.capture.prior.store import Prior
 from matcap.lab.train.decoder_only import DecoderOnly
-from matcap.lab.train.evaluate import Begin, Way, from_nothing, from_prior, measure_all
+from matcap.lab.train.evaluate import Begin, EvaluatedMethod, from_nothing, from_prior, measure_all
 from matcap.lab.train.journal import first_of_each
 from matcap.lab.train.kept import prior_key
 from matcap.lab.train.measure import Made, Photographed, Result, capture, photographed
@@ -49,13 +49,13 @@ def run_ablation(
     return page
 
 
-def variants(prior: Prior, steps: int) -> list[Way]:
+def variants(prior: Prior, steps: int) -> list[EvaluatedMethod]:
     """FULL and what is left without one part each."""
     start, known = partial(from_prior, prior), prior_key(prior)
 
     def way(
         name: str, begin: Begin, view: Callable[[Photographed], Photographed] | None = None
-    ) -> Way:
+    ) -> EvaluatedMethod:
         def run(shown: Photographed) -> Made:
             # Every variant is compared with the photograph as it is, however it sees it itself.
             tuned = view(shown) if view else shown
@@ -64,7 +64,7 @@ def variants(prior: Prior, steps: int) -> list[Way]:
         taken = 0 if name == "NONTUNED" else steps
         rate = RATE_FROM_PRIOR if begin is start else RATE_FROM_NOTHING
         trained = (known, rate) if begin is start else ()
-        return Way(name, run, (taken, _REALISATIONS, *trained))
+        return EvaluatedMethod(name, run, (taken, _REALISATIONS, *trained))
 
     return [
         way(FULL, start),

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from matcap.capture.prior.look import picture
 from matcap.lab.simulate.materials.varied import random_material
-from matcap.lab.simulate.photograph import Camera, expose, take
+from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.train.corpus import QUALITY, random_setup, srgb_bytes
 from matcap.lab.train.pack import decode
 from matcap.model.alignment import WIDTH, Alignment
@@ -46,7 +46,7 @@ def tilted_photo(seed: int, width: int = 512) -> tuple[Photo, tuple[float, float
     """A developed photograph of a procedural material, tilted up to 15 degrees, and its tilt."""
     rng = np.random.default_rng([20213, seed])
     material = random_material(rng)
-    camera = Camera(
+    camera = PhoneCamera(
         width=width,
         height=width * 3 // 4,
         focal_length=int(rng.integers(24, 44)),

@@ -2,36 +2,27 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from matcap.errors import MatcapError
-from matcap.lab.train.state import State
+from matcap.files.tensors import write_tensors
+from matcap.lab.train.state import TrainingState
 
 VERSION = 1
 _REMEDY = "start again without --resume"
 
 
-def save_checkpoint(path: Path, state: State) -> None:
+def save_checkpoint(path: Path, state: TrainingState) -> None:
     """Write a checkpoint; whole or not at all."""
-    temporary = path.with_name(path.name + ".part")
-    try:
-        save_file(
-            {name: tensor.contiguous() for name, tensor in _tensors(state).items()},
-            temporary,
-            {"format": "matcap-checkpoint", "version": str(VERSION), "step": str(state.step)},
-        )
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    about = {"format": "matcap-checkpoint", "version": str(VERSION), "step": str(state.step)}
+    write_tensors(path, _tensors(state), about)
 
 
-def load_checkpoint(path: Path, state: State) -> None:
+def load_checkpoint(path: Path, state: TrainingState) -> None:
     """Bring a fresh state to where a checkpoint was written.
 
     Raises:
@@ -64,7 +55,7 @@ def load_checkpoint(path: Path, state: State) -> None:
     state.step = int(metadata["step"])
 
 
-def _tensors(state: State) -> dict[str, Tensor]:
+def _tensors(state: TrainingState) -> dict[str, Tensor]:
     """Every tensor of a state, by name; writing into them changes the state."""
     tensors = {f"model.{k}": v for k, v in state.model.state_dict().items()}
     tensors |= {f"average.{k}": v for k, v in state.average.state_dict().items()}
@@ -74,7 +65,7 @@ def _tensors(state: State) -> dict[str, Tensor]:
     return tensors
 
 
-def _begin_optimiser(state: State) -> None:
+def _begin_optimiser(state: TrainingState) -> None:
     """Give Adam the state it would only make in its first step."""
     for parameter in state.model.parameters():
         state.optimiser.state[parameter] = {

@@ -21,7 +21,7 @@ from matcap.files.srgb import srgb_encode
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import read_plane
 from matcap.lab.simulate.materials.varied import random_material
-from matcap.lab.simulate.photograph import Camera, expose, take
+from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.train.pack import WAVE_DETAIL, Entry, Pack, decode, read_code
 from matcap.photo.photo import DEFAULT_FOV, Photo
 from matcap.statistics.lattice import find_lattice
@@ -102,7 +102,7 @@ def simulate(seed: int, *, deviation: float = _PACK_TILT) -> Entry:
     """Pack one simulated photograph; a seed is a material and a shot of it."""
     rng = np.random.default_rng([20212, seed])
     material = random_material(rng)
-    camera = Camera(
+    camera = PhoneCamera(
         width=LONG_SIDE,
         height=LONG_SIDE * 3 // 4,
         focal_length=int(rng.integers(24, 36)),

@@ -25,7 +25,8 @@ from matcap.model.decoder import (
     Step,
     maps_from_raw,
 )
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.lattice import Wave
 

@@ -56,7 +56,7 @@ class EvaluateSettings:
 
 
 @dataclass(frozen=True)
-class Way:
+class EvaluatedMethod:
     """One way from a photograph to pictures of its material.
 
     Attributes:
@@ -96,7 +96,7 @@ def run_evaluation(
 
 
 def measure_all(
-    ways: Sequence[Way],
+    ways: Sequence[EvaluatedMethod],
     entries: Sequence[Entry],
     folder: Path,
     tell: Callable[[str], None] = lambda line: None,
@@ -117,11 +117,11 @@ def measure_all(
     return results
 
 
-def _measure(way: Way, shown: Callable[[], Photographed]) -> Result:
+def _measure(way: EvaluatedMethod, shown: Callable[[], Photographed]) -> Result:
     return judge(way.name, way.run(shown()), shown())
 
 
-def ways_of(prior: Prior, settings: EvaluateSettings) -> list[Way]:
+def ways_of(prior: Prior, settings: EvaluateSettings) -> list[EvaluatedMethod]:
     """From the prior, from nothing, and the rivals'."""
     count, known = settings.realisations, prior_key(prior)
 
@@ -133,21 +133,21 @@ def ways_of(prior: Prior, settings: EvaluateSettings) -> list[Way]:
     start = partial(from_prior, prior)
     few, many = settings.steps, settings.longer
     return [
-        Way("prior, not tuned", tuned(start, 0), (count, known)),
-        Way(
+        EvaluatedMethod("prior, not tuned", tuned(start, 0), (count, known)),
+        EvaluatedMethod(
             f"prior, {few} steps",
             tuned(start, few, RATE_FROM_PRIOR),
             (count, known, RATE_FROM_PRIOR),
         ),
-        Way(f"nothing, {few} steps", tuned(from_nothing, few), (count,)),
-        Way(f"nothing, {many} steps", tuned(from_nothing, many), (count,)),
-        Way(ALBEDO, albedo),
-        Way(
+        EvaluatedMethod(f"nothing, {few} steps", tuned(from_nothing, few), (count,)),
+        EvaluatedMethod(f"nothing, {many} steps", tuned(from_nothing, many), (count,)),
+        EvaluatedMethod(ALBEDO, albedo),
+        EvaluatedMethod(
             PER_TEXEL,
             partial(per_texel_maps, realisations=count, settings=settings.per_texel),
             (count, settings.per_texel),
         ),
-        Way(QUILTING, partial(quilts, realisations=count), (count,)),
+        EvaluatedMethod(QUILTING, partial(quilts, realisations=count), (count,)),
     ]
 
 

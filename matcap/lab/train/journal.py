@@ -15,9 +15,9 @@ from torch import Tensor
 from matcap.capture.prior.look import texture
 from matcap.files.srgb import srgb_decode_tensor, srgb_picture
 from matcap.lab.train.pack import Entry, Pack
-from matcap.lab.train.state import State, TrainConfig
+from matcap.lab.train.state import TrainConfig, TrainingState
 from matcap.lab.train.step import MARGIN, compare, fields, read_maps, targets
-from matcap.lab.train.windows import Sample, Source, Turn, cut
+from matcap.lab.train.training_windows import PreparedPhotograph, TrainingSample, Turn, cut
 from matcap.statistics.compare import Descriptor
 from matcap.statistics.filterbank import FilterBank
 
@@ -49,9 +49,9 @@ class Journal:
 
     def report(
         self,
-        state: State,
+        state: TrainingState,
         pack: Pack,
-        source: Callable[[Entry], Source],
+        source: Callable[[Entry], PreparedPhotograph],
         config: TrainConfig,
         bank: FilterBank,
         device: str,
@@ -100,12 +100,14 @@ def first_of_each(entries: Sequence[Entry]) -> list[Entry]:
     return list(first.values())
 
 
-def cut_plain(source: Source, size: int, places: int, rng: np.random.Generator) -> Sample:
+def cut_plain(
+    source: PreparedPhotograph, size: int, places: int, rng: np.random.Generator
+) -> TrainingSample:
     """Windows as they lie, without turning; colours as the generator has them."""
     return cut(source, size, places, 1, Turn(), rng, augment=False)
 
 
-def encode(state: State, sample: Sample, wanted: Descriptor, device: str) -> Tensor:
+def encode(state: TrainingState, sample: TrainingSample, wanted: Descriptor, device: str) -> Tensor:
     """(1, CODE_SIZE) mean code by the running mean's encoder."""
     with torch.autocast(torch.device(device).type, torch.bfloat16):
         return state.average.encoder(
@@ -115,7 +117,9 @@ def encode(state: State, sample: Sample, wanted: Descriptor, device: str) -> Ten
         )[0]
 
 
-def _pair(state: State, sample: Sample, bank: FilterBank, device: str) -> np.ndarray:
+def _pair(
+    state: TrainingState, sample: TrainingSample, bank: FilterBank, device: str
+) -> np.ndarray:
     """A window of a photograph above what the prior makes of it."""
     size = sample.linear.shape[-1]
     code = encode(state, sample, targets([sample], bank, device)[0], device)

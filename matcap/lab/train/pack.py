@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +18,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from matcap.capture.coarse import CoarseFit
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode
+from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
@@ -148,12 +147,7 @@ class Pack:
         }
         names = [[e.name, e.material, e.simulated] for e in self.entries]
         metadata = {"format": "matcap-pack", "version": str(VERSION), "names": json.dumps(names)}
-        temporary = path.with_name(path.name + ".part")
-        try:
-            save_file(tensors, temporary, metadata)
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_tensors(path, tensors, metadata)
 
     @staticmethod
     def load(path: Path) -> Pack:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import torch
 
-from matcap.files.staging import staged
+from matcap.files.staging import staged_file
 from matcap.lab.train.measure import Result
 
 _QUALITY = 85  # of sheets; they are looked at, not measured
@@ -53,5 +53,5 @@ def write_sheet(results: Sequence[Result], path: Path) -> None:
     code = torch.cat(columns, dim=2)[:, ::2, ::2].permute(1, 2, 0)
     stored = np.ascontiguousarray((code * 255.0).round().byte().numpy()[..., ::-1])
     _, encoded = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    with staged(path.parent) as stage:
-        (stage / path.name).write_bytes(encoded.tobytes())
+    with staged_file(path) as file:
+        file.write_bytes(encoded.tobytes())

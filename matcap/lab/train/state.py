@@ -66,7 +66,7 @@ class Model(nn.Module):
 
 
 @dataclass
-class State:
+class TrainingState:
     """All that training changes."""
 
     model: Model
@@ -75,7 +75,7 @@ class State:
     step: int = 0
 
 
-def start(config: TrainConfig, device: str) -> State:
+def start(config: TrainConfig, device: str) -> TrainingState:
     """An untrained state."""
     torch.manual_seed(config.seed)
     model = Model(config.encoder, config.decoder)
@@ -91,4 +91,4 @@ def start(config: TrainConfig, device: str) -> State:
         betas=(0.9, 0.99),
         weight_decay=config.weight_decay,
     )
-    return State(model, average.requires_grad_(False), optimiser)
+    return TrainingState(model, average.requires_grad_(False), optimiser)

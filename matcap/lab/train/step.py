@@ -10,13 +10,14 @@ from torch import Tensor, nn
 from matcap.brdf.maps import MapSet
 from matcap.capture.prior.base import Base
 from matcap.capture.prior.look import texture
-from matcap.lab.train.state import State, TrainConfig
-from matcap.lab.train.windows import Sample
+from matcap.lab.train.state import TrainConfig, TrainingState
+from matcap.lab.train.training_windows import TrainingSample
 from matcap.model.decoder import DEPTH, Decoder, maps_from_raw
 from matcap.model.noise import noise_field
-from matcap.model.order import WAVE_CHANNELS, wave_field
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import RandomField
+from matcap.model.regular_order import WAVE_CHANNELS, wave_field
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.lattice import Wave
@@ -27,7 +28,11 @@ _MOST_SLOPE = 1.0  # of a surface, root mean square at a texel, before it is hel
 
 
 def train_step(
-    state: State, samples: list[Sample], config: TrainConfig, bank: FilterBank, device: str
+    state: TrainingState,
+    samples: list[TrainingSample],
+    config: TrainConfig,
+    bank: FilterBank,
+    device: str,
 ) -> dict[str, float]:
     """One step of Adam; returns the parts of the loss."""
     factor = schedule(state.step, config.steps)
@@ -69,7 +74,7 @@ def schedule(step: int, steps: int) -> float:
     return min(1.0, (step + 1) / 50.0) * min(1.0, max(0.02, 4.0 * (1.0 - step / steps)))
 
 
-def targets(samples: Sequence[Sample], bank: FilterBank, device: str) -> list[Descriptor]:
+def targets(samples: Sequence[TrainingSample], bank: FilterBank, device: str) -> list[Descriptor]:
     """What the windows of each sample look like."""
     kind = torch.device(device).type
     with torch.no_grad(), torch.autocast(kind, torch.bfloat16):
@@ -79,7 +84,7 @@ def targets(samples: Sequence[Sample], bank: FilterBank, device: str) -> list[De
 def compare(
     decoder: Decoder,
     code: Tensor,
-    samples: Sequence[Sample],
+    samples: Sequence[TrainingSample],
     wanted: Sequence[Descriptor],
     seed: int,
     bank: FilterBank,

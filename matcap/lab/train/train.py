@@ -22,9 +22,9 @@ from matcap.capture.prior.look import FEATURES
 from matcap.lab.train.checkpoint import load_checkpoint, save_checkpoint
 from matcap.lab.train.journal import Journal
 from matcap.lab.train.pack import Entry, Pack
-from matcap.lab.train.state import State, TrainConfig, start
+from matcap.lab.train.state import TrainConfig, TrainingState, start
 from matcap.lab.train.step import train_step
-from matcap.lab.train.windows import Source, Turn, cut, prepare
+from matcap.lab.train.training_windows import PreparedPhotograph, Turn, cut, prepare
 from matcap.statistics.filterbank import FilterBank
 
 
@@ -36,7 +36,7 @@ def train(
     resume: bool = False,
     device: str = "cpu",
     tell: Callable[[str], None] = lambda line: None,
-) -> State:
+) -> TrainingState:
     """Train until config.steps, writing checkpoints, curves and pictures into a folder.
 
     Raises:
@@ -47,9 +47,9 @@ def train(
         load_checkpoint(out / "checkpoint.safetensors", state)
     out.mkdir(parents=True, exist_ok=True)
     journal = Journal(out, state.step)
-    sources: dict[str, Source] = {}
+    sources: dict[str, PreparedPhotograph] = {}
 
-    def source(entry: Entry) -> Source:
+    def source(entry: Entry) -> PreparedPhotograph:
         if entry.name not in sources:
             sources[entry.name] = prepare(entry, config.encoder.width)
         return sources[entry.name]

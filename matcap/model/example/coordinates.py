@@ -1,16 +1,17 @@
 """Which place of the exemplar every texel of the endless field shows.
 
 Coarse to fine: the coarsest level begins with pieces of the exemplar at random; each finer one
-takes over, moves a little at random, and corrects (plain.py). What is random is a hash of seed,
-level and place, and a correction looks a fixed number of places around itself: so a rectangle
-needs some more places around it at every level, and then is a part of the endless whole, to the
-bit.
+takes over, and corrects (plain.py). What is random is a hash of seed and place, and a correction
+looks a fixed number of places around itself: so a rectangle needs some more places around it at
+every level, and then is a part of the endless whole, to the bit.
+
+Lefebvre and Hoppe (2005) also move places at random on every level. That breaks up what is longer
+than some ten texels, and repetition is not what it mends (docs/notes/by-example.md).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,45 +19,25 @@ from numpy.typing import NDArray
 from matcap.model.example.grids import PRICE_BITS, Frame
 from matcap.model.example.hashing import Hashes, draw, hash_places
 from matcap.model.example.lookup import Level, Lookup, two_phases
-from matcap.model.example.order import Cells, Integers, Order, Period, Phases, cells_of
+from matcap.model.example.order import Cells, Integers, Order, Phases, cells_of
 from matcap.model.example.plain import Places, margin
+from matcap.model.plane import Period, Rectangle
 
 Correct = Callable[
     [Places, Level, NDArray[np.bool_], NDArray[np.bool_], int, Phases | None], Places
 ]
 
-_PIECE = 2  # bits: places along a side of the pieces that the coarsest level begins with
-_ROOM = 32  # texels around the middle of a piece that the exemplar has, too
+# Texels along a side of the pieces that the coarsest level begins with, and of the exemplar's
+# shorter side the part that they are at most.
+_PIECE, _PART = 128, 2
 _DRAWS = 4  # pieces that each is the cheapest of
-_JITTER = {0: 0, 1: 0, 2: 0}  # 16ths of a step by which places are moved, by level
-_JITTER_COARSE = 8
 _PASSES = (1, 2)  # of correction at the finest level, and at every coarser one
-
-
-@dataclass(frozen=True)
-class Area:
-    """Columns x to x + width and rows y to y + height of a level's places."""
-
-    x: int
-    y: int
-    width: int
-    height: int
-
-    def grown(self, by: int) -> Area:
-        """With so many more on every side."""
-        return Area(self.x - by, self.y - by, self.width + 2 * by, self.height + 2 * by)
-
-    def halved(self) -> Area:
-        """Of the next coarser level: all that these places are taken from."""
-        x, y = self.x >> 1, self.y >> 1
-        right, bottom = (self.x + self.width + 1) >> 1, (self.y + self.height + 1) >> 1
-        return Area(x, y, right - x, bottom - y)
 
 
 def coordinates(
     lookup: Lookup,
     seed: int,
-    area: Area,
+    area: Rectangle,
     period: Period | None,
     correct: Correct,
 ) -> Places:
@@ -79,7 +60,7 @@ def coordinates(
         if places is None:
             places = _begin(lookup, seed, columns, rows, period)
         else:
-            places = _refine(places, lookup, seed, depth, wanted, columns, rows)
+            places = _refine(places, level, wanted)
         phases = _wanted(lookup, seed, depth, columns, rows, period)
         odd_columns, odd_rows = columns % 2 == 1, rows % 2 == 1
         places = correct(places, level, odd_columns, odd_rows, _passes(depth), phases)
@@ -91,7 +72,7 @@ def _passes(depth: int) -> int:
     return _PASSES[min(depth, 1)]
 
 
-def _wrapped(area: Area, depth: int, period: Period | None) -> tuple[Integers, Integers]:
+def _wrapped(area: Rectangle, depth: int, period: Period | None) -> tuple[Integers, Integers]:
     """Columns and rows of an area within the first period."""
     columns = np.arange(area.x, area.x + area.width)
     rows = np.arange(area.y, area.y + area.height)
@@ -107,18 +88,20 @@ def _begin(
 ) -> Places:
     """Pieces of the exemplar at random places; in phase with the order there is."""
     depth, level = len(lookup.levels) - 1, lookup.levels[-1]
-    side = level.spacing << _PIECE
     x, y = columns << depth, rows << depth
     if lookup.order is None:
-        pieces = columns >> _PIECE, (rows >> _PIECE)[:, None]
+        bits = _piece_bits(level.frame)
+        side = 1 << bits
         # Middles of pieces, from which places are counted.
         apart_x, apart_y = x % side - side // 2, (y % side - side // 2)[:, None]
-        hashes = hash_places(seed, depth, *pieces)
+        hashes = hash_places(seed, depth, x >> bits, (y >> bits)[:, None])
     else:
+        side = round(lookup.order.piece)
         cells = cells_of(lookup.order, seed, x, y, period or (None, None))
         apart_x, apart_y = x - cells.middle_x, y[:, None] - cells.middle_y
         hashes = hash_places(seed, depth, cells.column, cells.row)
-    frame = _inset(level.frame, _ROOM)
+    # As much around the middle of a piece as it is wide.
+    frame = _inset(level.frame, side // 2)
     best_x, best_y = _drawn(hashes, 0, frame)
     best = _price(level, best_x, best_y)
     for attempt in range(1, _DRAWS):
@@ -131,6 +114,12 @@ def _begin(
         best_x, best_y = _in_phase(lookup.order, seed, best_x, best_y, cells, period)
     places = np.stack(np.broadcast_arrays(best_x + apart_x, best_y + apart_y), axis=-1)
     return _clamped(places, level.frame)
+
+
+def _piece_bits(frame: Frame) -> int:
+    """Pieces are squares of 2^bits texels."""
+    shorter = min(frame.right - frame.left, frame.bottom - frame.top)
+    return min(_PIECE, shorter // _PART).bit_length() - 1
 
 
 def _drawn(hashes: Hashes, attempt: int, frame: Frame) -> tuple[Integers, Integers]:
@@ -181,32 +170,18 @@ def _wanted(
     return two_phases(found)
 
 
-def _refine(
-    coarse: Places,
-    lookup: Lookup,
-    seed: int,
-    depth: int,
-    area: Area,
-    columns: Integers,
-    rows: Integers,
-) -> Places:
-    """Each place's four finer ones, moved a little at random where the level is coarse."""
-    level = lookup.levels[depth]
+def _refine(coarse: Places, level: Level, area: Rectangle) -> Places:
+    """Each place's four finer ones."""
     first_x, first_y = area.x & 1, area.y & 1
     fine = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)
     fine = fine[first_y : first_y + area.height, first_x : first_x + area.width].copy()
     step = level.spacing
     fine[:, (1 - first_x) :: 2, 0] += np.int16(step)
     fine[(1 - first_y) :: 2, :, 1] += np.int16(step)
-    strength = _JITTER.get(depth, _JITTER_COARSE) * step // 16
-    if strength and lookup.order is None:
-        hashes = hash_places(seed, depth, columns, rows[:, None])
-        for axis in (0, 1):
-            fine[..., axis] += (draw(hashes, axis, 2 * strength + 1) - strength).astype(np.int16)
     return _clamped(fine, level.frame)
 
 
 def _clamped(places: NDArray[np.integer], frame: Frame) -> Places:
-    least = np.array([frame.left, frame.top])
-    most = np.array([frame.right, frame.bottom])
-    return places.clip(least, most).astype(np.int16)
+    least = np.array([frame.left, frame.top], places.dtype)
+    most = np.array([frame.right, frame.bottom], places.dtype)
+    return places.clip(least, most).astype(np.int16, copy=False)

@@ -7,23 +7,44 @@ or 8 times that grid's resolution, so that a finer photograph costs no more to r
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.model.example import appearance, compiled, plain, relief
-from matcap.model.example.coordinates import Area, Correct, coordinates
+from matcap.model.example.coordinates import Correct, coordinates
 from matcap.model.example.grids import level_count
 from matcap.model.example.index import Index, Project, build_index
 from matcap.model.example.lookup import Lookup, prepare
-from matcap.model.example.order import Period, Wave
+from matcap.model.example.order import Wave
 from matcap.model.example.plain import Places
 from matcap.model.exemplar import Exemplar, Floats
+from matcap.model.plane import Period, Rectangle
 
 _GRID = 1536  # texels of the longer side of the grid at most
+
+
+@dataclass(frozen=True)
+class _Ready:
+    """What is made again whenever an example is read, and looked up from then on.
+
+    Attributes:
+        lookup: for the places.
+        planes: of the maps but the height, flat.
+        bands: of the height.
+    """
+
+    lookup: Lookup
+    planes: tuple[Floats, ...]
+    bands: relief.Heights
+
+
+_PREPARING = Lock()
 
 
 @dataclass(frozen=True)
@@ -85,7 +106,7 @@ class Example:
         )
         return Example(exemplar, index)
 
-    def maps(self, seed: int, area: Area, period: Period | None) -> Floats:
+    def maps(self, seed: int, area: Rectangle, period: Period | None) -> Floats:
         """(6, height, width) stacked maps of an area of the field, a pure function of texels.
 
         Args:
@@ -94,30 +115,31 @@ class Example:
             period: that the field repeats in, multiples of `alignment`.
         """
         reach = relief.REACH
+        ready = self._ready
         places = self.places(seed, area.grown(reach), period)
         x, y = places[..., 0].astype(np.intp), places[..., 1].astype(np.intp)
         flat = y * self.exemplar.size[0] + x
         unit, low = self.exemplar.height_coding()
-        bands = self._bands.reshape(relief.BANDS, -1)
-        heights = relief.joined(np.stack([band[flat] for band in bands]))
+        bands = ready.bands.reshape(relief.BANDS, -1)
+        heights = relief.joined(np.stack([band.take(flat) for band in bands]))
         found = np.empty((6, area.height, area.width), np.float32)
         inner = np.ascontiguousarray(flat[reach:-reach, reach:-reach])
-        for plane, values in zip(found, self._planes, strict=False):
+        for plane, values in zip(found, ready.planes, strict=False):
             np.take(values, inner, out=plane)
         np.multiply(heights, np.float32(unit / 2**relief.FRACTION), out=found[5], casting="unsafe")
         found[5] += np.float32(low * unit)
         return found
 
-    def places(self, seed: int, area: Area, period: Period | None) -> Places:
+    def places(self, seed: int, area: Rectangle, period: Period | None) -> Places:
         """(height, width, 2) int16: x, y of the exemplar that every texel of an area shows."""
         bits = detail_bits(self.exemplar)
         x, y = area.x >> bits, area.y >> bits
         right, bottom = -(-(area.x + area.width) >> bits), -(-(area.y + area.height) >> bits)
-        coarse = Area(x, y, right - x, bottom - y)
+        coarse = Rectangle(x, y, right - x, bottom - y)
         repeat = None
         if period is not None:
             repeat = (period[0] and period[0] >> bits, period[1] and period[1] >> bits)
-        found = coordinates(self._lookup, seed, coarse, repeat, loops()[1])
+        found = coordinates(self._ready.lookup, seed, coarse, repeat, loops()[1])
         if not bits:
             return found
         side = 1 << bits
@@ -128,19 +150,21 @@ class Example:
         left, top = area.x - (x << bits), area.y - (y << bits)
         return found[top : top + area.height, left : left + area.width]
 
-    @cached_property
-    def _lookup(self) -> Lookup:
-        coarse = coarsened(self.exemplar, detail_bits(self.exemplar))
-        return prepare(coarse, self.index, loops()[0])
+    @property
+    def _ready(self) -> _Ready:
+        with _PREPARING:  # threads that ask at once wait for the first one
+            return self._prepared
 
     @cached_property
-    def _planes(self) -> tuple[Floats, ...]:
-        maps = (self.exemplar.diffuse, self.exemplar.specular, self.exemplar.roughness)
-        return tuple(plane.ravel() for planes in maps for plane in planes)
-
-    @cached_property
-    def _bands(self) -> relief.Heights:
-        return relief.bands_of(self.exemplar.height_codes())
+    def _prepared(self) -> _Ready:
+        exemplar = self.exemplar
+        with ThreadPoolExecutor() as pool:
+            bands = pool.submit(lambda: relief.bands_of(exemplar.height_codes()))
+            coarse = coarsened(exemplar, detail_bits(exemplar))
+            lookup = prepare(coarse, self.index, loops()[0])
+            maps = (exemplar.diffuse, exemplar.specular, exemplar.roughness)
+            planes = tuple(plane.ravel() for planes in maps for plane in planes)
+            return _Ready(lookup, planes, bands.result())
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what can be made again."""

@@ -42,20 +42,14 @@ class Scale:
 
 def planes_of(exemplar: Exemplar) -> NDArray[np.float32]:
     """(PLANES, H, W): what features are made of. Height is in texels."""
-    height = exemplar.height[0] / np.float32(exemplar.texel_size)
-    across, down = np.empty_like(height), np.empty_like(height)
-    _difference(height, across)
-    _difference(height.T, down.T)
-    return np.stack(
-        [
-            *np.sqrt(exemplar.diffuse),
-            np.sqrt(exemplar.specular[0]),
-            exemplar.roughness[0],
-            across,
-            down,
-            height,
-        ]
-    )
+    planes = np.empty((PLANES, *exemplar.height.shape[1:]), np.float32)
+    np.sqrt(exemplar.diffuse, out=planes[:3])
+    np.sqrt(exemplar.specular[0], out=planes[3])
+    planes[4] = exemplar.roughness[0]
+    height = np.divide(exemplar.height[0], np.float32(exemplar.texel_size), out=planes[7])
+    _difference(height, planes[5])
+    _difference(height.T, planes[6].T)
+    return planes
 
 
 def choose_scale(planes: NDArray[np.float32]) -> Scale:

@@ -47,8 +47,10 @@ _APART_TEXELS = 8  # texels at least
 _FINENESS = 16  # places of the coarsest level along the shorter side of a lattice's piece
 _UNIQUE = 12.0  # times the median distance to what is most similar: a mark that occurs once
 _UNIQUE_LEVEL = 2  # it is told at, of some twenty texels
-_TRUSTED = 0.8  # quantile of confidence from which a place is not reluctant at all
-_DOUBTED = 0.6  # confidence below that, at which it is as reluctant as can be
+_TRUSTED = 0.8  # quantile of confidence that a place is held against
+# Confidence below that up to which a place is as good, for steps of it lie between most parts of a
+# photograph, and at which it is as reluctant as can be.
+_SLACK, _DOUBTED = 0.05, 0.35
 _MOST = 255
 
 Project = Callable[[Features, Basis], Appearance]
@@ -142,7 +144,8 @@ def build_index(exemplar: Exemplar, waves: tuple[Wave, ...], project: Project) -
     planes = planes_of(exemplar)
     scale = choose_scale(planes)
     features = features_of(planes, scale)
-    order = measure_order(features - features.mean(axis=(1, 2), keepdims=True), waves)
+    means = features.mean(axis=(1, 2), keepdims=True)
+    order = measure_order(np.subtract(features, means, dtype=np.float32), waves)
     count = level_count(width, height)
     if order is not None:
         count = min(count, _ordered_levels(order))
@@ -198,7 +201,7 @@ def _doubt(exemplar: Exemplar) -> NDArray[np.float64]:
     rows, columns = trust.shape
     whole = np.pad(trust, ((0, -rows % side), (0, -columns % side)), mode="edge")
     means = whole.reshape(whole.shape[0] // side, side, -1, side).mean(axis=(1, 3))
-    short = (np.quantile(means, _TRUSTED) - means) / _DOUBTED
+    short = (np.quantile(means, _TRUSTED) - means - _SLACK) / (_DOUBTED - _SLACK)
     return np.rint(_MOST * short.clip(0.0, 1.0))
 
 

@@ -4,7 +4,10 @@
 #include <stdint.h>
 #include <string.h>
 
-#if defined(__SSE2__)
+#if defined(__x86_64__) && defined(__GNUC__)
+#define MATCAP_AVX2 /* asked for at run time */
+#include <immintrin.h>
+#elif defined(__SSE2__)
 #include <emmintrin.h>
 #endif
 
@@ -19,7 +22,6 @@ enum {
     REACH = 2,
     PHASE_SHIFT = 2,
     PRICE_BITS = 2,
-    SIMILAR_TIMES = 2,
     STRIP = 512, /* places of a row that are looked at together */
 };
 
@@ -67,6 +69,26 @@ static int inside(const Level *l, int32_t x, int32_t y) {
     return x >= l->left && x <= l->right && y >= l->top && y <= l->bottom;
 }
 
+/* The sum of (3 found - wanted)^2. */
+static int32_t apart(const int16_t *found, const int16_t *wanted) {
+#if defined(__SSE2__)
+    const __m128i f = _mm_loadu_si128((const __m128i *)found);
+    const __m128i w = _mm_loadu_si128((const __m128i *)wanted);
+    const __m128i difference = _mm_sub_epi16(_mm_add_epi16(f, _mm_add_epi16(f, f)), w);
+    __m128i sum = _mm_madd_epi16(difference, difference);
+    sum = _mm_add_epi32(sum, _mm_shuffle_epi32(sum, _MM_SHUFFLE(1, 0, 3, 2)));
+    sum = _mm_add_epi32(sum, _mm_shuffle_epi32(sum, _MM_SHUFFLE(2, 3, 0, 1)));
+    return _mm_cvtsi128_si32(sum);
+#else
+    int32_t sum = 0;
+    for (int d = 0; d < DIMENSIONS; d++) {
+        int16_t difference = (int16_t)(3 * found[d] - wanted[d]);
+        sum += (int32_t)difference * difference;
+    }
+    return sum;
+#endif
+}
+
 /* At least most as soon as it is certain to be. */
 static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *wanted,
                        const Phase *ordered, int similar, int32_t most) {
@@ -74,14 +96,9 @@ static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *want
     for (int k = 0; k < DIAGONALS; k++) {
         const int16_t *found =
             appearance_at(l, x + DIAGONAL[k][1] * l->spacing, y + DIAGONAL[k][0] * l->spacing);
-        const int16_t *target = wanted + k * DIMENSIONS;
-        for (int d = 0; d < DIMENSIONS; d++) {
-            int16_t difference = (int16_t)(3 * found[d] - target[d]);
-            cost += (int32_t)difference * difference;
-        }
+        cost += apart(found, wanted + k * DIMENSIONS) << similar;
         if (cost >= most) return cost;
     }
-    if (similar) cost *= SIMILAR_TIMES;
     if (l->phases) {
         const ptrdiff_t place = (ptrdiff_t)(y >> l->bits) * l->columns + (x >> l->bits);
         const int32_t one = (int16_t)(l->phases[place].one - ordered->one) >> PHASE_SHIFT;
@@ -91,15 +108,45 @@ static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *want
     return cost + l->price[(ptrdiff_t)(y >> PRICE_BITS) * l->price_columns + (x >> PRICE_BITS)];
 }
 
+/* Fetch what the cost of a place will read, which lies anywhere in megabytes. */
+static void expect(const Level *l, Place p) {
+#if defined(__GNUC__)
+    for (int y = -1; y <= 1; y += 2)
+        __builtin_prefetch(appearance_at(l, p.x - l->spacing, p.y + y * l->spacing));
+#else
+    (void)l, (void)p;
+#endif
+}
+
+/* Adds a place to those to be tried, unless it is among them. */
+static int added(Place *tried, int count, Place p) {
+    for (int k = 0; k < count; k++)
+        if (same(tried[k], p)) return count;
+    tried[count] = p;
+    return count + 1;
+}
+
 static Place corrected(const Level *l, const Place *here, ptrdiff_t columns,
                        const Phase *ordered) {
     const int step = l->spacing;
-    Place near[AROUND];
+    Place tried[2 * AROUND], near[AROUND];
+    int count = 0;
     for (int k = 0; k < AROUND; k++) {
         Place p = at(here, columns, NEAR[k][0], NEAR[k][1]);
         near[k].x = (int16_t)(p.x - NEAR[k][1] * step);
         near[k].y = (int16_t)(p.y - NEAR[k][0] * step);
+        if (inside(l, near[k].x, near[k].y)) count = added(tried, count, near[k]);
     }
+    const int continued = count, mask = (1 << l->similar_bits) - 1;
+    for (int k = 0; k < continued; k++) {
+        const Place c = tried[k];
+        Place s = l->similar[(ptrdiff_t)(c.y >> l->similar_bits) * l->similar_columns +
+                             (c.x >> l->similar_bits)];
+        s.x = (int16_t)(s.x + (c.x & mask));
+        s.y = (int16_t)(s.y + (c.y & mask));
+        if (inside(l, s.x, s.y)) count = added(tried, count, s);
+    }
+    for (int k = 0; k < count; k++) expect(l, tried[k]);
 
     int16_t wanted[DIAGONALS * DIMENSIONS];
     for (int k = 0; k < DIAGONALS; k++) {
@@ -114,30 +161,14 @@ static Place corrected(const Level *l, const Place *here, ptrdiff_t columns,
             wanted[k * DIMENSIONS + d] = (int16_t)(a[d] + b[d] + c[d]);
     }
 
-    Place tried[2 * AROUND], best = near[0];
+    Place best = near[0];
     int32_t best_cost = INT32_MAX;
-    int count = 0;
-    for (int similar = 0; similar < 2; similar++) {
-        for (int k = 0; k < AROUND; k++) {
-            Place c = near[k];
-            if (!inside(l, c.x, c.y)) continue;
-            if (similar) {
-                const int mask = (1 << l->similar_bits) - 1;
-                Place s = l->similar[(ptrdiff_t)(c.y >> l->similar_bits) * l->similar_columns +
-                                     (c.x >> l->similar_bits)];
-                c.x = (int16_t)(s.x + (c.x & mask));
-                c.y = (int16_t)(s.y + (c.y & mask));
-                if (!inside(l, c.x, c.y)) continue;
-            }
-            int seen = 0;
-            while (seen < count && !same(tried[seen], c)) seen++;
-            if (seen < count) continue;
-            tried[count++] = c;
-            int32_t cost = cost_of(l, c.x, c.y, wanted, ordered, similar, best_cost);
-            if (cost < best_cost) {
-                best_cost = cost;
-                best = c;
-            }
+    for (int k = 0; k < count; k++) {
+        const int32_t cost =
+            cost_of(l, tried[k].x, tried[k].y, wanted, ordered, k >= continued, best_cost);
+        if (cost < best_cost) {
+            best_cost = cost;
+            best = tried[k];
         }
     }
     return best;
@@ -190,24 +221,6 @@ void matcap_correct(const Level *l, Place *places, Place *scratch, int32_t colum
    other; exact, in whatever order they are added. */
 static void project(const int16_t *here, ptrdiff_t row, ptrdiff_t step, const int16_t *weights,
                     int32_t *sums) {
-#if defined(__SSE2__)
-    __m128i total[DIMENSIONS];
-    for (int d = 0; d < DIMENSIONS; d++) total[d] = _mm_setzero_si128();
-    for (int tap = 0; tap < SIDE * SIDE; tap++) {
-        const int16_t *at = here + (tap / SIDE) * row + (tap % SIDE) * step;
-        const __m128i feature = _mm_loadu_si128((const __m128i *)at);
-        for (int d = 0; d < DIMENSIONS; d++) {
-            const int16_t *w = weights + (d * SIDE * SIDE + tap) * PLANES;
-            const __m128i weight = _mm_loadu_si128((const __m128i *)w);
-            total[d] = _mm_add_epi32(total[d], _mm_madd_epi16(feature, weight));
-        }
-    }
-    for (int d = 0; d < DIMENSIONS; d++) {
-        int32_t part[4];
-        _mm_storeu_si128((__m128i *)part, total[d]);
-        sums[d] = part[0] + part[1] + part[2] + part[3];
-    }
-#else
     for (int d = 0; d < DIMENSIONS; d++) {
         sums[d] = 0;
         for (int tap = 0; tap < SIDE * SIDE; tap++) {
@@ -216,21 +229,62 @@ static void project(const int16_t *here, ptrdiff_t row, ptrdiff_t step, const in
             for (int k = 0; k < PLANES; k++) sums[d] += (int32_t)at[k] * w[k];
         }
     }
-#endif
 }
+
+#if defined(MATCAP_AVX2)
+/* The same of two places beside each other: (2, DIMENSIONS) sums. */
+__attribute__((target("avx2"))) static void project_two(const int16_t *here, ptrdiff_t row,
+                                                        ptrdiff_t step, const int16_t *weights,
+                                                        int32_t *sums) {
+    __m256i total[DIMENSIONS];
+    for (int d = 0; d < DIMENSIONS; d++) total[d] = _mm256_setzero_si256();
+    for (int y = 0; y < SIDE; y++) {
+        for (int x = 0; x < SIDE; x++) {
+            const int16_t *at = here + y * row + x * step;
+            const __m256i features = _mm256_loadu_si256((const __m256i *)at);
+            for (int d = 0; d < DIMENSIONS; d++) {
+                const int16_t *w = weights + ((d * SIDE + y) * SIDE + x) * PLANES;
+                const __m256i weight =
+                    _mm256_broadcastsi128_si256(_mm_loadu_si128((const __m128i *)w));
+                total[d] = _mm256_add_epi32(total[d], _mm256_madd_epi16(features, weight));
+            }
+        }
+    }
+    for (int d = 0; d < DIMENSIONS; d += 4) {
+        const __m256i one = _mm256_hadd_epi32(total[d], total[d + 1]);
+        const __m256i two = _mm256_hadd_epi32(total[d + 2], total[d + 3]);
+        const __m256i all = _mm256_hadd_epi32(one, two);
+        _mm_storeu_si128((__m128i *)(sums + d), _mm256_castsi256_si128(all));
+        _mm_storeu_si128((__m128i *)(sums + DIMENSIONS + d), _mm256_extracti128_si256(all, 1));
+    }
+}
+
+static int two_at_once(void) { return __builtin_cpu_supports("avx2"); }
+#else
+static void project_two(const int16_t *here, ptrdiff_t row, ptrdiff_t step, const int16_t *weights,
+                        int32_t *sums) {
+    project(here, row, step, weights, sums);
+    project(here + PLANES, row, step, weights, sums + DIMENSIONS);
+}
+
+static int two_at_once(void) { return 0; }
+#endif
 
 /* appearance.project: features (rows + 4 step) x (columns + 4 step) x PLANES, weights DIMENSIONS x
    SIDE x SIDE x PLANES, found rows x columns x DIMENSIONS. */
 void matcap_project(const int16_t *features, const int16_t *weights, int32_t step, int32_t shift,
                     int32_t columns, int32_t rows, int16_t *found) {
     const ptrdiff_t row = (ptrdiff_t)(columns + (SIDE - 1) * step) * PLANES;
+    const int fast = two_at_once();
     for (int32_t y = 0; y < rows; y++) {
-        for (int32_t x = 0; x < columns; x++) {
-            int32_t sums[DIMENSIONS];
-            project(features + y * row + (ptrdiff_t)x * PLANES, step * row,
-                    (ptrdiff_t)step * PLANES, weights, sums);
+        for (int32_t x = 0, count; x < columns; x += count) {
+            int32_t sums[2 * DIMENSIONS];
+            count = fast && x + 1 < columns ? 2 : 1;
+            (count == 2 ? project_two : project)(features + y * row + (ptrdiff_t)x * PLANES,
+                                                 step * row, (ptrdiff_t)step * PLANES, weights,
+                                                 sums);
             int16_t *to = found + ((ptrdiff_t)y * columns + x) * DIMENSIONS;
-            for (int d = 0; d < DIMENSIONS; d++) {
+            for (int d = 0; d < count * DIMENSIONS; d++) {
                 const int32_t value = sums[d] >> shift;
                 to[d] = (int16_t)(value > LARGEST ? LARGEST : value < -LARGEST ? -LARGEST : value);
             }

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.model.example.hashing import scramble
+from matcap.model.plane import Period
 
 Phases = NDArray[np.int16]
 Integers = NDArray[np.int64]
-Period = tuple[int | None, int | None]
 Wave = tuple[float, float]  # cycles per texel along x (right) and y (down)
 
 GRID = 4  # bits: phases are stored every 16 texels
@@ -28,6 +28,10 @@ _BINS = 24  # to a turn, where cells are compared
 _SLOPES = (5, 6)  # planes that vary most at joints, which are edges, and so hide them
 _PIECE = 48  # texels: cells smaller than this are laid several together
 _WINDOW = 1.5  # periods: standard deviation of the window that a phase is measured in
+_FAINT = 1e-9  # of squared features: a plane may be flat
+_LAG = 2.0  # windows' deviations: so far apart they hardly see the same cells
+_STEADIEST = 0.98  # a plane alone must not be believed without end
+_ROUNDS = 3  # a window smooths bends away: what is left of them is measured again
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
 _PHASES = 0x94D049BB133111EB  # sets its seeds apart from those of places
 
@@ -270,22 +274,44 @@ def _measured(planes: NDArray[np.floating], wave: Wave) -> tuple[Wave, NDArray[n
     deviation = _WINDOW / math.hypot(*wave)
     if 4 * deviation > min(high, wide):
         return None
-    x, y = np.arange(wide), np.arange(high)
-    carrier = np.exp(-2j * np.pi * wave[1] * y)[:, None] * np.exp(-2j * np.pi * wave[0] * x)
+    x, y = np.arange(wide)[None, :], np.arange(high)[:, None]
     side = 1 << GRID
     rows, columns = np.arange(0, high + side, side), np.arange(0, wide + side, side)
-    down, across = (_windows(n, at, deviation) for n, at in ((high, rows), (wide, columns)))
-    local = np.stack([down @ (plane * carrier) @ across.T for plane in planes])
-    # Planes carry the wave in phases of their own: turned to the strongest's, they add.
-    strongest = local[np.argmax((np.abs(local) ** 2).sum(axis=(1, 2)))]
-    turned = local * (local.conj() * strongest).sum(axis=(1, 2))[:, None, None]
-    joined = turned.sum(axis=0)
-    phase = np.unwrap(np.unwrap(np.angle(joined), axis=0), axis=1) / (2.0 * np.pi)
-    weight = np.abs(joined)
-    slope_x, slope_y, _ = _plane_fit(columns, rows, phase, weight)
+    down, across = (
+        _windows(n, at, deviation).astype(np.complex64) for n, at in ((high, rows), (wide, columns))
+    )
+    straight = wave[0] * x + wave[1] * y
+    lag = max(1, round(_LAG * deviation) >> GRID)
+    bend = np.zeros((len(rows), len(columns)))
+    for _ in range(_ROUNDS):
+        turns = straight + _bent(np.rint(bend * _TURN).astype(np.int64), x, y) / _TURN
+        carrier = np.exp(-2j * np.pi * (turns - np.floor(turns))).astype(np.complex64)
+        local = np.stack([(down @ (plane * carrier)) @ across.T for plane in planes])
+        joined = _joined(local, lag)
+        bend = bend + np.unwrap(np.unwrap(np.angle(joined), axis=0), axis=1) / (2.0 * np.pi)
+    slope_x, slope_y, _ = _plane_fit(columns, rows, bend, np.abs(joined))
     mean = (wave[0] + slope_x, wave[1] + slope_y)
-    bend = phase - slope_x * columns[None, :] - slope_y * rows[:, None]
+    bend = bend - slope_x * columns[None, :] - slope_y * rows[:, None]
     return mean, np.rint(bend * _TURN).astype(np.int32)
+
+
+def _joined(local: NDArray[np.complexfloating], lag: int) -> NDArray[np.complexfloating]:
+    """(H, W) of a wave in planes (C, H, W), which carry it in phases of their own.
+
+    Each is turned to the steadiest one, and weighted by how steady it is: what differs from cell
+    to cell at random, as colours of tiles do, tells no phase. A bend hardly changes it `lag` places
+    on.
+    """
+    power = (np.abs(local) ** 2).mean(axis=(1, 2)) + _FAINT
+    on = (
+        np.abs((local[:, lag:] * local[:, :-lag].conj()).mean(axis=(1, 2))),
+        np.abs((local[:, :, lag:] * local[:, :, :-lag].conj()).mean(axis=(1, 2))),
+    )
+    steady = np.minimum(0.5 * (on[0] + on[1]) / power, _STEADIEST)
+    reference = local[np.argmax(steady)]
+    relation = (local * reference.conj()).mean(axis=(1, 2))
+    weights = relation.conj() / (power * (1.0 - steady))
+    return (local * weights[:, None, None]).sum(axis=0)
 
 
 def _windows(length: int, centres: NDArray[np.int64], deviation: float) -> NDArray[np.float64]:

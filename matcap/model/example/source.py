@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.folder import NormalStyle
-from matcap.model.blocks import RING, Grid, Rectangle
-from matcap.model.example.coordinates import Area
+from matcap.model.blocks import RING, Grid
 from matcap.model.example.example import Example
-from matcap.model.plane import Period, check_period, check_seed
+from matcap.model.plane import Period, Rectangle, check_period, check_seed
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -65,8 +64,7 @@ class ExampleSource:
         return found
 
     def _stacked(self, block: Rectangle) -> NDArray[np.float32]:
-        area = Area(block.x, block.y, block.width, block.height).grown(RING)
-        return self.example.maps(self.seed, area, self.period)
+        return self.example.maps(self.seed, block.grown(RING), self.period)
 
 
 def example_source(example: Example, seed: int, period: Period | None = None) -> ExampleSource:

@@ -60,7 +60,7 @@ class Inverse(nn.Module):
         self.stem = nn.Conv2d(4 * len(INPUTS), widths[0], 3, padding=1)
         before = (widths[0], *widths[:-1])
         self.down = nn.ModuleList(
-            _Block(last, width) for last, width in zip(before, widths, strict=True)
+            _ResidualBlock(last, width) for last, width in zip(before, widths, strict=True)
         )
         self.pooled = nn.ModuleList(
             nn.Linear(_WEIGHTINGS * width, config.context) for width in widths
@@ -72,7 +72,7 @@ class Inverse(nn.Module):
             nn.Conv2d(width + above, width, 1)
             for width, above in zip(widths[:-1], widths[1:], strict=True)
         )
-        self.up = nn.ModuleList(_Block(width, width) for width in widths[:-1])
+        self.up = nn.ModuleList(_ResidualBlock(width, width) for width in widths[:-1])
         self.told = nn.ModuleList(nn.Linear(config.context, 2 * width) for width in widths[:-1])
         self.heights = nn.ModuleList(nn.Conv2d(width, 1, 3, padding=1) for width in widths[:-1])
         fine = 16
@@ -127,7 +127,7 @@ class Inverse(nn.Module):
         return torch.cat([albedo, out[:, 3:5], out[:, 5:6] + coarse, out[:, 6:]], dim=1)
 
 
-class _Block(nn.Module):
+class _ResidualBlock(nn.Module):
     """Two convolutions beside a shortcut, each after normalisation over the whole picture."""
 
     def __init__(self, before: int, width: int) -> None:

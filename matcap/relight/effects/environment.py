@@ -24,10 +24,10 @@ from collections.abc import Callable
 import numpy as np
 
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
-from matcap.relight.environment import Environment, Sun
+from matcap.relight.environment_map import Environment, Sun
 from matcap.relight.facts import WHOLE, Facts
 from matcap.relight.lobes import ggx_smith, schlick_weight
-from matcap.relight.sampling import Sample
+from matcap.relight.sampling import SurfaceSample
 from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
 from matcap.relight.tables import albedo
 from matcap.relight.vectors import Array, Vec, add, dot, vec
@@ -89,7 +89,7 @@ def irradiance_vector(sky: Environment, hits: Hits) -> list[Vec]:
 
 def specular(
     sky: Environment,
-    sample: Sample,
+    sample: SurfaceSample,
     hits: Hits,
     n_dot_v: Array,
     samples: int,
@@ -137,7 +137,7 @@ def specular(
 
 
 def _sunlight(
-    sun: Sun, sample: Sample, hits: Hits, n_dot_v: Array, horizon: Horizon | None
+    sun: Sun, sample: SurfaceSample, hits: Hits, n_dot_v: Array, horizon: Horizon | None
 ) -> tuple[Array, Array]:
     """The lobe times n.l towards a sun, and Schlick's weight."""
     to_light = to_frame(vec(sun.direction), hits.frame)
@@ -171,7 +171,9 @@ def hidden(lobe: Lobe, samples: int, horizon: Horizon | None) -> tuple[Array, Ar
     return scale, bias
 
 
-def uniform_specular(sky: Environment, sample: Sample, n_dot_v: Array) -> tuple[Array, Array]:
+def uniform_specular(
+    sky: Environment, sample: SurfaceSample, n_dot_v: Array
+) -> tuple[Array, Array]:
     """As specular(), of surroundings that are everywhere as on average."""
     tables = albedo()
     rows = tables.rows(sample.alpha)

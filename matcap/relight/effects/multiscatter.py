@@ -5,8 +5,8 @@ f_ms = Fms (1 - E(n.l)) (1 - E(n.v)) / (pi (1 - Eavg)), with Fms = Favg^2 Eavg /
 tables of matcap.relight.tables). Reciprocal; a white metal reflects all it receives.
 
 Left out: rough metals lose up to half their light. Cost: two small table lookups a light and
-pixel. It is additional to the reflectance that captures are fitted with (DESIGN, section 2), whose
-F0 of 0.04 makes it too small to see on anything but metal.
+pixel. It is additional to the reflectance that captures are fitted with
+(brdf/cook_torrance.py), whose F0 of 0.04 makes it too small to see on anything but metal.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ import numpy as np
 
 from matcap.errors import MatcapError
 from matcap.relight.camera import View
-from matcap.relight.facts import Region
+from matcap.relight.facts import VisibleRegion
 from matcap.relight.relief import Relief
 from matcap.relight.scene import Film
 from matcap.relight.surfaces.curved import hits_of
@@ -84,12 +84,12 @@ class Mesh:
         spot = (place[..., 0], place[..., 1])
         return hits_of(view, point, frame, spot, seen, along, direction)  # type: ignore[arg-type]
 
-    def region(self, view: View, relief: Relief) -> tuple[Region, float]:
+    def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
         """See Shape."""
         lift = max(abs(relief.low), abs(relief.high))
         low = (self.corners.min(axis=(0, 1)) - lift).tolist()
         high = (self.corners.max(axis=(0, 1)) + lift).tolist()
-        return Region(tuple(low), tuple(high), flat=False), float("inf")
+        return VisibleRegion(tuple(low), tuple(high), flat=False), float("inf")
 
     @property
     def _tangents(self) -> Array:

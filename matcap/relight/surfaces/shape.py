@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from matcap.relight.camera import View
-from matcap.relight.facts import Region
+from matcap.relight.facts import VisibleRegion
 from matcap.relight.relief import Relief
 from matcap.relight.scene import Film, Surface
 from matcap.relight.surfaces.curved import cylinder_hits, sphere_hits
+from matcap.relight.surfaces.flat import plane_hits, plane_region
 from matcap.relight.surfaces.hits import Hits
-from matcap.relight.surfaces.plane import plane_hits, plane_region
 from matcap.relight.texture import Texture
 
 # How much room the photograph's camera leaves around a curved surface.
@@ -34,13 +34,13 @@ class Shape(Protocol):
         """Where rows of pixels meet it."""
         ...
 
-    def region(self, view: View, relief: Relief) -> tuple[Region, float]:
+    def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
         """Where visible points can be, and what a pixel covers at most, in plane units."""
         ...
 
 
 @dataclass(frozen=True)
-class Plane:
+class Flat:
     """The plane z = 0, `extent` wide and high."""
 
     extent: tuple[float, float]
@@ -57,7 +57,7 @@ class Plane:
         """See Shape."""
         return plane_hits(view, top, bottom, self.extent)
 
-    def region(self, view: View, relief: Relief) -> tuple[Region, float]:
+    def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
         """See Shape."""
         return plane_region(view, self.extent, (relief.low, relief.high))
 
@@ -84,10 +84,10 @@ class Round:
             return cylinder_hits(view, top, bottom, self.radius, 2.0 * self.radius)
         return sphere_hits(view, top, bottom, self.radius)
 
-    def region(self, view: View, relief: Relief) -> tuple[Region, float]:
+    def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
         """See Shape; towards the outline a pixel covers ever more."""
         r = self.radius + max(abs(relief.low), abs(relief.high))
-        return Region((-r, -r, -r), (r, r, r), flat=False), math.inf
+        return VisibleRegion((-r, -r, -r), (r, r, r), flat=False), math.inf
 
 
 def shape_of(surface: Surface, texture: Texture) -> Shape:
@@ -99,7 +99,7 @@ def shape_of(surface: Surface, texture: Texture) -> Shape:
     width, height = (side / surface.repeat for side in texture.extent)
     if surface.type == "plane":
         size = surface.size
-        return Plane((width, height) if size is None else (size, size))
+        return Flat((width, height) if size is None else (size, size))
     radius = (surface.size or max(width, height)) / 2.0
     if surface.type == "mesh":
         from matcap.relight.surfaces.mesh import load_mesh

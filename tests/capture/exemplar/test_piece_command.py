@@ -59,4 +59,5 @@ def test_the_material_holds_the_piece_and_is_read_by_it(folder: Path) -> None:
 def test_the_report_says_how_right_it_is(folder: Path) -> None:
     told = json.loads((folder / "report.json").read_text())["exemplar"]
     assert 0.0 <= told["error"] < 0.5
+    assert 0.0 <= told["left_out"] < 0.5
     assert set(told["confidence"]) == {"diffuse", "specular", "roughness", "height"}

@@ -17,10 +17,10 @@ from PIL import Image, ImageCms
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.dng import Sensor, write_dng
 from matcap.lab.simulate.examples import realisation
-from matcap.lab.simulate.jpeg import write_jpeg
-from matcap.lab.simulate.photograph import Camera, expose, take
+from matcap.lab.simulate.photograph import PhoneCamera, expose, take
+from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
@@ -70,7 +70,7 @@ _NUMBERS = (0, 1, 2, 255, 256, 32767, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1,
 
 def write_inputs(folder: Path) -> dict[str, list[Path]]:
     """Good files by the kind of reader that they are for."""
-    camera = Camera(width=96, height=72, supersampling=1)
+    camera = PhoneCamera(width=96, height=72, supersampling=1)
     shot = take(realisation("leather", 3), camera, FlashSetup(offset=(0.1, 0.05, 0.0)))
     light = expose(shot, 1).astype(np.float32)
     code = np.round(light * 65535.0).astype(np.uint16)

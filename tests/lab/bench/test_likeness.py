@@ -5,7 +5,7 @@ import torch
 
 from matcap.lab.bench.diversity import diversity
 from matcap.lab.bench.xyz import BINS, xyz_difference, xyz_histograms
-from matcap.lab.simulate.dng import REC709_TO_XYZ
+from matcap.lab.simulate.write_dng import REC709_TO_XYZ
 
 
 def picture(seed: int, size: int = 64) -> torch.Tensor:

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from matcap.lab.simulate.fields import Canvas, Spectrum, bumps, cells, noise, weave
+from matcap.lab.simulate.procedural import Canvas, Spectrum, bumps, cells, noise, weave
 
 TEXEL = 2.0 / 256.0
 CANVAS = Canvas(256, 192, TEXEL, seed=3)

@@ -11,11 +11,11 @@ from PIL import Image
 
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.dng import Sensor, gain_map, write_dng
-from matcap.lab.simulate.jpeg import write_jpeg
-from matcap.lab.simulate.photograph import Camera, Shot, expose
+from matcap.lab.simulate.photograph import PhoneCamera, Shot, expose
+from matcap.lab.simulate.write_dng import Sensor, gain_map, write_dng
+from matcap.lab.simulate.write_jpeg import write_jpeg
 
-CAMERA = Camera(width=240, height=180)
+CAMERA = PhoneCamera(width=240, height=180)
 
 
 @pytest.fixture

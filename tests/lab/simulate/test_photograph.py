@@ -8,9 +8,9 @@ from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, plane_points, project
 from matcap.flash.render import render_rectified
 from matcap.lab.simulate.examples import EXAMPLES, realisation
-from matcap.lab.simulate.photograph import Camera, as_photo, expose, take, true_maps
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo, expose, take, true_maps
 
-CAMERA = Camera(width=128, height=96)
+CAMERA = PhoneCamera(width=128, height=96)
 
 
 def _flat(width, height, texel_size):
@@ -46,7 +46,7 @@ def test_tilt_moves_points_to_where_they_project():
             texel_size,
         )
 
-    shot = take(dot, Camera(width=256, height=192), setup)
+    shot = take(dot, PhoneCamera(width=256, height=192), setup)
     weight = np.where(shot.linear[..., 0] > 0.5 * shot.linear.max(), shot.linear[..., 0], 0.0)
     rows, columns = np.mgrid[0:192, 0:256]
     found = (
@@ -61,7 +61,7 @@ def test_tilt_moves_points_to_where_they_project():
 def test_strips_do_not_show():
     """Shading goes by strips of rows; normals at their borders must be those of the whole."""
     setup = FlashSetup(offset=(0.1, 0.0, 0.0))
-    camera = Camera(width=128, height=96, supersampling=1, blur=0.01)
+    camera = PhoneCamera(width=128, height=96, supersampling=1, blur=0.01)
     piece = realisation("leather", 1)
     shot = take(piece, camera, setup)
     whole = render_rectified(true_maps(piece, camera, setup), shot.setup)
@@ -73,14 +73,16 @@ def test_strips_do_not_show():
 
 @pytest.mark.parametrize("name", ["leather", "granite", "rust", "tile"])
 def test_exposure_clips_a_little_on_glossy_ones(name):
-    photo = as_photo(EXAMPLES[name].take(Camera(width=256, height=192)), 0, name)
+    photo = as_photo(EXAMPLES[name].take(PhoneCamera(width=256, height=192)), 0, name)
     assert 0.0 < photo.clipped_share < 0.03
     assert photo.radiometric and photo.flash_fired
     assert photo.pixels.max() <= 1.0 and np.isfinite(photo.pixels).all()
 
 
 def test_noise_is_shot_and_read_noise():
-    shot = take(_flat, Camera(width=128, height=96, full_well=1000.0, read_noise=5.0), FlashSetup())
+    shot = take(
+        _flat, PhoneCamera(width=128, height=96, full_well=1000.0, read_noise=5.0), FlashSetup()
+    )
     error = expose(shot, 1) - shot.linear
     expected = np.sqrt(shot.linear.mean() / 1000.0 + 0.005**2)
     assert error.std() == pytest.approx(expected, rel=0.03)
@@ -95,7 +97,7 @@ def test_same_seed_same_photograph():
 def test_true_maps_lie_on_the_plane_grid():
     """A detail of the truth and of the photograph are in one place, also when tilted."""
     example = EXAMPLES["granite"]
-    camera = Camera(width=256, height=192)
+    camera = PhoneCamera(width=256, height=192)
     shot, truth = example.take(camera), example.truth(camera)
     assert truth.size == (256, 192)
     points = plane_points(0, 0, 256, 192, (256, 192), dtype=torch.float64)

@@ -16,8 +16,8 @@ from matcap.model.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE, Encoder, En
 from matcap.model.field import BLOCK, Field
 from matcap.model.freeze import fold, freeze, reference_field
 from matcap.model.material import Material
-from matcap.model.patch import Patch, Rectangle
-from matcap.model.plane import COORDINATE_LIMIT
+from matcap.model.patch import Patch
+from matcap.model.plane import COORDINATE_LIMIT, Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.lattice import Wave
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from matcap.capture.coarse import fit_coarse
-from matcap.capture.pipeline import CaptureSettings
+from matcap.capture.settings import CaptureSettings
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup

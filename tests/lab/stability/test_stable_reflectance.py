@@ -39,7 +39,7 @@ def test_rendering_is_finite_however_near_or_far_the_light():
 
 
 def exact(diffuse, specular, roughness, normal, light, view):
-    """DESIGN, section 2, with 50 digits; one colour."""
+    """The formula in the header of brdf/cook_torrance.py, with 50 digits; one colour."""
     with mpmath.workdps(50):
         n, l, v = ([mpmath.mpf(x) for x in vector] for vector in (normal, light, view))  # noqa: E741
 

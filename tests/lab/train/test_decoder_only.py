@@ -14,7 +14,8 @@ from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap.model.decoder import CODE_SIZE, DEPTH, OUTPUTS, Decoder
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.model.patch import Patch, Rectangle
+from matcap.model.patch import Patch
+from matcap.model.plane import Rectangle
 from matcap.model.random_field import random_field
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import Wave

@@ -62,14 +62,14 @@ def made(calls, name):
 
 def test_measuring_goes_on_from_what_is_there(quick, pack, tmp_path):
     entries, calls = pack.reporting[:2], []
-    first = evaluate.Way("first", made(calls, "first"))
-    second = evaluate.Way("second", made(calls, "second"))
+    first = evaluate.EvaluatedMethod("first", made(calls, "first"))
+    second = evaluate.EvaluatedMethod("second", made(calls, "second"))
     before = evaluate.measure_all([first], entries, tmp_path)
     after = evaluate.measure_all([first, second], entries, tmp_path)
     assert calls == ["first"] * 2 + ["second"] * 2
     assert [r.style for r in after if r.method == "first"] == [r.style for r in before]
     evaluate.measure_all(
-        [evaluate.Way("first", first.run, ("another prior",))], entries[:1], tmp_path
+        [evaluate.EvaluatedMethod("first", first.run, ("another prior",))], entries[:1], tmp_path
     )
     assert calls[4:] == ["first"]
 
@@ -82,7 +82,7 @@ def test_an_evaluation_writes_its_page_and_a_picture_without_the_photographs(
         evaluate,
         "ways_of",
         lambda prior, settings: [
-            evaluate.Way(name, made(calls, name))
+            evaluate.EvaluatedMethod(name, made(calls, name))
             for name in ("prior, not tuned", evaluate.ALBEDO, evaluate.QUILTING)
         ],
     )

@@ -6,7 +6,7 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.prior.base import base_of, fold, start_head
-from matcap.lab.train.windows import Turn, cut, prepare
+from matcap.lab.train.training_windows import Turn, cut, prepare
 from matcap.statistics.lattice import Wave
 
 TURNS = [Turn(mirrored, quarters) for mirrored in (False, True) for quarters in range(4)]

@@ -20,13 +20,18 @@ def blobs(width=176, height=144, seed=1):
     return exemplar(smooth)
 
 
-def bricks(width=240, height=200):
+def bricks(width=240, height=200, periods=PERIODS):
     """Every brick of its own colour; rows bend by a tenth of their height."""
     y, x = np.mgrid[0:height, 0:width].astype(float)
-    y = y + 1.7 * np.sin(x / 90.0)
-    column, row = x / PERIODS[0], y / PERIODS[1]
+    y = y + 0.1 * periods[1] * np.sin(x / 90.0)
+    column, row = x / periods[0], y / periods[1]
     colour = np.sin(12.9898 * np.floor(column) + 78.233 * np.floor(row)) * 43758.5453 % 1.0
-    joint = np.minimum(np.abs(column - np.rint(column)) * 23.3, np.abs(row - np.rint(row)) * 17.1)
+    joint = np.minimum(
+        *(
+            np.abs(at - np.rint(at)) * period
+            for at, period in zip((column, row), periods, strict=True)
+        )
+    )
     raised = np.clip(joint / 2.0, 0.0, 1.0)
     grain = np.random.default_rng(2).standard_normal(x.shape) * 0.05
     return exemplar(np.stack([colour * raised + grain, raised, raised, raised]))
@@ -52,5 +57,6 @@ def an_example():
 
 
 @cache
-def ordered():
-    return Example.of(bricks(), ((1 / PERIODS[0], 0.0), (0.0, 1 / PERIODS[1])))
+def ordered(width=240, height=200, periods=PERIODS):
+    waves = ((1 / periods[0], 0.0), (0.0, 1 / periods[1]))
+    return Example.of(bricks(width, height, periods), waves)

@@ -11,12 +11,15 @@ import torch
 from exemplars import PERIODS, an_example, blobs, ordered
 
 from matcap.errors import UsageError
-from matcap.model.blocks import Grid, Rectangle
+from matcap.model.blocks import Grid
 from matcap.model.example import plain
-from matcap.model.example.coordinates import Area, coordinates
+from matcap.model.example.appearance import project
+from matcap.model.example.coordinates import coordinates
 from matcap.model.example.example import Example, coarsened
+from matcap.model.example.lookup import prepare
 from matcap.model.example.source import example_source
 from matcap.model.field import read_source
+from matcap.model.plane import Rectangle
 
 EXAMPLES = pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])
 
@@ -48,7 +51,7 @@ def test_other_blocks_are_the_same_field(example):
 
 @EXAMPLES
 def test_seeds_are_other_pieces(example):
-    one, other = (example.maps(seed, Area(0, 0, 96, 96), None) for seed in (1, 2))
+    one, other = (example.maps(seed, Rectangle(0, 0, 96, 96), None) for seed in (1, 2))
     assert np.abs(one - other).mean() > 0.3 * one.std(axis=(1, 2)).mean()
 
 
@@ -56,7 +59,7 @@ def test_seeds_are_other_pieces(example):
 # Odd multiples of the alignment: places of the coarsest level meet that are corrected together.
 @pytest.mark.parametrize("period", [(80, 48), (80, None), (None, 48)])
 def test_a_field_repeats_exactly_where_it_is_asked_to(example, period):
-    maps = example.maps(3, Area(-33, 7, 200, 150), period)
+    maps = example.maps(3, Rectangle(-33, 7, 200, 150), period)
     columns, rows = period
     if columns:
         assert np.array_equal(maps[:, :, :-columns], maps[:, :, columns:])
@@ -74,14 +77,14 @@ def test_periods_and_seeds_out_of_range_are_refused():
 
 def test_every_texel_is_one_of_the_exemplars():
     example = an_example()
-    area = Area(0, 0, 64, 48)
+    area = Rectangle(0, 0, 64, 48)
     maps, places = example.maps(9, area, None), example.places(9, area, None)
     x, y = places[..., 0].astype(int), places[..., 1].astype(int)
     assert np.array_equal(maps[:5], example.exemplar.stacked()[:5, y, x])
 
 
 def test_pieces_are_of_many_texels():
-    places = an_example().places(9, Area(0, 0, 256, 256), None).astype(int)
+    places = an_example().places(9, Rectangle(0, 0, 256, 256), None).astype(int)
     joined = (np.diff(places, axis=1) == [1, 0]).all(-1)
     assert 0.7 < joined.mean() < 0.99
 
@@ -91,9 +94,9 @@ def test_no_piece_begins_where_nothing_is_known():
     trust = np.ones_like(doubted.confidence)
     trust[:, :, 88:] = 0.0
     example = Example.of(replace(doubted, confidence=trust))
-    columns = example.places(4, Area(0, 0, 300, 300), None)[..., 0]
+    columns = example.places(4, Rectangle(0, 0, 300, 300), None)[..., 0]
     assert (columns < 96).mean() > 0.9
-    free = Example.of(doubted).places(4, Area(0, 0, 300, 300), None)[..., 0]
+    free = Example.of(doubted).places(4, Rectangle(0, 0, 300, 300), None)[..., 0]
     assert (free < 96).mean() < 0.8
 
 
@@ -103,7 +106,7 @@ def test_a_mark_that_occurs_once_is_left_out_and_told():
     marked.roughness[:, 60:84, 60:84] = 1.0
     example = Example.of(marked)
     assert 0.005 < example.index.left_out < 0.1 and an_example().index.left_out < 0.005
-    maps = example.maps(2, Area(0, 0, 400, 400), None)
+    maps = example.maps(2, Rectangle(0, 0, 400, 400), None)
     usual = 24 * 24 / (176 * 144)
     assert (maps[4] == 1.0).mean() < 0.3 * usual
 
@@ -115,7 +118,7 @@ def test_order_neither_drifts_nor_breaks():
     assert order is not None
     assert [1 / wave[k] for k, wave in enumerate(order.waves)] == pytest.approx(PERIODS, rel=0.01)
     for x, y in ((0, 0), (16384, -16384), (2**40 - 128, 2**39)):
-        places = example.places(3, Area(x, y, 96, 96), None).astype(np.int64)
+        places = example.places(3, Rectangle(x, y, 96, 96), None).astype(np.int64)
         shown = order.phases(places[..., 0], places[..., 1])
         wanted = order.wanted(
             3, np.arange(x, x + 96)[None, :], np.arange(y, y + 96)[:, None], (None, None)
@@ -125,11 +128,42 @@ def test_order_neither_drifts_nor_breaks():
         assert abs(apart.mean()) < 0.02
 
 
+def joints(example, x, y, side):
+    """Turns from a joint to (x, y) along x and y, by the waves of the relief that is shown."""
+    height = example.maps(3, Rectangle(x, y, side, side), None)[5]
+    height = height - height.mean()
+    # A window without leakage from the other wave or from harmonics.
+    window = np.blackman(side)
+    found = []
+    for wave in example.index.order.waves:
+        columns, rows = np.arange(side), np.arange(side)[:, None]
+        turns = wave[0] * columns + wave[1] * rows
+        carried = height * np.exp(-2j * np.pi * turns) * window * window[:, None]
+        # Joints are lowest: half a turn from where the wave is highest.
+        found.append(np.angle(-carried.sum()) / (2 * np.pi))
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("size", "periods"), [((240, 200), PERIODS), ((620, 560), (72.0, 87.0))], ids=["small", "large"]
+)
+def test_a_lattice_keeps_its_phase_over_sixteen_thousand_texels(size, periods):
+    """Measured in the relief that is shown, not in places: a tenth of a period is a fault."""
+    example = ordered(*size, periods)
+    waves = np.array(example.index.order.waves)
+    assert [1 / wave[k] for k, wave in enumerate(waves)] == pytest.approx(periods, rel=0.01)
+    side = 5 * round(max(periods))
+    start = joints(example, 0, 0, side)
+    for x, y in ((16384, 0), (0, -16384), (16384, 16384)):
+        drift = joints(example, x, y, side) - start - waves @ (x, y)
+        assert np.abs((drift + 0.5) % 1.0 - 0.5).max() < 0.1
+
+
 def test_order_is_found_where_it_was_bent():
     example = ordered()
     x = np.arange(30, 210)
     phases = example.index.order.phases(x, np.full(x.shape, 100))[:, 1].astype(float) / 2**16
-    bend = 1.7 * np.sin(x / 90.0) / PERIODS[1]
+    bend = 0.1 * np.sin(x / 90.0)
     apart = (phases - bend) % 1.0
     apart = np.angle(np.exp(2j * np.pi * apart)) / (2 * np.pi)
     assert np.ptp(np.unwrap(2 * np.pi * apart)) / (2 * np.pi) < 0.06
@@ -139,24 +173,25 @@ def test_detail_is_read_at_the_exemplars_own_resolution(monkeypatch):
     monkeypatch.setattr("matcap.model.example.example._GRID", 100)
     fine = blobs(192, 160)
     example = Example.of(fine)
-    area = Area(-21, 13, 90, 70)
+    area = Rectangle(-21, 13, 90, 70)
     places = example.places(6, area, None).astype(int)
     assert (places[:, :, 0] & 1 == (np.arange(-21, 69) & 1)).all()
-    whole = example.maps(6, Area(-40, 0, 150, 100), None)
+    whole = example.maps(6, Rectangle(-40, 0, 150, 100), None)
     assert np.array_equal(example.maps(6, area, None), whole[:, 13:83, 19:109])
     assert coarsened(fine, 1).size == (96, 80) and example.alignment % 2 == 0
 
 
-def test_the_plain_form_is_the_field():
-    from matcap.model.example.appearance import project
-    from matcap.model.example.lookup import prepare
-
-    for example in (an_example(), ordered()):
-        lookup = prepare(example.exemplar, example.index, project)
-        for period in (None, (80, 48)):
-            area = Area(-5, 9, 40, 30)
-            expected = coordinates(lookup, 8, area, period, plain.correct)
-            assert np.array_equal(example.places(8, area, period), expected)
+@EXAMPLES
+def test_the_plain_form_is_the_field(example):
+    lookup = prepare(example.exemplar, example.index, project)
+    draws = random.Random(3)
+    for period in (None, (80, 48), (None, 112), None):
+        far = draws.choice([100, 2**40 - 100])
+        x, y = (draws.randint(-far, far) for _ in range(2))
+        area = Rectangle(x, y, draws.randint(1, 40), draws.randint(1, 40))
+        seed = draws.randint(-(2**63), 2**63 - 1)
+        expected = coordinates(lookup, seed, area, period, plain.correct)
+        assert np.array_equal(example.places(seed, area, period), expected)
 
 
 def test_it_needs_no_torch():

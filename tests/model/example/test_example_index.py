@@ -8,11 +8,11 @@ from exemplars import an_example, blobs, ordered
 
 from matcap.model.example import appearance, compiled, plain
 from matcap.model.example.appearance import LARGEST, choose_basis, project
-from matcap.model.example.coordinates import Area
 from matcap.model.example.example import Example
 from matcap.model.example.features import choose_scale, features_of, planes_of
 from matcap.model.example.lookup import prepare
 from matcap.model.example.similar import find_similar
+from matcap.model.plane import Rectangle
 
 needs_kernel = pytest.mark.skipif(compiled.kernel() is None, reason="the kernel was not built")
 
@@ -26,7 +26,7 @@ def features():
 def test_a_file_gives_back_the_same_field(example):
     tensors, about = example.stored()
     again = Example.read(json.loads(json.dumps(about)), tensors.__getitem__)
-    area = Area(5, -9, 70, 50)
+    area = Rectangle(5, -9, 70, 50)
     assert np.array_equal(again.maps(3, area, None), example.maps(3, area, None))
     assert again.index.left_out == example.index.left_out
 
@@ -100,7 +100,7 @@ def test_costs_fit_31_bits():
     """The largest that correction can add up: see appearance.LARGEST."""
     worst = 4 * 8 * (3 * 2 * LARGEST) ** 2
     phases = 2 * (2**15 >> plain.PHASE_SHIFT) ** 2
-    price = 255 << 19
+    price = 255**2 << 11
     assert plain.SIMILAR_TIMES * worst + phases + price < 2**31
     assert 6 * LARGEST < 2**15
     assert appearance.TAPS * 127 * 127 < 2**24

@@ -3,8 +3,8 @@
 import numpy as np
 from exemplars import an_example, ordered
 
-from matcap.model.example.coordinates import Area
 from matcap.model.example.relief import FRACTION, REACH, bands_of, joined
+from matcap.model.plane import Rectangle
 
 
 def test_what_is_not_rearranged_keeps_its_height():
@@ -28,7 +28,7 @@ def test_a_step_becomes_a_slope():
 
 def test_seams_cast_no_steeper_steps_than_the_exemplar_has():
     for example in (an_example(), ordered()):
-        height = example.maps(2, Area(0, 0, 300, 300), None)[5]
+        height = example.maps(2, Rectangle(0, 0, 300, 300), None)[5]
         own = example.exemplar.height[0]
         for axis in (0, 1):
             steps, usual = (np.abs(np.diff(one, axis=axis)) for one in (height, own))

@@ -7,7 +7,6 @@ from types import MappingProxyType
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
-from matcap.lab.simulate.fields import Canvas
 from matcap.lab.simulate.materials.cloth import cloth
 from matcap.lab.simulate.materials.granite import granite
 from matcap.lab.simulate.materials.leather import leather
@@ -15,6 +14,7 @@ from matcap.lab.simulate.materials.plaster import plaster
 from matcap.lab.simulate.materials.rust import rust
 from matcap.lab.simulate.materials.tile import tile
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
+from matcap.lab.simulate.procedural import Canvas
 
 __all__ = ["MATERIALS", "RandomMaterial", "random_material", "realise"]
 

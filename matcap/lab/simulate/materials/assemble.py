@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.simulate.fields import Canvas, Field
+from matcap.lab.simulate.procedural import Canvas, Field
 
 _DARKEST = 0.004  # no real surface reflects less
 _SMOOTHEST = 0.05

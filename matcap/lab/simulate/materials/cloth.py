@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.simulate.fields import Canvas, Spectrum, colour, mix, noise, smoothstep, weave
 from matcap.lab.simulate.materials.assemble import assemble
+from matcap.lab.simulate.procedural import Canvas, Spectrum, colour, mix, noise, smoothstep, weave
 
 _SPACING = 13.0 * 2.0 / 1024.0  # plane units a thread: 13 texels at 1024 across
 

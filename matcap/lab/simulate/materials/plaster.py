@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.simulate.fields import (
+from matcap.lab.simulate.materials.assemble import assemble
+from matcap.lab.simulate.procedural import (
     Canvas,
     Spectrum,
     bumps,
@@ -15,7 +16,6 @@ from matcap.lab.simulate.fields import (
     noise,
     smoothstep,
 )
-from matcap.lab.simulate.materials.assemble import assemble
 
 
 def plaster(canvas: Canvas) -> MapSet:

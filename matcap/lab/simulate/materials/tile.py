@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.simulate.fields import (
+from matcap.lab.simulate.materials.assemble import assemble
+from matcap.lab.simulate.procedural import (
     Canvas,
     Field,
     Spectrum,
@@ -16,7 +17,6 @@ from matcap.lab.simulate.fields import (
     pick,
     smoothstep,
 )
-from matcap.lab.simulate.materials.assemble import assemble
 
 _SIDE = 2.0 / 24.0  # plane units a tile: 24 across the picture
 _GROUT = 0.075  # half the joint, as share of the tile

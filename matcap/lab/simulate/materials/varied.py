@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, colour, mix, noise, smoothstep
 from matcap.lab.simulate.materials.assemble import assemble
-from matcap.lab.simulate.materials.patterns import PATTERNS, Shape
+from matcap.lab.simulate.materials.patterns import PATTERNS, PatternShape
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, colour, mix, noise, smoothstep
 
 Colour = tuple[float, float, float]
 
@@ -45,7 +45,7 @@ class Layer:
     """
 
     pattern: str
-    shape: Shape
+    shape: PatternShape
     first: Finish
     second: Finish
     depth: float
@@ -128,7 +128,7 @@ def _random_layer(rng: np.random.Generator, hue: Colour) -> Layer:
     pattern = str(rng.choice(names, p=_weights(names)))
     scale = _log_uniform(rng, 0.018, 0.16)
     fine = min(_log_uniform(rng, 0.006, 0.03), 0.7 * scale)
-    shape = Shape(
+    shape = PatternShape(
         scale=scale,
         fine=fine,
         slope=rng.uniform(0.3, 2.0),

@@ -2,7 +2,7 @@
 
 `random_material` (varied.py) draws patterns; this draws things: gravel, knits, bonds, hammered
 metal, planks. Where features lie, `place.py`; their numbers, `draws.py`; what all have in common,
-`surface.py`; one file a group of kinds.
+`surface_fields.py`; one file a group of kinds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from types import MappingProxyType
 import numpy as np
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.simulate.fields import Canvas, Field
 from matcap.lab.simulate.materials.kinds import (
     cells,
     coats,
@@ -26,7 +25,8 @@ from matcap.lab.simulate.materials.kinds import (
     wood,
 )
 from matcap.lab.simulate.materials.kinds.draws import log_uniform
-from matcap.lab.simulate.materials.kinds.surface import Kind, finish
+from matcap.lab.simulate.materials.kinds.surface_fields import Kind, finish
+from matcap.lab.simulate.procedural import Canvas, Field
 
 __all__ = ["KINDS", "RandomKind", "kind_of", "random_kind"]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Spectrum, cells, mix, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     CLAYS,
     STONES,
@@ -19,10 +18,11 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shades,
 )
 from matcap.lab.simulate.materials.kinds.place import rim, warp
-from matcap.lab.simulate.materials.kinds.surface import Surface
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Spectrum, cells, mix, noise, smoothstep
 
 
-def plates(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def plates(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Domed or flat plates between grooves: scales, dried mud, pebbled plastic."""
     size = log_uniform(rng, 0.025, 0.15)
     base = natural(rng, CLAYS) if chance(rng, 0.5) else dye(rng)
@@ -45,10 +45,10 @@ def plates(canvas: Canvas, rng: np.random.Generator) -> Surface:
     worn = rng.uniform(-0.1, 0.1)
     gloss = rng.uniform(0.0, 0.12) * (plate.draw(canvas.stream("gloss")) - 0.5)
     rough = rng.uniform(0.18, 0.85) + worn * dome + gloss
-    return Surface(diffuse, dielectric(rng), rough, size * height, groove)
+    return SurfaceFields(diffuse, dielectric(rng), rough, size * height, groove)
 
 
-def crackle(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def crackle(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """A flat, glossy glaze with thin cracks, older ones wider and dirtier."""
     size = log_uniform(rng, 0.05, 0.16)
     glaze = dye(rng)
@@ -70,4 +70,4 @@ def crackle(canvas: Canvas, rng: np.random.Generator) -> Surface:
     rough = rng.uniform(0.08, 0.28) + rng.uniform(0.2, 0.5) * crack + 0.01 * cloud
     ripple = noise(canvas, "ripple", Spectrum(0.16, 0.05, slope=1.5))
     height = -width * crack + rng.uniform(0.0, 0.35) * width * ripple
-    return Surface(diffuse, specular, rough, height, crack)
+    return SurfaceFields(diffuse, specular, rough, height, crack)

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, cells, mix, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     METALS,
     STONES,
@@ -26,7 +25,8 @@ from matcap.lab.simulate.materials.kinds.draws import (
     streaks,
 )
 from matcap.lab.simulate.materials.kinds.place import rim, scatter, splat, spun, warp
-from matcap.lab.simulate.materials.kinds.surface import Surface
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, cells, mix, noise, smoothstep
 
 
 def _ground(canvas: Canvas, rng: np.random.Generator) -> tuple[Field, Field, Field, Field]:
@@ -49,7 +49,7 @@ def _ground(canvas: Canvas, rng: np.random.Generator) -> tuple[Field, Field, Fie
     return stone, np.full_like(fine, 0.038), 0.85 + 0.02 * fine, 0.3 * fine
 
 
-def chipped(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def chipped(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Paint that has come off in flakes, with a step at its rim that lifts or not."""
     size = log_uniform(rng, 0.05, 0.15)
     paint = dye(rng)
@@ -75,7 +75,7 @@ def chipped(canvas: Canvas, rng: np.random.Generator) -> Surface:
         top = np.where(patch > left + rng.uniform(0.2, 0.9), top, primer)
     gloss = rng.uniform(0.12, 0.7)
     height = mix(0.3 * ground, 1.0 + lip + 0.06 * brush + 0.1 * ground, coat)
-    return Surface(
+    return SurfaceFields(
         mix(diffuse, top, coat),
         mix(specular, np.array(rng.uniform(0.04, 0.055)), coat),
         mix(rough, gloss + 0.01 * brush, coat),
@@ -84,7 +84,7 @@ def chipped(canvas: Canvas, rng: np.random.Generator) -> Surface:
     )
 
 
-def worn(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def worn(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """A coat rubbed off the high places of rough ground."""
     size = log_uniform(rng, 0.03, 0.08)
     relief = noise(
@@ -103,7 +103,7 @@ def worn(canvas: Canvas, rng: np.random.Generator) -> Surface:
     gloss = rng.uniform(0.2, 0.8)
     edge = 4.0 * bare * (1.0 - bare)
     paint = paint * np.exp(-rng.uniform(0.0, 0.6) * edge)
-    return Surface(
+    return SurfaceFields(
         mix(paint, diffuse, bare),
         mix(np.array(0.045), specular, bare),
         mix(gloss + 0.0 * relief, rough, bare),
@@ -112,7 +112,7 @@ def worn(canvas: Canvas, rng: np.random.Generator) -> Surface:
     )
 
 
-def strokes(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def strokes(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Plaster or thick paint drawn on in strokes, each with its ridges."""
     size = log_uniform(rng, 0.08, 0.2)
     slender, spread, curved = rng.uniform(0.3, 0.7), rng.uniform(0.3, 2.0), rng.uniform(0.0, 0.6)
@@ -154,10 +154,10 @@ def strokes(canvas: Canvas, rng: np.random.Generator) -> Surface:
     diffuse = palette_of(tones, own.random(count)[index]) * np.exp(0.06 * bristle + 0.05 * sand)
     rough = rng.uniform(0.3, 0.9) + 0.03 * bristle + 0.02 * sand
     cavity = smoothstep(0.8, -0.2, height)
-    return Surface(diffuse, dielectric(rng), rough, 0.12 * size * height, cavity)
+    return SurfaceFields(diffuse, dielectric(rng), rough, 0.12 * size * height, cavity)
 
 
-def sand(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def sand(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Grains on ripples: sand, sandpaper, roughcast, cork."""
     size = log_uniform(rng, 0.012, 0.035)
     hue = natural(rng, STONES) if chance(rng, 0.7) else dye(rng)
@@ -189,7 +189,7 @@ def sand(canvas: Canvas, rng: np.random.Generator) -> Surface:
     glint = rng.uniform(0.0, 0.2) * own.standard_normal(grains.count)[index]
     rough = rng.uniform(0.4, 0.9) + glint
     cavity = np.maximum(bare, smoothstep(0.9 * size, 0.1 * size, height))
-    return Surface(diffuse, dielectric(rng), rough, height, cavity)
+    return SurfaceFields(diffuse, dielectric(rng), rough, height, cavity)
 
 
 def _distance(canvas: Canvas, mask: NDArray[np.bool_]) -> Field:

@@ -9,7 +9,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.lab.simulate.fields import Canvas, Field
+from matcap.lab.simulate.procedural import Canvas, Field
 
 Whole = NDArray[np.int64]
 Colour = NDArray[np.float64]  # (3,) linear Rec.709 albedo

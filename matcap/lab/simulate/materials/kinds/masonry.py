@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, mix, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     CLAYS,
     STONES,
@@ -24,7 +23,8 @@ from matcap.lab.simulate.materials.kinds.draws import (
     streaks,
 )
 from matcap.lab.simulate.materials.kinds.place import turned
-from matcap.lab.simulate.materials.kinds.surface import Surface
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class _Bricks:
     length: Field | float
 
 
-def bond(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def bond(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Bricks in running, stack, English or basket bond."""
     size = log_uniform(rng, 0.03, 0.12)
     along, across = turned(canvas, "bond", angle(rng), 5.0 * size, 0.0)
@@ -82,7 +82,7 @@ def _blocks(u: Field, v: Field, side: int) -> _Bricks:
     )
 
 
-def herringbone(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def herringbone(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Bricks or blocks of parquet two to five times as long as wide, each across the next."""
     size = log_uniform(rng, 0.025, 0.08)
     along, across = turned(canvas, "herringbone", angle(rng) + np.pi / 4, 5.0 * size, 0.0)
@@ -102,7 +102,7 @@ def herringbone(canvas: Canvas, rng: np.random.Generator) -> Surface:
     return _wall(canvas, rng, size, bricks)
 
 
-def _wall(canvas: Canvas, rng: np.random.Generator, size: float, bricks: _Bricks) -> Surface:
+def _wall(canvas: Canvas, rng: np.random.Generator, size: float, bricks: _Bricks) -> SurfaceFields:
     wobble = noise(canvas, "wobble", Spectrum(0.6 * size, min(0.008, 0.2 * size), slope=1.1))
     joint, corner = log_uniform(rng, 0.02, 0.12), rng.uniform(0.02, 0.2)
     # Distance inside a rounded rectangle.
@@ -143,7 +143,7 @@ def _wall(canvas: Canvas, rng: np.random.Generator, size: float, bricks: _Bricks
         rng.uniform(0.7, 0.93) + 0.02 * sand, gloss + 0.05 * own("gloss") + 0.0 * sand, body
     )
     specular = mix(np.array(0.035), np.array(dielectric(rng)), body)
-    return Surface(diffuse, specular, rough, size * height, 1.0 - body)
+    return SurfaceFields(diffuse, specular, rough, size * height, 1.0 - body)
 
 
 def _wood(canvas: Canvas, bricks: _Bricks, fine: float) -> Field:

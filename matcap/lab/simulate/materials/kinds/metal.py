@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     METALS,
     Whole,
@@ -14,10 +13,11 @@ from matcap.lab.simulate.materials.kinds.draws import (
     natural,
 )
 from matcap.lab.simulate.materials.kinds.place import scatter, splat
-from matcap.lab.simulate.materials.kinds.surface import Surface
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, noise, smoothstep
 
 
-def hammered(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def hammered(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Dimples that overlap, each the print of a hammer's round face."""
     size = log_uniform(rng, 0.035, 0.16)
     spread, raised = rng.uniform(0.02, 0.25), chance(rng, 0.2)
@@ -44,10 +44,10 @@ def hammered(canvas: Canvas, rng: np.random.Generator) -> Surface:
     rough = log_uniform(rng, 0.12, 0.42) + old * tarnish + 0.015 * brush
     diffuse = natural(rng, METALS)[:, None, None] * np.exp(0.3 * tarnish + 0.05 * brush)
     height = size * height + 0.0002 * brush
-    return Surface(diffuse, specular, rough, height, 1.0 - top)
+    return SurfaceFields(diffuse, specular, rough, height, 1.0 - top)
 
 
-def brushed(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def brushed(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Long fine streaks in one direction, or two, in slope, gloss and brightness."""
     turn = angle(rng)
     long = log_uniform(rng, 25.0, 90.0)
@@ -71,4 +71,6 @@ def brushed(canvas: Canvas, rng: np.random.Generator) -> Surface:
     rough = rng.uniform(0.18, 0.5) + rng.uniform(0.01, 0.07) * streak + 0.02 * tarnish
     diffuse = natural(rng, METALS)[:, None, None] * np.exp(0.2 * streak + 0.1 * tarnish)
     height = fine * (streak + scratch)
-    return Surface(diffuse, specular, rough + 0.1 * scratch, height, smoothstep(0.5, -2.0, streak))
+    return SurfaceFields(
+        diffuse, specular, rough + 0.1 * scratch, height, smoothstep(0.5, -2.0, streak)
+    )

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Cells, Field, Spectrum, noise
 from matcap.lab.simulate.materials.kinds.draws import Whole
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, VoronoiCells, noise
 
 # Evaluations of a stamp's profile worked on at a time: small enough to stay in the cache.
 _CHUNK = 200_000
@@ -47,7 +47,7 @@ def warp(canvas: Canvas, label: str, size: float, reach: float) -> tuple[Field, 
     )
 
 
-def rim(canvas: Canvas, cell: Cells) -> Field:
+def rim(canvas: Canvas, cell: VoronoiCells) -> Field:
     """(H, W) distance to the border of two cells, in plane units, to first order."""
     border = cell.border
     down, right = np.gradient(border, canvas.texel_size)

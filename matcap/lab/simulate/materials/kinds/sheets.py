@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, bumps, cells, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     METALS,
     Whole,
@@ -20,10 +19,11 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shades,
 )
 from matcap.lab.simulate.materials.kinds.place import paths, scatter, splat, spun, turned
-from matcap.lab.simulate.materials.kinds.surface import Surface
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, bumps, cells, noise, smoothstep
 
 
-def felt(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def felt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Wavy fibres over one another: felt, fleece, coir."""
     width = log_uniform(rng, 0.005, 0.012)
     pieces, step = 14, width * rng.uniform(1.5, 3.5)
@@ -63,10 +63,10 @@ def felt(canvas: Canvas, rng: np.random.Generator) -> Surface:
     diffuse = palette_of(tones, own.random(count)[fibre])
     rough = rng.uniform(0.5, 0.92) + 0.03 * own.standard_normal(count)[fibre]
     cavity = smoothstep(3.0 * width, -1.0 * width, height)
-    return Surface(diffuse, dielectric(rng), rough, height, cavity)
+    return SurfaceFields(diffuse, dielectric(rng), rough, height, cavity)
 
 
-def loops(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def loops(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Tufts in loose rows, each a small arch of yarn: carpet, terry, boucle."""
     size = log_uniform(rng, 0.018, 0.06)
     thick = rng.uniform(0.28, 0.45)
@@ -100,10 +100,10 @@ def loops(canvas: Canvas, rng: np.random.Generator) -> Surface:
     diffuse = palette_of(tones, own.random(tufts.count)[index]) * np.exp(0.06 * twist)
     rough = rng.uniform(0.55, 0.92) + 0.04 * own.standard_normal(tufts.count)[index]
     cavity = smoothstep(1.2, 0.1, height)
-    return Surface(diffuse, dielectric(rng), rough, size * (height + 0.03 * twist), cavity)
+    return SurfaceFields(diffuse, dielectric(rng), rough, size * (height + 0.03 * twist), cavity)
 
 
-def tread(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def tread(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """One motif embossed over and over: tread plate, studded rubber, embossed card."""
     size = log_uniform(rng, 0.04, 0.15)
     along, across = turned(canvas, "tread", angle(rng), 4.0 * size, 0.0)
@@ -136,10 +136,10 @@ def tread(canvas: Canvas, rng: np.random.Generator) -> Surface:
     diffuse = hue[:, None, None] * np.exp(rng.uniform(0.02, 0.25) * dirt)
     specular = rng.uniform(0.5, 0.85) if metal else dielectric(rng)
     gloss = rng.uniform(0.15, 0.45) if metal else rng.uniform(0.15, 0.85)
-    return Surface(diffuse, specular, gloss + 0.03 * dirt + worn * low, size * raised, low)
+    return SurfaceFields(diffuse, specular, gloss + 0.03 * dirt + worn * low, size * raised, low)
 
 
-def paper(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def paper(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Flat stock with flecks and cloudy formation: paper, card, vinyl."""
     stock = np.clip(dye(rng) if chance(rng, 0.5) else shade(rng, np.full(3, 0.7), 0.15), 0.02, 0.88)
     cloud = noise(canvas, "cloud", Spectrum(0.05, 0.015, slope=0.8))
@@ -160,10 +160,10 @@ def paper(canvas: Canvas, rng: np.random.Generator) -> Surface:
         _, across = turned(canvas, "laid", rng.uniform(0.0, np.pi), 0.5, 0.0)
         height = height + 1.2 * np.sin(2.0 * np.pi * across / log_uniform(rng, 0.015, 0.05))
     cavity = smoothstep(0.0, -2.0, height)
-    return Surface(diffuse, dielectric(rng), rough, 0.002 * height, cavity)
+    return SurfaceFields(diffuse, dielectric(rng), rough, 0.002 * height, cavity)
 
 
-def creased(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def creased(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """A sheet crumpled into facets and smoothed again: paper, foil, cloth."""
     size = log_uniform(rng, 0.06, 0.16)
     height = _facets(canvas, "large", 1.6 * size)
@@ -180,7 +180,7 @@ def creased(canvas: Canvas, rng: np.random.Generator) -> Surface:
     specular = rng.uniform(0.5, 0.9) if foil else dielectric(rng)
     gloss = rng.uniform(0.15, 0.4) if foil else rng.uniform(0.25, 0.85)
     rough = gloss + rng.uniform(0.0, 0.15) * fold + 0.02 * fibre
-    return Surface(diffuse, specular, rough, size * 0.3 * height + soft, valley)
+    return SurfaceFields(diffuse, specular, rough, size * 0.3 * height + soft, valley)
 
 
 def _facets(canvas: Canvas, label: str, size: float) -> Field:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, mix, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     STONES,
     Whole,
@@ -17,7 +16,8 @@ from matcap.lab.simulate.materials.kinds.draws import (
     shades,
 )
 from matcap.lab.simulate.materials.kinds.place import polygons, scatter, splat, spun
-from matcap.lab.simulate.materials.kinds.surface import Surface
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
 
 
 def _mixed(rng: np.random.Generator, mood: float) -> Field:
@@ -26,7 +26,7 @@ def _mixed(rng: np.random.Generator, mood: float) -> Field:
     return np.concatenate([shades(rng, quarry, 6, mood) for quarry in quarries])
 
 
-def gravel(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def gravel(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Stones of several sizes on one another, rounded by water or broken."""
     size = log_uniform(rng, 0.03, 0.13)
     spread, ragged = rng.uniform(0.2, 0.9), rng.uniform(0.2, 1.0)
@@ -71,10 +71,10 @@ def gravel(canvas: Canvas, rng: np.random.Generator) -> Surface:
         dielectric(rng) + 0.004 * own.standard_normal(stones.count)[index], 0.025, 0.07
     )
     cavity = smoothstep(0.55 * size, -0.1 * size, height)
-    return Surface(diffuse, specular, rough, height, cavity)
+    return SurfaceFields(diffuse, specular, rough, height, cavity)
 
 
-def asphalt(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def asphalt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Broken stones of all sizes held by a dark or pale binder that hides some of them."""
     size = log_uniform(rng, 0.02, 0.07)
     ragged = rng.uniform(0.4, 1.0)
@@ -111,10 +111,10 @@ def asphalt(canvas: Canvas, rng: np.random.Generator) -> Surface:
     rough_stone = rng.uniform(0.35, 0.85) + 0.1 * own.standard_normal(stones.count)[index]
     rough = mix(rng.uniform(0.35, 0.9) + 0.04 * grit, rough_stone, out)
     height = height + 0.03 * size * grit
-    return Surface(diffuse, dielectric(rng), rough, height, 1.0 - out)
+    return SurfaceFields(diffuse, dielectric(rng), rough, height, 1.0 - out)
 
 
-def terrazzo(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def terrazzo(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Chips of stone in cement, ground flat and polished."""
     size = log_uniform(rng, 0.03, 0.14)
     tones = _mixed(rng, 0.25)
@@ -146,12 +146,12 @@ def terrazzo(canvas: Canvas, rng: np.random.Generator) -> Surface:
     pit = smoothstep(1.9, 2.4, noise(canvas, "pits", Spectrum(0.03, 0.007, slope=0.0)))
     height = 0.1 * chip - 0.6 * pit + 0.06 * noise(canvas, "wave", Spectrum(0.16, 0.08))
     rough = rough + 0.3 * pit
-    return Surface(
+    return SurfaceFields(
         diffuse, rng.uniform(0.038, 0.06), rough, size * height, np.maximum(pit, 0.3 * (1 - chip))
     )
 
 
-def marble(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def marble(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Polished stone with clouds and veins."""
     size = log_uniform(rng, 0.08, 0.16)
     stone, vein_hue = natural(rng, STONES), natural(rng, STONES)
@@ -170,10 +170,10 @@ def marble(canvas: Canvas, rng: np.random.Generator) -> Surface:
     rough = log_uniform(rng, 0.08, 0.4) + rng.uniform(-0.05, 0.15) * vein + 0.01 * grain
     wave = noise(canvas, "wave", Spectrum(0.16, 0.05, slope=1.2))
     height = 0.002 * wave - rng.uniform(0.0, 0.002) * vein
-    return Surface(diffuse, rng.uniform(0.038, 0.06), rough, height, rng.random() * vein)
+    return SurfaceFields(diffuse, rng.uniform(0.038, 0.06), rough, height, rng.random() * vein)
 
 
-def pitted(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def pitted(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Stone or concrete with pits and pores: travertine, lava, blown concrete."""
     size = log_uniform(rng, 0.025, 0.12)
     stone = natural(rng, STONES)
@@ -209,4 +209,4 @@ def pitted(canvas: Canvas, rng: np.random.Generator) -> Surface:
     polished = chance(rng, 0.3)
     rough = (rng.uniform(0.12, 0.35) if polished else rng.uniform(0.5, 0.9)) + 0.02 * crumb
     rough = rough + (0.5 if polished else 0.05) * hole
-    return Surface(diffuse, dielectric(rng), rough, height, hole)
+    return SurfaceFields(diffuse, dielectric(rng), rough, height, hole)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     WOODS,
     Whole,
@@ -23,14 +22,15 @@ from matcap.lab.simulate.materials.kinds.draws import (
     streaks,
 )
 from matcap.lab.simulate.materials.kinds.place import turned
-from matcap.lab.simulate.materials.kinds.surface import Surface
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, noise, smoothstep
 
 
 def _fuzz(canvas: Canvas, size: float) -> Field:
     return noise(canvas, "fuzz", Spectrum(0.5 * size, min(0.007, 0.3 * size), slope=0.6))
 
 
-def knit(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def knit(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Stocking stitch: columns of Vs, each leg a bulging, twisted yarn."""
     size = log_uniform(rng, 0.03, 0.12)
     along, across = turned(canvas, "knit", angle(rng), 6.0 * size, size * rng.uniform(0.0, 0.12))
@@ -58,12 +58,12 @@ def knit(canvas: Canvas, rng: np.random.Generator) -> Surface:
         second = dye(rng)[:, None, None]
         diffuse = np.where(share < 0.4, second * np.exp(mottled * fuzz), diffuse)
     rough = rng.uniform(0.5, 0.92) + 0.03 * fuzz
-    return Surface(
+    return SurfaceFields(
         diffuse, dielectric(rng), rough, size * 0.5 * height, 1.0 - np.sqrt(height.clip(0, 1))
     )
 
 
-def cable(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def cable(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Cables of two or three strands that cross, between columns of purl bumps."""
     size = log_uniform(rng, 0.06, 0.16)
     along, across = turned(canvas, "cable", angle(rng), 4.0 * size, size * rng.uniform(0.0, 0.08))
@@ -97,12 +97,12 @@ def cable(canvas: Canvas, rng: np.random.Generator) -> Surface:
         log_uniform(rng, 0.01, 0.12) * fuzz + 0.1 * np.where(between, 0.0, ridge)
     )
     cavity = smoothstep(0.35, -0.12, height)
-    return Surface(
+    return SurfaceFields(
         diffuse, dielectric(rng), rng.uniform(0.55, 0.92) + 0.02 * fuzz, size * height, cavity
     )
 
 
-def ribs(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def ribs(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Corduroy and other ribs: rounded ridges of pile, wide or narrow by turns."""
     size = log_uniform(rng, 0.02, 0.12)
     turn = angle(rng)
@@ -125,7 +125,9 @@ def ribs(canvas: Canvas, rng: np.random.Generator) -> Surface:
     sheen = rng.uniform(0.0, 0.2)
     diffuse = colour * np.exp(rng.uniform(0.02, 0.14) * pile + sheen * crushed)
     rough = rng.uniform(0.45, 0.92) - 0.2 * sheen * crushed + 0.03 * pile
-    return Surface(diffuse, dielectric(rng), rough, 0.4 * size * height, (1.0 - height).clip(0, 1))
+    return SurfaceFields(
+        diffuse, dielectric(rng), rough, 0.4 * size * height, (1.0 - height).clip(0, 1)
+    )
 
 
 def _over(rng: np.random.Generator, twill: bool) -> tuple[int, int, int, bool]:
@@ -146,12 +148,12 @@ def _over(rng: np.random.Generator, twill: bool) -> tuple[int, int, int, bool]:
     return over, under, step, chance(rng, 0.3)
 
 
-def weave(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def weave(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Plain, twill and satin weaves of round yarns."""
     return _woven(canvas, rng, log_uniform(rng, 0.014, 0.06), _over(rng, True), 1, dye)
 
 
-def basket(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def basket(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Basket weave: groups of yarns or flat canes over and under each other."""
     size = log_uniform(rng, 0.014, 0.05)
     together = int(rng.integers(1, 5))
@@ -171,7 +173,7 @@ def _woven(
     draft: tuple[int, int, int, bool],
     together: int,
     hue: Callable[[np.random.Generator], Field],
-) -> Surface:
+) -> SurfaceFields:
     over, under, step, zigzag = draft
     along, across = turned(canvas, "weave", angle(rng), 8.0 * size, size * rng.uniform(0.0, 0.15))
     u, v = along / size, across / (size * log_uniform(rng, 0.8, 1.25))
@@ -221,4 +223,4 @@ def _woven(
     sheen = rng.uniform(0.3, 0.9)
     rough = sheen + rng.uniform(-0.08, 0.08) * upper + 0.05 * tone + 0.02 * fuzz
     cavity = smoothstep(0.2, -0.45, height)
-    return Surface(diffuse, dielectric(rng), rough, size * height, cavity)
+    return SurfaceFields(diffuse, dielectric(rng), rough, size * height, cavity)

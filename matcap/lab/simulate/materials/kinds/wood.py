@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, mix, noise, smoothstep
 from matcap.lab.simulate.materials.kinds.draws import (
     WOODS,
     Whole,
@@ -21,10 +20,11 @@ from matcap.lab.simulate.materials.kinds.draws import (
     streaks,
 )
 from matcap.lab.simulate.materials.kinds.place import paths, polygons, scatter, splat, spun, turned
-from matcap.lab.simulate.materials.kinds.surface import Surface
+from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
 
 
-def planks(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def planks(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Boards side by side, each with its own rings, pores and tone."""
     wide, long = log_uniform(rng, 0.07, 0.2), rng.uniform(4.0, 10.0)
     turn = angle(rng)
@@ -67,10 +67,12 @@ def planks(canvas: Canvas, rng: np.random.Generator) -> Surface:
     varnished = chance(rng, 0.5)
     gloss = rng.uniform(0.15, 0.4) if varnished else rng.uniform(0.5, 0.85)
     rough = gloss + (0.03 if varnished else 0.1) * (0.5 - late) + 0.02 * fibre + 0.15 * pore
-    return Surface(diffuse, dielectric(rng), rough, height, np.maximum(1.0 - body, 0.4 * pore))
+    return SurfaceFields(
+        diffuse, dielectric(rng), rough, height, np.maximum(1.0 - body, 0.4 * pore)
+    )
 
 
-def varnish(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def varnish(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Scratches, straight and curved, in a glossy coat over wood or paint."""
     coat = natural(rng, WOODS) if chance(rng, 0.6) else dye(rng)
     grain_turn = angle(rng)
@@ -107,10 +109,10 @@ def varnish(canvas: Canvas, rng: np.random.Generator) -> Surface:
     worn = noise(canvas, "worn", Spectrum(0.16, 0.03, slope=1.3))
     rough = log_uniform(rng, 0.1, 0.3) + rng.uniform(0.1, 0.4) * scratch
     rough = rough + rng.uniform(0.0, 0.05) * worn
-    return Surface(diffuse, rng.uniform(0.038, 0.055), rough, height, scratch)
+    return SurfaceFields(diffuse, rng.uniform(0.038, 0.055), rough, height, scratch)
 
 
-def chipboard(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def chipboard(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Long flakes of wood pressed on one another in all directions."""
     size = log_uniform(rng, 0.06, 0.16)
     hue = natural(rng, WOODS)
@@ -151,10 +153,12 @@ def chipboard(canvas: Canvas, rng: np.random.Generator) -> Surface:
     diffuse = diffuse * np.exp(rng.uniform(0.05, 0.3) * lines)
     rough = rng.uniform(0.35, 0.85) + 0.06 * own.standard_normal(count)[index] + 0.03 * lines
     cavity = smoothstep(1.2, -0.1, height)
-    return Surface(diffuse, dielectric(rng), rough, 0.1 * size * (height + 0.06 * lines), cavity)
+    return SurfaceFields(
+        diffuse, dielectric(rng), rough, 0.1 * size * (height + 0.06 * lines), cavity
+    )
 
 
-def scales(canvas: Canvas, rng: np.random.Generator) -> Surface:
+def scales(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     """Flakes that lift at their rims: rust, bark, shale."""
     size = log_uniform(rng, 0.04, 0.15)
     rusty = chance(rng, 0.6)
@@ -187,4 +191,4 @@ def scales(canvas: Canvas, rng: np.random.Generator) -> Surface:
     diffuse = mix(diffuse, under[:, None, None], 0.8 * depth)
     rough = rng.uniform(0.5, 0.9) + 0.07 * own.standard_normal(flakes.count)[index] + 0.03 * crumb
     height = 0.15 * size * (height + 0.08 * crumb)
-    return Surface(diffuse, dielectric(rng), rough, height, depth)
+    return SurfaceFields(diffuse, dielectric(rng), rough, height, depth)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import CHANNELS
 from matcap.lab.simulate.materials import realise
-from matcap.model.blocks import Rectangle
 from matcap.model.example import compiled
 from matcap.model.example.example import Example
 from matcap.model.example.source import example_source
 from matcap.model.exemplar import Exemplar
 from matcap.model.field import read_source
+from matcap.model.plane import Rectangle
 
 _MATERIAL = "leather"  # without order: the dearer kind
 _SEED = 11

@@ -55,7 +55,7 @@ class Turn:
 
 
 @dataclass(frozen=True)
-class Source:
+class PreparedPhotograph:
     """A photograph ready to be cut: everything that does not change from step to step.
 
     Attributes:
@@ -73,16 +73,16 @@ class Source:
     entry: Entry
 
 
-def prepare(entry: Entry, encoder_width: int) -> Source:
+def prepare(entry: Entry, encoder_width: int) -> PreparedPhotograph:
     """Decode and rectify a photograph of the pack."""
     photo = entry.photo()
     plane = read_plane(photo, entry.coarse.setup, WAVE_DETAIL)
     shown = picture(photo, encoder_width)
-    return Source(plane.linear.half(), plane.valid, shown, plane.encoding, entry)
+    return PreparedPhotograph(plane.linear.half(), plane.valid, shown, plane.encoding, entry)
 
 
 @dataclass(frozen=True)
-class Sample:
+class TrainingSample:
     """One material of a batch.
 
     Attributes:
@@ -110,7 +110,7 @@ class Sample:
     encoding: Encoding
     texel_size: float
 
-    def to(self, device: str) -> Sample:
+    def to(self, device: str) -> TrainingSample:
         """The same sample on a device."""
         return replace(
             self,
@@ -130,7 +130,7 @@ class Sample:
 
 
 def cut(
-    source: Source,
+    source: PreparedPhotograph,
     size: int,
     places: int,
     coarser: int,
@@ -138,7 +138,7 @@ def cut(
     rng: np.random.Generator,
     *,
     augment: bool = True,
-) -> Sample:
+) -> TrainingSample:
     """Cut windows of `size` texels, each `coarser` (1 or 2) of the source's, and turn them.
 
     With `augment` their colours are permuted and gained too.
@@ -176,7 +176,7 @@ def cut(
     mean[:3] += torch.log(gain)
     told[:3], told[5:8] = told[:3][order] + torch.log(gain), told[5:8][order]
     told[9:11], told[11:13] = _turned_numbers(told, turn)
-    return Sample(
+    return TrainingSample(
         picture=turn.image(shown),
         numbers=told,
         base=Base(mean, base.deviation[colours]),

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from matcap.batch.entries import BatchEntry
 from matcap.batch.index_page import PAGE
-from matcap.batch.plan import BatchEntry
 from matcap.batch.record import read_record
 from matcap.files.staging import staged
 

@@ -140,7 +140,7 @@ def _synthesise(canvas: Canvas, label: str, spectrum: Spectrum, *, unit_slope: b
 
 
 @dataclass(frozen=True)
-class Cells:
+class VoronoiCells:
     """A jittered grid's Voronoi cells (Worley 1996).
 
     Attributes:
@@ -176,7 +176,7 @@ def cells(
     stretch: float = 1.0,
     angle: float = 0.0,
     warp: tuple[Field, Field] | None = None,
-) -> Cells:
+) -> VoronoiCells:
     """Voronoi cells of about `size` plane units.
 
     Args:
@@ -218,7 +218,7 @@ def cells(
     nearest, second, index, du, dv = (
         np.concatenate(part).reshape(shape) for part in zip(*found, strict=True)
     )
-    return Cells(nearest, second, index, rows * columns, (du, dv))
+    return VoronoiCells(nearest, second, index, rows * columns, (du, dv))
 
 
 def _chunks(values: Field) -> list[Field]:

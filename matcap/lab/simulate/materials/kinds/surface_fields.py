@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.simulate.fields import Canvas, Field, Spectrum, bumps, noise
 from matcap.lab.simulate.materials.assemble import assemble
 from matcap.lab.simulate.materials.kinds.draws import chance, log_uniform
+from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, bumps, noise
 
 # Ranges of real surfaces: fresh charcoal to snow, polished stone to chalk.
 _ALBEDO = (0.01, 0.9)
@@ -27,7 +27,7 @@ _EDGE = (
 
 
 @dataclass(frozen=True)
-class Surface:
+class SurfaceFields:
     """Fields of one realisation; each broadcasts to (H, W), diffuse to (3, H, W).
 
     Attributes:
@@ -46,7 +46,7 @@ class Surface:
 
 
 # (canvas, parameters) to a realisation.
-Lay = Callable[[Canvas, np.random.Generator], Surface]
+Lay = Callable[[Canvas, np.random.Generator], SurfaceFields]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ _PHOTOGRAPHS = (".dng", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".cr2
 
 
 @dataclass(frozen=True)
-class Picture:
+class EncodedPicture:
     """What stands beside the material.
 
     Attributes:
@@ -35,14 +35,14 @@ def find_photograph(path: Path, name: str) -> Path | None:
     return sheet if sheet.is_file() else None
 
 
-def browser_picture(file: Path) -> Picture:
+def browser_picture(file: Path) -> EncodedPicture:
     """A photograph as JPEG of at most 1024 pixels a side; the capture's sheet as it is.
 
     Raises:
         MatcapError: the file is not a photograph that matcap reads.
     """
     if file.name == "preview.png":
-        return Picture(file.read_bytes(), "image/png", sheet=True)
+        return EncodedPicture(file.read_bytes(), "image/png", sheet=True)
     import io
 
     import numpy as np
@@ -54,4 +54,4 @@ def browser_picture(file: Path) -> Picture:
     pixels = srgb_picture(load_photo(file, long_side=_LONG_SIDE, noise=False).pixels)
     stored = io.BytesIO()
     Image.fromarray(np.rint(pixels * 255.0).astype(np.uint8)).save(stored, "JPEG", quality=90)
-    return Picture(stored.getvalue(), "image/jpeg")
+    return EncodedPicture(stored.getvalue(), "image/jpeg")

@@ -19,7 +19,7 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 from matcap.model.blocks import BLOCK_HEIGHT
-from matcap.view.subject import Subject
+from matcap.view.subject import Viewable
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -50,7 +50,7 @@ class Block:
 class Blocks:
     """The blocks of a subject; safe to ask from any thread."""
 
-    def __init__(self, subject: Subject, workers: int | None = None) -> None:
+    def __init__(self, subject: Viewable, workers: int | None = None) -> None:
         self._subject = subject
         workers = workers or os.cpu_count()
         self._decoders = ThreadPoolExecutor(workers, thread_name_prefix="band")
@@ -59,7 +59,7 @@ class Blocks:
         self._lock = Lock()
 
     def ask(self, place: Place) -> Future[Block]:
-        """The block, perhaps still being decoded; its result raises what Subject.read does."""
+        """The block, perhaps still being decoded; its result raises what Viewable.read does."""
         with self._lock:
             kept = self._kept.get(place)
             if kept is None or (kept.done() and kept.exception() is not None):

@@ -10,9 +10,9 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from matcap.files.srgb import srgb_picture
-from matcap.files.staging import staged
-from matcap.lab.simulate.dng import exif_of
+from matcap.files.staging import staged_file
 from matcap.lab.simulate.photograph import Shot, expose
+from matcap.lab.simulate.write_dng import exif_of
 
 _QUALITY = 95
 _EXIF_IFD = 34665
@@ -34,5 +34,5 @@ def write_jpeg(path: Path, shot: Shot, seed: int) -> None:
             for number, value in exif_of(shot.camera).items()
         }
     )
-    with staged(path.parent) as stage:
-        picture.save(stage / path.name, format="JPEG", quality=_QUALITY, exif=exif)
+    with staged_file(path) as file:
+        picture.save(file, format="JPEG", quality=_QUALITY, exif=exif)

@@ -12,7 +12,7 @@ from matcap.errors import UsageError
 from matcap.files.exr import write_exr
 from matcap.files.png import write_png
 from matcap.files.srgb import srgb_picture
-from matcap.files.staging import staged, write_error
+from matcap.files.staging import staged, staged_file, write_error
 from matcap.relight.scene import Film
 
 Radiance = NDArray[np.float32]
@@ -47,11 +47,11 @@ def write_still(radiance: Radiance, path: Path, film: Film) -> None:
         MatcapError: values that are not finite; the file cannot be written.
     """
     check_path(path, moving=False)
-    with staged(path.parent) as stage:
+    with staged_file(path) as file:
         if path.suffix.lower() == ".exr":
-            write_exr(stage / path.name, radiance, half=False)
+            write_exr(file, radiance, half=False)
         else:
-            write_png(stage / path.name, encode(radiance, film), bits=8)
+            write_png(file, encode(radiance, film), bits=8)
 
 
 def write_movie(frames: Iterable[Radiance], path: Path, film: Film) -> None:

@@ -16,8 +16,8 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from matcap.files.staging import staged
-from matcap.lab.simulate.photograph import Camera, Shot, sensor_noise
+from matcap.files.staging import staged_file
+from matcap.lab.simulate.photograph import PhoneCamera, Shot, sensor_noise
 
 # Linear Rec.709 to XYZ at D65 (IEC 61966-2-1).
 REC709_TO_XYZ = np.array(
@@ -97,8 +97,7 @@ def write_dng(path: Path, shot: Shot, sensor: Sensor, seed: int) -> None:
     Raises:
         MatcapError: the file cannot be written.
     """
-    with staged(path.parent) as stage:
-        file = stage / path.name
+    with staged_file(path) as file:
         tifffile.imwrite(
             file,
             mosaic(shot, sensor, seed),
@@ -111,7 +110,7 @@ def write_dng(path: Path, shot: Shot, sensor: Sensor, seed: int) -> None:
         _append_exif(file, shot.camera)
 
 
-def exif_of(camera: Camera) -> dict[int, int | Fraction | bytes]:
+def exif_of(camera: PhoneCamera) -> dict[int, int | Fraction | bytes]:
     """EXIF tags that say how the shot was taken, by number; the JPEG carries the same."""
     return {
         33434: Fraction(1, 60),  # ExposureTime, s
@@ -128,7 +127,7 @@ def exif_of(camera: Camera) -> dict[int, int | Fraction | bytes]:
 _Tag = tuple[int, str, int, object, bool]
 
 
-def _tags(sensor: Sensor, camera: Camera) -> list[_Tag]:
+def _tags(sensor: Sensor, camera: PhoneCamera) -> list[_Tag]:
     matrix = [part for row in sensor.matrix for value in row for part in _rational(value)]
     neutral = [part for value in sensor.neutral for part in _rational(float(value))]
     name = "matcap simulated phone"
@@ -187,7 +186,7 @@ def _interpolated(gains: NDArray[np.float32], width: int, height: int) -> NDArra
     return np.stack([np.interp(place_u, np.arange(columns), line) for line in along_v])
 
 
-def _append_exif(file: Path, camera: Camera) -> None:
+def _append_exif(file: Path, camera: PhoneCamera) -> None:
     """Append the EXIF directory and point to it: tifffile writes tags of the main one only."""
     with tifffile.TiffFile(file) as tiff:
         order = tiff.byteorder
@@ -200,7 +199,7 @@ def _append_exif(file: Path, camera: Camera) -> None:
         stream.write(struct.pack(order + "2HLL", _EXIF_IFD, 4, 1, where))
 
 
-def _exif_directory(camera: Camera, where: int, order: str) -> bytes:
+def _exif_directory(camera: PhoneCamera, where: int, order: str) -> bytes:
     tags = exif_of(camera)
     beyond = where + 2 + 12 * len(tags) + 4
     entries, values = b"", b""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from matcap.relight.camera import View
-from matcap.relight.facts import Region
+from matcap.relight.facts import VisibleRegion
 from matcap.relight.surfaces.hits import Hits
 from matcap.relight.vectors import Array, Vec, dot, scale, subtract, vec
 
@@ -75,7 +75,7 @@ def _frontal(view: View) -> bool:
 
 def plane_region(
     view: View, extent: tuple[float, float], relief: tuple[float, float]
-) -> tuple[Region, float]:
+) -> tuple[VisibleRegion, float]:
     """Where the camera may see the plane, and what a pixel covers there at most.
 
     Args:
@@ -94,7 +94,7 @@ def plane_region(
             slack = 1e-6 * (high[axis] - low[axis])
             low[axis] = min(max(low[axis], min(places) - slack), high[axis])
             high[axis] = max(min(high[axis], max(places) + slack), low[axis])
-    region = Region((low[0], low[1], relief[0]), (high[0], high[1], relief[1]), flat=True)
+    region = VisibleRegion((low[0], low[1], relief[0]), (high[0], high[1], relief[1]), flat=True)
     if view.perspective and not _frontal(view):
         above = view.position[2]
         far = max(

@@ -1,0 +1,29 @@
+"""Tensors in a file: whole, and for whoever the folder is for."""
+
+import os
+import stat
+
+import torch
+from safetensors import safe_open
+
+from matcap.files.tensors import write_tensors
+
+
+def test_tensors_and_their_text_come_back(tmp_path):
+    path = tmp_path / "new" / "a.safetensors"
+    transposed = torch.arange(6.0).reshape(2, 3).T
+    write_tensors(path, {"a": transposed, "b": torch.tensor([True])}, {"about": "x"})
+    with safe_open(path, framework="pt") as file:
+        assert file.metadata() == {"about": "x"}
+        assert torch.equal(file.get_tensor("a"), transposed)
+        assert torch.equal(file.get_tensor("b"), torch.tensor([True]))
+    assert [f.name for f in path.parent.iterdir()] == ["a.safetensors"]
+
+
+def test_the_file_is_as_readable_as_any_other(tmp_path):
+    old = os.umask(0o022)
+    try:
+        write_tensors(tmp_path / "a.safetensors", {"a": torch.zeros(1)}, {})
+    finally:
+        os.umask(old)
+    assert stat.S_IMODE((tmp_path / "a.safetensors").stat().st_mode) == 0o644

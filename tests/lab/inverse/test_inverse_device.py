@@ -1,0 +1,115 @@
+"""Training takes place on the device it was asked to.
+
+Without a second device here, one is played: tensors of `Elsewhere` say that they are on "meta" but
+carry numbers, and meeting a tensor of the CPU is an error, as it is between a CPU and a GPU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_iter, tree_map
+
+from matcap.lab.inverse.samples import draw_sample
+from matcap.lab.inverse.train import State, TrainSettings, train_step
+from matcap.model.inverse.inputs import network_inputs
+from matcap.model.inverse.network import InverseConfig
+
+AWAY = "meta"
+TINY = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)
+
+
+class Elsewhere(Tensor):
+    """A tensor of another device."""
+
+    numbers: Tensor
+
+    @staticmethod
+    def __new__(cls, numbers: Tensor) -> Elsewhere:
+        made: Elsewhere = torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
+            cls,
+            numbers.shape,
+            strides=numbers.stride(),
+            dtype=numbers.dtype,
+            device=AWAY,
+            requires_grad=numbers.requires_grad,
+        )
+        made.numbers = numbers.detach()
+        return made
+
+    @classmethod
+    def __torch_dispatch__(
+        cls,
+        func: Callable[..., Any],
+        types: Any,
+        args: tuple[Any, ...] = (),
+        kwargs: dict[str, Any] | None = None,
+    ) -> Any:
+        return computed(func, args, kwargs or {})
+
+
+class Played(TorchDispatchMode):
+    """Also sees operations whose tensors all are on the CPU: a move is one."""
+
+    def __torch_dispatch__(
+        self,
+        func: Callable[..., Any],
+        types: Any,
+        args: tuple[Any, ...] = (),
+        kwargs: dict[str, Any] | None = None,
+    ) -> Any:
+        return computed(func, args, kwargs or {})
+
+
+def computed(func: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    """An operation on the numbers; its results are where its tensors were, or where it was told."""
+    tensors = [t for t in tree_iter((args, kwargs)) if isinstance(t, Tensor)]
+    away = any(isinstance(t, Elsewhere) for t in tensors)
+    if away and func is not torch.ops.aten.copy_.default:  # which may move
+        here = [t for t in tensors if not isinstance(t, Elsewhere) and t.dim() > 0]
+        if here:
+            raise RuntimeError(f"{func} meets a tensor of the CPU, of shape {tuple(here[0].shape)}")
+    if "device" in kwargs and kwargs["device"] is not None:
+        away = torch.device(kwargs["device"]).type == AWAY
+        kwargs = {**kwargs, "device": "cpu"}
+
+    def bare(value: Any) -> Any:
+        return value.numbers if isinstance(value, Elsewhere) else value
+
+    results = func(*tree_map(bare, args), **tree_map(bare, kwargs))
+    changed = {id(bare(t)): t for t in tensors}
+
+    def put(value: Any) -> Any:
+        if not isinstance(value, Tensor):
+            return value
+        if id(value) in changed:  # done in place
+            return changed[id(value)]
+        return Elsewhere(value) if away else value
+
+    return tree_map(put, results)
+
+
+def test_the_played_device_tells_strangers_apart() -> None:
+    with Played():
+        there = torch.ones(2).to(AWAY)
+        assert there.device.type == AWAY
+        assert float((there * 2.0).sum()) == 4.0
+        with pytest.raises(RuntimeError, match="meets a tensor of the CPU"):
+            there + torch.ones(2)
+
+
+def test_a_step_stays_on_its_device() -> None:
+    torch.set_num_threads(1)
+    sample = draw_sample(2, 64, 64)
+    inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
+    expected = train_step(State(TINY, "cpu"), [(inputs, sample)], TrainSettings())
+    with Played():
+        state = State(TINY, AWAY)
+        found = train_step(state, [(inputs, sample)], TrainSettings(device=AWAY))
+    assert found == pytest.approx(expected, rel=1e-3)
+    assert all(p.device.type == AWAY for p in state.model.parameters())
