@@ -22,7 +22,7 @@ from matcap.capture.exemplar.adapt import adapt
 from matcap.capture.exemplar.contrast import even_contrast
 from matcap.capture.exemplar.equalise import equalise
 from matcap.capture.exemplar.fill import fill
-from matcap.capture.exemplar.refine import Light, Refined, flatten, level, refine
+from matcap.capture.exemplar.refine import Light, flatten, level, refine, remaining
 from matcap.capture.exemplar.smooth import smoothed
 from matcap.capture.exemplar.strengths import Strengths, measure_strengths
 from matcap.capture.finetune import TuneScene
@@ -89,27 +89,30 @@ def find_exemplar(
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     inputs = network_inputs(plane.linear, plane.valid, coarse, points)
-    outputs = _read(network, inputs)
-    found, errors = outputs[:OUTPUTS].clone(), outputs[OUTPUTS:]
+    answer = _read(network, inputs)
+    found, errors = answer[:OUTPUTS].clone(), answer[OUTPUTS:]
     noise = noise_level(plane)
     strengths = measure_strengths(
         inputs[COLOUR].mean(0).numpy(), inputs[SHOWN].numpy(), plane.valid.numpy(), noise
     )
     found[5] = torch.from_numpy(equalise(found[5].numpy(), strengths))
     trusted = confidence(errors, plane.valid)
-    matte = (1.0 - inputs[GLOSS].numpy()).clip(0.0, 1.0)
+    glare = inputs[GLOSS].clamp(0.0, 1.0)
+    trusted[0] *= 1.0 - glare.numpy()
     light = Light(coarse, points)
-    found = level(flatten(found, torch.from_numpy(trusted)), plane.linear, plane.valid, light)
 
-    def explained(outputs: Tensor) -> Refined:
+    def even(outputs: Tensor) -> Tensor:
+        return flatten(outputs, torch.from_numpy(trusted), glare)
+
+    def explained(outputs: Tensor) -> Tensor:
         least = max(noise, _LEAST_NOISE)
-        return refine(outputs, errors, plane.linear, plane.valid, light, noise=least)
+        refined = refine(outputs, errors, plane.linear, plane.valid, light, noise=least)
+        return even(refined.outputs)
 
-    refined = explained(found)
+    outputs = explained(level(even(found), plane.linear, plane.valid, light))
     for leg, reach in enumerate(_LEGS if scene and steps else ()):
         assert scene is not None
-        outputs = refined.outputs
-        albedo = even_contrast(outputs[:3].numpy(), np.square(trusted[0] * matte))
+        albedo = even_contrast(outputs[:3].numpy(), np.square(trusted[0]))
         maps = read_outputs(
             torch.cat([torch.from_numpy(albedo), outputs[3:]]), coarse, plane.texel_size
         )
@@ -121,8 +124,9 @@ def find_exemplar(
             reach=reach,
             seed=seed * len(_LEGS) + leg,
         )
-        refined = explained(true_outputs(maps, coarse))
-    maps = read_outputs(refined.outputs, coarse, plane.texel_size)
+        outputs = explained(true_outputs(maps, coarse))
+    maps = read_outputs(outputs, coarse, plane.texel_size)
+    refined = remaining(outputs, plane.linear, plane.valid, light)
     exemplar = Exemplar(
         diffuse=maps.diffuse.numpy(),
         specular=maps.specular.numpy(),

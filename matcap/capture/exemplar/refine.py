@@ -42,6 +42,7 @@ _LEVEL_CELLS = 100.0  # that count as independent: what the model lacks is smoot
 _CELL = 16  # texels
 _SEEN = 0.95  # share of a cell that must be valid, or it is a lower bound
 _STATIONARY = 8.0  # the long side over the deviation of what a stationary sample is even over
+_THINNED = 7  # of so many texels one is looked at
 _HUBER = 0.2  # of log radiance
 
 
@@ -151,20 +152,26 @@ def level(outputs: Tensor, linear: Tensor, valid: Tensor, light: Light) -> Tenso
     return outputs
 
 
-def flatten(outputs: Tensor, confidence: Tensor) -> Tensor:
+def flatten(outputs: Tensor, confidence: Tensor, glare: Tensor) -> Tensor:
     """Outputs whose albedo and gloss are the same everywhere on average.
 
-    A stationary sample's means do not drift. Gloss is told near the highlight and albedo beside
-    it: every map's mean is the one where it is trusted.
+    A stationary sample's means do not drift, and nothing of it follows the highlight. Gloss is told
+    near the highlight and albedo beside it: every map's mean is the one where it is trusted.
 
     Args:
         outputs: (OUTPUTS, H, W).
         confidence: (>= 3, H, W) of albedo, F0 and roughness, in [0, 1].
+        glare: (H, W) share of the radiance that is mirrored.
     """
     outputs = outputs.clone()
+    shape = torch.stack([torch.ones_like(glare), glare, glare.square()]).flatten(1).T
     for channel in range(5):
         weight = confidence[max(0, channel - 2)].square() + 1e-3
         mean = (outputs[channel] * weight).sum() / weight.sum()
+        # Thinned: it is smooth, and there are a million texels.
+        values = outputs[channel].flatten()[::_THINNED, None]
+        follows = torch.linalg.lstsq(shape[::_THINNED], values).solution
+        outputs[channel] -= (shape @ follows).view_as(glare)
         slow = smoothed(outputs[channel].numpy(), max(outputs.shape[-2:]) / _STATIONARY)
         outputs[channel] += mean - torch.from_numpy(slow)
     return outputs
@@ -209,8 +216,14 @@ def refine(
         own = (residual - grey) * shares * colour / (shares.square() * colour + unknown)
         outputs[:3] += share * albedo * common + own
         outputs[3:5] += shows * gloss * common
-    found, _ = light.logs(light.maps(outputs), normals)
-    residual = _unexplained(observed, found, valid)
+    return remaining(outputs, linear, valid, light)
+
+
+def remaining(outputs: Tensor, linear: Tensor, valid: Tensor, light: Light) -> Refined:
+    """Outputs (OUTPUTS, H, W) and what their re-rendering leaves; arguments as for refine."""
+    maps = light.maps(outputs)
+    found, _ = light.logs(maps, maps.normal)
+    residual = _unexplained(linear.clamp_min(_DARKEST).log(), found, valid)
     return Refined(outputs, residual, _slow(residual, valid))
 
 

@@ -47,6 +47,7 @@ _APART_TEXELS = 8  # texels at least
 _FINENESS = 16  # places of the coarsest level along the shorter side of a lattice's piece
 _UNIQUE = 12.0  # times the median distance to what is most similar: a mark that occurs once
 _UNIQUE_LEVEL = 2  # it is told at, of some twenty texels
+_LEAST_TRUST = 0.02  # of a map: what was not seen is drawn by example (capture/exemplar/fill.py)
 _TRUSTED = 0.8  # quantile of confidence that a place is held against
 # Confidence below that up to which a place is as good, for steps of it lie between most parts of a
 # photograph, and at which it is as reluctant as can be.
@@ -197,7 +198,8 @@ def _unique(similar: Similar) -> NDArray[np.bool_]:
 def _doubt(exemplar: Exemplar) -> NDArray[np.float64]:
     """Reluctance of places that are less trusted than most."""
     side = 1 << PRICE_BITS
-    trust = exemplar.confidence.mean(axis=0, dtype=np.float64)
+    # A place is worth no more than its worst maps: the geometric mean.
+    trust = np.exp(np.log(exemplar.confidence + _LEAST_TRUST).mean(axis=0, dtype=np.float64))
     rows, columns = trust.shape
     whole = np.pad(trust, ((0, -rows % side), (0, -columns % side)), mode="edge")
     means = whole.reshape(whole.shape[0] // side, side, -1, side).mean(axis=(1, 3))
