@@ -39,6 +39,8 @@ from matcap.statistics.compare import Features
 from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.vgg import Vgg19
 
+_FOR_EXEMPLAR = 0.3  # share of a time limit
+
 
 @dataclass(frozen=True)
 class CaptureResult:
@@ -71,15 +73,17 @@ class CaptureResult:
     found: FoundExemplar | None = None
 
 
-def read_photograph(path: str | Path, settings: CaptureSettings) -> Photo:
-    """A photograph as a capture with these settings needs it.
+def read_photograph(
+    path: str | Path, settings: CaptureSettings, method: Method | None = None
+) -> Photo:
+    """A photograph as a capture with these settings, done so, needs it.
 
     Raises:
         UsageError: an unknown preset.
         MatcapError: the file is not a photograph that can be read.
     """
     # What is compared with the photograph must know its noise.
-    noise = _compares(settings, resolve(settings))
+    noise = _compares(settings, resolve(settings, method))
     return load_photo(path, long_side=settings.most_detail, fov=settings.fov, noise=noise)
 
 
@@ -113,7 +117,7 @@ def capture_photo(
         MatcapError: a photograph nothing can be made of, or a prior that cannot be read.
     """
     method = method or Method()
-    effort = resolve(settings, method)
+    effort, limit = resolve(settings, method), settings.time_limit
     clock = CaptureClock(progress)
 
     with clock.stage("coarse fit"):
@@ -142,7 +146,7 @@ def capture_photo(
     with clock.stage("fine-tuning"):
         tune = TuneSettings(
             steps=effort.steps,
-            seconds=settings.time_limit,
+            seconds=limit and limit * (1.0 - _FOR_EXEMPLAR * settings.finds_exemplar),
             target=_target(settings, own, photo.name),
             places=effort.places,
             learning_rate=beginning.rate,
@@ -161,7 +165,14 @@ def capture_photo(
     if settings.finds_exemplar:
         with clock.stage("exemplar"):
             found = find_exemplar(
-                plane, coarse, load_inverse(), scene, steps=effort.adapted, seed=settings.seed
+                plane,
+                coarse,
+                load_inverse(),
+                scene,
+                steps=0 if tuned.interrupted else effort.adapted,
+                seconds=limit and limit * _FOR_EXEMPLAR,
+                seed=settings.seed,
+                tell=clock.finding,
             )
     if found is not None and settings.generator == "example":
         material = replace(material, example=found.example)
@@ -180,7 +191,7 @@ def capture_photo(
         history=tuned.history,
         stage_seconds=clock.seconds,
         settings=settings,
-        interrupted=tuned.interrupted,
+        interrupted=tuned.interrupted or (found is not None and found.interrupted),
         self_difference=own,
         found=found,
     )

@@ -66,6 +66,11 @@ class CaptureClock:
             self._ahead = forecast(self._history, _MINUTE)
         self._tell(CaptureProgress("fine-tuning", share, error, elapsed, left, self._ahead))
 
+    def finding(self, share: float) -> None:
+        """A step of the exemplar is done: share of all."""
+        elapsed = time.monotonic() - self._started
+        self._tell(CaptureProgress("exemplar", share, None, elapsed, None))
+
 
 def _nobody(progress: CaptureProgress) -> None:
     """Listens."""

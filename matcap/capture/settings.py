@@ -92,7 +92,7 @@ class CaptureSettings:
 
     Attributes:
         preset: a key of PRESETS.
-        steps: of fine-tuning, instead of the preset's.
+        steps: of fine-tuning, instead of the preset's; no more of adapting the exemplar.
         time_limit: of fine-tuning in seconds, or None.
         target: error to end at, as a multiple of what the photograph's own windows differ by.
         detail: texels across the photograph's long side; by default DETAIL, or half of it where
@@ -158,6 +158,7 @@ class Method:
         half_precision: bfloat16 inside the network and the features.
         places: windows a step, instead of the preset's.
         matched: at the end, instead of as the preset says.
+        adapted: steps of the exemplar, instead of the preset's.
     """
 
     window: int = 160
@@ -166,6 +167,7 @@ class Method:
     half_precision: bool = True
     places: int | None = None
     matched: bool | None = None
+    adapted: int | None = None
 
 
 def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
@@ -179,11 +181,16 @@ def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
             f"there is no preset {settings.preset!r}", remedy=f"choose one of {', '.join(PRESETS)}"
         )
     limited = settings.time_limit is not None or settings.target is not None
-    effort = PRESETS[UNLIMITED if limited and settings.steps is None else settings.preset]
+    wanted = PRESETS[settings.preset]
+    effort = wanted
     if settings.steps is not None:
-        effort = replace(effort, steps=settings.steps)
+        effort = replace(wanted, steps=settings.steps, adapted=min(wanted.adapted, settings.steps))
+    elif limited:
+        effort = replace(PRESETS[UNLIMITED], adapted=wanted.adapted)
     if method is not None and method.places is not None:
         effort = replace(effort, places=method.places)
     if method is not None and method.matched is not None:
         effort = replace(effort, matched=method.matched)
+    if method is not None and method.adapted is not None:
+        effort = replace(effort, adapted=method.adapted)
     return effort

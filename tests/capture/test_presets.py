@@ -12,11 +12,14 @@ def test_a_preset_is_its_effort_unless_steps_are_given(preset):
     assert effort is PRESETS[preset] and effort.preset == preset
     fewer = resolve(CaptureSettings(preset=preset, steps=7))
     assert (fewer.steps, fewer.places) == (7, effort.places)
+    assert fewer.adapted == min(7, effort.adapted)
 
 
 @pytest.mark.parametrize("limit", [{"time_limit": 20.0}, {"target": 1.3}])
 def test_a_limit_alone_may_take_all_the_steps_there_are(limit):
-    assert resolve(CaptureSettings(preset="draft", **limit)) is PRESETS["reference"]
+    limited = resolve(CaptureSettings(preset="draft", **limit))
+    assert (limited.preset, limited.steps) == ("reference", PRESETS["reference"].steps)
+    assert limited.adapted == PRESETS["draft"].adapted
     assert resolve(CaptureSettings(preset="draft", steps=7, **limit)).steps == 7
 
 

@@ -9,7 +9,9 @@ moved until they agree. So few numbers need few steps, and cannot draw what was 
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -20,6 +22,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.smooth import split
 from matcap.capture.finetune import TuneScene, compare_windows, render_windows, shuffled
 from matcap.capture.penalty import Penalties, price
+from matcap.capture.schedule import Schedule
 
 _RATE = 0.06  # of Adam, in logits and in logarithms of gains
 _BETAS = (0.8, 0.95)  # of Adam: short memories, for there are few steps
@@ -37,6 +40,19 @@ _SEEN = 0.95  # share of a window that must have been seen; of the best windows,
 _PENALTIES = Penalties(outlier=0.0)
 
 
+@dataclass(frozen=True)
+class Adapted:
+    """Adapted maps.
+
+    Attributes:
+        maps: of the photographed piece.
+        interrupted: ended by Ctrl-C, with the numbers so far.
+    """
+
+    maps: MapSet
+    interrupted: bool = False
+
+
 @torch.enable_grad()
 def adapt(
     maps: MapSet,
@@ -45,8 +61,10 @@ def adapt(
     steps: int,
     *,
     reach: float = 1.0,
+    seconds: float | None = None,
     seed: int = 0,
-) -> MapSet:
+    tell: Callable[[float], None] | None = None,
+) -> Adapted:
     """Maps whose levels, contrasts and strengths of relief are the photograph's everywhere.
 
     Args:
@@ -55,10 +73,13 @@ def adapt(
         scene: the photograph.
         steps: of Adam.
         reach: how far the numbers may be off, beside what is believed of the network's maps.
+        seconds: at most, or None.
         seed: of the order of windows.
+        tell: called after every step with the share that is done.
     """
     if not steps:
-        return maps
+        return Adapted(maps)
+    schedule = Schedule(steps, seconds, None)
     scaled = _Scaled(maps, reach)
     size = scene.windows.size
     corners = _corners(seen, size)
@@ -66,26 +87,33 @@ def adapt(
     draw = np.random.default_rng(seed)
     adam = torch.optim.Adam([scaled.numbers], lr=_RATE, betas=_BETAS)
     total, taken = torch.zeros_like(scaled.numbers), 0
-    for step in range(steps):
-        share = step / steps
-        adam.param_groups[0]["lr"] = reach * _RATE * min(1.0, (1.0 - share) / _HELD)
-        places = torch.tensor([next(order) for _ in range(_PLACES)])
-        cuts = [
-            scaled(slice(y, y + size), slice(x, x + size))
-            for y, x in corners[draw.integers(len(corners), size=_PLACES)]
-        ]
-        windows = MapSet.from_stacked(torch.stack([c.stacked() for c in cuts]), maps.texel_size)
-        rendered = render_windows(windows, scene, places, step)
-        loss = compare_windows(rendered, scene, places, half_precision=True)
-        loss = loss + price(windows, scene.expected, _PENALTIES, share) + scaled.price()
-        (scaled.numbers.grad,) = torch.autograd.grad(loss, [scaled.numbers])
-        if torch.isfinite(scaled.numbers.grad).all():
-            adam.step()
-        if share >= _HELD:
-            total, taken = total + scaled.numbers.detach(), taken + 1
+    interrupted = False
+    try:
+        while not schedule.over(math.inf):
+            adam.param_groups[0]["lr"] = reach * _RATE * min(1.0, (1.0 - schedule.share) / _HELD)
+            places = torch.tensor([next(order) for _ in range(_PLACES)])
+            cuts = [
+                scaled(slice(y, y + size), slice(x, x + size))
+                for y, x in corners[draw.integers(len(corners), size=_PLACES)]
+            ]
+            windows = MapSet.from_stacked(torch.stack([c.stacked() for c in cuts]), maps.texel_size)
+            rendered = render_windows(windows, scene, places, schedule.step)
+            loss = compare_windows(rendered, scene, places, half_precision=True)
+            loss = loss + price(windows, scene.expected, _PENALTIES, schedule.share)
+            (scaled.numbers.grad,) = torch.autograd.grad(loss + scaled.price(), [scaled.numbers])
+            if torch.isfinite(scaled.numbers.grad).all():
+                adam.step()
+            if schedule.share >= _HELD:
+                total, taken = total + scaled.numbers.detach(), taken + 1
+            schedule.step += 1
+            if tell is not None:
+                tell(min(1.0, schedule.step / steps))
+    except KeyboardInterrupt:
+        interrupted = True
     with torch.no_grad():
-        scaled.numbers.copy_(total / taken)
-        return scaled(slice(None), slice(None))
+        if taken:
+            scaled.numbers.copy_(total / taken)
+        return Adapted(scaled(slice(None), slice(None)), interrupted)
 
 
 class _Scaled:

@@ -7,6 +7,7 @@ photograph.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -30,7 +31,7 @@ from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
 from matcap.model.example.example import Example
 from matcap.model.exemplar import Exemplar
-from matcap.model.inverse.inputs import network_inputs, read_outputs, true_outputs
+from matcap.model.inverse.inputs import network_inputs, true_outputs
 from matcap.model.inverse.network import COLOUR, GLOSS, OUTPUTS, SHOWN, Inverse
 from matcap.statistics.lattice import Wave
 
@@ -53,12 +54,14 @@ class FoundExemplar:
         error: median difference of log radiance between photograph and re-rendering, of texels
             seen and not clipped.
         slow: mean size of its part that varies slowly, which is not the material's.
+        interrupted: adaptation was ended by Ctrl-C.
     """
 
     example: Example
     strengths: Strengths | None
     error: float
     slow: float
+    interrupted: bool = False
 
     @property
     def exemplar(self) -> Exemplar:
@@ -74,7 +77,9 @@ def find_exemplar(
     scene: TuneScene | None = None,
     *,
     steps: int = 0,
+    seconds: float | None = None,
     seed: int = 0,
+    tell: Callable[[float], None] | None = None,
 ) -> FoundExemplar:
     """Maps of the photographed piece.
 
@@ -84,7 +89,9 @@ def find_exemplar(
         network: reads it (store.load_inverse).
         scene: the photograph's statistics and order; without them the piece is not adapted.
         steps: of adaptation.
+        seconds: of adaptation at most, or None.
         seed: of adaptation.
+        tell: called as adaptation goes on with the share that is done.
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
@@ -110,22 +117,25 @@ def find_exemplar(
         return even(refined.outputs)
 
     outputs = explained(level(even(found), plane.linear, plane.valid, light))
+    interrupted = False
     for leg, reach in enumerate(_LEGS if scene and steps else ()):
+        if interrupted:
+            break
         assert scene is not None
         albedo = even_contrast(outputs[:3].numpy(), np.square(trusted[0]))
-        maps = read_outputs(
-            torch.cat([torch.from_numpy(albedo), outputs[3:]]), coarse, plane.texel_size
-        )
-        maps = adapt(
-            maps,
+        adapted = adapt(
+            light.maps(torch.cat([torch.from_numpy(albedo), outputs[3:]]), plane.texel_size),
             plane.valid.numpy(),
             scene,
             -(-steps // len(_LEGS)),
             reach=reach,
+            seconds=None if seconds is None else seconds / len(_LEGS),
             seed=seed * len(_LEGS) + leg,
+            tell=tell and _shared(tell, leg),
         )
-        outputs = explained(true_outputs(maps, coarse))
-    maps = read_outputs(outputs, coarse, plane.texel_size)
+        interrupted = adapted.interrupted
+        outputs = explained(true_outputs(adapted.maps, coarse))
+    maps = light.maps(outputs, plane.texel_size)
     refined = remaining(outputs, plane.linear, plane.valid, light)
     exemplar = Exemplar(
         diffuse=maps.diffuse.numpy(),
@@ -141,7 +151,13 @@ def find_exemplar(
         strengths=strengths,
         error=float(seen.abs().median()) if seen.numel() else 0.0,
         slow=float(refined.slow.abs().mean()),
+        interrupted=interrupted,
     )
+
+
+def _shared(tell: Callable[[float], None], leg: int) -> Callable[[float], None]:
+    """Tells of one leg's share as part of all."""
+    return lambda share: tell((leg + share) / len(_LEGS))
 
 
 def _indexed(exemplar: Exemplar, waves: tuple[Wave, ...]) -> Example:

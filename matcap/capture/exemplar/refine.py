@@ -80,9 +80,9 @@ class Light:
         power = torch.tensor(setup.intensity).to(points)[:, None, None]
         self._power = power * vignette(points, setup) / squared
 
-    def maps(self, outputs: Tensor) -> MapSet:
-        """Maps of the network's outputs, texels of size 1."""
-        return read_outputs(outputs, self.uniform, 1.0)
+    def maps(self, outputs: Tensor, texel_size: float = 1.0) -> MapSet:
+        """Maps of the network's outputs."""
+        return read_outputs(outputs, self.uniform, texel_size)
 
     def logs(self, maps: MapSet, normal: Tensor) -> tuple[Tensor, Tensor]:
         """(3, H, W) log radiance of maps, and the diffuse share of the radiance."""

@@ -12,8 +12,8 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.find import FoundExemplar, piece_maps
-from matcap.capture.pipeline import capture_file
-from matcap.capture.settings import CaptureSettings
+from matcap.capture.pipeline import capture_photo, read_photograph
+from matcap.capture.settings import PRESETS, CaptureSettings, Method
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.baselines import Fixed
 from matcap.model.example.example import Example
@@ -46,7 +46,9 @@ class Rearranged:
 def found_piece(path: Path, detail: int) -> tuple[FoundExemplar, FlashSetup]:
     """The exemplar of a photograph's file, and its setup as fitted."""
     settings = CaptureSettings(steps=0, detail=detail, aligned=True)  # no decoder is asked for
-    result = capture_file(path, settings)
+    method = Method(adapted=PRESETS["standard"].adapted)
+    photo = read_photograph(path, settings, method)
+    result = capture_photo(photo, settings, method=method)
     assert result.found is not None
     return result.found, result.material.setup
 

@@ -40,21 +40,21 @@ def _slope(maps) -> float:
 def test_relief_and_albedo_that_are_off_come_back(shot, scene) -> None:
     true = shot.maps
     off = replace(true, diffuse=true.diffuse * 0.8, height=true.height * 0.6)
-    found = adapt(off, SEEN, scene, 30)
+    found = adapt(off, SEEN, scene, 30).maps
     assert _slope(off) < 0.7 * _slope(true)
     assert _slope(found) == pytest.approx(_slope(true), rel=0.2)
     assert float(found.diffuse.mean()) == pytest.approx(float(true.diffuse.mean()), rel=0.08)
 
 
 def test_the_drawing_stays(shot, scene) -> None:
-    found = adapt(shot.maps, SEEN, scene, 3)
+    found = adapt(shot.maps, SEEN, scene, 3).maps
     both = torch.stack([found.height.flatten(), shot.maps.height.flatten()])
     assert float(torch.corrcoef(both)[0, 1]) > 0.98
 
 
 def test_no_steps_change_nothing_and_the_same_seed_gives_the_same_maps(shot, scene) -> None:
-    assert adapt(shot.maps, SEEN, scene, 0) is shot.maps
-    first, again = (adapt(shot.maps, SEEN, scene, 2, seed=3).stacked() for _ in range(2))
+    assert adapt(shot.maps, SEEN, scene, 0).maps is shot.maps
+    first, again = (adapt(shot.maps, SEEN, scene, 2, seed=3).maps.stacked() for _ in range(2))
     assert torch.equal(first, again)
 
 
@@ -62,7 +62,23 @@ def test_windows_that_were_not_seen_are_left_out(shot, scene) -> None:
     seen = SEEN.copy()
     seen[:, :256] = False
     broken = shot.maps.map(lambda m: torch.where(torch.from_numpy(seen), m, 0.5 * m))
-    found = adapt(broken, seen, scene, 2)
-    whole = adapt(shot.maps, seen, scene, 2)
+    found = adapt(broken, seen, scene, 2).maps
+    whole = adapt(shot.maps, seen, scene, 2).maps
     right = (slice(None), slice(None), slice(320, None))
     assert torch.allclose(found.roughness[right], whole.roughness[right], atol=0.02)
+
+
+def test_an_interrupt_keeps_what_was_found(shot, scene) -> None:
+    def interrupt(share: float) -> None:
+        if share > 0.1:
+            raise KeyboardInterrupt
+
+    found = adapt(shot.maps, SEEN, scene, 12, tell=interrupt)
+    assert found.interrupted
+    assert bool(torch.isfinite(found.maps.stacked()).all())
+
+
+def test_time_ends_it(shot, scene) -> None:
+    shares: list[float] = []
+    adapt(shot.maps, SEEN, scene, 10_000, seconds=0.2, tell=shares.append)
+    assert 1 <= len(shares) < 100
