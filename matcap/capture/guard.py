@@ -7,8 +7,8 @@ import math
 
 import torch
 from torch import Tensor
-from torch.optim.adam import adam
 
+from matcap.capture.adam import Adam
 from matcap.model.decoder import Decoder
 
 _SMOOTHING = 0.05  # of the running error
@@ -32,7 +32,7 @@ class Guard:
     def __init__(self, decoder: Decoder, rate: float) -> None:
         self.decoder, self.error = decoder, math.nan
         self._rate, self._step = rate, 0
-        self._optimiser = _Adam(decoder)
+        self._optimiser = _adam(decoder)
         self.begin_again()
 
     def begin_again(self) -> None:
@@ -76,35 +76,8 @@ class Guard:
         self.decoder.load_state_dict(self._best)
         self.error = self._best_error if math.isfinite(self._best_error) else math.nan
         self._rate *= 0.5
-        self._optimiser = _Adam(self.decoder)
+        self._optimiser = _adam(self.decoder)
 
 
-class _Adam:
-    """torch.optim.Adam's function without its class, which imports PyTorch's compiler: a second."""
-
-    def __init__(self, decoder: Decoder) -> None:
-        self._parameters = [p for p in decoder.parameters() if p.requires_grad]
-        self._means = [torch.zeros_like(p) for p in self._parameters]
-        self._squares = [torch.zeros_like(p) for p in self._parameters]
-        self._steps = [torch.zeros(()) for _ in self._parameters]
-
-    @torch.no_grad()
-    def step(self, rate: float) -> None:
-        """One step along the gradients there are."""
-        had = [i for i, p in enumerate(self._parameters) if p.grad is not None]
-        adam(
-            [self._parameters[i] for i in had],
-            [self._parameters[i].grad for i in had],  # type: ignore[misc]
-            [self._means[i] for i in had],
-            [self._squares[i] for i in had],
-            [],
-            [self._steps[i] for i in had],
-            fused=True,
-            amsgrad=False,
-            beta1=0.9,
-            beta2=0.99,
-            lr=rate,
-            weight_decay=0.0,
-            eps=1e-8,
-            maximize=False,
-        )
+def _adam(decoder: Decoder) -> Adam:
+    return Adam([p for p in decoder.parameters() if p.requires_grad])

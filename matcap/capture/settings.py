@@ -101,8 +101,8 @@ class CaptureSettings:
         seed: of everything random.
         prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
         statistics: that textures are compared by.
-        generator: that the material is read by: "decoder" (the fine-tuned network) or "example"
-            (the photographed piece, rearranged).
+        generator: that the material is read by: "example" (the photographed piece, rearranged) or
+            "decoder" (the fine-tuned network, and no piece is looked for).
         aligned: the maps of the photographed piece itself are found, too.
 
     With a time limit or a target, and without steps, the preset is "reference": the limit alone
@@ -118,7 +118,7 @@ class CaptureSettings:
     seed: int = 0
     prior: str = "auto"
     statistics: Statistics = Statistics()
-    generator: Generator = "decoder"
+    generator: Generator = "example"
     aligned: bool = False
 
     @staticmethod

@@ -103,10 +103,10 @@ def capture(
     generator: Annotated[
         GeneratorName,
         typer.Option(
-            help="What the material is read by: the fine-tuned network (decoder), or the "
-            "photographed piece rearranged (example)."
+            help="What the material is read by: the photographed piece rearranged (example), or "
+            "the fine-tuned network alone (decoder)."
         ),
-    ] = GeneratorName.decoder,
+    ] = GeneratorName.example,
     aligned: Annotated[
         bool,
         typer.Option(

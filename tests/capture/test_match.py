@@ -169,8 +169,8 @@ def test_a_capture_ends_with_it_but_for_drafts():
     shot = take(realisation("leather", 1), PhoneCamera(128, 96, supersampling=1), setup)
     stages = {}
     for name, settings in (
-        ("tuned", CaptureSettings(steps=2, detail=128)),
-        ("draft", CaptureSettings(preset="draft", steps=2, detail=128)),
+        ("tuned", CaptureSettings(steps=2, detail=128, generator="decoder")),
+        ("draft", CaptureSettings(preset="draft", steps=2, detail=128, generator="decoder")),
     ):
         result = capture_photo(as_photo(shot, 1, "leather.dng"), settings)
         stages[name] = "matching" in result.stage_seconds

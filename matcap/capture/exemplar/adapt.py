@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.adam import Adam
 from matcap.capture.exemplar.smooth import split
 from matcap.capture.finetune import TuneScene, compare_windows, render_windows, shuffled
 from matcap.capture.penalty import Penalties, price
@@ -85,24 +86,29 @@ def adapt(
     corners = _corners(seen, size)
     order = shuffled(scene.windows.count, seed)
     draw = np.random.default_rng(seed)
-    adam = torch.optim.Adam([scaled.numbers], lr=_RATE, betas=_BETAS)
+    adam = Adam([scaled.numbers], _BETAS)
     total, taken = torch.zeros_like(scaled.numbers), 0
     interrupted = False
     try:
         while not schedule.over(math.inf):
-            adam.param_groups[0]["lr"] = reach * _RATE * min(1.0, (1.0 - schedule.share) / _HELD)
             places = torch.tensor([next(order) for _ in range(_PLACES)])
+            step = schedule.step
             cuts = [
                 scaled(slice(y, y + size), slice(x, x + size))
                 for y, x in corners[draw.integers(len(corners), size=_PLACES)]
             ]
             windows = MapSet.from_stacked(torch.stack([c.stacked() for c in cuts]), maps.texel_size)
-            rendered = render_windows(windows, scene, places, schedule.step)
+            rendered = torch.cat(
+                [
+                    render_windows(cut.map(lambda m: m[None]), scene, places[i, None], step)
+                    for i, cut in enumerate(cuts)
+                ]
+            )
             loss = compare_windows(rendered, scene, places, half_precision=True)
             loss = loss + price(windows, scene.expected, _PENALTIES, schedule.share)
             (scaled.numbers.grad,) = torch.autograd.grad(loss + scaled.price(), [scaled.numbers])
             if torch.isfinite(scaled.numbers.grad).all():
-                adam.step()
+                adam.step(reach * _RATE * min(1.0, (1.0 - schedule.share) / _HELD))
             if schedule.share >= _HELD:
                 total, taken = total + scaled.numbers.detach(), taken + 1
             schedule.step += 1

@@ -104,8 +104,8 @@ def find_exemplar(
     )
     found[5] = torch.from_numpy(equalise(found[5].numpy(), strengths))
     trusted = confidence(errors, plane.valid)
-    glare = inputs[GLOSS].clamp(0.0, 1.0)
-    trusted[0] *= 1.0 - glare.numpy()
+    glare = inputs[GLOSS].clamp(0.0, 1.0).numpy()
+    trusted[0] *= 1.0 - glare
     light = Light(coarse, points)
 
     def even(outputs: Tensor) -> Tensor:

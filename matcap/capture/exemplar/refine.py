@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import dot, normalize, single_lobe
@@ -42,7 +43,7 @@ _LEVEL_CELLS = 100.0  # that count as independent: what the model lacks is smoot
 _CELL = 16  # texels
 _SEEN = 0.95  # share of a cell that must be valid, or it is a lower bound
 _STATIONARY = 8.0  # the long side over the deviation of what a stationary sample is even over
-_THINNED = 7  # of so many texels one is looked at
+_THINNED = 3  # texels a side of which one is looked at, where things are smooth
 _HUBER = 0.2  # of log radiance
 
 
@@ -152,7 +153,7 @@ def level(outputs: Tensor, linear: Tensor, valid: Tensor, light: Light) -> Tenso
     return outputs
 
 
-def flatten(outputs: Tensor, confidence: Tensor, glare: Tensor) -> Tensor:
+def flatten(outputs: Tensor, confidence: Tensor, glare: NDArray[np.float32]) -> Tensor:
     """Outputs whose albedo and gloss are the same everywhere on average.
 
     A stationary sample's means do not drift, and nothing of it follows the highlight. Gloss is told
@@ -164,17 +165,26 @@ def flatten(outputs: Tensor, confidence: Tensor, glare: Tensor) -> Tensor:
         glare: (H, W) share of the radiance that is mirrored.
     """
     outputs = outputs.clone()
-    shape = torch.stack([torch.ones_like(glare), glare, glare.square()]).flatten(1).T
+    shape = np.stack([np.ones_like(glare), glare, np.square(glare)])
     for channel in range(5):
         weight = confidence[max(0, channel - 2)].square() + 1e-3
         mean = (outputs[channel] * weight).sum() / weight.sum()
-        # Thinned: it is smooth, and there are a million texels.
-        values = outputs[channel].flatten()[::_THINNED, None]
-        follows = torch.linalg.lstsq(shape[::_THINNED], values).solution
-        outputs[channel] -= (shape @ follows).view_as(glare)
+        outputs[channel] -= torch.from_numpy(_following(outputs[channel].numpy(), shape))
         slow = smoothed(outputs[channel].numpy(), max(outputs.shape[-2:]) / _STATIONARY)
         outputs[channel] += mean - torch.from_numpy(slow)
     return outputs
+
+
+def _following(plane: NDArray[np.float32], shape: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What of a plane (H, W) goes with some smooth shapes (N, H, W): least squares.
+
+    Sums are NumPy's own, on one thread: the same bits whatever the machine is doing.
+    """
+    thin = shape[:, ::_THINNED, ::_THINNED].astype(np.float64)
+    products = np.einsum("nhw,mhw->nm", thin, thin, optimize=False)
+    told = np.einsum("nhw,hw->n", thin, plane[::_THINNED, ::_THINNED], optimize=False)
+    weights = np.linalg.lstsq(products, told, rcond=1e-9)[0].astype(np.float32)
+    return np.asarray(np.einsum("n,nhw->hw", weights, shape, optimize=False), np.float32)
 
 
 @torch.no_grad()

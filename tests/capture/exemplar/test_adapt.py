@@ -82,3 +82,14 @@ def test_time_ends_it(shot, scene) -> None:
     shares: list[float] = []
     adapt(shot.maps, SEEN, scene, 10_000, seconds=0.2, tell=shares.append)
     assert 1 <= len(shares) < 100
+
+
+def test_windows_of_several_photographs_are_lit_by_their_own_flash(shot, scene) -> None:
+    def found(flash) -> torch.Tensor:
+        both = replace(scene.windows, photographs=torch.arange(scene.windows.count) % 2)
+        joint = replace(scene, windows=both, others=(flash,))
+        return adapt(shot.maps, SEEN, joint, 3).maps.stacked()
+
+    alone = adapt(shot.maps, SEEN, scene, 3).maps.stacked()
+    assert torch.equal(found(scene.setup), alone)
+    assert not torch.equal(found(scene.setup.with_intensity((1.0,) * 3)), alone)

@@ -1,0 +1,44 @@
+"""Adam (Kingma and Ba 2015), started afresh as often as needed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.optim.adam import adam
+
+
+class Adam:
+    """torch.optim.Adam's function without its class, which imports PyTorch's compiler: a second."""
+
+    def __init__(
+        self, parameters: Sequence[Tensor], betas: tuple[float, float] = (0.9, 0.99)
+    ) -> None:
+        """Nothing is known of the gradients of some parameters, floats, which steps change."""
+        self._parameters = list(parameters)
+        self._betas = betas
+        self._means = [torch.zeros_like(p) for p in self._parameters]
+        self._squares = [torch.zeros_like(p) for p in self._parameters]
+        self._steps = [torch.zeros(()) for _ in self._parameters]
+
+    @torch.no_grad()
+    def step(self, rate: float) -> None:
+        """One step along the gradients there are."""
+        had = [i for i, p in enumerate(self._parameters) if p.grad is not None]
+        adam(
+            [self._parameters[i] for i in had],
+            [self._parameters[i].grad for i in had],  # type: ignore[misc]
+            [self._means[i] for i in had],
+            [self._squares[i] for i in had],
+            [],
+            [self._steps[i] for i in had],
+            fused=True,
+            amsgrad=False,
+            beta1=self._betas[0],
+            beta2=self._betas[1],
+            lr=rate,
+            weight_decay=0.0,
+            eps=1e-8,
+            maximize=False,
+        )
