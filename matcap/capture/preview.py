@@ -158,9 +158,9 @@ def _relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: Flas
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     camera, light = torch.tensor([0.0, 0.0, setup.distance]), torch.tensor(_LIGHTS[side])
     with torch.no_grad():
-        radiance = shade(maps, points, camera, light, torch.ones(3)).movedim(0, -1).numpy()
+        radiance = shade(maps, points, camera, light, torch.ones(3))
     gain = float(rerendered.mean()) / max(float(radiance.mean()), 1e-9)
-    return Panel(f"light from the {side}", srgb_picture(radiance * gain))
+    return Panel(f"light from the {side}", srgb_picture((radiance * gain).movedim(0, -1).numpy()))
 
 
 def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:

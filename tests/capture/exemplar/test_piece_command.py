@@ -74,4 +74,5 @@ def test_the_report_says_how_right_it_is(folder: Path) -> None:
     told = json.loads((folder / "report.json").read_text())["exemplar"]
     assert 0.0 <= told["error"] < 0.5
     assert 0.0 <= told["left_out"] < 0.5
+    assert 0.0 < told["strengths"]["relief"] < 1.0
     assert set(told["confidence"]) == {"diffuse", "specular", "roughness", "height"}
