@@ -183,7 +183,6 @@ def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, c
     good, bad = json.loads(said.out)["photographs"]
     assert code == 4
     assert good["radiometric"]["value"] is True and good["shading_map"]["value"] is True
-    assert 0.01 < good["strengths"]["relief"] < 1.0
     assert good["flash"]["value"] is True and abs(good["tilt"]["value"]["degrees"]) < 8
     assert "truncated or damaged" in bad["reason"]
     assert main(["inspect", str(tmp_path / "b.jpg")]) == 3
@@ -193,5 +192,4 @@ def test_the_command_speaks_in_lines(shots, tmp_path, capsys):
     write_jpeg(tmp_path / "a.jpg", shots["granite", 1], 1)
     assert main(["inspect", str(tmp_path / "a.jpg")]) == 0
     out = capsys.readouterr().out
-    assert "Root-mean-square slope" in out and "Contrast of log albedo" in out
     assert "tilted by" in out and "Stand squarer" in out and "albedo is relative" in out
