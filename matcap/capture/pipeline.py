@@ -18,7 +18,7 @@ from matcap.capture.anytime import self_difference
 from matcap.capture.audition import begin
 from matcap.capture.coarse import CoarseFit, fit_coarse, under_flash
 from matcap.capture.detail import plane_in_detail
-from matcap.capture.exemplar.find import FoundExemplar, find_exemplar, piece_maps
+from matcap.capture.exemplar.find import FoundExemplar, find_exemplar
 from matcap.capture.exemplar.store import load_inverse
 from matcap.capture.finetune import Tuned, TuneScene, TuneSettings, finetune
 from matcap.capture.joint import join
@@ -178,7 +178,7 @@ def capture_photo(
         material = replace(material, example=found.example)
 
     with clock.stage("rendering"):
-        maps = _shown(material, plane, settings.seed)
+        maps = material.maps(*plane.size, seed=settings.seed)
         with torch.inference_mode():
             rerendered = render_rectified(maps, material.setup)
 
@@ -200,13 +200,6 @@ def capture_photo(
 def _compares(settings: CaptureSettings, effort: Effort) -> bool:
     """Whether anything is going to be compared with the photograph."""
     return effort.steps > 0 or (settings.finds_exemplar and effort.adapted > 0)
-
-
-def _shown(material: Material, plane: Plane, seed: int) -> MapSet:
-    """Maps to look at beside the photograph: of the piece itself, where that is rearranged."""
-    if material.exemplar is not None:
-        return piece_maps(material.exemplar)
-    return material.maps(*plane.size, seed=seed)
 
 
 def _features(statistics: Statistics, method: Method) -> Features:

@@ -1,12 +1,13 @@
 """preview.png: everything about a capture on one sheet, to be judged by eye.
 
-Two rows of equal panels (photograph, re-rendering, another light, the maps) and one row of crops
-at one picture pixel a texel, where grain, weave and checkerboards show.
+A block of two rows of equal panels (photograph, re-rendering, another light, the maps) and one row
+of crops at one picture pixel a texel, where grain, weave and checkerboards show. Where the maps of
+the photographed piece itself were found, a second block shows them, its crops of the same place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,14 +21,18 @@ from matcap.files.staging import staged_file
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+    from matcap.capture.exemplar.find import FoundExemplar
     from matcap.capture.pipeline import CaptureResult
+    from matcap.flash.geometry import FlashSetup
 
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels
 _PANEL = (2 * _COLUMNS * _CROP + (2 * _COLUMNS - 1) * _GAP - (_COLUMNS - 1) * _GAP) // _COLUMNS
-_INK, _PAPER = (225, 225, 225), (24, 24, 24)  # sRGB code values
-# From above and in front of the sample, in plane units: grazing enough to show relief.
-_TOP_LIGHT = (0.0, 2.0, 1.2)
+_TITLE = 46  # pixels
+# sRGB code values.
+_INK, _TITLE_INK, _PAPER = (225, 225, 225), (255, 255, 255), (24, 24, 24)
+# Beside and in front of the sample, in plane units: grazing enough to show relief.
+_LIGHTS = {"left": (-2.5, 0.0, 1.5), "top": (0.0, 2.0, 1.2)}
 # A map's shown range is never narrower than this, or a flat map would show its rounding noise.
 _LEAST_SPAN = {"specular": 0.02, "roughness": 0.05, "height": 0.002}
 
@@ -53,7 +58,54 @@ def write_preview(result: CaptureResult, path: Path) -> None:
 
 def draw_sheet(result: CaptureResult) -> Image.Image:
     """The sheet as an RGB picture."""
-    shown = list(panels(result))
+    blocks = [_block(list(panels(result)))]
+    if result.found is not None:
+        generator = "by example" if result.material.example is not None else "by the decoder"
+        piece = _block(list(piece_panels(result, result.found)))
+        blocks = [
+            _titled(blocks[0], f"The material, {generator}"),
+            _titled(piece, "The photographed piece itself"),
+        ]
+    size = (blocks[0].width, sum(block.height for block in blocks))
+    sheet = Image.new("RGB", size, _PAPER)
+    y = 0
+    for block in blocks:
+        sheet.paste(block, (0, y))
+        y += block.height
+    return sheet
+
+
+def panels(result: CaptureResult) -> Iterable[Panel]:
+    """Everything there is to see of a material, as code values of the photograph's rectangle."""
+    yield Panel("photograph", srgb_picture(result.rectified))
+    yield Panel("re-rendered", srgb_picture(result.rerendered))
+    yield _relit("top", result.maps, result.rerendered, result.material.setup)
+    yield from _each_map(result.maps)
+    yield Panel("normal", 0.5 + 0.5 * _picture(result.maps, "normal"))
+
+
+def piece_panels(result: CaptureResult, found: FoundExemplar) -> Iterable[Panel]:
+    """The photographed piece beside its photograph, lit from two sides, and its maps.
+
+    Without normals, which are the height's and show in the light.
+    """
+    import torch
+
+    from matcap.capture.exemplar.find import piece_maps
+    from matcap.flash.render import render_rectified
+
+    maps, setup = piece_maps(found.exemplar), result.material.setup
+    with torch.inference_mode():
+        rerendered = render_rectified(maps, setup).movedim(0, -1).numpy()
+    yield Panel("photograph", srgb_picture(result.rectified))
+    yield Panel("re-rendered", srgb_picture(rerendered))
+    for side in _LIGHTS:
+        yield _relit(side, maps, rerendered, setup)
+    yield from _each_map(maps)
+
+
+def _block(shown: Sequence[Panel]) -> Image.Image:
+    """Panels in rows, and their crops below."""
     height, width = shown[0].pixels.shape[:2]
     panel_height = max(1, round(_PANEL * height / width))
     rows = -(-len(shown) // _COLUMNS)
@@ -61,51 +113,54 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
         _GAP + _COLUMNS * (_PANEL + _GAP),
         rows * (_LABEL + panel_height + _GAP) + _LABEL + min(_CROP, height) + _GAP,
     )
-    sheet = Image.new("RGB", size, _PAPER)
-    draw = ImageDraw.Draw(sheet)
+    block = Image.new("RGB", size, _PAPER)
+    draw = ImageDraw.Draw(block)
     font = ImageFont.load_default(size=16)
     for index, panel in enumerate(shown):
         row, column = divmod(index, _COLUMNS)
         x, y = _GAP + column * (_PANEL + _GAP), row * (_LABEL + panel_height + _GAP)
         draw.text((x, y + 5), panel.label, fill=_INK, font=font)
-        sheet.paste(_resized(panel.pixels, (_PANEL, panel_height)), (x, y + _LABEL))
+        block.paste(_resized(panel.pixels, (_PANEL, panel_height)), (x, y + _LABEL))
     y = rows * (_LABEL + panel_height + _GAP)
     for index, panel in enumerate(shown):
         x = _GAP + index * (_CROP + _GAP)
         draw.text((x, y + 5), f"{panel.label.split(':')[0]}, 1:1", fill=_INK, font=font)
-        sheet.paste(_image(_crop(panel.pixels)), (x, y + _LABEL))
-    return sheet
+        block.paste(_image(_crop(panel.pixels)), (x, y + _LABEL))
+    return block
 
 
-def panels(result: CaptureResult) -> Iterable[Panel]:
-    """Everything there is to see of a capture, as code values of the photograph's rectangle."""
-    maps = result.maps
-    relit = _relit(result)
-    # Another light has no exposure of its own: it is shown as bright as the photograph.
-    relit = relit * (float(result.rerendered.mean()) / max(float(relit.mean()), 1e-9))
-    yield Panel("photograph", srgb_picture(result.rectified))
-    yield Panel("re-rendered", srgb_picture(result.rerendered))
-    yield Panel("light from the top", srgb_picture(relit))
+def _titled(block: Image.Image, title: str) -> Image.Image:
+    """A block below its title."""
+    titled = Image.new("RGB", (block.width, _TITLE + block.height), _PAPER)
+    font = ImageFont.load_default(size=24)
+    ImageDraw.Draw(titled).text((_GAP, 12), title, fill=_TITLE_INK, font=font)
+    titled.paste(block, (0, _TITLE))
+    return titled
+
+
+def _each_map(maps: MapSet) -> Iterable[Panel]:
     yield Panel("diffuse", srgb_picture(_picture(maps, "diffuse")))
     for kind in ("specular", "roughness", "height"):
         yield _stretched(kind, _picture(maps, kind))
-    yield Panel("normal", 0.5 + 0.5 * _picture(maps, "normal"))
 
 
-def _relit(result: CaptureResult) -> NDArray[np.float32]:
-    """(H, W, 3) linear picture of the maps from the photograph's camera, lit from the top."""
+def _relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Panel:
+    """The maps from the photograph's camera, lit from one side.
+
+    Another light has no exposure of its own: it is shown as bright as the photograph.
+    """
     import torch
 
     from matcap.flash.geometry import plane_points
     from matcap.flash.render import shade
 
-    width, height = result.maps.size
+    width, height = maps.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    camera = torch.tensor([0.0, 0.0, result.material.setup.distance])
+    camera, light = torch.tensor([0.0, 0.0, setup.distance]), torch.tensor(_LIGHTS[side])
     with torch.no_grad():
-        radiance = shade(result.maps, points, camera, torch.tensor(_TOP_LIGHT), torch.ones(3))
-    picture: NDArray[np.float32] = radiance.movedim(0, -1).numpy()
-    return picture
+        radiance = shade(maps, points, camera, light, torch.ones(3))
+    gain = float(rerendered.mean()) / max(float(radiance.mean()), 1e-9)
+    return Panel(f"light from the {side}", srgb_picture((radiance * gain).movedim(0, -1).numpy()))
 
 
 def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:

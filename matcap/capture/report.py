@@ -21,8 +21,8 @@ Keys:
     exemplar: of the maps of the photographed piece, or null: `error` (median difference of log
         radiance between photograph and re-rendering), `slow` (its slow part, not the
         material's), `left_out` (share that matches nothing else in it, and is not rearranged),
-        `relief` (root-mean-square slope that the photograph tells outright, or null),
-        `confidence` (mean, by map).
+        `strengths` (root-mean-square slope and log albedo that the photograph tells outright, by
+        band; see capture/exemplar/strengths.py; or null), `confidence` (mean, by map).
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.
 """
@@ -127,7 +127,7 @@ def _exemplar(found: FoundExemplar | None) -> dict[str, Any] | None:
         "error": found.error,
         "slow": found.slow,
         "left_out": found.example.index.left_out,
-        "relief": None if found.strengths is None else found.strengths.relief,
+        "strengths": None if found.strengths is None else found.strengths.document(),
         "confidence": dict(zip(CHANNELS, means, strict=True)),
     }
 

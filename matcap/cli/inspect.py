@@ -36,8 +36,9 @@ def inspect(
 ) -> None:
     """Say how good photographs are, and what to do at the next shot.
 
-    Flash, clipping, hot spot, tilt, sharpness, sameness all over, and what kind of file it is.
-    Lines marked "!" hurt, "?" may hurt. Of a material: its exemplar, and what of it is left out.
+    Flash, clipping, hot spot, tilt, sharpness, sameness all over, what kind of file it is, and how
+    strong relief and albedo's contrast are, where that is told outright. Lines marked "!" hurt,
+    "?" may hurt. Of a material: its exemplar, and what of it is left out.
     """
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
@@ -68,6 +69,7 @@ def inspect(
 
 def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], str]:
     """What is found, for JSON and as text."""
+    from matcap.capture.exemplar.told import photographed_strengths
     from matcap.photo.inspect import inspect_photo
     from matcap.photo.load import load_photo
 
@@ -75,7 +77,10 @@ def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], 
     found = inspect_photo(photo, _prior().tilt(photo))
     lines = [f"{path}: {found.verdict.value}"]
     lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in found.findings]
-    return found.document(), "\n".join(lines)
+    told = photographed_strengths(photo, photo.pixels.shape[1])
+    lines += [f"     {name:<13} {says}" for name, says in (told.lines() if told else ())]
+    document = found.document() | {"strengths": told.document() if told else None}
+    return document, "\n".join(lines)
 
 
 @cache

@@ -50,6 +50,41 @@ class Strengths:
         """Root-mean-square slope of all bands and directions together."""
         return float(np.sqrt(np.square(self.slope).sum()))
 
+    def document(self) -> dict[str, Any]:
+        """As JSON: `relief`, and for each of `bands` the lengths of its waves in texels
+        (`waves`), `albedo` and `slope` of all directions together, how far the slope is to be
+        trusted (`trust`), and `slopes` of waves along 0, 30 ... 150 degrees from x.
+        """
+        energy = np.square(self.slope)
+        trust = (self.trust * energy).sum(1) / np.maximum(energy.sum(1), 1e-12)
+        return {
+            "relief": self.relief,
+            "bands": [
+                {
+                    "waves": list(BANDS[band]),
+                    "albedo": float(np.sqrt(np.square(self.albedo[band]).sum())),
+                    "slope": float(np.sqrt(energy[band].sum())),
+                    "trust": float(trust[band]),
+                    "slopes": self.slope[band].tolist(),
+                }
+                for band in range(len(BANDS))
+            ],
+        }
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Names, and a sentence each."""
+        bands = self.document()["bands"]
+
+        def sentence(what: str, strength: float, of: str) -> str:
+            shares = (f"{b[of]:.3f} ({b['waves'][0]:g}-{b['waves'][1]:g})" for b in bands)
+            return f"{what} {strength:.2f}; by waves in pixels: {', '.join(shares)}."
+
+        contrast = float(np.sqrt(np.square(self.albedo).sum()))
+        return [
+            ("relief", sentence("Root-mean-square slope", self.relief, "slope")),
+            ("albedo", sentence("Contrast of log albedo", contrast, "albedo")),
+        ]
+
 
 def measure_strengths(
     log: NDArray[np.float32],

@@ -1,7 +1,8 @@
 """Maps of the photographed piece against its true ones, texel by texel.
 
 Where quality.py compares styles, so that nothing wins by pixel alignment, here truth is at hand:
-each map against its own, and relit pictures pixel by pixel, by distance from the flash's foot.
+each map against its own, and relit pictures pixel by pixel, by distance from the flash's foot;
+and whether relit windows tell how far from there they are (drift.py).
 What one photograph cannot tell, the gain between flash and albedo, cancels.
 """
 
@@ -21,6 +22,7 @@ from matcap.errors import UsageError
 from matcap.files.srgb import srgb_decode_tensor
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
 from matcap.lab.bench.baselines import photo_as_albedo
+from matcap.lab.bench.drift import drift
 from matcap.lab.bench.piece import photographed_piece
 from matcap.lab.bench.relit import BenchScene, bench_scene, relight_all
 from matcap.lab.simulate.examples import EXAMPLES
@@ -54,6 +56,24 @@ class AlignedErrors:
     relit: float
 
 
+@dataclass(frozen=True)
+class AlignedRow:
+    """What was found of one material by one method.
+
+    Attributes:
+        material: its name.
+        method: that found the maps.
+        rings: errors by ring.
+        windows: style distance between relit windows near the flash's foot and near the rim, as a
+            multiple of the true maps'.
+    """
+
+    material: str
+    method: str
+    rings: dict[str, AlignedErrors]
+    windows: float
+
+
 def aligned_errors(
     maps: MapSet, setup: FlashSetup, truth: MapSet, true_setup: FlashSetup, scene: BenchScene
 ) -> dict[str, AlignedErrors]:
@@ -69,7 +89,7 @@ def aligned_errors(
     gain = setup.intensity[1] / true_setup.intensity[1]
     tilted = (maps.normal * truth.normal).sum(0).clamp(-1.0, 1.0).acos().rad2deg()
     relit = _difference(relight_all(maps, setup.intensity, scene), truth, true_setup, scene)
-    distance = _from_foot(truth, true_setup)
+    distance = from_foot(truth, true_setup)
     steep = truth.normal[2] < math.cos(_STEEP)
     albedo = ((maps.diffuse * gain + _BLACK).log() - (truth.diffuse + _BLACK).log()).abs().mean(0)
     specular = ((maps.specular * gain).log() - truth.specular.log()).abs()[0]
@@ -89,17 +109,18 @@ def aligned_errors(
     return {name: ring(nearest, furthest) for name, nearest, furthest in RINGS}
 
 
-def aligned_markdown(rows: Sequence[tuple[str, str, dict[str, AlignedErrors]]]) -> str:
-    """A table of (material, method, errors)."""
+def aligned_markdown(rows: Sequence[AlignedRow]) -> str:
+    """A table of rows; what is of all rings is told once."""
     names = [field.name for field in fields(AlignedErrors)]
     lines = [
-        "| material | method | ring | " + " | ".join(names) + " |",
-        "|---|---|---|" + "---:|" * len(names),
+        "| material | method | ring | " + " | ".join(names) + " | windows |",
+        "|---|---|---|" + "---:|" * (len(names) + 1),
     ]
-    for material, method, rings in rows:
-        for ring, errors in rings.items():
+    for row in rows:
+        for ring, errors in row.rings.items():
             numbers = " | ".join(f"{value:.3g}" for value in astuple(errors))
-            lines.append(f"| {material} | {method} | {ring} | {numbers} |")
+            windows = f"{row.windows:.2f}" if ring == "all" else ""
+            lines.append(f"| {row.material} | {row.method} | {ring} | {numbers} | {windows} |")
     return "\n".join(lines) + "\n"
 
 
@@ -113,7 +134,7 @@ def _difference(pictures: Tensor, truth: MapSet, setup: FlashSetup, scene: Bench
     return (log(pictures) - log(true)).abs().mean((0, 1))
 
 
-def _from_foot(maps: MapSet, setup: FlashSetup) -> Tensor:
+def from_foot(maps: MapSet, setup: FlashSetup) -> Tensor:
     """(H, W) distance of texels from the point below the flash."""
     width, height = maps.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
@@ -136,7 +157,7 @@ def run_aligned(
     materials: Iterable[str],
     detail: int = 1024,
     tell: Callable[[str], None] = lambda _line: None,
-) -> list[tuple[str, str, dict[str, AlignedErrors]]]:
+) -> list[AlignedRow]:
     """Photograph materials, find their maps, and compare them with the truth.
 
     Beside two baselines: the photograph as albedo with flat relief, and the coarse fit alone.
@@ -170,14 +191,18 @@ def run_aligned(
         piece = photographed_piece(path, detail)
         albedo = photo_as_albedo(photo, shot.setup, detail)
         coarse = fit_coarse(photo)
+        scene = bench_scene(shot.setup)
+        distance = from_foot(truth, shot.setup)
+        true_drift = drift(truth, shot.setup.intensity, scene, distance)
         for method, maps, setup in (
             ("exemplar", piece.whole, piece.setup),
             ("photo-as-albedo", albedo.whole, albedo.setup),
             ("coarse fit", _uniform(coarse, truth), coarse.setup),
         ):
-            found = aligned_errors(maps, setup, truth, shot.setup, bench_scene(shot.setup))
-            rows.append((name, method, found))
-            tell(f"{name} {method}: relit {found['all'].relit:.3f}")
+            found = aligned_errors(maps, setup, truth, shot.setup, scene)
+            windows = drift(maps, setup.intensity, scene, distance) / true_drift
+            rows.append(AlignedRow(name, method, found, windows))
+            tell(f"{name} {method}: relit {found['all'].relit:.3f}, windows {windows:.2f}")
     return rows
 
 

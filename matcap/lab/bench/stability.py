@@ -2,8 +2,8 @@
 
 Two sweeps, one table. The reflectance: random draws from every corner of its domain, values and
 gradients (stability_reflectance.py). Photographs: pictures that go wrong in every way we know of
-(stability_photographs.py), captured for a few steps; each must end in finite maps or in one
-sentence that says why not.
+(stability_photographs.py), captured for a few steps, their piece's own maps found and rearranged;
+each must end in finite maps within their ranges or in one sentence that says why not.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from matcap.capture.exemplar.find import FoundExemplar
 from matcap.capture.pipeline import CaptureResult, capture_photo
-from matcap.capture.settings import CaptureSettings
+from matcap.capture.settings import CaptureSettings, Method
 from matcap.errors import MatcapError
 from matcap.lab.bench.stability_photographs import FOV, HARD_PHOTOGRAPHS
 from matcap.lab.bench.stability_reflectance import (
@@ -28,10 +29,14 @@ from matcap.lab.bench.stability_reflectance import (
     measure,
     measure_shading,
 )
+from matcap.model.plane import Rectangle
 from matcap.photo.load import photo_from_array
 
 _MAPS = ("diffuse", "specular", "roughness", "height", "normal")
 _ASPECT = 0.75
+_PRESET = "draft"  # adapts the piece in a few steps
+_FIELD = 64  # texels a side of what is read by example
+_LARGE, _LARGE_EVERY = 3, 4
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,8 @@ class StabilitySettings:
     Attributes:
         draws: of the reflectance, of each case.
         photographs: how many in all; the cases take turns, each time with another seed and prior.
-        detail: texels across each photograph.
+        detail: texels across each photograph; every fourth of a case has three times as many, for
+            a small one has too few windows to tell relief's strength.
         steps: of fine-tuning.
         seed: of everything.
     """
@@ -63,7 +69,8 @@ class Row:
     Attributes:
         case: what was drawn.
         draws: how many.
-        values: of them with a value that is NaN or infinite, or that ended in a bug.
+        values: of them with a value that is NaN or infinite, of maps also out of range, or that
+            ended in a bug.
         gradients: gradients that were not finite; of photographs, steps that were taken back.
         worst: the largest error, in words.
         where: it was.
@@ -120,7 +127,7 @@ def markdown(rows: Sequence[Row], command: str) -> str:
 def capture_array(
     pixels: NDArray[np.float32], settings: CaptureSettings, name: str
 ) -> CaptureResult:
-    """Capture a picture given as an array, as a RAW would be.
+    """Capture a picture given as an array, as a RAW would be, and match it to the photograph.
 
     Raises:
         MatcapError: it is refused.
@@ -128,21 +135,43 @@ def capture_array(
     photo = photo_from_array(
         pixels, long_side=settings.detail, fov=FOV, radiometric=True, name=name
     )
-    return capture_photo(photo, settings)
+    return capture_photo(photo, settings, method=Method(matched=True))
 
 
 def finite(result: CaptureResult) -> bool:
-    """Whether maps, re-rendering, statistics and weights are free of NaN and infinity."""
+    """Whether maps, re-rendering, statistics and weights are free of NaN and infinity.
+
+    Of the photographed piece too, where it was found.
+    """
     material = result.material
     tensors = [getattr(result.maps, name) for name in _MAPS]
     tensors += [moment for pair in material.moments for moment in pair]
     tensors += list(material.decoder.state_dict().values())
-    numbers = (*material.setup.offset, *material.setup.tilt, *material.setup.intensity)
+    numbers = [*material.setup.offset, *material.setup.tilt, *material.setup.intensity]
+    if result.found is not None:
+        tensors += _piece(result.found, result.settings.seed)
+        numbers += [result.found.error, result.found.slow]
     return (
         all(bool(torch.isfinite(tensor).all()) for tensor in tensors)
         and bool(np.isfinite(result.rerendered).all())
         and all(math.isfinite(number) for number in numbers)
     )
+
+
+def within_ranges(found: FoundExemplar, seed: int) -> bool:
+    """Whether albedo, F0 and roughness of the piece and of a field made of it are in [0, 1]."""
+    return all(
+        bool((maps[:5] >= 0.0).all() and (maps[:5] <= 1.0).all())
+        for maps in _piece(found, seed)[:2]
+    )
+
+
+def _piece(found: FoundExemplar, seed: int) -> list[torch.Tensor]:
+    """The piece's maps, a small field that rearranges them, and what the photograph told."""
+    field = found.example.maps(seed, Rectangle(0, 0, _FIELD, _FIELD), None)
+    told = found.strengths
+    numbers = [] if told is None else [told.albedo, told.slope, told.trust]
+    return [torch.from_numpy(array) for array in (found.exemplar.stacked(), field, *numbers)]
 
 
 def _reflectance_row(name: str, found: CaseResult) -> Row:
@@ -168,19 +197,21 @@ def _shares(photographs: int) -> dict[str, int]:
 
 def _photograph_row(name: str, count: int, settings: StabilitySettings) -> Row:
     row = Row(f"photograph: {name}", 0, 0, 0, "", "")
-    worst = 0.0
+    worst = of_piece = 0.0
     for index in range(count):
         row = replace(row, draws=row.draws + 1)
+        large = index % _LARGE_EVERY == _LARGE_EVERY - 1
+        detail = settings.detail * (_LARGE if large else 1)
         asked = CaptureSettings(
+            preset=_PRESET,
             steps=settings.steps,
-            detail=settings.detail,
+            detail=detail,
             seed=settings.seed + index,
             prior="none" if index % 2 else "auto",
+            aligned=True,
         )
         try:
-            pixels = HARD_PHOTOGRAPHS[name](
-                settings.detail, round(_ASPECT * settings.detail), asked.seed
-            )
+            pixels = HARD_PHOTOGRAPHS[name](detail, round(_ASPECT * detail), asked.seed)
             result = capture_array(pixels, asked, name)
         except MatcapError as error:
             row = replace(row, where=f"refused: {error.what}")
@@ -191,10 +222,12 @@ def _photograph_row(name: str, count: int, settings: StabilitySettings) -> Row:
             continue
         taken_back = settings.steps - len(result.history)
         row = replace(row, gradients=row.gradients + taken_back)
-        if not finite(result):
+        assert result.found is not None
+        if not (finite(result) and within_ranges(result.found, asked.seed)):
             row = replace(row, values=row.values + 1, where=f"seed {asked.seed}, {asked.prior}")
         worst = max([worst, *(error for _, _, error in result.history[-1:])])
-    return replace(row, worst=f"style error {worst:.2g}" if worst else "")
+        of_piece = max(of_piece, result.found.error)
+    return replace(row, worst=f"style {worst:.2g}, piece {of_piece:.2g}" if worst else "")
 
 
 def _line(row: Row) -> str:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from photographed import photographed
+from PIL import Image
 from typer.testing import CliRunner
 
 from matcap.brdf.folder import find_mapsets, read_mapset
@@ -56,8 +57,22 @@ def test_the_material_holds_the_piece_and_is_read_by_it(folder: Path) -> None:
     assert not by_example.diffuse.equal(decoded.diffuse)
 
 
+def test_the_preview_shows_the_piece_beside_the_photograph(folder: Path) -> None:
+    with Image.open(folder / "preview.png") as sheet:
+        blocks = np.asarray(sheet).reshape(2, sheet.height // 2, sheet.width, 3).astype(int)
+    (first, second), (own_first, own_second) = (
+        [block[100:400, x : x + 500] for x in (20, 20 + (blocks.shape[2] - 12) // 4)]
+        for block in blocks
+    )
+    assert np.array_equal(first, own_first)
+    # The piece re-renders to the photograph texel by texel; more of the material cannot.
+    away, own_away = (np.abs(again - first).mean() for again in (second, own_second))
+    assert own_away < 0.5 * away
+
+
 def test_the_report_says_how_right_it_is(folder: Path) -> None:
     told = json.loads((folder / "report.json").read_text())["exemplar"]
     assert 0.0 <= told["error"] < 0.5
     assert 0.0 <= told["left_out"] < 0.5
+    assert 0.0 < told["strengths"]["relief"] < 1.0
     assert set(told["confidence"]) == {"diffuse", "specular", "roughness", "height"}
