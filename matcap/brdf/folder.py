@@ -27,6 +27,7 @@ Keys:
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -38,6 +39,7 @@ from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import read_exr, write_exr
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.png import write_png
+from matcap.files.publish import recover
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged
 
@@ -272,6 +274,8 @@ def coded(
 
 
 def _find_document(path: Path) -> Path:
+    with suppress(OSError):  # only to be read, it can be what it is
+        recover(path if path.is_dir() else path.parent)
     if path.is_file():
         return path
     if not path.is_dir():
