@@ -51,7 +51,6 @@ def publish(stage: Path, names: Iterable[str], folder: Path, *, replacing: Itera
         old = [name for name in dict.fromkeys([*fresh, *replacing]) if _stands(folder / name)]
         for name in fresh:
             sync(stage / name)
-        sync(stage)
         if len({*fresh, *old}) == 1 and fresh:
             os.replace(stage / fresh[0], folder / fresh[0])
             sync(folder)
@@ -94,7 +93,6 @@ def _exchange(stage: Path, fresh: list[str], folder: Path, old: list[str]) -> No
         for name in set(old) - set(fresh):
             with suppress(FileNotFoundError):  # moved to the journal, where links are unknown
                 os.unlink(folder / name)
-        sync(stage)
         sync(folder)
         os.unlink(folder / JOURNAL / _LIST)
     except BaseException:
@@ -120,7 +118,8 @@ def _keep(stage: Path, fresh: list[str], folder: Path, old: list[str]) -> None:
             os.link(folder / name, _aside(journal, name), follow_symlinks=False)
         except OSError:  # not every file system knows links
             os.replace(folder / name, _aside(journal, name))
-    sync(journal)
+    if old:
+        sync(journal)
 
 
 def _mend(folder: Path) -> None:
