@@ -1,0 +1,22 @@
+"""Which heights are those of a surface."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import MatcapError
+
+# Plane units. Slopes of such heights still have squares in single precision, and so normals.
+TALLEST = 1e6
+
+
+def check_heights(height: NDArray[np.floating], where: str = "") -> None:
+    """Raise MatcapError if heights (plane units) are none of a surface; NaN is left to others."""
+    most = float(np.abs(height).max(initial=0.0))
+    if most > TALLEST:
+        raise MatcapError(
+            f"its height reaches {most:.2g} plane units, which no surface does",
+            where=where,
+            remedy="make the material again",
+        )
