@@ -108,3 +108,11 @@ def test_an_interrupted_publishing_is_put_right_by_whoever_reads_or_writes_next(
     with staged(bench.out) as stage:
         (stage / "later").write_text("1")
     assert not (bench.out / JOURNAL).exists()
+
+
+def test_documents_come_last_for_whoever_watches(tmp_path, monkeypatch):
+    moved = []
+    replace = os.replace
+    monkeypatch.setattr(os, "replace", lambda *a: (moved.append(a[1].name), replace(*a)))
+    plain(tmp_path / "out", 1)
+    assert moved[-4:] == ["a", "b", "old", "c.json"]

@@ -73,7 +73,7 @@ def tries(folder: Path) -> dict[str, Iterator[Try]]:
     """By effect."""
     top = DirectionalLight((0.0, 0.0, 1.0))
     even = EnvironmentLight(radiance=(1.0, 1.0, 1.0))
-    mirror = {f0: flat(diffuse=0.0, specular=f0, roughness=0.2) for f0 in (0.04, 1.0)}
+    mirror = {f0: flat(diffuse=0.0, specular=f0, roughness=0.4) for f0 in (0.04, 1.0)}
     white = flat(diffuse=0.9, specular=0.0, roughness=1.0)
     metal = flat(diffuse=0.0, specular=1.0, roughness=1.0)
 
@@ -82,7 +82,7 @@ def tries(folder: Path) -> dict[str, Iterator[Try]]:
         yield white, scene(even)
 
     def specular() -> Iterator[Try]:
-        camera, direction = grazing(0.7)
+        camera, direction = grazing(2.0)
         for maps in mirror.values():
             yield maps, scene(DirectionalLight(direction), camera=camera)
         yield metal, scene(even)
