@@ -12,9 +12,12 @@ TALLEST = 1e6
 
 
 def check_heights(height: NDArray[np.floating], where: str = "") -> None:
-    """Raise MatcapError if heights (plane units) are none of a surface; NaN is left to others."""
+    """Raise MatcapError if heights, in plane units, are none of a surface.
+
+    NaN and infinity are left to those who tell of them for every map.
+    """
     most = float(np.abs(height).max(initial=0.0))
-    if most > TALLEST:
+    if TALLEST < most < float("inf"):
         raise MatcapError(
             f"its height reaches {most:.2g} plane units, which no surface does",
             where=where,
