@@ -62,7 +62,12 @@ def pack() -> Pack:
 @pytest.fixture
 def prior() -> Prior:
     """An untrained prior, another one every time it is asked for."""
-    torch.manual_seed(3)
+    return small_prior(3)
+
+
+def small_prior(seed: int) -> Prior:
+    """An untrained prior."""
+    torch.manual_seed(seed)
     decoder = Decoder(SMALL)
     start_head(decoder)
     habits = Habits(

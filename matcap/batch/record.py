@@ -8,10 +8,11 @@ right is a file that is whole.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from matcap.files.publish import sync
 
 FILE = "matcap-batch.json"
 FORMAT = "matcap batch record"
@@ -38,8 +39,8 @@ def write_record(folder: Path, about: Mapping[str, Any]) -> None:
     text = json.dumps(document, indent=1, allow_nan=False)
     (folder / FILE).write_text(text + "\n", encoding="utf-8")
     for file in folder.rglob("*"):
-        _flush(file)
-    _flush(folder)
+        sync(file)
+    sync(folder)
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
@@ -71,11 +72,3 @@ def _size(file: Path) -> int | None:
         return file.stat().st_size
     except (OSError, ValueError):  # ValueError: a name with a null character
         return None
-
-
-def _flush(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

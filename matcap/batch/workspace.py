@@ -30,6 +30,7 @@ from matcap.batch.record import FILE as RECORD
 from matcap.batch.record import read_record
 from matcap.batch.shoot import WORKSPACE
 from matcap.capture.outputs import output_files
+from matcap.files.publish import sync
 from matcap.files.staging import write_error
 
 _BEAT = 5.0  # seconds between two touches of `alive`
@@ -67,19 +68,29 @@ class Run:
             OSError: the output cannot be written.
         """
         final = self.out / stage.name
-        moved = []
-        for last in reversed(range(_SWAPS)):
-            try:
-                os.rename(stage, final)
-                break
-            except OSError as error:
-                if last == 0 or error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-                    raise
-            old = self.folder / "old" / uuid.uuid4().hex / stage.name
-            old.parent.mkdir(parents=True)
-            with suppress(FileNotFoundError):
-                os.rename(final, old)
-                moved.append(old)
+        moved: list[Path] = []
+        try:
+            for last in reversed(range(_SWAPS)):
+                try:
+                    os.rename(stage, final)
+                    break
+                except OSError as error:
+                    if last == 0 or error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                        raise
+                old = self.folder / "old" / uuid.uuid4().hex / stage.name
+                old.parent.mkdir(parents=True)
+                sync(old.parent.parent.parent)
+                sync(old.parent.parent)
+                with suppress(FileNotFoundError):
+                    os.rename(final, old)
+                    moved.append(old)
+        except BaseException:
+            # What had made room comes back, unless another run has taken the name.
+            for old in reversed(moved):
+                with suppress(OSError):
+                    os.rename(old, final)
+            raise
+        sync(self.out)
         for old in moved:
             _keep_foreign(old, final)
             shutil.rmtree(old.parent, ignore_errors=True)
@@ -163,7 +174,7 @@ def open_run(out: Path) -> Iterator[Run]:
     finally:
         stop.set()
         heart.join()
-        shutil.rmtree(folder, ignore_errors=True)
+        _clear(out, folder)
         with suppress(OSError):
             _drop_stale_claims(out, folder.name)
 
@@ -222,18 +233,24 @@ def _exists(pid: int) -> bool:
 
 
 def _clear_dead(out: Path, mine: Path) -> None:
-    """Put back what dead runs had moved away, and remove the rest of them."""
+    """Clear away what dead runs left."""
     for run in mine.parent.iterdir():
-        if run == mine or _is_alive(run, _LOST):
-            continue
-        for old in sorted(run.glob("old/*/*")):
-            final = out / old.name
-            with suppress(OSError):
-                if final.exists():
-                    _keep_foreign(old, final)
-                else:
-                    os.rename(old, final)
-        shutil.rmtree(run, ignore_errors=True)
+        if run != mine and not _is_alive(run, _LOST):
+            _clear(out, run)
+
+
+def _clear(out: Path, run: Path) -> None:
+    """Put back what a run had moved away, and remove the rest of it."""
+    for old in sorted(run.glob("old/*/*")):
+        final = out / old.name
+        try:
+            if final.exists():
+                _keep_foreign(old, final)
+            else:
+                os.rename(old, final)
+        except OSError:
+            return  # it stays for the next run
+    shutil.rmtree(run, ignore_errors=True)
 
 
 def _drop_stale_claims(out: Path, run: str) -> None:

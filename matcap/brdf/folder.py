@@ -27,6 +27,7 @@ Keys:
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -34,10 +35,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.brdf.heights import check_heights
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import read_exr, write_exr
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.png import write_png
+from matcap.files.publish import recover
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged
 
@@ -178,6 +181,8 @@ def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
                 where=str(file.parent / files[kind]),
                 remedy="write the map set again",
             )
+        if kind == "height":
+            check_heights(pixels, str(file.parent / files[kind]))
         maps[kind] = torch.from_numpy(pixels).movedim(-1, 0).contiguous()
     return MapSet(**maps, texel_size=texel_size, periodic=periodic), document
 
@@ -213,6 +218,7 @@ def _arrays(maps: MapSet, normal: NormalStyle) -> dict[str, NDArray[np.float32]]
     for kind in MAP_NAMES:
         tensor = getattr(maps, kind).detach().cpu().float()
         arrays[kind] = tensor.movedim(0, -1).squeeze(-1).numpy()
+    check_heights(arrays["height"], "height")
     if normal == "dx":
         arrays["normal"] = arrays["normal"] * np.array([1.0, -1.0, 1.0], dtype=np.float32)
     return arrays
@@ -272,6 +278,8 @@ def coded(
 
 
 def _find_document(path: Path) -> Path:
+    with suppress(OSError):  # only to be read, it can be what it is
+        recover(path if path.is_dir() else path.parent)
     if path.is_file():
         return path
     if not path.is_dir():

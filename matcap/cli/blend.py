@@ -61,19 +61,18 @@ def blend(
     Codes and network weights are interpolated alike; the ends are A and B themselves.
     """
     from matcap.files.picture import write_picture
-    from matcap.files.staging import check_writable
+    from matcap.files.staging import check_writable, staged
     from matcap.model import between
     from matcap.model.material import Material
 
     ends = Material.load(first), Material.load(second)
     check_writable(out, 4_000_000 * len(share.values))
     materials = [between.blend(*ends, t) for t in share.values]
-    out.mkdir(parents=True, exist_ok=True)
-    for t, material in zip(share.values, materials, strict=True):
-        path = out / f"{first.stem}_{second.stem}_{t:.3f}.matcap"
-        material.save(path)
-        if not quiet:
-            typer.echo(f"wrote {path}", err=True)
-    write_picture(between.strip(materials, seed=seed), out / "strip.png")
+    names = [f"{first.stem}_{second.stem}_{t:.3f}.matcap" for t in share.values]
+    with staged(out) as stage:
+        for name, material in zip(names, materials, strict=True):
+            material.save(stage / name)
+        write_picture(between.strip(materials, seed=seed), stage / "strip.png")
     if not quiet:
-        typer.echo(f"wrote {out / 'strip.png'}", err=True)
+        for name in (*names, "strip.png"):
+            typer.echo(f"wrote {out / name}", err=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.exr import write_exr
+from matcap.files.exr import LARGEST_HALF, write_exr
 from matcap.files.png import png_bytes, quantised
 from matcap.files.srgb import srgb_decode, srgb_picture
 
@@ -69,7 +69,8 @@ class Stored:
         if self.depth == "float":
             return self.values
         if self.depth == "half":
-            return self.values.astype(np.float16).astype(np.float32)
+            held = np.clip(self.values, -LARGEST_HALF, LARGEST_HALF)  # writing refuses the rest
+            return held.astype(np.float16).astype(np.float32)
         code = self._whole() / np.float64(2 ** int(self.depth) - 1)
         return (srgb_decode(code) if self.srgb else code).astype(np.float32)
 

@@ -20,7 +20,7 @@ from matcap.errors import MatcapError
 
 # x and y of the red, green and blue primaries and of white (ITU-R BT.709-6; D65).
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-_LARGEST_HALF = 65504.0  # of half float (IEEE 754)
+LARGEST_HALF = 65504.0  # of half float (IEEE 754)
 
 
 def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
@@ -34,10 +34,7 @@ def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
     """
     import OpenEXR
 
-    if not np.isfinite(pixels).all():
-        raise MatcapError("has values that are not finite", where=path.name)
-    if half and np.abs(pixels).max(initial=0.0) > _LARGEST_HALF:
-        raise MatcapError("has values too large for half float (65504)", where=path.name)
+    _check(path, pixels, half=half)
     stored = np.ascontiguousarray(pixels, dtype=np.float16 if half else np.float32)
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
@@ -53,13 +50,30 @@ def write_exr_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) 
     Not atomic: write into a staged folder.
 
     Raises:
+        MatcapError: a value is not finite, or too large for half float.
         OSError: the file cannot be written.
     """
     import OpenEXR
 
+    for plane in channels.values():
+        _check(path, plane, half=True)
     stored = {name: np.ascontiguousarray(plane, np.float16) for name, plane in channels.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     _write(path, header, stored)
+
+
+def _check(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
+    """Say what a file cannot hold, rather than to store infinity."""
+    if not np.isfinite(pixels).all():
+        raise MatcapError(
+            "has values that are not finite", where=path.name, remedy="make the maps again"
+        )
+    if half and np.abs(pixels).max(initial=0.0) > LARGEST_HALF:
+        raise MatcapError(
+            "has values too large for half float (65504)",
+            where=path.name,
+            remedy="scale them down",
+        )
 
 
 def _write(path: Path, header: dict[str, Any], channels: dict[str, Any]) -> None:

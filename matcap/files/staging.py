@@ -1,6 +1,7 @@
-"""All files or none: outputs are written in a hidden folder beside their place, then renamed.
+"""All files or none: outputs are written in a hidden folder beside their place, then published.
 
-Read next: picture.py, tensors.py and brdf/folder.py, which write through here.
+Read next: publish.py, which moves them; picture.py, tensors.py and brdf/folder.py, which write
+through here.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from matcap.errors import MatcapError
+from matcap.files.publish import HIDDEN, publish, refuse_folders, sync
 
 _ELSEWHERE = "choose another folder with -o"
 _REASONS: dict[int, tuple[str, str]] = {
@@ -34,38 +36,37 @@ _REASONS: dict[int, tuple[str, str]] = {
 def staged(folder: Path, *, replacing: Iterable[str] = ()) -> Iterator[Path]:
     """A temporary folder whose files appear in `folder` together, or not at all.
 
-    Files of the same name are replaced. Folders made on the way are removed again on failure.
+    Files of the same name are replaced. When the block has ended, they have reached the disk.
+    Folders made on the way are removed again on failure.
 
     Args:
         folder: where the files will stand; made when missing.
         replacing: names of older files in `folder` that go when the new ones come.
 
     Raises:
-        MatcapError: the disk is full, the folder cannot be written, and the like.
+        MatcapError: the disk is full, the folder cannot be written, a folder stands in a file's
+            place, and the like.
     """
-    made = _missing(folder)
-    stage: Path | None = None
-    fresh: set[str] = set()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        stage = Path(tempfile.mkdtemp(prefix=".matcap-", dir=folder))
-        yield stage
-        # The documents last: whoever sees one finds what it names.
-        for file in sorted(stage.iterdir(), key=lambda file: (file.suffix == ".json", file.name)):
-            try:
-                os.replace(file, folder / file.name)
-            except OSError as error:
-                raise write_error(folder / file.name, error) from error
-            fresh.add(file.name)
-        for name in set(replacing) - fresh:
-            (folder / name).unlink(missing_ok=True)
-        made = []
+        with new_folder(folder), _stage(folder) as stage:
+            yield stage
+            names = [file.name for file in stage.iterdir()]
+            if folder.name.startswith(HIDDEN):  # a stage itself: nobody sees half of it
+                for name in names:
+                    os.replace(stage / name, folder / name)
+            else:
+                publish(stage, names, folder, replacing=replacing)
     except OSError as error:
-        raise write_error(folder, error) from error
+        raise write_error(culprit(folder, error), error) from error
+
+
+@contextmanager
+def _stage(folder: Path) -> Iterator[Path]:
+    stage = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=folder))
+    try:
+        yield stage
     finally:
-        if stage is not None:
-            shutil.rmtree(stage, ignore_errors=True)
-        _remove_empty(made)
+        shutil.rmtree(stage, ignore_errors=True)
 
 
 @contextmanager
@@ -82,23 +83,26 @@ def staged_file(path: Path) -> Iterator[Path]:
         yield stage / path.name
 
 
-def check_writable(folder: Path, room: int) -> None:
+def check_writable(folder: Path, room: int, names: Iterable[str] = ()) -> None:
     """Fail now rather than after minutes of work: can `room` bytes be written into `folder`?
 
     Leaves nothing behind; the folder need not exist.
 
+    Args:
+        folder: where files will stand.
+        room: that they take, in bytes.
+        names: of the files, where they are known.
+
     Raises:
-        MatcapError: the folder cannot be made or written, or its disk has less room.
+        MatcapError: the folder cannot be made or written, a folder stands where a file is to be,
+            or the disk has less room.
     """
-    made = _missing(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
+        with new_folder(folder), tempfile.TemporaryFile(dir=folder):
             free = shutil.disk_usage(folder).free
+            refuse_folders(folder, names)
     except OSError as error:
-        raise write_error(folder, error) from error
-    finally:
-        _remove_empty(made)
+        raise write_error(culprit(folder, error), error) from error
     if free < room:
         raise MatcapError(
             f"about {_size(room)} are needed but the disk has {_size(free)} left",
@@ -114,6 +118,33 @@ def write_error(path: Path, error: OSError) -> MatcapError:
     return MatcapError(what, where=str(path), remedy=remedy)
 
 
+def culprit(folder: Path, error: OSError) -> Path:
+    """What stood in the way: a file of the folder if the error names one, or the folder."""
+    for name in (error.filename2, error.filename):
+        if isinstance(name, str | os.PathLike) and Path(name).parent == folder:
+            return folder if Path(name).name.startswith(HIDDEN) else Path(name)
+    return folder
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[None]:
+    """A folder while files are put into it; where it was missing it goes again if none came.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    made = _missing(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in made:
+            sync(path.parent)
+        yield
+    finally:
+        for path in made:
+            with suppress(OSError):
+                path.rmdir()
+
+
 def _missing(folder: Path) -> list[Path]:
     """The folders that making `folder` would make, innermost first."""
     missing = []
@@ -125,12 +156,6 @@ def _missing(folder: Path) -> list[Path]:
         # Not even to be looked at: making it will say why.
         return []
     return missing
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    for folder in folders:
-        with suppress(OSError):
-            folder.rmdir()
 
 
 def _size(count: int) -> str:

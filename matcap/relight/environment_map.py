@@ -16,6 +16,7 @@ import numpy as np
 
 from matcap.errors import MatcapError
 from matcap.files.exr import forget_error
+from matcap.relight.brightness import BRIGHTEST
 from matcap.relight.octahedron import Octahedra, octahedra
 from matcap.relight.scene import EnvironmentLight
 from matcap.relight.vectors import Array, Vec
@@ -84,8 +85,13 @@ class Environment:
         while True:
             over = (top > limit).any(axis=2)
             if len(np.unique(cell[over])) <= _SUNS:
-                break
-            limit *= 1.5
+                # A sun may be so bright that it is the mean.
+                lower = 4.0 * Environment((np.minimum(top, limit),), 0.0).mean.max()
+                if lower > limit / 100.0:
+                    break
+                limit = lower
+            else:
+                limit *= 1.5
         if not over.any():
             return self, ()
         calm = np.minimum(top, np.float32(limit))
@@ -111,6 +117,27 @@ class Environment:
     def suns(self) -> tuple[Sun, ...]:
         """Small bright spots, 16 at most, that `calm` lacks."""
         return self._parted[1]
+
+    def above_plane(self) -> Environment:
+        """What a plane z = 0 can see of them; all below is as bright as that on average.
+
+        What no sum needs must not cancel in it either.
+        """
+        import cv2
+
+        top = self.levels[0]
+        height, width = top.shape[:2]
+        rows, columns = np.divmod(np.arange(height * width), width)
+        z = self.texel_directions(rows, columns)[:, 2].reshape(height, width)
+        # Texels are interpolated with their neighbours: those of seen ones stay.
+        padded = np.pad((z > 0.0).astype(np.uint8), ((1, 1), (1, 1)), "wrap")
+        near = cv2.dilate(padded, np.ones((3, 3), np.uint8))[1:-1, 1:-1] > 0
+        if near.all() or (top == top[0, 0]).all():
+            return self
+        weights = np.sin((np.arange(height) + 0.5) * math.pi / height)[:, None] * (z > 0.0)
+        seen = (top.astype(np.float64) * weights[..., None]).sum((0, 1)) / weights.sum()
+        picture = np.where(near[..., None], top, seen.astype(np.float32))
+        return Environment(_pyramid(picture), self.rotation)
 
     def texel_directions(self, rows: Array, columns: Array) -> Array:
         """(N, 3) directions of the scene of texels' centres."""
@@ -253,7 +280,7 @@ def read_picture(path: Path) -> Picture:
     """(H, W, 3) linear radiance of an EXR or HDR file.
 
     Raises:
-        MatcapError: missing, unreadable, negative or not finite.
+        MatcapError: missing, unreadable, negative, not finite, or too bright.
     """
     import OpenImageIO as oiio
 
@@ -279,6 +306,12 @@ def read_picture(path: Path) -> Picture:
     pixels = np.ascontiguousarray(pixels[..., :3], dtype=np.float32)
     if not np.isfinite(pixels).all() or pixels.min() < 0.0:
         raise MatcapError("has values that are no radiance", where=where, remedy=remedy)
+    if pixels.max() > BRIGHTEST:
+        raise MatcapError(
+            f"has a value of {pixels.max():.2g}, too bright for single precision",
+            where=where,
+            remedy="clip its brightest pixels in a picture editor",
+        )
     return pixels
 
 

@@ -159,9 +159,15 @@ def _read(file: Path, channels: int, *, linear: bool) -> Array:
         source.close()
     else:
         oiio.geterror()
-    if pixels is None or not np.isfinite(pixels).all():
+    if pixels is None:
         raise MatcapError(
             "this is not a readable picture", where=str(file), remedy="download it again"
+        )
+    if not np.isfinite(pixels).all():
+        raise MatcapError(
+            "has values that are not finite (NaN or infinity)",
+            where=str(file),
+            remedy="replace them in a picture editor, or leave this map out",
         )
     if pixels.ndim == 2:
         pixels = pixels[..., None]

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.errors import MatcapError
+from matcap.relight.brightness import check_lights, too_bright
 from matcap.relight.camera import View, view_of
 from matcap.relight.clock import Clock
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
 _BLOCK = 16384
 # Texels that a material is read across at most; beyond that it repeats.
 _LARGEST_READ = 8192
+# How often the material's longer side its height may span: a ray crosses as many texels.
+_TALLEST = 10.0
 
 
 class MapSource(Protocol):
@@ -110,6 +114,7 @@ class Renderer:
         self.texture = _texture(source, scene, seed)
         self.scene = replace(scene, film=scene.film or Film(*self.texture.size))
         surface = scene.surface
+        _check_relief(self.texture, surface)
         self.sampler = Sampler(self.texture, surface.repeat)
         self.relief = Relief(self.texture, surface.repeat, surface.displacement)
         self._skies: dict[EnvironmentLight, Environment] = {}
@@ -135,9 +140,13 @@ class Renderer:
             scene: another camera, film or lights than the renderer was made for; its surface must
                 be the same.
             tolerance, effects: see relight().
+
+        Raises:
+            MatcapError: a light too bright for single precision, or what relight() raises.
         """
         start = perf_counter()
         scene = scene or self.scene
+        check_lights(scene.lights)
         film = scene.film or self.film
         choice = parse_choice(effects) if isinstance(effects, str) else effects
         view, shape = self._seen(scene, film)
@@ -160,6 +169,8 @@ class Renderer:
                 picture[top:bottom] = np.moveaxis(shade(context, hits), 0, -1)
 
         _in_blocks(view, rows)
+        if not np.isfinite(picture).all():
+            raise too_bright(scene.lights)
         return Rendering(picture, plan.timed(clock.seconds), film, perf_counter() - start)
 
     def _seen(self, scene: Scene, film: Film) -> tuple[View, Shape]:
@@ -172,7 +183,9 @@ class Renderer:
 
     def _sky(self, light: EnvironmentLight) -> Environment:
         if light not in self._skies:
-            self._skies[light] = environment_of(light)
+            flat = self.scene.surface.type == "plane"
+            sky = environment_of(light)
+            self._skies[light] = sky.above_plane() if flat else sky
         return self._skies[light]
 
     def _find_horizons(self, plan: Plan, clock: Clock) -> Horizons | None:
@@ -198,6 +211,16 @@ def _texture(source: MapSet | MapSource | Texture, scene: Scene, seed: int) -> T
     across = min(_LARGEST_READ, max(1, round(width * texels)))
     down = min(_LARGEST_READ, max(1, round(height * texels)))
     return Texture.from_maps(source.maps(across, down, seed=seed, x=0, y=0))
+
+
+def _check_relief(texture: Texture, surface: Surface) -> None:
+    """Raise MatcapError for heights that rays would have to be followed through for ever."""
+    relief, extent = texture.extremes.relief * surface.displacement, max(texture.extent)
+    if not relief <= _TALLEST * extent:
+        raise MatcapError(
+            f"the material's height spans {relief:.2g} plane units, over {extent:.2g} across",
+            remedy=f"give the surface a displacement below {_TALLEST * extent / relief:.1g}",
+        )
 
 
 def _needed(scene: Scene) -> tuple[float, float]:

@@ -40,6 +40,8 @@ from matcap.relight.visible_normals import lattice, lobe_of
 
 _ZERO: Any = np.float32(0.0)
 _ONE: Any = np.float32(1.0)
+# Plane units squared, from a point light: nearer, it would be in the surface.
+_NEAREST: Any = np.float32(1e-12)
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,8 @@ def shade(context: ShadingContext, hits: Hits) -> Array:
     with context.clock.on("filtering" if context.plan.on("filtering") else "reading"):
         footprint = hits.footprint if context.plan.on("filtering") else None
         sample = context.sampler.read(hits.place, footprint)
-    radiance = _Block(context, hits, height, sample).radiance()
+    with np.errstate(over="ignore", invalid="ignore"):  # render.py names the light
+        radiance = _Block(context, hits, height, sample).radiance()
     if hits.seen is not None:
         radiance *= hits.seen
     return radiance
@@ -143,7 +146,7 @@ class _Block:
             self.add(direction, self.lit(direction, None), light.irradiance)
             return
         offset = subtract(vec(light.position), self.hits.point)
-        squared = dot(offset, offset)
+        squared = np.maximum(dot(offset, offset), _NEAREST)
         inverse = 1.0 / np.sqrt(squared)
         to_light = to_frame(scale(offset, inverse), self.hits.frame)
         received: Any = inverse * inverse
@@ -321,7 +324,8 @@ class _Block:
                 for channel in range(3):
                     f0 = sample.specular[channel if len(sample.specular) == 3 else 0]
                     mirror = f0 * parts[0][channel] + parts[1][channel]
-                    self.total[channel] += mirror
+                    # The mean is taken away from what is sampled, and may leave less than nothing.
+                    self.total[channel] += np.maximum(mirror, _ZERO)
         if self.scatter:
             with context.clock.on("multiscatter"):
                 for channel in range(3):

@@ -60,6 +60,8 @@ class Texture:
     @staticmethod
     def from_maps(maps: MapSet) -> Texture:
         """The texture of a map set without batch dimensions."""
+        from matcap.brdf.heights import check_heights
+
         if maps.height.ndim != 3:
             raise ValueError("a map set is relit without batch dimensions")
         normal = maps.normal
@@ -69,6 +71,7 @@ class Texture:
             found: Map = tensor.detach().cpu().float().contiguous().numpy()  # type: ignore[attr-defined]
             return found
 
+        check_heights(array(maps.height), "the material")
         return Texture(
             array(maps.diffuse),
             array(maps.specular),

@@ -21,13 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.exr import REC709
+from matcap.files.exr import LARGEST_HALF, REC709
 
 TILE = 64
 _MAGIC, _VERSION_TILED = 20000630, 2 | 0x200
 _ZIP, _RANDOM_ORDER, _MIPMAP, _ROUND_DOWN = 3, 2, 1, 0
 _HALF, _FLOAT = 1, 2
-_LARGEST_HALF = 65504.0
 _CHUNK = struct.Struct("<5i")  # tile x and y, level x and y, bytes of data
 
 
@@ -213,9 +212,15 @@ def stored(channel: Channel, values: NDArray[np.float32], name: str) -> NDArray[
         MatcapError: a value is not finite, or too large for half float.
     """
     if not np.isfinite(values).all():
-        raise MatcapError("has values that are not finite", where=name)
-    if channel.half and np.abs(values).max(initial=0.0) > _LARGEST_HALF:
-        raise MatcapError("has values too large for half float (65504)", where=name)
+        raise MatcapError(
+            "has values that are not finite", where=name, remedy="make the material again"
+        )
+    if channel.half and np.abs(values).max(initial=0.0) > LARGEST_HALF:
+        raise MatcapError(
+            "has values too large for half float (65504)",
+            where=name,
+            remedy="make the material again",
+        )
     return values.astype(channel.dtype)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.folder import NormalStyle
+from matcap.brdf.heights import check_heights
 from matcap.model.blocks import Piece
 from matcap.synth.exr_tiles import TILE, Channel, Layout, Tile, encode_tile, stored
 
@@ -109,6 +110,7 @@ def render(
         MatcapError: a value is not finite, or too large for half float.
     """
     wanted = source.planes(piece.block, normal)[(..., *piece.source)]
+    check_heights(wanted[KIND_PLANES["height"][0]], "the material")
     return [_render(picture, piece, wanted) for picture in pictures]
 
 

@@ -1,7 +1,7 @@
 """Rectangles of any size to files, in memory that does not grow with them.
 
     blocks -> tiles (in the workers) -> one file a map, tile by tile -> smaller levels, PNGs
-           -> renamed, the JSON file last
+           -> published together
 
 The order in which tiles are written follows from the request alone. So a run that was cut off
 goes on after its last whole tile, and the file it ends with has the same bytes.
@@ -23,7 +23,7 @@ from matcap.synth.jobs import Crew, Job
 from matcap.synth.levels import write_levels
 from matcap.synth.request import PlannedMapSet, Progress, Request, Work
 from matcap.synth.strips import height_coding, write_pngs
-from matcap.synth.unfinished import unfinished, unfinished_bytes
+from matcap.synth.unfinished import files_of, unfinished, unfinished_bytes
 from matcap.synth.workers import crew
 
 
@@ -44,7 +44,7 @@ def write_field(request: Request, folder: str | Path, work: Work | None = None) 
     work.check(request.source.device_type)
     folder, name = Path(folder), request.info.name
     left = unfinished_bytes(folder, name) if work.resume else 0
-    check_writable(folder, max(request.room - left, 0))
+    check_writable(folder, max(request.room - left, 0), files_of(folder, name))
     mapsets = request.mapsets()
     with (
         unfinished(folder, name, request.key, resume=work.resume) as stage,

@@ -1,20 +1,21 @@
 """Files of a run until all of them are complete: in a hidden folder, then in their place.
 
-Unlike files/staging.py, what an interrupted run leaves is kept and gone on with.
+Unlike files/staging.py, what an interrupted run leaves is kept and gone on with. Both publish
+alike (files/publish.py).
 """
 
 from __future__ import annotations
 
 import fcntl
-import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from matcap.brdf.folder import MEANINGS, mapset_files
 from matcap.errors import MatcapError
-from matcap.files.staging import write_error
+from matcap.files.publish import publish, recover
+from matcap.files.staging import culprit, new_folder, write_error
 from matcap.synth.jobs import WorkerLost
 
 _KEY, _LOCK = ".request", ".lock"
@@ -38,29 +39,26 @@ def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[P
             full, the folder cannot be written.
     """
     stage = _stage(folder, name)
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
     keep = False
     try:
-        stage.mkdir(parents=True, exist_ok=True)
-        with _locked(stage):
-            keep = True
-            _open(stage, key, resume=resume)
-            try:
-                yield stage
-                _publish(stage, folder, name)
-                keep = False
-            except (MatcapError, Exception) as error:
-                keep = isinstance(error, (OSError, WorkerLost))
-                raise
-            finally:
-                if not keep:
-                    shutil.rmtree(stage, ignore_errors=True)
+        with new_folder(folder):
+            recover(folder)
+            stage.mkdir(exist_ok=True)
+            with _locked(stage):
+                keep = True
+                _open(stage, key, resume=resume)
+                try:
+                    yield stage
+                    _publish(stage, folder, name)
+                    keep = False
+                except (MatcapError, Exception) as error:
+                    keep = isinstance(error, (OSError, WorkerLost))
+                    raise
+                finally:
+                    if not keep:
+                        shutil.rmtree(stage, ignore_errors=True)
     except OSError as error:
-        raise write_error(folder, error) from error
-    finally:
-        for path in made:
-            with suppress(OSError):
-                path.rmdir()
+        raise write_error(culprit(folder, error), error) from error
 
 
 def unfinished_bytes(folder: Path, name: str) -> int:
@@ -111,20 +109,12 @@ def _open(stage: Path, key: str, *, resume: bool) -> None:
 
 
 def _publish(stage: Path, folder: Path, name: str) -> None:
-    """Move everything to its place, the JSON file last; what it replaces and is no more, goes."""
-    files = sorted(
-        (file for file in stage.iterdir() if file.name not in (_KEY, _LOCK)),
-        key=lambda file: (file.suffix == ".json", file.name),
-    )
-    fresh = {file.name for file in files}
-    for file in files:
-        os.replace(file, folder / file.name)
-    for old in _files_of(folder, name):
-        if old not in fresh:
-            (folder / old).unlink(missing_ok=True)
+    """Put everything in its place; what it replaces and is no more, goes."""
+    fresh = [file.name for file in stage.iterdir() if file.name not in (_KEY, _LOCK)]
+    publish(stage, fresh, folder, replacing=files_of(folder, name))
 
 
-def _files_of(folder: Path, name: str) -> list[str]:
+def files_of(folder: Path, name: str) -> list[str]:
     """Names that files of an older map set or texture set of this name may have."""
     kinds = (*MEANINGS, "maps")
     tiles = [

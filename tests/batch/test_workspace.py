@@ -128,6 +128,49 @@ def test_what_a_dead_run_had_moved_away_comes_back(tmp_path):
     assert (tmp_path / "here/preview.png").read_text() == "new"
 
 
+def test_what_made_room_comes_back_when_its_successor_cannot_come(tmp_path, monkeypatch):
+    rename = os.rename
+    with open_run(tmp_path) as run:
+        folder = make(run, "a", "first")
+        (folder / "notes.txt").write_text("keep")
+
+        def no_stage(source, target):
+            if run.folder / "stage" in source.parents and not os.path.exists(target):
+                raise OSError(5, "Input/output error")
+            rename(source, target)
+
+        monkeypatch.setattr(os, "rename", no_stage)
+        with pytest.raises(OSError, match="Input/output"):
+            make(run, "a", "second")
+        assert (folder / "preview.png").read_text() == "first"
+        assert (folder / "notes.txt").read_text() == "keep"
+
+
+def test_what_others_put_there_survives_a_failure_to_move_it(tmp_path, monkeypatch):
+    rename = os.rename
+    with open_run(tmp_path) as run:
+        folder = make(run, "a", "first")
+        (folder / "notes.txt").write_text("keep")
+
+        def no_notes(source, target):
+            if source.name == "notes.txt":
+                raise OSError(5, "Input/output error")
+            rename(source, target)
+
+        monkeypatch.setattr(os, "rename", no_notes)
+        with pytest.raises(OSError, match="Input/output"):
+            make(run, "a", "second")
+    assert (folder / "preview.png").read_text() == "second"
+    assert not (folder / "notes.txt").exists()
+    monkeypatch.undo()
+    # The run that failed is not dead as long as this process lives.
+    alive = next((tmp_path / WORKSPACE / "runs").glob("*/alive"))
+    alive.write_text(json.dumps({"host": "", "pid": 0}))
+    os.utime(alive, (0.0, 0.0))
+    with open_run(tmp_path):
+        assert (folder / "notes.txt").read_text() == "keep"
+
+
 def test_failures_are_remembered_and_forgotten(tmp_path):
     with open_run(tmp_path) as run:
         run.write_failure("a", {"identity": "i", "reason": "black"})

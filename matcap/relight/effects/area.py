@@ -59,9 +59,13 @@ def bound(facts: Facts) -> Bound:
     # d ln D / d angle <= 2 / alpha, and n.l, n.v, l.h may each be as small as alpha.
     steepness = 16.0 / facts.alpha[0] ** 2
     total = sum(
-        light.irradiance
-        * min(light.half_angle, 1.0)
-        * (4.0 * facts.lambert + steepness * facts.glossy(light))
+        min(
+            light.irradiance
+            * min(light.half_angle, 1.0)
+            * (4.0 * facts.lambert + steepness * facts.glossy(light)),
+            # Neither picture is darker than black, nor brighter than the light can make it.
+            facts.radiance(light),
+        )
         for light in sized
     )
     return Bound(total, f"lights of up to {math.degrees(widest):.2g} degrees' radius")

@@ -27,6 +27,7 @@ from matcap.relight.vectors import Array
 # Pairs of a triangle and a pixel that are looked at together.
 _PAIRS = 4_000_000
 _ROOM = 1.1
+_SMALLEST = 1e-12  # of the size squared: twice the area of a triangle that may be seen
 _FARTHEST_SPOT = 1e6  # repeats of the texture; beyond, single precision tells no texels apart
 
 
@@ -112,7 +113,8 @@ def load_mesh(path: Path, size: float) -> Mesh:
     """A mesh whose longest side is `size`, its middle at the origin.
 
     Raises:
-        MatcapError: missing, no triangles, or a face that names a vertex that is not there.
+        MatcapError: missing, no triangles, none of any area, or a face that names a vertex that
+            is not there.
     """
     where = str(path)
     try:
@@ -130,6 +132,12 @@ def load_mesh(path: Path, size: float) -> Mesh:
     corners = (corners - middle) * (size / extent)
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(flat, axis=1)
+    if not (area > _SMALLEST * size**2).any():
+        raise MatcapError(
+            "no triangle has an area: the corners of each lie on a line or in one place",
+            where=where,
+            remedy="export the mesh again",
+        )
     if (faces[..., 2] >= 0).all() and len(normals):
         corner_normals = normals[faces[..., 2]]
     else:
