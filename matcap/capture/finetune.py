@@ -24,6 +24,7 @@ from matcap.capture.schedule import Schedule
 from matcap.capture.windows import Windows, shot_deviation
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_flash
+from matcap.model.convolve import computes_bfloat16
 from matcap.model.decoder import ALIGNMENT, DEPTH, Decoder, Moments, maps_from_raw
 from matcap.model.freeze import freeze
 from matcap.model.noise import wrap64
@@ -51,7 +52,8 @@ class TuneSettings:
         places: windows rendered per step.
         learning_rate: of Adam, at its highest.
         penalties: weights of what is charged beside the distance.
-        half_precision: bfloat16 inside the network and the features.
+        half_precision: bfloat16 inside the network and the features, on processors that compute
+            with it.
         seed: of noise and order.
     """
 
@@ -191,7 +193,7 @@ def decode_window(
     waves = random_field(
         Patch(seed, Rectangle(0, 0, full, full)), 1, scene.waves, levels=DEPTH, cells=cells
     ).waves
-    with torch.autocast("cpu", torch.bfloat16, enabled=half_precision):
+    with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
         raw = decoder(RandomField(noise, waves), code, moments)
     if margin:
         raw = raw[..., margin:-margin, margin:-margin]
@@ -220,7 +222,7 @@ def compare_windows(
     rendered: Tensor, scene: TuneScene, places: Tensor, *, half_precision: bool
 ) -> Tensor:
     """Mean distance of renderings from the photograph at the same places; a number."""
-    with torch.autocast("cpu", torch.bfloat16, enabled=half_precision):
+    with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
         found = describe(rendered, scene.encoding, scene.bank)
     return distance(found, scene.windows.target.select(places), scene.weights).mean()
 

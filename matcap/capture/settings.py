@@ -155,7 +155,8 @@ class Method:
         window: texels a side of what is compared; many cheap steps beat few exact ones.
         features: that textures are compared by.
         decoder: shape of the decoder, where there is no prior to say it.
-        half_precision: bfloat16 inside the network and the features.
+        half_precision: bfloat16 inside the network and the features, where the processor computes
+            with it.
         places: windows a step, instead of the preset's.
         matched: at the end, instead of as the preset says.
         adapted: steps of the exemplar, instead of the preset's.

@@ -63,6 +63,11 @@ def convolve(
     return total.relu_() if activate else total
 
 
+def computes_bfloat16() -> bool:
+    """Whether the processor computes with bfloat16; where it is emulated, float32 is quicker."""
+    return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
+
+
 def _fused(features: Tensor) -> bool:
     if features.device.type != "cpu" or not torch.backends.mkldnn.is_available():
         return False

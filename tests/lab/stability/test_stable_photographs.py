@@ -92,12 +92,16 @@ def ordinary():
 
 
 def test_half_the_exposure_gives_the_same_maps(ordinary):
-    """Texel by texel too, but for what Adam's first steps make of rounding."""
+    """Texel by texel too, of the piece where it was seen: rounding may rearrange it otherwise."""
     half = capture_array(0.5 * textured(WIDTH, HEIGHT, 3), settings(), "half")
-    one, other = ordinary.maps.stacked(), half.maps.stacked()
-    assert torch.allclose(one[:5].mean((1, 2)), other[:5].mean((1, 2)), rtol=0.02)
-    assert torch.allclose(one.std((1, 2)), other.std((1, 2)), rtol=0.05)
-    apart = (one - other).square().mean((1, 2)).sqrt() / one.std((1, 2))
+    pieces = [result.found.exemplar for result in (ordinary, half)]
+    seen = torch.from_numpy(np.minimum(*(p.confidence[0] for p in pieces)) > 0.0)
+    seen = -torch.nn.functional.max_pool2d(-seen[None].float(), 41, 1, 20)[0] > 0.0
+    assert seen.float().mean() > 0.2
+    one, other = (torch.from_numpy(p.stacked())[:, seen] for p in pieces)
+    assert torch.allclose(one[:5].mean(1), other[:5].mean(1), rtol=0.02)
+    assert torch.allclose(one.std(1), other.std(1), rtol=0.05)
+    apart = (one - other).square().mean(1).sqrt() / one.std(1)
     assert apart.max() < 0.3
     intensities = [r.material.setup.intensity[0] for r in (ordinary, half)]
     assert intensities[1] / intensities[0] == pytest.approx(0.5, rel=0.02)
