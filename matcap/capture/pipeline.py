@@ -164,16 +164,7 @@ def capture_photo(
     found = None
     if settings.finds_exemplar:
         with clock.stage("exemplar"):
-            found = find_exemplar(
-                plane,
-                coarse,
-                load_inverse(),
-                scene,
-                steps=0 if tuned.interrupted else effort.adapted,
-                seconds=limit and limit * _FOR_EXEMPLAR,
-                seed=settings.seed,
-                tell=clock.finding,
-            )
+            found = _piece(plane, coarse, scene, tuned, effort, settings, clock)
     if found is not None and settings.generator == "example":
         material = replace(material, example=found.example)
 
@@ -194,6 +185,29 @@ def capture_photo(
         interrupted=tuned.interrupted or (found is not None and found.interrupted),
         self_difference=own,
         found=found,
+    )
+
+
+def _piece(
+    plane: Plane,
+    coarse: CoarseFit,
+    scene: TuneScene,
+    tuned: Tuned,
+    effort: Effort,
+    settings: CaptureSettings,
+    clock: CaptureClock,
+) -> FoundExemplar:
+    """The photographed piece's own maps; in a hurry after an interrupt."""
+    limit = settings.time_limit
+    return find_exemplar(
+        plane,
+        coarse,
+        load_inverse(),
+        scene,
+        steps=0 if tuned.interrupted else effort.adapted,
+        seconds=limit and limit * _FOR_EXEMPLAR,
+        seed=settings.seed,
+        tell=clock.finding,
     )
 
 
