@@ -70,7 +70,7 @@ def quality(
     from matcap.lab.simulate.examples import EXAMPLES
 
     check_writable(out, 200_000_000)
-    captured = CaptureSettings(preset, steps, time_limit, detail=detail)
+    captured = CaptureSettings(preset, steps, time_limit, detail=detail, generator="decoder")
     scores = run_quality(
         lambda photo: pipeline.capture_file(photo, captured).material,
         out,

@@ -27,6 +27,7 @@ import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 HIDDEN = ".matcap-"  # how the names of stages begin
 JOURNAL = f"{HIDDEN}journal"
@@ -126,9 +127,9 @@ def _mend(folder: Path) -> None:
     """What was there before, if a journal says that something else was about to be."""
     journal = folder / JOURNAL
     try:
-        about = json.loads((journal / _LIST).read_text())
-    except (FileNotFoundError, ValueError):
-        # Nothing had been moved yet, or all of it.
+        about = _read_list(journal / _LIST)
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        # Nothing had been moved yet, or all of it; or the journal is none of ours.
         shutil.rmtree(journal, ignore_errors=True)
         return
     stage = folder / about["stage"]
@@ -143,6 +144,23 @@ def _mend(folder: Path) -> None:
     os.unlink(journal / _LIST)
     sync(journal)
     shutil.rmtree(journal, ignore_errors=True)
+
+
+def _read_list(path: Path) -> dict[str, Any]:
+    """The journal's list: names in this folder, so that no folder from elsewhere moves others.
+
+    Raises:
+        ValueError: it says anything else.
+    """
+    about = json.loads(path.read_text())
+    if not isinstance(about, dict) or set(about) != {"stage", "fresh", "old"}:
+        raise ValueError("not a journal")
+    if not isinstance(about["fresh"], list) or not isinstance(about["old"], list):
+        raise ValueError("not a journal")
+    for name in (about["stage"], *about["fresh"], *about["old"]):
+        if not isinstance(name, str) or name in ("", ".", "..") or Path(name).name != name:
+            raise ValueError(f"{name!r} is no name in this folder")
+    return about
 
 
 def _move_back(file: Path, staged: Path) -> None:

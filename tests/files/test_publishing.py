@@ -1,5 +1,6 @@
 """Whatever fails while files are published: the old ones are there, or the new ones whole."""
 
+import json
 import os
 import random
 from contextlib import suppress
@@ -84,6 +85,23 @@ def test_a_journal_that_lost_its_stage_still_puts_the_old_back(tmp_path):
                 stage.rmdir()
         recover(bench.out)
         assert contents(bench.out) in (bench.before, bench.after)
+
+
+@pytest.mark.parametrize(
+    "name", ["../precious", "/etc/precious", "..", "", "sub/precious", 7], ids=str
+)
+@pytest.mark.parametrize("role", ["stage", "fresh", "old"])
+def test_a_journal_from_elsewhere_moves_no_file_of_other_folders(tmp_path, role, name):
+    """A folder that came by mail may hold anything; it is only read."""
+    precious, out = tmp_path / "precious", tmp_path / "out"
+    precious.write_text("mine")
+    (out / JOURNAL).mkdir(parents=True)
+    about = {"stage": "stage", "fresh": ["a.exr"], "old": []}
+    about[role] = name if role == "stage" else [name]
+    (out / JOURNAL / "list.json").write_text(json.dumps(about))
+    recover(out)
+    assert precious.read_text() == "mine"
+    assert not (out / JOURNAL).exists()
 
 
 def test_nothing_hidden_is_left_when_nothing_failed(tmp_path):

@@ -83,7 +83,7 @@ def adapt(
     schedule = Schedule(steps, seconds, None)
     scaled = _Scaled(maps, reach)
     size = scene.windows.size
-    corners = _corners(seen, size)
+    places_seen = corners(seen, size)
     order = shuffled(scene.windows.count, seed)
     draw = np.random.default_rng(seed)
     adam = Adam([scaled.numbers], _BETAS)
@@ -95,7 +95,7 @@ def adapt(
             step = schedule.step
             cuts = [
                 scaled(slice(y, y + size), slice(x, x + size))
-                for y, x in corners[draw.integers(len(corners), size=_PLACES)]
+                for y, x in places_seen[draw.integers(len(places_seen), size=_PLACES)]
             ]
             windows = MapSet.from_stacked(torch.stack([c.stacked() for c in cuts]), maps.texel_size)
             rendered = torch.cat(
@@ -156,8 +156,8 @@ class _Scaled:
         return _BELIEF * (self.numbers / self._deviations).square().sum()
 
 
-def _corners(seen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
-    """(N, 2) rows and columns where windows that were seen begin."""
+def corners(seen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
+    """(N, 2) rows and columns where windows that were seen begin; of the best, if none was."""
     total = np.pad(seen.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
     windows = total[size:, size:] - total[:-size, size:] - total[size:, :-size]
     windows = (windows + total[:-size, :-size]) / size**2

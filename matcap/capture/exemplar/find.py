@@ -25,14 +25,15 @@ from matcap.capture.exemplar.equalise import equalise
 from matcap.capture.exemplar.fill import fill
 from matcap.capture.exemplar.refine import Light, flatten, level, refine, remaining
 from matcap.capture.exemplar.smooth import smoothed
-from matcap.capture.exemplar.strengths import Strengths, measure_strengths
+from matcap.capture.exemplar.strengths import Strengths
+from matcap.capture.exemplar.told import noise_level, plane_strengths
 from matcap.capture.finetune import TuneScene
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
 from matcap.model.example.example import Example
 from matcap.model.exemplar import Exemplar
 from matcap.model.inverse.inputs import network_inputs, true_outputs
-from matcap.model.inverse.network import COLOUR, GLOSS, OUTPUTS, SHOWN, Inverse
+from matcap.model.inverse.network import GLOSS, OUTPUTS, Inverse
 from matcap.statistics.lattice import Wave
 
 # Expected errors at which confidence has fallen to 1/e: log albedo, log F0, logit roughness, slope.
@@ -98,10 +99,7 @@ def find_exemplar(
     inputs = network_inputs(plane.linear, plane.valid, coarse, points)
     answer = _read(network, inputs)
     found, errors = answer[:OUTPUTS].clone(), answer[OUTPUTS:]
-    noise = noise_level(plane)
-    strengths = measure_strengths(
-        inputs[COLOUR].mean(0).numpy(), inputs[SHOWN].numpy(), plane.valid.numpy(), noise
-    )
+    noise, strengths = noise_level(plane), plane_strengths(plane, inputs)
     found[5] = torch.from_numpy(equalise(found[5].numpy(), strengths))
     trusted = confidence(errors, plane.valid)
     glare = inputs[GLOSS].clamp(0.0, 1.0).numpy()
@@ -118,10 +116,9 @@ def find_exemplar(
 
     outputs = explained(level(even(found), plane.linear, plane.valid, light))
     interrupted = False
-    for leg, reach in enumerate(_LEGS if scene and steps else ()):
-        if interrupted:
+    for leg, reach in enumerate(_LEGS):
+        if scene is None or not steps or interrupted:
             break
-        assert scene is not None
         albedo = even_contrast(outputs[:3].numpy(), np.square(trusted[0]))
         adapted = adapt(
             light.maps(torch.cat([torch.from_numpy(albedo), outputs[3:]]), plane.texel_size),
@@ -187,15 +184,6 @@ def confidence(errors: Tensor, valid: Tensor) -> NDArray[np.float32]:
     # What a clipped texel's neighbours hold is partly its own.
     seen = cv2.erode(valid.numpy().astype(np.uint8), np.ones((5, 5), np.uint8))
     return np.ascontiguousarray(believed * seen, dtype=np.float32)
-
-
-def noise_level(plane: Plane) -> float:
-    """Standard deviation of log radiance that is the sensor's; 0 where it is not known."""
-    if plane.noise is None:
-        return 0.0
-    share = plane.noise.mean(0) / plane.linear.mean(0).clamp_min(1e-4)
-    seen = share[plane.valid]
-    return float(seen.clamp(-1.0, 1.0).square().mean().sqrt()) if seen.numel() else 0.0
 
 
 def _read(network: Inverse, inputs: Tensor) -> Tensor:

@@ -10,10 +10,9 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 
 from matcap.errors import MatcapError
-from matcap.files.staging import staged
+from matcap.files.tensors import write_tensors
 from matcap.model.inverse.network import Inverse, InverseConfig
 
 FORMAT = "matcap-inverse"
@@ -34,7 +33,7 @@ def save_inverse(network: Inverse, path: Path, card: Mapping[str, Any]) -> None:
     Raises:
         MatcapError: the folder cannot be written.
     """
-    tensors = {name: value.half().contiguous() for name, value in network.state_dict().items()}
+    tensors = {name: value.half() for name, value in network.state_dict().items()}
     about = {
         "format": FORMAT,
         "version": VERSION,
@@ -42,9 +41,7 @@ def save_inverse(network: Inverse, path: Path, card: Mapping[str, Any]) -> None:
         "context": network.config.context,
         "card": dict(card),
     }
-    with staged(path.parent) as stage:
-        # As bytes: save_file would give the file to its owner alone, whatever the umask says.
-        (stage / path.name).write_bytes(save(tensors, metadata={"matcap": json.dumps(about)}))
+    write_tensors(path, tensors, {"matcap": json.dumps(about)})
 
 
 def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:

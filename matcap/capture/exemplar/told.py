@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from matcap.capture.coarse import fit_coarse
-from matcap.capture.exemplar.find import noise_level
 from matcap.capture.exemplar.strengths import Strengths, measure_strengths
 from matcap.flash.geometry import plane_points
-from matcap.flash.plane import read_plane
+from matcap.flash.plane import Plane, read_plane
 from matcap.model.inverse.inputs import network_inputs
 from matcap.model.inverse.network import COLOUR, SHOWN
 from matcap.photo.photo import Photo
@@ -30,9 +30,23 @@ def photographed_strengths(photo: Photo, detail: int) -> Strengths | None:
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     inputs = network_inputs(plane.linear, plane.valid, coarse, points)
+    return plane_strengths(plane, inputs)
+
+
+def plane_strengths(plane: Plane, inputs: Tensor) -> Strengths | None:
+    """The same of a photograph on its plane and what the network is told of it."""
     return measure_strengths(
         inputs[COLOUR].mean(0).numpy(),
         inputs[SHOWN].numpy(),
         plane.valid.numpy(),
         noise_level(plane),
     )
+
+
+def noise_level(plane: Plane) -> float:
+    """Standard deviation of log radiance that is the sensor's; 0 where it is not known."""
+    if plane.noise is None:
+        return 0.0
+    share = plane.noise.mean(0) / plane.linear.mean(0).clamp_min(1e-4)
+    seen = share[plane.valid]
+    return float(seen.clamp(-1.0, 1.0).square().mean().sqrt()) if seen.numel() else 0.0

@@ -65,8 +65,13 @@ class Way:
     detail: int | None = None
 
 
+def _tuned(**changed: Any) -> CaptureSettings:  # noqa: ANN401
+    """What is swept here is the decoder's tuning."""
+    return CaptureSettings(**{"generator": "decoder", **changed})
+
+
 def _base(**changed: Any) -> CaptureSettings:  # noqa: ANN401
-    return CaptureSettings(**{"steps": _BASE_STEPS, **changed})
+    return _tuned(**{"steps": _BASE_STEPS, **changed})
 
 
 def _method(**changed: Any) -> Method:  # noqa: ANN401
@@ -74,11 +79,11 @@ def _method(**changed: Any) -> Method:  # noqa: ANN401
 
 
 def _ways() -> dict[str, Way]:
-    ways = {f"{name}": Way("preset", CaptureSettings(preset=name)) for name in PRESETS}
+    ways = {f"{name}": Way("preset", _tuned(preset=name)) for name in PRESETS}
     for steps in (10, 20, 60, 80, 120, _BASE_STEPS, 200, 400):
         ways[f"{steps} steps"] = Way("steps", _base(steps=steps), _method())
     for seconds in (2.0, 5.0, 10.0, 20.0, 40.0):
-        ways[f"{seconds:.0f} s"] = Way("time", CaptureSettings(time_limit=seconds))
+        ways[f"{seconds:.0f} s"] = Way("time", _tuned(time_limit=seconds))
     for window in (96, 128, 192, 256):
         ways[f"window {window}"] = Way("window", _base(), _method(window=window))
     for places in (1, 4):  # three are the preset `standard`
@@ -109,7 +114,7 @@ def _ways() -> dict[str, Way]:
     )
     ways[_PAPER_FORM] = Way(_PAPER, _base(prior="none", steps=_PAPER_STEPS), paper, 512)
     for name in ("standard", "reference"):
-        ways[f"{name} beside it"] = Way(_PAPER, CaptureSettings(preset=name), detail=512)
+        ways[f"{name} beside it"] = Way(_PAPER, _tuned(preset=name), detail=512)
     return ways
 
 
@@ -311,6 +316,7 @@ def step_seconds(way: str, *, steps: int = 3) -> tuple[float, float]:
     from matcap.brdf.maps import MapSet
     from matcap.flash.geometry import plane_points
     from matcap.flash.render import render_flash
+    from matcap.model.convolve import computes_bfloat16
     from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, maps_from_raw
     from matcap.model.random_field import random_field
     from matcap.statistics.compare import Weights, describe, distance
@@ -318,6 +324,7 @@ def step_seconds(way: str, *, steps: int = 3) -> tuple[float, float]:
     from matcap.statistics.filterbank import FilterBank
 
     width, height, method = 512, 384, WAYS[way].method
+    half = method.half_precision and computes_bfloat16()
     generator = torch.Generator().manual_seed(0)
     photo = torch.rand(3, height, width, generator=generator)
     encoding = fit_encoding(photo, torch.ones(height, width, dtype=torch.bool))
@@ -337,11 +344,11 @@ def step_seconds(way: str, *, steps: int = 3) -> tuple[float, float]:
             (),
             levels=DEPTH,
         )
-        with torch.autocast("cpu", torch.bfloat16, enabled=method.half_precision):
+        with torch.autocast("cpu", torch.bfloat16, enabled=half):
             raw = decoder(noise, code)
         maps: MapSet = maps_from_raw(raw, 2.0 / width, periodic=True)
         rendered = render_flash(maps, setup, points)
-        with torch.autocast("cpu", torch.bfloat16, enabled=method.half_precision):
+        with torch.autocast("cpu", torch.bfloat16, enabled=half):
             found = describe(rendered, encoding, bank)
         optimiser.zero_grad(set_to_none=True)
         distance(found, target, Weights()).mean().backward()

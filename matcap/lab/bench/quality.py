@@ -35,9 +35,9 @@ from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, as_photo
 from matcap.lab.simulate.write_dng import write_dng
 from matcap.photo.photo import Photo
 
-CAPTURE, ALBEDO, PER_TEXEL = "capture", "photo-as-albedo", "per-texel"
+DECODER, ALBEDO, PER_TEXEL = "decoder", "photo-as-albedo", "per-texel"
 EXEMPLAR, BY_EXAMPLE = "exemplar", "by-example"
-METHODS = (CAPTURE, EXEMPLAR, BY_EXAMPLE, ALBEDO, PER_TEXEL)
+METHODS = (DECODER, EXEMPLAR, BY_EXAMPLE, ALBEDO, PER_TEXEL)
 _TRUTH_SEEDS = (1001, 1002, 1003)  # none of the examples'
 _FINER = 2  # true radiance is averaged over this many texels a side: it has detail below a pixel
 
@@ -292,7 +292,7 @@ def _methods(
         return rearranged_piece(subject.path, settings.detail)
 
     return {
-        CAPTURE: captured,
+        DECODER: captured,
         EXEMPLAR: piece,
         BY_EXAMPLE: rearranged,
         ALBEDO: albedo,

@@ -9,7 +9,7 @@ import pytest
 import torch
 from photographed import photographed
 
-from matcap.capture.exemplar.adapt import adapt
+from matcap.capture.exemplar.adapt import adapt, corners
 from matcap.capture.finetune import TuneScene
 from matcap.capture.settings import FEATURES
 from matcap.capture.windows import cut_windows
@@ -44,12 +44,8 @@ def test_relief_and_albedo_that_are_off_come_back(shot, scene) -> None:
     assert _slope(off) < 0.7 * _slope(true)
     assert _slope(found) == pytest.approx(_slope(true), rel=0.2)
     assert float(found.diffuse.mean()) == pytest.approx(float(true.diffuse.mean()), rel=0.08)
-
-
-def test_the_drawing_stays(shot, scene) -> None:
-    found = adapt(shot.maps, SEEN, scene, 3).maps
-    both = torch.stack([found.height.flatten(), shot.maps.height.flatten()])
-    assert float(torch.corrcoef(both)[0, 1]) > 0.98
+    drawn = torch.stack([found.height.flatten(), true.height.flatten()])
+    assert float(torch.corrcoef(drawn)[0, 1]) > 0.97
 
 
 def test_no_steps_change_nothing_and_the_same_seed_gives_the_same_maps(shot, scene) -> None:
@@ -58,14 +54,14 @@ def test_no_steps_change_nothing_and_the_same_seed_gives_the_same_maps(shot, sce
     assert torch.equal(first, again)
 
 
-def test_windows_that_were_not_seen_are_left_out(shot, scene) -> None:
+def test_windows_lie_where_the_piece_was_seen() -> None:
     seen = SEEN.copy()
     seen[:, :256] = False
-    broken = shot.maps.map(lambda m: torch.where(torch.from_numpy(seen), m, 0.5 * m))
-    found = adapt(broken, seen, scene, 2).maps
-    whole = adapt(shot.maps, seen, scene, 2).maps
-    right = (slice(None), slice(None), slice(320, None))
-    assert torch.allclose(found.roughness[right], whole.roughness[right], atol=0.02)
+    found = corners(seen, 96)
+    assert len(found) > 100
+    assert found[:, 1].min() >= 256 - 0.05 * 96
+    assert found.min() >= 0 and (found.max(0) + 96 == seen.shape).all()
+    assert len(corners(np.zeros_like(seen), 96))  # there is always somewhere to look
 
 
 def test_an_interrupt_keeps_what_was_found(shot, scene) -> None:
