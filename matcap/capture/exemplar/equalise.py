@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 _AROUND = 64.0  # texels: deviation of a neighbourhood, twice the band's waves at least
 _GAINS = (0.25, 5.0)  # slopes are not weakened or strengthened more than this by their place
-_STRONGEST = 16.0  # nor more than this on the whole: of the finest waves networks draw little
+_STRONGEST = 5.0  # nor more than this on the whole
 _ROUNDS = 3  # of bringing bands to their strengths: they share waves at their borders
 _UNTOLD = 1.0  # bands' worth of trust in the network's own strength, where nothing is told
 _LEAST = 1e-4  # slope
