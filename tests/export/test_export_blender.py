@@ -17,4 +17,4 @@ def test_the_script_finds_all_it_reads(tmp_path, made):
     kinds = set(re.findall(r'texture\("(\w+)"', code)) | set(re.findall(r'files\["(\w+)"', code))
     assert kinds == set(sidecar["textures"])
     assert all((tmp_path / file).is_file() for file in sidecar["textures"].values())
-    assert sidecar["height"] == {"scale": 85.0, "midlevel": 0.0, "unit": "mm"}
+    assert sidecar["height_code"] == {"scale": 85.0, "midlevel": 0.0, "unit": "mm"}
