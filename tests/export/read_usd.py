@@ -29,7 +29,8 @@ def misnamed(path) -> list[str]:
     mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), library)
     types = {"color3f": "color3", "float3": "vector3", "float2": "vector2", "asset": "filename"}
     found = []
-    reached = list(network(Usd.Stage.Open(str(path))))
+    stage = Usd.Stage.Open(str(path))
+    reached = list(network(stage))
     assert len(reached) == 8
     for node in reached:
         definition = library.getNodeDef(node.GetIdAttr().Get())

@@ -37,10 +37,10 @@ def test_the_validators_would_object(tmp_path, made, read_usd):
 def test_its_materialx_is_materialxs(tmp_path, made, read_usd):
     pytest.importorskip("MaterialX", reason="needs the extra `export`")
     write_export(ExportJob(made["leather"], "leather"), "usd", tmp_path)
-    file = tmp_path / "leather.usda"
+    file, wrong = tmp_path / "leather.usda", tmp_path / "wrong.usda"
     assert read_usd.misnamed(file) == []
-    file.write_text(file.read_text().replace("inputs:specular_ior", "inputs:specular_IOR"))
-    assert read_usd.misnamed(file) == ["/leather/Material/OpenPBR.specular_IOR"]
+    wrong.write_text(file.read_text().replace("inputs:specular_ior", "inputs:specular_IOR"))
+    assert read_usd.misnamed(wrong) == ["/leather/Material/OpenPBR.specular_IOR"]
 
 
 @pytest.mark.parametrize("suffix", ["usda", "usdz"])
