@@ -103,7 +103,8 @@ def usd_specular(job: ExportJob) -> Export:
     shared = _shared(job)
     inputs = {
         "base_color": job.texture(lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
-        "specular": job.texture(grey, "16", SPECULAR),
+        # On the sRGB curve, as three.js takes it whatever the stage says.
+        "specular": job.texture(grey, "16", SPECULAR, srgb=True),
         "roughness": job.texture(picture("roughness"), "16", ROUGHNESS),
         **shared,
     }
@@ -224,7 +225,7 @@ def _stage(job: ExportJob, look: _Look, files: dict[str, str]) -> str:
         _texture("Occlusion", files["occlusion"], "float outputs:r"),
     ]
     if look.specular:
-        textures.append(_texture("Specular", files["specular"], "float3 outputs:rgb"))
+        textures.append(_texture("Specular", files["specular"], "float3 outputs:rgb", "sRGB"))
         link = f"</{name}/Material/Specular.outputs:rgb>"
         workflow = f"""color3f inputs:specularColor.connect = {link}
             int inputs:useSpecularWorkflow = 1

@@ -33,8 +33,19 @@ def test_the_maps_themselves_have_none(made, name):
         lambda s: {"shading": Shading(layer="albedo"), "layer": s.f0},
     ],
     ids=[
-        "diffuse", "f0", "roughness", "normal", "f90", "separable", "hammon", "disney", "index",
-        "mobile", "compensated", "half", "albedo",
+        "diffuse",
+        "f0",
+        "roughness",
+        "normal",
+        "f90",
+        "separable",
+        "hammon",
+        "disney",
+        "index",
+        "mobile",
+        "compensated",
+        "half",
+        "albedo",
     ],  # fmt: skip
 )
 def test_every_parameter_counts(made, change):
