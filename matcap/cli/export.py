@@ -122,6 +122,7 @@ def export(
     """
     from matcap.errors import UsageError
     from matcap.export.presets import PresetOptions
+    from matcap.export.reach import material_reach
     from matcap.export.targets import check_target, export_bytes, write_export, write_preset
     from matcap.export.textures import ExportJob, Workflow, known_scale
     from matcap.files.staging import check_writable
@@ -153,7 +154,8 @@ def export(
         bits and bits.value,
         found.provenance,
         container and container.value,
-        tiled=tiled,
+        material_reach(path, found.name),
+        tiled,
     )
     form: Workflow | None = "specular" if workflow is WorkflowName.specular else None
     form = "metallic" if workflow is WorkflowName.metallic else form

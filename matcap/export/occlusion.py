@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,11 +45,22 @@ class Occlusion:
         open: (H, W) share of an even sky's light that arrives, of what arrives in the open.
         cavity: (H, W) the same, hidden by the nearest neighbours only.
         bent: (H, W, 3) unit vector, mean direction of what is open; +Y up.
+        size: (width, height) of the height field where they are smaller than it.
     """
 
     open: Picture
     cavity: Picture
     bent: Picture
+    size: tuple[int, int] | None = None
+
+    def whole(self, kind: str) -> Picture:
+        """One of them by its name, at the size of the height field."""
+        found: Picture = getattr(self, kind)
+        if self.size is None:
+            return found
+        import cv2
+
+        return np.asarray(cv2.resize(found, self.size), dtype=np.float32)
 
 
 def settings(width: int, height: int) -> dict[str, Any]:
@@ -77,11 +88,7 @@ def occlusion(height: Picture, *, periodic: bool) -> Occlusion:
     size = height.shape[1], height.shape[0]
     half = cv2.resize(height, (size[0] // 2, size[1] // 2), interpolation=cv2.INTER_AREA)
     made = _occlusion(0.5 * half, periodic=periodic)
-
-    def wide(one: Picture) -> Picture:
-        return np.asarray(cv2.resize(one, size), dtype=np.float32)
-
-    return Occlusion(wide(made.open), wide(made.cavity), wide(made.bent))
+    return replace(made, size=size)
 
 
 def halved(width: int, height: int) -> bool:

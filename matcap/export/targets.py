@@ -47,6 +47,7 @@ from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
 from matcap.export.names import known
 from matcap.export.presets import PresetOptions, pack
+from matcap.export.reach import material_reach
 from matcap.export.surface import Residual, residuals
 from matcap.export.textures import Export, ExportJob, Workflow, known_scale
 from matcap.export.usd import usd_metallic, usd_specular
@@ -136,7 +137,8 @@ def export_mapset(folder: Path, target: str) -> Exported:
     found = open_tile(folder)
     place = folder if folder.is_dir() else folder.parent
     millimetres = known_scale(found.provenance)
-    job = ExportJob(found.maps, found.name, millimetres, provenance=found.provenance)
+    reach = material_reach(folder, found.name)
+    job = ExportJob(found.maps, found.name, millimetres, provenance=found.provenance, reach=reach)
     return write_export(job, target, place / target)
 
 

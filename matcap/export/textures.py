@@ -165,20 +165,20 @@ class ExportJob:
             self.height / np.float32(self.maps.texel_size), periodic=self.maps.periodic
         )
 
-    @property
+    @cached_property
     def occlusion(self) -> Picture:
         """(H, W) share of an even sky's light that arrives."""
-        return self._shadows.open
+        return self._shadows.whole("open")
 
-    @property
+    @cached_property
     def cavity(self) -> Picture:
         """(H, W) the same, of the nearest neighbours only."""
-        return self._shadows.cavity
+        return self._shadows.whole("cavity")
 
-    @property
+    @cached_property
     def bent(self) -> Picture:
         """(H, W, 3) mean direction of what is open, +Y up."""
-        return self._shadows.bent
+        return self._shadows.whole("bent")
 
     @staticmethod
     def _picture(tensor: Tensor) -> Picture:

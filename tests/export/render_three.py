@@ -32,12 +32,13 @@ def render(file, maps, position, intensity) -> np.ndarray:
 
     width, height = maps.size
     extent = max(width, height) * maps.texel_size
+    # three.js gives the angle across the height.
+    tall = 2.0 * np.degrees(np.arctan(np.tan(np.radians(22.5)) * height / max(width, height)))
     scene = {
         "file": f"/export/{file.name}",
         "size": [width, height],
         "eye": extent / 2.0 / np.tan(np.radians(22.5)),
-        # three.js gives the angle across the height.
-        "angle": float(np.degrees(2.0 * np.arctan(np.tan(np.radians(22.5)) * height / max(width, height)))),
+        "angle": float(tall),
         "position": list(position),
         "intensity": intensity,
     }  # fmt: skip

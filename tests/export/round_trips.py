@@ -3,8 +3,8 @@
 Each material (by default the procedural ones that matcap simulates) is exported to every target,
 checked by the target's validator, read back by its library and compared with matcap; with -r also
 rendered: MaterialX's shaders and three.js in Chromium, Mitsuba, and Blender where BLENDER_PYTHON
-names a Python with bpy. Prints the table of docs/notes/exports.md: light that differs, as a share of all light,
-mean and worst of the materials. What is not installed is left out and said.
+names a Python with bpy. Prints the table of docs/notes/exports.md: light that differs, as a share
+of all light, mean and worst of the materials. What is not installed is left out and said.
 """
 
 import os

@@ -11,7 +11,6 @@ from matcap.export.targets import write_export
 from matcap.export.textures import ExportJob
 from matcap.files.exr import read_exr
 
-
 VARIANTS = ("", "_openpbr", "_standard_surface")
 
 
