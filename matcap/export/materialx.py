@@ -86,8 +86,9 @@ class Layered:
     @staticmethod
     def of(job: ExportJob) -> Layered:
         """Of a job's maps, with the index of refraction that comes nearest."""
-        tried = [Layered.at(job, index) for index in _INDICES if index >= _least(job)]
-        tried = tried or [Layered.at(job, _INDICES[-1])]
+        least = _least(job)
+        indices = (least, *(index for index in _INDICES if index > least))
+        tried = [Layered.at(job, index) for index in indices]
         standard = Standard.of(job)
         surfaces = {n: partial(one.surface, standard) for n, one in enumerate(tried)}
         return tried[nearest(job, surfaces)]
@@ -133,7 +134,7 @@ class Layered:
 
 def _least(job: ExportJob) -> float:
     """The F0 that an index of refraction must reach."""
-    return min(float(job.specular.max()), _INDICES[-1])
+    return float(np.clip(job.specular.max(), _INDICES[0], _INDICES[-1]))
 
 
 class _Document:

@@ -345,7 +345,9 @@ def _surface(lit: Lit, textures: dict[str, Texture], read: Reader) -> TargetSurf
         return TargetSurface(
             base * below, f0, _seen_roughness(seen), bent, layer=f0, shading=lit.shading
         )
-    metallic = seen["orm"][2:3] if "orm" in seen else seen.get("mask", seen.get("smooth"))[:1]  # type: ignore[index]
+    channel = 2 if "orm" in seen else 0
+    packed = next(seen[kind] for kind in ("orm", "mask", "smooth") if kind in seen)
+    metallic = packed[channel : channel + 1]
     if "specular" in seen:
         dielectric = lit.dielectric[1] * seen["specular"][:1]
     else:

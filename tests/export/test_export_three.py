@@ -17,7 +17,9 @@ def averaged(image):
 
 
 @pytest.mark.skipif(not THREE.is_dir(), reason="needs `npm install --prefix .node three`")
-@pytest.mark.parametrize(("target", "suffix", "limit"), [("gltf", "glb", 0.01), ("usd", "usda", 0.04)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("target", "suffix", "limit"), [("gltf", "glb", 0.01), ("usd", "usda", 0.04)]
+)
 def test_its_picture_is_matcaps(tmp_path, made, target, suffix, limit):
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     import matcap
