@@ -33,7 +33,16 @@ from matcap.export.specular_workflow import (
 )
 from matcap.export.surface import TargetSurface
 from matcap.export.texture_file import Picture, Texture
-from matcap.export.textures import BASE, Export, ExportJob, Piece, Reader, coded_normal, signed
+from matcap.export.textures import (
+    BASE,
+    Export,
+    ExportJob,
+    Piece,
+    Reader,
+    coded_normal,
+    occlusion_facts,
+    signed,
+)
 from matcap.files.maker import MAKER
 
 SHADING = Shading(layer="half")
@@ -93,7 +102,8 @@ def gltf_specular(job: ExportJob) -> Export:
 
     look = _Look(textures, ior(limit), 0.0, largest / limit)
     notes = (*clipping_notes(job, SHADING), *job.size_notes())
-    return Export({}, _documents(job, look), {"specular": surface}, notes)
+    facts = occlusion_facts(job)
+    return Export({}, _documents(job, look), {"specular": surface}, notes, facts)
 
 
 def gltf_metallic(job: ExportJob) -> Export:
@@ -131,7 +141,7 @@ def gltf_metallic(job: ExportJob) -> Export:
         )
 
     documents = _documents(job, _Look(textures, ior(f0), 1.0))
-    return Export({}, documents, {"metallic": surface}, job.size_notes())
+    return Export({}, documents, {"metallic": surface}, job.size_notes(), occlusion_facts(job))
 
 
 def ior(f0: float) -> float:

@@ -22,7 +22,6 @@ from matcap.errors import UsageError
 from matcap.export.fit import told
 from matcap.export.metallic import FIRST_METAL, Metallic, to_metallic
 from matcap.export.names import known
-from matcap.export.occlusion import settings
 from matcap.export.shading import MATCAP, Shading
 from matcap.export.surface import TargetSurface
 from matcap.export.texture_file import Depth, Texture
@@ -44,6 +43,7 @@ from matcap.export.textures import (
     coded_normal,
     coded_normal_dx,
     height_facts,
+    occlusion_facts,
     picture,
     signed,
 )
@@ -299,7 +299,7 @@ def _facts(job: ExportJob, preset: Preset, wanted: Sequence[str]) -> dict[str, A
         depth = _height(job, preset.textures["height"]).whole
         facts |= height_facts(job, *(job.height_code if depth else (1.0, 0.0)))
     if set(there) & {*_SHADED, "orm", "mask", "arm"}:
-        facts["occlusion"] = settings(*job.maps.size)
+        facts |= occlusion_facts(job)
     return facts
 
 

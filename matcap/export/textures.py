@@ -329,6 +329,13 @@ def height_facts(job: ExportJob, scale: float, midlevel: float) -> dict[str, Any
     }
 
 
+def occlusion_facts(job: ExportJob) -> dict[str, Any]:
+    """For the sidecar: how ambient occlusion is found."""
+    from matcap.export.occlusion import settings
+
+    return {"occlusion": settings(*job.maps.size)}
+
+
 def signed(coded: Tensor) -> Tensor:
     """Normals of a normal map with +Y up, as its shader has them."""
     return 2.0 * coded - 1.0

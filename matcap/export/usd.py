@@ -46,6 +46,7 @@ from matcap.export.textures import (
     coded_height,
     coded_normal,
     height_facts,
+    occlusion_facts,
     picture,
     signed,
 )
@@ -207,7 +208,7 @@ def _export(
         {f"{job.name}.usda": lambda _: stage, f"{job.name}.usdz": package},
         surfaces | {"mtlx": openpbr},
         (*clipping_notes(job, SHADING), *job.size_notes()),
-        height_facts(job, *job.height_code),
+        height_facts(job, *job.height_code) | occlusion_facts(job),
     )
 
 
