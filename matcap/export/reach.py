@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
+from matcap.errors import MatcapError
 from matcap.export.textures import roomy
 
 
@@ -25,7 +27,11 @@ def material_reach(path: Path, name: str) -> float | None:
 
     folder = path if path.is_dir() else path.parent
     file = path if path.suffix.lower() == ".matcap" else folder / f"{name}.matcap"
-    exemplar = Material.load(file).exemplar if file.is_file() else None
+    exemplar = None
+    if file.is_file():
+        # What is exported was read; a material beside it that is broken only has no say.
+        with suppress(MatcapError):
+            exemplar = Material.load(file).exemplar
     if exemplar is None:
         return None
     return roomy(float(np.abs(exemplar.height).max(initial=0.0)))

@@ -70,3 +70,8 @@ def test_a_material_fixes_the_range_of_its_heights(tmp_path, made, monkeypatch):
     assert 1.2 * abs(height).max() < reach < 1.6 * abs(height).max()
     assert material_reach(tmp_path, "tiny") == reach  # of a map set beside it
     assert material_reach(tmp_path, "other") is None
+
+
+def test_a_broken_material_beside_the_maps_has_no_say(tmp_path):
+    (tmp_path / "tiny.matcap").write_bytes(b"no material")
+    assert material_reach(tmp_path, "tiny") is None
