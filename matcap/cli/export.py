@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import Bits, GeneratorOption, JsonOption, Normals, QuietOption, typed
+from matcap.cli.options import (
+    Bits,
+    ContainerName,
+    GeneratorOption,
+    JsonOption,
+    Normals,
+    QuietOption,
+    WorkflowName,
+    typed,
+)
 from matcap.files import values
 
 if TYPE_CHECKING:
@@ -26,8 +35,8 @@ def export(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Loose textures instead, named and packed as polyhaven, ambientcg, unreal, "
-            "unity-hdrp, gltf or raw.",
+            help="Loose textures instead, named and packed as polyhaven, ambientcg, raw, unreal, "
+            "unity-hdrp, unity-urp, godot, gltf or substance.",
         ),
     ] = None,
     out: Annotated[
@@ -52,6 +61,24 @@ def export(
             help="Of all textures: PNGs of 8 or 16 bits, EXR files of half or float.",
         ),
     ] = None,
+    workflow: Annotated[
+        WorkflowName | None,
+        typer.Option(
+            show_default="what comes nearest",
+            help="The target's metallic or specular workflow, where it has both.",
+        ),
+    ] = None,
+    container: Annotated[
+        ContainerName | None,
+        typer.Option(
+            "--format",
+            show_default="png or exr, as the bits are",
+            help="Of the textures' files; heights stay PNGs where it is jpg or webp.",
+        ),
+    ] = None,
+    tiled: Annotated[
+        bool, typer.Option("--tiled", help="EXR files in tiles, with mipmaps.")
+    ] = False,
     unit: Annotated[
         float | None,
         typer.Option(
@@ -59,6 +86,7 @@ def export(
             min=1e-6,
             max=1e9,
             metavar="MM",
+            show_default="what the material knows",
             help="Millimetres of a plane unit, half the photograph's long side: sizes and heights "
             "are then real.",
         ),
@@ -94,8 +122,9 @@ def export(
     """
     from matcap.errors import UsageError
     from matcap.export.presets import PresetOptions
+    from matcap.export.reach import material_reach
     from matcap.export.targets import check_target, export_bytes, write_export, write_preset
-    from matcap.export.textures import ExportJob
+    from matcap.export.textures import ExportJob, Workflow, known_scale
     from matcap.files.staging import check_writable
     from matcap.model.opened import open_tile
 
@@ -118,14 +147,24 @@ def export(
     )
     folder = out or Path(f"{found.name}_{target}")
     check_writable(folder, export_bytes(*found.maps.size))
-    job = ExportJob(found.maps, found.name, unit, bits and bits.value, found.provenance)
+    job = ExportJob(
+        found.maps,
+        found.name,
+        unit or known_scale(found.provenance),
+        bits and bits.value,
+        found.provenance,
+        container and container.value,
+        material_reach(path, found.name),
+        tiled,
+    )
+    form: Workflow | None = "specular" if workflow is WorkflowName.specular else None
+    form = "metallic" if workflow is WorkflowName.metallic else form
     if to is not None:
-        done = write_export(job, target, folder)
+        done = write_export(job, target, folder, workflow=form)
     else:
         chosen = [one.strip() for one in maps.split(",")] if maps else []
-        done = write_preset(
-            job, target, folder, PresetOptions(name, chosen, normal and normal.value)
-        )
+        choice = PresetOptions(name, chosen, normal and normal.value)
+        done = write_preset(job, target, folder, choice, form)
     _report(done, as_json=json, quiet=quiet)
 
 
@@ -155,7 +194,11 @@ def _report(done: Exported, *, as_json: bool, quiet: bool) -> None:
         report = {
             "folder": str(done.folder),
             "files": done.files,
+            "workflow": done.workflow,
             "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
+            "residuals": {
+                name: {"mean": one.mean, "worst": one.worst} for name, one in done.residuals.items()
+            },
             "notes": done.notes,
         }
         typer.echo(dumps(report, indent=2, allow_nan=False))
@@ -164,6 +207,10 @@ def _report(done: Exported, *, as_json: bool, quiet: bool) -> None:
         return
     typer.echo(f"wrote {done.folder} ({', '.join(done.files)})", err=True)
     if done.residual is not None:
-        typer.echo(f"residual: {done.residual}", err=True)
+        form = f", {done.workflow} workflow" if done.workflow else ""
+        typer.echo(f"residual{form}: {done.residual}", err=True)
+    for name, other in list(done.residuals.items()):
+        if other is not done.residual:
+            typer.echo(f"  {name}: {other}", err=True)
     for note in done.notes:
         typer.echo(f"note: {note}", err=True)

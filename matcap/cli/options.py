@@ -49,6 +49,23 @@ class Bits(Enum):
     float = "float"
 
 
+class WorkflowName(Enum):
+    """How a target parametrises reflectance."""
+
+    metallic = "metallic"
+    specular = "specular"
+
+
+class ContainerName(Enum):
+    """File formats of textures."""
+
+    png = "png"
+    jpg = "jpg"
+    webp = "webp"
+    exr = "exr"
+    tx = "tx"
+
+
 class GeneratorName(Enum):
     """How a material's field is made."""
 

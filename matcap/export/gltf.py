@@ -1,9 +1,11 @@
-"""A glTF 2.0 binary: a textured plane with KHR_materials_specular and KHR_materials_ior.
+"""A glTF 2.0 binary: a textured plane.
 
-The index of refraction gives the largest F0 of the maps, the specular colour texture scales it
-down per texel; so F0 is kept, whatever it is. The base colour is compensated (see
-specular_workflow.py). The height has no place in glTF; its scale goes with the sidecar. One metre
-is one metre where a plane unit's length is known, otherwise one plane unit.
+In the specular form, KHR_materials_specular and KHR_materials_ior: the index of refraction gives
+the largest F0 of the maps, the specular colour texture scales it down per texel; so F0 is kept,
+whatever it is. The metallic form does with glTF's core and one index of refraction. The base
+colour makes up for what the layer takes (fit.py). Ambient occlusion lies in red of the texture of
+roughness and metallic. The height has no place in glTF; its scale goes with the sidecar. A plane
+unit is as many metres as it really is, or one where nobody measured it.
 """
 
 from __future__ import annotations
@@ -11,59 +13,158 @@ from __future__ import annotations
 import json
 import math
 import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.export.specular_workflow import base_colour
+from matcap.export.presets import Lit, PackedMaterial
+from matcap.export.shading import Shading
+from matcap.export.specular_workflow import (
+    base_colour,
+    brightest,
+    clipping_notes,
+    specular_colour,
+    told_roughness,
+)
 from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Stored
-from matcap.export.textures import Export, ExportJob, coded_normal, seen, seen_normal
+from matcap.export.texture_file import Picture, Texture
+from matcap.export.textures import (
+    BASE,
+    Export,
+    ExportJob,
+    Piece,
+    Reader,
+    coded_normal,
+    occlusion_facts,
+    signed,
+)
 from matcap.files.maker import MAKER
 
+SHADING = Shading(layer="half")
 # Beyond this F0 the index of refraction runs off to infinity; a factor above 1 does the rest.
 _LARGEST_F0 = 0.9
 _FLOAT, _SHORT = 5126, 5123
 _VERTICES, _INDICES = 34962, 34963
 _REPEAT, _LINEAR, _MIPMAPS = 10497, 9729, 9987
+_MIME = {"png": "image/png", "jpg": "image/jpeg", "webp": "image/webp"}
 
 
-def gltf(job: ExportJob) -> Export:
+@dataclass(frozen=True)
+class _Look:
+    """A material's textures by name, and its numbers."""
+
+    textures: dict[str, Texture]
+    ior: float
+    metallic: float
+    factor: float | None = None
+
+
+def gltf_specular(job: ExportJob) -> Export:
     """NAME.glb, everything inside: colours of 8 bits, roughness and normals of 16.
 
     Raises:
         UsageError: textures of floats were asked for.
     """
+    _check(job)
+    largest = brightest(job, SHADING)
+    limit = min(largest, _LARGEST_F0)
+
+    def tint(piece: Piece) -> Picture:
+        scaled = specular_colour(piece, SHADING) / np.float32(largest)
+        return np.repeat(scaled[..., None], 3, axis=2)
+
+    def rough(piece: Piece) -> Picture:
+        occluded, flat = piece.picture("occlusion"), 0.0 * piece.ones
+        return np.stack([occluded, told_roughness(piece, SHADING), flat], axis=-1)
+
+    textures = {
+        "base_color": job.texture(lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
+        "specular_color": job.texture(tint, "8", "F0", srgb=True),
+        "roughness": job.texture(rough, "16", "occlusion, roughness"),
+        "normal": job.texture(coded_normal, "16", "normal"),
+    }
+
+    def surface(read: Reader) -> TargetSurface:
+        f0 = (read(textures["specular_color"])[:1] * largest).clamp(max=1.0)
+        return TargetSurface(
+            read(textures["base_color"]),
+            f0,
+            read(textures["roughness"])[1:2],
+            signed(read(textures["normal"])),
+            layer=f0,
+            shading=SHADING,
+        )
+
+    look = _Look(textures, ior(limit), 0.0, largest / limit)
+    notes = (*clipping_notes(job, SHADING), *job.size_notes())
+    facts = occlusion_facts(job)
+    return Export({}, _documents(job, look), {"specular": surface}, notes, facts)
+
+
+def gltf_metallic(job: ExportJob) -> Export:
+    """NAME.glb likewise, for viewers that know no KHR_materials_specular.
+
+    Raises:
+        UsageError: textures of floats were asked for.
+    """
+    _check(job)
+    lit = Lit(SHADING, "metallic", even=_LARGEST_F0).of(job)
+    f0 = lit.dielectric[0]
+
+    def rough(piece: Piece) -> Picture:
+        made = PackedMaterial(piece, lit)
+        return np.stack([piece.picture("occlusion"), made.roughness, made.metallic.metallic], -1)
+
+    textures = {
+        "base_color": job.texture(
+            lambda p: PackedMaterial(p, lit).metallic.base, "8", BASE, srgb=True
+        ),
+        "roughness": job.texture(rough, "16", "occlusion, roughness, metallic"),
+        "normal": job.texture(coded_normal, "16", "normal"),
+    }
+
+    def surface(read: Reader) -> TargetSurface:
+        base, orm = read(textures["base_color"]), read(textures["roughness"])
+        metal = orm[2:3]
+        return TargetSurface(
+            base * (1.0 - metal),
+            f0 * (1.0 - metal) + base * metal,
+            orm[1:2],
+            signed(read(textures["normal"])),
+            layer=f0,
+            shading=SHADING,
+        )
+
+    documents = _documents(job, _Look(textures, ior(f0), 1.0))
+    return Export({}, documents, {"metallic": surface}, job.size_notes(), occlusion_facts(job))
+
+
+def ior(f0: float) -> float:
+    """The index of refraction that reflects F0."""
+    return (1.0 + math.sqrt(f0)) / (1.0 - math.sqrt(f0))
+
+
+def _check(job: ExportJob) -> None:
     if job.depth in ("half", "float"):
         raise UsageError("glTF knows no textures of floats", where="--bits", remedy="give 8 or 16")
-    colour, fine = job.depth_or("8"), job.depth_or("16")
-    specular = job.picture("specular")
-    largest = max(float(specular.max()), 1e-4)
-    limit = min(largest, _LARGEST_F0)
-    base, notes = base_colour(job)
-    roughness = job.picture("roughness")
-    ones = np.ones_like(roughness)
-    tint = Stored(np.repeat((specular / largest)[..., None], 3, axis=2), colour, srgb=True)
-    pictures = {
-        "base_color": Stored(base, colour, srgb=True),
-        "specular_color": tint,
-        "roughness": Stored(np.stack([ones, roughness, 0.0 * ones], axis=-1), fine),
-        "normal": Stored(coded_normal(job), fine),
-    }
-    ior = (1.0 + math.sqrt(limit)) / (1.0 - math.sqrt(limit))
-    f0 = (seen(tint)[:1] * largest).clamp(max=1.0)
-    surface = TargetSurface(
-        seen(pictures["base_color"]),
-        f0,
-        seen(pictures["roughness"])[1:2],
-        seen_normal(pictures["normal"]),
-        layer=f0,
-    )
+    if job.container is not None and job.container not in _MIME:
+        raise UsageError(
+            f"glTF knows no {job.container}", where="--format", remedy="give png, jpg or webp"
+        )
+
+
+def _documents(job: ExportJob, look: _Look) -> dict[str, Callable[[Path], bytes]]:
+    return {f"{job.name}.glb": partial(_glb, job, look)}
+
+
+def _glb(job: ExportJob, look: _Look, _: Path) -> bytes:
     binary = _Binary()
-    document = _document(job, binary, pictures, ior, largest / limit)
-    glb = binary.glb(document)
-    return Export({}, {f"{job.name}.glb": glb}, surface, notes)
+    return binary.glb(_document(job, binary, look))
 
 
 class _Binary:
@@ -94,30 +195,29 @@ class _Binary:
         return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-def _document(
-    job: ExportJob, binary: _Binary, pictures: dict[str, Stored], ior: float, factor: float
-) -> dict[str, Any]:
-    metres = 1.0 if job.millimetres is None else job.millimetres / 1000.0
+def _document(job: ExportJob, binary: _Binary, look: _Look) -> dict[str, Any]:
     images = [
         {
-            "bufferView": binary.view(picture.png()),
-            "mimeType": "image/png",
+            # Untagged: glTF says itself how numbers are read, and browsers would apply gAMA.
+            "bufferView": binary.view(picture.encoded(job, tagged=False)),
+            "mimeType": _MIME[picture.container],
             "name": f"{job.name}_{kind}",
         }
-        for kind, picture in pictures.items()
+        for kind, picture in look.textures.items()
     ]
-    texture = {kind: {"index": index} for index, kind in enumerate(pictures)}
-    extensions = {
-        "KHR_materials_ior": {"ior": ior},
-        "KHR_materials_specular": {
-            "specularColorFactor": [factor] * 3,
+    texture = {kind: {"index": index} for index, kind in enumerate(look.textures)}
+    extensions: dict[str, Any] = {"KHR_materials_ior": {"ior": look.ior}}
+    if look.factor is not None:
+        extensions["KHR_materials_specular"] = {
+            "specularColorFactor": [look.factor] * 3,
             "specularColorTexture": texture["specular_color"],
-        },
-    }
-    accessors, primitive = _plane(job, binary, metres)
+        }
+    accessors, primitive = _plane(job, binary, job.metres)
+    used, textures = _textures(look)
     return {
         "asset": {"version": "2.0", "generator": MAKER},
-        "extensionsUsed": sorted(extensions),
+        "extensionsUsed": sorted([*extensions, *used]),
+        **({"extensionsRequired": used} if used else {}),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": job.name}],
@@ -129,19 +229,33 @@ def _document(
                 "pbrMetallicRoughness": {
                     "baseColorTexture": texture["base_color"],
                     "metallicRoughnessTexture": texture["roughness"],
-                    "metallicFactor": 0.0,
+                    "metallicFactor": look.metallic,
                     "roughnessFactor": 1.0,
                 },
                 "normalTexture": texture["normal"],
+                "occlusionTexture": texture["roughness"],
                 "extensions": extensions,
             }
         ],
-        "textures": [{"source": index, "sampler": 0} for index in range(len(images))],
+        "textures": textures,
         "images": images,
         "samplers": [
             {"magFilter": _LINEAR, "minFilter": _MIPMAPS, "wrapS": _REPEAT, "wrapT": _REPEAT}
         ],
     }
+
+
+def _textures(look: _Look) -> tuple[list[str], list[dict[str, Any]]]:
+    """Extensions that textures need, and the textures."""
+    used: list[str] = []
+    textures: list[dict[str, Any]] = []
+    for index, picture in enumerate(look.textures.values()):
+        if picture.container == "webp":
+            used = ["EXT_texture_webp"]
+            textures.append({"extensions": {used[0]: {"source": index}}, "sampler": 0})
+        else:
+            textures.append({"source": index, "sampler": 0})
+    return used, textures
 
 
 def _plane(

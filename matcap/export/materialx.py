@@ -1,48 +1,204 @@
-"""A MaterialX 1.39 document with matcap's own reflectance.
+"""MaterialX 1.39 documents: one with matcap's own reflectance, two for the standard shaders.
 
-A Lambertian diffuse and a `generalized_schlick_bsdf` are added, not layered: matcap's diffuse
-albedo is what is seen beside the specular part. Roughness is squared to alpha, as GGX takes it,
-and the height moves the surface by its real size. MaterialX's renderers add what bounces between
-microfacets to the specular part, which matcap leaves out: brighter by up to some ten per cent where
-F0 and roughness are both high.
+NAME.mtlx adds a Lambertian diffuse and a `generalized_schlick_bsdf`: matcap's diffuse albedo is
+what is seen beside the specular part. Roughness is squared to alpha, as GGX takes it. MaterialX's
+renderers add what bounces between microfacets to the specular part, which matcap leaves out:
+brighter by up to some ten per cent where F0 and roughness are both high.
+
+NAME_openpbr.mtlx and NAME_standard_surface.mtlx are for programs that know the shaders
+`open_pbr_surface` and `standard_surface` only, such as Unreal. Both layer the specular part over
+the diffuse one; their base colour makes up for what the layer takes (fit.py).
+
+In all of them the height moves the surface by its real size, in metres where that is known.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
-from matcap.export.textures import Export, ExportJob, Standard
+import numpy as np
 
-_VERSION = "1.39"
+from matcap.errors import UsageError
+from matcap.export.gltf import ior
+from matcap.export.shading import Shading
+from matcap.export.specular_workflow import (
+    base_colour,
+    clipping_notes,
+    specular_colour,
+)
+from matcap.export.surface import TargetSurface, nearest
+from matcap.export.texture_file import Picture, Texture
+from matcap.export.textures import BASE, Export, ExportJob, Piece, Reader, Standard, signed
+
+VERSION = "1.39"
+# Indices of refraction that are tried, by their F0; the last is as high as they get.
+_INDICES = (0.04, 0.08, 0.12, 0.2, 0.3, 0.5, 0.9)
 
 
 def materialx(job: ExportJob) -> Export:
-    """NAME.mtlx beside its textures."""
+    """NAME.mtlx, NAME_openpbr.mtlx and NAME_standard_surface.mtlx beside their textures."""
+    if job.container == "webp":
+        raise UsageError(
+            "MaterialX knows no webp", where="--format", remedy="give png, jpg, exr or tx"
+        )
     textures = Standard.of(job)
-    files = textures.files(job.name)
-    document = _document(job, *files)
-    return Export(dict(files), {f"{job.name}.mtlx": document}, textures.surface())
+    standard = textures.files(job.name)
+    layered = Layered.of(job)
+    documents: dict[str, Callable[[Path], bytes]] = {
+        f"{job.name}.mtlx": partial(_exact, job, standard)
+    }
+    for shader, label in (("open_pbr_surface", "openpbr"), ("standard_surface",) * 2):
+        files = layered.files(job.name) | dict(list(standard.items())[2:])
+        documents[f"{job.name}_{label}.mtlx"] = partial(_layered, job, files, shader, layered.ior)
+    return Export(
+        standard | layered.files(job.name),
+        documents,
+        {
+            "exact": textures.surface,
+            "open_pbr_surface": partial(layered.surface, textures),
+            "standard_surface": partial(layered.surface, textures),
+        },
+        (*clipping_notes(job, layered.shading), *job.size_notes()),
+    )
 
 
-def _document(
-    job: ExportJob, diffuse: str, specular: str, roughness: str, normal: str, height: str
-) -> bytes:
-    """The .mtlx file; names of the five textures."""
-    root = ET.Element("materialx", version=_VERSION, colorspace="lin_rec709")
-    graph = ET.SubElement(root, "nodegraph", name="NG_matcap")
+@dataclass(frozen=True)
+class Layered:
+    """The two textures of shaders that layer a specular part over a diffuse one.
 
-    def image(name: str, kind: str, file: str, space: str | None = None) -> None:
-        node = _node(graph, "image", name, kind)
-        source = ET.SubElement(node, "input", name="file", type="filename", value=file)
-        if space:
-            source.set("colorspace", space)
+    Exact Fresnel of one index of refraction, tinted down to the F0 of every texel: of a higher
+    index the curve is nearer to Schlick's, which matcap has.
 
-    # PNGs of colour carry the sRGB curve; EXR textures hold light, like the document.
-    image("diffuse", "color3", diffuse, "srgb_texture" if diffuse.endswith(".png") else None)
-    image("specular", "float", specular)
-    image("roughness", "float", roughness)
-    image("normal_texture", "vector3", normal)
-    image("height", "float", height)
+    Attributes:
+        base: colour below it.
+        tint: of the specular part.
+        shading: what the shaders do with them.
+    """
+
+    base: Texture
+    tint: Texture
+    shading: Shading
+
+    @staticmethod
+    def of(job: ExportJob) -> Layered:
+        """Of a job's maps, with the index of refraction that comes nearest."""
+        least = _least(job)
+        indices = (least, *(index for index in _INDICES if index > least))
+        tried = [Layered.at(job, index) for index in indices]
+        standard = Standard.of(job)
+        surfaces = {n: partial(one.surface, standard) for n, one in enumerate(tried)}
+        return tried[nearest(job, surfaces)]
+
+    @staticmethod
+    def at(job: ExportJob, index: float) -> Layered:
+        """Of a job's maps, with the index of refraction that reflects F0 = `index`."""
+        shading = Shading(layer="albedo", compensated=True, index=index)
+
+        def tint(piece: Piece) -> Picture:
+            return np.clip(specular_colour(piece, shading) / np.float32(index), 0.0, 1.0)
+
+        return Layered(
+            job.texture(lambda piece: base_colour(piece, shading), "16", BASE, srgb=True),
+            job.texture(tint, "16", f"F0 / {index:g}"),
+            shading,
+        )
+
+    @property
+    def ior(self) -> float:
+        """The index of refraction."""
+        return ior(self.shading.index or 0.0)
+
+    def files(self, name: str) -> dict[str, Texture]:
+        """By file name."""
+        return {
+            f"{name}_base_color{self.base.suffix}": self.base,
+            f"{name}_specular_color{self.tint.suffix}": self.tint,
+        }
+
+    def surface(self, others: Standard, read: Reader) -> TargetSurface:
+        """What a shader makes of them, and of others' roughness and normals."""
+        f0 = read(self.tint) * (self.shading.index or 0.0)
+        return TargetSurface(
+            read(self.base),
+            f0,
+            read(others.roughness),
+            signed(read(others.normal)),
+            layer=f0,
+            shading=self.shading,
+        )
+
+
+def _least(job: ExportJob) -> float:
+    """The F0 that an index of refraction must reach."""
+    return float(np.clip(job.specular.max(), _INDICES[0], _INDICES[-1]))
+
+
+class _Document:
+    """A document with one node graph of textures, and one material."""
+
+    def __init__(self, job: ExportJob) -> None:
+        self.job = job
+        self.root = ET.Element("materialx", version=VERSION, colorspace="lin_rec709")
+        self.graph = ET.SubElement(self.root, "nodegraph", name="NG_matcap")
+
+    def image(self, name: str, kind: str, file: str, texture: Texture) -> None:
+        """A picture, with the colour space of its numbers: raw where they are no colours."""
+        node = _node(self.graph, "image", name, kind)
+        space = "srgb_texture" if texture.colour_space == "sRGB" else "lin_rec709"
+        made = ET.SubElement(node, "input", name="file", type="filename", value=file)
+        made.set("colorspace", space if texture.srgb else "raw")
+
+    def displaced(self, file: str, texture: Texture) -> None:
+        """The height, moving the surface."""
+        job, graph = self.job, self.graph
+        self.image("height", "float", file, texture)
+        width, tall = (side * job.unit_length for side in job.extent)
+        moved = _node(graph, "displacement", "moved", "displacementshader")
+        moved.set("doc", f"One tile is {width:.6g} x {tall:.6g} {job.unit}.")
+        _link(moved, "displacement", "float", "height")
+        scale = _value(moved, "scale", "float", repr(job.metres))
+        if job.millimetres is not None:
+            scale.set("unittype", "distance")
+            scale.set("unit", "meter")
+        ET.SubElement(
+            graph,
+            "output",
+            name="displacement_out",
+            type="displacementshader",
+            nodename="moved",
+        )
+
+    def material(self, **surface: str) -> bytes:
+        """The file; `surface` are the attributes by which the material finds its surface."""
+        material = _node(self.root, "surfacematerial", "M_matcap", "material")
+        kind = "surfaceshader"
+        ET.SubElement(material, "input", {"name": kind, "type": kind, **surface})
+        ET.SubElement(
+            material,
+            "input",
+            name="displacementshader",
+            type="displacementshader",
+            nodegraph="NG_matcap",
+            output="displacement_out",
+        )
+        ET.indent(self.root)
+        return ET.tostring(self.root, encoding="utf-8", xml_declaration=True) + b"\n"
+
+
+def _exact(job: ExportJob, files: dict[str, Texture], _: Path) -> bytes:
+    """The .mtlx file of matcap's own reflectance; the five textures."""
+    made = _Document(job)
+    graph = made.graph
+    diffuse, specular, roughness, normal, height = files.items()
+    made.image("diffuse", "color3", *diffuse)
+    made.image("specular", "float", *specular)
+    made.image("roughness", "float", *roughness)
+    made.image("normal_texture", "vector3", *normal)
+    made.displaced(*height)
     normal_map = _node(graph, "normalmap", "normal", "vector3")
     _link(normal_map, "in", "vector3", "normal_texture")
     base = _node(graph, "oren_nayar_diffuse_bsdf", "diffuse_bsdf", "BSDF")
@@ -68,25 +224,60 @@ def _document(
     _link(both, "in2", "BSDF", "specular_bsdf")
     surface = _node(graph, "surface", "lit", "surfaceshader")
     _link(surface, "bsdf", "BSDF", "bsdf")
-    width, tall = (side * job.unit_length for side in job.extent)
-    note = f"One tile is {width:.6g} x {tall:.6g} {job.unit}; heights are moved to the same unit."
-    moved = _node(graph, "displacement", "moved", "displacementshader")
-    moved.set("doc", note)
-    _link(moved, "displacement", "float", "height")
-    _value(moved, "scale", "float", repr(job.unit_length))
-    for name, kind, node in (
-        ("surface_out", "surfaceshader", "lit"),
-        ("displacement_out", "displacementshader", "moved"),
-    ):
-        ET.SubElement(graph, "output", name=name, type=kind, nodename=node)
-    material = _node(root, "surfacematerial", "M_matcap", "material")
-    for name, kind, output in (
-        ("surfaceshader", "surfaceshader", "surface_out"),
-        ("displacementshader", "displacementshader", "displacement_out"),
-    ):
-        ET.SubElement(material, "input", name=name, type=kind, nodegraph="NG_matcap", output=output)
-    ET.indent(root)
-    return ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+    ET.SubElement(graph, "output", name="surface_out", type="surfaceshader", nodename="lit")
+    return made.material(nodegraph="NG_matcap", output="surface_out")
+
+
+# Inputs by which the two shaders take the same things.
+INPUTS = {
+    "open_pbr_surface": {
+        "base_color": ("base_color", "color3"),
+        "tint": ("specular_color", "color3"),
+        "roughness": ("specular_roughness", "float"),
+        "ior": ("specular_ior", "float"),
+        "normal": ("geometry_normal", "vector3"),
+    },
+    "standard_surface": {
+        "base_color": ("base_color", "color3"),
+        "tint": ("specular_color", "color3"),
+        "roughness": ("specular_roughness", "float"),
+        "ior": ("specular_IOR", "float"),
+        "normal": ("normal", "vector3"),
+    },
+}
+
+
+def _layered(
+    job: ExportJob, files: dict[str, Texture], shader: str, index: float, _: Path
+) -> bytes:
+    """The .mtlx file of one of the standard shaders; the five textures."""
+    made = _Document(job)
+    base, tint, roughness, normal, height = files.items()
+    made.image("base_color", "color3", *base)
+    made.image("f0", "float", *tint)
+    made.image("roughness", "float", *roughness)
+    made.image("normal_texture", "vector3", *normal)
+    made.displaced(*height)
+    _link(_node(made.graph, "normalmap", "normal", "vector3"), "in", "vector3", "normal_texture")
+    _link(_node(made.graph, "convert", "tint", "color3"), "in", "float", "f0")
+    inputs = INPUTS[shader]
+    surface = _node(made.root, shader, "lit", "surfaceshader")
+    if shader == "standard_surface":
+        _value(surface, "base", "float", "1")
+        _value(surface, "specular", "float", "1")
+    for name in ("base_color", "tint", "roughness", "normal"):
+        input_, kind = inputs[name]
+        ET.SubElement(made.graph, "output", name=f"{name}_out", type=kind, nodename=name)
+        ET.SubElement(
+            surface,
+            "input",
+            name=input_,
+            type=kind,
+            nodegraph="NG_matcap",
+            output=f"{name}_out",
+        )
+    _value(surface, inputs["ior"][0], "float", repr(index))
+    return made.material(nodename="lit")
 
 
 def _node(parent: ET.Element, category: str, name: str, kind: str) -> ET.Element:
@@ -97,5 +288,5 @@ def _link(node: ET.Element, name: str, kind: str, source: str) -> None:
     ET.SubElement(node, "input", name=name, type=kind, nodename=source)
 
 
-def _value(node: ET.Element, name: str, kind: str, value: str) -> None:
-    ET.SubElement(node, "input", name=name, type=kind, value=value)
+def _value(node: ET.Element, name: str, kind: str, value: str) -> ET.Element:
+    return ET.SubElement(node, "input", name=name, type=kind, value=value)

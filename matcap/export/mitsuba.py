@@ -16,9 +16,11 @@ from importlib.resources import files as resources
 
 import numpy as np
 
+from matcap.errors import UsageError
+from matcap.export.shading import Shading
 from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Stored
-from matcap.export.textures import Export, ExportJob, Standard, seen, seen_normal
+from matcap.export.texture_file import Picture
+from matcap.export.textures import Export, ExportJob, Piece, Reader, Standard, signed
 
 _SCRIPT = "matcap_bsdf.py"
 _LARGEST_SHARE = 0.98
@@ -28,29 +30,30 @@ _VERSION = "3.6.0"
 
 def mitsuba(job: ExportJob) -> Export:
     """NAME.xml, NAME_exact.xml and matcap_bsdf.py beside the textures."""
+    if job.container in ("tx", "webp"):
+        raise UsageError(
+            f"Mitsuba knows no {job.container}", where="--format", remedy="give png, jpg or exr"
+        )
     textures = Standard.of(job)
-    diffuse, f0 = job.picture("diffuse"), job.picture("specular")
-    rest = 1.0 - diffuse.max(axis=-1)
-    share = np.clip(rest, np.minimum(f0, _LARGEST_SHARE), _LARGEST_SHARE).astype(np.float32)
-    depth = job.depth_or("16")
     blend = {
-        "share": Stored(share, depth, meaning="share of the blend that is specular"),
-        "blend_diffuse": Stored(
-            diffuse / (1.0 - share)[..., None], depth, srgb=True, meaning="diffuse / (1 - share)"
-        ),
-        "blend_specular": Stored(f0 / np.maximum(share, 1e-6), depth, meaning="F0 / share"),
+        "share": job.texture(_share, "16", "share of the blend that is specular"),
+        "blend_diffuse": job.texture(_blend_diffuse, "16", "diffuse / (1 - share)", srgb=True),
+        "blend_specular": job.texture(_blend_specular, "16", "F0 / share"),
     }
     standard = textures.files(job.name)
     names = {kind: f"{job.name}_{kind}{made.suffix}" for kind, made in blend.items()}
-    made = {kind: seen(one) for kind, one in blend.items()}
-    surface = TargetSurface(
-        made["blend_diffuse"] * (1.0 - made["share"]),
-        made["blend_specular"] * made["share"],
-        seen(textures.roughness),
-        seen_normal(textures.normal),
-        f90=made["share"],
-        masking="separable",
-    )
+
+    def surface(read: Reader) -> TargetSurface:
+        share = read(blend["share"])
+        return TargetSurface(
+            read(blend["blend_diffuse"]) * (1.0 - share),
+            read(blend["blend_specular"]) * share,
+            read(textures.roughness),
+            signed(read(textures.normal)),
+            f90=share,
+            shading=Shading(masking="separable"),
+        )
+
     diffuse_file, specular_file, roughness_file, normal_file, _ = standard
     exact = _element("bsdf", "matcap")
     _texture(exact, "diffuse", diffuse_file, colour=True)
@@ -68,13 +71,29 @@ def mitsuba(job: ExportJob) -> Export:
     return Export(
         standard | {names[kind]: one for kind, one in blend.items()},
         {
-            f"{job.name}.xml": _scene(job, plain, normal_file),
-            f"{job.name}_exact.xml": _scene(job, exact, normal_file),
-            _SCRIPT: script,
+            f"{job.name}.xml": lambda _: _scene(job, plain, normal_file),
+            f"{job.name}_exact.xml": lambda _: _scene(job, exact, normal_file),
+            _SCRIPT: lambda _: script,
         },
-        surface,
+        {"blend": surface, "exact": textures.surface},
         (f"the residual is of {job.name}.xml; {job.name}_exact.xml with {_SCRIPT} has none",),
     )
+
+
+def _share(piece: Piece) -> Picture:
+    """(H, W) as much of the blend as the diffuse albedo leaves to the specular part."""
+    rest = 1.0 - piece.picture("diffuse").max(axis=-1)
+    least = np.minimum(piece.picture("specular"), _LARGEST_SHARE)
+    return np.clip(rest, least, np.float32(_LARGEST_SHARE)).astype(np.float32)
+
+
+def _blend_diffuse(piece: Piece) -> Picture:
+    below: Picture = piece.picture("diffuse") / (np.float32(1.0) - _share(piece))[..., None]
+    return below
+
+
+def _blend_specular(piece: Piece) -> Picture:
+    return (piece.picture("specular") / np.maximum(_share(piece), 1e-6)).astype(np.float32)
 
 
 def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:
@@ -125,10 +144,10 @@ def _element(tag: str, kind: str) -> ET.Element:
 
 
 def _texture(parent: ET.Element, name: str, file: str, *, colour: bool = False) -> None:
-    """A picture; only colours in PNGs carry the sRGB curve."""
+    """A picture; only colours in whole numbers carry the sRGB curve."""
     texture = ET.SubElement(parent, "texture", type="bitmap", name=name)
     ET.SubElement(texture, "string", name="filename", value=file)
-    raw = "false" if colour and file.endswith(".png") else "true"
+    raw = "false" if colour and file.endswith((".png", ".jpg")) else "true"
     ET.SubElement(texture, "boolean", name="raw", value=raw)
     # Mitsuba puts a picture's first row at v = 0, the rectangle's lower border.
     upright = ET.SubElement(texture, "transform", name="to_uv")

@@ -1,68 +1,134 @@
 """Loose textures as libraries and engines name and pack them.
 
 A preset is a table: which pictures there are, what each is called, how it is stored and made. The
-normal map's direction is part of its name wherever it goes.
+normal map's direction is part of its name wherever it goes. Read next: libraries.py and engines.py,
+the tables.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import partial
+from pathlib import Path
 from string import Formatter
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.folder import plain_name
 from matcap.errors import UsageError
-from matcap.export.metallic import Metallic, to_metallic
+from matcap.export.fit import told
+from matcap.export.metallic import FIRST_METAL, Metallic, to_metallic
 from matcap.export.names import known
+from matcap.export.shading import MATCAP, Shading
 from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Depth, Stored
+from matcap.export.texture_file import Depth, Texture
 from matcap.export.textures import (
-    BASE,
+    BENT,
+    CAVITY,
     CODED_HEIGHT,
-    DIFFUSE,
+    HEIGHT,
     NORMAL,
-    ROUGHNESS,
+    OCCLUSION,
     SIGNED_NORMAL,
-    SPECULAR,
     Export,
     ExportJob,
+    MadeSurface,
+    Piece,
+    Reader,
+    Workflow,
+    coded_height,
     coded_normal,
-    scaled_height,
-    seen,
-    seen_normal,
+    coded_normal_dx,
+    height_facts,
+    occlusion_facts,
+    picture,
+    signed,
 )
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Normals = Literal["gl", "dx", "both"]
 _FIELDS = ("stem", "map", "res", "format")
-_NO_OCCLUSION = "occlusion is left white: shadows are for the renderer"
+_SHADED = ("occlusion", "cavity", "bent")
+Picture = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class PackedMaterial:
-    """Maps being packed, with what several pictures of a preset share."""
+    """Numbers for a target, of a piece of the maps.
 
-    job: ExportJob
-    lowest: float
-    highest: float
-    layer: float | None
+    Attributes:
+        piece: the maps.
+        lit: how the target shades and parametrises them.
+    """
 
-    @cached_property
+    piece: Piece
+    lit: Lit
+
+    @property
+    def roughness(self) -> Picture:
+        """(H, W)."""
+        return told(self.lit.shading).rough(*self._meant)
+
+    @property
+    def f0(self) -> Picture:
+        """(H, W) in [0, 1]."""
+        return np.clip(told(self.lit.shading).f0(*self._meant), 0.0, 1.0)
+
+    @property
     def metallic(self) -> Metallic:
-        """The nearest metallic material, its base compensated for the layer above it."""
-        diffuse = self.job.picture("diffuse") / np.float32(1.0 - (self.layer or 0.0))
-        return to_metallic(
-            diffuse, self.job.picture("specular"), lowest=self.lowest, highest=self.highest
-        )
+        """The nearest metallic material."""
+        low, high = self.lit.dielectric
+        f0, rough = self._meant
+        share = told(self.lit.shading).albedo(np.clip(f0, low, high), rough)
+        diffuse = self.piece.picture("diffuse") * share[..., None]
+        return to_metallic(diffuse, self.f0, lowest=low, highest=high, below=self.lit.below)
 
-    @cached_property
-    def ones(self) -> NDArray[np.float32]:
-        """(H, W) of 1."""
-        return np.ones_like(self.job.picture("roughness"))
+    @property
+    def base(self) -> Picture:
+        """(H, W, 3) base colour below any F0."""
+        share = told(self.lit.shading).albedo(*self._meant)
+        if self.lit.conserving:
+            share = share / np.maximum(1.0 - self.f0, 1e-6)
+        return np.clip(self.piece.picture("diffuse") * share[..., None], 0.0, 1.0)
+
+    @property
+    def _meant(self) -> tuple[Picture, Picture]:
+        return self.piece.picture("specular"), self.piece.picture("roughness")
+
+
+@dataclass(frozen=True)
+class Lit:
+    """How an engine takes its textures as a reflectance.
+
+    Attributes:
+        shading: of the engine.
+        workflow: what its textures are.
+        dielectric: (lowest, highest) F0 of what is no metal; of the metallic workflow.
+        below: share of the base colour that is diffuse, likewise.
+        conserving: the base colour is multiplied by 1 - F0; of the specular workflow.
+        even: the largest F0 that the material as a whole can give its dielectrics; None where the
+            engine does not let it.
+    """
+
+    shading: Shading
+    workflow: Workflow
+    dielectric: tuple[float, float] = (0.0, 1.0)
+    below: float = 1.0
+    conserving: bool = False
+    even: float | None = None
+
+    def of(self, job: ExportJob) -> Lit:
+        """With the mean F0 of the maps' dielectrics where the engine has one for all."""
+        if self.even is None:
+            return self
+        plain = job.specular[job.specular < FIRST_METAL]
+        f0 = min(float(plain.mean()) if plain.size else self.dielectric[0], self.even)
+        return replace(self, dielectric=(f0, f0))
 
 
 @dataclass(frozen=True)
@@ -72,16 +138,21 @@ class PresetTexture:
     Attributes:
         label: what {map} becomes in its name.
         depth: how it is stored unless the user says otherwise.
-        make: its values.
+        make: its values, of what the target is told; None for maps as they are.
         meaning: of its values, for the sidecar.
         srgb: a PNG of it carries the sRGB curve.
     """
 
     label: str
     depth: Depth
-    make: Callable[[PackedMaterial], NDArray[np.float32]]
+    make: Callable[[PackedMaterial], Picture]
     meaning: str
     srgb: bool = False
+
+
+# Text documents that go beside the textures: of the job, the textures' names by kind, and the
+# engine.
+Documents = Callable[[ExportJob, dict[str, str], Lit], dict[str, str]]
 
 
 @dataclass(frozen=True)
@@ -94,132 +165,53 @@ class Preset:
         normal: the direction it wants.
         normal_labels: what {map} becomes for normals with +Y up and down.
         thousand: the letter for 1024 in {res}.
-        metallic: (lowest, highest) F0 of its dielectrics where it knows metals only.
-        layer: F0 of the layer that darkens its diffuse part, or None.
+        lit: how an engine takes them; None for a library.
         notes: what users must know, a sentence each.
+        documents: what goes beside the textures.
     """
 
     pattern: str
     textures: dict[str, PresetTexture]
-    normal: Literal["gl", "dx"] = "gl"
+    normal: Normals = "gl"
     normal_labels: tuple[str, str] = ("normal_gl", "normal_dx")
     thousand: str = "k"
-    metallic: tuple[float, float] | None = None
-    layer: float | None = None
+    lit: Lit | None = None
     notes: tuple[str, ...] = ()
+    documents: Documents | None = None
 
 
-def _map(kind: str) -> Callable[[PackedMaterial], NDArray[np.float32]]:
-    return lambda material: material.job.picture(kind)
+def plain(kind: str) -> Callable[[PackedMaterial], Picture]:
+    """Makes a map as it is."""
+    return lambda material: material.piece.picture(kind)
 
 
-def _orm(material: PackedMaterial) -> NDArray[np.float32]:
-    parts = (material.ones, material.job.picture("roughness"), material.metallic.metallic)
-    return np.stack(parts, axis=-1)
+def height(label: str, depth: Depth = "16") -> PresetTexture:
+    """The height, coded by one range where it is in whole numbers."""
+    return PresetTexture(label, depth, plain("height"), CODED_HEIGHT)
 
 
-def _mask(material: PackedMaterial) -> NDArray[np.float32]:
-    ones, smoothness = material.ones, 1.0 - material.job.picture("roughness")
-    return np.stack([material.metallic.metallic, ones, ones, smoothness], axis=-1)
+def normal(depth: Depth = "16") -> PresetTexture:
+    """The normal, in the preset's direction."""
+    return PresetTexture("", depth, plain("normal"), NORMAL)
 
 
-def _base(material: PackedMaterial) -> NDArray[np.float32]:
-    return material.metallic.base
+def occlusion(label: str, depth: Depth = "8") -> PresetTexture:
+    """Ambient occlusion."""
+    return PresetTexture(label, depth, plain("occlusion"), OCCLUSION)
 
 
-def _unreal_specular(material: PackedMaterial) -> NDArray[np.float32]:
-    return material.metallic.dielectric / np.float32(0.08)
+def cavity(label: str, depth: Depth = "8") -> PresetTexture:
+    """Occlusion by the nearest neighbours."""
+    return PresetTexture(label, depth, plain("cavity"), CAVITY)
 
 
-# Heights and normals are made by the job's own rules; only label, depth and meaning count.
-_ORM = "R: occlusion, G: roughness, B: metallic"
+def bent(label: str, depth: Depth = "8") -> PresetTexture:
+    """Bent normals, +Y up."""
 
+    def made(material: PackedMaterial) -> Picture:
+        return np.float32(0.5) + np.float32(0.5) * material.piece.picture("bent")
 
-def _height(label: str, depth: Depth = "16") -> PresetTexture:
-    return PresetTexture(label, depth, _map("height"), CODED_HEIGHT)
-
-
-def _normal(depth: Depth = "16") -> PresetTexture:
-    return PresetTexture("", depth, _map("normal"), NORMAL)
-
-
-PRESETS: dict[str, Preset] = {
-    "polyhaven": Preset(
-        "{stem}_{map}_{res}",
-        {
-            "diffuse": PresetTexture("diff", "8", _map("diffuse"), DIFFUSE, srgb=True),
-            "specular": PresetTexture("spec", "16", _map("specular"), SPECULAR),
-            "roughness": PresetTexture("rough", "16", _map("roughness"), ROUGHNESS),
-            "height": _height("disp"),
-            "normal": _normal(),
-        },
-        normal_labels=("nor_gl", "nor_dx"),
-    ),
-    "ambientcg": Preset(
-        "{stem}_{res}-{format}_{map}",
-        {
-            "diffuse": PresetTexture("Color", "8", _map("diffuse"), DIFFUSE, srgb=True),
-            "specular": PresetTexture("Specular", "16", _map("specular"), SPECULAR),
-            "roughness": PresetTexture("Roughness", "16", _map("roughness"), ROUGHNESS),
-            "height": _height("Displacement"),
-            "normal": _normal(),
-        },
-        normal_labels=("NormalGL", "NormalDX"),
-        thousand="K",
-    ),
-    "unreal": Preset(
-        "T_{stem}_{map}",
-        {
-            "base": PresetTexture("BaseColor", "8", _base, BASE, srgb=True),
-            "orm": PresetTexture("ORM", "8", _orm, _ORM),
-            "specular": PresetTexture(
-                "Specular", "8", _unreal_specular, "F0 / 0.08 of the dielectric"
-            ),
-            "height": _height("Height"),
-            "normal": _normal("8"),
-        },
-        normal="dx",
-        normal_labels=("Normal_GL", "Normal_DX"),
-        metallic=(0.0, 0.08),
-        notes=(_NO_OCCLUSION, "switch sRGB off for ORM, Specular and Height"),
-    ),
-    "unity-hdrp": Preset(
-        "{stem}_{map}",
-        {
-            "base": PresetTexture("BaseMap", "8", _base, BASE, srgb=True),
-            "mask": PresetTexture(
-                "MaskMap", "8", _mask, "R: metallic, G: occlusion, B: detail, A: smoothness"
-            ),
-            "height": _height("HeightMap"),
-            "normal": _normal("8"),
-        },
-        normal_labels=("Normal_GL", "Normal_DX"),
-        metallic=(0.04, 0.04),
-        notes=(_NO_OCCLUSION, "switch sRGB off for MaskMap and HeightMap"),
-    ),
-    "gltf": Preset(
-        "{stem}_{map}",
-        {
-            "base": PresetTexture("baseColor", "8", _base, BASE, srgb=True),
-            "orm": PresetTexture("occlusionRoughnessMetallic", "8", _orm, _ORM),
-            "height": _height("height"),
-            "normal": _normal("8"),
-        },
-        metallic=(0.04, 0.04),
-        layer=0.04,
-        notes=(_NO_OCCLUSION, "--to gltf keeps F0, by KHR_materials_specular"),
-    ),
-    "raw": Preset(
-        "{stem}_{map}",
-        {
-            "diffuse": PresetTexture("diffuse", "half", _map("diffuse"), DIFFUSE, srgb=True),
-            "specular": PresetTexture("specular", "half", _map("specular"), SPECULAR),
-            "roughness": PresetTexture("roughness", "half", _map("roughness"), ROUGHNESS),
-            "height": _height("height", "float"),
-            "normal": _normal("half"),
-        },
-    ),
-}
+    return PresetTexture(label, depth, made, f"{BENT}, +Y up (OpenGL)")
 
 
 @dataclass(frozen=True)
@@ -237,101 +229,162 @@ class PresetOptions:
     normal: Normals | None = None
 
 
-def pack(job: ExportJob, name: str, choice: PresetOptions | None = None) -> Export:
+def pack(job: ExportJob, preset: Preset, choice: PresetOptions | None = None) -> Export:
     """The textures of a preset.
 
     Raises:
-        UsageError: no such preset, map or field of a name; a name that leaves the folder, or two
-            pictures of one name.
+        UsageError: no such map or field of a name; a name that leaves the folder, or two pictures
+            of one name.
     """
-    preset, choice = PRESETS[known(name, PRESETS, "--preset")], choice or PresetOptions()
-    wanted = [known(one, preset.textures, f"--maps for {name}") for one in choice.maps]
+    choice = choice or PresetOptions()
+    wanted = [known(one, preset.textures, "--maps") for one in choice.maps]
     pattern = _checked(choice.pattern or preset.pattern)
-    material = PackedMaterial(job, *(preset.metallic or (0.0, 1.0)), preset.layer)
-    stored: dict[str, tuple[str, Stored]] = {}
-    facts: dict[str, object] = {}
+    lit = preset.lit and preset.lit.of(job)
+    packed: dict[str, tuple[str, Texture]] = {}
     for kind, texture in preset.textures.items():
         if wanted and kind not in wanted:
             continue
-        depth = job.depth_or(texture.depth)
         if kind == "normal":
             for way in _ways(choice.normal or preset.normal):
-                made = _stored_normal(job, depth, dx=way == "dx")
-                stored[f"normal_{way}"] = (preset.normal_labels[way == "dx"], made)
+                made = _normal(job, texture.depth, dx=way == "dx")
+                packed[f"normal_{way}"] = preset.normal_labels[way == "dx"], made
         elif kind == "height":
-            made, scale, midlevel = scaled_height(job, depth)
-            stored[kind] = (texture.label, replace(made, meaning=texture.meaning))
-            scale *= job.unit_length
-            facts["height"] = {"scale": scale, "midlevel": midlevel, "unit": job.unit}
+            packed[kind] = texture.label, _height(job, texture)
         else:
-            made = Stored(texture.make(material), depth, texture.srgb, texture.meaning)
-            stored[kind] = (texture.label, made)
-    res = _resolution(job, preset.thousand)
-    files: dict[str, Stored] = {}
-    for label, made in stored.values():
-        fields = {"stem": job.name, "map": label, "res": res, "format": made.suffix[1:].upper()}
+            packed[kind] = texture.label, _made(job, lit, texture)
+    names = _names(job, packed, pattern, preset.thousand)
+    textures = {names[kind]: made for kind, (_, made) in packed.items()}
+    surfaces: dict[str, MadeSurface] = {}
+    documents: dict[str, Callable[[Path], bytes]] = {}
+    if lit is not None and not wanted:
+        kinds = {kind: made for kind, (_, made) in packed.items()}
+        surfaces = {lit.workflow: partial(_surface, lit, kinds)}
+    if preset.documents is not None and lit is not None and not wanted:
+        texts = preset.documents(job, names, lit)
+        documents = {name: _encoded(text) for name, text in texts.items()}
+    facts = _facts(job, preset, wanted) | {"textures": names}
+    return Export(textures, documents, surfaces, preset.notes, facts)
+
+
+def _names(
+    job: ExportJob, packed: dict[str, tuple[str, Texture]], pattern: str, thousand: str
+) -> dict[str, str]:
+    """File names by kind.
+
+    Raises:
+        UsageError: two of them are the same.
+    """
+    res = _resolution(job, thousand)
+    names: dict[str, str] = {}
+    for kind, (label, made) in packed.items():
+        container = made.suffix[1:].upper()
+        fields = {"stem": job.name, "map": label, "res": res, "format": container}
         file = plain_name(pattern.format(**fields)) + made.suffix
-        if file in files:
+        if file in names.values():
             raise UsageError(
                 f"two maps are called {file}", where="--name", remedy="put {map} into the name"
             )
-        files[file] = made
-    whole = not wanted and preset.metallic is not None
-    surface = _metallic_surface(job, preset, stored) if whole else None
-    return Export(files, {}, surface, preset.notes, facts)
+        names[kind] = file
+    return names
+
+
+def _encoded(text: str) -> Callable[[Path], bytes]:
+    return lambda _: text.encode()
+
+
+def _facts(job: ExportJob, preset: Preset, wanted: Sequence[str]) -> dict[str, Any]:
+    there = wanted or list(preset.textures)
+    facts: dict[str, Any] = {}
+    if "height" in there:
+        depth = _height(job, preset.textures["height"]).whole
+        facts |= height_facts(job, *(job.height_code if depth else (1.0, 0.0)))
+    if set(there) & {*_SHADED, "orm", "mask", "arm"}:
+        facts |= occlusion_facts(job)
+    return facts
+
+
+def _made(job: ExportJob, lit: Lit | None, texture: PresetTexture) -> Texture:
+    told_as = lit or Lit(MATCAP, "specular")
+
+    def make(piece: Piece) -> Picture:
+        return texture.make(PackedMaterial(piece, told_as))
+
+    return job.texture(make, texture.depth, texture.meaning, srgb=texture.srgb)
+
+
+def _height(job: ExportJob, texture: PresetTexture) -> Texture:
+    """Whole numbers hold the coded height; floats the height itself."""
+    made = job.texture(coded_height, texture.depth, CODED_HEIGHT, lossy=False)
+    if made.whole:
+        return made
+    return job.texture(picture("height"), texture.depth, HEIGHT, lossy=False)
+
+
+def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> Texture:
+    """Whole numbers hold 0.5 + 0.5 n, floats n itself."""
+    up = "+Y down (DirectX)" if dx else "+Y up (OpenGL)"
+    make = coded_normal_dx if dx else coded_normal
+    made = job.texture(make, depth, f"{NORMAL}, {up}")
+    if made.whole:
+        return made
+    return job.texture(lambda piece: 2.0 * make(piece) - 1.0, depth, f"{SIGNED_NORMAL}, {up}")
 
 
 def _ways(normal: Normals) -> tuple[Literal["gl", "dx"], ...]:
     return ("gl", "dx") if normal == "both" else (normal,)
 
 
-def _stored_normal(job: ExportJob, depth: Depth, *, dx: bool) -> Stored:
-    """PNGs hold 0.5 + 0.5 n, EXR files n itself."""
-    up = "+Y down (DirectX)" if dx else "+Y up (OpenGL)"
-    coded = coded_normal(job, dx=dx)
-    if depth in ("8", "16"):
-        return Stored(coded, depth, meaning=f"{NORMAL}, {up}")
-    return Stored(2.0 * coded - 1.0, depth, meaning=f"{SIGNED_NORMAL}, {up}")
-
-
-def _metallic_surface(
-    job: ExportJob, preset: Preset, stored: dict[str, tuple[str, Stored]]
-) -> TargetSurface:
+def _surface(lit: Lit, textures: dict[str, Texture], read: Reader) -> TargetSurface:
     """What an engine makes of the packed textures."""
-    assert preset.metallic is not None
-    files = {kind: made for kind, (_, made) in stored.items()}
-    base = seen(files["base"])
-    if "mask" in files:
-        mask = seen(files["mask"])
-        metallic, roughness = mask[:1], 1.0 - mask[3:4]
+    seen = {kind: read(made) for kind, made in textures.items() if kind not in (*_SHADED, "height")}
+    base = seen["base"]
+    bent = _seen_normal(textures, seen)
+    if lit.workflow == "specular":
+        f0 = seen["specular"][:3]
+        below = 1.0 - f0.amax(dim=0, keepdim=True) if lit.conserving else 1.0
+        return TargetSurface(
+            base * below, f0, _seen_roughness(seen), bent, layer=f0, shading=lit.shading
+        )
+    channel = 2 if "orm" in seen else 0
+    packed = next(seen[kind] for kind in ("orm", "mask", "smooth") if kind in seen)
+    metallic = packed[channel : channel + 1]
+    if "specular" in seen:
+        dielectric = lit.dielectric[1] * seen["specular"][:1]
     else:
-        orm = seen(files["orm"])
-        metallic, roughness = orm[2:3], orm[1:2]
-    if "specular" in files:
-        dielectric = 0.08 * seen(files["specular"])
-    else:
-        dielectric = metallic * 0.0 + preset.metallic[0]
-    way = "dx" if "normal_dx" in files else "gl"
-    normal = seen_normal(files[f"normal_{way}"])
-    if files[f"normal_{way}"].suffix == ".exr":
-        normal = seen(files[f"normal_{way}"])
-    if way == "dx":
-        normal = normal * normal.new_tensor([1.0, -1.0, 1.0])[:, None, None]
+        dielectric = metallic * 0.0 + lit.dielectric[0]
     return TargetSurface(
-        base * (1.0 - metallic),
+        lit.below * base * (1.0 - metallic),
         dielectric * (1.0 - metallic) + base * metallic,
-        roughness,
-        normal,
-        layer=preset.layer,
+        _seen_roughness(seen),
+        bent,
+        layer=dielectric,
+        shading=lit.shading,
     )
+
+
+def _seen_roughness(seen: dict[str, Tensor]) -> Tensor:
+    """From ORM's green, or smoothness in an alpha."""
+    if "orm" in seen:
+        return seen["orm"][1:2]
+    if "roughness" in seen:
+        return seen["roughness"][:1]
+    smooth = next(seen[kind] for kind in ("mask", "smooth", "specular") if kind in seen)
+    return 1.0 - smooth[3:4]
+
+
+def _seen_normal(textures: dict[str, Texture], seen: dict[str, Tensor]) -> Tensor:
+    kind = "normal_dx" if "normal_dx" in seen else "normal_gl"
+    bent = signed(seen[kind]) if textures[kind].whole else seen[kind]
+    sign = [1.0, -1.0 if kind == "normal_dx" else 1.0, 1.0]
+    return bent * bent.new_tensor(sign)[:, None, None]
 
 
 def _checked(pattern: str) -> str:
     """The pattern itself, every field of it known."""
     try:
         fields = [field for _, field, _, _ in Formatter().parse(pattern) if field is not None]
-        for field in fields:
-            known(field, _FIELDS, "--name")
+        for one in fields:
+            known(one, _FIELDS, "--name")
         pattern.format(**dict.fromkeys(_FIELDS, ""))
     except (ValueError, IndexError, KeyError, AttributeError) as error:
         raise UsageError(

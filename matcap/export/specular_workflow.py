@@ -1,31 +1,58 @@
-"""The model of glTF and UsdPreviewSurface: diffuse below a specular layer.
+"""The specular workflow: a base colour below a specular layer of any F0.
 
-Both give matcap's specular part exactly, and multiply the diffuse part by 1 - F(v.h). A base
-colour of diffuse / (1 - F0) takes F0 out of that again; what is left, a factor of
-1 - (1 - v.h)^5, shows where light and view are far apart.
+What the layer takes from the diffuse part is put into the base colour beforehand, as far as the
+target's shading is known (fit.py); a colour above 1 is clipped, and told.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
+from matcap.export.fit import told
+from matcap.export.shading import Shading
 
 if TYPE_CHECKING:
-    from matcap.export.textures import ExportJob
+    from matcap.export.texture_file import Picture
+    from matcap.export.textures import ExportJob, Piece
+
+_ROWS = 512
 
 
-def base_colour(job: ExportJob) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """(H, W, 3) base colour in [0, 1], and what must be said of it."""
-    rest = np.maximum(1.0 - job.picture("specular"), 1e-6)[..., None]
-    base = job.picture("diffuse") / rest
-    clipped = float((base.max(axis=-1) > 1.0).mean())
-    notes: tuple[str, ...] = ()
-    if clipped > 0.0:
-        notes = (
-            f"{clipped:.2%} of the texels reflect more than a layered model allows; "
-            "their base colour is clipped",
-        )
-    colour: NDArray[np.float32] = np.clip(base, 0.0, 1.0).astype(np.float32)
-    return colour, notes
+def base_colour(piece: Piece, shading: Shading) -> Picture:
+    """(H, W, 3) colour that shows as the diffuse albedo; may exceed 1."""
+    share = told(shading).albedo(piece.picture("specular"), piece.picture("roughness"))
+    return piece.picture("diffuse") * share[..., None]
+
+
+def specular_colour(piece: Piece, shading: Shading) -> Picture:
+    """(H, W) F0 that shows as the one that is meant; may exceed 1."""
+    return told(shading).f0(piece.picture("specular"), piece.picture("roughness"))
+
+
+def told_roughness(piece: Piece, shading: Shading) -> Picture:
+    """(H, W) roughness that shows as the one that is meant."""
+    return told(shading).rough(piece.picture("specular"), piece.picture("roughness"))
+
+
+def brightest(job: ExportJob, shading: Shading) -> float:
+    """The largest F0 that the target is told."""
+    found = (specular_colour(piece, shading).max() for piece in _bands(job))
+    return max(1e-4, *(float(one) for one in found), 0.0)
+
+
+def clipping_notes(job: ExportJob, shading: Shading) -> tuple[str, ...]:
+    """What must be said of texels that reflect more than a layered model allows."""
+    bands = _bands(job)
+    over = sum(int((base_colour(piece, shading).max(axis=-1) > 1.0).sum()) for piece in bands)
+    if not over:
+        return ()
+    width, height = job.maps.size
+    return (
+        f"{over / (width * height):.2%} of the texels reflect more than a layered model allows; "
+        "their base colour is clipped",
+    )
+
+
+def _bands(job: ExportJob) -> list[Piece]:
+    _, height = job.maps.size
+    return [job.piece(slice(top, min(top + _ROWS, height))) for top in range(0, height, _ROWS)]

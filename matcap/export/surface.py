@@ -1,28 +1,36 @@
 """What a target makes of a material, and how far that is from what matcap means by it.
 
-Targets differ from matcap's reflectance (brdf/cook_torrance.py) in a few ways only: where Fresnel
-ends at grazing, whether what is reflected is taken from the diffuse part, and which masking they
-know. A TargetSurface says these things of a target, with the maps as its files hold them.
+A TargetSurface holds the maps as a target's files hold them, rounding included, and how the target
+shades (shading.py). Read next: fit.py, which makes what is told to a target such that little
+differs.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import MIN_ROUGHNESS, dot, ggx, normalize, smith_visibility
 from matcap.brdf.maps import MapSet
+from matcap.export.shading import MATCAP, Geometry, Shading, diffuse_lobe, specular_lobe
 
-# Directions under which surfaces are compared: cosines of view and light, and the angle between.
+if TYPE_CHECKING:
+    from matcap.export.texture_file import Picture, Texture
+    from matcap.export.textures import ExportJob, MadeSurface
+
+# Directions under which surfaces are compared, degrees: view and light from the vertical, and the
+# light around it.
 _VIEWS = (0.0, 45.0)
 _LIGHTS = (15.0, 40.0, 65.0)
 _AROUND = (0.0, 90.0, 180.0, 270.0)
 # At most about this many texels are compared, evenly spread.
 _TEXELS = 65_536
+_FEW_TEXELS = 4_096
 
 
 @dataclass(frozen=True)
@@ -35,9 +43,9 @@ class TargetSurface:
         roughness: (1, H, W); alpha is its square.
         normal: (3, H, W), +Y up; need not be of unit length.
         f90: reflectance at grazing, a number or a tensor like f0.
-        layer: F0 of a layer above the diffuse part, which is multiplied by 1 - F(v.h) of it (glTF,
-            UsdPreviewSurface); a number or a tensor like f0; None where there is no such layer.
-        masking: height-correlated Smith, or the product of both directions' ("separable").
+        layer: F0 of a layer above the diffuse part, where the target's shading has one; a number
+            or a tensor like f0.
+        shading: of the target.
     """
 
     diffuse: Tensor
@@ -46,7 +54,7 @@ class TargetSurface:
     normal: Tensor
     f90: float | Tensor = 1.0
     layer: float | Tensor | None = None
-    masking: Literal["correlated", "separable"] = "correlated"
+    shading: Shading = MATCAP
 
     @staticmethod
     def of_maps(maps: MapSet) -> TargetSurface:
@@ -69,32 +77,11 @@ class TargetSurface:
         Args:
             to_light, to_view: (3, H, W) or (3, 1, 1) unit vectors.
         """
-        normal = normalize(self.normal)
-        n_dot_l, n_dot_v = dot(normal, to_light), dot(normal, to_view)
-        above = (n_dot_l > 0) & (n_dot_v > 0)
-        half = normalize(to_light + to_view)
-        grazing = (1.0 - dot(to_view, half)).clamp(0.0, 1.0) ** 5
-        fresnel = self.f0 + (self.f90 - self.f0) * grazing
-        alpha = self.roughness.clamp_min(MIN_ROUGHNESS).square()
-        n_dot_h = dot(normal, half)
-        spread = ggx(n_dot_h, (1.0 - n_dot_h.square()).clamp_min(0.0), alpha)
-        seen = self._visibility(n_dot_l.clamp_min(0.0), n_dot_v.clamp_min(0.0), alpha)
-        diffuse = self.diffuse / math.pi
-        if self.layer is not None:
-            above_it = self.layer + (1.0 - self.layer) * grazing
-            diffuse = diffuse * (1.0 - above_it.amax(dim=-3, keepdim=True))
-        value = (diffuse + spread * seen * fresnel) * n_dot_l
-        return torch.where(above, value, torch.zeros_like(value))
-
-    def _visibility(self, n_dot_l: Tensor, n_dot_v: Tensor, alpha: Tensor) -> Tensor:
-        if self.masking == "correlated":
-            return smith_visibility(n_dot_l, n_dot_v, alpha)
-
-        def one(cosine: Tensor) -> Tensor:
-            squared = alpha.square()
-            return 1.0 / (cosine + torch.sqrt(squared + (1.0 - squared) * cosine.square()))
-
-        return one(n_dot_l) * one(n_dot_v)
+        at = Geometry.of(self.normal, to_light, to_view)
+        below = self.diffuse * diffuse_lobe(self.shading, at, self.roughness, self.layer)
+        above = specular_lobe(self.shading, at, self.f0, self.f90, self.roughness)
+        value = (below + above) * at.light
+        return torch.where(at.above > 0, value, torch.zeros_like(value))
 
 
 @dataclass(frozen=True)
@@ -113,6 +100,11 @@ class Residual:
         return f"{self.mean:.2%} of the light on average, {self.worst:.2%} at worst"
 
 
+def thinning(width: int, height: int, texels: int = _TEXELS) -> int:
+    """The step between the texels of a map set that are compared."""
+    return max(1, math.ceil(math.sqrt(width * height / texels)))
+
+
 def residual(maps: MapSet, surface: TargetSurface) -> Residual:
     """How far a target's surface is from what matcap means by the maps.
 
@@ -120,20 +112,58 @@ def residual(maps: MapSet, surface: TargetSurface) -> Residual:
     degrees from the vertical on four sides; absolute differences, summed over at most about
     65,000 evenly spread texels, divided by matcap's sum.
     """
-    width, height = maps.size
-    step = max(1, math.ceil(math.sqrt(width * height / _TEXELS)))
-    ours, theirs = TargetSurface.of_maps(maps).every(step), surface.every(step)
+    step = thinning(*maps.size)
+    return compared(TargetSurface.of_maps(maps).every(step), surface.every(step))
+
+
+def compared(ours: TargetSurface, theirs: TargetSurface) -> Residual:
+    """The residual of every texel of two surfaces, both in float64."""
     off, total, worst = 0.0, 0.0, 0.0
-    for view in _VIEWS:
-        for tilt in _LIGHTS:
-            for around in _AROUND:
-                directions = _direction(tilt, around), _direction(view, 0.0)
-                true = ours.shine(*directions)
-                error = float((theirs.shine(*directions) - true).abs().sum())
-                light = float(true.sum())
-                off, total = off + error, total + light
-                worst = max(worst, error / light if light > 0.0 else 0.0)
+    for directions in DIRECTIONS:
+        true = ours.shine(*directions)
+        error = float((theirs.shine(*directions) - true).abs().sum())
+        light = float(true.sum())
+        off, total = off + error, total + light
+        worst = max(worst, error / light if light > 0.0 else 0.0)
     return Residual(off / total if total > 0.0 else 0.0, worst)
+
+
+def residuals(
+    job: ExportJob, surfaces: Mapping[str, MadeSurface], texels: int = _TEXELS
+) -> dict[str, Residual]:
+    """How far what a target reads is from what the maps mean, over evenly spread texels.
+
+    Args:
+        job: the maps.
+        surfaces: what the target makes of textures, by name.
+        texels: at most about so many are compared.
+    """
+    step = thinning(*job.maps.size, texels)
+    piece = job.piece(slice(None, None, step), slice(None, None, step))
+    seen: dict[int, tuple[Texture, Tensor]] = {}
+
+    def read(texture: Texture) -> Tensor:
+        if id(texture) not in seen:
+            seen[id(texture)] = texture, _channels(texture.seen(piece))
+        return seen[id(texture)][1]
+
+    kinds = ("diffuse", "specular", "roughness", "normal")
+    diffuse, specular, roughness, normal = (_channels(piece.picture(kind)) for kind in kinds)
+    ours = TargetSurface(diffuse, specular, roughness, normal)
+    return {name: compared(ours, made(read)) for name, made in surfaces.items()}
+
+
+def nearest(job: ExportJob, surfaces: Mapping[int, MadeSurface]) -> int:
+    """Which of several surfaces is nearest to what the maps mean, over a few texels."""
+    named = {str(key): made for key, made in surfaces.items()}
+    found = residuals(job, named, _FEW_TEXELS)
+    return int(min(found, key=lambda key: found[key].mean))
+
+
+def _channels(values: Picture) -> Tensor:
+    """(C, H, W) float64."""
+    tensor = torch.from_numpy(np.ascontiguousarray(values)).double()
+    return tensor[None] if tensor.ndim == 2 else tensor.movedim(-1, 0)
 
 
 def _direction(tilt: float, around: float) -> Tensor:
@@ -141,3 +171,12 @@ def _direction(tilt: float, around: float) -> Tensor:
     t, a = math.radians(tilt), math.radians(around)
     vector = (math.sin(t) * math.cos(a), math.sin(t) * math.sin(a), math.cos(t))
     return torch.tensor(vector, dtype=torch.float64)[:, None, None]
+
+
+# (to_light, to_view) of every comparison.
+DIRECTIONS: tuple[tuple[Tensor, Tensor], ...] = tuple(
+    (_direction(tilt, around), _direction(view, 0.0))
+    for view in _VIEWS
+    for tilt in _LIGHTS
+    for around in _AROUND
+)

@@ -1,59 +1,83 @@
 """Every target that maps can be exported to, and the one function that writes them.
 
-What a target's folder holds, `NAME_TARGET.json` tells.
+A target has one form or two: its metallic workflow, and its specular one. The form that comes
+nearest is written, unless another is asked for. What a target's folder holds, `NAME_TARGET.json`
+tells.
 
 Keys:
     format: "matcap export".
-    version: 1.
+    version: 2.
     matcap: version of the program that wrote it.
     target: or preset.
+    workflow: the form that was written, "metallic" or "specular"; null where there is only one.
     name: of the map set.
     width: texels.
-    height: texels; where the target stores heights, their `scale`, `midlevel` and `unit` instead.
+    height: texels.
     unit: what lengths are told in, "mm" or "plane unit".
     tile: (width, height) of the piece in that unit.
+    texel: a texel's side in that unit.
+    height_code: where the target stores heights, `scale`, `midlevel` and `unit`:
+        height = (value - midlevel) * scale.
     files: for each texture its `colour_space`, `depth` and `meaning`.
     documents: names of the other files.
-    residual: `mean` and `worst` share of the light that differs from matcap's; null for plain maps.
+    residual: `mean` and `worst` share of light that differs from matcap's; null for plain maps.
+    residuals: the same of every form and every way in which the target's programs read the files.
+    occlusion: how ambient occlusion was found: `azimuths`, `reach`, `cavity_reach`, their `unit`.
     notes: what must be known, a sentence each.
-    textures: of Blender alone, the file of each map.
+    textures: the file of each map, for scripts.
     provenance: how the material was made.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from matcap.errors import UsageError
 from matcap.export.blender import blender
-from matcap.export.gltf import gltf
+from matcap.export.engines import ENGINES
+from matcap.export.gltf import gltf_metallic, gltf_specular
+from matcap.export.libraries import LIBRARIES
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
 from matcap.export.names import known
-from matcap.export.presets import PRESETS, PresetOptions, pack
-from matcap.export.surface import Residual, residual
-from matcap.export.textures import Export, ExportJob
-from matcap.export.usd import usd
+from matcap.export.presets import PresetOptions, pack
+from matcap.export.reach import material_reach
+from matcap.export.surface import Residual, residuals
+from matcap.export.textures import Export, ExportJob, Workflow, known_scale
+from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
 
 FORMAT = "matcap export"
-VERSION = 1
+VERSION = 2
 
 # All maps twice, in 32-bit floats: no target takes more.
 _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
+_WRITERS = 2  # textures written at a time: each holds one picture in memory
+
+# The forms of a target by workflow; one without a name where there is no choice.
+Forms = Mapping[Workflow | None, Callable[[ExportJob], Export]]
 
 # Targets with a document of their own.
-DOCUMENTS: dict[str, Callable[[ExportJob], Export]] = {
-    "materialx": materialx,
-    "usd": usd,
-    "gltf": gltf,
-    "blender": blender,
-    "mitsuba": mitsuba,
+DOCUMENTS: dict[str, Forms] = {
+    "materialx": {None: materialx},
+    "usd": {"specular": usd_specular, "metallic": usd_metallic},
+    "gltf": {"specular": gltf_specular, "metallic": gltf_metallic},
+    "blender": {None: blender},
+    "mitsuba": {None: mitsuba},
 }
+# Presets and, where one has two forms, a name for each.
+PRESETS: tuple[str, ...] = (
+    *LIBRARIES,
+    *ENGINES,
+    *(f"{name}-{form}" for name, forms in ENGINES.items() if len(forms) > 1 for form in forms),
+)
 
 
 @dataclass(frozen=True)
@@ -65,12 +89,16 @@ class Exported:
         files: names in it, sorted.
         residual: how far the target's light is from matcap's; None for plain maps.
         notes: what the user must know, a sentence each.
+        workflow: the form that was written; None where there is only one.
+        residuals: of every form and every way of reading it, by name.
     """
 
     folder: Path
     files: tuple[str, ...]
     residual: Residual | None
     notes: tuple[str, ...]
+    workflow: Workflow | None = None
+    residuals: Mapping[str, Residual] = field(default_factory=dict)
 
 
 def check_target(*, to: str | None = None, preset: str | None = None) -> str:
@@ -108,7 +136,9 @@ def export_mapset(folder: Path, target: str) -> Exported:
 
     found = open_tile(folder)
     place = folder if folder.is_dir() else folder.parent
-    job = ExportJob(found.maps, found.name, provenance=found.provenance)
+    millimetres = known_scale(found.provenance)
+    reach = material_reach(folder, found.name)
+    job = ExportJob(found.maps, found.name, millimetres, provenance=found.provenance, reach=reach)
     return write_export(job, target, place / target)
 
 
@@ -118,27 +148,36 @@ def export_bytes(width: int, height: int) -> int:
 
 
 def write_export(
-    job: ExportJob, target: str, folder: Path, choice: PresetOptions | None = None
+    job: ExportJob,
+    target: str,
+    folder: Path,
+    choice: PresetOptions | None = None,
+    workflow: Workflow | None = None,
 ) -> Exported:
     """Write maps for a target, all files or none.
 
     Args:
         job: the maps and how to write them.
-        target: a key of DOCUMENTS or of presets.PRESETS; "gltf" is the document.
+        target: a key of DOCUMENTS or one of PRESETS; "gltf" is the document.
         folder: made when missing; files of the same names are replaced.
         choice: for presets only.
+        workflow: the form; the one that comes nearest by default.
 
     Raises:
-        UsageError: no such target, or one that does not know the choice.
+        UsageError: no such target, or one that does not know the choice or the workflow.
         MatcapError: values that are not finite, a full disk, an unwritable folder.
     """
     if target in DOCUMENTS:
-        return _write(DOCUMENTS[target](job), job, target, folder)
-    return write_preset(job, target, folder, choice)
+        return _write(DOCUMENTS[target], job, target, folder, workflow)
+    return write_preset(job, target, folder, choice, workflow)
 
 
 def write_preset(
-    job: ExportJob, preset: str, folder: Path, choice: PresetOptions | None = None
+    job: ExportJob,
+    preset: str,
+    folder: Path,
+    choice: PresetOptions | None = None,
+    workflow: Workflow | None = None,
 ) -> Exported:
     """Write loose textures under a preset's names, all files or none.
 
@@ -146,22 +185,68 @@ def write_preset(
         UsageError: no such preset, or a choice that does not fit it.
         MatcapError: as write_export.
     """
-    return _write(pack(job, preset, choice), job, preset, folder)
+    return _write(preset_forms(preset, choice), job, preset, folder, workflow)
 
 
-def _write(made: Export, job: ExportJob, target: str, folder: Path) -> Exported:
-    """Write what an exporter made, and its sidecar NAME_TARGET.json."""
-    off = residual(job.maps, made.surface) if made.surface else None
+def preset_forms(name: str, choice: PresetOptions | None = None) -> Forms:
+    """The forms of a preset; one of them where the name says which.
+
+    Raises:
+        UsageError: no such preset.
+    """
+    known(name, PRESETS, "--preset")
+    if name in LIBRARIES:
+        return {None: partial(pack, preset=LIBRARIES[name], choice=choice)}
+    engine, forms = next(
+        (engine, forms)
+        for engine, forms in ENGINES.items()
+        if name == engine or name.removeprefix(f"{engine}-") in forms
+    )
+    return {
+        form: partial(pack, preset=preset, choice=choice)
+        for form, preset in forms.items()
+        if name in (engine, f"{engine}-{form}")
+    }
+
+
+def _write(
+    forms: Forms, job: ExportJob, target: str, folder: Path, workflow: Workflow | None
+) -> Exported:
+    """Write the form that comes nearest, or the one asked for, and the sidecar NAME_TARGET.json."""
+    if workflow is not None and workflow not in forms:
+        names = [name for name in forms if name]
+        raise UsageError(
+            f"{target} has no {workflow} workflow",
+            where="--workflow",
+            remedy=f"give {' or '.join(names)}" if names else "leave it out",
+        )
+    # Every form is asked what comes of it; only the chosen one makes its files.
+    made = {form: make(job) for form, make in forms.items()}
+    found = {form: residuals(job, export.surfaces) for form, export in made.items()}
+    first = {form: next(iter(one.values()), None) for form, one in found.items()}
+    chosen = workflow or min(first, key=lambda form: _mean(first[form]))
+    export, off = made[chosen], first[chosen]
+    told = {name: one for per_form in found.values() for name, one in per_form.items()}
     sidecar = f"{job.name}_{target}.json"
     with staged(folder) as stage:
-        for file, texture in made.textures.items():
-            texture.write(stage / file)
-        for file, content in made.documents.items():
-            (stage / file).write_bytes(content)
-        text = json.dumps(_sidecar(made, job, target, off), indent=2, allow_nan=False, default=str)
+        with ThreadPoolExecutor(_WRITERS) as pool:
+            list(pool.map(lambda one: one[1].write(stage / one[0], job), export.textures.items()))
+        for file, content in export.documents.items():
+            (stage / file).write_bytes(content(stage))
+        about = _sidecar(export, job, target, off) | {
+            "workflow": chosen,
+            "residuals": {
+                name: {"mean": one.mean, "worst": one.worst} for name, one in told.items()
+            },
+        }
+        text = json.dumps(about, indent=2, allow_nan=False, default=str)
         (stage / sidecar).write_text(text + "\n")
         files = tuple(sorted(file.name for file in stage.iterdir()))
-    return Exported(folder, files, off, made.notes)
+    return Exported(folder, files, off, export.notes, chosen, told)
+
+
+def _mean(off: Residual | None) -> float:
+    return 0.0 if off is None else off.mean
 
 
 def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) -> dict[str, Any]:
@@ -178,6 +263,7 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         "height": height,
         "unit": job.unit,
         "tile": [across, down],
+        "texel": job.maps.texel_size * job.unit_length,
         "files": {
             file: {
                 "colour_space": texture.colour_space,

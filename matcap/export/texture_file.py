@@ -1,10 +1,13 @@
-"""One texture of an export: its values, and how a file holds them."""
+"""One texture of an export: how its values are made of the maps, and how a file holds them."""
 
 from __future__ import annotations
 
+import struct
+import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,68 +17,159 @@ from matcap.files.exr import LARGEST_HALF, write_exr
 from matcap.files.png import png_bytes, quantised
 from matcap.files.srgb import srgb_decode, srgb_picture
 
+if TYPE_CHECKING:
+    from matcap.export.textures import ExportJob, Piece
+
 Depth = Literal["8", "16", "half", "float"]
+Container = Literal["png", "jpg", "webp", "exr", "tx"]
+Picture = NDArray[np.float32]
+
+CONTAINERS: dict[Container, tuple[Depth, ...]] = {
+    "png": ("8", "16"),
+    "jpg": ("8",),
+    "webp": ("8",),
+    "exr": ("half", "float"),
+    "tx": ("8", "16", "half", "float"),
+}
+_JPEG_QUALITY = 95
+_ROWS = 256  # of a texture that are made at a time
+_INCH = 0.0254
 
 
 @dataclass(frozen=True)
-class Stored:
+class Texture:
     """A texture as a file holds it.
 
     Attributes:
-        values: (H, W) grey, (H, W, 3) colour or (H, W, 4) with alpha; what the target is to
-            read. PNGs clip it to [0, 1].
-        depth: bits of a PNG ("8", "16"), or floats of an EXR ("half", "float").
-        srgb: a PNG stores the sRGB curve of the values; an EXR stores light itself.
+        make: (H, W) grey, (H, W, 3) colour or (H, W, 4) with alpha, of a piece of the maps: what
+            the target is to read, texel by texel. Whole code values are clipped to [0, 1].
+        depth: bits of whole numbers ("8", "16"), or floats ("half", "float").
+        srgb: whole numbers follow the sRGB curve; floats are light itself.
         meaning: what the values are, for the sidecar.
+        container: the file's format.
     """
 
-    values: NDArray[np.float32]
+    make: Callable[[Piece], Picture]
     depth: Depth
     srgb: bool = False
     meaning: str = ""
+    container: Container = "png"
 
     @property
     def suffix(self) -> str:
-        """Of its file: .png or .exr."""
-        return ".png" if self.depth in ("8", "16") else ".exr"
+        """Of its file, dot included."""
+        return f".{self.container}"
+
+    @property
+    def whole(self) -> bool:
+        """Whether the file holds whole numbers."""
+        return self.depth in ("8", "16")
 
     @property
     def colour_space(self) -> Literal["sRGB", "linear"]:
         """How readers must take the file's numbers."""
-        return "sRGB" if self.srgb and self.suffix == ".png" else "linear"
+        return "sRGB" if self.srgb and self.whole else "linear"
 
-    def png(self) -> bytes:
-        """The PNG file.
+    def stored(self, piece: Piece) -> NDArray[Any]:
+        """The numbers in the file, of a piece of the maps.
 
         Raises:
             MatcapError: a value is not finite.
         """
-        return png_bytes(self._whole())
+        values = self.make(piece)
+        if not np.isfinite(values).all():
+            raise MatcapError("the maps have values that are not finite", remedy="make them again")
+        if self.whole:
+            return quantised(_curved(values) if self.srgb else values, bits=int(self.depth))
+        if self.depth == "half" and np.abs(values).max(initial=0.0) > LARGEST_HALF:
+            raise MatcapError(
+                "the maps have values too large for half float (65504)", remedy="give --bits float"
+            )
+        return values.astype(np.float16 if self.depth == "half" else np.float32)
 
-    def write(self, path: Path) -> None:
+    def seen(self, piece: Piece) -> Picture:
+        """The values that a reader gets back: rounded and clipped as the file does."""
+        stored = self.stored(piece)
+        if not self.whole:
+            return stored.astype(np.float32)
+        code = stored / np.float64(2 ** int(self.depth) - 1)
+        if self.srgb:
+            code[..., :3] = srgb_decode(code[..., :3])
+        return code.astype(np.float32)
+
+    def pixels(self, job: ExportJob) -> NDArray[np.uint8] | NDArray[np.uint16] | Picture:
+        """The whole picture, made a band of rows at a time: little beside the result is held."""
+        _, height = job.maps.size
+        first = self.stored(job.piece(slice(0, _ROWS)))
+        whole = np.empty((height, *first.shape[1:]), dtype=first.dtype)
+        whole[:_ROWS] = first
+        for top in range(_ROWS, height, _ROWS):
+            rows = slice(top, min(top + _ROWS, height))
+            whole[rows] = self.stored(job.piece(rows))
+        return whole
+
+    def encoded(self, job: ExportJob, *, tagged: bool = True) -> bytes:
+        """The file as bytes, for PNG, JPEG and WebP.
+
+        Args:
+            job: the maps.
+            tagged: with the colour space and the size of a texel, in a PNG.
+        """
+        whole: Any = self.pixels(job)
+        if self.container == "png":
+            return _tagged(png_bytes(whole), self, job) if tagged else png_bytes(whole)
+        import cv2
+
+        # Quality above 100 is lossless to WebP.
+        flags = (
+            [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+             cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+            if self.container == "jpg"
+            else [cv2.IMWRITE_WEBP_QUALITY, 101]
+        )  # fmt: skip
+        turned = whole[..., [2, 1, 0, *range(3, whole.shape[2])]] if whole.ndim == 3 else whole
+        _, encoded = cv2.imencode(self.suffix, np.ascontiguousarray(turned), flags)
+        return encoded.tobytes()
+
+    def write(self, path: Path, job: ExportJob) -> None:
         """Write the file. Not atomic: write into a staged folder.
 
         Raises:
             MatcapError: a value is not finite.
             OSError: the file cannot be written.
         """
-        if self.suffix == ".png":
-            path.write_bytes(self.png())
+        if self.container == "exr" and not job.tiled:
+            write_exr(path, self.pixels(job).astype(np.float32), half=self.depth == "half")
+        elif self.container in ("exr", "tx"):
+            from matcap.export.tiled import write_tiled
+
+            write_tiled(path, self.pixels(job), srgb=self.colour_space == "sRGB", wrap=job.wrap)
         else:
-            write_exr(path, self.values, half=self.depth == "half")
+            path.write_bytes(self.encoded(job))
 
-    def seen(self) -> NDArray[np.float32]:
-        """The values that a reader gets back: rounded and clipped as the file does."""
-        if self.depth == "float":
-            return self.values
-        if self.depth == "half":
-            held = np.clip(self.values, -LARGEST_HALF, LARGEST_HALF)  # writing refuses the rest
-            return held.astype(np.float16).astype(np.float32)
-        code = self._whole() / np.float64(2 ** int(self.depth) - 1)
-        return (srgb_decode(code) if self.srgb else code).astype(np.float32)
 
-    def _whole(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        if not np.isfinite(self.values).all():
-            raise MatcapError("the maps have values that are not finite", remedy="make them again")
-        coded = srgb_picture(self.values) if self.srgb else self.values
-        return quantised(coded, bits=int(self.depth))
+def _curved(values: Picture) -> Picture:
+    """On the sRGB curve; alpha stays as it is."""
+    if values.shape[-1] != 4:
+        return srgb_picture(values)
+    return np.concatenate([srgb_picture(values[..., :3]), values[..., 3:]], axis=-1)
+
+
+def _tagged(png: bytes, texture: Texture, job: ExportJob) -> bytes:
+    """A PNG that says how its numbers are to be read, and how long a texel is if that is known.
+
+    Chunks sRGB and gAMA, or gAMA alone for linear numbers, and pHYs (PNG 3rd edition, 11.3).
+    """
+    gamma = 45455 if texture.srgb else 100000
+    chunks = _chunk(b"sRGB", b"\0") if texture.srgb else b""
+    chunks += _chunk(b"gAMA", struct.pack(">I", gamma))
+    if job.millimetres is not None:
+        texel = job.maps.texel_size * job.millimetres / 1000.0
+        metre = min(max(1, round(1.0 / texel)), 2**31 - 1)
+        chunks += _chunk(b"pHYs", struct.pack(">IIB", metre, metre, 1))
+    header = 33  # signature and IHDR
+    return png[:header] + chunks + png[header:]
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from matcap.brdf.folder import height_range
-from matcap.export.texture_file import Depth, Stored
+from matcap.errors import UsageError
+from matcap.export.texture_file import CONTAINERS, Container, Depth, Picture, Texture
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from matcap.brdf.maps import MapSet
+    from matcap.export.occlusion import Occlusion
     from matcap.export.surface import TargetSurface
+
+Workflow = Literal["metallic", "specular"]
 
 # What textures' values are, for sidecars.
 DIFFUSE = "diffuse albedo, Rec.709"
@@ -27,6 +31,9 @@ SIGNED_NORMAL = "unit normal, each component in [-1, 1]"
 HEIGHT = "height in plane units"
 CODED_HEIGHT = "height = (value - midlevel) * scale"
 BASE = "base colour, Rec.709"
+OCCLUSION = "share of an even sky's light that arrives (ambient occlusion)"
+CAVITY = "the same, with neighbours of a few texels only"
+BENT = "mean direction of what is open, as 0.5 + 0.5 n"
 
 
 @dataclass(frozen=True)
@@ -39,6 +46,10 @@ class ExportJob:
         millimetres: how long a plane unit really is; None where nobody measured it.
         depth: of all textures, instead of what suits the target.
         provenance: how the material was made; any JSON.
+        container: file format of all textures that it suits, instead of the target's own.
+        reach: the height, in plane units, that coded heights hold above and below the undisplaced
+            level, the same for every realisation; None to find it from these maps.
+        tiled: EXR files in tiles, with mipmaps.
     """
 
     maps: MapSet
@@ -46,6 +57,9 @@ class ExportJob:
     millimetres: float | None = None
     depth: Depth | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    container: Container | None = None
+    reach: float | None = None
+    tiled: bool = False
 
     @property
     def unit(self) -> str:
@@ -58,20 +72,161 @@ class ExportJob:
         return 1.0 if self.millimetres is None else self.millimetres
 
     @property
+    def metres(self) -> float:
+        """How many metres a plane unit is; 1 where nobody measured it, as size_notes() says."""
+        return 1.0 if self.millimetres is None else self.millimetres / 1000.0
+
+    @property
     def extent(self) -> tuple[float, float]:
         """(width, height) of the map set in plane units."""
         width, height = self.maps.size
         return width * self.maps.texel_size, height * self.maps.texel_size
 
-    def depth_or(self, usual: Depth) -> Depth:
-        """What the user asked for, or what is usual."""
-        return self.depth or usual
+    @property
+    def wrap(self) -> Literal["periodic", "clamp"]:
+        """What lies beyond the border, in the words of texture files."""
+        return "periodic" if self.maps.periodic else "clamp"
 
-    def picture(self, kind: str) -> NDArray[np.float32]:
-        """A map as (H, W, 3) or (H, W) float32."""
-        tensor: Tensor = getattr(self.maps, kind).detach().cpu().float()
-        pixels: NDArray[np.float32] = tensor.movedim(0, -1).squeeze(-1).numpy()
+    def size_notes(self) -> tuple[str, ...]:
+        """What users of a target that counts metres must know."""
+        if self.millimetres is not None:
+            return ()
+        width, height = self.extent
+        return (f"no real size is known: the plane is {width:.3g} x {height:.3g} m; give --unit",)
+
+    def texture(
+        self,
+        make: Callable[[Piece], Picture],
+        usual: Depth,
+        meaning: str,
+        *,
+        srgb: bool = False,
+        lossy: bool = True,
+    ) -> Texture:
+        """A texture in the file format and depth that was asked for, or is usual.
+
+        Args:
+            make: its values.
+            usual: depth unless another was asked for.
+            meaning: of its values.
+            srgb: whole numbers follow the sRGB curve.
+            lossy: 8 bits will do; otherwise it stays a PNG where JPEG or WebP was asked for.
+
+        Raises:
+            UsageError: a format that has no such depth.
+        """
+        depth, container = self.depth or usual, self.container
+        if container in ("jpg", "webp"):
+            if not lossy:
+                return Texture(make, self.depth or usual, srgb, meaning)
+            depth = self.depth or "8"
+        elif container == "exr":
+            depth = self.depth or (usual if usual in CONTAINERS["exr"] else "half")
+        elif container is None:
+            container = "png" if depth in CONTAINERS["png"] else "exr"
+        if depth not in CONTAINERS[container]:
+            raise UsageError(
+                f"{container} has no depth {depth}",
+                where="--bits",
+                remedy=f"give {' or '.join(CONTAINERS[container])}",
+            )
+        return Texture(make, depth, srgb, meaning, container)
+
+    @cached_property
+    def diffuse(self) -> Picture:
+        """(H, W, 3)."""
+        return self._picture(self.maps.diffuse)
+
+    @cached_property
+    def specular(self) -> Picture:
+        """(H, W) F0."""
+        return self._picture(self.maps.specular)
+
+    @cached_property
+    def roughness(self) -> Picture:
+        """(H, W)."""
+        return self._picture(self.maps.roughness)
+
+    @cached_property
+    def height(self) -> Picture:
+        """(H, W), plane units."""
+        return self._picture(self.maps.height)
+
+    @cached_property
+    def normal(self) -> Picture:
+        """(H, W, 3), +Y up."""
+        return self._picture(self.maps.normal)
+
+    @cached_property
+    def _shadows(self) -> Occlusion:
+        from matcap.export.occlusion import occlusion
+
+        return occlusion(
+            self.height / np.float32(self.maps.texel_size), periodic=self.maps.periodic
+        )
+
+    @cached_property
+    def occlusion(self) -> Picture:
+        """(H, W) share of an even sky's light that arrives."""
+        return self._shadows.whole("open")
+
+    @cached_property
+    def cavity(self) -> Picture:
+        """(H, W) the same, of the nearest neighbours only."""
+        return self._shadows.whole("cavity")
+
+    @cached_property
+    def bent(self) -> Picture:
+        """(H, W, 3) mean direction of what is open, +Y up."""
+        return self._shadows.whole("bent")
+
+    @staticmethod
+    def _picture(tensor: Tensor) -> Picture:
+        pixels: Picture = tensor.detach().cpu().float().movedim(0, -1).squeeze(-1).numpy()
         return pixels
+
+    def picture(self, kind: str) -> Picture:
+        """A map as (H, W, 3) or (H, W) float32: diffuse, specular, roughness, height, normal,
+        occlusion, cavity or bent.
+        """
+        found: Picture = getattr(self, kind)
+        return found
+
+    def piece(self, rows: slice = slice(None), columns: slice = slice(None)) -> Piece:
+        """Some of the texels; all by default."""
+        return Piece(self, rows, columns)
+
+    @cached_property
+    def height_code(self) -> tuple[float, float]:
+        """(scale, midlevel): height = (value - midlevel) * scale, scale in plane units.
+
+        The undisplaced level is mid-grey.
+        """
+        reach = self.reach or roomy(float(np.abs(self.height).max(initial=0.0)))
+        return 2.0 * reach, 0.5
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Some texels of a job's maps; each is as it is in the whole."""
+
+    job: ExportJob
+    rows: slice
+    columns: slice
+
+    def picture(self, kind: str) -> Picture:
+        """As ExportJob.picture."""
+        return self.job.picture(kind)[self.rows, self.columns]
+
+    @property
+    def ones(self) -> Picture:
+        """(H, W) of 1."""
+        return np.ones_like(self.picture("roughness"))
+
+
+# What a target reads from a texture: (C, H, W) float64.
+Reader = Callable[[Texture], "Tensor"]
+MadeSurface = Callable[[Reader], "TargetSurface"]
 
 
 @dataclass(frozen=True)
@@ -80,15 +235,16 @@ class Export:
 
     Attributes:
         textures: by file name.
-        documents: by file name.
-        surface: what the target makes of them; None where it has no reflectance of its own.
+        documents: by file name; made when the textures stand in the folder that they are given.
+        surfaces: what the target makes of the textures, by form, the one that counts first; none
+            where it has no reflectance of its own.
         notes: what the user must know, a sentence each.
         facts: what else the sidecar tells; JSON.
     """
 
-    textures: dict[str, Stored]
-    documents: dict[str, bytes]
-    surface: TargetSurface | None
+    textures: dict[str, Texture]
+    documents: dict[str, Callable[[Path], bytes]]
+    surfaces: dict[str, MadeSurface]
     notes: tuple[str, ...] = ()
     facts: dict[str, Any] = field(default_factory=dict)
 
@@ -97,29 +253,28 @@ class Export:
 class Standard:
     """The five textures that documents name, for targets that add diffuse and specular."""
 
-    diffuse: Stored
-    specular: Stored
-    roughness: Stored
-    normal: Stored
-    height: Stored
+    diffuse: Texture
+    specular: Texture
+    roughness: Texture
+    normal: Texture
+    height: Texture
 
     @staticmethod
     def of(job: ExportJob) -> Standard:
         """PNGs of 16 bits, the height in 32-bit float and plane units."""
-        depth = job.depth_or("16")
         return Standard(
-            Stored(job.picture("diffuse"), depth, srgb=True, meaning=DIFFUSE),
-            Stored(job.picture("specular"), depth, meaning=SPECULAR),
-            Stored(job.picture("roughness"), depth, meaning=ROUGHNESS),
-            Stored(coded_normal(job), depth, meaning=f"{NORMAL}, +Y up (OpenGL)"),
-            Stored(job.picture("height"), "float", meaning=HEIGHT),
+            job.texture(picture("diffuse"), "16", DIFFUSE, srgb=True),
+            job.texture(picture("specular"), "16", SPECULAR),
+            job.texture(picture("roughness"), "16", ROUGHNESS),
+            job.texture(coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
+            float_height(job),
         )
 
-    def files(self, name: str) -> dict[str, Stored]:
+    def files(self, name: str) -> dict[str, Texture]:
         """By file name."""
         return {
-            f"{name}_{kind}{stored.suffix}": stored
-            for kind, stored in (
+            f"{name}_{kind}{texture.suffix}": texture
+            for kind, texture in (
                 ("diffuse", self.diffuse),
                 ("specular", self.specular),
                 ("roughness", self.roughness),
@@ -128,42 +283,79 @@ class Standard:
             )
         }
 
-    def surface(self) -> TargetSurface:
+    def surface(self, read: Reader) -> TargetSurface:
         """What a target that adds diffuse and specular reads."""
         from matcap.export.surface import TargetSurface
 
         return TargetSurface(
-            seen(self.diffuse), seen(self.specular), seen(self.roughness), seen_normal(self.normal)
+            read(self.diffuse), read(self.specular), read(self.roughness), signed(read(self.normal))
         )
 
 
-def coded_normal(job: ExportJob, *, dx: bool = False) -> NDArray[np.float32]:
+def picture(kind: str) -> Callable[[Piece], Picture]:
+    """Makes a texture of a map as it is."""
+    return lambda piece: piece.picture(kind)
+
+
+def coded_normal(piece: Piece) -> Picture:
+    """(H, W, 3) 0.5 + 0.5 n, +Y up."""
+    return np.float32(0.5) + np.float32(0.5) * piece.picture("normal")
+
+
+def coded_normal_dx(piece: Piece) -> Picture:
     """(H, W, 3) 0.5 + 0.5 n, green turned around for DirectX."""
-    sign = np.array([1.0, -1.0 if dx else 1.0, 1.0], dtype=np.float32)
-    coded: NDArray[np.float32] = np.float32(0.5) + np.float32(0.5) * sign * job.picture("normal")
+    coded = coded_normal(piece)
+    coded[..., 1] = np.float32(1.0) - coded[..., 1]
     return coded
 
 
-def scaled_height(job: ExportJob, depth: Depth) -> tuple[Stored, float, float]:
-    """The height filling [0, 1], and (scale, midlevel): height = (value - midlevel) * scale.
+def coded_height(piece: Piece) -> Picture:
+    """(H, W) height in [0, 1], mid-grey undisplaced; see ExportJob.height_code."""
+    scale, midlevel = piece.job.height_code
+    coded: Picture = piece.picture("height") / np.float32(scale) + np.float32(midlevel)
+    return coded
 
-    The scale is in plane units. Floats keep the height itself: scale 1, midlevel 0.
+
+def float_height(job: ExportJob) -> Texture:
+    """The height itself in plane units, 32-bit float whatever was asked for of the others."""
+    container: Container = job.container if job.container == "tx" else "exr"
+    return Texture(picture("height"), "float", meaning=HEIGHT, container=container)
+
+
+def height_facts(job: ExportJob, scale: float, midlevel: float) -> dict[str, Any]:
+    """For the sidecar: height = (value - midlevel) * scale; `scale` in plane units."""
+    return {
+        "height_code": {"scale": scale * job.unit_length, "midlevel": midlevel, "unit": job.unit}
+    }
+
+
+def occlusion_facts(job: ExportJob) -> dict[str, Any]:
+    """For the sidecar: how ambient occlusion is found."""
+    from matcap.export.occlusion import settings
+
+    return {"occlusion": settings(*job.maps.size)}
+
+
+def signed(coded: Tensor) -> Tensor:
+    """Normals of a normal map with +Y up, as its shader has them."""
+    return 2.0 * coded - 1.0
+
+
+def known_scale(provenance: Mapping[str, Any]) -> float | None:
+    """Millimetres of a plane unit that a material's history tells; None where it does not."""
+    card = provenance.get("card")
+    for place in (provenance, card if isinstance(card, Mapping) else {}):
+        found = place.get("millimetres_per_unit")
+        if isinstance(found, int | float) and 0.0 < found < float("inf"):
+            return float(found)
+    return None
+
+
+def roomy(reach: float) -> float:
+    """A round number with room above a reach: realisations of one material share it, mostly.
+
+    The next but one of ten steps a decade (Renard's R10), 1 where there is no height.
     """
-    height = job.picture("height")
-    if depth in ("half", "float"):
-        return Stored(height, depth), 1.0, 0.0
-    scale, midlevel = height_range(height)
-    return Stored(height / np.float32(scale) + np.float32(midlevel), depth), scale, midlevel
-
-
-def seen(stored: Stored) -> Tensor:
-    """(C, H, W) of what a reader gets."""
-    import torch
-
-    values = torch.from_numpy(stored.seen())
-    return values[None] if values.ndim == 2 else values.movedim(-1, 0)
-
-
-def seen_normal(stored: Stored) -> Tensor:
-    """(3, H, W) of what a reader of a normal map with +Y up gets."""
-    return 2.0 * seen(stored) - 1.0
+    if not reach > 0.0:
+        return 1.0
+    return float(10.0 ** ((np.ceil(10.0 * np.log10(reach) - 1e-9) + 1.0) / 10.0))

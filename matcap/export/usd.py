@@ -1,9 +1,13 @@
-"""A USD stage: a textured plane with UsdPreviewSurface in its specular workflow; also as .usdz.
+"""A USD stage: a textured plane with UsdPreviewSurface, and MaterialX's OpenPBR; also as .usdz.
 
-`useSpecularWorkflow = 1` keeps F0 as it is. UsdPreviewSurface darkens the diffuse part by what is
-reflected; the base colour is compensated (see specular_workflow.py). The stage is text (.usda); the
-package is a zip without compression, every file at a multiple of 64 bytes, as USD asks. Stage units
-are plane units, `metersPerUnit` says how long one is where that is known.
+The specular form has `useSpecularWorkflow = 1`, which keeps F0 as it is. Programs that know no such
+workflow (Blender, three.js) take the specular colour for a tint of what `ior` reflects; so that
+reflects all. The metallic form has one index of refraction for all that is no metal.
+UsdPreviewSurface darkens the diffuse part by what is reflected; the base colour makes up for it
+(fit.py). Renderers that know MaterialX take the output `mtlx:surface`, which is closer still.
+
+The stage is text (.usda) and counts metres; the package is a zip without compression, every file at
+a multiple of 64 bytes, as USD asks.
 """
 
 from __future__ import annotations
@@ -12,88 +16,226 @@ import io
 import re
 import struct
 import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.export.specular_workflow import base_colour
+from matcap.export.gltf import ior
+from matcap.export.materialx import INPUTS, Layered
+from matcap.export.presets import Lit, PackedMaterial
+from matcap.export.shading import Shading
+from matcap.export.specular_workflow import base_colour, clipping_notes, specular_colour
 from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Stored
+from matcap.export.texture_file import Picture, Texture
 from matcap.export.textures import (
     BASE,
     CODED_HEIGHT,
     NORMAL,
+    OCCLUSION,
     ROUGHNESS,
     SPECULAR,
     Export,
     ExportJob,
+    Piece,
+    Reader,
+    Standard,
+    coded_height,
     coded_normal,
-    scaled_height,
-    seen,
-    seen_normal,
+    height_facts,
+    occlusion_facts,
+    picture,
+    signed,
 )
 from matcap.files.maker import MAKER
 
+SHADING = Shading(layer="half")
+# What programs do that take UsdPreviewSurface for a Principled BSDF with a tint.
+_FALLBACK = Shading(layer="half", compensated=True)
+_MIRROR = 1000.0  # an index of refraction that reflects 0.996 of the light
+_LARGEST_F0 = 0.9
 _ALIGNMENT = 64
 _HEADER = 30  # bytes of a zip's local header, without name and extra field
 # Any time: the same maps give the same bytes.
 _DATE = (1980, 1, 1, 0, 0, 0)
+_CONTAINERS = ("png", "jpg")
 
 
-def usd(job: ExportJob) -> Export:
+@dataclass(frozen=True)
+class _Look:
+    """A material's textures by input, and its numbers.
+
+    Attributes:
+        inputs: of UsdPreviewSurface: the textures.
+        specular: whether useSpecularWorkflow is on.
+        ior: index of refraction.
+        layered: textures and index of the MaterialX network.
+    """
+
+    inputs: dict[str, Texture]
+    specular: bool
+    ior: float
+    layered: Layered
+
+    def files(self, name: str) -> dict[str, str]:
+        """File names of all textures by kind."""
+        textures = self.textures()
+        return {kind: f"{name}_{kind}{made.suffix}" for kind, made in textures.items()}
+
+    def textures(self) -> dict[str, Texture]:
+        """All of them by kind."""
+        return self.inputs | {"mtlx_base": self.layered.base, "mtlx_specular": self.layered.tint}
+
+
+def usd_specular(job: ExportJob) -> Export:
     """NAME.usda beside its textures, and NAME.usdz with all of them inside.
 
     Raises:
         UsageError: textures of floats were asked for.
     """
+    _check(job)
+
+    def grey(piece: Piece) -> Picture:
+        return np.repeat(specular_colour(piece, SHADING)[..., None], 3, axis=2)
+
+    shared = _shared(job)
+    inputs = {
+        "base_color": job.texture(lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
+        # On the sRGB curve, as three.js takes it whatever the stage says.
+        "specular": job.texture(grey, "16", SPECULAR, srgb=True),
+        "roughness": job.texture(picture("roughness"), "16", ROUGHNESS),
+        **shared,
+    }
+    look = _Look(inputs, True, _MIRROR, Layered.of(job))
+
+    def surface(read: Reader) -> TargetSurface:
+        specular = read(inputs["specular"])[:1]
+        return TargetSurface(
+            read(inputs["base_color"]),
+            specular,
+            read(inputs["roughness"]),
+            signed(read(inputs["normal_gl"])),
+            layer=specular,
+            shading=SHADING,
+        )
+
+    return _export(job, look, {"specular": surface, "without it": partial(_fallback, look)})
+
+
+def usd_metallic(job: ExportJob) -> Export:
+    """The same in the metallic workflow.
+
+    Raises:
+        UsageError: textures of floats were asked for.
+    """
+    _check(job)
+    lit = Lit(SHADING, "metallic", even=_LARGEST_F0).of(job)
+    f0 = lit.dielectric[0]
+    inputs = {
+        "base_color": job.texture(
+            lambda p: PackedMaterial(p, lit).metallic.base, "8", BASE, srgb=True
+        ),
+        "metallic": job.texture(
+            lambda p: PackedMaterial(p, lit).metallic.metallic, "8", "metallic"
+        ),
+        "roughness": job.texture(picture("roughness"), "16", ROUGHNESS),
+        **_shared(job),
+    }
+
+    def surface(read: Reader) -> TargetSurface:
+        base, metal = read(inputs["base_color"]), read(inputs["metallic"])
+        return TargetSurface(
+            base * (1.0 - metal),
+            f0 * (1.0 - metal) + base * metal,
+            read(inputs["roughness"]),
+            signed(read(inputs["normal_gl"])),
+            layer=f0,
+            shading=SHADING,
+        )
+
+    return _export(job, _Look(inputs, False, ior(f0), Layered.of(job)), {"metallic": surface})
+
+
+def _check(job: ExportJob) -> None:
     if job.depth in ("half", "float"):
         raise UsageError("a .usdz holds PNGs only", where="--bits", remedy="give 8 or 16")
-    colour, fine = job.depth_or("8"), job.depth_or("16")
-    base, notes = base_colour(job)
-    grey = np.repeat(job.picture("specular")[..., None], 3, axis=2)
-    height, scale, midlevel = scaled_height(job, fine)
-    textures = {
-        "base_color": Stored(base, colour, srgb=True, meaning=BASE),
-        "specular": Stored(grey, fine, meaning=SPECULAR),
-        "roughness": Stored(job.picture("roughness"), fine, meaning=ROUGHNESS),
-        "normal_gl": Stored(coded_normal(job), fine, meaning=f"{NORMAL}, +Y up (OpenGL)"),
-        "height": Stored(height.values, height.depth, meaning=CODED_HEIGHT),
+    if job.container is not None and job.container not in _CONTAINERS:
+        raise UsageError(
+            f"a .usdz holds no {job.container}", where="--format", remedy="give png or jpg"
+        )
+
+
+def _shared(job: ExportJob) -> dict[str, Texture]:
+    """What both forms have."""
+    return {
+        "normal_gl": job.texture(coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
+        "height": job.texture(coded_height, "16", CODED_HEIGHT, lossy=False),
+        "occlusion": job.texture(picture("occlusion"), "8", OCCLUSION),
     }
-    f0 = seen(textures["specular"])[:1]
-    surface = TargetSurface(
-        seen(textures["base_color"]),
+
+
+def _fallback(look: _Look, read: Reader) -> TargetSurface:
+    """What programs without the specular workflow make of it."""
+    f0 = read(look.inputs["specular"])[:1] * ((look.ior - 1.0) / (look.ior + 1.0)) ** 2
+    return TargetSurface(
+        read(look.inputs["base_color"]),
         f0,
-        seen(textures["roughness"]),
-        seen_normal(textures["normal_gl"]),
+        read(look.inputs["roughness"]),
+        signed(read(look.inputs["normal_gl"])),
         layer=f0,
+        shading=_FALLBACK,
     )
-    files = {kind: f"{job.name}_{kind}.png" for kind in textures}
-    stage = _stage(job, files, scale, midlevel).encode()
-    package = _package(
-        {f"{job.name}.usda": stage} | {file: textures[kind].png() for kind, file in files.items()}
-    )
-    facts = {"height": {"scale": scale * job.unit_length, "midlevel": midlevel, "unit": job.unit}}
+
+
+def _export(
+    job: ExportJob, look: _Look, surfaces: dict[str, Callable[[Reader], TargetSurface]]
+) -> Export:
+    def openpbr(read: Reader) -> TargetSurface:
+        return look.layered.surface(Standard.of(job), read)
+
+    files, textures = look.files(job.name), look.textures()
+    stage = _stage(job, look, files).encode()
+
+    def package(folder: Path) -> bytes:
+        held = {file: (folder / file).read_bytes() for file in files.values()}
+        return _package({f"{job.name}.usda": stage} | held)
+
     return Export(
         {file: textures[kind] for kind, file in files.items()},
-        {f"{job.name}.usda": stage, f"{job.name}.usdz": package},
-        surface,
-        notes,
-        facts,
+        {f"{job.name}.usda": lambda _: stage, f"{job.name}.usdz": package},
+        surfaces | {"mtlx": openpbr},
+        (*clipping_notes(job, SHADING), *job.size_notes()),
+        height_facts(job, *job.height_code) | occlusion_facts(job),
     )
 
 
-def _stage(job: ExportJob, files: dict[str, str], scale: float, midlevel: float) -> str:
+def _stage(job: ExportJob, look: _Look, files: dict[str, str]) -> str:
     """The .usda text."""
-    x, y = (side / 2.0 for side in job.extent)
-    metres = 1.0 if job.millimetres is None else job.millimetres / 1000.0
+    x, y = (side * job.metres / 2.0 for side in job.extent)
     name = _identifier(job.name)
-    textures = (
+    scale, midlevel = job.height_code
+    scale *= job.metres
+    textures = [
         _texture("BaseColor", files["base_color"], "float3 outputs:rgb", "sRGB"),
-        _texture("Specular", files["specular"], "float3 outputs:rgb"),
         _texture("Roughness", files["roughness"], "float outputs:r"),
         _texture("Normal", files["normal_gl"], "float3 outputs:rgb", scale=2.0, bias=-1.0),
         _texture("Height", files["height"], "float outputs:r", scale=scale, bias=-scale * midlevel),
-    )
+        _texture("Occlusion", files["occlusion"], "float outputs:r"),
+    ]
+    if look.specular:
+        textures.append(_texture("Specular", files["specular"], "float3 outputs:rgb", "sRGB"))
+        link = f"</{name}/Material/Specular.outputs:rgb>"
+        workflow = f"""color3f inputs:specularColor.connect = {link}
+            int inputs:useSpecularWorkflow = 1
+            float inputs:metallic = 0"""
+    else:
+        textures.append(_texture("Metallic", files["metallic"], "float outputs:r"))
+        workflow = f"""float inputs:metallic.connect = </{name}/Material/Metallic.outputs:r>
+            int inputs:useSpecularWorkflow = 0"""
+    textures.append(_network(look, files))
     shaders = "\n".join(text.replace("@ROOT@", f"/{name}/Material") for text in textures)
     return f'''#usda 1.0
 (
@@ -101,7 +243,7 @@ def _stage(job: ExportJob, files: dict[str, str], scale: float, midlevel: float)
         string creator = "{MAKER}"
     }}
     defaultPrim = "{name}"
-    metersPerUnit = {metres!r}
+    metersPerUnit = 1
     upAxis = "Y"
 )
 
@@ -131,6 +273,7 @@ def Xform "{name}" (
     def Material "Material"
     {{
         token outputs:displacement.connect = </{name}/Material/Surface.outputs:displacement>
+        token outputs:mtlx:surface.connect = </{name}/Material/OpenPBR.outputs:out>
         token outputs:surface.connect = </{name}/Material/Surface.outputs:surface>
 
         def Shader "Surface"
@@ -138,10 +281,11 @@ def Xform "{name}" (
             uniform token info:id = "UsdPreviewSurface"
             color3f inputs:diffuseColor.connect = </{name}/Material/BaseColor.outputs:rgb>
             float inputs:displacement.connect = </{name}/Material/Height.outputs:r>
+            float inputs:ior = {look.ior!r}
             normal3f inputs:normal.connect = </{name}/Material/Normal.outputs:rgb>
             float inputs:roughness.connect = </{name}/Material/Roughness.outputs:r>
-            color3f inputs:specularColor.connect = </{name}/Material/Specular.outputs:rgb>
-            int inputs:useSpecularWorkflow = 1
+            float inputs:occlusion.connect = </{name}/Material/Occlusion.outputs:r>
+            {workflow}
             token outputs:displacement
             token outputs:surface
         }}
@@ -157,6 +301,66 @@ def Xform "{name}" (
     }}
 }}
 '''  # noqa: E501
+
+
+def _network(look: _Look, files: dict[str, str]) -> str:
+    """OpenPBR as MaterialX has it, in USD's words (UsdMtlx)."""
+    taken = INPUTS["open_pbr_surface"]
+    kinds = {"color3": "color3f", "float": "float", "vector3": "float3"}
+    sources = {
+        "base_color": ("MtlxBase", files["mtlx_base"], "color3", "srgb_texture"),
+        "tint": ("MtlxSpecular", files["mtlx_specular"], "float", "raw"),
+        "roughness": ("MtlxRoughness", files["roughness"], "float", "raw"),
+        "normal": ("MtlxNormalTexture", files["normal_gl"], "vector3", "raw"),
+    }
+    made = {"normal": "MtlxNormal", "tint": "MtlxTint"}
+    links = [
+        f"            {kinds[kind]} inputs:{input_}.connect = "
+        f"<@ROOT@/{made.get(name, sources[name][0])}.outputs:out>\n"
+        for name, (input_, kind) in taken.items()
+        if name in sources
+    ]
+    text = f"""        def Shader "OpenPBR"
+        {{
+            uniform token info:id = "ND_open_pbr_surface_surfaceshader"
+{"".join(links)}            float inputs:{taken["ior"][0]} = {look.layered.ior!r}
+            token outputs:out
+        }}
+
+        def Shader "MtlxNormal"
+        {{
+            uniform token info:id = "ND_normalmap_float"
+            float3 inputs:in.connect = <@ROOT@/MtlxNormalTexture.outputs:out>
+            float3 outputs:out
+        }}
+
+        def Shader "MtlxTint"
+        {{
+            uniform token info:id = "ND_convert_float_color3"
+            float inputs:in.connect = <@ROOT@/MtlxSpecular.outputs:out>
+            color3f outputs:out
+        }}
+
+        def Shader "MtlxCoordinates"
+        {{
+            uniform token info:id = "ND_geompropvalue_vector2"
+            string inputs:geomprop = "st"
+            float2 outputs:out
+        }}
+"""
+    for name, file, kind, space in sources.values():
+        text += f'''
+        def Shader "{name}"
+        {{
+            uniform token info:id = "ND_image_{kind}"
+            asset inputs:file = @./{file}@ (
+                colorSpace = "{space}"
+            )
+            float2 inputs:texcoord.connect = <@ROOT@/MtlxCoordinates.outputs:out>
+            {kinds[kind]} outputs:out
+        }}
+'''
+    return text
 
 
 def _texture(

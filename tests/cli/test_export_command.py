@@ -54,7 +54,7 @@ def test_a_map_set_for_every_program(matcap, folder, target, file):
     assert (said.code, said.out) == (0, "")
     assert (folder / f"moss_{target}" / file).is_file()
     assert said.err.startswith(f"wrote moss_{target} (")
-    assert "residual: " in said.err
+    assert "residual" in said.err
     sidecar = json.loads((folder / f"moss_{target}" / f"moss_{target}.json").read_text())
     assert sidecar["provenance"] == {"made": "up"}
 
@@ -69,11 +69,33 @@ def test_loose_textures(matcap, folder):
     assert names == {"diff.png", "nor_gl.png", "nor_dx.png", "moss_polyhaven.json"}
 
 
+def test_both_forms_are_told_and_one_can_be_asked_for(matcap, folder):
+    said = matcap("export", "set", "--preset", "unity-hdrp")
+    assert "residual, specular workflow: " in said.err
+    assert "\n  metallic: " in said.err
+    said = matcap("export", "set", "--preset", "unity-hdrp", "--workflow", "metallic")
+    assert "residual, metallic workflow: " in said.err
+    assert "\n  specular: " in said.err
+    found = matcap("export", "set", "--to", "blender", "--workflow", "metallic")
+    assert found.code == 2
+    assert "--workflow: blender has no metallic workflow; leave it out." in found.err
+
+
+def test_files_of_other_formats(matcap, folder):
+    assert matcap("export", "set", "--preset", "raw", "--format", "tx", "-o", "out").code == 0
+    assert (folder / "out" / "moss_diffuse.tx").is_file()
+    found = matcap("export", "set", "--to", "gltf", "--format", "tx")
+    assert found.code == 2
+    assert "--format: glTF knows no tx; give png, jpg or webp." in found.err
+
+
 def test_json_tells_what_is_lost(matcap, folder):
-    said = matcap("export", "set", "--preset", "unity-hdrp", "--json")
+    said = matcap("export", "set", "--preset", "unity-hdrp", "--json", "--workflow", "metallic")
     assert (said.code, said.err) == (0, "")
     report = json.loads(said.out)
     assert report["residual"]["worst"] > report["residual"]["mean"] > 0.01
+    assert report["workflow"] == "metallic"
+    assert report["residuals"]["specular"]["mean"] < report["residuals"]["metallic"]["mean"]
     assert "moss_MaskMap.png" in report["files"]
     assert report["folder"] == "moss_unity-hdrp"
 

@@ -33,7 +33,7 @@ def main(material: Path, out: Path) -> None:
         above = [
             lit(maps),
             mitsuba_picture(folders["mitsuba"], "m.xml"),
-            blender_picture(folders["blender"], "m", maps),
+            blender_picture(folders["blender"] / "m_blender.py", maps),
         ]
         light = DirectionalLight(DIRECTION, (3.0, 3.0, 3.0))
         scene = Scene(film=None, surface=Surface(size=None), lights=(light,))

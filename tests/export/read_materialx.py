@@ -62,7 +62,10 @@ def _texture(path, node) -> np.ndarray:
     """What an image node gives, in the document's own linear space."""
     file = node.getInput("file")
     coded = picture(path.parent / file.getValueString())
-    return linear(coded) if file.getColorSpace() == "srgb_texture" else coded
+    space = file.getColorSpace()
+    assert space in ("srgb_texture", "raw")
+    assert (space == "srgb_texture") == (node.getType() == "color3")
+    return linear(coded) if space == "srgb_texture" else coded
 
 
 def shader(document):

@@ -5,15 +5,62 @@ import numpy as np
 from exported import channels, linear
 from pxr import Ar, Usd, UsdShade, UsdValidation
 
+from matcap.export.shading import Shading
 from matcap.export.surface import TargetSurface
 
 
 def complaints(path) -> list[str]:
-    """Everything that the validators of usd-core find wrong."""
+    """Everything that the validators of usd-core find wrong.
+
+    It comes without MaterialX's nodes, and does not know their names: misnamed() does.
+    """
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     assert len(validators) > 20
     context = UsdValidation.ValidationContext(validators)
-    return [error.GetMessage() for error in context.Validate(Usd.Stage.Open(str(path)))]
+    said = [error.GetMessage() for error in context.Validate(Usd.Stage.Open(str(path)))]
+    return [one for one in said if "'ND_" not in one]
+
+
+def misnamed(path) -> list[str]:
+    """Nodes and inputs of the output mtlx:surface, of other types than MaterialX's library has."""
+    import MaterialX as mx
+
+    library = mx.createDocument()
+    mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), library)
+    types = {"color3f": "color3", "float3": "vector3", "float2": "vector2", "asset": "filename"}
+    found = []
+    stage = Usd.Stage.Open(str(path))
+    reached = list(network(stage))
+    assert len(reached) == 8
+    for node in reached:
+        definition = library.getNodeDef(node.GetIdAttr().Get())
+        if definition is None:
+            found.append(node.GetIdAttr().Get())
+            continue
+        for one in (*node.GetInputs(), *node.GetOutputs()):
+            kind = str(one.GetTypeName())
+            there = definition.getActiveInput(one.GetBaseName())
+            if one in node.GetOutputs():
+                there = definition.getActiveOutput(one.GetBaseName())
+            if there is None or there.getType() not in (types.get(kind, kind), "surfaceshader"):
+                found.append(f"{node.GetPath()}.{one.GetBaseName()}")
+    return found
+
+
+def network(stage):
+    """Every shader that is reached from the output mtlx:surface."""
+    mesh = stage.GetDefaultPrim().GetChild("Plane")
+    material, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()
+    start = material.GetSurfaceOutput("mtlx").GetConnectedSources()[0][0].source.GetPrim()
+    waiting, seen = [start], {}
+    while waiting:
+        prim = waiting.pop()
+        node = seen[prim.GetPath()] = UsdShade.Shader(prim)
+        for one in node.GetInputs():
+            for source in one.GetConnectedSources()[0]:
+                if source.source.GetPath() not in seen:
+                    waiting.append(source.source.GetPrim())
+    return seen.values()
 
 
 def shader(stage) -> UsdShade.Shader:
@@ -48,4 +95,4 @@ def surface(path) -> TargetSurface:
     assert bound.GetInput("useSpecularWorkflow").Get() == 1
     f0 = read(bound, "specularColor")
     base, rough, normal = (read(bound, i) for i in ("diffuseColor", "roughness", "normal"))
-    return TargetSurface(base, f0, rough, normal, layer=f0)
+    return TargetSurface(base, f0, rough, normal, layer=f0, shading=Shading(layer="half"))

@@ -1,6 +1,8 @@
-"""Run by Blender's Python: build the exported material by its own script and render it.
+"""Run by Blender's Python: build an exported material and render it.
 
-    python render_blender.py FOLDER NAME COLUMNS ROWS EXTENT PICTURE.exr
+    python render_blender.py FILE COLUMNS ROWS EXTENT PICTURE.exr
+
+FILE is an exported script (.py), run as it is, or a stage (.usda) or binary (.glb), imported.
 
 One texel a pixel, under the point light that `matcap relight` calls top, of 1000 W.
 """
@@ -11,10 +13,25 @@ import sys
 from pathlib import Path
 
 import bpy
+import mathutils
 
-folder, name, columns, rows, extent, out = sys.argv[-6:]
+file, columns, rows, extent, out = sys.argv[-5:]
 bpy.ops.wm.read_factory_settings(use_empty=True)
-runpy.run_path(str(Path(folder) / f"{name}_blender.py"), run_name="__main__")
+if Path(file).suffix == ".py":
+    runpy.run_path(file, run_name="__main__")
+elif Path(file).suffix == ".glb":
+    bpy.ops.import_scene.gltf(filepath=file)
+else:
+    bpy.ops.wm.usd_import(filepath=file)
+for one in bpy.data.objects:
+    if one.type == "MESH" and Path(file).suffix != ".py":
+        # y is up in these files and importers turn them: back to facing +z.
+        points = [vertex.co.copy() for vertex in one.data.vertices]
+        flat = min(range(3), key=lambda axis: max(abs(p[axis]) for p in points))
+        one.parent = None
+        one.matrix_world = mathutils.Matrix.Identity(4)
+        if flat == 1:
+            one.matrix_world = mathutils.Matrix.Rotation(math.radians(-90.0), 4, "X")
 for material in bpy.data.materials:
     for node in material.node_tree.nodes:
         if node.type == "TEX_IMAGE":

@@ -2,9 +2,9 @@
 
 Each material (by default the procedural ones that matcap simulates) is exported to every target,
 checked by the target's validator, read back by its library and compared with matcap; with -r also
-rendered: MaterialX's shader in Chromium, Mitsuba, and Blender where BLENDER_PYTHON names a Python
-with bpy. Prints the table of docs/notes/exports.md: light that differs, as a share of all light,
-mean and worst of the materials. What is not installed is left out and said.
+rendered: MaterialX's shaders and three.js in Chromium, Mitsuba, and Blender where BLENDER_PYTHON
+names a Python with bpy. Prints the table of docs/notes/exports.md: light that differs, as a share
+of all light, mean and worst of the materials. What is not installed is left out and said.
 """
 
 import os
@@ -15,16 +15,23 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import render_three
 
 import matcap
-from matcap.export.presets import PRESETS
+from matcap.export.engines import ENGINES
 from matcap.export.surface import residual
 from matcap.export.targets import DOCUMENTS, write_export, write_preset
 from matcap.export.textures import ExportJob
 from matcap.files.exr import read_exr
 from matcap.lab.simulate.materials import MATERIALS, realise
 from matcap.model.opened import open_tile
-from matcap.relight.scene import DirectionalLight, Scene, Surface, exposing_intensity
+from matcap.relight.scene import (
+    NAMED_LIGHTS,
+    DirectionalLight,
+    Scene,
+    Surface,
+    exposing_intensity,
+)
 
 SIZE = 64
 LOBES = "none,+diffuse,+specular,+falloff"
@@ -64,25 +71,44 @@ def checked(target, folder, name):
 def rendered(target, folder, name, maps):
     """{what: difference} of pictures; empty where nothing that renders is installed."""
     if target == "materialx" and find_spec("MaterialX") and find_spec("playwright"):
-        from read_materialx import render
-
-        light = DirectionalLight(DIRECTION, (3.0, 3.0, 3.0))
-        scene = Scene(film=None, surface=Surface(size=None), lights=(light,))
-        true = matcap.relight(maps, scene, effects="none,+diffuse,+specular")
-        return {
-            f"materialx, {what}": difference(
-                render(folder / f"{name}.mtlx", maps, DIRECTION, 3.0, compensated=full), true
-            )
-            for what, full in (("one bounce", False), ("its own bounces", True))
-        }
+        return materialx_pictures(folder, name, maps)
     if target == "mitsuba" and find_spec("mitsuba"):
         return {
             f"mitsuba, {what}": difference(mitsuba_picture(folder, file), lit(maps))
             for what, file in (("plain", f"{name}.xml"), ("exact", f"{name}_exact.xml"))
         }
-    if target == "blender" and "BLENDER_PYTHON" in os.environ:
-        return {"blender, Cycles": difference(blender_picture(folder, name, maps), lit(maps))}
-    return {}
+    endings = {"blender": "_blender.py", "usd": ".usda", "gltf": ".glb"}
+    file = folder / f"{name}{endings[target]}" if target in endings else None
+    found = {}
+    if file and "BLENDER_PYTHON" in os.environ:
+        found["in Blender"] = blender_picture(file, maps)
+    if file and target != "blender" and find_spec("playwright") and render_three.THREE.is_dir():
+        place = NAMED_LIGHTS["top"]
+        found["in three.js"] = render_three.render(file, maps, place, exposing_intensity(place))
+    return {
+        f"{target}, {where}": difference(picture, lit(maps)) for where, picture in found.items()
+    }
+
+
+def materialx_pictures(folder, name, maps):
+    """The same of MaterialX's shader, of each of its documents."""
+    from read_materialx import render
+
+    light = DirectionalLight(DIRECTION, (3.0, 3.0, 3.0))
+    scene = Scene(film=None, surface=Surface(size=None), lights=(light,))
+    true = matcap.relight(maps, scene, effects="none,+diffuse,+specular")
+    ways = (
+        ("one bounce", "", False),
+        ("its own bounces", "", True),
+        ("open_pbr_surface", "_openpbr", True),
+        ("standard_surface", "_standard_surface", True),
+    )
+    return {
+        f"materialx, {what}": difference(
+            render(folder / f"{name}{variant}.mtlx", maps, DIRECTION, 3.0, compensated=full), true
+        )
+        for what, variant, full in ways
+    }
 
 
 def mitsuba_picture(folder, file) -> np.ndarray:
@@ -100,13 +126,13 @@ def mitsuba_picture(folder, file) -> np.ndarray:
     return np.array(picture)[..., :3]
 
 
-def blender_picture(folder, name, maps) -> np.ndarray:
-    """Cycles' picture, in the units of the light called top."""
+def blender_picture(file, maps) -> np.ndarray:
+    """Cycles' picture of a script, stage or binary, in the units of the light called top."""
     width, height = maps.size
-    out = folder / "blender.exr"
+    out = file.with_suffix(".exr")
     extent = max(width, height) * maps.texel_size
     script = Path(__file__).with_name("render_blender.py")
-    words = [os.environ["BLENDER_PYTHON"], "-W", "ignore", script, folder, name, width, height]
+    words = [os.environ["BLENDER_PYTHON"], "-W", "ignore", script, file, width, height]
     subprocess.run([str(w) for w in (*words, extent, out)], check=True, capture_output=True)
     # A lamp of P watts has a radiant intensity of P / (4 pi).
     scale = exposing_intensity((0.0, 2.0, 1.2)) * 4.0 * np.pi / 1000.0
@@ -132,7 +158,8 @@ def main(words) -> None:
             for target in DOCUMENTS:
                 folder = Path(place) / f"{count}_{target}"
                 done = write_export(ExportJob(maps, name), target, folder)
-                rows.setdefault(f"{target}, residual told", []).append(done.residual.mean)
+                for form, off in done.residuals.items():
+                    rows.setdefault(f"{target}, {form}, residual told", []).append(off.mean)
                 found, surface = checked(target, folder, name)
                 if found is not None:
                     faults.setdefault(target, []).extend(found)
@@ -142,12 +169,13 @@ def main(words) -> None:
                 if "-r" in words:
                     for what, off in rendered(target, folder, name, maps).items():
                         rows.setdefault(f"{what}, rendered", []).append(off)
-            for preset, about in PRESETS.items():
-                if about.metallic:
-                    done = write_preset(
-                        ExportJob(maps, name), preset, Path(place) / f"{count}_{preset}p"
-                    )
-                    rows.setdefault(f"preset {preset}", []).append(done.residual.mean)
+            for preset in ENGINES:
+                done = write_preset(
+                    ExportJob(maps, name), preset, Path(place) / f"{count}_{preset}p"
+                )
+                rows.setdefault(f"preset {preset}, as written", []).append(done.residual.mean)
+                for form, off in done.residuals.items():
+                    rows.setdefault(f"preset {preset}, {form}", []).append(off.mean)
     print(f"{count} materials of {SIZE} x {SIZE} texels\n")
     print("| target | mean | worst material |\n| --- | --- | --- |")
     for what, values in rows.items():

@@ -3,6 +3,8 @@
 import json
 import re
 
+import pytest
+
 from matcap.export.targets import write_export
 from matcap.export.textures import ExportJob
 
@@ -17,4 +19,52 @@ def test_the_script_finds_all_it_reads(tmp_path, made):
     kinds = set(re.findall(r'texture\("(\w+)"', code)) | set(re.findall(r'files\["(\w+)"', code))
     assert kinds == set(sidecar["textures"])
     assert all((tmp_path / file).is_file() for file in sidecar["textures"].values())
-    assert sidecar["height"] == {"scale": 85.0, "midlevel": 0.0, "unit": "mm"}
+    assert sidecar["texel"] == pytest.approx(85.0 * 2.0 / 48)
+    assert sidecar["height"] == 32
+    assert sidecar["height_code"] == {"scale": 85.0, "midlevel": 0.0, "unit": "mm"}
+
+
+class Any:
+    """Whatever a script does with it, and what it set."""
+
+    def __init__(self):
+        self.__dict__["kept"] = {}
+
+    def __getattr__(self, name):
+        return self.kept.setdefault(name, Any())
+
+    def __setattr__(self, name, value):
+        self.kept[name] = value
+
+    def __getitem__(self, name):
+        return self.kept.setdefault(name, Any())
+
+    def __setitem__(self, name, value):
+        self.kept[name] = value
+
+    def __call__(self, *_, **__):
+        return self.kept.setdefault("made", Any())
+
+
+@pytest.mark.parametrize(("unit", "width"), [(85.0, 0.17), (None, 2.0)])
+def test_the_plane_and_the_relief_are_in_metres(tmp_path, made, monkeypatch, unit, width):
+    """Millimetres taken for metres made a leather of 170 metres."""
+    import importlib.util
+    import sys
+
+    done = write_export(ExportJob(made["leather"], "leather", unit), "blender", tmp_path)
+    assert any("no real size" in note for note in done.notes) == (unit is None)
+    corner = Any()
+    corner.co = Any()
+    corner.co.x, corner.co.y = 0.5, 0.5
+    blender = Any()
+    blender.context.object.data.vertices = [corner]
+    monkeypatch.setitem(sys.modules, "bpy", blender)
+    spec = importlib.util.spec_from_file_location("script", tmp_path / "leather_blender.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    script.plane(Any(), tmp_path / "leather_blender.json")
+    assert 2.0 * corner.co.x == pytest.approx(width)
+    assert 2.0 * corner.co.y == pytest.approx(width * 32 / 48)
+    about = json.loads((tmp_path / "leather_blender.json").read_text())
+    assert script.lifted(about) == pytest.approx(width / 2.0)

@@ -53,7 +53,7 @@ def test_any_f0_is_kept(tmp_path, f0):
 def test_more_light_than_a_layer_allows_is_told(tmp_path):
     flat = torch.zeros(1, 8, 8)
     maps = MapSet(flat.expand(3, 8, 8) + 0.9, flat + 0.5, flat + 0.5, flat, 0.1)
-    done = write_export(ExportJob(maps, "bright"), "gltf", tmp_path)
+    done = write_export(ExportJob(maps, "bright"), "gltf", tmp_path, workflow="specular")
     assert "clipped" in done.notes[0]
     assert done.residual.mean > 0.1
 
@@ -73,3 +73,33 @@ def test_the_validator_finds_nothing(tmp_path, made, depth):
     broken = (tmp_path / "rust.glb").read_bytes().replace(b'"VEC3"', b'"VEC4"')
     (tmp_path / "rust.glb").write_bytes(broken)
     assert complaints(tmp_path / "rust.glb")
+
+
+@pytest.mark.parametrize("container", ["jpg", "webp"])
+def test_a_light_file(tmp_path, made, container):
+    import cv2
+
+    sizes = {}
+    for one in (None, container):
+        write_export(ExportJob(made["rust"], "rust", container=one), "gltf", tmp_path)
+        sizes[one] = (tmp_path / "rust.glb").stat().st_size
+    assert sizes[container] < 0.8 * sizes[None]
+    document, view = opened(tmp_path / "rust.glb")
+    for texture, image in zip(document["textures"], document["images"], strict=True):
+        raw = np.frombuffer(view(image["bufferView"]), dtype=np.uint8)
+        assert cv2.imdecode(raw, cv2.IMREAD_UNCHANGED).shape[:2] == (32, 48)
+        if container == "webp":
+            assert "source" not in texture
+            assert "EXT_texture_webp" in document["extensionsRequired"]
+    if has_validator():
+        assert complaints(tmp_path / "rust.glb") == []
+
+
+def test_viewers_without_extensions_get_a_metallic_form(tmp_path, made):
+    done = write_export(
+        ExportJob(made["leather"], "leather"), "gltf", tmp_path, workflow="metallic"
+    )
+    assert done.workflow == "metallic"
+    document, _ = opened(tmp_path / "leather.glb")
+    assert document["extensionsUsed"] == ["KHR_materials_ior"]
+    assert done.residual.mean < 0.04

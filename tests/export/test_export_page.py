@@ -8,7 +8,8 @@ import pytest
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
-from matcap.export.presets import PRESETS
+from matcap.export.engines import ENGINES
+from matcap.export.libraries import LIBRARIES
 
 PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "export.md").read_text(encoding="utf-8")
 SHELL = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)).splitlines()
@@ -46,10 +47,13 @@ def test_files_are_called_as_the_page_says(captured, target):
     assert set(mine) <= there
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", [*LIBRARIES, *ENGINES])
 def test_files_of_presets_are_called_as_the_table_says(captured, preset):
     (row,) = re.findall(rf"^\| `{preset}` \| (.*?) \|", PAGE, re.MULTILINE)
-    assert main(["export", "out/leather", "--preset", preset, "-q"]) == 0
+    forms = ENGINES.get(preset, {None: None})
+    for form in forms:
+        asked = ["--workflow", form] if form else []
+        assert main(["export", "out/leather", "--preset", preset, *asked, "-q"]) == 0
     there = " ".join(file.name for file in (captured / f"leather_{preset}").iterdir())
     for part in re.findall(r"`([^`]+)`", row):
         wanted = re.sub("1k", "48", part, flags=re.IGNORECASE)  # 48 texels here, 1024 there

@@ -5,6 +5,7 @@ import torch
 from exported import MATERIALS
 
 from matcap.brdf.maps import MapSet
+from matcap.export.shading import Shading
 from matcap.export.surface import TargetSurface, residual
 
 
@@ -22,10 +23,30 @@ def test_the_maps_themselves_have_none(made, name):
         lambda s: {"roughness": s.roughness * 1.1},
         lambda s: {"normal": s.normal * torch.tensor([1.0, -1.0, 1.0])[:, None, None]},
         lambda s: {"f90": 0.5},
-        lambda s: {"masking": "separable"},
-        lambda s: {"layer": s.f0},
+        lambda s: {"shading": Shading(masking="separable")},
+        lambda s: {"shading": Shading(masking="hammon")},
+        lambda s: {"shading": Shading(diffuse="disney")},
+        lambda s: {"shading": Shading(index=0.04)},
+        lambda s: {"shading": Shading(specular="mobile")},
+        lambda s: {"shading": Shading(compensated=True)},
+        lambda s: {"shading": Shading(layer="half"), "layer": s.f0},
+        lambda s: {"shading": Shading(layer="albedo"), "layer": s.f0},
     ],
-    ids=["diffuse", "f0", "roughness", "normal", "f90", "masking", "layer"],
+    ids=[
+        "diffuse",
+        "f0",
+        "roughness",
+        "normal",
+        "f90",
+        "separable",
+        "hammon",
+        "disney",
+        "index",
+        "mobile",
+        "compensated",
+        "half",
+        "albedo",
+    ],  # fmt: skip
 )
 def test_every_parameter_counts(made, change):
     from dataclasses import replace

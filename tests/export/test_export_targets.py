@@ -2,12 +2,15 @@
 
 import filecmp
 import json
+from types import SimpleNamespace
 
 import pytest
 from exported import MATERIALS
 
+from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.errors import MatcapError, UsageError
-from matcap.export.targets import DOCUMENTS, write_export
+from matcap.export.reach import material_reach
+from matcap.export.targets import DOCUMENTS, export_mapset, write_export
 from matcap.export.textures import ExportJob
 
 
@@ -45,3 +48,30 @@ def test_broken_maps_leave_nothing(tmp_path, made, target):
 def test_unknown_targets_name_the_nearest(tmp_path, made):
     with pytest.raises(UsageError, match="did you mean 'unreal'"):
         write_export(ExportJob(made["leather"], "leather"), "unral", tmp_path)
+
+
+def test_a_known_size_goes_into_every_export(tmp_path, made):
+    info = MapSetInfo("leather", provenance={"millimetres_per_unit": 85.0})
+    write_mapset(made["leather"], tmp_path, info)
+    for target in DOCUMENTS:
+        done = export_mapset(tmp_path, target)
+        assert not any("no real size" in note for note in done.notes)
+        sidecar = json.loads((tmp_path / target / f"leather_{target}.json").read_text())
+        assert sidecar["unit"] == "mm"
+        assert sidecar["tile"][0] == pytest.approx(170.0)
+
+
+def test_a_material_fixes_the_range_of_its_heights(tmp_path, made, monkeypatch):
+    height = made["leather"].height.numpy()
+    there = SimpleNamespace(exemplar=SimpleNamespace(height=height))
+    monkeypatch.setattr("matcap.model.material.Material.load", lambda _: there)
+    (tmp_path / "tiny.matcap").touch()
+    reach = material_reach(tmp_path / "tiny.matcap", "anything")
+    assert 1.2 * abs(height).max() < reach < 1.6 * abs(height).max()
+    assert material_reach(tmp_path, "tiny") == reach  # of a map set beside it
+    assert material_reach(tmp_path, "other") is None
+
+
+def test_a_broken_material_beside_the_maps_has_no_say(tmp_path):
+    (tmp_path / "tiny.matcap").write_bytes(b"no material")
+    assert material_reach(tmp_path, "tiny") is None

@@ -34,6 +34,15 @@ def test_the_validators_would_object(tmp_path, made, read_usd):
     assert read_usd.complaints(file)
 
 
+def test_its_materialx_is_materialxs(tmp_path, made, read_usd):
+    pytest.importorskip("MaterialX", reason="needs the extra `export`")
+    write_export(ExportJob(made["leather"], "leather"), "usd", tmp_path)
+    file, wrong = tmp_path / "leather.usda", tmp_path / "wrong.usda"
+    assert read_usd.misnamed(file) == []
+    wrong.write_text(file.read_text().replace("inputs:specular_ior", "inputs:specular_IOR"))
+    assert read_usd.misnamed(wrong) == ["/leather/Material/OpenPBR.specular_IOR"]
+
+
 @pytest.mark.parametrize("suffix", ["usda", "usdz"])
 @pytest.mark.parametrize("name", MATERIALS)
 def test_its_network_gives_the_light_of_the_maps(tmp_path, made, read_usd, name, suffix):
@@ -52,8 +61,10 @@ def test_heights_are_real(tmp_path, made, read_usd, unit, metres):
 
     write_export(ExportJob(made["leather"], "leather", unit), "usd", tmp_path)
     stage = Usd.Stage.Open(str(tmp_path / "leather.usda"))
-    assert UsdGeom.GetStageMetersPerUnit(stage) == pytest.approx(metres)
-    height = made["leather"].height
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
+    plane = UsdGeom.Mesh(stage.GetDefaultPrim().GetChild("Plane"))
+    assert max(p[0] for p in plane.GetPointsAttr().Get()) == pytest.approx(metres)
+    height = made["leather"].height * metres
     found = read_usd.read(read_usd.shader(stage), "displacement")
     assert (found - height).abs().max() < 1e-4 * float(height.max() - height.min())
 

@@ -10,7 +10,6 @@ from relight_samples import bumpy, flat
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
-from matcap.export.texture_file import Stored
 from matcap.files.exr import write_exr, write_exr_channels
 from matcap.relight.foreign import read_foreign
 from matcap.relight.render import Renderer, relight
@@ -164,9 +163,7 @@ def test_what_half_float_cannot_hold_is_said(tmp_path):
     for write in (
         lambda: write_exr(tmp_path / "a.exr", large, half=True),
         lambda: write_exr_channels(tmp_path / "a.exr", {"Y": large}),
-        lambda: Stored(large, "half").write(tmp_path / "a.exr"),
     ):
         with pytest.raises(MatcapError, match=r"a.exr: has values too large for half .*; scale"):
             write()
     assert not list(tmp_path.iterdir())
-    assert np.isfinite(Stored(large, "half").seen()).all()

@@ -4,9 +4,13 @@ In Blender: open this file in the Text Editor and press Run Script. Or, from a t
 
     blender --python NAME_blender.py
 
-Both leave a material, and a plane as large as the maps with it on. In Cycles its reflectance is
-matcap's own: a Diffuse BSDF and a Metallic BSDF, whose F82 tint of white is Schlick's Fresnel, are
-added. Set DISPLACE to True to move a finely divided surface by the height.
+Both leave a material, marked for the asset browser, and a plane as large as the maps with it on: in
+metres, one for every plane unit where nobody measured it. To keep the material for the asset
+browser, save the file into a folder that Preferences, File Paths, Asset Libraries names.
+
+In Cycles its reflectance is matcap's own: a Diffuse BSDF and a Metallic BSDF, whose F82 tint of
+white is Schlick's Fresnel, are added. Set DISPLACE to True to move a finely divided surface by the
+height.
 """
 
 import json
@@ -15,6 +19,13 @@ from pathlib import Path
 import bpy
 
 DISPLACE = False
+METRES = {"mm": 0.001, "plane unit": 1.0}
+
+
+def lifted(about):
+    """Metres that one unit of the height's texture is."""
+    code = about["height_code"]
+    return code["scale"] * METRES[code["unit"]]
 
 
 def build(folder, sidecar):
@@ -42,7 +53,8 @@ def build(folder, sidecar):
         return made.outputs["Color"]
 
     link = tree.links.new
-    colour = "sRGB" if files["diffuse"].endswith(".png") else "Linear Rec.709"
+    is_srgb = about["files"][files["diffuse"]]["colour_space"] == "sRGB"
+    colour = "sRGB" if is_srgb else "Linear Rec.709"
     bent = node("ShaderNodeNormalMap", -500, -400)
     link(texture("normal_gl", -500, "Non-Color"), bent.inputs["Color"])
     base = node("ShaderNodeBsdfDiffuse", -200, 300, Roughness=0.0)
@@ -58,17 +70,20 @@ def build(folder, sidecar):
         link(lobe.outputs["BSDF"], both.inputs[index])
     out = node("ShaderNodeOutputMaterial", 400, 200)
     link(both.outputs["Shader"], out.inputs["Surface"])
-    lift = node("ShaderNodeDisplacement", 100, -300, Midlevel=0.0, Scale=about["height"]["scale"])
+    lift = node("ShaderNodeDisplacement", 100, -300, Midlevel=0.0, Scale=lifted(about))
     link(texture("height", -800, "Non-Color"), lift.inputs["Height"])
     if DISPLACE:
         link(lift.outputs["Displacement"], out.inputs["Displacement"])
         material.displacement_method = "DISPLACEMENT"
+    material.asset_mark()
+    material.asset_data.description = f"Captured with matcap {about['matcap']}"
     return material
 
 
 def plane(material, sidecar):
     """A plane as large as the maps, its middle at the origin, facing up."""
-    width, height = json.loads(Path(sidecar).read_text())["tile"]
+    about = json.loads(Path(sidecar).read_text())
+    width, height = (side * METRES[about["unit"]] for side in about["tile"])
     bpy.ops.mesh.primitive_plane_add(size=1.0)
     made = bpy.context.object
     made.name = material.name

@@ -1,0 +1,263 @@
+"""How engines name and pack their textures, in every workflow that each of them has.
+
+An engine's forms go by workflow; the one that comes nearest is written unless another is asked for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcap.export.godot import LARGEST_F0, godot_material
+from matcap.export.presets import (
+    Lit,
+    PackedMaterial,
+    Picture,
+    Preset,
+    PresetTexture,
+    bent,
+    height,
+    normal,
+    occlusion,
+)
+from matcap.export.shading import Shading
+from matcap.export.textures import BASE, Workflow
+from matcap.export.unreal import unreal_import
+
+_ORM = "R: occlusion, G: roughness, B: metallic"
+_F0 = "F0, on the sRGB curve"
+_UNREAL_F0 = 0.08  # of Specular = 1
+_UNITY_F0 = 0.04
+_MOBILE = Shading(specular="mobile")
+_HDRP = Shading(diffuse="disney")
+
+
+def _base(material: PackedMaterial) -> Picture:
+    return material.metallic.base
+
+
+def _orm(material: PackedMaterial) -> Picture:
+    occluded = material.piece.picture("occlusion")
+    return np.stack([occluded, material.roughness, material.metallic.metallic], axis=-1)
+
+
+def _or(material: PackedMaterial) -> Picture:
+    occluded, rough = material.piece.picture("occlusion"), material.roughness
+    return np.stack([occluded, rough, 0.0 * rough], axis=-1)
+
+
+def _mask(material: PackedMaterial) -> Picture:
+    return _masked(material, material.metallic.metallic)
+
+
+def _no_metal_mask(material: PackedMaterial) -> Picture:
+    return _masked(material, 0.0 * material.roughness)
+
+
+def _masked(material: PackedMaterial, metallic: Picture) -> Picture:
+    occluded, smooth = material.piece.picture("occlusion"), 1.0 - material.roughness
+    return np.stack([metallic, occluded, np.ones_like(smooth), smooth], axis=-1)
+
+
+def _specular_level(material: PackedMaterial) -> Picture:
+    return material.metallic.dielectric / np.float32(_UNREAL_F0)
+
+
+def _f0(material: PackedMaterial) -> Picture:
+    return np.repeat(material.f0[..., None], 3, axis=-1)
+
+
+def _metallic_smooth(material: PackedMaterial) -> Picture:
+    metallic = material.metallic.metallic
+    return np.stack([metallic, metallic, metallic, 1.0 - material.roughness], axis=-1)
+
+
+def _specular_smooth(material: PackedMaterial) -> Picture:
+    f0 = material.f0
+    return np.stack([f0, f0, f0, 1.0 - material.roughness], axis=-1)
+
+
+def _metal(material: PackedMaterial) -> Picture:
+    return material.metallic.metallic
+
+
+def _rough(material: PackedMaterial) -> Picture:
+    return material.roughness
+
+
+def _colour(label: str) -> PresetTexture:
+    """Base colour of the metallic workflow."""
+    return PresetTexture(label, "8", _base, BASE, srgb=True)
+
+
+def _below(label: str, meaning: str = BASE) -> PresetTexture:
+    """Base colour below a layer of any F0."""
+    return PresetTexture(label, "8", lambda material: material.base, meaning, srgb=True)
+
+
+_UNREAL_NAMES = ("Normal_GL", "Normal_DX")
+_UNREAL = ("run T_*_import.py in Unreal to import them with the right settings",)
+_UNITY = ("switch sRGB off for MaskMap and HeightMap",)
+
+ENGINES: dict[str, dict[Workflow, Preset]] = {
+    "unreal": {
+        "metallic": Preset(
+            "T_{stem}_{map}",
+            {
+                "base": _colour("BaseColor"),
+                "orm": PresetTexture("ORM", "8", _orm, _ORM),
+                "specular": PresetTexture(
+                    "Specular", "8", _specular_level, "F0 / 0.08 of the dielectric"
+                ),
+                "height": height("Height"),
+                "normal": normal(),
+            },
+            normal="dx",
+            normal_labels=_UNREAL_NAMES,
+            lit=Lit(Shading(masking="hammon", fading=True), "metallic", (0.0, _UNREAL_F0)),
+            notes=_UNREAL,
+            documents=unreal_import,
+        ),
+        "specular": Preset(
+            "T_{stem}_{map}",
+            {
+                "base": _below("DiffuseAlbedo", "diffuse albedo of a Substrate slab"),
+                "specular": PresetTexture("F0", "8", _f0, _F0, srgb=True),
+                "orm": PresetTexture("ORM", "8", _or, _ORM),
+                "height": height("Height"),
+                "normal": normal(),
+            },
+            normal="dx",
+            normal_labels=_UNREAL_NAMES,
+            lit=Lit(Shading(masking="hammon", layer="albedo", compensated=True), "specular"),
+            notes=(
+                "needs Substrate, in Unreal's project settings; --workflow metallic does without",
+                *_UNREAL,
+            ),
+            documents=unreal_import,
+        ),
+    },
+    "unity-hdrp": {
+        "metallic": Preset(
+            "{stem}_{map}",
+            {
+                "base": _colour("BaseMap"),
+                "mask": PresetTexture(
+                    "MaskMap", "8", _mask, "R: metallic, G: occlusion, B: detail, A: smoothness"
+                ),
+                "bent": bent("BentNormalMap"),
+                "height": height("HeightMap"),
+                "normal": normal(),
+            },
+            normal_labels=_UNREAL_NAMES,
+            lit=Lit(_HDRP, "metallic", (_UNITY_F0, _UNITY_F0)),
+            notes=_UNITY,
+        ),
+        "specular": Preset(
+            "{stem}_{map}",
+            {
+                "base": _below("BaseMap"),
+                "specular": PresetTexture("SpecularColorMap", "8", _f0, _F0, srgb=True),
+                "mask": PresetTexture(
+                    "MaskMap",
+                    "8",
+                    _no_metal_mask,
+                    "R: metallic, G: occlusion, B: detail, A: smoothness",
+                ),
+                "bent": bent("BentNormalMap"),
+                "height": height("HeightMap"),
+                "normal": normal(),
+            },
+            normal_labels=_UNREAL_NAMES,
+            lit=Lit(_HDRP, "specular", conserving=True),
+            notes=("set Material Type to Specular Color", *_UNITY),
+        ),
+    },
+    "unity-urp": {
+        "metallic": Preset(
+            "{stem}_{map}",
+            {
+                "base": _colour("BaseMap"),
+                "smooth": PresetTexture(
+                    "MetallicSmoothness", "8", _metallic_smooth, "RGB: metallic, A: smoothness"
+                ),
+                "occlusion": occlusion("OcclusionMap"),
+                "height": height("HeightMap"),
+                "normal": normal(),
+            },
+            normal_labels=_UNREAL_NAMES,
+            lit=Lit(_MOBILE, "metallic", (_UNITY_F0, _UNITY_F0), 1.0 - _UNITY_F0),
+            notes=("switch sRGB off for MetallicSmoothness, OcclusionMap and HeightMap",),
+        ),
+        "specular": Preset(
+            "{stem}_{map}",
+            {
+                "base": _below("BaseMap"),
+                "specular": PresetTexture(
+                    "SpecularSmoothness",
+                    "8",
+                    _specular_smooth,
+                    "RGB: F0, on the sRGB curve, A: smoothness",
+                    srgb=True,
+                ),
+                "occlusion": occlusion("OcclusionMap"),
+                "height": height("HeightMap"),
+                "normal": normal(),
+            },
+            normal_labels=_UNREAL_NAMES,
+            lit=Lit(_MOBILE, "specular", conserving=True),
+            notes=(
+                "set Workflow Mode to Specular",
+                "switch sRGB off for OcclusionMap and HeightMap",
+            ),
+        ),
+    },
+    "gltf": {
+        "metallic": Preset(
+            "{stem}_{map}",
+            {
+                "base": _colour("baseColor"),
+                "orm": PresetTexture("occlusionRoughnessMetallic", "8", _orm, _ORM),
+                "height": height("height"),
+                "normal": normal(),
+            },
+            lit=Lit(Shading(layer="half"), "metallic", (_UNITY_F0, _UNITY_F0)),
+            notes=("--to gltf keeps F0, by KHR_materials_specular",),
+        ),
+    },
+    "godot": {
+        "metallic": Preset(
+            "{stem}_{map}",
+            {
+                "base": _colour("albedo"),
+                "orm": PresetTexture("orm", "8", _orm, _ORM),
+                "height": height("height"),
+                "normal": normal(),
+            },
+            lit=Lit(
+                Shading(masking="hammon", fading=True),
+                "metallic",
+                (_UNITY_F0, _UNITY_F0),
+                even=LARGEST_F0,
+            ),
+            documents=godot_material,
+        ),
+    },
+    "substance": {
+        "metallic": Preset(
+            "{stem}_{map}",
+            {
+                "base": _colour("basecolor"),
+                "roughness": PresetTexture("roughness", "8", _rough, "roughness"),
+                "mask": PresetTexture("metallic", "8", _metal, "metallic"),
+                "specular": PresetTexture(
+                    "specularlevel", "8", _specular_level, "F0 / 0.08 of the dielectric"
+                ),
+                "occlusion": occlusion("ambientocclusion"),
+                "height": height("height"),
+                "normal": normal(),
+            },
+            normal="dx",
+            lit=Lit(Shading(), "metallic", (0.0, _UNREAL_F0)),
+        ),
+    },
+}

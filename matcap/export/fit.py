@@ -1,0 +1,114 @@
+"""What a target must be told so that it shows what is meant.
+
+Where a target shades otherwise than matcap, the same numbers give another light: a layer darkens
+what lies below it, Disney's diffuse lobe is not Lambert's, Unity's mobile term is twice as bright
+on polished surfaces. How much so depends on roughness and F0 alone, for a surface that lies flat.
+So once a target, over a grid of both, these are found: the factor on the diffuse albedo, the factor
+on F0, and the roughness that leave the least difference of light under the directions by which
+residuals are measured (surface.py). Textures are made with them; what is left is the residual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from matcap.export.shading import MATCAP, Geometry, Shading, diffuse_lobe, specular_lobe
+from matcap.export.surface import DIRECTIONS
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Picture = NDArray[np.float32]
+
+_ROUGH, _F0 = 64, 33
+# Roughnesses that are tried, relative to the one that is meant, where the highlight has another
+# shape; all others keep it.
+_RATIOS = np.linspace(0.7, 1.3, 61)
+_LEAST = 0.02  # of the grid's roughness: below it a highlight is narrower than the directions
+
+
+@dataclass(frozen=True)
+class Told:
+    """Tables over roughness (rows, even from 0 to 1) and the root of F0 (columns, likewise).
+
+    Attributes:
+        diffuse: factor on the diffuse albedo.
+        specular: factor on F0.
+        roughness: factor on the roughness.
+    """
+
+    diffuse: Picture
+    specular: Picture
+    roughness: Picture
+
+    def albedo(self, f0: Picture, roughness: Picture) -> Picture:
+        """(H, W) factors on the diffuse albedo, of (H, W) F0 and roughness."""
+        return self._at(self.diffuse, f0, roughness)
+
+    def f0(self, f0: Picture, roughness: Picture) -> Picture:
+        """(H, W) the F0 to tell; may exceed 1."""
+        return f0 * self._at(self.specular, f0, roughness)
+
+    def rough(self, f0: Picture, roughness: Picture) -> Picture:
+        """(H, W) the roughness to tell."""
+        return np.clip(roughness * self._at(self.roughness, f0, roughness), 0.0, 1.0)
+
+    @staticmethod
+    def _at(table: Picture, f0: Picture, roughness: Picture) -> Picture:
+        import cv2
+
+        if np.ptp(table) < 1e-5:  # most tables say 1 throughout
+            return np.full_like(f0, table.flat[0])
+        y = np.clip(roughness, 0.0, 1.0) * np.float32(_ROUGH - 1)
+        x = np.sqrt(np.clip(f0, 0.0, 1.0)) * np.float32(_F0 - 1)
+        found = cv2.remap(table, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(found, dtype=np.float32)
+
+
+@lru_cache(maxsize=64)
+def told(shading: Shading) -> Told:
+    """The tables of a target; all the same numbers where it shades as matcap does."""
+    rough = torch.linspace(0.0, 1.0, _ROUGH, dtype=torch.float64).clamp_min(_LEAST)
+    f0 = torch.linspace(0.0, 1.0, _F0, dtype=torch.float64).square().clamp_min(1e-4)
+    rough, f0 = (v[None].contiguous() for v in torch.meshgrid(rough, f0, indexing="ij"))
+    flat = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)[:, None, None]
+    flat = flat.expand(3, _ROUGH, _F0)
+    places = [Geometry.of(flat, *pair) for pair in DIRECTIONS]
+    factor, ratio = _nearest(shading, places, f0, rough)
+    nearest = (rough * ratio).clamp(max=1.0)
+    # The layer is as bright as the F0 that is told.
+    layer = (f0 * factor).clamp(max=1.0)
+    meant = torch.stack([diffuse_lobe(MATCAP, at, rough, None) * at.light for at in places])
+    shown = torch.stack([diffuse_lobe(shading, at, nearest, layer) * at.light for at in places])
+    albedo = meant.sum(0) / shown.sum(0).clamp_min(1e-6)
+    tables = (table[0].numpy().astype(np.float32) for table in (albedo, factor, ratio))
+    return Told(*tables)
+
+
+def _nearest(
+    shading: Shading, places: list[Geometry], f0: Tensor, rough: Tensor
+) -> tuple[Tensor, Tensor]:
+    """(factor on F0, factor on roughness) of the least difference at every point of the grid."""
+    meant = torch.stack([specular_lobe(MATCAP, at, f0, 1.0, rough) * at.light for at in places])
+    best = torch.full_like(f0, torch.inf)
+    factor, chosen = torch.ones_like(f0), torch.ones_like(f0)
+    # The one that is meant goes first: it stays where no other is better.
+    ratios = _RATIOS if shading.specular == "mobile" else np.ones(1)
+    for ratio in sorted(ratios, key=lambda one: abs(one - 1.0)):
+        tried = (rough * float(ratio)).clamp(max=1.0)
+        shown = torch.stack(
+            [specular_lobe(shading, at, f0, 1.0, tried) * at.light for at in places]
+        )
+        scale = meant.sum(0) / shown.sum(0).clamp_min(1e-9)
+        off = (meant - scale * shown).abs().sum(0)
+        better = off < best * (1.0 - 1e-6)
+        best = torch.where(better, off, best)
+        factor = torch.where(better, scale, factor)
+        chosen = torch.where(better, ratio * torch.ones_like(f0), chosen)
+    return factor, chosen

@@ -1,0 +1,68 @@
+"""How texture libraries name and store their maps: presets that lose nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcap.export.presets import (
+    PackedMaterial,
+    Picture,
+    Preset,
+    PresetTexture,
+    bent,
+    cavity,
+    height,
+    normal,
+    occlusion,
+    plain,
+)
+from matcap.export.textures import DIFFUSE, ROUGHNESS, SPECULAR
+
+
+def _arm(material: PackedMaterial) -> Picture:
+    occluded, rough = (material.piece.picture(kind) for kind in ("occlusion", "roughness"))
+    return np.stack([occluded, rough, 0.0 * rough], axis=-1)
+
+
+LIBRARIES: dict[str, Preset] = {
+    "polyhaven": Preset(
+        "{stem}_{map}_{res}",
+        {
+            "diffuse": PresetTexture("diff", "16", plain("diffuse"), DIFFUSE, srgb=True),
+            "specular": PresetTexture("spec", "16", plain("specular"), SPECULAR),
+            "roughness": PresetTexture("rough", "16", plain("roughness"), ROUGHNESS),
+            "occlusion": occlusion("ao", "16"),
+            "arm": PresetTexture("arm", "16", _arm, "R: occlusion, G: roughness, B: metallic"),
+            "height": height("disp"),
+            "normal": normal(),
+        },
+        normal_labels=("nor_gl", "nor_dx"),
+    ),
+    "ambientcg": Preset(
+        "{stem}_{res}-{format}_{map}",
+        {
+            "diffuse": PresetTexture("Color", "8", plain("diffuse"), DIFFUSE, srgb=True),
+            "specular": PresetTexture("Specular", "16", plain("specular"), SPECULAR),
+            "roughness": PresetTexture("Roughness", "16", plain("roughness"), ROUGHNESS),
+            "occlusion": occlusion("AmbientOcclusion"),
+            "height": height("Displacement"),
+            "normal": normal(),
+        },
+        normal="both",
+        normal_labels=("NormalGL", "NormalDX"),
+        thousand="K",
+    ),
+    "raw": Preset(
+        "{stem}_{map}",
+        {
+            "diffuse": PresetTexture("diffuse", "half", plain("diffuse"), DIFFUSE, srgb=True),
+            "specular": PresetTexture("specular", "half", plain("specular"), SPECULAR),
+            "roughness": PresetTexture("roughness", "half", plain("roughness"), ROUGHNESS),
+            "occlusion": occlusion("ao", "half"),
+            "cavity": cavity("cavity", "half"),
+            "bent": bent("bent_normal_gl", "half"),
+            "height": height("height", "float"),
+            "normal": normal("half"),
+        },
+    ),
+}

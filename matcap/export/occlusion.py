@@ -1,0 +1,195 @@
+"""Ambient occlusion, cavity and bent normals of a height field.
+
+From every texel, along AZIMUTHS directions, the height field is looked at in growing steps, and the
+highest elevation is kept (horizon mapping: Max 1988). What lies above the horizon is open; the
+share of an even sky's light that arrives there, and its mean direction, are exact integrals over
+the elevation:
+
+    open = 1/pi  sum over azimuths  integral of (n.w) cos(e) de
+    bent ~       sum over azimuths  integral of (n.w) w cos(e) de
+
+Below the horizontal nothing is open: an endless surface lies there. Heights are averaged over what
+a step skips, so that a ridge between two steps is not missed but lowered. Cavity is the same as
+open with a reach of CAVITY_REACH texels.
+
+Read next: relight/horizons.py, the renderer's own, with what neighbours reflect.
+"""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from matcap.export.texture_file import Picture
+
+AZIMUTHS = 12
+REACH = 256  # texels
+CAVITY_REACH = 4
+LARGEST = 2048 * 2048  # texels; beyond, every second row and column will do
+_THREADS = 2
+_LOWEST = math.tan(math.radians(2.0))  # what hides less of the sky is not looked for
+_ROWS = 32  # worked on at a time: they stay in the processor's cache
+
+
+@dataclass(frozen=True)
+class Occlusion:
+    """What of the sky each texel sees.
+
+    Attributes:
+        open: (H, W) share of an even sky's light that arrives, of what arrives in the open.
+        cavity: (H, W) the same, hidden by the nearest neighbours only.
+        bent: (H, W, 3) unit vector, mean direction of what is open; +Y up.
+        size: (width, height) of the height field where they are smaller than it.
+    """
+
+    open: Picture
+    cavity: Picture
+    bent: Picture
+    size: tuple[int, int] | None = None
+
+    def whole(self, kind: str) -> Picture:
+        """One of them by its name, at the size of the height field."""
+        found: Picture = getattr(self, kind)
+        if self.size is None:
+            return found
+        import cv2
+
+        return np.asarray(cv2.resize(found, self.size), dtype=np.float32)
+
+
+def settings(width: int, height: int) -> dict[str, Any]:
+    """For the sidecar: how it was found."""
+    texel = 2 if halved(width, height) else 1
+    return {
+        "azimuths": AZIMUTHS,
+        "reach": texel * REACH,
+        "cavity_reach": texel * CAVITY_REACH,
+        "unit": "texel",
+    }
+
+
+def occlusion(height: Picture, *, periodic: bool) -> Occlusion:
+    """The occlusion of a height field; of a large one at half its resolution.
+
+    Args:
+        height: (H, W) in texels, row 0 at the top.
+        periodic: it goes on at the other side; otherwise as at its border.
+    """
+    import cv2
+
+    if not halved(height.shape[1], height.shape[0]):
+        return _occlusion(height, periodic=periodic)
+    size = height.shape[1], height.shape[0]
+    half = cv2.resize(height, (size[0] // 2, size[1] // 2), interpolation=cv2.INTER_AREA)
+    made = _occlusion(0.5 * half, periodic=periodic)
+    return replace(made, size=size)
+
+
+def halved(width: int, height: int) -> bool:
+    """Whether a map set of this size is looked at at half its resolution."""
+    return width * height > LARGEST
+
+
+def _occlusion(height: Picture, *, periodic: bool) -> Occlusion:
+    rows, columns = height.shape
+    field = np.ascontiguousarray(height, dtype=np.float32)
+    steps = _steps(float(field.max() - field.min()))
+    reach = max(steps) + 1
+    smooth = _smoothed(field, steps, reach, periodic=periodic)
+    out = [np.empty((rows, columns), np.float32) for _ in range(2)]
+    bent = np.empty((rows, columns, 3), np.float32)
+
+    def fill(top: int) -> None:
+        band = slice(top, min(top + _ROWS, rows))
+        made = _band(smooth, steps, reach, band, columns)
+        out[0][band], out[1][band] = made[0].numpy(), made[1].numpy()
+        bent[band] = made[2].movedim(0, -1).numpy()
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        list(pool.map(fill, range(0, rows, _ROWS)))
+    return Occlusion(out[0], out[1], bent)
+
+
+def _steps(rise: float) -> dict[int, int]:
+    """Distances in texels, and the side over which the field is averaged there."""
+    last = min(max(1.0, rise / _LOWEST), REACH)
+    steps, step = {}, 1
+    while step <= last:
+        steps[step] = next(side for side in (27, 9, 3, 1) if 4 * side <= step or side == 1)
+        step = max(step + 1, round(step * 1.5))
+    return steps or {1: 1}
+
+
+def _smoothed(
+    field: Picture, steps: dict[int, int], reach: int, *, periodic: bool
+) -> dict[int, Tensor]:
+    """By the side of the average: the field with enough of its surroundings."""
+    import cv2
+
+    wide = np.pad(field, reach + max(steps.values()) // 2, mode="wrap" if periodic else "edge")
+    inner = slice(max(steps.values()) // 2, wide.shape[0] - max(steps.values()) // 2)
+    across = slice(inner.start, wide.shape[1] - inner.start)
+    return {
+        side: torch.from_numpy(cv2.blur(wide, (side, side))[inner, across])
+        for side in {1, *steps.values()}
+    }
+
+
+def _band(
+    smooth: dict[int, Tensor], steps: dict[int, int], reach: int, band: slice, columns: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """(open, cavity, bent) of some rows."""
+    plain = smooth[1]
+
+    def shifted(field: Tensor, across: int, down: int) -> Tensor:
+        return field[
+            reach + band.start + down : reach + band.stop + down,
+            reach + across : reach + across + columns,
+        ]
+
+    own = shifted(plain, 0, 0)
+    slope_x = 0.5 * (shifted(plain, 1, 0) - shifted(plain, -1, 0))
+    slope_y = 0.5 * (shifted(plain, 0, -1) - shifted(plain, 0, 1))
+    nz = torch.rsqrt(1.0 + slope_x.square() + slope_y.square())
+    opened, cavity = torch.zeros_like(own), torch.zeros_like(own)
+    bent, rise = torch.zeros(3, *own.shape), torch.empty_like(own)
+    for azimuth in range(AZIMUTHS):
+        # Turned by half a step, so that neither rows nor columns are favoured.
+        angle = 2.0 * math.pi * (azimuth + 0.5) / AZIMUTHS
+        c, s = math.cos(angle), math.sin(angle)
+        tangent = (c * slope_x + s * slope_y).clamp_min(0.0)
+        side = -(c * slope_x + s * slope_y) * nz
+        near = tangent
+        for step, wide in steps.items():
+            across, down = round(step * c), -round(step * s)
+            torch.sub(shifted(smooth[wide], across, down), own, out=rise)
+            rise *= 1.0 / math.hypot(across, down)
+            torch.maximum(tangent, rise, out=tangent)
+            if step == CAVITY_REACH:
+                near = tangent.clone()
+        cavity += _share(near, side, nz)
+        opened += _share(tangent, side, nz)
+        cosine = torch.rsqrt(1.0 + tangent.square())
+        sine = tangent * cosine
+        level = side * (2.0 / 3.0 - sine + sine**3 / 3.0) + nz * cosine**3 / 3.0
+        bent[0] += c * level
+        bent[1] += s * level
+        bent[2] += side * cosine**3 / 3.0 + nz * (1.0 - sine**3) / 3.0
+    bent /= torch.linalg.vector_norm(bent, dim=0).clamp_min(1e-9)
+    scale = 2.0 / AZIMUTHS  # of azimuths' width, over pi
+    return (opened * scale).clamp(0.0, 1.0), (cavity * scale).clamp(0.0, 1.0), bent
+
+
+def _share(tangent: Tensor, side: Tensor, nz: Tensor) -> Tensor:
+    """Integral of (n.w) cos(e) over elevations e from that of the tangent to the zenith."""
+    squared = tangent.square()
+    below = 1.0 / (1.0 + squared)
+    left = side * (math.pi / 2.0 - torch.atan(tangent) - tangent * below)
+    share: Tensor = 0.5 * (left + nz * below)
+    return share.clamp_min(0.0)

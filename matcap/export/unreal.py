@@ -1,0 +1,21 @@
+"""A script that imports the textures into Unreal, and makes a material of them.
+
+The script is the same for every material (scripts/unreal_import.py); it reads the sidecar
+NAME_unreal.json.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files as resources
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matcap.export.presets import Lit
+    from matcap.export.textures import ExportJob
+
+
+def unreal_import(job: ExportJob, files: dict[str, str], lit: Lit) -> dict[str, str]:
+    """T_NAME_import.py."""
+    del files, lit  # the sidecar tells
+    script = resources("matcap.export.scripts").joinpath("unreal_import.py").read_text()
+    return {f"T_{job.name}_import.py": script}

@@ -1,0 +1,130 @@
+"""Ambient occlusion, cavity and bent normals against rays that are followed one by one."""
+
+import numpy as np
+import pytest
+
+from matcap.export.occlusion import CAVITY_REACH, LARGEST, occlusion, settings
+
+SIDE = 64
+RAYS = 192
+
+
+def ridges():
+    """Waves along one direction, six texels high."""
+    x = np.arange(SIDE)
+    return np.tile(6.0 * np.sin(2.0 * np.pi * x / 32.0), (SIDE, 1))
+
+
+def pebbles():
+    """Half balls that lie about at random."""
+    generator = np.random.default_rng(3)
+    y, x = np.mgrid[:SIDE, :SIDE]
+    field = np.zeros((SIDE, SIDE))
+    for cx, cy, radius in generator.uniform((0, 0, 4), (SIDE, SIDE, 10), (24, 3)):
+        across, down = ((d + SIDE / 2) % SIDE - SIDE / 2 for d in (x - cx, y - cy))
+        field = np.maximum(field, np.sqrt(np.maximum(radius**2 - across**2 - down**2, 0.0)))
+    return field
+
+
+def grain():
+    """Noise of a few texels' size: steep, and no direction like another."""
+    spectrum = np.fft.fft2(np.random.default_rng(1).standard_normal((SIDE, SIDE)))
+    fy, fx = np.meshgrid(*(np.fft.fftfreq(SIDE),) * 2, indexing="ij")
+    field = np.fft.ifft2(spectrum * np.exp(-2.0 * (np.pi * 2.5) ** 2 * (fx**2 + fy**2))).real
+    return 2.5 * field / field.std()
+
+
+RELIEFS = {"ridges": ridges, "pebbles": pebbles, "grain": grain}
+
+
+def followed(field, rows, columns, reach=200.0):
+    """(open, bent): rays from texels, spread as the cosine about their normals.
+
+    They go on in small steps through the bilinear surface, endlessly repeated, until they are below
+    it or above its highest point.
+    """
+    generator = np.random.default_rng(0)
+    along_x = 0.5 * (np.roll(field, -1, 1) - np.roll(field, 1, 1))[rows, columns]
+    along_y = 0.5 * (np.roll(field, 1, 0) - np.roll(field, -1, 0))[rows, columns]
+    normal = np.stack([-along_x, -along_y, np.ones_like(along_x)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    tangent = np.cross(normal, [0.0, 1.0, 0.0])
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
+    u = (np.arange(RAYS) + 0.5) / RAYS
+    turn = 2.0 * np.pi * (u[:, None] * 61.8 + generator.random(len(rows)))
+    out = np.sqrt(u)[:, None, None]
+    ray = out * np.cos(turn)[..., None] * tangent
+    ray = ray + out * np.sin(turn)[..., None] * np.cross(normal, tangent)
+    ray += np.sqrt(1.0 - u)[:, None, None] * normal
+    start = field[rows, columns]
+    is_open = ray[..., 2] > 0.0
+    distance, going = 0.5, is_open.copy()
+    while going.any() and distance < reach:
+        x, y = columns + distance * ray[..., 0], rows - distance * ray[..., 1]
+        z = start + distance * ray[..., 2]
+        hit = going & (bilinear(field, x, y) > z)
+        is_open &= ~hit
+        going &= ~hit & (z < field.max())
+        distance += 0.5 if distance < 20.0 else 1.0
+    mean = (is_open[..., None] * ray).sum(axis=0)
+    return is_open.mean(axis=0), mean / np.linalg.norm(mean, axis=-1, keepdims=True)
+
+
+def bilinear(field, x, y):
+    left, above = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = x - left, y - above
+    x0, y0, x1, y1 = left % SIDE, above % SIDE, (left + 1) % SIDE, (above + 1) % SIDE
+    upper = field[y0, x0] * (1.0 - fx) + field[y0, x1] * fx
+    lower = field[y1, x0] * (1.0 - fx) + field[y1, x1] * fx
+    return upper * (1.0 - fy) + lower * fy
+
+
+@pytest.mark.parametrize("relief", RELIEFS)
+def test_it_is_what_rays_find(relief):
+    field = RELIEFS[relief]()
+    rows, columns = (axis.ravel() for axis in np.mgrid[1:SIDE:6, 1:SIDE:6])
+    true, bent = followed(field, rows, columns)
+    assert true.min() < 0.7  # something is hidden
+    made = occlusion(field.astype(np.float32), periodic=True)
+    off = np.abs(made.open[rows, columns] - true)
+    assert off.mean() < 0.025  # of which the rays' own noise is 0.01
+    assert abs(made.open[rows, columns].mean() - true.mean()) < 0.02
+    angle = np.degrees(np.arccos(np.clip((made.bent[rows, columns] * bent).sum(-1), -1.0, 1.0)))
+    assert angle.mean() < 5.0
+    assert np.allclose(np.linalg.norm(made.bent, axis=-1), 1.0, atol=1e-5)
+
+
+def test_flat_surfaces_see_all_of_the_sky():
+    made = occlusion(np.full((8, 8), 3.0, np.float32), periodic=False)
+    assert made.open.min() > 0.999
+    assert made.cavity.min() > 0.999
+    assert np.allclose(made.bent, [0.0, 0.0, 1.0], atol=1e-4)
+
+
+def test_cavities_are_of_what_is_near():
+    field = np.zeros((64, 64), np.float32)
+    field[:, :16] = 30.0  # a wall
+    made = occlusion(field, periodic=False)
+    near, far = 16 + CAVITY_REACH - 2, 16 + 2 * CAVITY_REACH
+    assert made.cavity[32, near] < 0.9
+    assert made.cavity[32, far] > 0.999 > 0.95 > made.open[32, far]
+    assert made.bent[32, far, 0] > 0.2  # away from it
+
+
+def test_it_repeats_where_the_maps_do():
+    field = RELIEFS["pebbles"]().astype(np.float32)
+    whole = occlusion(field, periodic=True).open
+    moved = occlusion(np.roll(field, (13, 40), (0, 1)), periodic=True).open
+    assert np.allclose(np.roll(whole, (13, 40), (0, 1)), moved, atol=1e-5)
+
+
+def test_large_maps_are_looked_at_at_half_their_resolution(monkeypatch):
+    monkeypatch.setattr("matcap.export.occlusion.LARGEST", SIDE * SIDE - 1)
+    field = RELIEFS["ridges"]().astype(np.float32)
+    coarse = occlusion(field, periodic=True)
+    monkeypatch.setattr("matcap.export.occlusion.LARGEST", LARGEST)
+    fine = occlusion(field, periodic=True)
+    assert coarse.open.size < fine.open.size
+    assert np.abs(coarse.whole("open") - fine.whole("open")).mean() < 0.03
+    assert coarse.whole("bent").shape == (SIDE, SIDE, 3)
+    assert settings(4096, 4096)["reach"] == 2 * settings(1024, 1024)["reach"]
