@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import tempfile
 from pathlib import Path
@@ -15,8 +14,9 @@ from numpy.typing import NDArray
 from matcap.brdf.maps import MapSet
 from matcap.export.metallic import to_metallic
 from matcap.export.presets import PRESETS
-from matcap.export.targets import DOCUMENTS, export
+from matcap.export.targets import DOCUMENTS, write_export
 from matcap.export.texture_file import Depth, Stored
+from matcap.export.textures import ExportJob
 from matcap.files.exr import LARGEST_HALF, read_exr
 from matcap.files.srgb import srgb_decode
 from matcap.lab.bench.edges.swept import Swept, compared, log_uniform
@@ -85,28 +85,20 @@ def targets(g: np.random.Generator) -> Swept:
     """Every target and preset of extreme maps: numbers in documents and residuals are finite."""
     maps = _maps(g)
     found = Swept()
-    for name in (*DOCUMENTS, *PRESETS):
+    for name in dict.fromkeys((*DOCUMENTS, *PRESETS)):
         with tempfile.TemporaryDirectory() as folder:
-            exported = _exported(maps, Path(folder), name)
+            exported = write_export(ExportJob(maps, "edge"), name, Path(folder))
             texts = [
                 path.read_text(encoding="utf-8", errors="replace").lower()
                 for path in Path(folder).iterdir()
                 if path.suffix in (".json", ".xml", ".mtlx", ".usda")
             ]
         numbers = [number for text in texts for number in _numbers(text)]
+        if exported.residual is not None:
+            numbers += [exported.residual.mean, exported.residual.worst]
         broken = sum(not math.isfinite(number) for number in numbers)
-        broken += sum(not math.isfinite(number) for number in exported)
         found += Swept(maps.height.numel() + len(numbers), broken, where=name if broken else "")
     return found
-
-
-def _exported(maps: MapSet, folder: Path, name: str) -> list[float]:
-    """Export to a folder; the residual's numbers."""
-    kind = {"target": name} if name in DOCUMENTS else {"preset": name}
-    export(maps, folder, "edge", **kind)  # type: ignore[arg-type]
-    about = json.loads(next(folder.glob("edge_*.json")).read_text())
-    residual = about["residual"] or {}
-    return [float(number) for number in residual.values()]
 
 
 def _numbers(text: str) -> list[float]:

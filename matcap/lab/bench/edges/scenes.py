@@ -33,7 +33,7 @@ from matcap.relight.surfaces.mesh import load_mesh
 
 Values = NDArray[np.float64]
 _FILM = Film(48, 36)
-_PICTURE = Film(12, 9)  # of a scene
+_PICTURE = Film(24, 18)  # of a scene
 _EDGE = 1e-4  # of a triangle: nearer to its border a pixel may be the neighbour's
 
 
@@ -148,7 +148,7 @@ def _scene(g: np.random.Generator, folder: Path) -> Scene:
 def _light(g: np.random.Generator, folder: Path) -> Light:
     red, green, blue = (float(c) for c in log_uniform(g, 1e-30, 1e30) * g.choice([0.0, 1.0, 1.0], 3))
     colour = (red, green, blue)
-    kind = int(g.integers(6))
+    kind = int(g.integers(11)) // 2
     if kind == 0:
         return PointLight(_place(g), colour)
     if kind == 1:
