@@ -48,4 +48,4 @@ def test_what_is_frozen_is_frozen_at_the_code(frozen, steps, report):
         return sum(float((a[1] - b[1]).abs().mean()) for a, b in pairs)
 
     assert apart(expected) < 0.5 * apart(elsewhere)
-    assert CONFIG == tuned.decoder.config
+    assert tuned.decoder.config == CONFIG

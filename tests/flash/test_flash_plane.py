@@ -6,13 +6,13 @@ from matcap.flash.plane import plane_of
 
 
 def photographed(burnt: bool):
-    """Faint texture; with a burnt half whose texels flicker between black and white."""
+    """Faint texture; with a burnt half whose texels flicker far above the rest."""
     generator = torch.Generator().manual_seed(0)
     linear = 0.1 * torch.exp(0.05 * torch.randn(3, 96, 256, generator=generator))
     valid = torch.ones(96, 256, dtype=torch.bool)
     if burnt:
         checks = (torch.arange(96)[:, None] + torch.arange(128)) % 2
-        linear[:, :, 128:] = checks.float()
+        linear[:, :, 128:] = 0.5 + 0.5 * checks
         valid[:, 128:] = False
     return linear, valid
 

@@ -89,7 +89,12 @@ def savings(scenes: Sequence[Path], *, width: int | None = None, repeats: int = 
 
         running = len(Renderer(texture, scene).render().plan.running)
         found.append(
-            Saving(name, median_seconds(automatic, repeats), median_seconds(everything, repeats), running)
+            Saving(
+                name,
+                median_seconds(automatic, repeats),
+                median_seconds(everything, repeats),
+                running,
+            )
         )
     return found
 

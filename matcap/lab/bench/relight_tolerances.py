@@ -78,9 +78,7 @@ def measure_tolerances(
             error = float(np.abs(_codes(render(), film) - _codes(true, film)).max()) / _STEP
             seconds = median_seconds(render, repeats)
             measured.append(
-                Measurement(
-                    "relight", group, point, name, seconds, float("nan"), error, machine=by
-                )
+                Measurement("relight", group, point, name, seconds, float("nan"), error, machine=by)
             )
             tell(f"{name}: {point}, {seconds:.3f} s, {error:.2f} steps off")
     return measured

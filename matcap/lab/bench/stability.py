@@ -1,9 +1,10 @@
 """`matcap bench stability`: does anything ever come out NaN or infinite, and how right is float32?
 
-Two sweeps, one table; relighting and exporting have another (edges/table.py). The reflectance: random draws from every corner of its domain, values and
-gradients (stability_reflectance.py). Photographs: pictures that go wrong in every way we know of
-(stability_photographs.py), captured for a few steps, their piece's own maps found and rearranged;
-each must end in finite maps within their ranges or in one sentence that says why not.
+Two sweeps, one table; relighting and exporting have another (edges/table.py). The reflectance:
+random draws from every corner of its domain, values and gradients (stability_reflectance.py).
+Photographs: pictures that go wrong in every way we know of (stability_photographs.py), captured
+for a few steps, their piece's own maps found and rearranged; each must end in finite maps within
+their ranges or in one sentence that says why not.
 """
 
 from __future__ import annotations

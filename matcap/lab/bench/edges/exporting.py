@@ -104,7 +104,9 @@ def targets(g: np.random.Generator) -> Swept:
 def _numbers(text: str) -> list[float]:
     """All words of a document that are numbers, NaN and infinity included."""
     found = []
-    for word in text.replace(",", " ").replace('"', " ").replace("(", " ").replace(")", " ").split():
+    for word in (
+        text.replace(",", " ").replace('"', " ").replace("(", " ").replace(")", " ").split()
+    ):
         try:
             found.append(float(word))
         except ValueError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tempfile
 from pathlib import Path
 
@@ -63,7 +62,9 @@ def meshes(g: np.random.Generator) -> Swept:
     ) if sure.any() else Swept(1)  # fmt: skip
 
 
-def _nearest(corners: Values, origin: Values, direction: Values) -> tuple[Values, NDArray[np.bool_]]:
+def _nearest(
+    corners: Values, origin: Values, direction: Values
+) -> tuple[Values, NDArray[np.bool_]]:
     """(H, W) distance of the nearest triangle seen from its front; and where that is certain."""
     depth = np.full(origin.shape[:2], np.inf)
     sure = np.ones(origin.shape[:2], bool)
@@ -146,7 +147,9 @@ def _scene(g: np.random.Generator, folder: Path) -> Scene:
 
 
 def _light(g: np.random.Generator, folder: Path) -> Light:
-    red, green, blue = (float(c) for c in log_uniform(g, 1e-30, 1e30) * g.choice([0.0, 1.0, 1.0], 3))
+    red, green, blue = (
+        float(c) for c in log_uniform(g, 1e-30, 1e30) * g.choice([0.0, 1.0, 1.0], 3)
+    )
     colour = (red, green, blue)
     kind = int(g.integers(11)) // 2
     if kind == 0:

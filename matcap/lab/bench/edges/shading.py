@@ -253,9 +253,7 @@ def environments(g: np.random.Generator) -> Swept:
     return _picture(picture[seen], exact[seen], where, dark=1.0)
 
 
-def _picture(
-    picture: NDArray[np.float32], exact: Values, where: str, dark: float = _DARK
-) -> Swept:
+def _picture(picture: NDArray[np.float32], exact: Values, where: str, dark: float = _DARK) -> Swept:
     """A picture (..., 3) beside the exact one, channel by channel.
 
     Errors of values below `dark` of the brightest are relative to that.

@@ -38,14 +38,14 @@ EDGES: Mapping[str, Edge] = MappingProxyType(
         "area lights, diffuse": Edge(
             shading.area_lights, 0.1, "the value, or 1e-4 of the brightest"
         ),
-        "environments": Edge(shading.environments, 0.03, "the brightest pixel"),
+        "environments": Edge(shading.environments, 0.04, "the brightest pixel"),
         "filtering, squares of 2^k texels": Edge(relief.filtering, 0.07, "the value, or 1"),
         "filtering, footprints 1e-30 to 1e30": Edge(relief.footprints, 0.06, "1"),
         "parallax: the ray ends on the surface": Edge(relief.parallaxes, 0.05, "the relief"),
         "parallax: ridges passed through": Edge(relief.crossings, 0.02, "half a texel of path"),
-        "shadows": Edge(relief.shadowed, 0.005, "a quarter of a cell's twist"),
+        "shadows": Edge(relief.shadowed, 0.02, "a quarter of a cell's twist"),
         "meshes": Edge(scenes.meshes, 0.03, "the value, or the mesh's size"),
-        "whole scenes of any numbers": Edge(scenes.scenes, 0.015, ""),
+        "whole scenes of any numbers": Edge(scenes.scenes, 0.1, ""),
         "metallic workflow": Edge(exporting.metallic, 0.05, "1"),
         "textures written and read": Edge(exporting.textures, 0.05, "half a step of the file"),
         "targets and presets": Edge(exporting.targets, 0.01, ""),
