@@ -211,7 +211,7 @@ def bench(
     ] = Path("bench/relight"),
     width: Annotated[
         int, typer.Option(min=16, max=4096, help="Of the pictures of --tolerances.")
-    ] = 384,
+    ] = 256,
 ) -> None:
     """What relighting costs, and what leaving effects out saves.
 

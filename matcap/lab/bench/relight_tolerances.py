@@ -1,7 +1,7 @@
 """What a tolerance of relighting costs, and what error it leaves: time against accuracy.
 
 Each scene is rendered at several tolerances, with all effects, and with diffuse light alone. Errors
-are the largest differences of codes from all effects at a 64th of the default tolerance, which
+are the largest differences of codes from all effects at a 16th of the default tolerance, which
 also mirrors surroundings in more directions. Times are of the processor, horizons included, and
 told as shares of what all effects take in the same run.
 """
@@ -31,7 +31,7 @@ from matcap.relight.scenefile import read_scene
 TOLERANCES = (0.03, 0.125, 0.5, 2.0, 8.0, 32.0)
 _STEP = 1.0 / 255.0
 _EVERYTHING = "all effects"
-_FINE = 64.0  # the reference's tolerance is the default's so many-eth part
+_FINE = 16.0  # the reference's tolerance is the default's so many-eth part
 
 # How each point is rendered: its group, its effects, its tolerance in steps.
 _POINTS: Mapping[str, tuple[str, str, float]] = {
@@ -44,7 +44,7 @@ _POINTS: Mapping[str, tuple[str, str, float]] = {
 def measure_tolerances(
     scenes: Sequence[Path],
     *,
-    width: int = 384,
+    width: int = 256,
     texels: int = 512,
     repeats: int = 3,
     tell: Callable[[str], None] = lambda _line: None,

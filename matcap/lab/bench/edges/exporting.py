@@ -61,7 +61,7 @@ def textures(g: np.random.Generator) -> Swept:
         path = Path(folder) / f"texture{stored.suffix}"
         stored.write(path)
         if stored.suffix == ".png":
-            whole = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            whole = np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
             read = whole / np.float64(2 ** int(depth) - 1)
             step = 0.5 / (2 ** int(depth) - 1)
             if srgb:
@@ -119,7 +119,9 @@ def _maps(g: np.random.Generator) -> MapSet:
         ends = g.choice([0.0, 1e-6, 0.04, 0.5, 1.0], 2)
         return np.asarray(ends.min() + np.ptp(ends) * g.random((planes, 16, 24)))
 
-    lift = float(g.choice([0.0, log_uniform(g, 1e-9, 1e5)]))
-    tensors = [torch.from_numpy(one).float() for one in (field(3), field(1), field(1))]
-    height = torch.from_numpy(lift * field(1)).float()
-    return MapSet(*tensors, height, float(log_uniform(g, 1e-5, 10.0)), periodic=True)
+    lift = float(log_uniform(g, 1e-9, 1e5) * g.integers(2))
+    diffuse, specular, roughness, height = (
+        torch.from_numpy(one).float() for one in (field(3), field(1), field(1), lift * field(1))
+    )
+    texel_size = float(log_uniform(g, 1e-5, 10.0))
+    return MapSet(diffuse, specular, roughness, height, texel_size, periodic=True)

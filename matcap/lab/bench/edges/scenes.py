@@ -119,7 +119,7 @@ def _maps(g: np.random.Generator) -> MapSet:
         drawn = ends.min() + np.ptp(ends) * g.random((planes, height, width))
         return torch.from_numpy(drawn).float()
 
-    lift = float(g.choice([0.0, log_uniform(g, 1e-12, 1e8)]))
+    lift = float(log_uniform(g, 1e-12, 1e8) * g.integers(2))
     return MapSet(
         field(3), field(1), field(1), lift * field(1), float(log_uniform(g, 1e-6, 1e2)),
         periodic=bool(g.integers(2)),
@@ -140,7 +140,7 @@ def _scene(g: np.random.Generator, folder: Path) -> Scene:
         float(log_uniform(g, 1e-4, 1e4)) if kind != "plane" or g.integers(2) else None,
         _written(folder, g.normal(size=(8, 3, 3))) if kind == "mesh" else None,
         float(log_uniform(g, 1e-3, 1e3)),
-        float(g.choice([0.0, 1.0, log_uniform(g, 1e-6, 1e6)])),
+        float(log_uniform(g, 1e-6, 1e6) * g.choice([0.0, 1.0])),
     )
     lights = tuple(_light(g, folder) for _ in range(int(g.integers(1, 4))))
     return Scene(_PICTURE, camera, surface, lights)

@@ -288,11 +288,13 @@ def _reflected(texture: Texture, to_light: Values, to_view: Values) -> Values:
         return torch.from_numpy(np.ascontiguousarray(np.moveaxis(value, -1, 0)))
 
     up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), to_light.shape)
-    maps = [
+    diffuse, specular, roughness = (
         torch.from_numpy(m[:, :1, :1].astype(np.float64))
         for m in (texture.diffuse, texture.specular, texture.roughness)
-    ]
-    value = cook_torrance(*maps, tensor(up), tensor(to_light), tensor(to_view))
+    )
+    value = cook_torrance(
+        diffuse, specular, roughness, tensor(up), tensor(to_light), tensor(to_view)
+    )
     return np.moveaxis(value.numpy(), 0, -1)
 
 
