@@ -100,6 +100,7 @@ def write_tolerances(measured: Sequence[Measurement], folder: Path) -> None:
         folder / "relight.png",
         title="relighting: largest difference from all effects, mean of the scenes",
         error="8-bit steps",
+        least=0.01,
     )
 
 

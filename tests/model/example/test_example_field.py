@@ -81,6 +81,10 @@ def test_every_texel_is_one_of_the_exemplars():
     maps, places = example.maps(9, area, None), example.places(9, area, None)
     x, y = places[..., 0].astype(int), places[..., 1].astype(int)
     assert np.array_equal(maps[:5], example.exemplar.stacked()[:5, y, x])
+    # Heights are blended, about the exemplar's own level.
+    height = example.exemplar.height
+    assert abs(maps[5].mean() - height.mean()) < height.std()
+    assert height.mean() > 3.0 * height.std()
 
 
 def test_pieces_are_of_many_texels():

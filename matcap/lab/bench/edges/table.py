@@ -38,7 +38,7 @@ EDGES: Mapping[str, Edge] = MappingProxyType(
         "area lights, diffuse": Edge(
             shading.area_lights, 0.1, "the value, or 1e-4 of the brightest"
         ),
-        "environments": Edge(shading.environments, 0.04, "the brightest pixel"),
+        "environments": Edge(shading.environments, 0.04, "the brightest pixel of a colour"),
         "filtering, squares of 2^k texels": Edge(relief.filtering, 0.07, "the value, or 1"),
         "filtering, footprints 1e-30 to 1e30": Edge(relief.footprints, 0.06, "1"),
         "parallax: the ray ends on the surface": Edge(relief.parallaxes, 0.05, "the relief"),
