@@ -69,8 +69,9 @@ def bound(facts: Facts) -> Bound:
 def diffuse_irradiance(sky: Environment, normal: Vec, hits: Hits) -> Array:
     """(3, ...) irradiance of a block's shading normals; tables would blunt suns' terminators."""
     calm = sky.calm
+    share: Array = np.ones(1, np.float32)
     if hits.frame is None:
-        found, share = calm.irradiance_above(normal), np.ones(1, np.float32)
+        found = calm.irradiance_above(normal)
     else:
         share = np.float32(0.5) * (1.0 + normal[2])
         found = calm.irradiance(to_scene(normal, hits.frame)) * share
