@@ -1,7 +1,8 @@
 """The script of deliberate faults: each still has its place in the code, and some are tried."""
 
 import pytest
-from faults import FAULTS, ROOT, caught, copied
+from fault_list import FAULTS
+from faults import ROOT, caught, copied
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)

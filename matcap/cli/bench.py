@@ -147,24 +147,29 @@ def aligned(
 @app.command()
 def stability(
     quick: Annotated[
-        bool, typer.Option("--quick", help="5,000 draws of the reflectance, each photograph once.")
+        bool, typer.Option("--quick", help="Few draws, each photograph once.")
     ] = False,
     draws: Annotated[
-        int | None, typer.Option(min=1, help="Of the reflectance, of each case; 100,000.")
+        int | None, typer.Option(min=0, help="Of the reflectance, of each case; 100,000.")
     ] = None,
     photographs: Annotated[
         int | None, typer.Option(min=0, help="Hard photographs to capture; 500.")
+    ] = None,
+    relighting: Annotated[
+        int | None,
+        typer.Option(min=0, help="Draws of relighting and exporting, in all; 10,000,000."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of all draws.")] = 0,
 ) -> None:
     """Whether anything ever comes out NaN or infinite, and how right float32 is.
 
-    Draws the reflectance from every corner of its domain, values and gradients, and captures
-    photographs that go wrong in every way known. Prints one table; exits with 4 when anything in
-    it was not finite.
+    Draws the reflectance from every corner of its domain, values and gradients, captures
+    photographs that go wrong in every way known, and compares relighting and exporting with
+    float64 and closed forms. Prints two tables; exits with 4 when anything in them was not finite.
     """
     from dataclasses import replace
 
+    from matcap.lab.bench.edges.table import edges_markdown, failures, run_edges
     from matcap.lab.bench.stability import (
         QUICK,
         StabilitySettings,
@@ -178,10 +183,19 @@ def stability(
         settings,
         draws=settings.draws if draws is None else draws,
         photographs=settings.photographs if photographs is None else photographs,
+        relighting=settings.relighting if relighting is None else relighting,
     )
-    rows = run_stability(settings, tell=lambda line: typer.echo(line, err=True))
+
+    def tell(line: str) -> None:
+        typer.echo(line, err=True)
+
+    rows = run_stability(settings, tell) if settings.draws or settings.photographs else []
+    edges = run_edges(settings.relighting, settings.seed, tell) if settings.relighting else {}
     typer.echo(markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
-    raise typer.Exit(ExitCode.SOME_FAILED if unstable(rows) else ExitCode.DONE)
+    if edges:
+        typer.echo(edges_markdown(edges))
+    failed = unstable(rows) + failures(edges)
+    raise typer.Exit(ExitCode.SOME_FAILED if failed else ExitCode.DONE)
 
 
 @app.command()

@@ -202,12 +202,40 @@ def bench(
         list[Path] | None, typer.Argument(help="Scene files; without any, the named scenes.")
     ] = None,
     json: JsonOption = False,
+    tolerances: Annotated[
+        bool,
+        typer.Option("--tolerances", help="Time against accuracy instead, tolerance by tolerance."),
+    ] = False,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for table and picture of --tolerances.")
+    ] = Path("bench/relight"),
+    width: Annotated[
+        int, typer.Option(min=16, max=4096, help="Of the pictures of --tolerances.")
+    ] = 256,
 ) -> None:
     """What relighting costs, and what leaving effects out saves.
 
     One megapixel under one light; each scene with its plan against all effects; and Mitsuba 3's
-    time for the same picture at the same error, where it is installed.
+    time for the same picture at the same error, where it is installed. With --tolerances each
+    scene at several tolerances, with all effects and with diffuse light alone: seconds against
+    the largest error, as a table and as a picture with the Pareto front.
     """
+    if tolerances:
+        import shlex
+        import sys
+
+        from matcap.lab.bench.relight_tolerances import (
+            measure_tolerances,
+            tolerances_markdown,
+            write_tolerances,
+        )
+
+        measured = measure_tolerances(
+            scenes or [], width=width, tell=lambda line: typer.echo(line, err=True)
+        )
+        write_tolerances(measured, out)
+        typer.echo(tolerances_markdown(measured, shlex.join(["matcap", *sys.argv[1:]])))
+        return
     from matcap.lab.bench.relight import report, table
 
     result = report(scenes or [])

@@ -30,6 +30,8 @@ _NORMALS = 64
 
 # Suns are gathered in cells of 5.6 degrees, and there are no more than so many.
 _PLACES, _SUNS = 32, 16
+# Of the brightest texel: surroundings that are darker but for their suns are black.
+_BLACK = 1e-9
 
 Picture = Array
 
@@ -81,17 +83,18 @@ class Environment:
         rows = np.minimum(np.arange(height) * _PLACES // height, _PLACES - 1)
         columns = np.arange(width) * 2 * _PLACES // width
         cell = rows[:, None] * 2 * _PLACES + columns
-        limit = 4.0 * self.mean.max()
+        limit, raised = 4.0 * self.mean.max(), False
         while True:
             over = (top > limit).any(axis=2)
             if len(np.unique(cell[over])) <= _SUNS:
                 # A sun may be so bright that it is the mean.
                 lower = 4.0 * Environment((np.minimum(top, limit),), 0.0).mean.max()
-                if lower > limit / 100.0:
+                if raised or lower > limit / 100.0 or limit <= _BLACK * self.brightest:
                     break
                 limit = lower
             else:
-                limit *= 1.5
+                # Too many for suns, whatever is lower: as of a sky full of stars.
+                limit, raised = 1.5 * limit, True
         if not over.any():
             return self, ()
         calm = np.minimum(top, np.float32(limit))

@@ -25,7 +25,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcap.errors import UsageError
+from matcap.errors import MatcapError, UsageError
+from matcap.files.exr import LARGEST_HALF
 from matcap.view.block_cache import SIDE
 from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
@@ -70,6 +71,7 @@ def sealed_page(subject: Viewable, size: int = SIDE, photo: EncodedPicture | Non
 
     Raises:
         UsageError: a size out of range, or no multiple of 16; a map set that is too large.
+        MatcapError: maps of values that half floats cannot hold.
     """
     maps = _tile(subject, size)
     facts = subject.facts
@@ -133,6 +135,10 @@ def _packed(maps: MapSet) -> dict[str, Any]:
     import numpy as np
 
     stacked = maps.stacked().numpy()
+    if np.abs(stacked[:5]).max() > LARGEST_HALF:
+        raise MatcapError(
+            "the maps have values too large for half float (65504)", remedy="scale them down"
+        )
     height = stacked[5]
     low, high = float(height.min()), float(height.max())
     span = high - low or 1.0

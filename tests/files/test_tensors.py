@@ -3,9 +3,11 @@
 import os
 import stat
 
+import pytest
 import torch
 from safetensors import safe_open
 
+from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 
 
@@ -27,3 +29,11 @@ def test_the_file_is_as_readable_as_any_other(tmp_path):
     finally:
         os.umask(old)
     assert stat.S_IMODE((tmp_path / "a.safetensors").stat().st_mode) == 0o644
+
+
+def test_half_floats_that_have_overflowed_are_said(tmp_path):
+    large = torch.tensor([1.0, 70000.0])
+    write_tensors(tmp_path / "whole", {"a": large}, {})
+    with pytest.raises(MatcapError, match="b has values too large for half float"):
+        write_tensors(tmp_path / "half", {"a": large, "b": large.half()}, {})
+    assert [file.name for file in tmp_path.iterdir()] == ["whole"]

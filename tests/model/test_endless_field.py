@@ -4,38 +4,21 @@ import random
 import subprocess
 import sys
 import threading
-from dataclasses import replace
 
 import pytest
 import torch
+from torus import WAVES, a_material, both
 
 from matcap.errors import MatcapError, UsageError
-from matcap.flash.geometry import FlashSetup
-from matcap.model.blocks import BLOCK, BLOCK_HEIGHT
-from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, maps_from_raw
+from matcap.model.decoder import CODE_SIZE
 from matcap.model.field import Field
-from matcap.model.freeze import freeze, reference_field
+from matcap.model.freeze import reference_field
 from matcap.model.material import Material
 from matcap.model.noise import noise_field
 from matcap.model.patch import Patch
 from matcap.model.plane import Rectangle
-from matcap.model.random_field import random_field
 from matcap.model.regular_order import wave_field
 from matcap.statistics.lattice import Wave
-
-SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
-WAVES = (Wave(1 / 16.7, 0.003), Wave(0.002, 1 / 9.3))
-
-
-def a_material(waves=()):
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(3)
-        decoder = Decoder(replace(SMALL, cells=3 if waves else 0))
-        for layer in decoder.layers():
-            layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
-    code = torch.zeros(CODE_SIZE)
-    moments = tuple(freeze(decoder, code, waves))
-    return Material("test", decoder, code, moments, waves, 2 / 1024, FlashSetup())
 
 
 @pytest.fixture(scope="module", params=[(), WAVES], ids=["noise", "waves"])
@@ -57,18 +40,7 @@ def test_whole_pieces_and_lone_rectangle_are_the_same_bits(material, origin):
 
 def test_blocks_are_the_network_that_was_tuned_on_the_whole_torus(material):
     """Against the decoder that is trained: circular padding, batch normalisation, no blocks."""
-    period = (BLOCK + 64, BLOCK_HEIGHT + 96)
-    found = Field(material, 5, period).read(0, 0, *period).stacked()
-    field = random_field(
-        Patch(5, Rectangle(0, 0, *period), period=period),
-        SMALL.noise_channels,
-        material.waves,
-        levels=DEPTH,
-        cells=material.decoder.config.cells,
-    )
-    with torch.no_grad():
-        raw = material.decoder(field, material.code, material.moments)[0]
-    expected = maps_from_raw(raw, material.texel_size).stacked()
+    found, expected = both(material)
     assert torch.allclose(found, expected, atol=2e-5)
     assert not torch.allclose(found, expected.roll(1, -1), atol=1e-2)
 

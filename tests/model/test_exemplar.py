@@ -48,6 +48,10 @@ def test_rounding_is_finer_than_what_is_seen():
     rounded = exemplar.rounded()
     spread = float(np.ptp(exemplar.height))
     assert np.abs(rounded.height - exemplar.height).max() <= spread / 2**15
+    # To the nearest, which no direction is preferred by.
+    unit, _ = exemplar.height_coding()
+    off = (rounded.height.astype(np.float64) - exemplar.height) / unit
+    assert np.abs(off).max() <= 0.55 and abs(off.mean()) < 0.05
     assert np.abs(rounded.diffuse - exemplar.diffuse).max() <= 2**-11
     assert np.abs(rounded.confidence - exemplar.confidence).max() <= 0.5 / 15 + 1e-6
 

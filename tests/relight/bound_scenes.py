@@ -100,6 +100,8 @@ def tries(folder: Path) -> dict[str, Iterator[Try]]:
         for size in (0.05, 0.5, 2.0):
             yield dull, scene(RectangleLight((0.0, 0.0, 0.6), (0.0, 0.0, -1.0), size=(size, size)))
             yield dull, scene(SphereLight((0.0, 0.0, 1.1), size / 2.0))
+            # Half of it has set: what its middle gives is nothing.
+            yield dull, scene(SphereLight((6.0, 0.0, 0.0), size / 2.0))
         shiny = flat(diffuse=0.0, specular=1.0, roughness=0.6)
         for size in (0.02, 0.1, 0.4):
             yield shiny, scene(SphereLight((0.0, 0.0, 1.0), size))
@@ -130,7 +132,7 @@ def tries(folder: Path) -> dict[str, Iterator[Try]]:
             yield boards(depth, 0.9, 0.9, specular=1.0), scene(even)
 
     def interreflection() -> Iterator[Try]:
-        for depth in (0.1, 0.3, 1.0):
+        for depth in (0.03, 0.1, 0.3, 1.0):
             yield boards(depth, 0.9, 0.9), scene(even)
             yield boards(depth, 0.9, 0.9), scene(DirectionalLight((0.3, 0.0, 1.0)))
 

@@ -12,7 +12,7 @@ from matcap.relight.plan import EFFECTS, EffectChoice, make_plan
 REACHED = {
     "diffuse": 0.99, "specular": 0.4, "falloff": 0.9, "area": 0.015, "environment": 0.7,
     "filtering": 0.3, "parallax": 0.5, "shadows": 0.7, "visibility": 0.5,
-    "interreflection": 0.09, "multiscatter": 0.95,
+    "interreflection": 0.35, "multiscatter": 0.95,
 }  # fmt: skip
 
 

@@ -148,3 +148,19 @@ def test_octahedra_keep_all_light(tmp_path):
         for top, side in zip(octahedra.tops, octahedra.sides, strict=True)
     ]
     np.testing.assert_allclose(flat_mean, flat_mean[0], rtol=0.02)
+
+
+@pytest.mark.parametrize("lit", [0, 1, 17, 300])
+def test_the_search_for_suns_ends_whatever_the_sky(tmp_path, lit):
+    """All black, one sun, a sky of stars too many for suns: and no light is lost."""
+    picture = np.zeros((256, 512, 3))
+    places = np.random.default_rng(0).permutation(np.arange(40, 216))[:lit]
+    for index, row in enumerate(places):
+        picture[row, 29 * index % 512] = 1.0 if index else 1e6
+    sky = environment_of(EnvironmentLight(sky_file(tmp_path, picture)))
+    edges = np.cos(np.arange(257) * math.pi / 256)
+    solid = (edges[:-1] - edges[1:]) * 2.0 * math.pi / 512
+    whole = float((picture[..., 0] * solid[:, None]).sum())
+    calm = float((sky.calm.levels[0][..., 0] * solid[:, None]).sum())
+    assert calm + sum(sun.irradiance[0] for sun in sky.suns) == pytest.approx(whole, rel=1e-5)
+    assert len(sky.suns) == min(lit, 1) or (lit == 17 and len(sky.suns) <= 16)

@@ -9,13 +9,14 @@ import subprocess
 import sys
 import urllib.request
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
-from matcap.errors import UsageError
+from matcap.errors import MatcapError, UsageError
 from matcap.view.document import sealed_page
 from matcap.view.serve import HOST
 from matcap.view.shown_photograph import find_photograph
@@ -78,6 +79,13 @@ def test_html_is_one_sealed_file(folder, tmp_path, material, capsys):
     assert np.array_equal(words[: 5 * 64 * 64].view("<f2"), wanted[:5].astype("<f2").ravel())
     height = tile["low"] + words[5 * 64 * 64 :] / 65535 * tile["span"]
     assert np.abs(height - wanted[5].ravel()).max() <= tile["span"] / 65535
+
+
+def test_maps_that_half_floats_cannot_hold_are_said(material):
+    maps = material.maps(16, 16)
+    bright = replace(maps, diffuse=maps.diffuse + 70000.0)
+    with pytest.raises(MatcapError, match="too large for half float"):
+        sealed_page(Maps(bright, "bright"))
 
 
 def test_names_cannot_break_out_of_the_page(material):

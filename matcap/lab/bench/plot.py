@@ -13,7 +13,9 @@ from matcap.lab.bench.table import Point, front
 _LABELLED = "preset"  # group whose points bear their names even off the front
 
 
-def draw(found: Sequence[Point], path: Path, *, title: str, error: str) -> None:
+def draw(
+    found: Sequence[Point], path: Path, *, title: str, error: str, least: float | None = None
+) -> None:
     """Draw error against seconds, the Pareto front joined and named, as a PNG.
 
     Args:
@@ -21,6 +23,7 @@ def draw(found: Sequence[Point], path: Path, *, title: str, error: str) -> None:
         path: of the picture.
         title: above it.
         error: what the error counts in.
+        least: errors go over decades, down to this one; None where they do not.
 
     Raises:
         MatcapError: matplotlib is not installed, or the file cannot be written.
@@ -63,6 +66,9 @@ def draw(found: Sequence[Point], path: Path, *, title: str, error: str) -> None:
         axes.xaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter("")
+    if least is not None:
+        axes.set_yscale("symlog", linthresh=least)
+        axes.set_ylim(bottom=0.0)
     axes.set_xlabel("seconds")
     axes.set_ylabel(error)
     axes.set_title(title, fontsize=10)

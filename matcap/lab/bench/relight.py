@@ -53,13 +53,13 @@ class Saving:
 
 def megapixel_milliseconds(repeats: int = 15) -> tuple[float, float]:
     """1024 x 1024 pixels, one point light, flat: median by the wall's clock and the processor's."""
-    texture = _material(1024)
+    texture = leather(1024)
     scene = scene_from_light("top")
     scene = replace(scene, surface=replace(scene.surface, displacement=0.0))
     renderer = Renderer(texture, scene)
     return (
-        1e3 * _median(renderer.render, repeats, perf_counter),
-        1e3 * _median(renderer.render, repeats),
+        1e3 * median_seconds(renderer.render, repeats, perf_counter),
+        1e3 * median_seconds(renderer.render, repeats),
     )
 
 
@@ -72,7 +72,7 @@ def savings(scenes: Sequence[Path], *, width: int | None = None, repeats: int = 
         repeats: of which the median counts; reading the maps is not counted, horizons are.
     """
     chosen = [(path.stem, read_scene(path)) for path in scenes] or list(SCENES.items())
-    texture = _material(1024)
+    texture = leather(1024)
     found = []
     for name, scene in chosen:
         film = scene.film or Film()
@@ -89,7 +89,12 @@ def savings(scenes: Sequence[Path], *, width: int | None = None, repeats: int = 
 
         running = len(Renderer(texture, scene).render().plan.running)
         found.append(
-            Saving(name, _median(automatic, repeats), _median(everything, repeats), running)
+            Saving(
+                name,
+                median_seconds(automatic, repeats),
+                median_seconds(everything, repeats),
+                running,
+            )
         )
     return found
 
@@ -112,7 +117,7 @@ def mitsuba_ratio(size: int = 256) -> dict[str, float]:
     scene = Scene(Film(size, size), None, Surface(displacement=0.0), (light,))
     renderer = Renderer(_grey(), scene)
     effects = "none,+diffuse,+falloff,+area"
-    ours = _median(lambda: renderer.render(effects=effects), 5)
+    ours = median_seconds(lambda: renderer.render(effects=effects), 5)
     picture = renderer.render(effects=effects).radiance
     theirs = _mitsuba_scene(mitsuba, light, size)
     start = process_time()
@@ -181,10 +186,10 @@ def table(result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _median(
+def median_seconds(
     call: Callable[[], object], repeats: int, clock: Callable[[], float] = process_time
 ) -> float:
-    """Of one run where runs are long, else of `repeats` after one to warm up."""
+    """Median seconds: of one run where runs are long, else of `repeats` after one to warm up."""
     times = []
     for _ in range(repeats + 1):
         start = clock()
@@ -195,7 +200,8 @@ def _median(
     return statistics.median(times[1:])
 
 
-def _material(size: int) -> Texture:
+def leather(size: int) -> Texture:
+    """Simulated leather of so many texels a side, two plane units wide."""
     from matcap.lab.simulate.materials import realise
 
     return Texture.from_maps(realise("leather", size, size, 1, 2.0 / size))

@@ -1,9 +1,10 @@
 """`matcap bench stability`: does anything ever come out NaN or infinite, and how right is float32?
 
-Two sweeps, one table. The reflectance: random draws from every corner of its domain, values and
-gradients (stability_reflectance.py). Photographs: pictures that go wrong in every way we know of
-(stability_photographs.py), captured for a few steps, their piece's own maps found and rearranged;
-each must end in finite maps within their ranges or in one sentence that says why not.
+Two sweeps, one table; relighting and exporting have another (edges/table.py). The reflectance:
+random draws from every corner of its domain, values and gradients (stability_reflectance.py).
+Photographs: pictures that go wrong in every way we know of (stability_photographs.py), captured
+for a few steps, their piece's own maps found and rearranged; each must end in finite maps within
+their ranges or in one sentence that says why not.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ class StabilitySettings:
         detail: texels across each photograph; every fourth of a case has three times as many, for
             a small one has too few windows to tell relief's strength.
         steps: of fine-tuning.
+        relighting: draws of relighting and exporting, over all their domains.
         seed: of everything.
     """
 
@@ -56,10 +58,13 @@ class StabilitySettings:
     photographs: int = 500
     detail: int = 128
     steps: int = 3
+    relighting: int = 10_000_000
     seed: int = 0
 
 
-QUICK = StabilitySettings(draws=5_000, photographs=len(HARD_PHOTOGRAPHS), detail=96, steps=2)
+QUICK = StabilitySettings(
+    draws=5_000, photographs=len(HARD_PHOTOGRAPHS), detail=96, steps=2, relighting=200_000
+)
 
 
 @dataclass(frozen=True)

@@ -23,17 +23,20 @@ from matcap.relight.vectors import Array, Vec, dot
 
 
 def bound(facts: Facts) -> Bound:
-    """All hidden directions lie within the steepest slope's angle of the plane."""
+    """What neighbours hide of an even sky, times what they reflect.
+
+    Nothing hidden lies higher than the steepest slope's angle e, and a surface tilted by t <= e
+    receives pi cos(t) cos(e)^2 from above that, of pi in all: pi (1 - cos(e)^3) is left at most.
+    """
     light = sum(one.irradiance for one in facts.lights) + math.pi * facts.sky
     if light == 0.0:
         return Bound(0.0, "there is no light")
     if facts.relief == 0.0:
         return Bound(0.0, "the surface is flat")
     steepest = math.atan(facts.relief_slope)
-    # Solid angle of the band between -e and e, times the largest cosine with the normal in it.
-    band = 4.0 * math.pi * math.sin(steepest) * math.sin(min(2.0 * steepest, math.pi / 2.0))
+    hidden = math.pi * (1.0 - math.cos(steepest) ** 3)
     reason = f"slopes of up to {math.degrees(steepest):.3g} degrees face each other"
-    return Bound(facts.lambert**2 * light * band, reason)
+    return Bound(facts.lambert**2 * light * hidden, reason)
 
 
 def received(bounced: Array, light: list[Vec]) -> list[Array]:

@@ -83,3 +83,40 @@ def test_a_bulls_eye_is_evened_out() -> None:
     assert before < 0.4
     assert 0.55 < after < 1.3
     assert 0.55 < _strength(even, middle)[1] / _strength(even, rim)[1] < 1.3
+
+
+def _waves(fx: float, fy: float, size: int = 256) -> np.ndarray:
+    y, x = np.mgrid[0:size, 0:size].astype(np.float32)
+    return np.sin(2.0 * np.pi * (fx * x + fy * y)).astype(np.float32)
+
+
+@pytest.mark.parametrize("way", [(0.04, 0.04), (0.04, -0.04)])
+def test_waves_of_any_direction_are_left_as_they_are(way) -> None:
+    """Eigenvectors of their slopes' covariance turn as the waves do."""
+    height = _waves(*way) + 0.1 * _waves(0.06, 0.05)
+    even = equalise(height, None)
+    before, after = (np.stack(slopes(h))[:, 32:-32, 32:-32] for h in (height, even))
+    assert np.abs(after - before).mean() < 0.1 * np.abs(before).mean()
+
+
+@pytest.mark.parametrize(
+    ("told", "trust", "expected"),
+    [(2.0, 1.0, 2.0**0.8), (0.5, 1.0, 0.5**0.8), (2.0, 0.0, 1.0), (2.0, 0.5, 2.0**0.4)],
+)
+def test_relief_becomes_as_strong_as_the_photograph_says_so_far_as_it_is_trusted(
+    told, trust, expected
+) -> None:
+    height = _bumps()
+    found = slope_strengths(height)
+    strengths = Strengths(found, told * found, np.full_like(found, trust))
+    own = _strength(equalise(height, None), (slice(None), slice(None)))[0]
+    now = _strength(equalise(height, strengths), (slice(None), slice(None)))[0]
+    assert now / own == pytest.approx(expected, rel=0.06)
+
+
+def test_a_bowl_is_no_relief() -> None:
+    height = _bumps()
+    y, x = np.mgrid[-1 : 1 : height.shape[0] * 1j, -1.5 : 1.5 : height.shape[1] * 1j]
+    bowl = (60.0 * (x**2 + y**2)).astype(np.float32)
+    left = equalise(height + bowl, None) - equalise(height, None)
+    assert left.std() < 0.25 * bowl.std()

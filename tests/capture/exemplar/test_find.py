@@ -67,6 +67,22 @@ def test_confidence_falls_with_the_error_to_be_expected() -> None:
     assert sure.max() <= 1.0 and unsure.min() >= 0.0
 
 
+def test_nothing_is_trusted_in_a_hole_or_beside_it() -> None:
+    valid = torch.ones(64, 96, dtype=torch.bool)
+    valid[20:30, 40:60] = False
+    found = confidence(torch.full((4, 64, 96), -4.0), valid)
+    assert found[:, 18:32, 38:62].max() == 0.0  # what glare and interpolation touch, too
+    assert found[:, :17].min() > 0.5 and found[:, 33:].min() > 0.5
+
+
+def test_confidence_counts_every_error_in_its_own_units() -> None:
+    """Slope's are the smallest that count, then log albedo's; F0's and roughness's are alike."""
+    valid = torch.ones(64, 96, dtype=torch.bool)
+    albedo, f0, roughness, slope = confidence(torch.full((4, 64, 96), -1.5), valid).mean((1, 2))
+    assert slope < 0.7 * albedo and albedo < 0.8 * f0
+    assert f0 == roughness
+
+
 def test_holes_are_filled_with_what_looks_like_the_rest() -> None:
     shot = photographed(0.1, 0.3, width=256, height=192)
     maps = shot.maps

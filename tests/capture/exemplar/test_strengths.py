@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -57,3 +58,36 @@ def test_too_little_to_look_at_says_nothing() -> None:
     shows = np.zeros((2, 256, 256), np.float32)
     assert measure_strengths(nothing, shows, np.zeros((256, 256), bool)) is None
     assert measure_strengths(nothing[:64], shows[:, :64], np.ones((64, 256), bool)) is None
+
+
+def _slopes(seed: int = 3) -> np.ndarray:
+    """Slopes along x of isotropic bumps, 0.1 on average."""
+    noise = np.random.default_rng(seed).standard_normal((384, 640)).astype(np.float32)
+    slopes = np.gradient(cv2.GaussianBlur(noise, (0, 0), 3.0), axis=1)
+    return (0.1 * slopes / slopes.std()).astype(np.float32)
+
+
+def _along_x(found) -> tuple[float, float]:
+    """Slope and albedo of waves along x, all bands together."""
+    return tuple(float(np.sqrt(np.square(a[:, 0]).sum())) for a in (found.slope, found.albedo))
+
+
+def test_albedo_that_goes_with_the_slope_is_told_from_it() -> None:
+    """Cracks that are dark on one side: E(s) = A + 2 C s + S s^2, and light that slants one way."""
+    slopes = _slopes()
+    shows = np.zeros((2, *slopes.shape), np.float32)
+    shows[0] = np.linspace(0.0, 1.1, slopes.shape[1])
+    seen = np.ones(slopes.shape, bool)
+    alone = _along_x(measure_strengths(shows[0] * slopes, shows, seen))[0]
+    slope, albedo = _along_x(measure_strengths((shows[0] + 0.5) * slopes, shows, seen))
+    # Energies of the same few windows scatter together: a fourth; without C it would be a half.
+    assert slope == pytest.approx(alone, rel=0.27)
+    assert albedo == pytest.approx(0.5 * alone, rel=0.4)
+
+
+def test_the_sensors_noise_is_no_albedo() -> None:
+    noise = np.random.default_rng(1).standard_normal((384, 640)).astype(np.float32)
+    shows, seen = np.zeros((2, *noise.shape), np.float32), np.ones(noise.shape, bool)
+    known = measure_strengths(0.1 * noise, shows, seen, noise=0.1)
+    unknown = measure_strengths(0.1 * noise, shows, seen)
+    assert np.square(known.albedo).sum() < 0.1 * np.square(unknown.albedo).sum()

@@ -6,6 +6,7 @@ import torch
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.lab.bench import stability, stability_reflectance
+from matcap.lab.bench.edges.swept import Swept
 from matcap.lab.bench.stability import Row, StabilitySettings, markdown, run_stability, unstable
 from matcap.lab.bench.stability_reflectance import CASES, measure
 
@@ -51,9 +52,9 @@ def test_a_bug_counts_and_a_refusal_does_not(monkeypatch, few):
     assert "refused: the picture is bad" in markdown(rows, "matcap bench stability")
 
 
-@pytest.mark.parametrize(("values", "code"), [(0, 0), (1, 4)])
-def test_the_command_prints_the_table_and_answers_with_its_exit_code(
-    monkeypatch, capsys, values, code
+@pytest.mark.parametrize(("values", "broken", "code"), [(0, 0, 0), (1, 0, 4), (0, 2, 4)])
+def test_the_command_prints_the_tables_and_answers_with_its_exit_code(
+    monkeypatch, capsys, values, broken, code
 ):
     asked = []
 
@@ -62,9 +63,24 @@ def test_the_command_prints_the_table_and_answers_with_its_exit_code(
         tell("halfway")
         return [Row("a case", settings.draws, values, 0, "1e-7", "there")]
 
+    def edges(draws, seed, tell):
+        return {"meshes": Swept(draws, broken, 1, 2e-7, "a corner", 0.5)}
+
     monkeypatch.setattr("matcap.lab.bench.stability.run_stability", run)
+    monkeypatch.setattr("matcap.lab.bench.edges.table.run_edges", edges)
     assert main(["bench", "stability", "--quick", "--photographs", "7"]) == code
     said = capsys.readouterr()
     assert said.err == "halfway\n"
     assert f"| a case | 5000 | {values} | 0 | 1e-7 | there |" in said.out
-    assert asked[0].photographs == 7
+    assert f"| meshes | 200000 | {broken} | 1 | 2.0e-07 | 0.5 |" in said.out
+    assert (asked[0].photographs, asked[0].relighting) == (7, 200_000)
+
+
+def test_each_sweep_is_left_out_where_nothing_of_it_is_asked_for(monkeypatch, capsys):
+    def never(*_):
+        raise AssertionError
+
+    monkeypatch.setattr("matcap.lab.bench.stability.run_stability", never)
+    monkeypatch.setattr("matcap.lab.bench.edges.table.run_edges", never)
+    nothing = ["--draws", "0", "--photographs", "0", "--relighting", "0"]
+    assert main(["bench", "stability", *nothing]) == 0

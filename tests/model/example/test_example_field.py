@@ -81,6 +81,10 @@ def test_every_texel_is_one_of_the_exemplars():
     maps, places = example.maps(9, area, None), example.places(9, area, None)
     x, y = places[..., 0].astype(int), places[..., 1].astype(int)
     assert np.array_equal(maps[:5], example.exemplar.stacked()[:5, y, x])
+    # Heights are blended, about the exemplar's own level.
+    height = example.exemplar.height
+    assert abs(maps[5].mean() - height.mean()) < height.std()
+    assert height.mean() > 3.0 * height.std()
 
 
 def test_pieces_are_of_many_texels():
@@ -176,6 +180,7 @@ def test_detail_is_read_at_the_exemplars_own_resolution(monkeypatch):
     area = Rectangle(-21, 13, 90, 70)
     places = example.places(6, area, None).astype(int)
     assert (places[:, :, 0] & 1 == (np.arange(-21, 69) & 1)).all()
+    assert (places[:, :, 1] & 1 == (np.arange(13, 83) & 1)[:, None]).all()
     whole = example.maps(6, Rectangle(-40, 0, 150, 100), None)
     assert np.array_equal(example.maps(6, area, None), whole[:, 13:83, 19:109])
     assert coarsened(fine, 1).size == (96, 80) and example.alignment % 2 == 0

@@ -1,0 +1,1 @@
+"""The numeric edges of relighting and exporting, against float64 and closed forms."""

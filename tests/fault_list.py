@@ -1,0 +1,750 @@
+"""Deliberate faults over all packages, and the tests that must catch each. faults.py tries them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_BOUNDS = "tests/relight/test_relight_bounds.py"
+_EDGES = "tests/relight/test_relight_edges.py"
+_PUBLISHING = "tests/files/test_publishing.py"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One.
+
+    Attributes:
+        name: what is wrong.
+        file: below the package's folder.
+        right, wrong: text, and what it is replaced by.
+        tests: that should fail, as pytest names them; the last may be -k with an expression.
+    """
+
+    name: str
+    file: str
+    right: str
+    wrong: str
+    tests: tuple[str, ...]
+
+
+def bounds(effect: str) -> tuple[str, ...]:
+    """The tests of an effect's bound."""
+    return _BOUNDS, "-k", f"{effect} or adds_up"
+
+
+def effect_fault(effect: str, name: str, right: str, wrong: str, file: str = "") -> Fault:
+    """A fault in a bound."""
+    file = f"relight/{file or f'effects/{effect}.py'}"
+    return Fault(f"{effect} bound: {name}", file, right, wrong, bounds(effect))
+
+
+RELIGHTING_AND_FILES = (
+    effect_fault("specular", "glossy a hundredth", "/ (2.0 * math.pi *", "/ (200.0 * math.pi *",
+                 "facts.py"),
+    effect_fault("specular", "alpha squared for cubed", "self.alpha[0] ** 3", "self.alpha[0] ** 2",
+                 "facts.py"),
+    effect_fault("specular", "Fresnel's F0 alone", "return self.specular + (1.0 - self.specular)",
+                 "return self.specular + 0.0 * (1.0 - self.specular)", "facts.py"),
+    effect_fault("specular", "surroundings forgotten", "direct + environment.mirrored_bound(facts)",
+                 "direct", "effects/direct.py"),
+    effect_fault("diffuse", "surroundings forgotten", "+ facts.diffuse * facts.sky", "",
+                 "effects/direct.py"),
+    effect_fault("diffuse", "half", "facts.lambert * light +", "0.5 * facts.lambert * light +",
+                 "effects/direct.py"),
+    effect_fault("falloff", "a tenth", "light.varying * (facts.lambert",
+                 "0.1 * light.varying * (facts.lambert", "effects/direct.py"),
+    effect_fault("falloff", "nearer lights forgotten", "max(received - intensity / central**2",
+                 "max(0.0 * received - intensity / central**2", "facts.py"),
+    effect_fault("area", "a hundredth", "return Bound(total,", "return Bound(0.01 * total,"),
+    effect_fault("area", "no light has a size", "if light.half_angle > 0.0", "if False"),
+    effect_fault("environment", "a tenth", "facts.sky_varying * both +",
+                 "0.1 * facts.sky_varying * both +"),
+    effect_fault("environment", "tilt forgotten", "tilt = 1.0 if", "tilt = 0.0 if"),
+    effect_fault("filtering", "a tenth", "Bound(facts.everything", "Bound(0.1 * facts.everything"),
+    effect_fault("parallax", "a tenth", "Bound(facts.everything", "Bound(0.1 * facts.everything"),
+    effect_fault("shadows", "only the lowest light's tenth", "Bound(sum(", "Bound(0.1 * sum("),
+    effect_fault("shadows", "no light is low", "light.tangent < slope", "light.tangent < 0.0"),
+    effect_fault("visibility", "nothing", "Bound(facts.surroundings",
+                 "Bound(0 * facts.surroundings"),
+    effect_fault("interreflection", "a twentieth", "Bound(facts.lambert**2",
+                 "Bound(0.05 * facts.lambert**2"),
+    effect_fault("multiscatter", "lights forgotten", "lobe / math.pi * light", "0.0 * light"),
+    effect_fault("multiscatter", "surroundings forgotten", "share * facts.sky", "0.0 * facts.sky"),
+    Fault("plan: bounds do not add up", "relight/plan.py",
+          "            left -= bounds[effect].radiance\n", "", (_BOUNDS, "-k", "adds_up")),
+    Fault("plan: largest first", "relight/plan.py", "key=lambda name: bounds[name].radiance",
+          "key=lambda name: -bounds[name].radiance", (_BOUNDS, "-k", "adds_up")),
+    Fault("publishing: files are not synced", "files/publish.py", "os.fsync(handle)", "pass",
+          (_PUBLISHING, "-k", "leaves_a_half and plain")),
+    Fault("publishing: no order", "files/publish.py", "(name.endswith(\".json\"), name)",
+          "(not name.endswith(\".json\"), name)", (_PUBLISHING, "-k", "last")),
+    Fault("publishing: no roll-back", "files/publish.py",
+          "    except BaseException:\n        _mend(folder)\n        raise",
+          "    except BaseException:\n        raise",
+          (_PUBLISHING, "-k", "leaves_a_half and plain")),
+    Fault("publishing: folders are not refused", "files/publish.py", "if path.is_dir() and",
+          "if False and", (_PUBLISHING, "-k", "refused")),
+    Fault("publishing: what is replaced stays", "files/publish.py",
+          "for name in set(old) - set(fresh):", "for name in ():",
+          ("tests/files/test_staging.py", "-k", "replaced_files")),
+    Fault("publishing: the list goes first", "files/publish.py",
+          "        for name in fresh:\n            os.replace(stage / name, folder / name)",
+          "        os.unlink(folder / JOURNAL / _LIST)\n        for name in fresh:\n"
+          "            os.replace(stage / name, folder / name)",
+          (_PUBLISHING, "-k", "leaves_a_half and plain")),
+    Fault("publishing: the folder is not synced before the list goes", "files/publish.py",
+          "        sync(folder)\n        os.unlink(folder / JOURNAL / _LIST)",
+          "        os.unlink(folder / JOURNAL / _LIST)",
+          (_PUBLISHING, "-k", "leaves_a_half and plain")),
+    Fault("publishing: nobody reads the journal", "files/publish.py",
+          "if os.path.lexists(folder / JOURNAL):", "if False:", (_PUBLISHING, "-k", "whoever")),
+    Fault("environment: a plane sees behind itself", "relight/render.py",
+          "sky.above_plane() if flat else sky", "sky", (_EDGES, "-k", "behind")),
+    Fault("lights of any brightness", "relight/render.py",
+          "        check_lights(scene.lights)\n", "", (_EDGES, "-k", "too_bright_is_named")),
+    Fault("overflow is not told", "relight/render.py", "if not np.isfinite(picture).all():",
+          "if False:", (_EDGES, "-k", "overflows")),
+    Fault("heights of any size are written", "brdf/folder.py",
+          '    check_heights(arrays["height"], "height")\n', "", (_EDGES, "-k", "no_surface")),
+    Fault("rays for ever", "relight/render.py",
+          "        _check_relief(self.texture, surface)\n", "", (_EDGES, "-k", "no_ray")),
+    Fault("lines are triangles", "relight/surfaces/mesh.py", "(area > _SMALLEST * size**2).any()",
+          "True", (_EDGES, "-k", "no_area")),
+    Fault("half floats overflow", "files/exr.py", "> LARGEST_HALF", "> np.inf",
+          (_EDGES, "-k", "half_float")),
+)  # fmt: skip
+
+
+def exemplar(module: str) -> str:
+    """A test module of the exemplar's."""
+    return f"tests/capture/exemplar/test_{module}.py"
+
+
+def swept(domain: str) -> tuple[str, ...]:
+    """The short form of the sweep of relighting, one domain of it."""
+    return "tests/lab/stability/test_stable_relighting.py", "-k", f"nothing and {domain}"
+
+
+_RENDER, _PLANE = ("tests/flash/test_flash_render.py",), ("tests/flash/test_flash_plane.py",)
+_FREEZE = ("tests/capture/test_final_freeze.py",)
+_FROZEN = "moments = freeze(decoder, code, scene.waves)"
+_WRONGLY = "moments = freeze(decoder, 0.0 * code, scene.waves)"
+_INDEX = ("tests/model/example/test_example_field.py",)
+_MASK = ("tests/synth/test_mask.py",)
+_SHOOT = ("tests/batch/test_shoot.py",)
+_FIND = (exemplar("find"), "-k", "hole or holes or units")
+
+CAPTURE = (
+    Fault(
+        "vignetting: its sign", "flash/render.py", "torch.exp(-setup", "torch.exp(setup", _RENDER
+    ),
+    Fault(
+        "vignetting: linear in the radius",
+        "flash/render.py",
+        "image.square().sum(0).unsqueeze",
+        "image.square().sum(0).sqrt().unsqueeze",
+        _RENDER,
+    ),
+    Fault(
+        "flash: falls off with distance alone",
+        "flash/render.py",
+        "* intensity / squared_distance",
+        "* intensity / squared_distance.sqrt()",
+        _RENDER,
+    ),
+    Fault(
+        "first encoding: the clip mask is not looked at",
+        "flash/plane.py",
+        "fit_encoding(linear, valid, noise)",
+        "fit_encoding(linear, valid | ~valid, noise)",
+        _PLANE,
+    ),
+    Fault(
+        "first encoding: middle grey of burnt texels",
+        "statistics/encoding.py",
+        "seen = linear[:, valid]",
+        "seen = linear.flatten(1)",
+        _PLANE,
+    ),
+    Fault(
+        "first encoding: colours of burnt texels",
+        "statistics/encoding.py",
+        "(log - shading(log))[0][:, valid]",
+        "(log - shading(log))[0].flatten(1)",
+        _PLANE,
+    ),
+    Fault(
+        "final freeze: at the wrong code",
+        "capture/finetune.py",
+        f"    if moments is None or not history:\n        {_FROZEN}",
+        f"    if moments is None or not history:\n        {_WRONGLY}",
+        _FREEZE,
+    ),
+    Fault(
+        "frozen end: at the wrong code",
+        "capture/finetune.py",
+        f"schedule.freezes:\n                {_FROZEN}",
+        f"schedule.freezes:\n                {_WRONGLY}",
+        _FREEZE,
+    ),
+    Fault(
+        "no steps: frozen at the wrong code",
+        "capture/finetune.py",
+        "tuple(freeze(decoder, code,",
+        "tuple(freeze(decoder, 0.0 * code,",
+        _FREEZE,
+    ),
+    Fault(
+        "coarse fit: what is clipped is as it looks",
+        "capture/coarse.py",
+        "above = np.where(clipped, 0.0,",
+        "above = np.where(clipped, 1.0,",
+        ("tests/capture/test_coarse.py", "-k", "plateau"),
+    ),
+    Fault(
+        "coarse fit: a known tilt is not held",
+        "capture/coarse.py",
+        "deviation[8:10] = 1e-4",
+        "deviation[8:10] = 1.0",
+        ("tests/capture/test_coarse.py", "-k", "held"),
+    ),
+    Fault(
+        "refine: clipped texels say nothing",
+        "capture/exemplar/refine.py",
+        "observed - found\n    return torch.where(valid, residual, residual.clamp_min(0.0))",
+        "observed - found\n    return torch.where(valid, residual, 0.0 * residual)",
+        (exemplar("refine"), "-k", "clipped"),
+    ),
+    Fault(
+        "refine: clipped texels are as they look",
+        "capture/exemplar/refine.py",
+        "observed - found\n    return torch.where(valid, residual, residual.clamp_min(0.0))",
+        "observed - found\n    return residual",
+        (exemplar("refine"), "-k", "clipped"),
+    ),
+    Fault(
+        "levels: clipped cells say nothing",
+        "capture/exemplar/refine.py",
+        "torch.where(seen, residual, residual.clamp_min(0.0))\n        # What",
+        "torch.where(seen, residual, 0.0 * residual)\n        # What",
+        (exemplar("refine"), "-k", "clipped"),
+    ),
+    Fault(
+        "levels: clipped cells are as they look",
+        "capture/exemplar/refine.py",
+        "        residual = torch.where(seen, residual, residual.clamp_min(0.0))\n",
+        "",
+        (exemplar("refine"), "-k", "clipped"),
+    ),
+    Fault(
+        "flatten: means of what is not trusted",
+        "capture/exemplar/refine.py",
+        "weight = confidence[max(0, channel - 2)].square() + 1e-3",
+        "weight = torch.ones_like(confidence[0])",
+        (exemplar("refine"), "-k", "trusted"),
+    ),
+    Fault(
+        "flatten: by another map's trust",
+        "capture/exemplar/refine.py",
+        "confidence[max(0, channel - 2)]",
+        "confidence[0]",
+        (exemplar("refine"), "-k", "trusted"),
+    ),
+    Fault(
+        "flatten: what follows the highlight stays",
+        "capture/exemplar/refine.py",
+        "outputs[channel] -= torch.from_numpy(_following(",
+        "outputs[channel] -= 0.0 * torch.from_numpy(_following(",
+        (exemplar("refine"), "-k", "stationary"),
+    ),
+    Fault(
+        "flatten: what drifts stays",
+        "capture/exemplar/refine.py",
+        "+= mean - torch.from_numpy(slow)",
+        "+= 0.0 * mean",
+        (exemplar("refine"), "-k", "stationary or trusted"),
+    ),
+    Fault(
+        "equalise: mirrored directions",
+        "capture/exemplar/equalise.py",
+        "np.arctan2(2.0 * xy, xx - yy)",
+        "np.arctan2(-2.0 * xy, xx - yy)",
+        (exemplar("equalise"), "-k", "direction"),
+    ),
+    Fault(
+        "equalise: whatever the photograph says",
+        "capture/exemplar/equalise.py",
+        "if strengths is None:",
+        "if True:",
+        (exemplar("equalise"), "-k", "trusted"),
+    ),
+    Fault(
+        "equalise: however little it is trusted",
+        "capture/exemplar/equalise.py",
+        "ratio ** (_TRUSTED * trust)",
+        "ratio**_TRUSTED",
+        (exemplar("equalise"), "-k", "trusted"),
+    ),
+    Fault(
+        "equalise: weaker for stronger",
+        "capture/exemplar/equalise.py",
+        "ratio ** (_TRUSTED * trust)",
+        "ratio ** (-_TRUSTED * trust)",
+        (exemplar("equalise"), "-k", "trusted"),
+    ),
+    Fault(
+        "equalise: a bowl is relief",
+        "capture/exemplar/equalise.py",
+        "enumerate(split(height)[:-1])",
+        "enumerate([height, *split(height)[1:-1]])",
+        (exemplar("equalise"), "-k", "bowl"),
+    ),
+    Fault(
+        "integrate: y downwards",
+        "capture/exemplar/integrate.py",
+        "_even(-slope_y)",
+        "_even(slope_y)",
+        (exemplar("integrate"),),
+    ),
+    Fault(
+        "adapt: albedo's levels stand still",
+        "capture/exemplar/adapt.py",
+        "self._means + offsets + gains * apart",
+        "self._means + gains * apart",
+        (exemplar("adapt"), "-k", "come_back"),
+    ),
+    Fault(
+        "confidence: clipped texels' neighbours",
+        "capture/exemplar/find.py",
+        "cv2.erode(valid.numpy().astype(np.uint8), np.ones((5, 5), np.uint8))",
+        "valid.numpy().astype(np.uint8)",
+        _FIND,
+    ),
+    Fault(
+        "confidence: one map's units for another's",
+        "capture/exemplar/find.py",
+        "np.array(_DOUBTED, np.float32)",
+        "np.array(_DOUBTED[::-1], np.float32)",
+        _FIND,
+    ),
+    Fault(
+        "fill: everything but the hole",
+        "capture/exemplar/fill.py",
+        "map_ + share * (drawn - map_)",
+        "drawn + share * (map_ - drawn)",
+        _FIND,
+    ),
+    Fault(
+        "contrast: fainter for stronger",
+        "capture/exemplar/contrast.py",
+        "(wanted / np.maximum(here, _LEAST))",
+        "(np.maximum(here, _LEAST) / wanted)",
+        (exemplar("contrast"),),
+    ),
+    Fault(
+        "strengths: no covariance of albedo and slope",
+        "capture/exemplar/strengths.py",
+        "2.0 * slant, np.square(slant)",
+        "0.0 * slant, np.square(slant)",
+        (exemplar("strengths"), "-k", "goes_with"),
+    ),
+    Fault(
+        "strengths: noise is added, not taken off",
+        "capture/exemplar/strengths.py",
+        "energy[:, band, direction] - white",
+        "energy[:, band, direction] + white",
+        (exemplar("strengths"), "-k", "noise"),
+    ),
+    Fault(
+        "strengths: y downwards",
+        "capture/exemplar/strengths.py",
+        "np.meshgrid(frequency, -frequency)",
+        "np.meshgrid(frequency, frequency)",
+        (exemplar("strengths"), "-k", "slopes_are"),
+    ),
+)
+
+FIELD = (
+    Fault(
+        "index: doubt is no reason",
+        "model/example/index.py",
+        "np.maximum(_doubt(exemplar)",
+        "np.maximum(0.0 * _doubt(exemplar)",
+        _INDEX,
+    ),
+    Fault(
+        "index: single marks are no reason",
+        "model/example/index.py",
+        "_MOST * _resized(unique",
+        "0 * _resized(unique",
+        _INDEX,
+    ),
+    Fault(
+        "index: a place is most like itself",
+        "model/example/similar.py",
+        "(found < best) & ~near",
+        "found < best",
+        (*_INDEX, "tests/model/example/test_example_index.py"),
+    ),
+    Fault(
+        "field: nothing is dear",
+        "model/example/lookup.py",
+        "price = np.square(index.reluctance, dtype=np.int32)",
+        "price = 0 * np.square(index.reluctance, dtype=np.int32)",
+        _INDEX,
+    ),
+    Fault(
+        "field: odd rows",
+        "model/example/coordinates.py",
+        "fine[(1 - first_y) :: 2, :, 1]",
+        "fine[first_y::2, :, 1]",
+        _INDEX,
+    ),
+    Fault(
+        "field: the least height is forgotten",
+        "model/example/example.py",
+        "found[5] += np.float32(low * unit)",
+        "found[5] += 0.0",
+        _INDEX,
+    ),
+    Fault(
+        "field: the same row of finer texels",
+        "model/example/example.py",
+        "np.tile(within, coarse.height)[:, None]",
+        "0",
+        (*_INDEX, "-k", "resolution"),
+    ),
+    Fault(
+        "field: relief is not blended",
+        "model/example/relief.py",
+        "        height = _filtered(height, k)\n        cut",
+        "        height = height[1 << k : -(1 << k), 1 << k : -(1 << k)].copy()\n        cut",
+        ("tests/model/example/test_example_relief.py",),
+    ),
+    Fault(
+        "between: stripes told backwards",
+        "model/between.py",
+        "1.0 if a.fx * b.fx + a.fy * b.fy >= 0 else -1.0",
+        "1.0",
+        ("tests/model/test_between.py", "-k", "backwards"),
+    ),
+    Fault(
+        "between: statistics of the first",
+        "model/between.py",
+        "tuple(freeze(decoder, code, waves))",
+        "first.moments",
+        ("tests/model/test_between.py", "-k", "middle"),
+    ),
+    Fault(
+        "file: heights are rounded down",
+        "model/exemplar.py",
+        "np.rint(height.astype(np.float64) / unit)",
+        "np.floor(height.astype(np.float64) / unit)",
+        ("tests/model/test_exemplar.py",),
+    ),
+    Fault(
+        "file: any version",
+        "model/header.py",
+        'if about["version"] != VERSION:',
+        "if False:",
+        ("tests/model", "-k", "version"),
+    ),
+    Fault(
+        "blend: sinks instead of rising",
+        "synth/blend.py",
+        "(2.0 * share - 1.0)",
+        "(1.0 - 2.0 * share)",
+        _MASK,
+    ),
+    Fault(
+        "blend: what has risen stays", "synth/blend.py", "+ level - rise * share", "+ level", _MASK
+    ),
+    Fault(
+        "blend: one mean for both",
+        "synth/blend.py",
+        "(self.means[1] - self.means[0]) * share",
+        "0.0 * share",
+        _MASK,
+    ),
+    Fault(
+        "blend: a peak reaches through at the ends",
+        "synth/blend.py",
+        "        seen = seen.clamp(1.0 - _ENDS * (1.0 - share), _ENDS * share)\n",
+        "",
+        _MASK,
+    ),
+    Fault(
+        "mask: upside down",
+        "synth/mask.py",
+        "upper * (1.0 - from_bottom[:, None]) + lower * from_bottom[:, None]",
+        "lower * (1.0 - from_bottom[:, None]) + upper * from_bottom[:, None]",
+        _MASK,
+    ),
+    Fault(
+        "mask: half a pixel aside",
+        "synth/mask.py",
+        "(pixels / (2.0 * length)) - 0.5",
+        "(pixels / (2.0 * length))",
+        _MASK,
+    ),
+    Fault(
+        "mask: its border does not join",
+        "synth/mask.py",
+        "(before + 1) % pixels",
+        "np.clip(before + 1, 0, pixels - 1)",
+        _MASK,
+    ),
+)
+
+PICTURES = (
+    Fault(
+        "suns: the search never ends in a starry sky",
+        "relight/environment_map.py",
+        "limit, raised = 1.5 * limit, True",
+        "break",
+        ("tests/relight/test_relight_environment.py", "-k", "search"),
+    ),
+    Fault(
+        "sampling: levels half a texel aside",
+        "relight/sampling.py",
+        "(column + 0.5) * (width / self.texture.size[0]) - 0.5",
+        "column * (width / self.texture.size[0])",
+        swept("squares"),
+    ),
+    Fault(
+        "sampling: variance is dropped",
+        "relight/sampling.py",
+        "np.maximum(square - mean, 0.0)",
+        "0.0",
+        swept("squares"),
+    ),
+    Fault(
+        "sampling: alpha is averaged, not its square",
+        "relight/sampling.py",
+        "np.square(self._alpha)[None]",
+        "self._alpha[None]",
+        swept("squares"),
+    ),
+    Fault(
+        "sampling: normals lean to the other side",
+        "relight/sampling.py",
+        "(-x * z, -y * z, z)",
+        "(-x * z, y * z, z)",
+        swept("squares"),
+    ),
+    Fault(
+        "sampling: rows upwards",
+        "relight/sampling.py",
+        "(height - 1) / 2.0 - place[1] * step",
+        "(height - 1) / 2.0 + place[1] * step",
+        swept("squares"),
+    ),
+    Fault(
+        "tables: no light at grazing",
+        "relight/visible_normals.py",
+        "z = np.float32(1.0 - point.u)",
+        "z = np.float32(0.9 - point.u)",
+        swept("environments"),
+    ),
+    Fault(
+        "compensation: twice",
+        "relight/effects/multiscatter.py",
+        "    strength: Array = fresnel * fresnel",
+        "    strength: Array = 2.0 * fresnel * fresnel",
+        swept("furnace"),
+    ),
+    Fault(
+        "meshes: what lies behind is seen",
+        "relight/surfaces/mesh.py",
+        "depth < depths[pixel]",
+        "depth > depths[pixel]",
+        ("tests/relight/test_relight_surfaces.py", "-k", "mesh"),
+    ),
+    Fault(
+        "shadows: rows that are columns",
+        "relight/effects/shadows.py",
+        "(down, across, row, column,",
+        "(down, across, column, row,",
+        swept("shadows"),
+    ),
+    Fault(
+        "metallic: bases are not brighter",
+        "export/metallic.py",
+        "diffuse / np.maximum(rest, 1e-6)",
+        "diffuse",
+        swept("metallic"),
+    ),
+    Fault(
+        "metallic: half as much",
+        "export/metallic.py",
+        "specular > highest, high, 0.0",
+        "specular > highest, 0.5 * high, 0.0",
+        swept("metallic"),
+    ),
+    Fault(
+        "textures: the curve is not undone",
+        "export/texture_file.py",
+        "(srgb_decode(code) if self.srgb else code)",
+        "code",
+        swept("textures"),
+    ),
+    Fault(
+        "textures: codes are cut, not rounded",
+        "files/png.py",
+        "np.rint(np.clip(coded, 0.0, 1.0)",
+        "np.floor(np.clip(coded, 0.0, 1.0)",
+        swept("textures"),
+    ),
+    Fault(
+        "glTF: bases are not compensated",
+        "export/specular_workflow.py",
+        '1.0 - job.picture("specular")',
+        '1.0 - 0.0 * job.picture("specular")',
+        ("tests/export/test_export_gltf.py",),
+    ),
+    Fault(
+        "glTF: metallic for roughness",
+        "export/gltf.py",
+        "[ones, roughness, 0.0 * ones]",
+        "[ones, 0.0 * ones, roughness]",
+        ("tests/export/test_export_gltf.py",),
+    ),
+    Fault(
+        "glTF: upside down",
+        "export/gltf.py",
+        "[(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)]",
+        "[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]",
+        ("tests/export/test_export_gltf.py",),
+    ),
+    Fault(
+        "presets: green turned around",
+        "export/textures.py",
+        "-1.0 if dx else 1.0",
+        "1.0 if dx else -1.0",
+        ("tests/export/test_export_presets.py",),
+    ),
+    Fault(
+        "presets: roughness for smoothness",
+        "export/presets.py",
+        '1.0 - material.job.picture("roughness")',
+        'material.job.picture("roughness")',
+        ("tests/export/test_export_presets.py", "-k", "unity"),
+    ),
+    Fault(
+        "map sets: another axis turned around",
+        "brdf/folder.py",
+        "np.array([1.0, -1.0, 1.0]",
+        "np.array([-1.0, 1.0, 1.0]",
+        ("tests/brdf/test_mapset.py", "-k", "directx"),
+    ),
+    Fault(
+        "map sets: heights in half float",
+        "brdf/folder.py",
+        'half=kind != "height"',
+        "half=True",
+        ("tests/brdf/test_mapset.py", "-k", "gives_back"),
+    ),
+    Fault(
+        "map sets: middle grey below the least height",
+        "brdf/folder.py",
+        "-low / (high - low)",
+        "low / (high - low)",
+        ("tests/brdf/test_mapset.py", "-k", "pngs"),
+    ),
+)
+
+SHOOTS_AND_PAGE = (
+    Fault(
+        "batch: a RAW and its JPEG are two",
+        "batch/shoot.py",
+        "kind(path) in _CAMERA and raw is None",
+        "kind(path) in _CAMERA",
+        _SHOOT,
+    ),
+    Fault(
+        "batch: the gap counts from the first",
+        "batch/shoot.py",
+        "            runs.append([shot])\n        last = when",
+        "            runs.append([shot])\n            last = when",
+        _SHOOT,
+    ),
+    Fault(
+        "batch: names of its own files",
+        "batch/shoot.py",
+        "plain.casefold() in _TAKEN",
+        "False",
+        _SHOOT,
+    ),
+    Fault(
+        "batch: some failed is done",
+        "batch/run.py",
+        "ExitCode.SOME_FAILED if good",
+        "ExitCode.DONE if good",
+        ("tests/batch/test_run.py",),
+    ),
+    Fault(
+        "page: any host",
+        "view/server.py",
+        "not in self._address.hosts",
+        "is None",
+        ("tests/view/test_view_server.py",),
+    ),
+    Fault(
+        "page: any token",
+        "view/server.py",
+        "elif not known or not slash:",
+        "elif not slash:",
+        ("tests/view/test_view_server.py",),
+    ),
+    Fault(
+        "page: names end its script",
+        "view/document.py",
+        '.replace("<", "\\\\u003c")',
+        "",
+        ("tests/view/test_view_command.py", "-k", "break_out"),
+    ),
+    Fault(
+        "page: bands upside down",
+        "view/block_cache.py",
+        "dim=-2).numpy()",
+        "dim=-2).flip(-2).numpy()",
+        ("tests/view/test_view_server.py",),
+    ),
+    Fault(
+        "photographs: colours of the matrix's other side",
+        "photo/color.py",
+        "self.matrix.T.astype",
+        "self.matrix.astype",
+        ("tests/photo/test_color.py",),
+    ),
+    Fault(
+        "photographs: turned the other way",
+        "photo/orient.py",
+        "orientation in (2, 3, 6, 7)",
+        "orientation in (2, 3, 5, 7)",
+        ("tests/photo/test_exif.py", "-k", "pillow"),
+    ),
+    Fault(
+        "photographs: no noise in the dark",
+        "photo/sensor_noise.py",
+        "np.sqrt(self.shot * signal + self.read)",
+        "np.sqrt(self.shot * signal)",
+        ("tests/photo/test_noise.py", "-k", "variance"),
+    ),
+    Fault(
+        "statistics: means in covariances",
+        "statistics/gram.py",
+        "    one = one - one.mean(dim=1, keepdim=True)\n",
+        "",
+        ("tests/statistics/test_gram.py",),
+    ),
+    Fault(
+        "statistics: power of another unit",
+        "statistics/spectrum.py",
+        "window.square().sum()",
+        "window.sum()",
+        ("tests/statistics/test_spectrum.py",),
+    ),
+)
+
+FAULTS = (*RELIGHTING_AND_FILES, *CAPTURE, *FIELD, *PICTURES, *SHOOTS_AND_PAGE)

@@ -1,0 +1,92 @@
+"""The sweep of relighting and exporting, a call or two a domain, each within what is documented.
+
+`matcap bench stability` draws ten million; docs/notes/stability.md has what it found.
+"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from matcap.errors import MatcapError
+from matcap.lab.bench.edges import table
+from matcap.lab.bench.edges.swept import Swept, sweep
+from matcap.lab.bench.edges.table import EDGES, Edge, edges_markdown, failures, run_edges
+
+# Largest error of the few draws below; what it is relative to, EDGES says.
+WITHIN = {
+    "lobes, roughness from 0.03": 1e-3,
+    "lobes, roughness below 0.03": 0.3,
+    "albedo tables, n.v from 0.01": 6e-3,
+    "albedo tables, n.v below 0.01": 0.1,
+    "compensation, white furnace": 0.03,
+    "point and directional lights": 2e-6,
+    "area lights, diffuse": 1e-4,
+    "environments": 0.02,
+    "filtering, squares of 2^k texels": 1e-6,
+    "filtering, footprints 1e-30 to 1e30": 1e-6,
+    "parallax: the ray ends on the surface": 0.15,
+    "parallax: ridges passed through": 1.1,
+    "shadows": 1.0,
+    "meshes": 1e-6,
+    "whole scenes of any numbers": 0.0,
+    "metallic workflow": 2e-6,
+    "textures written and read": 1.01,
+    "targets and presets": 0.0,
+}
+CALLS = {"whole scenes of any numbers": 30, "targets and presets": 1, "environments": 2}
+
+
+@cache
+def swept(name):
+    """As many calls as CALLS says, four where it says nothing."""
+    calls = CALLS.get(name, 4)
+    generator = np.random.default_rng(7)
+    found = Swept()
+    for _ in range(calls):
+        found += sweep(lambda _: EDGES[name].domain(generator), 1, 0)
+    return found
+
+
+def test_every_domain_is_here_and_their_shares_are_the_whole():
+    assert list(WITHIN) == list(EDGES)
+    assert sum(edge.share for edge in EDGES.values()) >= 1.0
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_nothing_is_not_finite_and_errors_are_as_documented(name):
+    found = swept(name)
+    assert found.broken == 0, found.where
+    assert found.worst <= WITHIN[name], found.where
+    assert found.draws > 0
+
+
+def domain_of(error):
+    def domain(_):
+        if isinstance(error, Exception):
+            raise error
+        return error
+
+    return domain
+
+
+@pytest.mark.parametrize(
+    ("outcome", "broken", "refused"),
+    [
+        (MatcapError("the light is too bright", remedy="give it less"), 0, 1),
+        (MatcapError("something is wrong"), 1, 0),
+        (RuntimeWarning("divide by zero"), 1, 0),
+        (Swept(3, 2, 0, 0.5, "there"), 2, 0),
+    ],
+    ids=["a sentence", "no remedy", "a warning", "values"],
+)
+def test_what_is_found_is_counted_and_told(monkeypatch, outcome, broken, refused):
+    monkeypatch.setattr(table, "EDGES", {"a domain": Edge(domain_of(outcome), 1.0, "1")})
+    found = run_edges(1, 0)
+    assert (found["a domain"].broken, found["a domain"].refused) == (broken, refused)
+    assert failures(found) == broken
+    assert f"| {broken} | {refused} |" in edges_markdown(found)
+
+
+def test_a_call_that_takes_too_long_is_a_failure():
+    assert failures({"slow": Swept(1, slowest=11.0)}) == 1
