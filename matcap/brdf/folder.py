@@ -15,6 +15,8 @@ Keys:
     y: of the left top texel in the endless field, downwards.
     seed: realisation of the material, or null.
     periodic: whether the right border continues at the left one, and the bottom at the top.
+    seam: step across the border over steps inside (brdf/seam.py), about 1 without a seam; null
+        where it was not measured.
     texel_size: a texel's side in plane units.
     height_scale: what one unit of the EXR height is, in plane units.
     normal: "gl" (+Y up) or "dx" (+Y down).
@@ -36,6 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.heights import check_heights
+from matcap.brdf.seam import seam_ratio
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import read_exr, write_exr
 from matcap.files.maker import MAKER_VERSION
@@ -124,6 +127,7 @@ def write_mapset(
     document = mapset_document(
         info, maps.size, maps.texel_size, periodic=maps.periodic, normal=normal
     )
+    document["seam"] = round(seam_ratio(maps), 3)
     with staged(folder, replacing=mapset_files(name)) as stage:
         for kind, pixels in arrays.items():
             file = f"{name}_{kind}.exr"
@@ -246,6 +250,7 @@ def mapset_document(
         "y": info.origin[1],
         "seed": info.seed,
         "periodic": periodic,
+        "seam": None,
         "texel_size": texel_size,
         # What one unit of the EXR height is in plane units.
         "height_scale": 1.0,

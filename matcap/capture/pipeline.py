@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from matcap.capture.match import match_photograph
 from matcap.capture.progress import CaptureClock, CaptureProgress
 from matcap.capture.settings import CaptureSettings, Effort, Method, Statistics, resolve
 from matcap.capture.start import logits
+from matcap.capture.verdict.judge import CaptureVerdict, verdict_on
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError
 from matcap.flash.plane import Plane
@@ -71,6 +73,11 @@ class CaptureResult:
     interrupted: bool
     self_difference: float = math.nan
     found: FoundExemplar | None = None
+
+    @cached_property
+    def verdict(self) -> CaptureVerdict:
+        """How good it is, in words; takes about a second the first time."""
+        return verdict_on(self)
 
 
 def read_photograph(
@@ -138,7 +145,7 @@ def capture_photo(
             expected=logits(coarse),
         )
         scene, joined = join(scene, coarse, others, plane.size[0]) if others else (scene, [])
-        own = self_difference(scene.windows, scene.weights)
+        own = clock.scale = self_difference(scene.windows, scene.weights)
 
     with clock.stage("start"):
         beginning = begin(photo, coarse, plane, scene, settings, effort, method)

@@ -7,6 +7,7 @@ the photographed piece itself were found, a second block shows them, its crops o
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from matcap.capture.verdict.rating import Rating
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged_file
 
@@ -23,14 +25,22 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.capture.exemplar.find import FoundExemplar
     from matcap.capture.pipeline import CaptureResult
+    from matcap.capture.verdict.judge import CaptureVerdict
     from matcap.flash.geometry import FlashSetup
 
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels
 _PANEL = (2 * _COLUMNS * _CROP + (2 * _COLUMNS - 1) * _GAP - (_COLUMNS - 1) * _GAP) // _COLUMNS
 _TITLE = 46  # pixels
+_VERDICT_WIDTH = 150  # characters of the verdict in a line
 # sRGB code values.
 _INK, _TITLE_INK, _PAPER = (225, 225, 225), (255, 255, 255), (24, 24, 24)
+_RATED = {
+    Rating.GOOD: (111, 207, 143),
+    Rating.USABLE: (225, 225, 225),
+    Rating.DOUBTFUL: (240, 180, 41),
+    Rating.FAILED: (255, 110, 100),
+}
 # Beside and in front of the sample, in plane units: grazing enough to show relief.
 _LIGHTS = {"left": (-2.5, 0.0, 1.5), "top": (0.0, 2.0, 1.2)}
 # A map's shown range is never narrower than this, or a flat map would show its rounding noise.
@@ -66,6 +76,7 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             _titled(blocks[0], f"The material, {generator}"),
             _titled(piece, "The photographed piece itself"),
         ]
+    blocks.insert(0, _headline(result.verdict, blocks[0].width))
     size = (blocks[0].width, sum(block.height for block in blocks))
     sheet = Image.new("RGB", size, _PAPER)
     y = 0
@@ -73,6 +84,16 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
         sheet.paste(block, (0, y))
         y += block.height
     return sheet
+
+
+def _headline(verdict: CaptureVerdict, width: int) -> Image.Image:
+    """The verdict, across the sheet."""
+    lines = textwrap.wrap(f"Verdict: {verdict.sentence()}", _VERDICT_WIDTH)
+    line = Image.new("RGB", (width, 20 + 28 * len(lines)), _PAPER)
+    font = ImageFont.load_default(size=20)
+    text = "\n".join(lines)
+    ImageDraw.Draw(line).text((_GAP, 12), text, fill=_RATED[verdict.rating], font=font, spacing=6)
+    return line
 
 
 def panels(result: CaptureResult) -> Iterable[Panel]:

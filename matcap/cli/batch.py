@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli.options import ExportOption, GeneratorName, JsonOption, Normal, QuietOption, typed
+from matcap.cli.options import (
+    ExportOption,
+    GeneratorName,
+    JsonOption,
+    Normal,
+    QuietOption,
+    StrictOption,
+    typed,
+)
 from matcap.errors import ExitCode
 from matcap.files import values
 
@@ -108,6 +116,7 @@ def batch(
     fail_fast: Annotated[
         bool, typer.Option("--fail-fast", help="End at the first failure.")
     ] = False,
+    strict: StrictOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -129,7 +138,7 @@ def batch(
         "target": target, "statistics": statistics, "export": export or None, "card": card,
     }  # fmt: skip
     settings = settings_of(shoot, flags)
-    policy = Policy(force, retry_failed, fail_fast)
+    policy = Policy(force, retry_failed, fail_fast, strict)
     with batch_display(quiet=quiet) as shown:
         if scheduler:  # other machines stand in other folders
             shoot, out = shoot.resolve(), out.resolve()
@@ -183,7 +192,8 @@ def _document(entry: BatchEntry, out: Path) -> dict[str, Any]:
         "status": {"made": "done", "kept": "done before"}.get(entry.state, entry.state),
         "folder": str(out / entry.sample.name),
         "doubtful": bool(entry.record.get("doubtful")),
-        "error": entry.record.get("error"),
+        "verdict": (entry.record.get("verdict") or {}).get("rating"),
+        "relative_error": entry.record.get("relative_error"),
         "seconds": entry.record.get("seconds"),
         "reason": entry.reason or None,
     }

@@ -19,6 +19,7 @@ from matcap.cli.options import (
     NormalOption,
     PngOption,
     QuietOption,
+    StrictOption,
     typed,
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
@@ -87,9 +88,17 @@ def capture(
             parser=typed(values.size),
             metavar="WxH",
             show_default="1024x1024",
-            help="Size of the first map set.",
+            help="Size of the first map set: 2048x1024, or 2K, 4K, 8K.",
         ),
     ] = values.DEFAULT_SIZE,
+    tile: Annotated[
+        bool | None,
+        typer.Option(
+            "--tile/--no-tile",
+            show_default="where the sides are multiples of 16",
+            help="A first map set that repeats without a seam.",
+        ),
+    ] = None,
     png: PngOption = False,
     normal: NormalOption = Normal.gl,
     export: ExportOption = None,
@@ -114,13 +123,15 @@ def capture(
             help="Also the maps of the photographed piece itself, NAME_photo, with confidence.",
         ),
     ] = False,
+    strict: StrictOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Turn flash photographs into materials.
 
     Writes for each photograph, into a folder of its name: the material (.matcap), a first map
-    set, preview.png and report.json. Ctrl-C ends with the best so far, saved.
+    set, preview.png and report.json. Ends with a verdict: good, usable, doubtful or failed, with
+    the likely cause and what to do. Ctrl-C ends with the best so far, saved.
     """
     from matcap.capture.outputs import OutputSettings
     from matcap.capture.settings import CaptureSettings, Statistics
@@ -134,7 +145,7 @@ def capture(
     )  # fmt: skip
     targets = OutputSettings.known_targets(export or [])
     side = (size.width, size.height)
-    outputs = OutputSettings(side, seed, png, normal.value, targets=targets)
+    outputs = OutputSettings(side, seed, png, normal.value, tile, targets)
     jobs = _jobs(photos, out)
     check_writable(out, outputs.room)
     results = []
@@ -145,7 +156,7 @@ def capture(
                 break
     if as_json:
         typer.echo(json.dumps({"photographs": results}, indent=2))
-    raise typer.Exit(_exit_code([result["status"] for result in results]))
+    raise typer.Exit(_exit_code([_state(result, strict=strict) for result in results]))
 
 
 def _jobs(photos: Sequence[Path], out: Path) -> list[_Job]:
@@ -187,19 +198,29 @@ def _attempt(
 def _capture(
     job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
 ) -> dict[str, Any]:
-    from matcap.capture.outputs import write_outputs
+    from matcap.capture.outputs import no_repeat, write_outputs
     from matcap.capture.pipeline import capture_file
+    from matcap.capture.report import relative_error
 
     shown.started(job.photo)
     result = capture_file(job.photo, settings, shown.progress)
+    if not outputs.repeats(result.material.alignment):
+        shown.note(no_repeat(outputs.size, result.material.alignment))
     material = write_outputs(result, job.folder, outputs)
     return {
         "photo": str(job.photo),
         "status": "interrupted" if result.interrupted else "done",
         "folder": str(job.folder),
         "material": str(material),
-        "error": result.history[-1][2] if result.history else None,
+        "verdict": result.verdict.document(),
+        "relative_error": relative_error(result),
     }
+
+
+def _state(result: dict[str, Any], *, strict: bool) -> str:
+    """What becomes the exit code: how it ended, and of strict users' captures the verdict too."""
+    state: str = result["status"]
+    return "failed" if state == "done" and strict and not result["verdict"]["fit"] else state
 
 
 def _exit_code(states: Sequence[str]) -> ExitCode:

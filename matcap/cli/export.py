@@ -35,15 +35,18 @@ def export(
         typer.Option("--out", "-o", help="Folder; by default a new one named after all this."),
     ] = None,
     size: Annotated[
-        values.Size,
+        values.Size | None,
         typer.Option(
             parser=typed(values.size),
             metavar="WxH",
             show_default="1024x1024",
-            help="Texels read from a material; they tile where both are multiples of 16.",
+            help="Texels read from a material, 2048x1024 or 2K; they repeat without a seam where "
+            "both are multiples of 16.",
         ),
-    ] = values.DEFAULT_SIZE,
-    seed: Annotated[int, typer.Option(help="Realisation read from a material.")] = 0,
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(show_default="0", help="Realisation read from a material.")
+    ] = None,
     generator: GeneratorOption = None,
     bits: Annotated[
         Bits | None,
@@ -109,10 +112,11 @@ def export(
         return
     target = check_target(to=to, preset=preset)
     if out is not None:
-        check_writable(out, export_bytes(size.width, size.height))
+        largest = size or values.DEFAULT_SIZE
+        check_writable(out, export_bytes(largest.width, largest.height))
     found = open_tile(
         path,
-        size=(size.width, size.height),
+        size=(size.width, size.height) if size else None,
         seed=seed,
         generator=generator and generator.value,
     )

@@ -66,6 +66,12 @@ GeneratorOption = Annotated[
 NormalOption = Annotated[Normal, typer.Option(help="Normals with +Y up (gl) or down (dx).")]
 PngOption = Annotated[bool, typer.Option("--png", help="16-bit PNGs beside the EXR files.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]
+StrictOption = Annotated[
+    bool,
+    typer.Option(
+        "--strict", help="Count doubtful and failed verdicts as failures: exit code 3 or 4."
+    ),
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but failures.")]
 ExportOption = Annotated[
     list[str] | None,

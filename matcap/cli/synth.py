@@ -21,7 +21,7 @@ from matcap.cli.options import (
     QuietOption,
     typed,
 )
-from matcap.errors import UsageError
+from matcap.errors import ExitCode, UsageError
 from matcap.files import values
 
 if TYPE_CHECKING:
@@ -81,14 +81,14 @@ def synth(
         ),
     ] = None,
     size: Annotated[
-        values.Size,
+        values.Size | None,
         typer.Option(
             parser=typed(values.size),
             metavar="WxH",
             show_default="1024x1024",
-            help="Size in texels.",
+            help="Size in texels: 4096x256, or 2K, 4K, 8K.",
         ),
-    ] = values.DEFAULT_SIZE,
+    ] = None,
     seed: Annotated[int, typer.Option(help="Which realisation of the material.")] = 0,
     region: Annotated[
         values.Region | None,
@@ -168,6 +168,7 @@ def synth(
     from matcap.model.plane import check_seed
     from matcap.synth.request import Files, Work
     from matcap.synth.synthesise import SynthRequest, synthesise
+    from matcap.synth.unfinished import unfinished_bytes
     from matcap.synth.workers import keep_memory
 
     keep_memory()  # this process is matcap's own
@@ -182,7 +183,12 @@ def synth(
             "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
         )
     growth = _growth(blend, mask, mask_over)
-    area = _rectangle(region or values.Region(0, 0, size.width, size.height))
+    if size is not None and region is not None:
+        raise UsageError(
+            "a rectangle has a size of its own", where="--region", remedy="leave --size out"
+        )
+    sides = size or values.DEFAULT_SIZE
+    area = _rectangle(region or values.Region(0, 0, sides.width, sides.height))
     files = Files(png, normal.value, single, mip, (udim.width, udim.height) if udim else None)
     subject, name = _subject(material, seed)
     axes: Axes | None = tile.value if tile else None
@@ -196,17 +202,27 @@ def synth(
         if precision is Precision.auto and not quiet:
             typer.echo(choice.sentence(), err=True)
 
+    left = 0 if resume else unfinished_bytes(folder, name)
+    if left and not quiet:
+        typer.echo(
+            f"note: an interrupted run left {left / 1e6:.1f} MB here, which this one begins anew; "
+            "--resume would go on with them",
+            err=True,
+        )
     try:
         with _progress(quiet=quiet) as tell:
             work = Work(workers or os.cpu_count() or 1, scheduler, resume, tell)
             document = synthesise(asked, folder, work, told)
     except KeyboardInterrupt:
-        typer.echo("interrupted; the same command with --resume goes on", err=True)
-        raise
+        typer.echo("matcap: interrupted; the same command with --resume goes on.", err=True)
+        raise typer.Exit(ExitCode.INTERRUPTED) from None
     for target in targets:
         from matcap.export.targets import export_mapset
 
-        export_mapset(document, target)
+        done = export_mapset(document, target)
+        if not quiet:
+            for note in done.notes:
+                typer.echo(f"note: {target}: {note}", err=True)
     if not quiet:
         typer.echo(f"wrote {document}", err=True)
 

@@ -12,6 +12,8 @@ Keys:
     height: texels; where the target stores heights, their `scale`, `midlevel` and `unit` instead.
     unit: what lengths are told in, "mm" or "plane unit".
     tile: (width, height) of the piece in that unit.
+    periodic: whether it repeats without a seam.
+    seam: step across the border over steps inside, about 1 without a seam.
     files: for each texture its `colour_space`, `depth` and `meaning`.
     documents: names of the other files.
     residual: `mean` and `worst` share of the light that differs from matcap's; null for plain maps.
@@ -28,6 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from matcap.brdf.seam import seam_ratio
 from matcap.export.blender import blender
 from matcap.export.gltf import gltf
 from matcap.export.materialx import materialx
@@ -42,6 +45,11 @@ from matcap.files.staging import staged
 
 FORMAT = "matcap export"
 VERSION = 1
+
+_SEAM = (
+    "These maps do not repeat: there is a seam where they meet themselves. Export the material, "
+    "at sides that are multiples of 16, for maps without one."
+)
 
 # All maps twice, in 32-bit floats: no target takes more.
 _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
@@ -153,18 +161,23 @@ def _write(made: Export, job: ExportJob, target: str, folder: Path) -> Exported:
     """Write what an exporter made, and its sidecar NAME_TARGET.json."""
     off = residual(job.maps, made.surface) if made.surface else None
     sidecar = f"{job.name}_{target}.json"
+    notes = made.notes if job.maps.periodic else (*made.notes, _SEAM)
     with staged(folder) as stage:
         for file, texture in made.textures.items():
             texture.write(stage / file)
         for file, content in made.documents.items():
             (stage / file).write_bytes(content)
-        text = json.dumps(_sidecar(made, job, target, off), indent=2, allow_nan=False, default=str)
+        text = json.dumps(
+            _sidecar(made, job, target, off, notes), indent=2, allow_nan=False, default=str
+        )
         (stage / sidecar).write_text(text + "\n")
         files = tuple(sorted(file.name for file in stage.iterdir()))
-    return Exported(folder, files, off, made.notes)
+    return Exported(folder, files, off, notes)
 
 
-def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) -> dict[str, Any]:
+def _sidecar(
+    made: Export, job: ExportJob, target: str, off: Residual | None, notes: Sequence[str]
+) -> dict[str, Any]:
     """NAME_TARGET.json; the module tells its keys."""
     width, height = job.maps.size
     across, down = (side * job.unit_length for side in job.extent)
@@ -178,6 +191,8 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         "height": height,
         "unit": job.unit,
         "tile": [across, down],
+        "periodic": job.maps.periodic,
+        "seam": round(seam_ratio(job.maps), 3),
         "files": {
             file: {
                 "colour_space": texture.colour_space,
@@ -188,7 +203,7 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         },
         "documents": sorted(made.documents),
         "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
-        "notes": list(made.notes),
+        "notes": list(notes),
         **made.facts,
         "provenance": dict(job.provenance),
     }

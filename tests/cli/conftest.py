@@ -1,6 +1,6 @@
 """A capture that takes no time, so that the command line can be tested on its own."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -35,8 +35,10 @@ class FakeMaterial:
     setup: FlashSetup = field(default_factory=FlashSetup)
     provenance: dict = field(default_factory=lambda: {"made": "up"})
 
+    alignment: int = 16
+
     def maps(self, width, height, *, seed=0, x=0, y=0, period=None):
-        return random_maps(width, height, seed)
+        return replace(random_maps(width, height, seed), periodic=period is not None)
 
     def save(self, path):
         Path(path).write_text(self.name)
@@ -86,6 +88,7 @@ class FakePipeline:
             stage_seconds={"coarse": 0.5, "fine-tuning": 0.5},
             settings=settings,
             interrupted=self.interrupt,
+            self_difference=0.25,
         )
 
 

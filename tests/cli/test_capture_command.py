@@ -63,7 +63,8 @@ def test_the_report_holds_what_was_done(matcap, pipeline, photo, out):
     matcap("capture", photo, "-o", out, "--size", 16, "--steps", 9)
     report = json.loads((out / "leather" / "report.json").read_text())
     assert report["settings"]["steps"] == 9
-    assert report["error"] == 0.5
+    assert report["error"] == 0.5 and report["relative_error"] == 2.0
+    assert "no flash" in report["verdict"]["sentence"]
     assert report["error_over_time"][0] == {"seconds": 0.5, "step": 1, "error": 0.9}
     assert report["stage_seconds"] == {"coarse": 0.5, "fine-tuning": 0.5}
     assert report["camera"]["tilt_degrees"] == [0.0, 0.0]
@@ -71,12 +72,23 @@ def test_the_report_holds_what_was_done(matcap, pipeline, photo, out):
     assert {"matcap", "torch", "python"} <= set(report["versions"])
 
 
+def test_the_verdict_is_said_and_a_strict_user_hears_it_in_the_exit_code(
+    matcap, pipeline, photo, out
+):
+    said = matcap("capture", photo, "-o", out, "--size", 16)
+    assert said.code == 0
+    assert "failed: the photograph's middle is 1.0 times as bright as its border" in said.err
+    assert "error" not in said.err
+    assert matcap("capture", photo, "-o", out, "--size", 16, "--strict").code == 3
+
+
 def test_json_goes_to_stdout_and_alone(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--size", 16, "--json", "-q")
     (result,) = json.loads(said.out)["photographs"]
     assert said.err == ""
     assert result["status"] == "done"
-    assert result["error"] == 0.5
+    assert result["relative_error"] == 2.0
+    assert result["verdict"]["rating"] == "failed"  # even grey shows no flash
     assert result["material"] == str(out / "leather" / "leather.matcap")
 
 
@@ -84,7 +96,7 @@ def test_progress_is_plain_lines_where_there_is_no_terminal(matcap, pipeline, ph
     said = matcap("capture", photo, "-o", out, "--size", 16)
     assert "fine-tuning" in said.err
     assert "\x1b" not in said.err
-    assert len(said.err.splitlines()) == 2
+    assert len(said.err.splitlines()) == 3
 
 
 def test_photographs_of_the_same_stem_do_not_overwrite_each_other(matcap, pipeline, photo, out):
@@ -177,3 +189,14 @@ def test_a_disk_that_fills_while_saving_leaves_nothing(
     assert said.err.count("\n") == 1
     assert "the disk is full; free some space or choose another folder with -o." in said.err
     assert list(tmp_path.iterdir()) == [photo]
+
+
+def test_the_first_map_set_repeats_unless_its_size_cannot_which_is_said(
+    matcap, pipeline, photo, out
+):
+    assert "do not repeat" not in matcap("capture", photo, "-o", out, "--size", 32).err
+    assert read_mapset(out / "leather" / "leather.json")[1]["periodic"] is True
+    said = matcap("capture", photo, "-o", out, "--size", 40)
+    assert "Maps of 40x40 do not repeat" in said.err and "multiples of 16" in said.err
+    assert read_mapset(out / "leather" / "leather.json")[1]["periodic"] is False
+    assert matcap("capture", photo, "-o", out, "--size", 40, "--tile").code == 2

@@ -147,6 +147,8 @@ def test_capture_writes_for_other_programs_too(matcap, pipeline, photo, tmp_path
     assert said.code == 0
     assert (tmp_path / "out" / "leather" / "gltf" / "leather.glb").is_file()
     assert (tmp_path / "out" / "leather" / "unreal" / "T_leather_ORM.png").is_file()
+    sidecar = json.loads((tmp_path / "out" / "leather" / "gltf" / "leather_gltf.json").read_text())
+    assert sidecar["periodic"] is True and sidecar["seam"] > 0.0
 
 
 def test_capture_refuses_unknown_targets_before_any_work(matcap, pipeline, photo, tmp_path):
