@@ -1,13 +1,19 @@
-"""Tensors in a safetensors file, written whole or not at all."""
+"""Tensors in a safetensors file, written whole or not at all, and with a digest of all that is in it.
+
+A flipped byte in a tensor is another number, which nobody would see: the metadata's entry `digest`
+tells. It is of everything but itself, the other metadata and all tensors' bytes.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
 from safetensors.torch import save
 from torch import Tensor
 
+from matcap.files.digest import DIGEST, METHOD, text_first
 from matcap.files.staging import staged_file
 
 
@@ -17,12 +23,18 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
     Args:
         path: of the file; its folder is made when missing.
         tensors: of any shapes, types and devices.
-        metadata: strings by name.
+        metadata: strings by name, other than "digest".
 
     Raises:
         MatcapError: the folder cannot be written, or the disk is full.
     """
     together = {name: tensor.contiguous() for name, tensor in tensors.items()}
+    told = dict(metadata)
+    # As bytes: save_file would give the file to its owner alone, whatever the umask says.
+    plain = save(together, told)
+    start = 8 + int.from_bytes(plain[:8], "little")
+    digest = hashlib.new(METHOD, text_first(told))
+    digest.update(memoryview(plain)[start:])
+    told[DIGEST] = digest.hexdigest()
     with staged_file(path) as file:
-        # As bytes: save_file would give the file to its owner alone, whatever the umask says.
-        file.write_bytes(save(together, dict(metadata)))
+        file.write_bytes(save(together, told))
