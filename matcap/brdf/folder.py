@@ -50,6 +50,11 @@ from matcap.files.staging import staged
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
+# Entries of a document that tell one map set from another of the same name.
+_WHAT_IT_IS = (
+    "format", "width", "height", "x", "y", "seed", "periodic", "period", "udim", "normal",
+    "texel_size", "provenance",
+)  # fmt: skip
 NormalStyle = Literal["gl", "dx"]
 
 FORMAT = "matcap map set"
@@ -191,6 +196,30 @@ def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
     return MapSet(**maps, texel_size=texel_size, periodic=periodic), document
 
 
+def refuse_to_replace(folder: Path, new: dict[str, Any]) -> None:
+    """Refuse to put a map set where another one of its name stands; the same one may come again.
+
+    Args:
+        folder: where it is to be written.
+        new: its document, with or without what PNGs add.
+
+    Raises:
+        MatcapError: there is a set of that name that differs, with what it differs in.
+    """
+    old = _load_any(folder / f"{new['name']}.json")
+    if old is None:
+        return
+    differs = [key for key in _WHAT_IT_IS if old.get(key) != new.get(key)]
+    if ("png" in old) and "png" not in new:
+        differs.append("PNGs")
+    if differs:
+        raise MatcapError(
+            f"another map set stands here (it differs in {', '.join(differs)})",
+            where=str(folder / f"{new['name']}.json"),
+            remedy="choose another folder with -o, or give --overwrite",
+        )
+
+
 def mapset_files(name: str) -> list[str]:
     """Names of all the files that a map set of this name may have."""
     maps = [f"{name}_{kind}.{suffix}" for kind in MEANINGS for suffix in ("exr", "png")]
@@ -304,6 +333,16 @@ def _find_document(path: Path) -> Path:
             remedy="name the JSON file of one of them",
         )
     return found[0]
+
+
+def _load_any(file: Path) -> dict[str, Any] | None:
+    """A document of matcap's, of whatever version; None for any other file."""
+    try:
+        document = json.loads(file.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+    known = isinstance(document, dict) and str(document.get("format", "")).startswith("matcap")
+    return document if known else None
 
 
 def _load_document(file: Path) -> dict[str, Any] | None:

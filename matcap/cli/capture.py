@@ -17,6 +17,7 @@ from matcap.cli.options import (
     JsonOption,
     Normal,
     NormalOption,
+    OverwriteOption,
     PngOption,
     QuietOption,
     StrictOption,
@@ -24,9 +25,11 @@ from matcap.cli.options import (
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.files import values
+from matcap.files.interrupts import postponed
 
 if TYPE_CHECKING:
     from matcap.capture.outputs import OutputSettings
+    from matcap.capture.pipeline import CaptureResult
     from matcap.capture.settings import CaptureSettings
     from matcap.cli.capture_display import Display
 
@@ -123,6 +126,7 @@ def capture(
             help="Also the maps of the photographed piece itself, NAME_photo, with confidence.",
         ),
     ] = False,
+    overwrite: OverwriteOption = False,
     strict: StrictOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
@@ -151,7 +155,7 @@ def capture(
     results = []
     with display(quiet=quiet) as shown:
         for job in jobs:
-            results.append(_attempt(job, settings, outputs, shown))
+            results.append(_attempt(job, settings, outputs, shown, overwrite=overwrite))
             if results[-1]["status"] == "interrupted":
                 break
     if as_json:
@@ -175,11 +179,20 @@ def _jobs(photos: Sequence[Path], out: Path) -> list[_Job]:
 
 
 def _attempt(
-    job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
+    job: _Job,
+    settings: CaptureSettings,
+    outputs: OutputSettings,
+    shown: Display,
+    *,
+    overwrite: bool,
 ) -> dict[str, Any]:
     """Capture one photograph; a failure is a result too."""
+    from matcap.capture.replace import refuse_to_replace_capture
+
     started = time.perf_counter()
     try:
+        if not overwrite:
+            refuse_to_replace_capture(job.folder, job.photo.name, settings, outputs)
         done = _capture(job, settings, outputs, shown)
     except UsageError:
         raise  # wrong for every photograph alike
@@ -198,12 +211,22 @@ def _attempt(
 def _capture(
     job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
 ) -> dict[str, Any]:
-    from matcap.capture.outputs import no_repeat, write_outputs
     from matcap.capture.pipeline import capture_file
-    from matcap.capture.report import relative_error
 
     shown.started(job.photo)
     result = capture_file(job.photo, settings, shown.progress)
+    with postponed() as stopped:
+        written = _written(result, job, outputs, shown)
+    return {**written, "status": "interrupted"} if stopped() else written
+
+
+def _written(
+    result: CaptureResult, job: _Job, outputs: OutputSettings, shown: Display
+) -> dict[str, Any]:
+    """Write a capture, and what is told of it."""
+    from matcap.capture.outputs import no_repeat, write_outputs
+    from matcap.capture.report import relative_error
+
     if not outputs.repeats(result.material.alignment):
         shown.note(no_repeat(outputs.size, result.material.alignment))
     material = write_outputs(result, job.folder, outputs)

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import Bits, GeneratorOption, JsonOption, Normals, QuietOption, typed
+from matcap.cli.options import (
+    Bits,
+    GeneratorOption,
+    JsonOption,
+    Normals,
+    OverwriteOption,
+    QuietOption,
+    typed,
+)
 from matcap.files import values
 
 if TYPE_CHECKING:
@@ -87,6 +95,7 @@ def export(
     onnx: Annotated[
         bool, typer.Option("--onnx", help="A material's network as an ONNX file instead.")
     ] = False,
+    overwrite: OverwriteOption = False,
     json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -95,7 +104,7 @@ def export(
     Prints what the target cannot express: how far its light is from matcap's. See
     docs/guide/export.md.
     """
-    from matcap.errors import UsageError
+    from matcap.errors import MatcapError, UsageError
     from matcap.export.presets import PresetOptions
     from matcap.export.targets import check_target, export_bytes, write_export, write_preset
     from matcap.export.textures import ExportJob
@@ -120,7 +129,15 @@ def export(
         seed=seed,
         generator=generator and generator.value,
     )
-    folder = out or Path(f"{found.name}_{target}")
+    asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
+    folder = out or Path(f"{found.name}_{target}{asked_for}")
+    sidecar = folder / f"{found.name}_{target}.json"
+    if sidecar.exists() and not overwrite:
+        raise MatcapError(
+            "an earlier export stands here",
+            where=str(sidecar),
+            remedy="choose another folder with -o, or give --overwrite",
+        )
     check_writable(folder, export_bytes(*found.maps.size))
     job = ExportJob(found.maps, found.name, unit, bits and bits.value, found.provenance)
     if to is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Annotated
 
@@ -32,6 +32,7 @@ from matcap.cli import (
     view,
 )
 from matcap.errors import ExitCode, MatcapError
+from matcap.files.interrupts import end_alike, ignore_both
 from matcap.files.maker import MAKER
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
@@ -99,20 +100,32 @@ def _matcap(
     del debug  # main() looks for it itself: a failed command leaves no context to ask
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code; failures become one sentence on stderr."""
+def main(
+    arguments: Sequence[str] | None = None, *, interrupted: Callable[[], bool] = lambda: False
+) -> int:
+    """Run the command line and return its exit code; failures become one sentence on stderr.
+
+    Args:
+        arguments: those of the process unless given.
+        interrupted: tells whether a signal came. What it breaks in the middle of a library may
+            look like any other error.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments or os.environ.get("MATCAP_DEBUG", "0") not in ("", "0")
     try:
         app(args=arguments, prog_name="matcap")
     except SystemExit as stop:
+        if isinstance(getattr(stop.__context__, "__cause__", None), KeyboardInterrupt):
+            return _end_early()  # as typer tells of one that no command heeded
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except MatcapError as error:
         _show(error, debug=debug)
         return error.exit_code
     except KeyboardInterrupt:
-        return ExitCode.INTERRUPTED
+        return _end_early()
     except Exception as error:
+        if interrupted():
+            return _end_early()
         _show(error, debug=debug)
         return ExitCode.INTERNAL
     return ExitCode.DONE
@@ -125,7 +138,15 @@ def run() -> None:
     # sets it otherwise is heeded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("GOMP_SPINCOUNT", "2000")
-    sys.exit(main())
+    came = end_alike()
+    code = main(interrupted=came)
+    ignore_both()
+    sys.exit(code)
+
+
+def _end_early() -> ExitCode:
+    typer.echo("matcap: interrupted.", err=True)
+    return ExitCode.INTERRUPTED
 
 
 def _show(error: Exception, *, debug: bool) -> None:

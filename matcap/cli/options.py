@@ -72,6 +72,10 @@ StrictOption = Annotated[
         "--strict", help="Count doubtful and failed verdicts as failures: exit code 3 or 4."
     ),
 ]
+OverwriteOption = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Replace what is there, even where it is something else."),
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but failures.")]
 ExportOption = Annotated[
     list[str] | None,

@@ -17,6 +17,7 @@ from matcap.cli.options import (
     GeneratorOption,
     Normal,
     NormalOption,
+    OverwriteOption,
     PngOption,
     QuietOption,
     typed,
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from matcap.model.plane import Rectangle
     from matcap.synth.precision import ChosenPrecision
     from matcap.synth.request import Progress as SynthProgress
-    from matcap.synth.synthesise import Axes, Growth
+    from matcap.synth.synthesise import Axes, Growth, SynthRequest
 
 _STRIP = values.Size(4096, 256)  # the paper's own example
 _EVERY = 10.0  # seconds between lines of progress where there is no terminal
@@ -156,6 +157,7 @@ def synth(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with what an interrupted run left.")
     ] = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Make more of a material: a map set of any size, seam-free and repeatable.
@@ -196,7 +198,8 @@ def synth(
         subject, area, seed, name, files, axes, growth, precision.value, device.value,
         generator and generator.value,
     )  # fmt: skip
-    folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}")
+    told_apart = _told_apart(asked)
+    folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}{told_apart}")
 
     def told(choice: ChosenPrecision) -> None:
         if precision is Precision.auto and not quiet:
@@ -211,7 +214,7 @@ def synth(
         )
     try:
         with _progress(quiet=quiet) as tell:
-            work = Work(workers or os.cpu_count() or 1, scheduler, resume, tell)
+            work = Work(workers or os.cpu_count() or 1, scheduler, resume, overwrite, tell)
             document = synthesise(asked, folder, work, told)
     except KeyboardInterrupt:
         typer.echo("matcap: interrupted; the same command with --resume goes on.", err=True)
@@ -225,6 +228,24 @@ def synth(
                 typer.echo(f"note: {target}: {note}", err=True)
     if not quiet:
         typer.echo(f"wrote {document}", err=True)
+
+
+def _told_apart(asked: SynthRequest) -> str:
+    """What the default folder's name says beside name, size and seed."""
+    area, files, growth = asked.area, asked.files, asked.growth
+    parts = {
+        f"x{area.x}_y{area.y}": (area.x, area.y) != (0, 0),
+        f"tile-{asked.tile}": asked.tile is not None,
+        f"udim{files.udim and '{}x{}'.format(*files.udim)}": files.udim is not None,
+        f"into-{growth and Path(str(growth.material)).stem}": growth is not None,
+        f"{asked.generator}": asked.generator is not None,
+        f"{asked.precision}": asked.precision != "fp32",
+        "single": files.single,
+        "mip": files.mipmap,
+        "png": files.png,
+        "dx": files.normal == "dx",
+    }
+    return "".join(f"_{part}" for part, holds in parts.items() if holds)
 
 
 def _subject(material: Path | None, seed: int) -> tuple[Path | Material, str]:

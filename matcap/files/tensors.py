@@ -1,4 +1,4 @@
-"""Tensors in a safetensors file, written whole or not at all, and with a digest of all that is in it.
+"""Tensors in a safetensors file, written whole or not at all, with a digest of all of it.
 
 A flipped byte in a tensor is another number, which nobody would see: the metadata's entry `digest`
 tells. It is of everything but itself, the other metadata and all tensors' bytes.

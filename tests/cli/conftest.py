@@ -1,5 +1,6 @@
 """A capture that takes no time, so that the command line can be tested on its own."""
 
+import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +17,8 @@ from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.photo import Photo
+
+sys.path.insert(0, str(Path(__file__).parent))  # for signals.py
 
 
 def random_maps(width: int, height: int, seed: int) -> MapSet:

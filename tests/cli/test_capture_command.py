@@ -196,7 +196,48 @@ def test_the_first_map_set_repeats_unless_its_size_cannot_which_is_said(
 ):
     assert "do not repeat" not in matcap("capture", photo, "-o", out, "--size", 32).err
     assert read_mapset(out / "leather" / "leather.json")[1]["periodic"] is True
-    said = matcap("capture", photo, "-o", out, "--size", 40)
+    said = matcap("capture", photo, "-o", out, "--size", 40, "--overwrite")
     assert "Maps of 40x40 do not repeat" in said.err and "multiples of 16" in said.err
     assert read_mapset(out / "leather" / "leather.json")[1]["periodic"] is False
-    assert matcap("capture", photo, "-o", out, "--size", 40, "--tile").code == 2
+    assert matcap("capture", photo, "-o", out, "--size", 40, "--tile", "--overwrite").code == 2
+
+
+@pytest.mark.parametrize(
+    ("again", "told"),
+    [
+        (("--preset", "draft"), "a longer one, of preset standard"),
+        (("--steps", 3), "a longer one"),
+        (("--seed", 1), "seed 0"),
+        (("--size", 32), "with maps of 16x16"),
+        (("--fov", 50), "fov None"),
+        ((), "with PNGs"),
+    ],
+)
+def test_an_earlier_capture_is_not_replaced_by_a_lesser_or_another_one(
+    matcap, pipeline, photo, out, again, told
+):
+    first = ("--size", 16, "--png") if told == "with PNGs" else ("--size", 16)
+    assert matcap("capture", photo, "-o", out, *first).code == 0
+    before = (out / "leather" / "report.json").read_bytes()
+    again = again if "--size" in again else ("--size", 16, *again)
+    said = matcap("capture", photo, "-o", out, *again)
+    assert said.code == 3
+    assert "an earlier capture stands here" in said.err and told in said.err
+    assert "--overwrite" in said.err
+    assert (out / "leather" / "report.json").read_bytes() == before
+    assert matcap("capture", photo, "-o", out, *again, "--overwrite").code == 0
+
+
+def test_the_same_capture_or_a_longer_one_comes_in_its_place(matcap, pipeline, photo, out):
+    for more in ((), (), ("--preset", "high")):
+        assert matcap("capture", photo, "-o", out, "--size", 16, *more).code == 0
+
+
+def test_another_photograph_of_the_same_stem_does_not_replace_the_first(
+    matcap, pipeline, photo, out
+):
+    other = photo.with_suffix(".jpg")
+    other.write_text("another photograph")
+    assert matcap("capture", photo, "-o", out, "--size", 16).code == 0
+    said = matcap("capture", other, "-o", out, "--size", 16)
+    assert said.code == 3 and "an earlier capture stands here (of leather.dng)" in said.err
