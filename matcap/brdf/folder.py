@@ -18,6 +18,7 @@ Keys:
     seam: step across the border over steps inside (brdf/seam.py), about 1 without a seam; null
         where it was not measured.
     texel_size: a texel's side in plane units.
+    millimetres_per_unit: how long a plane unit is, or null where nobody measured it.
     height_scale: what one unit of the EXR height is, in plane units.
     normal: "gl" (+Y up) or "dx" (+Y down).
     maps: for each map its `file` and `meaning`, and with PNGs `png` and `png_encoding`.
@@ -281,6 +282,7 @@ def mapset_document(
         "periodic": periodic,
         "seam": None,
         "texel_size": texel_size,
+        "millimetres_per_unit": info.provenance.get("millimetres_per_unit"),
         # What one unit of the EXR height is in plane units.
         "height_scale": 1.0,
         "normal": normal,

@@ -295,6 +295,7 @@ def _provenance(
     told: dict[str, Any] = {
         "photograph": photo.name,
         "settings": settings.named(),
+        "millimetres_per_unit": settings.millimetres_per_unit,
         "steps": steps,
         "coarse": {
             "diffuse": list(coarse.diffuse),

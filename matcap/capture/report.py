@@ -178,6 +178,11 @@ def _rules(settings: CaptureSettings) -> Iterable[str]:
             "A time limit or a target decided when to stop, so the preset was "
             f"{effort.preset}: at most {effort.steps} steps. Give --steps for another number."
         )
+    if settings.width_cm is None:
+        yield (
+            "Nobody said how large the sample is: lengths are in plane units, halves of the "
+            "photograph's long side. --width-cm says how much that spans."
+        )
 
 
 def _finite(value: object) -> object:

@@ -16,6 +16,7 @@ from matcap.cli.options import (
     Normal,
     QuietOption,
     StrictOption,
+    WidthOption,
     typed,
 )
 from matcap.errors import ExitCode
@@ -61,6 +62,7 @@ def batch(
         float | None,
         typer.Option(min=1.0, max=170.0, help="Field of view along the long side, degrees."),
     ] = None,
+    width_cm: WidthOption = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of the work and the map sets.")] = None,
     size: Annotated[
         values.Size | None,
@@ -133,6 +135,7 @@ def batch(
     flags = {
         "jobs": jobs, "preset": preset, "steps": steps, "time": time_limit, "detail": detail,
         "fov": fov, "seed": seed, "size": str(size) if size else None, "tile": tile, "png": png,
+        "width_cm": width_cm,
         "normal": normal.value if normal else None, "prior": prior, "group": group, "gap": gap,
         "generator": generator.value if generator else None, "aligned": aligned,
         "target": target, "statistics": statistics, "export": export or None, "card": card,

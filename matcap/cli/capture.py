@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +21,7 @@ from matcap.cli.options import (
     PngOption,
     QuietOption,
     StrictOption,
+    WidthOption,
     typed,
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 class _Job:
     photo: Path
     folder: Path
+    others: tuple[Path, ...] = ()
 
 
 def capture(
@@ -84,6 +86,7 @@ def capture(
         float | None,
         typer.Option(min=1.0, max=170.0, help="Field of view along the long side, degrees."),
     ] = None,
+    width_cm: WidthOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the work and of the map set.")] = 0,
     size: Annotated[
         values.Size,
@@ -119,6 +122,13 @@ def capture(
             "the fine-tuned network alone (decoder)."
         ),
     ] = GeneratorName.example,
+    together: Annotated[
+        bool,
+        typer.Option(
+            "--together",
+            help="All photographs show one sample: one material, called as the first of them.",
+        ),
+    ] = False,
     aligned: Annotated[
         bool,
         typer.Option(
@@ -145,12 +155,14 @@ def capture(
     settings = CaptureSettings(
         preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
         seed=seed, prior=prior, statistics=Statistics.parse(statistics), generator=generator.value,
-        aligned=aligned,
+        aligned=aligned, width_cm=width_cm,
     )  # fmt: skip
     targets = OutputSettings.known_targets(export or [])
     side = (size.width, size.height)
     outputs = OutputSettings(side, seed, png, normal.value, tile, targets)
     jobs = _jobs(photos, out)
+    if together:
+        jobs = [replace(jobs[0], others=tuple(photos[1:]))]
     check_writable(out, outputs.room)
     results = []
     with display(quiet=quiet) as shown:
@@ -211,10 +223,14 @@ def _attempt(
 def _capture(
     job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
 ) -> dict[str, Any]:
-    from matcap.capture.pipeline import capture_file
+    from matcap.capture.pipeline import capture_file, capture_photo, read_photograph
 
     shown.started(job.photo)
-    result = capture_file(job.photo, settings, shown.progress)
+    if job.others:
+        first, *others = (read_photograph(path, settings) for path in (job.photo, *job.others))
+        result = capture_photo(first, settings, shown.progress, others=others)
+    else:
+        result = capture_file(job.photo, settings, shown.progress)
     with postponed() as stopped:
         written = _written(result, job, outputs, shown)
     return {**written, "status": "interrupted"} if stopped() else written

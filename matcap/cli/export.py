@@ -28,7 +28,9 @@ def export(
     ] = Path("."),
     to: Annotated[
         str | None,
-        typer.Option(metavar="TARGET", help="materialx, usd, gltf, blender or mitsuba."),
+        typer.Option(
+            metavar="TARGET", help="materialx, usd, gltf, blender or mitsuba; or a preset's name."
+        ),
     ] = None,
     preset: Annotated[
         str | None,
@@ -106,11 +108,20 @@ def export(
     """
     from matcap.errors import MatcapError, UsageError
     from matcap.export.presets import PresetOptions
-    from matcap.export.targets import check_target, export_bytes, write_export, write_preset
+    from matcap.export.targets import (
+        DOCUMENTS,
+        PRESETS,
+        check_target,
+        export_bytes,
+        write_export,
+        write_preset,
+    )
     from matcap.export.textures import ExportJob
     from matcap.files.staging import check_writable
     from matcap.model.opened import open_tile
 
+    if to is not None and to in PRESETS and to not in DOCUMENTS:  # all of them are targets
+        to, preset = None, to
     if [onnx, to is not None, preset is not None].count(True) != 1:
         raise UsageError("give either --to or --preset, or --onnx", where="matcap export")
     asked = {"--name": name, "--maps": maps, "--normal": normal}

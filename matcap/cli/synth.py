@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
 from matcap.cli.options import (
     ExportOption,
@@ -22,6 +21,7 @@ from matcap.cli.options import (
     QuietOption,
     typed,
 )
+from matcap.cli.plain_command import PlainCommand
 from matcap.errors import ExitCode, UsageError
 from matcap.files import values
 
@@ -60,7 +60,7 @@ class Device(Enum):
     cuda = "cuda"
 
 
-class SynthCommand(TyperCommand):
+class SynthCommand(PlainCommand):
     """Lets `--tile` stand alone, for both axes."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
@@ -78,7 +78,7 @@ def synth(
     material: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[MATERIAL]", help="A .matcap file; without one, the prior draws a material."
+            metavar="MATERIAL", help="A .matcap file; without one, the prior draws a material."
         ),
     ] = None,
     size: Annotated[

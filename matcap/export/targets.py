@@ -36,7 +36,8 @@ from matcap.export.gltf import gltf
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
 from matcap.export.names import known
-from matcap.export.presets import PRESETS, PresetOptions, pack
+from matcap.export.presets import PRESETS as PRESETS
+from matcap.export.presets import PresetOptions, pack
 from matcap.export.surface import Residual, residual
 from matcap.export.textures import Export, ExportJob
 from matcap.export.usd import usd

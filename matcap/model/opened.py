@@ -99,6 +99,16 @@ def open_tile(
     return OpenedMaps(maps, name, dict(document.get("provenance") or {}))
 
 
+def open_material(path: Path) -> tuple[Path, Material]:
+    """A material, from its file or the folder that holds it, with the file's path.
+
+    Raises:
+        MatcapError: no material there, several, or a broken one.
+    """
+    path = _resolved(path)
+    return path, _material(path)
+
+
 def open_source(path: Path, generator: Generator | None = None) -> MapSet | Material:
     """A map set's maps, or a material itself, to be read where it is seen; by one generator alone
     where one is named.

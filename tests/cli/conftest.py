@@ -70,10 +70,11 @@ class FakePipeline:
         self.calls.append(SimpleNamespace(path=Path(path), long_side=long_side, fov=fov))
         return fake_photo(Path(path))
 
-    def capture_photo(self, photo, settings, progress=None):
+    def capture_photo(self, photo, settings, progress=None, *, others=()):
         if self.failure is not None:
             raise self.failure
         self.calls[-1].settings = settings
+        self.calls[-1].others = [other.name for other in others]
         for fraction in (0.0, 0.5, 1.0):
             if progress is not None:
                 progress(

@@ -241,3 +241,20 @@ def test_another_photograph_of_the_same_stem_does_not_replace_the_first(
     assert matcap("capture", photo, "-o", out, "--size", 16).code == 0
     said = matcap("capture", other, "-o", out, "--size", 16)
     assert said.code == 3 and "an earlier capture stands here (of leather.dng)" in said.err
+
+
+def test_photographs_of_one_sample_make_one_material(matcap, pipeline, photo, out):
+    other = photo.with_name("again.dng")
+    other.write_text("the same sample")
+    assert matcap("capture", photo, other, "--together", "-o", out, "--size", 16).code == 0
+    assert [call.path for call in pipeline.calls] == [photo, other]
+    assert pipeline.calls[-1].others == ["again.dng"]
+    assert [folder.name for folder in out.iterdir()] == ["leather"]
+
+
+def test_a_width_in_centimetres_reaches_the_capture(matcap, pipeline, photo, out):
+    matcap("capture", photo, "-o", out, "--size", 16, "--width-cm", 20)
+    (call,) = pipeline.calls
+    assert call.settings.width_cm == 20.0 and call.settings.millimetres_per_unit == 100.0
+    notes = json.loads((out / "leather" / "report.json").read_text())["notes"]
+    assert not any("how large" in note for note in notes)

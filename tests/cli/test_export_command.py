@@ -166,3 +166,8 @@ def test_a_size_of_a_map_set_is_refused_and_an_earlier_export_is_kept(matcap, fo
     said = matcap("export", "set", "--to", "gltf", "-o", "out")
     assert said.code == 3 and "an earlier export stands here" in said.err
     assert matcap("export", "set", "--to", "gltf", "-o", "out", "--overwrite").code == 0
+
+
+def test_a_preset_is_a_target_too(matcap, folder):
+    assert matcap("export", "set", "--to", "unreal").code == 0
+    assert (folder / "moss_unreal" / "moss_unreal.json").is_file()
