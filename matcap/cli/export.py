@@ -55,7 +55,7 @@ def export(
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(show_default="0", help="Realisation read from a material.")
+        int | None, typer.Option(show_default="0", help="Which piece is read from a material.")
     ] = None,
     generator: GeneratorOption = None,
     bits: Annotated[

@@ -90,7 +90,7 @@ def synth(
             help="Size in texels: 4096x256, or 2K, 4K, 8K.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Which realisation of the material.")] = 0,
+    seed: Annotated[int, typer.Option(help="Which piece of the material.")] = 0,
     region: Annotated[
         values.Region | None,
         typer.Option(
