@@ -214,7 +214,7 @@ def synth(
         )
     try:
         with _progress(quiet=quiet) as tell:
-            work = Work(workers or os.cpu_count() or 1, scheduler, resume, overwrite, tell)
+            work = Work(workers or os.cpu_count() or 1, scheduler, resume, tell, overwrite)
             document = synthesise(asked, folder, work, told)
     except KeyboardInterrupt:
         typer.echo("matcap: interrupted; the same command with --resume goes on.", err=True)

@@ -279,8 +279,8 @@ def _camera(seen: Evidence) -> QualityCheck:
         "camera",
         tilted,
         f"the camera was tilted by {seen.tilt:.0f} degrees",
-        "it was held askew",
-        "hold the phone parallel to the sample",
+        "it was held askew, or other light came from one side",
+        "hold the phone parallel to the sample, with other lights off",
     )
 
 
