@@ -42,7 +42,7 @@ from matcap.statistics.compare import Features
 from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.vgg import Vgg19
 
-_FOR_EXEMPLAR = 0.3  # share of a time limit
+_FOR_EXEMPLAR = 0.6  # share of a time limit
 
 
 @dataclass(frozen=True)

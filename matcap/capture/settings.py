@@ -24,6 +24,8 @@ class Effort:
     Attributes:
         preset: whose effort it is, a key of PRESETS.
         steps: of fine-tuning.
+        beside: of fine-tuning where the decoder stands beside the exemplar, which the material is
+            read by: then it is for the space alone, and for blends and walks through it.
         places: windows a step; all see the same maps, so one more costs a fifth more.
         matched: mean and contrast moved to the photograph's at the end (match.py).
         adapted: steps by which the exemplar is held to the photograph (exemplar/adapt.py).
@@ -31,6 +33,7 @@ class Effort:
 
     preset: str
     steps: int
+    beside: int
     places: int = 2
     matched: bool = True
     adapted: int = 80
@@ -41,11 +44,11 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
     {
         effort.preset: effort
         for effort in (
-            Effort("instant", 0, adapted=0),
-            Effort("draft", 32, matched=False, adapted=16),
-            Effort("standard", 160, places=3),
-            Effort("high", 320, places=3, adapted=160),
-            Effort("reference", 800, adapted=240),
+            Effort("instant", 0, 0, adapted=0),
+            Effort("draft", 32, 0, matched=False, adapted=16),
+            Effort("standard", 160, 40, places=3),
+            Effort("high", 320, 120, places=3, adapted=160),
+            Effort("reference", 800, 400, adapted=320),
         )
     }
 )
@@ -192,10 +195,14 @@ def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
     limited = settings.time_limit is not None or settings.target is not None
     wanted = PRESETS[settings.preset]
     effort = wanted
+    if settings.generator == "example":
+        effort = replace(wanted, steps=wanted.beside)
     if settings.steps is not None:
         effort = replace(wanted, steps=settings.steps, adapted=min(wanted.adapted, settings.steps))
     elif limited:
-        effort = replace(PRESETS[UNLIMITED], adapted=wanted.adapted)
+        # A target is the decoder's; a time limit is shared by both.
+        most = wanted if settings.time_limit is None else PRESETS[UNLIMITED]
+        effort = replace(PRESETS[UNLIMITED], adapted=most.adapted)
     if method is not None and method.places is not None:
         effort = replace(effort, places=method.places)
     if method is not None and method.matched is not None:

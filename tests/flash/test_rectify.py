@@ -97,3 +97,16 @@ def test_detail_sets_the_size_whatever_the_photographs(from_size, detail):
     mean = photograph(a_setup()).pixels.mean()
     assert float(linear.mean()) == pytest.approx(float(mean), rel=0.02)
     assert math.isfinite(float(linear.sum()))
+
+
+@pytest.mark.parametrize("pixels", [208, 256, 400])
+def test_the_finest_texture_is_kept(pixels):
+    """Waves of 2.7 texels, by more pixels than texels, tilted: a texel's mean, not blurred more."""
+    waves, detail, rows = 48.0, 128, pixels * 3 // 4
+    setup = a_setup(tilt=(0.02, 0.03))
+    columns = (np.arange(8 * pixels) + 0.5) / (8 * pixels)
+    fine = np.sin(2.0 * np.pi * waves * columns).reshape(pixels, 8).mean(1)
+    picture = np.repeat(np.tile(1.0 + 0.5 * fine, (rows, 1))[..., None], 3, axis=2)
+    linear, _ = rectify(photo_of(picture), setup, detail)
+    kept = float(linear[0, 32:-32, 32:-32].std()) / float(0.5 / 2.0**0.5)
+    assert kept > 0.85 * np.sinc(waves / detail) * np.sinc(waves / pixels)

@@ -12,18 +12,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.exemplar.integrate import integrate
-from matcap.capture.exemplar.smooth import BLURS, coarse_smoothed, enlarged, split
-from matcap.capture.exemplar.strengths import Strengths, slope_strengths
+from matcap.capture.exemplar.integrate import integrate, steps
+from matcap.capture.exemplar.smooth import coarse_smoothed, enlarged, split
+from matcap.capture.exemplar.strengths import BANDS, Strengths, slope_strengths
 
 Height = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-# Which of strengths.BANDS each band is about.
-_ABOUT = ((3, 4), (2,), (1,), (0,), (0,), (0,))
-_AROUND = 64.0  # texels: deviation of a neighbourhood
-_GAINS = (0.25, 5.0)  # slopes are not weakened or strengthened more than this
-_TRUSTED = 0.8  # of the photograph's own word, where it stands out clearly
+_AROUND = 64.0  # texels: deviation of a neighbourhood, twice the band's waves at least
+_GAINS = (0.25, 5.0)  # slopes are not weakened or strengthened more than this by their place
+_STRONGEST = 16.0  # nor more than this on the whole: of the finest waves networks draw little
+_ROUNDS = 3  # of bringing bands to their strengths: they share waves at their borders
+_UNTOLD = 1.0  # bands' worth of trust in the network's own strength, where nothing is told
 _LEAST = 1e-4  # slope
 
 
@@ -34,30 +34,58 @@ def equalise(height: Height, strengths: Strengths | None) -> Height:
         height: as the network gives it.
         strengths: of the photograph; None keeps each band's own on the whole.
     """
-    even_x, even_y = np.zeros_like(height), np.zeros_like(height)
-    wanted = _wanted(height, strengths)
     # What is slower than all bands is the bowl that a highlight's error leaves, not relief.
-    for index, band in enumerate(split(height)[:-1]):
-        x, y = slopes(band)
-        around = max(_AROUND, 2.0 * BLURS[index])
-        gain = _gain(_covariance(x, y, around), wanted[index] * _own(x, y), height.shape)
-        even_x += gain[0] * x + gain[1] * y
-        even_y += gain[1] * x + gain[2] * y
-    return integrate(even_x, even_y)
+    bands = split(height)[:-1]
+    even = np.stack([_evened(b, max(_AROUND, BANDS[i][0])) for i, b in enumerate(bands)])
+    wanted = _wanted(height, strengths)
+    factors: Array = np.ones(len(even))
+    for _ in range(_ROUNDS):
+        found = _energies(_sum(factors, even))
+        factors = (factors * np.sqrt(wanted / found)).clip(1.0 / _STRONGEST, _STRONGEST)
+    return _sum(factors, even)
 
 
-def _wanted(height: Height, strengths: Strengths | None) -> list[float]:
-    """What each band's energy must be multiplied by to be what the photograph says."""
+def _sum(factors: Array, bands: Height) -> Height:
+    """(H, W) bands (N, H, W) times a factor each, added; in one order, so that bits are kept."""
+    return np.asarray(np.einsum("n,nhw->hw", factors, bands, optimize=False), np.float32)
+
+
+def _evened(band: Height, around: float) -> Height:
+    """A band whose slopes have in every neighbourhood the covariance they have on the whole."""
+    x, y = slopes(band)
+    gain = _gain(_covariance(x, y, around), _own(x, y), band.shape)
+    across, down = steps(band)
+    # One slope is between texels of a row and the other of a column; y points up.
+    xx, yy = _between(gain[0], 1), _between(gain[2], 0)
+    crossed_x = _between(gain[1], 1) * _between(y, 1)
+    crossed_y = _between(gain[1], 0) * _between(x, 0)
+    return integrate(xx * across + crossed_x, yy * down - crossed_y)
+
+
+def _between(plane: Height, axis: int) -> Height:
+    """Means of neighbours along an axis."""
+    first, last = np.delete(plane, -1, axis), np.delete(plane, 0, axis)
+    return np.asarray((first + last) / 2.0, np.float32)
+
+
+def _energies(height: Height) -> Array:
+    """(len(BANDS),) of slopes."""
+    return np.square(slope_strengths(height)).sum(1).clip(_LEAST**2)
+
+
+def _wanted(height: Height, strengths: Strengths | None) -> Array:
+    """(len(BANDS),) energies as the photograph says, as far as its word is to be trusted.
+
+    A network shrinks all bands alike, so what is told of some holds of those nothing is told of.
+    """
+    found = _energies(height)
     if strengths is None:
-        return [1.0] * len(_ABOUT)
-    found, told = np.square(slope_strengths(height)), np.square(strengths.slope)
-    factors = []
-    for bands in _ABOUT:
-        here = told[list(bands)].sum()
-        trust = (strengths.trust * told)[list(bands)].sum() / max(here, 1e-12)
-        ratio = max(here, 1e-8) / max(found[list(bands)].sum(), 1e-8)
-        factors.append(float(ratio ** (_TRUSTED * trust)))
-    return factors
+        return found
+    told = np.square(strengths.slope)
+    trust = (strengths.trust * told).sum(1) / told.sum(1).clip(1e-12)
+    stronger = np.log(told.sum(1).clip(_LEAST**2) / found)
+    usual = (trust * stronger).sum() / (trust.sum() + _UNTOLD)
+    return np.asarray(found * np.exp(trust * stronger + (1.0 - trust) * usual))
 
 
 def _own(x: Height, y: Height) -> Array:

@@ -9,28 +9,33 @@ from numpy.typing import NDArray
 Field = NDArray[np.float32]
 
 
-def integrate(slope_x: Field, slope_y: Field) -> Field:
-    """(H, W) height of zero mean, in texels, by least squares.
+def steps(height: Field) -> tuple[Field, Field]:
+    """What a height (H, W) rises by from texel to texel: (H, W - 1) across, (H - 1, W) downwards.
+
+    Between texels nothing of the finest waves is lost, as central differences would lose it.
+    """
+    return np.diff(height, axis=1), np.diff(height, axis=0)
+
+
+def integrate(across: Field, down: Field) -> Field:
+    """(H, W) height of zero mean by least squares: the inverse of steps().
 
     The Poisson equation with nothing passing the borders, solved by the discrete cosine transform.
 
     Args:
-        slope_x: (H, W) dh/dx per texel, x to the right.
-        slope_y: (H, W) dh/dy per texel, y upwards (rows run downwards).
+        across: (H, W - 1) rise from each texel to the one right of it.
+        down: (H - 1, W) rise to the one below.
     """
-    height, width = slope_x.shape
-    # cv2.dct wants even sides; a mirrored row or column changes next to nothing.
-    p = _even(slope_x)
-    q = _even(-slope_y)
-    # Differences between texels are means of both texels' slopes.
-    across, down = (p[:, 1:] + p[:, :-1]) / 2.0, (q[1:] + q[:-1]) / 2.0
-    divergence = np.zeros_like(p)
+    height, width = across.shape[0], down.shape[1]
+    divergence = np.zeros((height + height % 2, width + width % 2), np.float32)
+    # cv2.dct wants even sides; a row or column that rises by nothing changes next to nothing.
+    across, down = _even(across, (height % 2, width % 2)), _even(down, (height % 2, width % 2))
     divergence[:, :-1] += across
     divergence[:, 1:] -= across
     divergence[:-1] += down
     divergence[1:] -= down
-    rows = 2.0 * np.cos(np.pi * np.arange(p.shape[0]) / p.shape[0]) - 2.0
-    columns = 2.0 * np.cos(np.pi * np.arange(p.shape[1]) / p.shape[1]) - 2.0
+    rows = 2.0 * np.cos(np.pi * np.arange(divergence.shape[0]) / divergence.shape[0]) - 2.0
+    columns = 2.0 * np.cos(np.pi * np.arange(divergence.shape[1]) / divergence.shape[1]) - 2.0
     laplacian = rows[:, None] + columns
     laplacian[0, 0] = 1.0
     waves = cv2.dct(divergence) / laplacian.astype(np.float32)
@@ -38,5 +43,5 @@ def integrate(slope_x: Field, slope_y: Field) -> Field:
     return np.ascontiguousarray(cv2.idct(waves)[:height, :width])
 
 
-def _even(field: Field) -> Field:
-    return np.pad(field, [(0, side % 2) for side in field.shape], mode="edge")
+def _even(rise: Field, more: tuple[int, int]) -> Field:
+    return np.pad(rise, [(0, more[0]), (0, more[1])])

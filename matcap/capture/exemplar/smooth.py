@@ -6,11 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.capture.exemplar.strengths import BANDS
+
 Plane = NDArray[np.float32]
 
-BLURS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # texels: deviations between bands
-
 _COARSER = 8  # texels a side that are one
+_SOFT = 0.25  # octaves: half of what bands share at their borders
 
 
 def smoothed(plane: Plane, deviation: float) -> Plane:
@@ -33,10 +34,25 @@ def enlarged(plane: Plane, shape: tuple[int, ...]) -> Plane:
 
 
 def split(plane: Plane) -> list[Plane]:
-    """Bands of a plane (H, W) between BLURS, finest first, and the rest; they add up to it."""
-    bands = []
-    for blur in BLURS:
-        smooth = np.asarray(cv2.GaussianBlur(plane, (0, 0), blur), np.float32)
-        bands.append(plane - smooth)
-        plane = smooth
-    return [*bands, plane]
+    """Bands of a plane (H, W) by the length of waves, strengths.BANDS, and the rest.
+
+    Longest first; what is longer than all bands comes last. They add up to the plane.
+    """
+    height, width = plane.shape
+    # cv2.dct wants even sides.
+    whole = np.pad(plane, [(0, side % 2) for side in plane.shape], mode="edge")
+    waves = cv2.dct(whole.astype(np.float32))
+    rows, columns = (np.arange(side) / (2.0 * side) for side in whole.shape)
+    octave = np.log2(np.maximum(np.hypot(rows[:, None], columns), 1e-9)).astype(np.float32)
+    passed = [_ramp(octave + np.float32(np.log2(longest))) for longest, _ in BANDS]
+    below = [*passed[1:], np.zeros_like(octave)]
+    shares = [above - finer for above, finer in zip(passed, below, strict=True)]
+    return [
+        np.ascontiguousarray(cv2.idct(waves * share)[:height, :width])
+        for share in (*shares, 1.0 - passed[0])
+    ]
+
+
+def _ramp(octave: Plane) -> Plane:
+    """0 below a border between bands and 1 above it, octaves counted from there."""
+    return np.asarray(0.5 + 0.5 * np.sin(np.pi / 2 * (octave / _SOFT).clip(-1.0, 1.0)), np.float32)

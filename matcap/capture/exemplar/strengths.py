@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # Waves of these lengths in texels, longest and shortest of each band.
-BANDS = ((64.0, 32.0), (32.0, 16.0), (16.0, 8.0), (8.0, 4.0), (4.0, 2.5))
+BANDS = ((64.0, 32.0), (32.0, 16.0), (16.0, 8.0), (8.0, 4.0), (4.0, 2.8), (2.8, 2.0))
 DIRECTIONS = 6
 _WINDOW, _STRIDE = 128, 64  # texels
 _SEEN = 0.98  # share of a window that must be valid

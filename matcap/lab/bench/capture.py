@@ -66,7 +66,7 @@ class Way:
 
 
 def _tuned(**changed: Any) -> CaptureSettings:  # noqa: ANN401
-    """What is swept here is the decoder's tuning."""
+    """Read by the decoder, whose tuning most of the sweep is about."""
     return CaptureSettings(**{"generator": "decoder", **changed})
 
 
@@ -79,7 +79,10 @@ def _method(**changed: Any) -> Method:  # noqa: ANN401
 
 
 def _ways() -> dict[str, Way]:
-    ways = {f"{name}": Way("preset", _tuned(preset=name)) for name in PRESETS}
+    ways = {f"{name}": Way("preset", CaptureSettings(preset=name)) for name in PRESETS}
+    ways |= {f"decoder, {name}": Way("decoder", _tuned(preset=name)) for name in PRESETS}
+    for adapted in (0, 40, 160):
+        ways[f"adapted {adapted}"] = Way("adaptation", CaptureSettings(), Method(adapted=adapted))
     for steps in (10, 20, 60, 80, 120, _BASE_STEPS, 200, 400):
         ways[f"{steps} steps"] = Way("steps", _base(steps=steps), _method())
     for seconds in (2.0, 5.0, 10.0, 20.0, 40.0):
@@ -100,7 +103,7 @@ def _ways() -> dict[str, Way]:
     ways["no prior, 640 steps"] = Way("prior", _base(prior="none", steps=640), _method())
     for name, widths in (("narrow", (8, 16, 32, 32, 32)), ("wide", (32, 64, 128, 128, 128))):
         wide = _method(decoder=DecoderConfig(widths=widths))
-        ways[f"no prior, {name}"] = Way("decoder", _base(prior="none"), wide)
+        ways[f"no prior, {name}"] = Way("width", _base(prior="none"), wide)
     for detail in (512, 768):
         ways[f"detail {detail}"] = Way("detail", _base(), _method(), detail=detail)
     # The paper's decoder and number of steps, on as much of its 512 x 384 as a square window holds.
@@ -114,7 +117,9 @@ def _ways() -> dict[str, Way]:
     )
     ways[_PAPER_FORM] = Way(_PAPER, _base(prior="none", steps=_PAPER_STEPS), paper, 512)
     for name in ("standard", "reference"):
-        ways[f"{name} beside it"] = Way(_PAPER, _tuned(preset=name), detail=512)
+        beside = f"{name} beside it"
+        ways[beside] = Way(_PAPER, CaptureSettings(preset=name), detail=512)
+        ways[f"decoder, {beside}"] = Way(_PAPER, _tuned(preset=name), detail=512)
     return ways
 
 

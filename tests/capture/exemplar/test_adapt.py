@@ -14,6 +14,7 @@ from matcap.capture.finetune import TuneScene
 from matcap.capture.settings import FEATURES
 from matcap.capture.windows import cut_windows
 from matcap.flash.plane import plane_of
+from matcap.flash.render import render_flash
 from matcap.statistics.filterbank import FilterBank
 
 SEEN = np.ones((384, 512), bool)
@@ -89,3 +90,18 @@ def test_windows_of_several_photographs_are_lit_by_their_own_flash(shot, scene) 
     alone = adapt(shot.maps, SEEN, scene, 3).maps.stacked()
     assert torch.equal(found(scene.setup), alone)
     assert not torch.equal(found(scene.setup.with_intensity((1.0,) * 3)), alone)
+
+
+def test_gloss_that_goes_with_relief_is_found(shot, scene) -> None:
+    """Told nothing of roughness but its mean, grooves come out rougher where they are."""
+    band = shot.maps.height - shot.maps.height.mean()
+    tied = torch.sigmoid(torch.logit(shot.maps.roughness) - 0.8 * band / band.std())
+    true = replace(shot.maps, roughness=tied.clamp(0.1, 0.9))
+    linear = render_flash(true, shot.uniform.setup, shot.points)
+    plane = plane_of(linear, linear.amax(0) < 0.98)
+    windows = cut_windows(plane, scene.bank, 96)
+    lit = replace(scene, windows=windows, encoding=plane.encoding)
+    even = torch.full_like(true.roughness, float(true.roughness.mean()))
+    found = adapt(replace(true, roughness=even), SEEN, lit, 40).maps
+    both = torch.stack([found.roughness.flatten(), true.roughness.flatten()])
+    assert float(torch.corrcoef(both)[0, 1]) > 0.4

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from photographed import photographed
 
 from matcap.capture.exemplar.equalise import equalise, slopes
 from matcap.capture.exemplar.smooth import split
+from matcap.capture.exemplar.strengths import BANDS, Strengths, slope_strengths
 
 
 def _bumps() -> np.ndarray:
@@ -22,6 +24,42 @@ def _strength(height: np.ndarray, where: tuple[slice, slice]) -> tuple[float, fl
 def test_bands_add_up() -> None:
     height = _bumps()
     assert np.allclose(sum(split(height)), height, atol=1e-4)
+
+
+@pytest.mark.parametrize("band", range(len(BANDS)))
+def test_a_wave_is_in_its_own_band(band: int) -> None:
+    longest, shortest = BANDS[band]
+    length = (longest * shortest) ** 0.5
+    x = np.arange(512, dtype=np.float32)
+    wave = np.tile(np.sin(2.0 * np.pi * x / length), (256, 1)).astype(np.float32)
+    energies = [float(np.square(b[64:-64, 64:-64]).mean()) for b in split(wave)]
+    assert energies[band] > 0.9 * sum(energies)
+
+
+def test_relief_gets_the_strength_that_is_told_in_every_band() -> None:
+    """Also of the finest waves, of which networks draw a tenth."""
+    height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
+    height = height.astype(np.float32)
+    true = slope_strengths(height)
+    shrunk = [
+        share * band
+        for share, band in zip((0.5, 0.5, 0.5, 0.4, 0.2, 0.1, 1), split(height), strict=True)
+    ]
+    told = Strengths(albedo=np.zeros_like(true), slope=true, trust=np.ones_like(true))
+    found = slope_strengths(equalise(sum(shrunk).astype(np.float32), told))
+    assert np.allclose(np.sqrt(np.square(found).sum(1)), np.sqrt(np.square(true).sum(1)), rtol=0.1)
+
+
+def test_what_is_told_of_some_bands_holds_of_those_nothing_is_told_of() -> None:
+    height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
+    true = slope_strengths(height.astype(np.float32))
+    trust = np.ones_like(true)
+    slope = true.copy()
+    trust[:2], slope[:2] = 0.0, 0.0
+    told = Strengths(albedo=np.zeros_like(true), slope=slope, trust=trust)
+    found = slope_strengths(equalise(np.asarray(0.3 * height, np.float32), told))
+    ratio = np.sqrt(np.square(found[:2]).sum(1) / np.square(true[:2]).sum(1))
+    assert (ratio > 0.6).all() and (ratio < 1.3).all()
 
 
 def test_even_relief_is_left_as_it_is() -> None:
