@@ -15,16 +15,16 @@ Keys:
     y: of the left top texel in the endless field, downwards.
     seed: realisation of the material, or null.
     periodic: whether the right border continues at the left one, and the bottom at the top.
-    seam: step across the border over steps inside (brdf/seam.py), about 1 without a seam; null
-        where it was not measured.
+    seam: where it was measured, step across the border over steps inside (brdf/seam.py): about 1
+        or less without a seam.
     texel_size: a texel's side in plane units.
-    millimetres_per_unit: how long a plane unit is, or null where nobody measured it.
     height_scale: what one unit of the EXR height is, in plane units.
     normal: "gl" (+Y up) or "dx" (+Y down).
     maps: for each map its `file` and `meaning`, and with PNGs `png` and `png_encoding`.
     png: with PNGs, `height_scale` and `height_midlevel`: height = (value - midlevel) * scale.
     conventions: what axes, unit, reflectance and normals are, in words.
-    provenance: how the material was made.
+    provenance: how the material was made; its `millimetres_per_unit` is how long a plane unit is,
+        or null where nobody measured it.
 """
 
 from __future__ import annotations
@@ -280,9 +280,7 @@ def mapset_document(
         "y": info.origin[1],
         "seed": info.seed,
         "periodic": periodic,
-        "seam": None,
         "texel_size": texel_size,
-        "millimetres_per_unit": info.provenance.get("millimetres_per_unit"),
         # What one unit of the EXR height is in plane units.
         "height_scale": 1.0,
         "normal": normal,

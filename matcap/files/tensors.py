@@ -7,6 +7,7 @@ tells. It is of everything but itself, the other metadata and all tensors' bytes
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -29,12 +30,16 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
         MatcapError: the folder cannot be written, or the disk is full.
     """
     together = {name: tensor.contiguous() for name, tensor in tensors.items()}
-    told = dict(metadata)
-    # As bytes: save_file would give the file to its owner alone, whatever the umask says.
-    plain = save(together, told)
+    plain = save(together)
     start = 8 + int.from_bytes(plain[:8], "little")
-    digest = hashlib.new(METHOD, text_first(told))
-    digest.update(memoryview(plain)[start:])
-    told[DIGEST] = digest.hexdigest()
-    with staged_file(path) as file:
-        file.write_bytes(save(together, told))
+    content = memoryview(plain)[start:]
+    digest = hashlib.new(METHOD, text_first(metadata))
+    digest.update(content)
+    # By hand, for safetensors writes the metadata in another order every time.
+    told = dict(sorted({**metadata, DIGEST: digest.hexdigest()}.items()))
+    header = json.dumps({"__metadata__": told, **json.loads(plain[8:start])}, separators=(",", ":"))
+    header += " " * (-len(header) % 8)
+    # As bytes: save_file would give the file to its owner alone, whatever the umask says.
+    with staged_file(path) as file, file.open("wb") as opened:
+        opened.write(len(header).to_bytes(8, "little") + header.encode())
+        opened.write(content)
