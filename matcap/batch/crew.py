@@ -18,6 +18,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Any, Literal, Protocol
 
+from matcap.files.interrupts import settle_child, starting_children
+
 Tell = Callable[[str, float], None]
 Work = Callable[[Any, Tell], Any]
 Prepare = Callable[[], None]
@@ -119,7 +121,8 @@ class _Worker:
         self._process: SpawnProcess = context.Process(
             target=_serve, args=(theirs, work, prepare), daemon=True
         )
-        self._process.start()
+        with starting_children():
+            self._process.start()
         theirs.close()
 
     def give(self, job: Any) -> bool:  # noqa: ANN401
@@ -145,8 +148,7 @@ class _Worker:
 
 
 def _serve(pipe: Connection, work: Work, prepare: Prepare) -> None:
-    # Ctrl-C reaches every process of the terminal; the main one decides.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    settle_child()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     prepare()
 

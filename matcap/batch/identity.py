@@ -20,7 +20,7 @@ from matcap.files.maker import MAKER_VERSION
 # bytes count.
 _NO_MATTER = ("jobs", "group", "gap", "card", "prior")
 # What a setting of later versions was before there was it: unsaid, for old materials to stay.
-_SINCE = {"statistics": "filterbank", "generator": "decoder", "aligned": False}
+_SINCE = {"statistics": "filterbank", "generator": "decoder", "aligned": False, "width_cm": None}
 
 
 def identity(

@@ -39,6 +39,11 @@ a { color: inherit; }
 .done .state { color: var(--good); }
 .doubtful .state { color: var(--doubt); }
 .failed .state, .not-begun .state { color: var(--bad); }
+.verdict { font-weight: 600; }
+.verdict.good { color: var(--good); }
+.verdict.doubtful { color: var(--doubt); }
+.verdict.failed { color: var(--bad); }
+.failed:has(.verdict) th { border-left: 4px solid var(--bad); }
 .pictures div { display: grid; grid-template-columns: repeat(4, minmax(64px, 108px)); gap: 4px; }
 figure { margin: 0; }
 figure img { display: block; width: 100%; aspect-ratio: 4 / 3; object-fit: cover;
@@ -82,7 +87,7 @@ td:last-child { font-size: 13px; }
 </table>
 <script>
 "use strict";
-const columns = ["Material", "State", "Pictures", "Error", "Tilt", "Clipped", "Time", "Remarks"];
+const columns = ["Material", "State", "Pictures", "Verdict", "Tilt", "Clipped", "Time", "Remarks"];
 const body = document.querySelector("tbody");
 const heads = document.querySelector("thead tr");
 const sort = document.getElementById("sort");

@@ -6,9 +6,11 @@ import csv
 import html
 import io
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from matcap.batch.entries import BatchEntry
 from matcap.batch.index_page import PAGE
@@ -16,8 +18,8 @@ from matcap.batch.record import read_record
 from matcap.files.staging import staged
 
 _COLUMNS = (
-    "name", "state", "photographs", "error", "tilt_x", "tilt_y", "clipped", "doubtful", "seconds",
-    "detail", "warnings", "reason",
+    "name", "state", "photographs", "verdict", "severity", "relative_error", "tilt_x", "tilt_y",
+    "clipped", "doubtful", "seconds", "detail", "warnings", "reason",
 )  # fmt: skip
 _STATES = {
     "made": "done", "kept": "done", "failed": "failed", "left": "not begun", "todo": "not begun",
@@ -50,8 +52,9 @@ def page(rows: Sequence[dict[str, Any]], pictures: Sequence[dict[str, str]]) -> 
         pictures: of each row, base64 JPEGs by label.
     """
     done = sum(row["state"] == "done" for row in rows)
-    failed = sum(row["state"] == "failed" for row in rows)
-    doubtful = sum(bool(row["doubtful"]) for row in rows)
+    failed, doubtful = (
+        sum(_shown_state(row) == state for row in rows) for state in ("failed", "doubtful")
+    )
     seconds = sum(row["seconds"] or 0.0 for row in rows)
     counts = [f"{done} of {len(rows)} done", f"{doubtful} doubtful", f"{failed} failed"]
     counts.append(f"{_time(seconds)} of work")
@@ -84,11 +87,14 @@ def _stated(entry: BatchEntry) -> dict[str, Any]:
 
 def _told(record: dict[str, Any], state: str, name: str) -> dict[str, Any]:
     tilt = record.get("tilt_degrees") or (None, None)
+    verdict = record.get("verdict") or {}
     return {
         "name": name,
         "state": state,
         "photographs": record.get("photographs", []),
-        "error": record.get("error"),
+        "verdict": verdict.get("rating"),
+        "severity": verdict.get("severity"),
+        "relative_error": record.get("relative_error"),
         "tilt_x": tilt[0],
         "tilt_y": tilt[1],
         "clipped": record.get("clipped"),
@@ -126,10 +132,10 @@ def _plain(value: object) -> object:
 
 
 def _row(row: dict[str, Any], pictures: dict[str, str]) -> str:
-    state = row["state"] if row["state"] != "done" or not row["doubtful"] else "doubtful"
+    state = _shown_state(row)
     tilt = None
     if row["tilt_x"] is not None:
-        tilt = max(abs(row["tilt_x"]), abs(row["tilt_y"]))
+        tilt = math.hypot(row["tilt_x"], row["tilt_y"])
     remarks = [row["reason"]] if row["reason"] else []
     remarks += row["warnings"]
     listed = "".join(f"<li>{html.escape(text)}</li>" for text in remarks)
@@ -139,7 +145,7 @@ def _row(row: dict[str, Any], pictures: dict[str, str]) -> str:
             _name_cell(row),
             _cell("State", state, f"<span class=state>{state}</span>"),
             f'<td data-label="Pictures" class=pictures><div>{_figures(row, pictures)}</div></td>',
-            _number("Error", row["error"], "{:.3f}"),
+            _verdict_cell(row),
             _number("Tilt", tilt, "{:.1f}°"),
             _number("Clipped", row["clipped"], "{:.1%}"),
             _number("Time", row["seconds"], "", _time),
@@ -149,12 +155,30 @@ def _row(row: dict[str, Any], pictures: dict[str, str]) -> str:
     )
 
 
+def _shown_state(row: dict[str, Any]) -> str:
+    """A material that was made, but is none of the photographed one, counts as failed."""
+    if row["state"] != "done":
+        return str(row["state"])
+    if row["verdict"] == "failed":
+        return "failed"
+    return "doubtful" if row["doubtful"] else "done"
+
+
+def _verdict_cell(row: dict[str, Any]) -> str:
+    if row["verdict"] is None:
+        return '<td data-label="Verdict" data-key="">&ndash;</td>'
+    word, name = html.escape(row["verdict"]), quote(row["name"])
+    return (
+        f'<td data-label="Verdict" data-key="{row["severity"]}">'
+        f'<a class="verdict {word}" href="{name}/report.json">{word}</a>'
+        f'<small><a href="{name}/">maps</a></small></td>'
+    )
+
+
 def _name_cell(row: dict[str, Any]) -> str:
     name = html.escape(row["name"])
     inside = name
     if row["state"] == "done":
-        from urllib.parse import quote
-
         inside = f'<a href="{quote(row["name"])}/preview.png">{name}</a>'
     photos = ", ".join(html.escape(Path(photo).name) for photo in row["photographs"])
     key = html.escape(row["name"].casefold(), quote=True)

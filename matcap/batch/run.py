@@ -36,11 +36,13 @@ class Policy:
         force: make everything again.
         retry_failed: try again what is known to fail.
         fail_fast: end at the first failure.
+        strict: doubtful and failed verdicts count as failures in the exit code.
     """
 
     force: bool = False
     retry_failed: bool = False
     fail_fast: bool = False
+    strict: bool = False
 
 
 class Show(Protocol):
@@ -252,9 +254,17 @@ class Batch:
         self._show.ended(task.entry)
 
 
-def exit_code(entries: Sequence[BatchEntry]) -> ExitCode:
-    """Of a batch that came to its end."""
-    good = sum(entry.state in ("made", "kept") for entry in entries)
+def exit_code(entries: Sequence[BatchEntry], *, strict: bool = False) -> ExitCode:
+    """Of a batch that came to its end; of a strict one, materials that are fit for use count."""
+    good = sum(
+        entry.state in ("made", "kept") and not (strict and _unfit(entry)) for entry in entries
+    )
     if good == len(entries):
         return ExitCode.DONE
     return ExitCode.SOME_FAILED if good else ExitCode.NOTHING_SUCCEEDED
+
+
+def _unfit(entry: BatchEntry) -> bool:
+    """Whether its verdict is doubtful or failed."""
+    verdict = entry.record.get("verdict")
+    return verdict is not None and verdict["rating"] in ("doubtful", "failed")

@@ -85,6 +85,7 @@ _RULES: Mapping[str, _Rule] = {
     "target": _Rule((int, float), 0.01, 1e6),
     "detail": _Rule((int,), 64, 8192),
     "fov": _Rule((int, float), 1.0, 170.0),
+    "width_cm": _Rule((int, float), 0.01, 1e5),
     "seed": _Rule((int,), 0, 2**63 - 1),
     "prior": _Rule((str,)),
     "statistics": _Rule((str,)),

@@ -138,4 +138,4 @@ def work_off(
             crew = Cluster(scheduler, do_job, settle_threads)
         settings, card = prepared.settings, prepared.card
         Batch(entries, run, crew, settings, policy, show, page, card).go()
-    return exit_code(entries)
+    return exit_code(entries, strict=policy.strict)

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,7 +21,6 @@ from matcap.photo.calibrate import Calibration, calibrated
 
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult
-    from matcap.capture.prior.store import Prior
     from matcap.capture.progress import CaptureProgress
     from matcap.photo.inspect import Inspection
 
@@ -111,6 +109,7 @@ def _fault(error: MatcapError) -> Fault:
 
 
 def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
+    from matcap.capture.coarse import fit_coarse
     from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_photo, read_photograph
     from matcap.photo.inspect import inspect_photo
@@ -125,7 +124,6 @@ def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
     for path in job.photos:
         photo = read_photograph(path, chosen)
         photos.append(photo if job.card is None else calibrated(photo, path, job.card))
-    looked_at = [inspect_photo(photo, _prior(chosen.prior).tilt(photo)) for photo in photos]
 
     def progress(now: CaptureProgress) -> None:
         low, high = _SHARES.get(now.stage, (0.0, 0.0))
@@ -133,6 +131,9 @@ def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
 
     result = capture_photo(photos[0], chosen, progress, others=photos[1:])
     tell("writing", 0.95)
+    # One tilt for all that is told of a photograph: the capture's own.
+    tilts = [result.material.setup.tilt, *(fit_coarse(photo).setup.tilt for photo in photos[1:])]
+    looked_at = [inspect_photo(*both) for both in zip(photos, tilts, strict=True)]
     stage = job.run.stage(job.name)
     write_outputs(result, stage, settings.outputs)
     about = _about(job, looked_at, result)
@@ -145,9 +146,11 @@ def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
 
 def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult) -> dict[str, Any]:
     """What the index tells of a material."""
-    from matcap.capture.report import warnings
+    from matcap.capture.report import relative_error, warnings
 
-    said = list(warnings(result))
+    verdict = result.verdict
+    said = [*([] if verdict.rating.value == "good" else [f"Verdict {verdict.sentence()}"])]
+    said += warnings(result)
     if job.detail != job.settings.capture.most_detail:
         said.append(f"Memory ran out: made at a detail of {job.detail} texels across.")
     for found in looked_at:
@@ -160,10 +163,11 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "identity": job.identity,
         "photographs": [str(path) for path in job.photos],
         "detail": round(2.0 / result.material.texel_size),
-        "error": result.history[-1][2] if result.history else None,
+        "verdict": {"rating": verdict.rating.value, "severity": round(verdict.severity, 3)},
+        "relative_error": relative_error(result),
         "tilt_degrees": [round(angle * 57.29577951, 3) for angle in tilt],
         "clipped": round(result.photo.clipped_share, 5),
-        "doubtful": any(found.doubtful for found in looked_at),
+        "doubtful": not verdict.fit or any(found.doubtful for found in looked_at),
         "warnings": said,
         "inspection": [found.document() for found in looked_at],
         "albedo": "absolute" if result.photo.flash_intensity is not None else "relative",
@@ -192,14 +196,6 @@ def _thumbnails(result: CaptureResult) -> dict[str, str]:
         jpeg = cv2.imencode(".jpg", np.ascontiguousarray(code), [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
         pictures[panel.label] = base64.b64encode(jpeg.tobytes()).decode()
     return pictures
-
-
-@lru_cache(maxsize=1)
-def _prior(name: str) -> Prior:
-    """The alignment branch of the batch's prior; of matcap's own where captures use none."""
-    from matcap.capture.prior.store import load_prior
-
-    return load_prior(None if name in ("auto", "none") else Path(name))
 
 
 def _no_memory(job: BatchJob) -> str:

@@ -15,13 +15,16 @@ Keys:
     y: of the left top texel in the endless field, downwards.
     seed: realisation of the material, or null.
     periodic: whether the right border continues at the left one, and the bottom at the top.
+    seam: where it was measured, step across the border over steps inside (brdf/seam.py): about 1
+        or less without a seam.
     texel_size: a texel's side in plane units.
     height_scale: what one unit of the EXR height is, in plane units.
     normal: "gl" (+Y up) or "dx" (+Y down).
     maps: for each map its `file` and `meaning`, and with PNGs `png` and `png_encoding`.
     png: with PNGs, `height_scale` and `height_midlevel`: height = (value - midlevel) * scale.
     conventions: what axes, unit, reflectance and normals are, in words.
-    provenance: how the material was made.
+    provenance: how the material was made; its `millimetres_per_unit` is how long a plane unit is,
+        or null where nobody measured it.
 """
 
 from __future__ import annotations
@@ -36,6 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.heights import check_heights
+from matcap.brdf.seam import seam_ratio
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import read_exr, write_exr
 from matcap.files.maker import MAKER_VERSION
@@ -47,6 +51,11 @@ from matcap.files.staging import staged
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
+# Entries of a document that tell one map set from another of the same name.
+_WHAT_IT_IS = (
+    "format", "width", "height", "x", "y", "seed", "periodic", "period", "udim", "normal",
+    "texel_size", "provenance",
+)  # fmt: skip
 NormalStyle = Literal["gl", "dx"]
 
 FORMAT = "matcap map set"
@@ -124,6 +133,7 @@ def write_mapset(
     document = mapset_document(
         info, maps.size, maps.texel_size, periodic=maps.periodic, normal=normal
     )
+    document["seam"] = round(seam_ratio(maps), 3)
     with staged(folder, replacing=mapset_files(name)) as stage:
         for kind, pixels in arrays.items():
             file = f"{name}_{kind}.exr"
@@ -185,6 +195,30 @@ def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
             check_heights(pixels, str(file.parent / files[kind]))
         maps[kind] = torch.from_numpy(pixels).movedim(-1, 0).contiguous()
     return MapSet(**maps, texel_size=texel_size, periodic=periodic), document
+
+
+def refuse_to_replace(folder: Path, new: dict[str, Any]) -> None:
+    """Refuse to put a map set where another one of its name stands; the same one may come again.
+
+    Args:
+        folder: where it is to be written.
+        new: its document, with or without what PNGs add.
+
+    Raises:
+        MatcapError: there is a set of that name that differs, with what it differs in.
+    """
+    old = _load_any(folder / f"{new['name']}.json")
+    if old is None:
+        return
+    differs = [key for key in _WHAT_IT_IS if old.get(key) != new.get(key)]
+    if ("png" in old) and "png" not in new:
+        differs.append("PNGs")
+    if differs:
+        raise MatcapError(
+            f"another map set stands here (it differs in {', '.join(differs)})",
+            where=str(folder / f"{new['name']}.json"),
+            remedy="choose another folder with -o, or give --overwrite",
+        )
 
 
 def mapset_files(name: str) -> list[str]:
@@ -299,6 +333,16 @@ def _find_document(path: Path) -> Path:
             remedy="name the JSON file of one of them",
         )
     return found[0]
+
+
+def _load_any(file: Path) -> dict[str, Any] | None:
+    """A document of matcap's, of whatever version; None for any other file."""
+    try:
+        document = json.loads(file.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+    known = isinstance(document, dict) and str(document.get("format", "")).startswith("matcap")
+    return document if known else None
 
 
 def _load_document(file: Path) -> dict[str, Any] | None:

@@ -40,7 +40,8 @@ class OutputSettings:
         seed: its realisation.
         png: 16-bit PNGs beside the EXR files.
         normal: "gl" or "dx".
-        tile: the map set repeats without a seam; both sides are multiples of ALIGNMENT then.
+        tile: the map set repeats without a seam; both sides are multiples of ALIGNMENT then. None
+            for wherever they are, as repeats() tells.
         targets: what else the map set is written for, each into a folder of its name.
 
     Raises:
@@ -51,7 +52,7 @@ class OutputSettings:
     seed: int = 0
     png: bool = False
     normal: NormalStyle = "gl"
-    tile: bool = False
+    tile: bool | None = None
     targets: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -62,6 +63,11 @@ class OutputSettings:
                 where="size",
                 remedy=f"give sides that are multiples of {ALIGNMENT}",
             )
+
+    def repeats(self, alignment: int) -> bool:
+        """Whether the map set of a material of this alignment repeats without a seam."""
+        fits = all(side % alignment == 0 for side in self.size)
+        return fits if self.tile is None else self.tile
 
     @staticmethod
     def known_targets(names: Sequence[str], where: str = "--export") -> tuple[str, ...]:
@@ -99,7 +105,7 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
     from matcap.capture.report import write_report
 
     material, name = result.material, folder.name
-    period = settings.size if settings.tile else None
+    period = settings.size if settings.repeats(material.alignment) else None
     maps = material.maps(*settings.size, seed=settings.seed, period=period)
     info = MapSetInfo(name, settings.seed, provenance=dict(material.provenance))
     with staged(folder, replacing=[*mapset_files(name), *_piece_files(name)]) as stage:
@@ -112,6 +118,15 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
     for target in settings.targets:
         export_mapset(folder / f"{name}.json", target)
     return folder / f"{name}.matcap"
+
+
+def no_repeat(size: tuple[int, int], alignment: int) -> str:
+    """What is said of maps that have a seam."""
+    width, height = size
+    return (
+        f"Maps of {width}x{height} do not repeat: there is a seam where they meet themselves; "
+        f"sides that are multiples of {alignment} have none."
+    )
 
 
 def output_files(name: str) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,10 @@ from matcap.capture.match import match_photograph
 from matcap.capture.progress import CaptureClock, CaptureProgress
 from matcap.capture.settings import CaptureSettings, Effort, Method, Statistics, resolve
 from matcap.capture.start import logits
+from matcap.capture.verdict.judge import CaptureVerdict, verdict_on
 from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError
+from matcap.files.interrupts import postponed
 from matcap.flash.plane import Plane
 from matcap.flash.render import render_rectified
 from matcap.model.decoder import ALIGNMENT
@@ -71,6 +74,11 @@ class CaptureResult:
     interrupted: bool
     self_difference: float = math.nan
     found: FoundExemplar | None = None
+
+    @cached_property
+    def verdict(self) -> CaptureVerdict:
+        """How good it is, in words; takes about a second the first time."""
+        return verdict_on(self)
 
 
 def read_photograph(
@@ -138,7 +146,7 @@ def capture_photo(
             expected=logits(coarse),
         )
         scene, joined = join(scene, coarse, others, plane.size[0]) if others else (scene, [])
-        own = self_difference(scene.windows, scene.weights)
+        own = clock.scale = self_difference(scene.windows, scene.weights)
 
     with clock.stage("start"):
         beginning = begin(photo, coarse, plane, scene, settings, effort, method)
@@ -158,8 +166,10 @@ def capture_photo(
     provenance = _provenance(photo, settings, coarse, effort.steps, joined)
     material = _material(photo, tuned, beginning.code, scene, provenance)
     if tuned.history and effort.matched:
-        with clock.stage("matching"):  # to the first photograph, if there are others
+        # To the first photograph, if there are others.
+        with clock.stage("matching"), postponed() as stop:
             material = match_photograph(material, plane, settings.seed)
+        tuned = replace(tuned, interrupted=tuned.interrupted or stop())
 
     found = None
     if settings.finds_exemplar:
@@ -168,7 +178,7 @@ def capture_photo(
     if found is not None and settings.generator == "example":
         material = replace(material, example=found.example)
 
-    with clock.stage("rendering"):
+    with clock.stage("rendering"), postponed() as stop:
         maps = material.maps(*plane.size, seed=settings.seed)
         with torch.inference_mode():
             rerendered = render_rectified(maps, material.setup)
@@ -182,7 +192,7 @@ def capture_photo(
         history=tuned.history,
         stage_seconds=clock.seconds,
         settings=settings,
-        interrupted=tuned.interrupted or (found is not None and found.interrupted),
+        interrupted=tuned.interrupted or stop() or (found is not None and found.interrupted),
         self_difference=own,
         found=found,
     )
@@ -197,18 +207,28 @@ def _piece(
     settings: CaptureSettings,
     clock: CaptureClock,
 ) -> FoundExemplar:
-    """The photographed piece's own maps; in a hurry after an interrupt."""
+    """The photographed piece's own maps; in a hurry after an interrupt, and whole all the same."""
     limit = settings.time_limit
-    return find_exemplar(
-        plane,
-        coarse,
-        load_inverse(),
-        scene,
-        steps=0 if tuned.interrupted else effort.adapted,
-        seconds=limit and limit * _FOR_EXEMPLAR,
-        seed=settings.seed,
-        tell=clock.finding,
-    )
+
+    def find(steps: int) -> FoundExemplar:
+        return find_exemplar(
+            plane,
+            coarse,
+            load_inverse(),
+            scene,
+            steps=steps,
+            seconds=limit and limit * _FOR_EXEMPLAR,
+            seed=settings.seed,
+            tell=clock.finding,
+        )
+
+    try:
+        if not tuned.interrupted:
+            return find(effort.adapted)
+    except KeyboardInterrupt:
+        pass
+    with postponed():
+        return replace(find(0), interrupted=True)
 
 
 def _compares(settings: CaptureSettings, effort: Effort) -> bool:
@@ -275,6 +295,7 @@ def _provenance(
     told: dict[str, Any] = {
         "photograph": photo.name,
         "settings": settings.named(),
+        "millimetres_per_unit": settings.millimetres_per_unit,
         "steps": steps,
         "coarse": {
             "diffuse": list(coarse.diffuse),

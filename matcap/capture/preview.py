@@ -7,6 +7,7 @@ the photographed piece itself were found, a second block shows them, its crops o
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from matcap.capture.verdict.rating import Rating
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged_file
 
@@ -23,14 +25,22 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.capture.exemplar.find import FoundExemplar
     from matcap.capture.pipeline import CaptureResult
+    from matcap.capture.verdict.judge import CaptureVerdict
     from matcap.flash.geometry import FlashSetup
 
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels
 _PANEL = (2 * _COLUMNS * _CROP + (2 * _COLUMNS - 1) * _GAP - (_COLUMNS - 1) * _GAP) // _COLUMNS
 _TITLE = 46  # pixels
+_VERDICT_WIDTH = 150  # characters of the verdict in a line
 # sRGB code values.
 _INK, _TITLE_INK, _PAPER = (225, 225, 225), (255, 255, 255), (24, 24, 24)
+_RATED = {
+    Rating.GOOD: (111, 207, 143),
+    Rating.USABLE: (225, 225, 225),
+    Rating.DOUBTFUL: (240, 180, 41),
+    Rating.FAILED: (255, 110, 100),
+}
 # Beside and in front of the sample, in plane units: grazing enough to show relief.
 _LIGHTS = {"left": (-2.5, 0.0, 1.5), "top": (0.0, 2.0, 1.2)}
 # A map's shown range is never narrower than this, or a flat map would show its rounding noise.
@@ -58,29 +68,40 @@ def write_preview(result: CaptureResult, path: Path) -> None:
 
 def draw_sheet(result: CaptureResult) -> Image.Image:
     """The sheet as an RGB picture."""
-    blocks = [_block(list(panels(result)))]
+    blocks = [block(list(panels(result)))]
     if result.found is not None:
         generator = "by example" if result.material.example is not None else "by the decoder"
-        piece = _block(list(piece_panels(result, result.found)))
+        piece = block(list(piece_panels(result, result.found)))
         blocks = [
-            _titled(blocks[0], f"The material, {generator}"),
-            _titled(piece, "The photographed piece itself"),
+            titled(blocks[0], f"The material, {generator}"),
+            titled(piece, "The photographed piece itself"),
         ]
-    size = (blocks[0].width, sum(block.height for block in blocks))
+    blocks.insert(0, _headline(result.verdict, blocks[0].width))
+    size = (blocks[0].width, sum(shown.height for shown in blocks))
     sheet = Image.new("RGB", size, _PAPER)
     y = 0
-    for block in blocks:
-        sheet.paste(block, (0, y))
-        y += block.height
+    for shown in blocks:
+        sheet.paste(shown, (0, y))
+        y += shown.height
     return sheet
+
+
+def _headline(verdict: CaptureVerdict, width: int) -> Image.Image:
+    """The verdict, across the sheet."""
+    lines = textwrap.wrap(f"Verdict: {verdict.sentence()}", _VERDICT_WIDTH)
+    line = Image.new("RGB", (width, 20 + 28 * len(lines)), _PAPER)
+    font = ImageFont.load_default(size=20)
+    text = "\n".join(lines)
+    ImageDraw.Draw(line).text((_GAP, 12), text, fill=_RATED[verdict.rating], font=font, spacing=6)
+    return line
 
 
 def panels(result: CaptureResult) -> Iterable[Panel]:
     """Everything there is to see of a material, as code values of the photograph's rectangle."""
     yield Panel("photograph", srgb_picture(result.rectified))
     yield Panel("re-rendered", srgb_picture(result.rerendered))
-    yield _relit("top", result.maps, result.rerendered, result.material.setup)
-    yield from _each_map(result.maps)
+    yield relit("top", result.maps, result.rerendered, result.material.setup)
+    yield from each_map(result.maps)
     yield Panel("normal", 0.5 + 0.5 * _picture(result.maps, "normal"))
 
 
@@ -100,11 +121,11 @@ def piece_panels(result: CaptureResult, found: FoundExemplar) -> Iterable[Panel]
     yield Panel("photograph", srgb_picture(result.rectified))
     yield Panel("re-rendered", srgb_picture(rerendered))
     for side in _LIGHTS:
-        yield _relit(side, maps, rerendered, setup)
-    yield from _each_map(maps)
+        yield relit(side, maps, rerendered, setup)
+    yield from each_map(maps)
 
 
-def _block(shown: Sequence[Panel]) -> Image.Image:
+def block(shown: Sequence[Panel]) -> Image.Image:
     """Panels in rows, and their crops below."""
     height, width = shown[0].pixels.shape[:2]
     panel_height = max(1, round(_PANEL * height / width))
@@ -113,38 +134,39 @@ def _block(shown: Sequence[Panel]) -> Image.Image:
         _GAP + _COLUMNS * (_PANEL + _GAP),
         rows * (_LABEL + panel_height + _GAP) + _LABEL + min(_CROP, height) + _GAP,
     )
-    block = Image.new("RGB", size, _PAPER)
-    draw = ImageDraw.Draw(block)
+    sheet = Image.new("RGB", size, _PAPER)
+    draw = ImageDraw.Draw(sheet)
     font = ImageFont.load_default(size=16)
     for index, panel in enumerate(shown):
         row, column = divmod(index, _COLUMNS)
         x, y = _GAP + column * (_PANEL + _GAP), row * (_LABEL + panel_height + _GAP)
         draw.text((x, y + 5), panel.label, fill=_INK, font=font)
-        block.paste(_resized(panel.pixels, (_PANEL, panel_height)), (x, y + _LABEL))
+        sheet.paste(_resized(panel.pixels, (_PANEL, panel_height)), (x, y + _LABEL))
     y = rows * (_LABEL + panel_height + _GAP)
     for index, panel in enumerate(shown):
         x = _GAP + index * (_CROP + _GAP)
         draw.text((x, y + 5), f"{panel.label.split(':')[0]}, 1:1", fill=_INK, font=font)
-        block.paste(_image(_crop(panel.pixels)), (x, y + _LABEL))
-    return block
+        sheet.paste(_image(_crop(panel.pixels)), (x, y + _LABEL))
+    return sheet
 
 
-def _titled(block: Image.Image, title: str) -> Image.Image:
+def titled(shown: Image.Image, title: str) -> Image.Image:
     """A block below its title."""
-    titled = Image.new("RGB", (block.width, _TITLE + block.height), _PAPER)
+    sheet = Image.new("RGB", (shown.width, _TITLE + shown.height), _PAPER)
     font = ImageFont.load_default(size=24)
-    ImageDraw.Draw(titled).text((_GAP, 12), title, fill=_TITLE_INK, font=font)
-    titled.paste(block, (0, _TITLE))
-    return titled
+    ImageDraw.Draw(sheet).text((_GAP, 12), title, fill=_TITLE_INK, font=font)
+    sheet.paste(shown, (0, _TITLE))
+    return sheet
 
 
-def _each_map(maps: MapSet) -> Iterable[Panel]:
+def each_map(maps: MapSet) -> Iterable[Panel]:
+    """The maps themselves, but normals."""
     yield Panel("diffuse", srgb_picture(_picture(maps, "diffuse")))
     for kind in ("specular", "roughness", "height"):
         yield _stretched(kind, _picture(maps, kind))
 
 
-def _relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Panel:
+def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Panel:
     """The maps from the photograph's camera, lit from one side.
 
     Another light has no exposure of its own: it is shown as bright as the photograph.

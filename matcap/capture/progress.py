@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,7 +21,8 @@ class CaptureProgress:
     Attributes:
         stage: its name.
         fraction: of the stage, in [0, 1].
-        error: running error of fine-tuning, or None.
+        error: running error of fine-tuning in multiples of what the photograph's own windows
+            differ by, or None.
         seconds: since the start.
         seconds_left: expected, or None.
         in_a_minute: error to be expected if it went on for another minute, or None.
@@ -39,10 +41,13 @@ class CaptureClock:
 
     Attributes:
         seconds: of each stage that is over.
+        scale: what errors are told in: what the photograph's own windows differ by, once that is
+            known.
     """
 
     def __init__(self, tell: Callable[[CaptureProgress], None] | None) -> None:
         self.seconds: dict[str, float] = {}
+        self.scale = math.nan
         self._tell = tell or _nobody
         self._started = time.monotonic()
         self._history: list[tuple[float, int, float]] = []
@@ -64,12 +69,17 @@ class CaptureClock:
         self._history.append((seconds, len(self._history) + 1, error))
         if len(self._history) % _FORECAST_EVERY == 0:
             self._ahead = forecast(self._history, _MINUTE)
-        self._tell(CaptureProgress("fine-tuning", share, error, elapsed, left, self._ahead))
+        told, ahead = self._scaled(error), self._scaled(self._ahead)
+        self._tell(CaptureProgress("fine-tuning", share, told, elapsed, left, ahead))
 
     def finding(self, share: float) -> None:
         """A step of the exemplar is done: share of all."""
         elapsed = time.monotonic() - self._started
         self._tell(CaptureProgress("exemplar", share, None, elapsed, None))
+
+    def _scaled(self, error: float | None) -> float | None:
+        """An error that means something; None where there is nothing to compare it with."""
+        return error / self.scale if error is not None and self.scale > 0.0 else None
 
 
 def _nobody(progress: CaptureProgress) -> None:

@@ -4,8 +4,14 @@ Keys:
     format: "matcap report".
     name: of the material.
     interrupted: whether it was ended early.
-    error: the last one, against the photograph; null where nothing was tuned.
+    verdict: `rating` (good, usable, doubtful or failed), `fit` (good or usable), `severity` (up to
+        1 is good, 2 usable, 3 doubtful), `sentence`, and all `checks`: each its rating, severity,
+        finding, likely cause and remedy.
+    error: of fine-tuning, the last one; only beside `self_difference` does it say much. Null where
+        nothing was tuned.
     self_difference: what the photograph's own windows differ by, in the same measure.
+    relative_error: `error` in multiples of `self_difference`: at 1 the tuned network differs from
+        the photograph as the photograph's parts do from each other; null where either is.
     error_after_another_minute: the error to be expected after another minute of the same work.
     warnings: what may have hurt, a sentence each.
     notes: what was noticed about the file, a sentence each.
@@ -75,8 +81,10 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "format": "matcap report",
         "name": result.material.name,
         "interrupted": result.interrupted,
+        "verdict": result.verdict.document(),
         "error": result.history[-1][2] if result.history else None,
         "self_difference": result.self_difference,
+        "relative_error": relative_error(result),
         "error_after_another_minute": forecast(result.history, 60.0),
         "warnings": list(warnings(result)),
         "notes": [*photo.notes, *_rules(result.settings)],
@@ -119,6 +127,13 @@ def report(result: CaptureResult) -> dict[str, Any]:
     }
 
 
+def relative_error(result: CaptureResult) -> float | None:
+    """The last error of fine-tuning in multiples of what the photograph's own windows differ by."""
+    if not result.history or not result.self_difference > 0.0:
+        return None
+    return result.history[-1][2] / result.self_difference
+
+
 def _exemplar(found: FoundExemplar | None) -> dict[str, Any] | None:
     if found is None:
         return None
@@ -150,7 +165,7 @@ def warnings(result: CaptureResult) -> Iterable[str]:
             f"The texture is coarse, so it is captured with {detail} texels across; "
             f"--detail {DETAIL} keeps finer grain and loses what is large."
         )
-    tilt = max(abs(math.degrees(angle)) for angle in result.material.setup.tilt)
+    tilt = math.degrees(math.hypot(*result.material.setup.tilt))
     if tilt > _MUCH_TILT:
         yield f"The camera was tilted by {tilt:.0f} degrees: hold it parallel to the sample."
 
@@ -162,6 +177,11 @@ def _rules(settings: CaptureSettings) -> Iterable[str]:
         yield (
             "A time limit or a target decided when to stop, so the preset was "
             f"{effort.preset}: at most {effort.steps} steps. Give --steps for another number."
+        )
+    if settings.width_cm is None:
+        yield (
+            "Nobody said how large the sample is: lengths are in plane units, halves of the "
+            "photograph's long side. --width-cm says how much that spans."
         )
 
 

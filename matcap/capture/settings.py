@@ -107,6 +107,8 @@ class CaptureSettings:
         generator: that the material is read by: "example" (the photographed piece, rearranged) or
             "decoder" (the fine-tuned network, and no piece is looked for).
         aligned: the maps of the photographed piece itself are found, too.
+        width_cm: what the photograph's long side spans, in centimetres; None where nobody measured
+            it.
 
     With a time limit or a target, and without steps, the preset is "reference": the limit alone
     decides when to stop.
@@ -123,6 +125,7 @@ class CaptureSettings:
     statistics: Statistics = Statistics()
     generator: Generator = "example"
     aligned: bool = False
+    width_cm: float | None = None
 
     @staticmethod
     def of(named: Mapping[str, Any]) -> CaptureSettings:
@@ -138,6 +141,11 @@ class CaptureSettings:
     def named(self) -> dict[str, Any]:
         """All settings by name, as files tell of them: numbers, words and None."""
         return asdict(self) | {"statistics": str(self.statistics)}
+
+    @property
+    def millimetres_per_unit(self) -> float | None:
+        """How long a plane unit is, half of the long side; None where nobody measured it."""
+        return None if self.width_cm is None else 10.0 * self.width_cm / 2.0
 
     @property
     def finds_exemplar(self) -> bool:

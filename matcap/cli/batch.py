@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli.options import ExportOption, GeneratorName, JsonOption, Normal, QuietOption, typed
+from matcap.cli.options import (
+    ExportOption,
+    GeneratorName,
+    JsonOption,
+    Normal,
+    QuietOption,
+    StrictOption,
+    WidthOption,
+    typed,
+)
 from matcap.errors import ExitCode
 from matcap.files import values
 
@@ -53,6 +62,7 @@ def batch(
         float | None,
         typer.Option(min=1.0, max=170.0, help="Field of view along the long side, degrees."),
     ] = None,
+    width_cm: WidthOption = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of the work and the map sets.")] = None,
     size: Annotated[
         values.Size | None,
@@ -108,6 +118,7 @@ def batch(
     fail_fast: Annotated[
         bool, typer.Option("--fail-fast", help="End at the first failure.")
     ] = False,
+    strict: StrictOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -124,12 +135,13 @@ def batch(
     flags = {
         "jobs": jobs, "preset": preset, "steps": steps, "time": time_limit, "detail": detail,
         "fov": fov, "seed": seed, "size": str(size) if size else None, "tile": tile, "png": png,
+        "width_cm": width_cm,
         "normal": normal.value if normal else None, "prior": prior, "group": group, "gap": gap,
         "generator": generator.value if generator else None, "aligned": aligned,
         "target": target, "statistics": statistics, "export": export or None, "card": card,
     }  # fmt: skip
     settings = settings_of(shoot, flags)
-    policy = Policy(force, retry_failed, fail_fast)
+    policy = Policy(force, retry_failed, fail_fast, strict)
     with batch_display(quiet=quiet) as shown:
         if scheduler:  # other machines stand in other folders
             shoot, out = shoot.resolve(), out.resolve()
@@ -183,7 +195,8 @@ def _document(entry: BatchEntry, out: Path) -> dict[str, Any]:
         "status": {"made": "done", "kept": "done before"}.get(entry.state, entry.state),
         "folder": str(out / entry.sample.name),
         "doubtful": bool(entry.record.get("doubtful")),
-        "error": entry.record.get("error"),
+        "verdict": (entry.record.get("verdict") or {}).get("rating"),
+        "relative_error": entry.record.get("relative_error"),
         "seconds": entry.record.get("seconds"),
         "reason": entry.reason or None,
     }

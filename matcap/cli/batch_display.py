@@ -13,6 +13,8 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn
 if TYPE_CHECKING:
     from matcap.batch.entries import BatchEntry
 
+_FIT = ("good", "usable")  # verdicts
+
 
 class BatchDisplay:
     """Tells on a console how a batch goes.
@@ -69,10 +71,10 @@ class BatchDisplay:
             self._made += 1
             if not self._quiet:
                 record = entry.record
-                error = f", error {record['error']:.3f}" if record["error"] is not None else ""
-                doubt = ", doubtful" if record["doubtful"] else ""
+                verdict = record["verdict"]["rating"]
+                doubt = ", doubtful shot" if record["doubtful"] and verdict in _FIT else ""
                 left = self._left()
-                said = f"{count} {name}: {record['seconds']:.0f} s{error}{doubt}"
+                said = f"{count} {name}: {record['seconds']:.0f} s, {verdict}{doubt}"
                 self._say(f"{said}{f', {left}' if left else ''}")
         elif entry.state == "failed":
             self._say(f"{count} {name}: failed")

@@ -53,7 +53,7 @@ def blend(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for materials and strip.")] = (
         Path("blend")
     ),
-    seed: Annotated[int, typer.Option(help="Realisation shown on the strip.")] = 0,
+    seed: Annotated[int, typer.Option(help="Which piece is shown on the strip.")] = 0,
     quiet: QuietOption = False,
 ) -> None:
     """Walk from one material to another: a .matcap file a step, and a strip of pictures.

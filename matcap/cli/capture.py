@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,15 +17,20 @@ from matcap.cli.options import (
     JsonOption,
     Normal,
     NormalOption,
+    OverwriteOption,
     PngOption,
     QuietOption,
+    StrictOption,
+    WidthOption,
     typed,
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.files import values
+from matcap.files.interrupts import postponed
 
 if TYPE_CHECKING:
     from matcap.capture.outputs import OutputSettings
+    from matcap.capture.pipeline import CaptureResult
     from matcap.capture.settings import CaptureSettings
     from matcap.cli.capture_display import Display
 
@@ -34,6 +39,7 @@ if TYPE_CHECKING:
 class _Job:
     photo: Path
     folder: Path
+    others: tuple[Path, ...] = ()
 
 
 def capture(
@@ -80,6 +86,7 @@ def capture(
         float | None,
         typer.Option(min=1.0, max=170.0, help="Field of view along the long side, degrees."),
     ] = None,
+    width_cm: WidthOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the work and of the map set.")] = 0,
     size: Annotated[
         values.Size,
@@ -87,9 +94,17 @@ def capture(
             parser=typed(values.size),
             metavar="WxH",
             show_default="1024x1024",
-            help="Size of the first map set.",
+            help="Size of the first map set: 2048x1024, or 2K, 4K, 8K.",
         ),
     ] = values.DEFAULT_SIZE,
+    tile: Annotated[
+        bool | None,
+        typer.Option(
+            "--tile/--no-tile",
+            show_default="where the sides are multiples of 16",
+            help="A first map set that repeats without a seam.",
+        ),
+    ] = None,
     png: PngOption = False,
     normal: NormalOption = Normal.gl,
     export: ExportOption = None,
@@ -107,6 +122,13 @@ def capture(
             "the fine-tuned network alone (decoder)."
         ),
     ] = GeneratorName.example,
+    together: Annotated[
+        bool,
+        typer.Option(
+            "--together",
+            help="All photographs show one sample: one material, called as the first of them.",
+        ),
+    ] = False,
     aligned: Annotated[
         bool,
         typer.Option(
@@ -114,13 +136,16 @@ def capture(
             help="Also the maps of the photographed piece itself, NAME_photo, with confidence.",
         ),
     ] = False,
+    overwrite: OverwriteOption = False,
+    strict: StrictOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Turn flash photographs into materials.
 
     Writes for each photograph, into a folder of its name: the material (.matcap), a first map
-    set, preview.png and report.json. Ctrl-C ends with the best so far, saved.
+    set, preview.png and report.json. Ends with a verdict: good, usable, doubtful or failed, with
+    the likely cause and what to do. Ctrl-C ends with the best so far, saved.
     """
     from matcap.capture.outputs import OutputSettings
     from matcap.capture.settings import CaptureSettings, Statistics
@@ -130,22 +155,24 @@ def capture(
     settings = CaptureSettings(
         preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
         seed=seed, prior=prior, statistics=Statistics.parse(statistics), generator=generator.value,
-        aligned=aligned,
+        aligned=aligned, width_cm=width_cm,
     )  # fmt: skip
     targets = OutputSettings.known_targets(export or [])
     side = (size.width, size.height)
-    outputs = OutputSettings(side, seed, png, normal.value, targets=targets)
+    outputs = OutputSettings(side, seed, png, normal.value, tile, targets)
     jobs = _jobs(photos, out)
+    if together:
+        jobs = [replace(jobs[0], others=tuple(photos[1:]))]
     check_writable(out, outputs.room)
     results = []
     with display(quiet=quiet) as shown:
         for job in jobs:
-            results.append(_attempt(job, settings, outputs, shown))
+            results.append(_attempt(job, settings, outputs, shown, overwrite=overwrite))
             if results[-1]["status"] == "interrupted":
                 break
     if as_json:
         typer.echo(json.dumps({"photographs": results}, indent=2))
-    raise typer.Exit(_exit_code([result["status"] for result in results]))
+    raise typer.Exit(_exit_code([_state(result, strict=strict) for result in results]))
 
 
 def _jobs(photos: Sequence[Path], out: Path) -> list[_Job]:
@@ -164,11 +191,20 @@ def _jobs(photos: Sequence[Path], out: Path) -> list[_Job]:
 
 
 def _attempt(
-    job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
+    job: _Job,
+    settings: CaptureSettings,
+    outputs: OutputSettings,
+    shown: Display,
+    *,
+    overwrite: bool,
 ) -> dict[str, Any]:
     """Capture one photograph; a failure is a result too."""
+    from matcap.capture.replace import refuse_to_replace_capture
+
     started = time.perf_counter()
     try:
+        if not overwrite:
+            refuse_to_replace_capture(job.folder, job.photo.name, settings, outputs)
         done = _capture(job, settings, outputs, shown)
     except UsageError:
         raise  # wrong for every photograph alike
@@ -187,19 +223,43 @@ def _attempt(
 def _capture(
     job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
 ) -> dict[str, Any]:
-    from matcap.capture.outputs import write_outputs
-    from matcap.capture.pipeline import capture_file
+    from matcap.capture.pipeline import capture_file, capture_photo, read_photograph
 
     shown.started(job.photo)
-    result = capture_file(job.photo, settings, shown.progress)
+    if job.others:
+        first, *others = (read_photograph(path, settings) for path in (job.photo, *job.others))
+        result = capture_photo(first, settings, shown.progress, others=others)
+    else:
+        result = capture_file(job.photo, settings, shown.progress)
+    with postponed() as stopped:
+        written = _written(result, job, outputs, shown)
+    return {**written, "status": "interrupted"} if stopped() else written
+
+
+def _written(
+    result: CaptureResult, job: _Job, outputs: OutputSettings, shown: Display
+) -> dict[str, Any]:
+    """Write a capture, and what is told of it."""
+    from matcap.capture.outputs import no_repeat, write_outputs
+    from matcap.capture.report import relative_error
+
+    if not outputs.repeats(result.material.alignment):
+        shown.note(no_repeat(outputs.size, result.material.alignment))
     material = write_outputs(result, job.folder, outputs)
     return {
         "photo": str(job.photo),
         "status": "interrupted" if result.interrupted else "done",
         "folder": str(job.folder),
         "material": str(material),
-        "error": result.history[-1][2] if result.history else None,
+        "verdict": result.verdict.document(),
+        "relative_error": relative_error(result),
     }
+
+
+def _state(result: dict[str, Any], *, strict: bool) -> str:
+    """What becomes the exit code: how it ended, and of strict users' captures the verdict too."""
+    state: str = result["status"]
+    return "failed" if state == "done" and strict and not result["verdict"]["fit"] else state
 
 
 def _exit_code(states: Sequence[str]) -> ExitCode:

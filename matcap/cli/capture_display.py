@@ -40,9 +40,11 @@ class Display:
 
     def progress(self, now: CaptureProgress) -> None:
         """The work has come this far."""
-        error = f"error {now.error:.3f}" if now.error is not None else ""
+        error = ""
+        if now.error is not None:
+            error = f"{now.error:.2f} times as unlike the photograph as its own parts"
         if now.in_a_minute is not None:
-            error += f" ({now.in_a_minute:.3f} after another minute)"
+            error += f" ({now.in_a_minute:.2f} after another minute)"
         if self._bars is not None and self._task is not None:
             left = f"{now.seconds_left:.0f} s left" if now.seconds_left is not None else ""
             self._bars.update(
@@ -56,9 +58,14 @@ class Display:
         """A photograph's outputs stand in their folder."""
         self._end_bar()
         if not self._quiet:
-            error = f", error {done['error']:.3f}" if done["error"] is not None else ""
             early = " (interrupted: the best so far)" if done["status"] == "interrupted" else ""
-            self._say(f"{photo.name}: {done['folder']}{error}, {done['seconds']:.0f} s{early}")
+            self._say(f"{photo.name}: {done['folder']}, {done['seconds']:.0f} s{early}")
+            self._say(f"  {done['verdict']['sentence']}")
+
+    def note(self, sentence: str) -> None:
+        """Something worth knowing."""
+        if not self._quiet:
+            self._say(f"  {sentence}")
 
     def failed(self, photo: Path, sentence: str) -> None:
         """A photograph could not be captured; the others go on."""

@@ -13,6 +13,7 @@ from matcap.cli.options import (
     GeneratorOption,
     JsonOption,
     Normals,
+    OverwriteOption,
     QuietOption,
     WorkflowName,
     typed,
@@ -29,7 +30,9 @@ def export(
     ] = Path("."),
     to: Annotated[
         str | None,
-        typer.Option(metavar="TARGET", help="materialx, usd, gltf, blender or mitsuba."),
+        typer.Option(
+            metavar="TARGET", help="materialx, usd, gltf, blender or mitsuba; or a preset's name."
+        ),
     ] = None,
     preset: Annotated[
         str | None,
@@ -44,15 +47,18 @@ def export(
         typer.Option("--out", "-o", help="Folder; by default a new one named after all this."),
     ] = None,
     size: Annotated[
-        values.Size,
+        values.Size | None,
         typer.Option(
             parser=typed(values.size),
             metavar="WxH",
             show_default="1024x1024",
-            help="Texels read from a material; they tile where both are multiples of 16.",
+            help="Texels read from a material, 2048x1024 or 2K; they repeat without a seam where "
+            "both are multiples of 16.",
         ),
-    ] = values.DEFAULT_SIZE,
-    seed: Annotated[int, typer.Option(help="Realisation read from a material.")] = 0,
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(show_default="0", help="Which piece is read from a material.")
+    ] = None,
     generator: GeneratorOption = None,
     bits: Annotated[
         Bits | None,
@@ -112,6 +118,7 @@ def export(
     onnx: Annotated[
         bool, typer.Option("--onnx", help="A material's network as an ONNX file instead.")
     ] = False,
+    overwrite: OverwriteOption = False,
     json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -120,14 +127,23 @@ def export(
     Prints what the target cannot express: how far its light is from matcap's. See
     docs/guide/export.md.
     """
-    from matcap.errors import UsageError
+    from matcap.errors import MatcapError, UsageError
     from matcap.export.presets import PresetOptions
     from matcap.export.reach import material_reach
-    from matcap.export.targets import check_target, export_bytes, write_export, write_preset
+    from matcap.export.targets import (
+        DOCUMENTS,
+        PRESETS,
+        check_target,
+        export_bytes,
+        write_export,
+        write_preset,
+    )
     from matcap.export.textures import ExportJob, Workflow, known_scale
     from matcap.files.staging import check_writable
     from matcap.model.opened import open_tile
 
+    if to is not None and to in PRESETS and to not in DOCUMENTS:  # all of them are targets
+        to, preset = None, to
     if [onnx, to is not None, preset is not None].count(True) != 1:
         raise UsageError("give either --to or --preset, or --onnx", where="matcap export")
     asked = {"--name": name, "--maps": maps, "--normal": normal}
@@ -138,14 +154,23 @@ def export(
         return
     target = check_target(to=to, preset=preset)
     if out is not None:
-        check_writable(out, export_bytes(size.width, size.height))
+        largest = size or values.DEFAULT_SIZE
+        check_writable(out, export_bytes(largest.width, largest.height))
     found = open_tile(
         path,
-        size=(size.width, size.height),
+        size=(size.width, size.height) if size else None,
         seed=seed,
         generator=generator and generator.value,
     )
-    folder = out or Path(f"{found.name}_{target}")
+    asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
+    folder = out or Path(f"{found.name}_{target}{asked_for}")
+    sidecar = folder / f"{found.name}_{target}.json"
+    if sidecar.exists() and not overwrite:
+        raise MatcapError(
+            "an earlier export stands here",
+            where=str(sidecar),
+            remedy="choose another folder with -o, or give --overwrite",
+        )
     check_writable(folder, export_bytes(*found.maps.size))
     job = ExportJob(
         found.maps,

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import json
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from matcap.cli.options import JsonOption
 from matcap.errors import ExitCode, MatcapError, UsageError
-
-if TYPE_CHECKING:
-    from matcap.capture.prior.store import Prior
 
 _MARKS = {"good": "ok", "note": "  ", "doubtful": "? ", "poor": "! "}
 
@@ -69,25 +65,19 @@ def inspect(
 
 def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], str]:
     """What is found, for JSON and as text."""
+    from matcap.capture.coarse import fit_coarse
     from matcap.capture.exemplar.told import photographed_strengths
     from matcap.photo.inspect import inspect_photo
     from matcap.photo.load import load_photo
 
     photo = load_photo(path, long_side=detail, fov=fov, noise=False)
-    found = inspect_photo(photo, _prior().tilt(photo))
+    found = inspect_photo(photo, fit_coarse(photo).setup.tilt)
     lines = [f"{path}: {found.verdict.value}"]
     lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in found.findings]
     told = photographed_strengths(photo, photo.pixels.shape[1])
     lines += [f"     {name:<13} {says}" for name, says in (told.lines() if told else ())]
     document = found.document() | {"strengths": told.document() if told else None}
     return document, "\n".join(lines)
-
-
-@cache
-def _prior() -> Prior:
-    from matcap.capture.prior.store import load_prior
-
-    return load_prior()
 
 
 def _material(path: Path) -> tuple[dict[str, Any], str]:

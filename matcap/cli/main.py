@@ -6,14 +6,16 @@ it runs, so that --help answers at once.
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Annotated
 
 import typer
+from typer.core import TyperCommand
 
 from matcap.cli import (
     batch,
@@ -21,6 +23,7 @@ from matcap.cli import (
     blend,
     capture,
     card,
+    compare,
     doctor,
     export,
     inspect,
@@ -31,7 +34,9 @@ from matcap.cli import (
     synth,
     view,
 )
+from matcap.cli.plain_command import PlainCommand
 from matcap.errors import ExitCode, MatcapError
+from matcap.files.interrupts import end_alike, ignore_both
 from matcap.files.maker import MAKER
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
@@ -48,6 +53,7 @@ app = typer.Typer(
 app.command("capture")(capture.capture)
 app.command("batch")(batch.batch)
 app.command("inspect")(inspect.inspect)
+app.command("compare")(compare.compare)
 app.command("card")(card.card)
 app.command("synth", cls=synth.SynthCommand)(synth.synth)
 app.command("relight")(relight.relight)
@@ -59,6 +65,9 @@ app.command("doctor")(doctor.doctor)
 app.add_typer(bench.app, name="bench")
 app.add_typer(prior.app, name="prior")
 app.add_typer(inverse.app, name="inverse")
+for _part in (app, bench.app, prior.app, inverse.app):
+    for _command in _part.registered_commands:
+        _command.cls = PlainCommand if _command.cls is TyperCommand else _command.cls
 
 
 def _print_version(wanted: bool) -> None:
@@ -99,20 +108,34 @@ def _matcap(
     del debug  # main() looks for it itself: a failed command leaves no context to ask
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code; failures become one sentence on stderr."""
+def main(
+    arguments: Sequence[str] | None = None, *, interrupted: Callable[[], bool] = lambda: False
+) -> int:
+    """Run the command line and return its exit code; failures become one sentence on stderr.
+
+    Args:
+        arguments: those of the process unless given.
+        interrupted: tells whether a signal came. What it breaks in the middle of a library may
+            look like any other error.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments or os.environ.get("MATCAP_DEBUG", "0") not in ("", "0")
     try:
         app(args=arguments, prog_name="matcap")
     except SystemExit as stop:
+        if isinstance(getattr(stop.__context__, "__cause__", None), KeyboardInterrupt):
+            return _end_early()  # as typer tells of one that no command heeded
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except MatcapError as error:
         _show(error, debug=debug)
         return error.exit_code
     except KeyboardInterrupt:
-        return ExitCode.INTERRUPTED
+        return _end_early()
     except Exception as error:
+        if interrupted():
+            return _end_early()
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+            return _show_full(error, debug=debug)
         _show(error, debug=debug)
         return ExitCode.INTERNAL
     return ExitCode.DONE
@@ -125,7 +148,35 @@ def run() -> None:
     # sets it otherwise is heeded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("GOMP_SPINCOUNT", "2000")
-    sys.exit(main())
+    came = end_alike()
+    code = main(interrupted=came)
+    ignore_both()
+    sys.exit(_flushed(code))
+
+
+def _flushed(code: int) -> int:
+    """The exit code, once all that was printed is out; where it cannot be, that is a failure."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        # Python would try again at its end, and tell of it in its own words.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if error.errno == errno.ENOSPC and not code:
+            return _show_full(error, debug=False)
+    return code
+
+
+def _show_full(error: OSError, *, debug: bool) -> int:
+    """Only what is printed fails so: files are written through files/staging.py."""
+    full = MatcapError("the disk is full", where="standard output", remedy="free some space")
+    full.__cause__ = error
+    _show(full, debug=debug)
+    return full.exit_code
+
+
+def _end_early() -> ExitCode:
+    typer.echo("matcap: interrupted.", err=True)
+    return ExitCode.INTERRUPTED
 
 
 def _show(error: Exception, *, debug: bool) -> None:

@@ -80,9 +80,28 @@ GeneratorOption = Annotated[
         help="Rearrange the photographed piece (example), or ask the network (decoder).",
     ),
 ]
+WidthOption = Annotated[
+    float | None,
+    typer.Option(
+        "--width-cm",
+        min=0.01,
+        max=1e5,
+        help="What the photograph's long side spans, in centimetres: exports are true to scale.",
+    ),
+]
 NormalOption = Annotated[Normal, typer.Option(help="Normals with +Y up (gl) or down (dx).")]
 PngOption = Annotated[bool, typer.Option("--png", help="16-bit PNGs beside the EXR files.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]
+StrictOption = Annotated[
+    bool,
+    typer.Option(
+        "--strict", help="Count doubtful and failed verdicts as failures: exit code 3 or 4."
+    ),
+]
+OverwriteOption = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Replace what is there, even where it is something else."),
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but failures.")]
 ExportOption = Annotated[
     list[str] | None,

@@ -62,7 +62,7 @@ def relight(
             help="Pixels of the picture; by default the scene's, or one a texel of a map set.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Realisation read from a material.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Which piece is read from a material.")] = 0,
     generator: GeneratorOption = None,
     effects: Annotated[
         str,

@@ -10,18 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
 from matcap.cli.options import (
     ExportOption,
     GeneratorOption,
     Normal,
     NormalOption,
+    OverwriteOption,
     PngOption,
     QuietOption,
     typed,
 )
-from matcap.errors import UsageError
+from matcap.cli.plain_command import PlainCommand
+from matcap.errors import ExitCode, UsageError
 from matcap.files import values
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from matcap.model.plane import Rectangle
     from matcap.synth.precision import ChosenPrecision
     from matcap.synth.request import Progress as SynthProgress
-    from matcap.synth.synthesise import Axes, Growth
+    from matcap.synth.synthesise import Axes, Growth, SynthRequest
 
 _STRIP = values.Size(4096, 256)  # the paper's own example
 _EVERY = 10.0  # seconds between lines of progress where there is no terminal
@@ -59,7 +60,7 @@ class Device(Enum):
     cuda = "cuda"
 
 
-class SynthCommand(TyperCommand):
+class SynthCommand(PlainCommand):
     """Lets `--tile` stand alone, for both axes."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
@@ -77,19 +78,19 @@ def synth(
     material: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[MATERIAL]", help="A .matcap file; without one, the prior draws a material."
+            metavar="MATERIAL", help="A .matcap file; without one, the prior draws a material."
         ),
     ] = None,
     size: Annotated[
-        values.Size,
+        values.Size | None,
         typer.Option(
             parser=typed(values.size),
             metavar="WxH",
             show_default="1024x1024",
-            help="Size in texels.",
+            help="Size in texels: 4096x256, or 2K, 4K, 8K.",
         ),
-    ] = values.DEFAULT_SIZE,
-    seed: Annotated[int, typer.Option(help="Which realisation of the material.")] = 0,
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Which piece of the material.")] = 0,
     region: Annotated[
         values.Region | None,
         typer.Option(
@@ -156,6 +157,7 @@ def synth(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with what an interrupted run left.")
     ] = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Make more of a material: a map set of any size, seam-free and repeatable.
@@ -168,6 +170,7 @@ def synth(
     from matcap.model.plane import check_seed
     from matcap.synth.request import Files, Work
     from matcap.synth.synthesise import SynthRequest, synthesise
+    from matcap.synth.unfinished import unfinished_bytes
     from matcap.synth.workers import keep_memory
 
     keep_memory()  # this process is matcap's own
@@ -182,7 +185,12 @@ def synth(
             "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
         )
     growth = _growth(blend, mask, mask_over)
-    area = _rectangle(region or values.Region(0, 0, size.width, size.height))
+    if size is not None and region is not None:
+        raise UsageError(
+            "a rectangle has a size of its own", where="--region", remedy="leave --size out"
+        )
+    sides = size or values.DEFAULT_SIZE
+    area = _rectangle(region or values.Region(0, 0, sides.width, sides.height))
     files = Files(png, normal.value, single, mip, (udim.width, udim.height) if udim else None)
     subject, name = _subject(material, seed)
     axes: Axes | None = tile.value if tile else None
@@ -190,25 +198,54 @@ def synth(
         subject, area, seed, name, files, axes, growth, precision.value, device.value,
         generator and generator.value,
     )  # fmt: skip
-    folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}")
+    told_apart = _told_apart(asked)
+    folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}{told_apart}")
 
     def told(choice: ChosenPrecision) -> None:
         if precision is Precision.auto and not quiet:
             typer.echo(choice.sentence(), err=True)
 
+    left = 0 if resume else unfinished_bytes(folder, name)
+    if left and not quiet:
+        typer.echo(
+            f"note: an interrupted run left {left / 1e6:.1f} MB here, which this one begins anew; "
+            "--resume would go on with them",
+            err=True,
+        )
     try:
         with _progress(quiet=quiet) as tell:
-            work = Work(workers or os.cpu_count() or 1, scheduler, resume, tell)
+            work = Work(workers or os.cpu_count() or 1, scheduler, resume, tell, overwrite)
             document = synthesise(asked, folder, work, told)
     except KeyboardInterrupt:
-        typer.echo("interrupted; the same command with --resume goes on", err=True)
-        raise
+        typer.echo("matcap: interrupted; the same command with --resume goes on.", err=True)
+        raise typer.Exit(ExitCode.INTERRUPTED) from None
     for target in targets:
         from matcap.export.targets import export_mapset
 
-        export_mapset(document, target)
+        done = export_mapset(document, target)
+        if not quiet:
+            for note in done.notes:
+                typer.echo(f"note: {target}: {note}", err=True)
     if not quiet:
         typer.echo(f"wrote {document}", err=True)
+
+
+def _told_apart(asked: SynthRequest) -> str:
+    """What the default folder's name says beside name, size and seed."""
+    area, files, growth = asked.area, asked.files, asked.growth
+    parts = {
+        f"x{area.x}_y{area.y}": (area.x, area.y) != (0, 0),
+        f"tile-{asked.tile}": asked.tile is not None,
+        f"udim{files.udim and '{}x{}'.format(*files.udim)}": files.udim is not None,
+        f"into-{growth and Path(str(growth.material)).stem}": growth is not None,
+        f"{asked.generator}": asked.generator is not None,
+        f"{asked.precision}": asked.precision != "fp32",
+        "single": files.single,
+        "mip": files.mipmap,
+        "png": files.png,
+        "dx": files.normal == "dx",
+    }
+    return "".join(f"_{part}" for part, holds in parts.items() if holds)
 
 
 def _subject(material: Path | None, seed: int) -> tuple[Path | Material, str]:

@@ -25,7 +25,7 @@ def view(
             help="A photograph to show beside it.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Realisation shown first.")] = 0,
+    seed: Annotated[int, typer.Option(help="Which piece is shown first.")] = 0,
     generator: GeneratorOption = None,
     port: Annotated[
         int, typer.Option(min=0, max=65535, show_default="a free one", help="Of the server.")

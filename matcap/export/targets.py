@@ -18,6 +18,8 @@ Keys:
     texel: a texel's side in that unit.
     height_code: where the target stores heights, `scale`, `midlevel` and `unit`:
         height = (value - midlevel) * scale.
+    periodic: whether it repeats without a seam.
+    seam: step across the border over steps inside, about 1 without a seam.
     files: for each texture its `colour_space`, `depth` and `meaning`.
     documents: names of the other files.
     residual: `mean` and `worst` share of light that differs from matcap's; null for plain maps.
@@ -38,6 +40,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from matcap.brdf.seam import seam_ratio
 from matcap.errors import UsageError
 from matcap.export.blender import blender
 from matcap.export.engines import ENGINES
@@ -56,6 +59,11 @@ from matcap.files.staging import staged
 
 FORMAT = "matcap export"
 VERSION = 2
+
+_SEAM = (
+    "These maps do not repeat: there is a seam where they meet themselves. Export the material, "
+    "at sides that are multiples of 16, for maps without one."
+)
 
 # All maps twice, in 32-bit floats: no target takes more.
 _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
@@ -228,12 +236,13 @@ def _write(
     export, off = made[chosen], first[chosen]
     told = {name: one for per_form in found.values() for name, one in per_form.items()}
     sidecar = f"{job.name}_{target}.json"
+    notes = export.notes if job.maps.periodic else (*export.notes, _SEAM)
     with staged(folder) as stage:
         with ThreadPoolExecutor(_WRITERS) as pool:
             list(pool.map(lambda one: one[1].write(stage / one[0], job), export.textures.items()))
         for file, content in export.documents.items():
             (stage / file).write_bytes(content(stage))
-        about = _sidecar(export, job, target, off) | {
+        about = _sidecar(export, job, target, off, notes) | {
             "workflow": chosen,
             "residuals": {
                 name: {"mean": one.mean, "worst": one.worst} for name, one in told.items()
@@ -242,14 +251,16 @@ def _write(
         text = json.dumps(about, indent=2, allow_nan=False, default=str)
         (stage / sidecar).write_text(text + "\n")
         files = tuple(sorted(file.name for file in stage.iterdir()))
-    return Exported(folder, files, off, export.notes, chosen, told)
+    return Exported(folder, files, off, notes, chosen, told)
 
 
 def _mean(off: Residual | None) -> float:
     return 0.0 if off is None else off.mean
 
 
-def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) -> dict[str, Any]:
+def _sidecar(
+    made: Export, job: ExportJob, target: str, off: Residual | None, notes: Sequence[str]
+) -> dict[str, Any]:
     """NAME_TARGET.json; the module tells its keys."""
     width, height = job.maps.size
     across, down = (side * job.unit_length for side in job.extent)
@@ -264,6 +275,8 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         "unit": job.unit,
         "tile": [across, down],
         "texel": job.maps.texel_size * job.unit_length,
+        "periodic": job.maps.periodic,
+        "seam": round(seam_ratio(job.maps), 3),
         "files": {
             file: {
                 "colour_space": texture.colour_space,
@@ -274,7 +287,7 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         },
         "documents": sorted(made.documents),
         "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
-        "notes": list(made.notes),
+        "notes": list(notes),
         **made.facts,
         "provenance": dict(job.provenance),
     }

@@ -94,7 +94,8 @@ class Texture:
             return stored.astype(np.float32)
         code = stored / np.float64(2 ** int(self.depth) - 1)
         if self.srgb:
-            code[..., :3] = srgb_decode(code[..., :3])
+            colours = code if code.ndim == 2 else code[..., :3]  # not alpha
+            colours[...] = srgb_decode(colours)
         return code.astype(np.float32)
 
     def pixels(self, job: ExportJob) -> NDArray[np.uint8] | NDArray[np.uint16] | Picture:

@@ -10,6 +10,7 @@ import re
 from dataclasses import dataclass
 
 _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
+_KILO = 1024  # texels: 2K is 2048
 LIMIT = 2**40  # coordinates of the endless field
 
 
@@ -38,13 +39,15 @@ DEFAULT_SIZE = Size(1024, 1024)
 
 
 def size(text: str | Size) -> Size:
-    """'4096x256' to 4096 by 256; '512' to 512 by 512."""
+    """'4096x256' to 4096 by 256; '512' to 512 by 512; '4K' to 4096 by 4096."""
     if isinstance(text, Size):
         return text
-    found = re.fullmatch(r"(\d{1,18})(?:[xX](\d{1,18}))?", text.strip())
+    found = re.fullmatch(r"(\d{1,18})([kK]?)(?:[xX](\d{1,18})([kK]?))?", text.strip())
     if not found:
-        raise ValueError(f"'{text}' is not a size such as 4096x256")
-    sides = Size(int(found[1]), int(found[2] or found[1]))
+        raise ValueError(f"'{text}' is not a size such as 4096x256, 2K or 4K")
+    width = int(found[1]) * (_KILO if found[2] else 1)
+    height = int(found[3]) * (_KILO if found[4] else 1) if found[3] else width
+    sides = Size(width, height)
     if min(sides.width, sides.height) < 1:
         raise ValueError(f"'{text}' has a side of zero")
     return sides

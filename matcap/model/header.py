@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from matcap.errors import MatcapError
+from matcap.files.digest import is_whole
 from matcap.model.example.example import Example
 
 FORMAT = "matcap-material"
@@ -105,7 +106,14 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
         raise MatcapError(what, where=str(path), remedy="give a .matcap file")
     try:
         with safe_open(path, framework=framework) as file:
-            yield file, _about(file.metadata(), path)
+            about = _about(file.metadata(), path)
+            if not is_whole(path, file.metadata()):
+                raise MatcapError(
+                    "the file is damaged: its digest is another than when it was written",
+                    where=str(path),
+                    remedy=REMEDY,
+                )
+            yield file, about
     except (SafetensorError, OSError) as error:
         raise MatcapError(
             f"this is not a material, or it is damaged ({error})",

@@ -1,8 +1,9 @@
 """Material: a captured material and its file, `.matcap`.
 
-One safetensors file of float32 tensors and bytes, whose metadata has one entry, `matcap`, which is
-JSON. Nothing in it is executed, and every shape is checked against the stated configuration before
-anything is read.
+One safetensors file of float32 tensors and bytes, whose metadata has two entries: `matcap`, which
+is JSON, and `digest`, SHA-256 of that text and all tensors' bytes, checked on loading; files
+written before there was one have none. Nothing in it is executed, and every shape is checked
+against the stated configuration before anything is read.
 
 Tensors:
     decoder.*: the fine-tuned network; shapes as the configuration says.

@@ -1,4 +1,8 @@
-"""Maps from whatever a user points at: a material, a map set, or a folder with either."""
+"""Maps from whatever a user points at: a material, a map set, or a folder with either.
+
+A folder means its one material, of which there is more than the map set beside it; without one, or
+with several, its map set.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.brdf.folder import find_mapsets, read_mapset
-from matcap.errors import MatcapError
+from matcap.errors import MatcapError, UsageError
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -39,8 +43,6 @@ def open_maps(
 ) -> MapSet:
     """Maps of a material file, a map set's JSON file, or a folder.
 
-    A folder's map set goes before its material.
-
     Args:
         path: what to open.
         size: (width, height) in texels, and
@@ -59,24 +61,52 @@ def open_maps(
 def open_tile(
     path: Path,
     *,
-    size: tuple[int, int] = (1024, 1024),
-    seed: int = 0,
+    size: tuple[int, int] | None = None,
+    seed: int | None = None,
     generator: Generator | None = None,
 ) -> OpenedMaps:
     """As open_maps, but a material's maps repeat without a seam where their size allows it.
 
     They do when both sides are multiples of the material's alignment, 16 for most.
+
+    Args:
+        path: what to open.
+        size: (width, height) in texels of a material's maps, 1024 x 1024 by default.
+        seed: the realisation of a material, 0 by default.
+        generator: of a material.
+
+    Raises:
+        UsageError: a size, seed or generator is asked of a map set, which has its own.
+        MatcapError: as open_maps.
     """
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
+        size, seed = size or (1024, 1024), seed or 0
         material = _material(path).by(generator)
         repeat = material.alignment
         period = None if size[0] % repeat or size[1] % repeat else size
         maps = material.maps(*size, seed=seed, period=period)
         return OpenedMaps(maps, path.stem, dict(material.provenance))
+    for option, asked in (("--size", size), ("--seed", seed), ("--generator", generator)):
+        if asked is not None:
+            raise UsageError(
+                f"this is a map set ({path}), which has its own",
+                where=option,
+                remedy="give the material (.matcap), or leave it out",
+            )
     maps, document = read_mapset(path)
     name = str(document.get("name") or path.stem)
     return OpenedMaps(maps, name, dict(document.get("provenance") or {}))
+
+
+def open_material(path: Path) -> tuple[Path, Material]:
+    """A material, from its file or the folder that holds it, with the file's path.
+
+    Raises:
+        MatcapError: no material there, several, or a broken one.
+    """
+    path = _resolved(path)
+    return path, _material(path)
 
 
 def open_source(path: Path, generator: Generator | None = None) -> MapSet | Material:
@@ -93,24 +123,26 @@ def open_source(path: Path, generator: Generator | None = None) -> MapSet | Mate
 
 
 def _resolved(path: Path) -> Path:
-    """The path itself, or the one material of a folder without a map set."""
-    if not path.is_dir() or find_mapsets(path):
+    """The path itself, or the one material of a folder; its map set where that is not enough."""
+    if not path.is_dir():
         return path
     materials = sorted(path.glob("*.matcap"))
-    if len(materials) > 1:
+    if len(materials) == 1:
+        return materials[0]
+    if find_mapsets(path):
+        return path
+    if materials:
         names = ", ".join(file.name for file in materials)
         raise MatcapError(
             f"there are {len(materials)} materials in this folder ({names})",
             where=str(path),
             remedy="name one of them",
         )
-    if not materials:
-        raise MatcapError(
-            "there is no map set and no material in this folder",
-            where=str(path),
-            remedy="give a folder that matcap capture or matcap synth wrote",
-        )
-    return materials[0]
+    raise MatcapError(
+        "there is no map set and no material in this folder",
+        where=str(path),
+        remedy="give a folder that matcap capture or matcap synth wrote",
+    )
 
 
 def _material(path: Path) -> Material:

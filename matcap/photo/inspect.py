@@ -1,8 +1,8 @@
 """What a photographer should know of a shot before anything is made of it, and do at the next one.
 
-`inspect_photo` judges a `Photo`; the tilt comes from outside (Prior.tilt), for photo knows nothing
-of networks. Every finding has a number, a verdict and a sentence. Places and directions are those
-of the photograph as it is looked at, upright; see `_upright`.
+`inspect_photo` judges a `Photo`; the tilt comes from outside (the coarse fit, as in a capture),
+for photo knows nothing of fits. Every finding has a number, a verdict and a sentence. Places and
+directions are those of the photograph as it is looked at, upright; see `_upright`.
 
 The formulas are this file's own; tests/photo holds them against simulated photographs.
 """
@@ -113,7 +113,7 @@ def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Insp
 
     Args:
         photo: read at the detail it would be captured at; sharpness is of that.
-        tilt: (tilt_x, tilt_y) in radians as Prior.tilt gives it, or None where nobody knows.
+        tilt: (tilt_x, tilt_y) in radians as the coarse fit gives it, or None where nobody knows.
     """
     place, falloff = hot_spot(photo)
     return Inspection(

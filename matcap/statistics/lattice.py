@@ -87,6 +87,18 @@ def find_lattice(colour: Tensor, valid: Tensor) -> Lattice:
     return Lattice(_whole_periods(waves, colour, valid), best[2])
 
 
+def likeness_after_a_period(colour: Tensor, valid: Tensor, waves: tuple[Wave, ...]) -> float:
+    """How well a texture correlates with itself one period of its order further, at most 1.
+
+    Args:
+        colour: (C, H, W) encoded picture of the plane, shading included.
+        valid: (H, W) bool, texels seen and not clipped.
+        waves: of the order, at least one; the period that is kept worst counts.
+    """
+    alike = _alike(colour, valid)
+    return min(alike(x, y) for x, y in _periods(waves))
+
+
 def _whole_periods(waves: tuple[Wave, ...], colour: Tensor, valid: Tensor) -> tuple[Wave, ...]:
     """Waves as long as the texture's periods, which may be several times those of its peaks.
 

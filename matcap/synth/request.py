@@ -99,12 +99,14 @@ class Work:
         scheduler: address of a dask scheduler to send blocks to instead.
         resume: go on with what an interrupted run of the same request left.
         progress: called after every block.
+        overwrite: replace another map set of the same name.
     """
 
     workers: int = 1
     scheduler: str | None = None
     resume: bool = False
     progress: Callable[[Progress], None] = _silent
+    overwrite: bool = True
 
     def check(self, device_type: str) -> None:
         """Raise UsageError for a source whose device a cluster may not have."""

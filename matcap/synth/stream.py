@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
+from matcap.brdf.folder import refuse_to_replace
 from matcap.files.staging import check_writable
 from matcap.synth.assembly import Assembly, assembly
 from matcap.synth.jobs import Crew, Job
@@ -36,13 +37,16 @@ def write_field(request: Request, folder: str | Path, work: Work | None = None) 
     Raises:
         UsageError: an empty or too large rectangle, a bad name, an impossible texture set, a
             cluster for a source on CUDA.
-        MatcapError: a full disk, an unwritable folder, another run at work in it, an unfinished
-            run of other settings to resume, a worker that died, values that are not finite.
+        MatcapError: another map set that is not to be overwritten, a full disk, an unwritable
+            folder, another run at work in it, an unfinished run of other settings to resume, a
+            worker that died, values that are not finite.
     """
     request.check()
     work = work or Work()
     work.check(request.source.device_type)
     folder, name = Path(folder), request.info.name
+    if not work.overwrite:
+        refuse_to_replace(folder, request.document((1.0, 0.5) if request.files.png else None))
     left = unfinished_bytes(folder, name) if work.resume else 0
     check_writable(folder, max(request.room - left, 0), files_of(folder, name))
     mapsets = request.mapsets()

@@ -7,18 +7,19 @@ from __future__ import annotations
 
 import ctypes
 import os
-import signal
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing import get_context, parent_process
 from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any
 
+from matcap.files.interrupts import settle_child, starting_children
 from matcap.model.single import compute_alone, single_threaded
 from matcap.synth.cluster import cluster
-from matcap.synth.jobs import Crew, Job, pack, unpacked
+from matcap.synth.jobs import Crew, Future, Job, pack, unpacked
 from matcap.synth.pictures import Rendered, render
 
 if TYPE_CHECKING:
@@ -58,9 +59,15 @@ def crew(source: Source, workers: int, jobs: int, scheduler: str | None = None) 
             workers, mp_context=get_context("spawn"), initializer=_prepare, initargs=(pack(source),)
         )
         try:
-            yield Crew(lambda job: processes.submit(_render_here, job), _AHEAD * workers)
+            yield Crew(partial(_submit, processes), _AHEAD * workers)
         finally:
             processes.shutdown(cancel_futures=True)
+
+
+def _submit(processes: ProcessPoolExecutor, job: Job) -> Future[list[Rendered]]:
+    """Give a job to a pool, which may start a process for it."""
+    with starting_children():
+        return processes.submit(_render_here, job)
 
 
 def _render_here(job: Job) -> list[Rendered]:
@@ -77,7 +84,7 @@ def _prepare(packed: bytes) -> None:
     _task.append(unpacked(packed))
     compute_alone()
     keep_memory()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    settle_child()
     parent = parent_process()
     if parent is not None:
         threading.Thread(target=_follow, args=(parent,), daemon=True).start()

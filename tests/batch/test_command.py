@@ -111,7 +111,7 @@ def test_on_a_dumb_terminal_a_line_tells_of_each_end(tmp_path):
     said = io.StringIO()
     shown = BatchDisplay(Console(file=said, width=200), None, quiet=False)
     shown.expect(2)
-    record = {"error": 0.5, "doubtful": True, "seconds": 12.0}
+    record = {"verdict": {"rating": "usable"}, "doubtful": True, "seconds": 12.0}
     good = BatchEntry(ShotSample("a [b]", (tmp_path / "a.jpg",)), "i", "made", "", record)
     bad = BatchEntry(ShotSample("c", (tmp_path / "c.jpg",)), "i", "failed", "black.")
     for entry in (good, bad):
@@ -119,7 +119,7 @@ def test_on_a_dumb_terminal_a_line_tells_of_each_end(tmp_path):
         shown.progress(entry, "fine-tuning", 0.5)
         shown.ended(entry)
     lines = said.getvalue().splitlines()
-    assert lines[0].startswith("[1/2] a [b]: 12 s, error 0.500, doubtful") and "left" in lines[0]
+    assert lines[0].startswith("[1/2] a [b]: 12 s, usable, doubtful shot") and "left" in lines[0]
     assert lines[1] == "[2/2] c: failed"
 
 

@@ -11,7 +11,8 @@ from matcap.batch.record import write_record
 from matcap.batch.shoot import ShotSample
 
 RECORD = {
-    "identity": "i", "photographs": ["/shoot/a & b.jpg"], "error": 0.5, "tilt_degrees": [1.0, -7.5],
+    "identity": "i", "photographs": ["/shoot/a & b.jpg"], "relative_error": 0.5,
+    "tilt_degrees": [0.0, -7.5], "verdict": {"rating": "usable", "severity": 1.5},
     "clipped": 0.021, "doubtful": True, "seconds": 75.0, "detail": 512,
     "warnings": ["2.1 % of the picture is clipped. Lower the exposure by one stop."],
     "thumbnails": {"photograph": "AAAA", "height: -1 to 1": "BBBB"},
@@ -84,3 +85,16 @@ def test_doubtful_shots_are_marked(tmp_path):
     page = (written(tmp_path) / "index.html").read_text()
     assert page.count('<tr class="doubtful">') == 1 and page.count('<tr class="done">') == 1
     assert 'data-key="7.5"' in page and "Lower the exposure" in page
+
+
+def test_a_material_that_failed_in_the_verdict_is_red(tmp_path):
+    folder = tmp_path / "lost"
+    folder.mkdir()
+    record = {**RECORD, "doubtful": True, "verdict": {"rating": "failed", "severity": 4.2}}
+    write_record(folder, record)
+    write_index(tmp_path, [])
+    page = (tmp_path / "index.html").read_text()
+    assert page.count('<tr class="failed">') == 1 and "0 doubtful · 1 failed" in page
+    assert '<a class="verdict failed" href="lost/report.json">' in page
+    (row,) = json.loads((tmp_path / "index.json").read_text())["materials"]
+    assert (row["state"], row["verdict"], row["severity"]) == ("done", "failed", 4.2)

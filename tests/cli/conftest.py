@@ -1,6 +1,7 @@
 """A capture that takes no time, so that the command line can be tested on its own."""
 
-from dataclasses import dataclass, field
+import sys
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,8 @@ from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.photo import Photo
+
+sys.path.insert(0, str(Path(__file__).parent))  # for signals.py
 
 
 def random_maps(width: int, height: int, seed: int) -> MapSet:
@@ -35,8 +38,10 @@ class FakeMaterial:
     setup: FlashSetup = field(default_factory=FlashSetup)
     provenance: dict = field(default_factory=lambda: {"made": "up"})
 
+    alignment: int = 16
+
     def maps(self, width, height, *, seed=0, x=0, y=0, period=None):
-        return random_maps(width, height, seed)
+        return replace(random_maps(width, height, seed), periodic=period is not None)
 
     def save(self, path):
         Path(path).write_text(self.name)
@@ -65,10 +70,11 @@ class FakePipeline:
         self.calls.append(SimpleNamespace(path=Path(path), long_side=long_side, fov=fov))
         return fake_photo(Path(path))
 
-    def capture_photo(self, photo, settings, progress=None):
+    def capture_photo(self, photo, settings, progress=None, *, others=()):
         if self.failure is not None:
             raise self.failure
         self.calls[-1].settings = settings
+        self.calls[-1].others = [other.name for other in others]
         for fraction in (0.0, 0.5, 1.0):
             if progress is not None:
                 progress(
@@ -86,6 +92,7 @@ class FakePipeline:
             stage_seconds={"coarse": 0.5, "fine-tuning": 0.5},
             settings=settings,
             interrupted=self.interrupt,
+            self_difference=0.25,
         )
 
 

@@ -63,7 +63,8 @@ def test_the_report_holds_what_was_done(matcap, pipeline, photo, out):
     matcap("capture", photo, "-o", out, "--size", 16, "--steps", 9)
     report = json.loads((out / "leather" / "report.json").read_text())
     assert report["settings"]["steps"] == 9
-    assert report["error"] == 0.5
+    assert report["error"] == 0.5 and report["relative_error"] == 2.0
+    assert "no flash" in report["verdict"]["sentence"]
     assert report["error_over_time"][0] == {"seconds": 0.5, "step": 1, "error": 0.9}
     assert report["stage_seconds"] == {"coarse": 0.5, "fine-tuning": 0.5}
     assert report["camera"]["tilt_degrees"] == [0.0, 0.0]
@@ -71,12 +72,23 @@ def test_the_report_holds_what_was_done(matcap, pipeline, photo, out):
     assert {"matcap", "torch", "python"} <= set(report["versions"])
 
 
+def test_the_verdict_is_said_and_a_strict_user_hears_it_in_the_exit_code(
+    matcap, pipeline, photo, out
+):
+    said = matcap("capture", photo, "-o", out, "--size", 16)
+    assert said.code == 0
+    assert "failed: the photograph's middle is 1.0 times as bright as its border" in said.err
+    assert "error" not in said.err
+    assert matcap("capture", photo, "-o", out, "--size", 16, "--strict").code == 3
+
+
 def test_json_goes_to_stdout_and_alone(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--size", 16, "--json", "-q")
     (result,) = json.loads(said.out)["photographs"]
     assert said.err == ""
     assert result["status"] == "done"
-    assert result["error"] == 0.5
+    assert result["relative_error"] == 2.0
+    assert result["verdict"]["rating"] == "failed"  # even grey shows no flash
     assert result["material"] == str(out / "leather" / "leather.matcap")
 
 
@@ -84,7 +96,7 @@ def test_progress_is_plain_lines_where_there_is_no_terminal(matcap, pipeline, ph
     said = matcap("capture", photo, "-o", out, "--size", 16)
     assert "fine-tuning" in said.err
     assert "\x1b" not in said.err
-    assert len(said.err.splitlines()) == 2
+    assert len(said.err.splitlines()) == 3
 
 
 def test_photographs_of_the_same_stem_do_not_overwrite_each_other(matcap, pipeline, photo, out):
@@ -177,3 +189,72 @@ def test_a_disk_that_fills_while_saving_leaves_nothing(
     assert said.err.count("\n") == 1
     assert "the disk is full; free some space or choose another folder with -o." in said.err
     assert list(tmp_path.iterdir()) == [photo]
+
+
+def test_the_first_map_set_repeats_unless_its_size_cannot_which_is_said(
+    matcap, pipeline, photo, out
+):
+    assert "do not repeat" not in matcap("capture", photo, "-o", out, "--size", 32).err
+    assert read_mapset(out / "leather" / "leather.json")[1]["periodic"] is True
+    said = matcap("capture", photo, "-o", out, "--size", 40, "--overwrite")
+    assert "Maps of 40x40 do not repeat" in said.err and "multiples of 16" in said.err
+    assert read_mapset(out / "leather" / "leather.json")[1]["periodic"] is False
+    assert matcap("capture", photo, "-o", out, "--size", 40, "--tile", "--overwrite").code == 2
+
+
+@pytest.mark.parametrize(
+    ("again", "told"),
+    [
+        (("--preset", "draft"), "a longer one, of preset standard"),
+        (("--steps", 3), "a longer one"),
+        (("--seed", 1), "seed 0"),
+        (("--size", 32), "with maps of 16x16"),
+        (("--fov", 50), "fov None"),
+        ((), "with PNGs"),
+    ],
+)
+def test_an_earlier_capture_is_not_replaced_by_a_lesser_or_another_one(
+    matcap, pipeline, photo, out, again, told
+):
+    first = ("--size", 16, "--png") if told == "with PNGs" else ("--size", 16)
+    assert matcap("capture", photo, "-o", out, *first).code == 0
+    before = (out / "leather" / "report.json").read_bytes()
+    again = again if "--size" in again else ("--size", 16, *again)
+    said = matcap("capture", photo, "-o", out, *again)
+    assert said.code == 3
+    assert "an earlier capture stands here" in said.err and told in said.err
+    assert "--overwrite" in said.err
+    assert (out / "leather" / "report.json").read_bytes() == before
+    assert matcap("capture", photo, "-o", out, *again, "--overwrite").code == 0
+
+
+def test_the_same_capture_or_a_longer_one_comes_in_its_place(matcap, pipeline, photo, out):
+    for more in ((), (), ("--preset", "high")):
+        assert matcap("capture", photo, "-o", out, "--size", 16, *more).code == 0
+
+
+def test_another_photograph_of_the_same_stem_does_not_replace_the_first(
+    matcap, pipeline, photo, out
+):
+    other = photo.with_suffix(".jpg")
+    other.write_text("another photograph")
+    assert matcap("capture", photo, "-o", out, "--size", 16).code == 0
+    said = matcap("capture", other, "-o", out, "--size", 16)
+    assert said.code == 3 and "an earlier capture stands here (of leather.dng)" in said.err
+
+
+def test_photographs_of_one_sample_make_one_material(matcap, pipeline, photo, out):
+    other = photo.with_name("again.dng")
+    other.write_text("the same sample")
+    assert matcap("capture", photo, other, "--together", "-o", out, "--size", 16).code == 0
+    assert [call.path for call in pipeline.calls] == [photo, other]
+    assert pipeline.calls[-1].others == ["again.dng"]
+    assert [folder.name for folder in out.iterdir()] == ["leather"]
+
+
+def test_a_width_in_centimetres_reaches_the_capture(matcap, pipeline, photo, out):
+    matcap("capture", photo, "-o", out, "--size", 16, "--width-cm", 20)
+    (call,) = pipeline.calls
+    assert call.settings.width_cm == 20.0 and call.settings.millimetres_per_unit == 100.0
+    notes = json.loads((out / "leather" / "report.json").read_text())["notes"]
+    assert not any("how large" in note for note in notes)

@@ -73,7 +73,9 @@ def test_both_forms_are_told_and_one_can_be_asked_for(matcap, folder):
     said = matcap("export", "set", "--preset", "unity-hdrp")
     assert "residual, specular workflow: " in said.err
     assert "\n  metallic: " in said.err
-    said = matcap("export", "set", "--preset", "unity-hdrp", "--workflow", "metallic")
+    said = matcap(
+        "export", "set", "--preset", "unity-hdrp", "--workflow", "metallic", "--overwrite"
+    )
     assert "residual, metallic workflow: " in said.err
     assert "\n  specular: " in said.err
     found = matcap("export", "set", "--to", "blender", "--workflow", "metallic")
@@ -111,7 +113,7 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
 
     said = matcap("export", material, "--to", "gltf", "--size", "48x32", "--seed", 3)
     assert said.code == 0
-    assert (tmp_path / "noise_gltf" / "noise.glb").is_file()
+    assert (tmp_path / "noise_gltf_48x32_seed3" / "noise.glb").is_file()
     assert open_tile(material, size=(48, 32), seed=3).maps.periodic
     assert not open_tile(material, size=(40, 32), seed=3).maps.periodic
 
@@ -169,6 +171,8 @@ def test_capture_writes_for_other_programs_too(matcap, pipeline, photo, tmp_path
     assert said.code == 0
     assert (tmp_path / "out" / "leather" / "gltf" / "leather.glb").is_file()
     assert (tmp_path / "out" / "leather" / "unreal" / "T_leather_ORM.png").is_file()
+    sidecar = json.loads((tmp_path / "out" / "leather" / "gltf" / "leather_gltf.json").read_text())
+    assert sidecar["periodic"] is True and sidecar["seam"] > 0.0
 
 
 def test_capture_refuses_unknown_targets_before_any_work(matcap, pipeline, photo, tmp_path):
@@ -177,3 +181,17 @@ def test_capture_refuses_unknown_targets_before_any_work(matcap, pipeline, photo
     assert "--export: there is no 'blendr'; did you mean 'blender'." in said.err
     assert pipeline.calls == []
     assert not (tmp_path / "out").exists()
+
+
+def test_a_size_of_a_map_set_is_refused_and_an_earlier_export_is_kept(matcap, folder):
+    said = matcap("export", "set", "--to", "gltf", "--size", "2K")
+    assert said.code == 2 and "--size: this is a map set" in said.err
+    assert matcap("export", "set", "--to", "gltf", "-o", "out").code == 0
+    said = matcap("export", "set", "--to", "gltf", "-o", "out")
+    assert said.code == 3 and "an earlier export stands here" in said.err
+    assert matcap("export", "set", "--to", "gltf", "-o", "out", "--overwrite").code == 0
+
+
+def test_a_preset_is_a_target_too(matcap, folder):
+    assert matcap("export", "set", "--to", "unreal").code == 0
+    assert (folder / "moss_unreal" / "moss_unreal.json").is_file()

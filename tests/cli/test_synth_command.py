@@ -83,7 +83,7 @@ def test_tiles_join(matcap, material, tmp_path, tile, repeats):
 
 
 def test_a_texture_set_is_one_field(matcap, material, tmp_path):
-    options = ["--size", "32x16", "--udim", "2x2", "--region", "5,7,32,16"]
+    options = ["--udim", "2x2", "--region", "5,7,32,16"]
     assert matcap("synth", material, *options, "-o", "set", "-q").code == 0
     document = json.loads((tmp_path / "set/leather.json").read_text())
     assert document["udim"] == [2, 2]
@@ -178,3 +178,49 @@ def test_cuda_where_there_is_none(matcap, material, monkeypatch):
     said = matcap("synth", material, "--size", "8x8", "--device", "cuda")
     assert said.code == 2 and "--device: PyTorch sees no CUDA device; use cpu" in said.err
     assert matcap("synth", material, "--size", "8x8", "--device", "auto", "-o", "set").code == 0
+
+
+@pytest.mark.parametrize(
+    "other", [("--region", "8,0,32,16"), ("--seed", 4), ("--tile",), ("--normal", "dx")]
+)
+def test_another_map_set_is_not_replaced_unasked(matcap, material, tmp_path, other):
+    first = () if "--region" in other else ("--size", "32x16")
+    assert matcap("synth", material, "--size", "32x16", "-o", "set", "-q").code == 0
+    assert matcap("synth", material, "--size", "32x16", "-o", "set", "-q").code == 0  # the same
+    before = (tmp_path / "set" / "leather.json").read_bytes()
+    said = matcap("synth", material, *first, *other, "-o", "set")
+    assert said.code == 3
+    assert "another map set stands here" in said.err and "--overwrite" in said.err
+    assert (tmp_path / "set" / "leather.json").read_bytes() == before
+    assert matcap("synth", material, *first, *other, "-o", "set", "--overwrite").code == 0
+
+
+def test_default_folders_tell_what_differs(matcap, material, tmp_path):
+    for asked in (
+        ("--region", "-8,4,32,16"), ("--size", "32x16", "--tile"), ("--size", "32x16", "--png"),
+        ("--size", "32x16", "--generator", "decoder"),
+    ):  # fmt: skip
+        assert matcap("synth", material, *asked, "-q").code == 0
+    names = {file.name for file in tmp_path.iterdir() if file.is_dir()}
+    assert names == {
+        f"leather_32x16_seed0_{part}" for part in ("x-8_y4", "tile-both", "png", "decoder")
+    }
+
+
+def test_a_region_and_a_size_exclude_each_other(matcap, material):
+    said = matcap("synth", material, "--size", 16, "--region", "0,0,8,8")
+    assert said.code == 2 and "--region: a rectangle has a size of its own" in said.err
+
+
+def test_sizes_as_people_say_them():
+    from matcap.files.values import size
+
+    assert str(size("2K")) == "2048x2048" and str(size("4kx512")) == "4096x512"
+
+
+def test_a_run_that_begins_anew_says_that_it_could_go_on(matcap, material, tmp_path):
+    part = tmp_path / "set" / ".leather.matcap-part"
+    part.mkdir(parents=True)
+    (part / "leather_height.exr").write_bytes(bytes(2_000_000))
+    said = matcap("synth", material, "--size", "32x16", "-o", "set")
+    assert said.code == 0 and "left 2.0 MB here" in said.err and "--resume" in said.err

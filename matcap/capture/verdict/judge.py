@@ -1,0 +1,87 @@
+"""One verdict of all checks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from matcap.capture.verdict.checks import QualityCheck, all_checks
+from matcap.capture.verdict.evidence import Evidence, evidence
+from matcap.capture.verdict.rating import Rating
+
+if TYPE_CHECKING:
+    from matcap.capture.pipeline import CaptureResult
+
+# Severities are joined by this norm: the worst counts most, several small ones a little more than
+# one (three of 1.8 are one of 2.2).
+_NORM = 6.0
+_TOLD = 2  # checks in a sentence, the worst
+
+
+@dataclass(frozen=True)
+class CaptureVerdict:
+    """What a person would say of a capture.
+
+    Attributes:
+        checks: all that was looked at.
+    """
+
+    checks: tuple[QualityCheck, ...]
+
+    @property
+    def severity(self) -> float:
+        """Of all checks together, on their scale."""
+        return float(sum(check.severity**_NORM for check in self.checks) ** (1.0 / _NORM))
+
+    @property
+    def rating(self) -> Rating:
+        """The word."""
+        return Rating.of(self.severity)
+
+    @property
+    def fit(self) -> bool:
+        """Whether it is fit for use: good or usable."""
+        return self.rating in (Rating.GOOD, Rating.USABLE)
+
+    @property
+    def faults(self) -> tuple[QualityCheck, ...]:
+        """The worst checks that are not good, the worst first."""
+        bad = [check for check in self.checks if check.rating is not Rating.GOOD]
+        return tuple(sorted(bad, key=lambda check: -check.severity)[:_TOLD])
+
+    def sentence(self) -> str:
+        """The verdict in one line: the word, what was found, the likely cause and what to do."""
+        if self.rating is Rating.GOOD or not self.faults:
+            return f"{self.rating.value}: looks like the photograph"
+        said = "; ".join(fault.says for fault in self.faults)
+        worst = self.faults[0]
+        return f"{self.rating.value}: {said}. Likely cause: {worst.cause}. Remedy: {worst.remedy}."
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "rating": self.rating.value,
+            "fit": self.fit,
+            "severity": round(self.severity, 3),
+            "sentence": self.sentence(),
+            "checks": {
+                check.name: {
+                    "rating": check.rating.value,
+                    "severity": round(check.severity, 3),
+                    "says": check.says,
+                    "cause": check.cause,
+                    "remedy": check.remedy,
+                }
+                for check in self.checks
+            },
+        }
+
+
+def judge(seen: Evidence) -> CaptureVerdict:
+    """The verdict on what was measured."""
+    return CaptureVerdict(tuple(all_checks(seen)))
+
+
+def verdict_on(result: CaptureResult) -> CaptureVerdict:
+    """The verdict on a capture, in about a second."""
+    return judge(evidence(result))

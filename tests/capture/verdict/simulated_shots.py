@@ -1,0 +1,64 @@
+"""Simulated photographs, one good and others as bad as users bring them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from matcap.brdf.maps import MapSet
+from matcap.flash.geometry import FlashSetup
+from matcap.lab.simulate.materials import realise
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take, true_maps
+
+CAMERA = PhoneCamera(width=512, height=384, supersampling=1, blur=0.5)
+SETUP = FlashSetup(offset=(0.05, 0.04, 0.0), tilt=(0.02, -0.01), vignetting=0.02)
+
+
+def piece(name, seed=3):
+    """One realisation of a material, as take() wants it."""
+    return lambda width, height, texel: realise(name, width, height, seed, texel)
+
+
+def shot(name):
+    """A photograph under its flash, and what is true of it."""
+    return take(piece(name), CAMERA, SETUP)
+
+
+def good(name):
+    """A photograph as it should be."""
+    return as_photo(shot(name), 1, f"{name}.dng")
+
+
+def maps(name, seed=3):
+    """The true maps of what the photograph shows, or of another piece of the material."""
+    truth = true_maps(piece(name, seed), CAMERA, SETUP)
+    return MapSet.from_stacked(truth.stacked().float(), truth.texel_size)
+
+
+def without_flash(name):
+    """The same surface in even light."""
+    albedo = maps(name).diffuse.movedim(0, -1).numpy()
+    return _of(good(name), 0.2 * albedo / albedo.mean(), flash_fired=False)
+
+
+def with_lamp(name):
+    """A lamp at the side, ten times as bright as the flash."""
+    photo = good(name)
+    across = np.linspace(0.0, 1.0, photo.pixels.shape[1], dtype=np.float32)[None, :, None]
+    albedo = maps(name).diffuse.movedim(0, -1).numpy()
+    lit = photo.pixels + 10.0 * photo.pixels.mean() * albedo / albedo.mean() * across**2
+    return _of(photo, 0.2 * lit / lit.mean())
+
+
+def painting():
+    """A picture of patches that is no one material, under a good flash."""
+    photo = good("plaster")
+    rng = np.random.default_rng(5)
+    patches = rng.uniform(0.05, 1.0, (3, 4, 3)).repeat(128, axis=0).repeat(128, axis=1)
+    grain = np.exp(rng.normal(0.0, np.array([0.02, 0.1, 0.4, 0.8]).repeat(128)[None, :, None],
+                              photo.pixels.shape))  # fmt: skip
+    return _of(photo, photo.pixels * patches * grain)
+
+
+def _of(photo, pixels, **changes):
+    pixels = np.clip(pixels, 0.0, 1.0).astype(np.float32)
+    return replace(photo, pixels=pixels, clipped=(pixels >= 1.0).any(axis=-1), **changes)

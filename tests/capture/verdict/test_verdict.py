@@ -1,0 +1,178 @@
+"""Verdicts: of measures that are made up, of pictures that are, and of captures."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import simulated_shots as shots
+
+from matcap.capture.highlight import Highlight
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.settings import CaptureSettings
+from matcap.capture.verdict.checks import all_checks, severity
+from matcap.capture.verdict.evidence import Evidence, evidence
+from matcap.capture.verdict.judge import judge
+from matcap.capture.verdict.rating import Rating
+from matcap.flash.render import render_rectified
+
+SPOT = Highlight((0.0, 0.0), 0.1, 0.9, 0.1)
+FINE = Evidence(
+    highlights=(SPOT, SPOT),
+    flash_ratio=3.0,
+    flash_fired=True,
+    colour=(0.01, -0.01, 0.02),
+    light=0.05,
+    likeness=1.0,
+    contrast={"fine": (0.1, 0.1), "coarse": (0.05, 0.05)},
+    order=(0.5, 0.5),
+    unevenness=0.6,
+    tilt=2.0,
+    offset=0.1,
+    clipped=0.001,
+    piece={
+        "error": 0.05, "slow": 0.04, "diffuse": 0.9, "specular": 0.8, "roughness": 0.7,
+        "height": 0.7,
+    },
+)  # fmt: skip
+
+
+def named(seen):
+    return {check.name: check for check in all_checks(seen)}
+
+
+@pytest.mark.parametrize("limits", [(0.1, 0.2, 0.6), (-1.5, -1.25, -1.12)])
+def test_severity_is_one_two_and_three_at_its_limits_and_grows_between(limits):
+    assert [severity(limit, limits) for limit in limits] == pytest.approx([1.0, 2.0, 3.0])
+    found = [severity(value, limits) for value in np.linspace(limits[0] - 0.1, limits[2] + 1, 50)]
+    assert all(a <= b for a, b in zip(found, found[1:], strict=False)) and found[-1] > 3.0
+
+
+def test_what_is_not_known_is_not_held_against_a_capture():
+    assert severity(math.nan, (1.0, 2.0, 3.0)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("value", "word"),
+    [(0.0, "good"), (1.0, "good"), (1.01, "usable"), (2.5, "doubtful"), (9.0, "failed")],
+)
+def test_the_words_follow_severity(value, word):
+    assert Rating.of(value).value == word
+
+
+def test_a_good_capture_is_called_good_in_a_few_words():
+    verdict = judge(FINE)
+    assert verdict.rating is Rating.GOOD and verdict.fit
+    assert verdict.sentence() == "good: looks like the photograph"
+
+
+# What is changed, the check that sees it, and the worst word that must not be exceeded upwards.
+BAD = [
+    ({"highlights": (SPOT, None)}, "highlight", "failed"),
+    ({"highlights": (SPOT, replace(SPOT, centre=(0.3, 0.0)))}, "highlight", "failed"),
+    ({"highlights": (SPOT, replace(SPOT, width=0.5))}, "highlight", "failed"),
+    ({"highlights": (SPOT, replace(SPOT, peak=0.2))}, "highlight", "failed"),
+    ({"highlights": (None, SPOT)}, "highlight", "failed"),
+    ({"flash_ratio": 1.05}, "flash", "failed"),
+    ({"flash_ratio": 1.2, "flash_fired": False}, "flash", "failed"),
+    ({"light": 0.5}, "light", "failed"),
+    ({"colour": (0.2, 0.0, -0.25)}, "colour", "doubtful"),
+    ({"likeness": 2.0}, "texture", "doubtful"),
+    ({"contrast": {"fine": (0.1, 0.1), "coarse": (0.0, 0.05)}}, "contrast", "failed"),
+    ({"order": (0.5, 0.05)}, "order", "failed"),
+    ({"unevenness": 4.0}, "sameness", "doubtful"),
+    ({"tilt": 20.0}, "camera", "doubtful"),
+    ({"offset": 0.5}, "camera", "doubtful"),
+    ({"clipped": 0.2}, "clipping", "doubtful"),
+    ({"piece": {**FINE.piece, "error": 0.3}}, "piece", "doubtful"),
+    ({"piece": {"error": 0.05, "slow": 0.0, "diffuse": 0.1, "height": 0.01}}, "seen", "failed"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "check", "word"), BAD)
+def test_one_fault_is_enough_and_is_told_with_cause_and_remedy(change, check, word):
+    seen = replace(FINE, **change)
+    verdict = judge(seen)
+    assert verdict.rating.value == word and not verdict.fit
+    worst = verdict.faults[0]
+    assert worst.name == check and worst.cause and worst.remedy
+    sentence = verdict.sentence()
+    assert sentence.startswith(f"{word}: ") and worst.says in sentence and worst.remedy in sentence
+
+
+def test_several_small_faults_make_a_larger_one_but_not_a_failure():
+    seen = replace(FINE, light=0.21, likeness=1.45, order=(0.5, 0.26))
+    assert all(check.severity < 2.0 for check in all_checks(seen))
+    assert judge(seen).rating is Rating.DOUBTFUL
+
+
+def test_a_lack_of_contrast_that_no_eye_sees_is_none():
+    faint = replace(FINE, contrast={"fine": (0.001, 0.003), "coarse": (0.001, 0.001)})
+    assert named(faint)["contrast"].rating is Rating.GOOD
+
+
+def test_the_document_is_json_and_holds_every_check():
+    import json
+
+    document = json.loads(json.dumps(judge(FINE).document(), allow_nan=False))
+    assert set(document["checks"]) == set(named(FINE)) and document["fit"] is True
+
+
+def _result(photo, seen, again):
+    """What evidence() looks at of a capture."""
+    material = SimpleNamespace(setup=shots.shot("leather").setup, waves=())
+    picture = seen.movedim(0, -1).contiguous().numpy()
+    rendering = again.movedim(0, -1).contiguous().numpy()
+    return SimpleNamespace(
+        photo=photo, material=material, rectified=picture, rerendered=rendering, found=None
+    )
+
+
+@pytest.fixture(scope="module")
+def leather():
+    """A good photograph, its true setup, and its plane under that setup."""
+    photo, setup = shots.good("leather"), shots.shot("leather").setup
+    return photo, setup, render_rectified(shots.maps("leather"), setup)
+
+
+def test_another_piece_of_the_same_material_under_the_same_flash_is_good(leather):
+    photo, setup, seen = leather
+    again = render_rectified(shots.maps("leather", seed=4), setup)
+    assert judge(evidence(_result(photo, seen, again))).fit
+
+
+def test_the_light_at_a_wrong_place_is_no_good(leather):
+    photo, setup, seen = leather
+    moved = replace(setup, offset=(0.7, -0.4, 0.0))
+    again = render_rectified(shots.maps("leather", seed=4), moved)
+    verdict = judge(evidence(_result(photo, seen, again)))
+    assert not verdict.fit
+    assert {"highlight", "light"} & {fault.name for fault in verdict.faults}
+
+
+def test_another_material_is_no_good(leather):
+    photo, setup, seen = leather
+    verdict = judge(evidence(_result(photo, seen, render_rectified(shots.maps("cloth"), setup))))
+    assert not verdict.fit
+
+
+def captured(photo):
+    settings = CaptureSettings(preset="instant", detail=512)
+    return capture_photo(photo, settings).verdict
+
+
+def test_a_good_photograph_is_not_called_failed():
+    assert captured(shots.good("leather")).rating is not Rating.FAILED
+
+
+BAD_SHOTS = {
+    "no flash": lambda: shots.without_flash("leather"),
+    "lamp": lambda: shots.with_lamp("leather"),
+    "painting": shots.painting,
+}
+
+
+@pytest.mark.parametrize("bad", BAD_SHOTS)
+def test_bad_photographs_are_not_called_good_or_usable(bad):
+    assert not captured(BAD_SHOTS[bad]()).fit

@@ -1,0 +1,146 @@
+"""Signals at random moments: `python tests/cli/signals.py 50` sends so many of each kind.
+
+Commands run as processes of their own, in a folder that begins empty. Whatever the moment: no
+traceback, nothing leaked, no torn file; what is there is whole.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+MATCAP = (sys.executable, "-m", "matcap.cli.start")
+COMMANDS = {
+    "capture": ("capture", "photo.jpg", "--preset", "draft", "--detail", "256", "--size", "256"),
+    "synth": ("synth", "--size", "1024", "-j", "2", "-o", "more", "--generator", "decoder"),
+    "batch": (
+        "batch", "shoot", "-j", "2", "--preset", "draft", "--steps", "4", "--detail", "256",
+        "--size", "256",
+    ),
+}  # fmt: skip
+_NEVER = ("Traceback", "Error:", "leaked", "resource_tracker", "internal error")
+_KILLED = {-signal.SIGTERM, -signal.SIGINT}  # before the command line was there
+_PYTHONS_OWN = 0.1  # share of the time in which Python starts, and speaks for itself
+
+
+@dataclass(frozen=True)
+class Struck:
+    """What became of a command."""
+
+    code: int
+    said: str
+    seconds: float
+
+
+def prepare(folder: Path) -> None:
+    """Photographs to be captured."""
+    import cv2
+    import numpy as np
+
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[-0.75:0.75:192j, -1.0:1.0:256j]
+    grain = cv2.GaussianBlur(rng.normal(0.0, 1.0, (192, 256, 3)), (0, 0), 1.5)
+    linear = (0.4 / (1.0 + x**2 + y**2))[..., None] * np.exp(grain)
+    picture = (255.0 * linear.clip(0.0, 1.0) ** (1.0 / 2.2)).astype(np.uint8)
+    (folder / "shoot").mkdir()
+    for name in ("photo.jpg", "shoot/a.jpg", "shoot/b.jpg"):
+        cv2.imwrite(str(folder / name), picture)
+
+
+def strike(command: str, folder: Path, number: int, after: float) -> Struck:
+    """Run a command and send it a signal after so many seconds, unless it has ended."""
+    started = time.monotonic()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
+    run = subprocess.Popen(
+        [*MATCAP, *COMMANDS[command]], cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    try:
+        run.wait(after)
+    except subprocess.TimeoutExpired:
+        run.send_signal(number)
+    said = run.communicate(timeout=600)[1].decode()
+    return Struck(run.returncode, said, time.monotonic() - started)
+
+
+def faults(command: str, folder: Path, struck: Struck) -> list[str]:
+    """What must not be."""
+    found = [word for word in _NEVER if word in struck.said]
+    if struck.code not in (0, 130, *_KILLED):
+        found.append(f"exit code {struck.code}")
+    if struck.code == 130 and "interrupted" not in struck.said:
+        found.append("nothing was said")
+    check = {"capture": _captured, "synth": _synthesised, "batch": _batched}[command]
+    return [*found, *check(folder, struck.code)]
+
+
+def _captured(folder: Path, code: int) -> list[str]:
+    return _whole(folder / "out" / "photo", needed=code == 0)
+
+
+def _whole(folder: Path, *, needed: bool) -> list[str]:
+    """A captured material's folder: all of it or none."""
+    from matcap.brdf.folder import read_mapset
+    from matcap.model.material import Material
+
+    if not folder.exists():
+        return ["nothing was written"] if needed else []
+    hidden = [file.name for file in folder.iterdir() if file.name.startswith(".")]
+    json.loads((folder / "report.json").read_text())
+    read_mapset(folder / f"{folder.name}.json")
+    Material.load(folder / f"{folder.name}.matcap")
+    return hidden
+
+
+def _synthesised(folder: Path, code: int) -> list[str]:
+    from matcap.brdf.folder import read_mapset
+
+    more = folder / "more"
+    if code == 0:
+        read_mapset(more)
+        return []
+    if not more.exists():
+        return []
+    shown = [file.name for file in more.iterdir() if not file.name.startswith(".")]
+    return [f"half a map set: {shown}"] if shown else []
+
+
+def _batched(folder: Path, code: int) -> list[str]:
+    found = []
+    for name in ("a", "b"):
+        found += _whole(folder / "materials" / name, needed=code == 0)
+    return found
+
+
+def main(count: int) -> int:
+    """So many SIGTERM and as many SIGINT, spread over the commands; gives the number of faults."""
+    rng, wrong = random.Random(1), 0
+    with tempfile.TemporaryDirectory() as usual:
+        prepare(Path(usual))
+        takes = {name: strike(name, Path(usual), 0, 600.0).seconds for name in COMMANDS}
+    print(takes, flush=True)
+    for index in range(2 * count):
+        number = (signal.SIGTERM, signal.SIGINT)[index % 2]
+        command = list(COMMANDS)[index // 2 % len(COMMANDS)]
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place)
+            prepare(folder)
+            after = takes[command] * rng.uniform(_PYTHONS_OWN, 1.0)
+            struck = strike(command, folder, number, after)
+            found = faults(command, folder, struck)
+        wrong += bool(found)
+        print(f"{index} {command} {number.name} {after:.2f} s: {struck.code} {found}", flush=True)
+        if found:
+            print(struck.said)
+    print(f"{wrong} of {2 * count} at fault")
+    return wrong
+
+
+if __name__ == "__main__":
+    sys.exit(min(main(int(sys.argv[1])), 1))

@@ -1,0 +1,52 @@
+"""Six materials repeat without a seam: as a capture's first map set, and in every export."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from materials import a_material
+
+from matcap.brdf.seam import SEAMLESS, seam_ratio
+from matcap.export.targets import DOCUMENTS, PRESETS, write_export
+from matcap.export.textures import ExportJob
+from matcap.lab.simulate.materials import MATERIALS, realise
+from matcap.model.example.example import Example
+from matcap.model.exemplar import Exemplar
+from matcap.model.opened import open_maps, open_tile
+
+WIDTH, HEIGHT = 256, 192
+
+
+def by_example(name):
+    """A material that rearranges a simulated piece."""
+    maps = realise(name, WIDTH, HEIGHT, 1, 2.0 / WIDTH)
+    piece = {
+        kind: np.ascontiguousarray(getattr(maps, kind).float().numpy())
+        for kind in ("diffuse", "specular", "roughness", "height")
+    }
+    sure = np.ones((4, HEIGHT, WIDTH), np.float32)
+    exemplar = Exemplar(**piece, confidence=sure, texel_size=2.0 / WIDTH)
+    return replace(a_material(name), example=Example.of(exemplar))
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_a_materials_tile_has_no_seam_and_every_export_says_so(tmp_path, name):
+    by_example(name).save(tmp_path / f"{name}.matcap")
+    found = open_tile(tmp_path, size=(256, 256))
+    assert found.maps.periodic and seam_ratio(found.maps) <= SEAMLESS
+    if name == "leather":
+        for target in (*DOCUMENTS, *PRESETS):
+            job = ExportJob(found.maps, found.name)
+            done = write_export(job, target, tmp_path / target)
+            sidecar = json.loads((tmp_path / target / f"{name}_{target}.json").read_text())
+            assert sidecar["periodic"] is True and sidecar["seam"] <= SEAMLESS
+            assert not any("seam" in note for note in done.notes)
+
+
+def test_what_is_cut_from_the_endless_field_has_a_seam_which_an_export_tells(tmp_path):
+    by_example("leather").save(tmp_path / "leather.matcap")
+    maps = open_maps(tmp_path, size=(200, 200))
+    assert seam_ratio(maps) > SEAMLESS
+    done = write_export(ExportJob(maps, "leather"), "gltf", tmp_path / "gltf")
+    assert any("do not repeat" in note for note in done.notes)

@@ -1,0 +1,47 @@
+"""Signals: alike, postponed where work must be whole, and no matter to children."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from matcap.files.interrupts import postponed, starting_children
+
+BOTH = [signal.SIGINT, signal.SIGTERM]
+
+
+@pytest.mark.parametrize("number", BOTH)
+def test_a_postponed_signal_is_told_and_handlers_come_back(number):
+    before = [signal.getsignal(which) for which in BOTH]
+    with postponed() as came:
+        assert not came()
+        os.kill(os.getpid(), number)
+        assert came()
+    assert came() and [signal.getsignal(which) for which in BOTH] == before
+
+
+@pytest.mark.parametrize("number", BOTH)
+def test_a_signal_while_children_start_comes_afterwards(number):
+    reached = []
+    with pytest.raises(KeyboardInterrupt), starting_children():
+        os.kill(os.getpid(), number)
+        reached.append(True)
+    assert reached and signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
+
+
+@pytest.mark.parametrize("number", BOTH)
+def test_both_end_a_command_by_a_keyboard_interrupt(number):
+    program = (
+        "import os, sys; from matcap.files.interrupts import end_alike\n"
+        "came = end_alike()\n"
+        f"try: os.kill(os.getpid(), {int(number)}); input()\n"
+        "except KeyboardInterrupt: sys.exit(7 if came() else 8)\n"
+    )
+
+    def heed():
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    run = subprocess.run([sys.executable, "-c", program], preexec_fn=heed, check=False)
+    assert run.returncode == 7
