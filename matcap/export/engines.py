@@ -19,7 +19,7 @@ from matcap.export.presets import (
     normal,
     occlusion,
 )
-from matcap.export.shading import Shading
+from matcap.export.shading import TargetShading
 from matcap.export.textures import BASE, Workflow
 from matcap.export.unreal import unreal_import
 
@@ -27,8 +27,8 @@ _ORM = "R: occlusion, G: roughness, B: metallic"
 _F0 = "F0, on the sRGB curve"
 _UNREAL_F0 = 0.08  # of Specular = 1
 _UNITY_F0 = 0.04
-_MOBILE = Shading(specular="mobile")
-_HDRP = Shading(diffuse="disney")
+_MOBILE = TargetShading(specular="mobile")
+_HDRP = TargetShading(diffuse="disney")
 
 
 def _base(material: PackedMaterial) -> Picture:
@@ -113,7 +113,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             },
             normal="dx",
             normal_labels=_UNREAL_NAMES,
-            lit=Lit(Shading(masking="hammon", fading=True), "metallic", (0.0, _UNREAL_F0)),
+            lit=Lit(TargetShading(masking="hammon", fading=True), "metallic", (0.0, _UNREAL_F0)),
             notes=_UNREAL,
             documents=unreal_import,
         ),
@@ -128,7 +128,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             },
             normal="dx",
             normal_labels=_UNREAL_NAMES,
-            lit=Lit(Shading(masking="hammon", layer="albedo", compensated=True), "specular"),
+            lit=Lit(TargetShading(masking="hammon", layer="albedo", compensated=True), "specular"),
             notes=(
                 "needs Substrate, in Unreal's project settings; --workflow metallic does without",
                 *_UNREAL,
@@ -220,7 +220,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "height": height("height"),
                 "normal": normal(),
             },
-            lit=Lit(Shading(layer="half"), "metallic", (_UNITY_F0, _UNITY_F0)),
+            lit=Lit(TargetShading(layer="half"), "metallic", (_UNITY_F0, _UNITY_F0)),
             notes=("--to gltf keeps F0, by KHR_materials_specular",),
         ),
     },
@@ -234,7 +234,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "normal": normal(),
             },
             lit=Lit(
-                Shading(masking="hammon", fading=True),
+                TargetShading(masking="hammon", fading=True),
                 "metallic",
                 (_UNITY_F0, _UNITY_F0),
                 even=LARGEST_F0,
@@ -257,7 +257,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "normal": normal(),
             },
             normal="dx",
-            lit=Lit(Shading(), "metallic", (0.0, _UNREAL_F0)),
+            lit=Lit(TargetShading(), "metallic", (0.0, _UNREAL_F0)),
         ),
     },
 }

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.export.shading import MATCAP, Geometry, Shading, diffuse_lobe, specular_lobe
+from matcap.export.shading import MATCAP, Geometry, TargetShading, diffuse_lobe, specular_lobe
 from matcap.export.surface import DIRECTIONS
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class Told:
 
 
 @lru_cache(maxsize=64)
-def told(shading: Shading) -> Told:
+def told(shading: TargetShading) -> Told:
     """The tables of a target; all the same numbers where it shades as matcap does."""
     rough = torch.linspace(0.0, 1.0, _ROUGH, dtype=torch.float64).clamp_min(_LEAST)
     f0 = torch.linspace(0.0, 1.0, _F0, dtype=torch.float64).square().clamp_min(1e-4)
@@ -92,7 +92,7 @@ def told(shading: Shading) -> Told:
 
 
 def _nearest(
-    shading: Shading, places: list[Geometry], f0: Tensor, rough: Tensor
+    shading: TargetShading, places: list[Geometry], f0: Tensor, rough: Tensor
 ) -> tuple[Tensor, Tensor]:
     """(factor on F0, factor on roughness) of the least difference at every point of the grid."""
     meant = torch.stack([specular_lobe(MATCAP, at, f0, 1.0, rough) * at.light for at in places])

@@ -23,7 +23,7 @@ import numpy as np
 
 from matcap.errors import UsageError
 from matcap.export.presets import Lit, PackedMaterial
-from matcap.export.shading import Shading
+from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import (
     base_colour,
     brightest,
@@ -32,12 +32,12 @@ from matcap.export.specular_workflow import (
     told_roughness,
 )
 from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Picture, Texture
+from matcap.export.texture_file import Picture, TextureFile
 from matcap.export.textures import (
     BASE,
     Export,
     ExportJob,
-    Piece,
+    MapRows,
     Reader,
     coded_normal,
     occlusion_facts,
@@ -45,7 +45,7 @@ from matcap.export.textures import (
 )
 from matcap.files.maker import MAKER
 
-SHADING = Shading(layer="half")
+SHADING = TargetShading(layer="half")
 # Beyond this F0 the index of refraction runs off to infinity; a factor above 1 does the rest.
 _LARGEST_F0 = 0.9
 _FLOAT, _SHORT = 5126, 5123
@@ -55,10 +55,10 @@ _MIME = {"png": "image/png", "jpg": "image/jpeg", "webp": "image/webp"}
 
 
 @dataclass(frozen=True)
-class _Look:
+class _GltfLook:
     """A material's textures by name, and its numbers."""
 
-    textures: dict[str, Texture]
+    textures: dict[str, TextureFile]
     ior: float
     metallic: float
     factor: float | None = None
@@ -74,11 +74,11 @@ def gltf_specular(job: ExportJob) -> Export:
     largest = brightest(job, SHADING)
     limit = min(largest, _LARGEST_F0)
 
-    def tint(piece: Piece) -> Picture:
+    def tint(piece: MapRows) -> Picture:
         scaled = specular_colour(piece, SHADING) / np.float32(largest)
         return np.repeat(scaled[..., None], 3, axis=2)
 
-    def rough(piece: Piece) -> Picture:
+    def rough(piece: MapRows) -> Picture:
         occluded, flat = piece.picture("occlusion"), 0.0 * piece.ones
         return np.stack([occluded, told_roughness(piece, SHADING), flat], axis=-1)
 
@@ -100,7 +100,7 @@ def gltf_specular(job: ExportJob) -> Export:
             shading=SHADING,
         )
 
-    look = _Look(textures, ior(limit), 0.0, largest / limit)
+    look = _GltfLook(textures, ior(limit), 0.0, largest / limit)
     notes = (*clipping_notes(job, SHADING), *job.size_notes())
     facts = occlusion_facts(job)
     return Export({}, _documents(job, look), {"specular": surface}, notes, facts)
@@ -116,7 +116,7 @@ def gltf_metallic(job: ExportJob) -> Export:
     lit = Lit(SHADING, "metallic", even=_LARGEST_F0).of(job)
     f0 = lit.dielectric[0]
 
-    def rough(piece: Piece) -> Picture:
+    def rough(piece: MapRows) -> Picture:
         made = PackedMaterial(piece, lit)
         return np.stack([piece.picture("occlusion"), made.roughness, made.metallic.metallic], -1)
 
@@ -140,7 +140,7 @@ def gltf_metallic(job: ExportJob) -> Export:
             shading=SHADING,
         )
 
-    documents = _documents(job, _Look(textures, ior(f0), 1.0))
+    documents = _documents(job, _GltfLook(textures, ior(f0), 1.0))
     return Export({}, documents, {"metallic": surface}, job.size_notes(), occlusion_facts(job))
 
 
@@ -158,11 +158,11 @@ def _check(job: ExportJob) -> None:
         )
 
 
-def _documents(job: ExportJob, look: _Look) -> dict[str, Callable[[Path], bytes]]:
+def _documents(job: ExportJob, look: _GltfLook) -> dict[str, Callable[[Path], bytes]]:
     return {f"{job.name}.glb": partial(_glb, job, look)}
 
 
-def _glb(job: ExportJob, look: _Look, _: Path) -> bytes:
+def _glb(job: ExportJob, look: _GltfLook, _: Path) -> bytes:
     binary = _Binary()
     return binary.glb(_document(job, binary, look))
 
@@ -195,7 +195,7 @@ class _Binary:
         return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-def _document(job: ExportJob, binary: _Binary, look: _Look) -> dict[str, Any]:
+def _document(job: ExportJob, binary: _Binary, look: _GltfLook) -> dict[str, Any]:
     images = [
         {
             # Untagged: glTF says itself how numbers are read, and browsers would apply gAMA.
@@ -245,7 +245,7 @@ def _document(job: ExportJob, binary: _Binary, look: _Look) -> dict[str, Any]:
     }
 
 
-def _textures(look: _Look) -> tuple[list[str], list[dict[str, Any]]]:
+def _textures(look: _GltfLook) -> tuple[list[str], list[dict[str, Any]]]:
     """Extensions that textures need, and the textures."""
     used: list[str] = []
     textures: list[dict[str, Any]] = []

@@ -24,15 +24,15 @@ import numpy as np
 
 from matcap.errors import UsageError
 from matcap.export.gltf import ior
-from matcap.export.shading import Shading
+from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import (
     base_colour,
     clipping_notes,
     specular_colour,
 )
 from matcap.export.surface import TargetSurface, nearest
-from matcap.export.texture_file import Picture, Texture
-from matcap.export.textures import BASE, Export, ExportJob, Piece, Reader, Standard, signed
+from matcap.export.texture_file import Picture, TextureFile
+from matcap.export.textures import BASE, Export, ExportJob, MapRows, Reader, Standard, signed
 
 VERSION = "1.39"
 # Indices of refraction that are tried, by their F0; the last is as high as they get.
@@ -79,9 +79,9 @@ class Layered:
         shading: what the shaders do with them.
     """
 
-    base: Texture
-    tint: Texture
-    shading: Shading
+    base: TextureFile
+    tint: TextureFile
+    shading: TargetShading
 
     @staticmethod
     def of(job: ExportJob) -> Layered:
@@ -96,9 +96,9 @@ class Layered:
     @staticmethod
     def at(job: ExportJob, index: float) -> Layered:
         """Of a job's maps, with the index of refraction that reflects F0 = `index`."""
-        shading = Shading(layer="albedo", compensated=True, index=index)
+        shading = TargetShading(layer="albedo", compensated=True, index=index)
 
-        def tint(piece: Piece) -> Picture:
+        def tint(piece: MapRows) -> Picture:
             return np.clip(specular_colour(piece, shading) / np.float32(index), 0.0, 1.0)
 
         return Layered(
@@ -112,7 +112,7 @@ class Layered:
         """The index of refraction."""
         return ior(self.shading.index or 0.0)
 
-    def files(self, name: str) -> dict[str, Texture]:
+    def files(self, name: str) -> dict[str, TextureFile]:
         """By file name."""
         return {
             f"{name}_base_color{self.base.suffix}": self.base,
@@ -145,14 +145,14 @@ class _Document:
         self.root = ET.Element("materialx", version=VERSION, colorspace="lin_rec709")
         self.graph = ET.SubElement(self.root, "nodegraph", name="NG_matcap")
 
-    def image(self, name: str, kind: str, file: str, texture: Texture) -> None:
+    def image(self, name: str, kind: str, file: str, texture: TextureFile) -> None:
         """A picture, with the colour space of its numbers: raw where they are no colours."""
         node = _node(self.graph, "image", name, kind)
         space = "srgb_texture" if texture.colour_space == "sRGB" else "lin_rec709"
         made = ET.SubElement(node, "input", name="file", type="filename", value=file)
         made.set("colorspace", space if texture.srgb else "raw")
 
-    def displaced(self, file: str, texture: Texture) -> None:
+    def displaced(self, file: str, texture: TextureFile) -> None:
         """The height, moving the surface."""
         job, graph = self.job, self.graph
         self.image("height", "float", file, texture)
@@ -189,7 +189,7 @@ class _Document:
         return ET.tostring(self.root, encoding="utf-8", xml_declaration=True) + b"\n"
 
 
-def _exact(job: ExportJob, files: dict[str, Texture], _: Path) -> bytes:
+def _exact(job: ExportJob, files: dict[str, TextureFile], _: Path) -> bytes:
     """The .mtlx file of matcap's own reflectance; the five textures."""
     made = _Document(job)
     graph = made.graph
@@ -248,7 +248,7 @@ INPUTS = {
 
 
 def _layered(
-    job: ExportJob, files: dict[str, Texture], shader: str, index: float, _: Path
+    job: ExportJob, files: dict[str, TextureFile], shader: str, index: float, _: Path
 ) -> bytes:
     """The .mtlx file of one of the standard shaders; the five textures."""
     made = _Document(job)

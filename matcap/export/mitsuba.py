@@ -17,10 +17,10 @@ from importlib.resources import files as resources
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.export.shading import Shading
+from matcap.export.shading import TargetShading
 from matcap.export.surface import TargetSurface
 from matcap.export.texture_file import Picture
-from matcap.export.textures import Export, ExportJob, Piece, Reader, Standard, signed
+from matcap.export.textures import Export, ExportJob, MapRows, Reader, Standard, signed
 
 _SCRIPT = "matcap_bsdf.py"
 _LARGEST_SHARE = 0.98
@@ -51,7 +51,7 @@ def mitsuba(job: ExportJob) -> Export:
             read(textures.roughness),
             signed(read(textures.normal)),
             f90=share,
-            shading=Shading(masking="separable"),
+            shading=TargetShading(masking="separable"),
         )
 
     diffuse_file, specular_file, roughness_file, normal_file, _ = standard
@@ -80,19 +80,19 @@ def mitsuba(job: ExportJob) -> Export:
     )
 
 
-def _share(piece: Piece) -> Picture:
+def _share(piece: MapRows) -> Picture:
     """(H, W) as much of the blend as the diffuse albedo leaves to the specular part."""
     rest = 1.0 - piece.picture("diffuse").max(axis=-1)
     least = np.minimum(piece.picture("specular"), _LARGEST_SHARE)
     return np.clip(rest, least, np.float32(_LARGEST_SHARE)).astype(np.float32)
 
 
-def _blend_diffuse(piece: Piece) -> Picture:
+def _blend_diffuse(piece: MapRows) -> Picture:
     below: Picture = piece.picture("diffuse") / (np.float32(1.0) - _share(piece))[..., None]
     return below
 
 
-def _blend_specular(piece: Piece) -> Picture:
+def _blend_specular(piece: MapRows) -> Picture:
     return (piece.picture("specular") / np.maximum(_share(piece), 1e-6)).astype(np.float32)
 
 

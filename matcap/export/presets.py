@@ -22,9 +22,9 @@ from matcap.errors import UsageError
 from matcap.export.fit import told
 from matcap.export.metallic import FIRST_METAL, Metallic, to_metallic
 from matcap.export.names import known
-from matcap.export.shading import MATCAP, Shading
+from matcap.export.shading import MATCAP, TargetShading
 from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Depth, Texture
+from matcap.export.texture_file import Depth, TextureFile
 from matcap.export.textures import (
     BENT,
     CAVITY,
@@ -36,7 +36,7 @@ from matcap.export.textures import (
     Export,
     ExportJob,
     MadeSurface,
-    Piece,
+    MapRows,
     Reader,
     Workflow,
     coded_height,
@@ -66,7 +66,7 @@ class PackedMaterial:
         lit: how the target shades and parametrises them.
     """
 
-    piece: Piece
+    piece: MapRows
     lit: Lit
 
     @property
@@ -115,7 +115,7 @@ class Lit:
             engine does not let it.
     """
 
-    shading: Shading
+    shading: TargetShading
     workflow: Workflow
     dielectric: tuple[float, float] = (0.0, 1.0)
     below: float = 1.0
@@ -240,7 +240,7 @@ def pack(job: ExportJob, preset: Preset, choice: PresetOptions | None = None) ->
     wanted = [known(one, preset.textures, "--maps") for one in choice.maps]
     pattern = _checked(choice.pattern or preset.pattern)
     lit = preset.lit and preset.lit.of(job)
-    packed: dict[str, tuple[str, Texture]] = {}
+    packed: dict[str, tuple[str, TextureFile]] = {}
     for kind, texture in preset.textures.items():
         if wanted and kind not in wanted:
             continue
@@ -267,7 +267,7 @@ def pack(job: ExportJob, preset: Preset, choice: PresetOptions | None = None) ->
 
 
 def _names(
-    job: ExportJob, packed: dict[str, tuple[str, Texture]], pattern: str, thousand: str
+    job: ExportJob, packed: dict[str, tuple[str, TextureFile]], pattern: str, thousand: str
 ) -> dict[str, str]:
     """File names by kind.
 
@@ -303,16 +303,16 @@ def _facts(job: ExportJob, preset: Preset, wanted: Sequence[str]) -> dict[str, A
     return facts
 
 
-def _made(job: ExportJob, lit: Lit | None, texture: PresetTexture) -> Texture:
+def _made(job: ExportJob, lit: Lit | None, texture: PresetTexture) -> TextureFile:
     told_as = lit or Lit(MATCAP, "specular")
 
-    def make(piece: Piece) -> Picture:
+    def make(piece: MapRows) -> Picture:
         return texture.make(PackedMaterial(piece, told_as))
 
     return job.texture(make, texture.depth, texture.meaning, srgb=texture.srgb)
 
 
-def _height(job: ExportJob, texture: PresetTexture) -> Texture:
+def _height(job: ExportJob, texture: PresetTexture) -> TextureFile:
     """Whole numbers hold the coded height; floats the height itself."""
     made = job.texture(coded_height, texture.depth, CODED_HEIGHT, lossy=False)
     if made.whole:
@@ -320,7 +320,7 @@ def _height(job: ExportJob, texture: PresetTexture) -> Texture:
     return job.texture(picture("height"), texture.depth, HEIGHT, lossy=False)
 
 
-def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> Texture:
+def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> TextureFile:
     """Whole numbers hold 0.5 + 0.5 n, floats n itself."""
     up = "+Y down (DirectX)" if dx else "+Y up (OpenGL)"
     make = coded_normal_dx if dx else coded_normal
@@ -334,7 +334,7 @@ def _ways(normal: Normals) -> tuple[Literal["gl", "dx"], ...]:
     return ("gl", "dx") if normal == "both" else (normal,)
 
 
-def _surface(lit: Lit, textures: dict[str, Texture], read: Reader) -> TargetSurface:
+def _surface(lit: Lit, textures: dict[str, TextureFile], read: Reader) -> TargetSurface:
     """What an engine makes of the packed textures."""
     seen = {kind: read(made) for kind, made in textures.items() if kind not in (*_SHADED, "height")}
     base = seen["base"]
@@ -372,7 +372,7 @@ def _seen_roughness(seen: dict[str, Tensor]) -> Tensor:
     return 1.0 - smooth[3:4]
 
 
-def _seen_normal(textures: dict[str, Texture], seen: dict[str, Tensor]) -> Tensor:
+def _seen_normal(textures: dict[str, TextureFile], seen: dict[str, Tensor]) -> Tensor:
     kind = "normal_dx" if "normal_dx" in seen else "normal_gl"
     bent = signed(seen[kind]) if textures[kind].whole else seen[kind]
     sign = [1.0, -1.0 if kind == "normal_dx" else 1.0, 1.0]

@@ -1,7 +1,7 @@
 """How targets shade: where their reflectance differs from matcap's (brdf/cook_torrance.py).
 
 Targets differ in a few ways only: which masking they know, which diffuse lobe, which Fresnel, and
-whether what the specular layer reflects is taken from what lies below it. A Shading says these
+whether what the specular layer reflects is taken from what lies below it. TargetShading says these
 things of a target; one evaluation serves all of them. Sources:
 
 - glTF 2.0, appendix B; UsdPreviewSurface 2.6: the layer takes F(v.h) from the diffuse part.
@@ -33,7 +33,7 @@ _LEAST_URP_COSINE = 0.1  # of (l.h)^2
 
 
 @dataclass(frozen=True)
-class Shading:
+class TargetShading:
     """What a target does with diffuse, F0 and roughness.
 
     Attributes:
@@ -58,7 +58,7 @@ class Shading:
     fading: bool = False
 
 
-MATCAP = Shading()
+MATCAP = TargetShading()
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Geometry:
 
 
 def diffuse_lobe(
-    shading: Shading, at: Geometry, roughness: Tensor, layer: float | Tensor | None
+    shading: TargetShading, at: Geometry, roughness: Tensor, layer: float | Tensor | None
 ) -> Tensor:
     """What is seen of the diffuse albedo, in 1/sr; `layer` is the F0 of what lies above it."""
     value = torch.full_like(at.light, 1.0 / math.pi)
@@ -120,7 +120,7 @@ def diffuse_lobe(
 
 
 def specular_lobe(
-    shading: Shading, at: Geometry, f0: Tensor, f90: float | Tensor, roughness: Tensor
+    shading: TargetShading, at: Geometry, f0: Tensor, f90: float | Tensor, roughness: Tensor
 ) -> Tensor:
     """What is reflected at the surface, in 1/sr, without n.l."""
     if shading.specular == "mobile":
@@ -136,7 +136,7 @@ def specular_lobe(
     return value
 
 
-def _fresnel(shading: Shading, at: Geometry, f0: Tensor, f90: float | Tensor) -> Tensor:
+def _fresnel(shading: TargetShading, at: Geometry, f0: Tensor, f90: float | Tensor) -> Tensor:
     if shading.index is not None:
         return f0 / shading.index * _dielectric(at, shading.index)
     if shading.fading:
@@ -153,7 +153,7 @@ def _dielectric(at: Geometry, f0: float) -> Tensor:
     return 0.5 * ((g - c) / (g + c)).square() * (1.0 + edge)
 
 
-def _visibility(shading: Shading, at: Geometry, alpha: Tensor) -> Tensor:
+def _visibility(shading: TargetShading, at: Geometry, alpha: Tensor) -> Tensor:
     if shading.masking == "correlated":
         return smith_visibility(at.light, at.view, alpha)
     if shading.masking == "hammon":

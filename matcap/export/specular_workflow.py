@@ -9,38 +9,38 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from matcap.export.fit import told
-from matcap.export.shading import Shading
+from matcap.export.shading import TargetShading
 
 if TYPE_CHECKING:
     from matcap.export.texture_file import Picture
-    from matcap.export.textures import ExportJob, Piece
+    from matcap.export.textures import ExportJob, MapRows
 
 _ROWS = 512
 
 
-def base_colour(piece: Piece, shading: Shading) -> Picture:
+def base_colour(piece: MapRows, shading: TargetShading) -> Picture:
     """(H, W, 3) colour that shows as the diffuse albedo; may exceed 1."""
     share = told(shading).albedo(piece.picture("specular"), piece.picture("roughness"))
     return piece.picture("diffuse") * share[..., None]
 
 
-def specular_colour(piece: Piece, shading: Shading) -> Picture:
+def specular_colour(piece: MapRows, shading: TargetShading) -> Picture:
     """(H, W) F0 that shows as the one that is meant; may exceed 1."""
     return told(shading).f0(piece.picture("specular"), piece.picture("roughness"))
 
 
-def told_roughness(piece: Piece, shading: Shading) -> Picture:
+def told_roughness(piece: MapRows, shading: TargetShading) -> Picture:
     """(H, W) roughness that shows as the one that is meant."""
     return told(shading).rough(piece.picture("specular"), piece.picture("roughness"))
 
 
-def brightest(job: ExportJob, shading: Shading) -> float:
+def brightest(job: ExportJob, shading: TargetShading) -> float:
     """The largest F0 that the target is told."""
     found = (specular_colour(piece, shading).max() for piece in _bands(job))
     return max(1e-4, *(float(one) for one in found), 0.0)
 
 
-def clipping_notes(job: ExportJob, shading: Shading) -> tuple[str, ...]:
+def clipping_notes(job: ExportJob, shading: TargetShading) -> tuple[str, ...]:
     """What must be said of texels that reflect more than a layered model allows."""
     bands = _bands(job)
     over = sum(int((base_colour(piece, shading).max(axis=-1) > 1.0).sum()) for piece in bands)
@@ -53,6 +53,6 @@ def clipping_notes(job: ExportJob, shading: Shading) -> tuple[str, ...]:
     )
 
 
-def _bands(job: ExportJob) -> list[Piece]:
+def _bands(job: ExportJob) -> list[MapRows]:
     _, height = job.maps.size
     return [job.piece(slice(top, min(top + _ROWS, height))) for top in range(0, height, _ROWS)]

@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.export.shading import MATCAP, Geometry, Shading, diffuse_lobe, specular_lobe
+from matcap.export.shading import MATCAP, Geometry, TargetShading, diffuse_lobe, specular_lobe
 
 if TYPE_CHECKING:
-    from matcap.export.texture_file import Picture, Texture
+    from matcap.export.texture_file import Picture, TextureFile
     from matcap.export.textures import ExportJob, MadeSurface
 
 # Directions under which surfaces are compared, degrees: view and light from the vertical, and the
@@ -54,7 +54,7 @@ class TargetSurface:
     normal: Tensor
     f90: float | Tensor = 1.0
     layer: float | Tensor | None = None
-    shading: Shading = MATCAP
+    shading: TargetShading = MATCAP
 
     @staticmethod
     def of_maps(maps: MapSet) -> TargetSurface:
@@ -140,9 +140,9 @@ def residuals(
     """
     step = thinning(*job.maps.size, texels)
     piece = job.piece(slice(None, None, step), slice(None, None, step))
-    seen: dict[int, tuple[Texture, Tensor]] = {}
+    seen: dict[int, tuple[TextureFile, Tensor]] = {}
 
-    def read(texture: Texture) -> Tensor:
+    def read(texture: TextureFile) -> Tensor:
         if id(texture) not in seen:
             seen[id(texture)] = texture, _channels(texture.seen(piece))
         return seen[id(texture)][1]

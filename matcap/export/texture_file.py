@@ -18,7 +18,7 @@ from matcap.files.png import png_bytes, quantised
 from matcap.files.srgb import srgb_decode, srgb_picture
 
 if TYPE_CHECKING:
-    from matcap.export.textures import ExportJob, Piece
+    from matcap.export.textures import ExportJob, MapRows
 
 Depth = Literal["8", "16", "half", "float"]
 Container = Literal["png", "jpg", "webp", "exr", "tx"]
@@ -37,7 +37,7 @@ _INCH = 0.0254
 
 
 @dataclass(frozen=True)
-class Texture:
+class TextureFile:
     """A texture as a file holds it.
 
     Attributes:
@@ -49,7 +49,7 @@ class Texture:
         container: the file's format.
     """
 
-    make: Callable[[Piece], Picture]
+    make: Callable[[MapRows], Picture]
     depth: Depth
     srgb: bool = False
     meaning: str = ""
@@ -70,7 +70,7 @@ class Texture:
         """How readers must take the file's numbers."""
         return "sRGB" if self.srgb and self.whole else "linear"
 
-    def stored(self, piece: Piece) -> NDArray[Any]:
+    def stored(self, piece: MapRows) -> NDArray[Any]:
         """The numbers in the file, of a piece of the maps.
 
         Raises:
@@ -87,7 +87,7 @@ class Texture:
             )
         return values.astype(np.float16 if self.depth == "half" else np.float32)
 
-    def seen(self, piece: Piece) -> Picture:
+    def seen(self, piece: MapRows) -> Picture:
         """The values that a reader gets back: rounded and clipped as the file does."""
         stored = self.stored(piece)
         if not self.whole:
@@ -156,7 +156,7 @@ def _curved(values: Picture) -> Picture:
     return np.concatenate([srgb_picture(values[..., :3]), values[..., 3:]], axis=-1)
 
 
-def _tagged(png: bytes, texture: Texture, job: ExportJob) -> bytes:
+def _tagged(png: bytes, texture: TextureFile, job: ExportJob) -> bytes:
     """A PNG that says how its numbers are to be read, and how long a texel is if that is known.
 
     Chunks sRGB and gAMA, or gAMA alone for linear numbers, and pHYs (PNG 3rd edition, 11.3).

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.export.texture_file import CONTAINERS, Container, Depth, Picture, Texture
+from matcap.export.texture_file import CONTAINERS, Container, Depth, Picture, TextureFile
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -96,13 +96,13 @@ class ExportJob:
 
     def texture(
         self,
-        make: Callable[[Piece], Picture],
+        make: Callable[[MapRows], Picture],
         usual: Depth,
         meaning: str,
         *,
         srgb: bool = False,
         lossy: bool = True,
-    ) -> Texture:
+    ) -> TextureFile:
         """A texture in the file format and depth that was asked for, or is usual.
 
         Args:
@@ -118,7 +118,7 @@ class ExportJob:
         depth, container = self.depth or usual, self.container
         if container in ("jpg", "webp"):
             if not lossy:
-                return Texture(make, self.depth or usual, srgb, meaning)
+                return TextureFile(make, self.depth or usual, srgb, meaning)
             depth = self.depth or "8"
         elif container == "exr":
             depth = self.depth or (usual if usual in CONTAINERS["exr"] else "half")
@@ -130,7 +130,7 @@ class ExportJob:
                 where="--bits",
                 remedy=f"give {' or '.join(CONTAINERS[container])}",
             )
-        return Texture(make, depth, srgb, meaning, container)
+        return TextureFile(make, depth, srgb, meaning, container)
 
     @cached_property
     def diffuse(self) -> Picture:
@@ -192,9 +192,9 @@ class ExportJob:
         found: Picture = getattr(self, kind)
         return found
 
-    def piece(self, rows: slice = slice(None), columns: slice = slice(None)) -> Piece:
+    def piece(self, rows: slice = slice(None), columns: slice = slice(None)) -> MapRows:
         """Some of the texels; all by default."""
-        return Piece(self, rows, columns)
+        return MapRows(self, rows, columns)
 
     @cached_property
     def height_code(self) -> tuple[float, float]:
@@ -207,7 +207,7 @@ class ExportJob:
 
 
 @dataclass(frozen=True)
-class Piece:
+class MapRows:
     """Some texels of a job's maps; each is as it is in the whole."""
 
     job: ExportJob
@@ -225,7 +225,7 @@ class Piece:
 
 
 # What a target reads from a texture: (C, H, W) float64.
-Reader = Callable[[Texture], "Tensor"]
+Reader = Callable[[TextureFile], "Tensor"]
 MadeSurface = Callable[[Reader], "TargetSurface"]
 
 
@@ -242,7 +242,7 @@ class Export:
         facts: what else the sidecar tells; JSON.
     """
 
-    textures: dict[str, Texture]
+    textures: dict[str, TextureFile]
     documents: dict[str, Callable[[Path], bytes]]
     surfaces: dict[str, MadeSurface]
     notes: tuple[str, ...] = ()
@@ -253,11 +253,11 @@ class Export:
 class Standard:
     """The five textures that documents name, for targets that add diffuse and specular."""
 
-    diffuse: Texture
-    specular: Texture
-    roughness: Texture
-    normal: Texture
-    height: Texture
+    diffuse: TextureFile
+    specular: TextureFile
+    roughness: TextureFile
+    normal: TextureFile
+    height: TextureFile
 
     @staticmethod
     def of(job: ExportJob) -> Standard:
@@ -270,7 +270,7 @@ class Standard:
             float_height(job),
         )
 
-    def files(self, name: str) -> dict[str, Texture]:
+    def files(self, name: str) -> dict[str, TextureFile]:
         """By file name."""
         return {
             f"{name}_{kind}{texture.suffix}": texture
@@ -292,34 +292,34 @@ class Standard:
         )
 
 
-def picture(kind: str) -> Callable[[Piece], Picture]:
+def picture(kind: str) -> Callable[[MapRows], Picture]:
     """Makes a texture of a map as it is."""
     return lambda piece: piece.picture(kind)
 
 
-def coded_normal(piece: Piece) -> Picture:
+def coded_normal(piece: MapRows) -> Picture:
     """(H, W, 3) 0.5 + 0.5 n, +Y up."""
     return np.float32(0.5) + np.float32(0.5) * piece.picture("normal")
 
 
-def coded_normal_dx(piece: Piece) -> Picture:
+def coded_normal_dx(piece: MapRows) -> Picture:
     """(H, W, 3) 0.5 + 0.5 n, green turned around for DirectX."""
     coded = coded_normal(piece)
     coded[..., 1] = np.float32(1.0) - coded[..., 1]
     return coded
 
 
-def coded_height(piece: Piece) -> Picture:
+def coded_height(piece: MapRows) -> Picture:
     """(H, W) height in [0, 1], mid-grey undisplaced; see ExportJob.height_code."""
     scale, midlevel = piece.job.height_code
     coded: Picture = piece.picture("height") / np.float32(scale) + np.float32(midlevel)
     return coded
 
 
-def float_height(job: ExportJob) -> Texture:
+def float_height(job: ExportJob) -> TextureFile:
     """The height itself in plane units, 32-bit float whatever was asked for of the others."""
     container: Container = job.container if job.container == "tx" else "exr"
-    return Texture(picture("height"), "float", meaning=HEIGHT, container=container)
+    return TextureFile(picture("height"), "float", meaning=HEIGHT, container=container)
 
 
 def height_facts(job: ExportJob, scale: float, midlevel: float) -> dict[str, Any]:

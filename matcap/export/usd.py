@@ -27,10 +27,10 @@ from matcap.errors import UsageError
 from matcap.export.gltf import ior
 from matcap.export.materialx import INPUTS, Layered
 from matcap.export.presets import Lit, PackedMaterial
-from matcap.export.shading import Shading
+from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import base_colour, clipping_notes, specular_colour
 from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Picture, Texture
+from matcap.export.texture_file import Picture, TextureFile
 from matcap.export.textures import (
     BASE,
     CODED_HEIGHT,
@@ -40,7 +40,7 @@ from matcap.export.textures import (
     SPECULAR,
     Export,
     ExportJob,
-    Piece,
+    MapRows,
     Reader,
     Standard,
     coded_height,
@@ -52,9 +52,9 @@ from matcap.export.textures import (
 )
 from matcap.files.maker import MAKER
 
-SHADING = Shading(layer="half")
+SHADING = TargetShading(layer="half")
 # What programs do that take UsdPreviewSurface for a Principled BSDF with a tint.
-_FALLBACK = Shading(layer="half", compensated=True)
+_FALLBACK = TargetShading(layer="half", compensated=True)
 _MIRROR = 1000.0  # an index of refraction that reflects 0.996 of the light
 _LARGEST_F0 = 0.9
 _ALIGNMENT = 64
@@ -65,7 +65,7 @@ _CONTAINERS = ("png", "jpg")
 
 
 @dataclass(frozen=True)
-class _Look:
+class _UsdLook:
     """A material's textures by input, and its numbers.
 
     Attributes:
@@ -75,7 +75,7 @@ class _Look:
         layered: textures and index of the MaterialX network.
     """
 
-    inputs: dict[str, Texture]
+    inputs: dict[str, TextureFile]
     specular: bool
     ior: float
     layered: Layered
@@ -85,7 +85,7 @@ class _Look:
         textures = self.textures()
         return {kind: f"{name}_{kind}{made.suffix}" for kind, made in textures.items()}
 
-    def textures(self) -> dict[str, Texture]:
+    def textures(self) -> dict[str, TextureFile]:
         """All of them by kind."""
         return self.inputs | {"mtlx_base": self.layered.base, "mtlx_specular": self.layered.tint}
 
@@ -98,7 +98,7 @@ def usd_specular(job: ExportJob) -> Export:
     """
     _check(job)
 
-    def grey(piece: Piece) -> Picture:
+    def grey(piece: MapRows) -> Picture:
         return np.repeat(specular_colour(piece, SHADING)[..., None], 3, axis=2)
 
     shared = _shared(job)
@@ -109,7 +109,7 @@ def usd_specular(job: ExportJob) -> Export:
         "roughness": job.texture(picture("roughness"), "16", ROUGHNESS),
         **shared,
     }
-    look = _Look(inputs, True, _MIRROR, Layered.of(job))
+    look = _UsdLook(inputs, True, _MIRROR, Layered.of(job))
 
     def surface(read: Reader) -> TargetSurface:
         specular = read(inputs["specular"])[:1]
@@ -156,7 +156,7 @@ def usd_metallic(job: ExportJob) -> Export:
             shading=SHADING,
         )
 
-    return _export(job, _Look(inputs, False, ior(f0), Layered.of(job)), {"metallic": surface})
+    return _export(job, _UsdLook(inputs, False, ior(f0), Layered.of(job)), {"metallic": surface})
 
 
 def _check(job: ExportJob) -> None:
@@ -168,7 +168,7 @@ def _check(job: ExportJob) -> None:
         )
 
 
-def _shared(job: ExportJob) -> dict[str, Texture]:
+def _shared(job: ExportJob) -> dict[str, TextureFile]:
     """What both forms have."""
     return {
         "normal_gl": job.texture(coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
@@ -177,7 +177,7 @@ def _shared(job: ExportJob) -> dict[str, Texture]:
     }
 
 
-def _fallback(look: _Look, read: Reader) -> TargetSurface:
+def _fallback(look: _UsdLook, read: Reader) -> TargetSurface:
     """What programs without the specular workflow make of it."""
     f0 = read(look.inputs["specular"])[:1] * ((look.ior - 1.0) / (look.ior + 1.0)) ** 2
     return TargetSurface(
@@ -191,7 +191,7 @@ def _fallback(look: _Look, read: Reader) -> TargetSurface:
 
 
 def _export(
-    job: ExportJob, look: _Look, surfaces: dict[str, Callable[[Reader], TargetSurface]]
+    job: ExportJob, look: _UsdLook, surfaces: dict[str, Callable[[Reader], TargetSurface]]
 ) -> Export:
     def openpbr(read: Reader) -> TargetSurface:
         return look.layered.surface(Standard.of(job), read)
@@ -212,7 +212,7 @@ def _export(
     )
 
 
-def _stage(job: ExportJob, look: _Look, files: dict[str, str]) -> str:
+def _stage(job: ExportJob, look: _UsdLook, files: dict[str, str]) -> str:
     """The .usda text."""
     x, y = (side * job.metres / 2.0 for side in job.extent)
     name = _identifier(job.name)
@@ -303,7 +303,7 @@ def Xform "{name}" (
 '''  # noqa: E501
 
 
-def _network(look: _Look, files: dict[str, str]) -> str:
+def _network(look: _UsdLook, files: dict[str, str]) -> str:
     """OpenPBR as MaterialX has it, in USD's words (UsdMtlx)."""
     taken = INPUTS["open_pbr_surface"]
     kinds = {"color3": "color3f", "float": "float", "vector3": "float3"}

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from exported import channels, linear
 
-from matcap.export.shading import Shading
+from matcap.export.shading import TargetShading
 from matcap.export.surface import TargetSurface
 
 VALIDATOR = Path(__file__).parents[2] / ".node" / "node_modules" / "gltf-validator"
@@ -81,5 +81,5 @@ def surface(path) -> TargetSurface:
         channels(read(rough["metallicRoughnessTexture"]))[1:2],
         2.0 * channels(read(material["normalTexture"])) - 1.0,
         layer=f0.amax(dim=0, keepdim=True),
-        shading=Shading(layer="half"),
+        shading=TargetShading(layer="half"),
     )

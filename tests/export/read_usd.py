@@ -5,7 +5,7 @@ import numpy as np
 from exported import channels, linear
 from pxr import Ar, Usd, UsdShade, UsdValidation
 
-from matcap.export.shading import Shading
+from matcap.export.shading import TargetShading
 from matcap.export.surface import TargetSurface
 
 
@@ -95,4 +95,4 @@ def surface(path) -> TargetSurface:
     assert bound.GetInput("useSpecularWorkflow").Get() == 1
     f0 = read(bound, "specularColor")
     base, rough, normal = (read(bound, i) for i in ("diffuseColor", "roughness", "normal"))
-    return TargetSurface(base, f0, rough, normal, layer=f0, shading=Shading(layer="half"))
+    return TargetSurface(base, f0, rough, normal, layer=f0, shading=TargetShading(layer="half"))

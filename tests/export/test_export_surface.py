@@ -5,7 +5,7 @@ import torch
 from exported import MATERIALS
 
 from matcap.brdf.maps import MapSet
-from matcap.export.shading import Shading
+from matcap.export.shading import TargetShading
 from matcap.export.surface import TargetSurface, residual
 
 
@@ -23,14 +23,14 @@ def test_the_maps_themselves_have_none(made, name):
         lambda s: {"roughness": s.roughness * 1.1},
         lambda s: {"normal": s.normal * torch.tensor([1.0, -1.0, 1.0])[:, None, None]},
         lambda s: {"f90": 0.5},
-        lambda s: {"shading": Shading(masking="separable")},
-        lambda s: {"shading": Shading(masking="hammon")},
-        lambda s: {"shading": Shading(diffuse="disney")},
-        lambda s: {"shading": Shading(index=0.04)},
-        lambda s: {"shading": Shading(specular="mobile")},
-        lambda s: {"shading": Shading(compensated=True)},
-        lambda s: {"shading": Shading(layer="half"), "layer": s.f0},
-        lambda s: {"shading": Shading(layer="albedo"), "layer": s.f0},
+        lambda s: {"shading": TargetShading(masking="separable")},
+        lambda s: {"shading": TargetShading(masking="hammon")},
+        lambda s: {"shading": TargetShading(diffuse="disney")},
+        lambda s: {"shading": TargetShading(index=0.04)},
+        lambda s: {"shading": TargetShading(specular="mobile")},
+        lambda s: {"shading": TargetShading(compensated=True)},
+        lambda s: {"shading": TargetShading(layer="half"), "layer": s.f0},
+        lambda s: {"shading": TargetShading(layer="albedo"), "layer": s.f0},
     ],
     ids=[
         "diffuse",

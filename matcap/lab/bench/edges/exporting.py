@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from matcap.brdf.maps import MapSet
 from matcap.export.metallic import SURE_METAL, to_metallic
 from matcap.export.targets import DOCUMENTS, PRESETS, write_export
-from matcap.export.texture_file import Container, Depth, Texture
+from matcap.export.texture_file import Container, Depth, TextureFile
 from matcap.export.textures import ExportJob
 from matcap.files.exr import LARGEST_HALF, read_exr
 from matcap.files.srgb import srgb_decode
@@ -58,7 +58,7 @@ def textures(g: np.random.Generator) -> Swept:
     if depth in ("half", "float"):
         values = (values * log_uniform(g, 1e-6, 1e6)).astype(np.float32)
     container: Container = "png" if depth in ("8", "16") else "exr"
-    stored = Texture(lambda _piece: values, depth, srgb, container=container)
+    stored = TextureFile(lambda _piece: values, depth, srgb, container=container)
     job = ExportJob(_even_maps(values.shape), "edge")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"texture{stored.suffix}"
