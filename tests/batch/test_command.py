@@ -68,7 +68,7 @@ def test_the_steps_predicted_are_those_a_capture_takes(chosen, tuning, monkeypat
 
     monkeypatch.setattr(pipeline, "capture_file", trial)
     monkeypatch.setattr(outputs, "write_outputs", lambda *_: None)
-    seconds, _ = _trial(Path("a.jpg"), BatchSettings.of(chosen))
+    seconds, _ = _trial(Path("a.jpg"), BatchSettings.of({"generator": "decoder"} | chosen))
     assert seconds + 12.0 == pytest.approx(tuning, abs=0.5)
     assert (asked[0].time_limit, asked[0].target) == (None, None)
 
