@@ -60,11 +60,12 @@ def test_numbers_that_json_does_not_know_become_null(captured, tmp_path):
 
 
 def test_a_limit_that_chooses_the_preset_is_told(captured):
-    assert report(captured)["notes"] == []
+    usual = report(captured)["notes"]
+    assert not any("preset" in note for note in usual)
     limited = replace(captured, settings=CaptureSettings(preset="draft", time_limit=9.0))
     told = report(limited)
     assert told["effort"]["preset"] == "reference" and told["effort"]["steps"] == 800
-    (note,) = told["notes"]
+    (note,) = (note for note in told["notes"] if note not in usual)
     assert "the preset was reference: at most 800 steps" in note
     counted = replace(captured, settings=CaptureSettings(steps=5, time_limit=9.0))
-    assert report(counted)["notes"] == []
+    assert report(counted)["notes"] == usual

@@ -101,12 +101,13 @@ def test_waves_of_any_direction_are_left_as_they_are(way) -> None:
 
 @pytest.mark.parametrize(
     ("told", "trust", "expected"),
-    [(2.0, 1.0, 2.0**0.8), (0.5, 1.0, 0.5**0.8), (2.0, 0.0, 1.0), (2.0, 0.5, 2.0**0.4)],
+    [(2.0, 1.0, 2.0), (0.5, 1.0, 0.5), (2.0, 0.0, 1.0), (2.0, 0.5, 2.0**0.875)],
 )
 def test_relief_becomes_as_strong_as_the_photograph_says_so_far_as_it_is_trusted(
     told, trust, expected
 ) -> None:
-    height = _bumps()
+    height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
+    height = height.astype(np.float32)
     found = slope_strengths(height)
     strengths = Strengths(found, told * found, np.full_like(found, trust))
     own = _strength(equalise(height, None), (slice(None), slice(None)))[0]

@@ -59,12 +59,16 @@ def test_the_material_holds_the_piece_and_is_read_by_it(folder: Path) -> None:
 
 def test_the_preview_shows_the_piece_beside_the_photograph(folder: Path) -> None:
     with Image.open(folder / "preview.png") as sheet:
-        blocks = np.asarray(sheet).reshape(2, sheet.height // 2, sheet.width, 3).astype(int)
-    (first, second), (own_first, own_second) = (
-        [block[100:400, x : x + 500] for x in (20, 20 + (blocks.shape[2] - 12) // 4)]
-        for block in blocks
-    )
-    assert np.array_equal(first, own_first)
+        whole = np.asarray(sheet).astype(int)
+    for lines in range(1, 8):  # of the verdict, above two blocks of one size
+        blocks = whole[20 + 28 * lines :].reshape(2, -1, whole.shape[1], 3)
+        (first, second), (own_first, own_second) = (
+            [block[100:400, x : x + 500] for x in (20, 20 + (blocks.shape[2] - 12) // 4)]
+            for block in blocks
+        )
+        if np.array_equal(first, own_first):
+            break
+    assert np.array_equal(first, own_first) and first.std() > 1.0
     # The piece re-renders to the photograph texel by texel; more of the material cannot.
     away, own_away = (np.abs(again - first).mean() for again in (second, own_second))
     assert own_away < 0.5 * away

@@ -149,11 +149,11 @@ def test_run_measures_every_method_and_writes_what_it_saw(tmp_path, settings):
         perfect,
         tmp_path,
         materials=["plaster"],
-        methods=["capture", "photo-as-albedo"],
+        methods=["decoder", "photo-as-albedo"],
         settings=settings,
         tell=lines.append,
     )
-    assert [score.method for score in scores] == ["capture", "photo-as-albedo"]
+    assert [score.method for score in scores] == ["decoder", "photo-as-albedo"]
     assert len(lines) == 2
     assert scores[0].mean < 0.6 * scores[1].mean
     assert (tmp_path / "plaster.png").is_file()
@@ -169,7 +169,7 @@ def test_maps_of_another_detail_are_refused(tmp_path, settings):
 
     with pytest.raises(UsageError, match="capture with a detail of 512"):
         quality.run_quality(
-            coarse, tmp_path, materials=["plaster"], methods=["capture"], settings=settings
+            coarse, tmp_path, materials=["plaster"], methods=["decoder"], settings=settings
         )
 
 
@@ -187,8 +187,8 @@ def test_plenoptic_missing_says_what_to_install(monkeypatch):
 
 
 SCORES = [
-    Score("leather", "capture", 1.5, 2.5, 60.0),
-    Score("tile", "capture", 2.5, 3.5, 70.0),
+    Score("leather", "decoder", 1.5, 2.5, 60.0),
+    Score("tile", "decoder", 2.5, 3.5, 70.0),
     Score("tile", "per-texel", 4.0, 6.0, 50.0),
 ]
 
@@ -196,8 +196,8 @@ SCORES = [
 def test_table_has_scores_means_and_the_command():
     text = markdown(SCORES, "matcap bench quality")
     assert "    matcap bench quality" in text
-    assert "| leather | capture | 1.50 | 2.50 | 2.00 | 60 |" in text
-    assert "| mean | capture | 2.00 | 3.00 | 2.50 | 65 |" in text
+    assert "| leather | decoder | 1.50 | 2.50 | 2.00 | 60 |" in text
+    assert "| mean | decoder | 2.00 | 3.00 | 2.50 | 65 |" in text
     assert "| mean | per-texel | 4.00 | 6.00 | 5.00 | 50 |" in text
 
 
@@ -205,6 +205,6 @@ def test_csv_and_markdown_are_written(tmp_path):
     write_scores(SCORES, tmp_path / "new", "matcap bench quality")
     lines = (tmp_path / "new" / "quality.csv").read_text().splitlines()
     assert lines[0].split(",")[:2] == ["material", "method"]
-    assert lines[1] == "leather,capture,1.5000,2.5000,2.0000,60.0000"
+    assert lines[1] == "leather,decoder,1.5000,2.5000,2.0000,60.0000"
     assert lines == comma_separated(SCORES).splitlines()
     assert (tmp_path / "new" / "quality.md").read_text() == markdown(SCORES, "matcap bench quality")
