@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import torch
@@ -186,8 +186,7 @@ def run_aligned(
         path = out / f"{name}.dng"
         write_dng(path, shot, example.sensor, example.seed)
         photo = as_photo(shot, example.seed, path.name)
-        shrunk = replace(camera, width=detail, height=detail * camera.height // camera.width)
-        truth = example.truth(shrunk).map(lambda m: m.float())
+        truth = _shrunk(example.truth(camera), detail)
         piece = photographed_piece(path, detail)
         albedo = photo_as_albedo(photo, shot.setup, detail)
         coarse = fit_coarse(photo)
@@ -204,6 +203,14 @@ def run_aligned(
             rows.append(AlignedRow(name, method, found, windows))
             tell(f"{name} {method}: relit {found['all'].relit:.3f}, windows {windows:.2f}")
     return rows
+
+
+def _shrunk(maps: MapSet, detail: int) -> MapSet:
+    """Means over texels of `detail` across."""
+    width, height = maps.size
+    size = (detail * height // width, detail)
+    mean = torch.nn.functional.interpolate(maps.stacked()[None].float(), size, mode="area")[0]
+    return MapSet.from_stacked(mean, 2.0 / detail)
 
 
 def _uniform(coarse: CoarseFit, like: MapSet) -> MapSet:

@@ -99,9 +99,16 @@ def take(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> Shot:
 
 
 def true_maps(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> MapSet:
-    """Maps of the plane rectangle x in [-1, 1] of the same shot, one texel a pixel."""
+    """Maps of the plane rectangle x in [-1, 1] of the same shot, one texel a pixel.
+
+    Means of what was photographed: realised at another fineness many materials are other pieces.
+    """
     x, y, width, height = _seen(camera, setup)
-    return realise(width, height, 2.0 / camera.width).crop(-x, -y, camera.width, camera.height)
+    fine = camera.supersampling
+    maps = realise(width * fine, height * fine, 2.0 / (camera.width * fine))
+    mean = torch.nn.functional.avg_pool2d(maps.stacked()[None], fine)[0]
+    whole = MapSet.from_stacked(mean, 2.0 / camera.width)
+    return whole.crop(-x, -y, camera.width, camera.height)
 
 
 def expose(shot: Shot, seed: int) -> NDArray[np.float64]:
