@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 
 from matcap.capture.outputs import REPORT
-from matcap.capture.preview import Panel, block, each_map, relit, titled
+from matcap.capture.preview import Panel, block, each_map, relit, stacked, titled
 from matcap.files.srgb import srgb_picture
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
@@ -63,12 +63,7 @@ def comparison(captures: Sequence[Compared], photographs: Sequence[Photo] = ()) 
     for index, capture in enumerate(captures):
         photo = photographs[index] if photographs else None
         blocks.append(titled(block(list(_panels(capture.material, photo))), capture.title()))
-    sheet = Image.new("RGB", (blocks[0].width, sum(shown.height for shown in blocks)))
-    y = 0
-    for shown in blocks:
-        sheet.paste(shown, (0, y))
-        y += shown.height
-    return sheet
+    return stacked(blocks)
 
 
 def _panels(material: Material, photo: Photo | None) -> Iterator[Panel]:

@@ -77,6 +77,11 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             titled(piece, "The photographed piece itself"),
         ]
     blocks.insert(0, _headline(result.verdict, blocks[0].width))
+    return stacked(blocks)
+
+
+def stacked(blocks: Sequence[Image.Image]) -> Image.Image:
+    """Pictures of one width, one above the other."""
     size = (blocks[0].width, sum(shown.height for shown in blocks))
     sheet = Image.new("RGB", size, _PAPER)
     y = 0

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from matcap.capture.exemplar.integrate import integrate, steps
 from matcap.capture.exemplar.smooth import coarse_smoothed, enlarged, split
-from matcap.capture.exemplar.strengths import BANDS, Strengths, slope_strengths
+from matcap.capture.exemplar.strengths import Strengths, slope_strengths
 
 Height = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-_AROUND = 64.0  # texels: deviation of a neighbourhood, twice the band's waves at least
+_AROUND = 64.0  # texels: deviation of a neighbourhood, as long as the longest waves
 _GAINS = (0.25, 5.0)  # slopes are not weakened or strengthened more than this by their place
 _STRONGEST = 5.0  # nor more than this on the whole
 _ROUNDS = 3  # of bringing bands to their strengths: they share waves at their borders
@@ -36,7 +36,7 @@ def equalise(height: Height, strengths: Strengths | None) -> Height:
     """
     # What is slower than all bands is the bowl that a highlight's error leaves, not relief.
     bands = split(height)[:-1]
-    even = np.stack([_evened(b, max(_AROUND, BANDS[i][0])) for i, b in enumerate(bands)])
+    even = np.stack([_evened(band) for band in bands])
     wanted = _wanted(height, strengths)
     factors: Array = np.ones(len(even))
     for _ in range(_ROUNDS):
@@ -50,10 +50,10 @@ def _sum(factors: Array, bands: Height) -> Height:
     return np.asarray(np.einsum("n,nhw->hw", factors, bands, optimize=False), np.float32)
 
 
-def _evened(band: Height, around: float) -> Height:
+def _evened(band: Height) -> Height:
     """A band whose slopes have in every neighbourhood the covariance they have on the whole."""
     x, y = slopes(band)
-    gain = _gain(_covariance(x, y, around), _own(x, y), band.shape)
+    gain = _gain(_covariance(x, y), _own(x, y), band.shape)
     across, down = steps(band)
     # One slope is between texels of a row and the other of a column; y points up.
     xx, yy = _between(gain[0], 1), _between(gain[2], 0)
@@ -96,10 +96,10 @@ def _own(x: Height, y: Height) -> Array:
     return np.array([np.square(x).mean(), (x * y).mean(), np.square(y).mean()], np.float64)
 
 
-def _covariance(x: Height, y: Height, deviation: float) -> Array:
+def _covariance(x: Height, y: Height) -> Array:
     """(3, h, w) xx, xy and yy of slopes in every neighbourhood, on a coarser grid."""
     products = (x * x, x * y, y * y)
-    return np.stack([coarse_smoothed(p, deviation) for p in products]).astype(np.float64)
+    return np.stack([coarse_smoothed(p, _AROUND) for p in products]).astype(np.float64)
 
 
 def _gain(local: Array, wanted: Array, shape: tuple[int, ...]) -> Height:
