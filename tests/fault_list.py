@@ -328,11 +328,18 @@ CAPTURE = (
         _FIND,
     ),
     Fault(
-        "fill: everything but the hole",
-        "capture/exemplar/fill.py",
-        "map_ + share * (drawn - map_)",
-        "drawn + share * (map_ - drawn)",
-        _FIND,
+        "transport: everything but the hole",
+        "capture/exemplar/transport.py",
+        "drawn.stacked + share * (laid - drawn.laid)",
+        "laid + share * (drawn.stacked - laid)",
+        (exemplar("transport"),),
+    ),
+    Fault(
+        "transport: whatever does not look like it",
+        "capture/exemplar/transport.py",
+        "share * (1.0 - both / (own + 1e-6))",
+        "share * (1.0 + both / (own + 1e-6))",
+        (exemplar("transport"),),
     ),
     Fault(
         "contrast: fainter for stronger",
