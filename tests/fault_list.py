@@ -328,6 +328,20 @@ CAPTURE = (
         _FIND,
     ),
     Fault(
+        "ties: colour tells nothing of gloss",
+        "capture/exemplar/ties.py",
+        "by_colour * self.colour",
+        "1e-3 * by_colour * self.colour",
+        (exemplar("adapt"), "-k", "colour"),
+    ),
+    Fault(
+        "highlight: the first bright patch",
+        "capture/highlight.py",
+        "if _others(blurred, found) < _OTHERS:",
+        "if _others(blurred, found) < 1e3:",
+        ("tests/capture/test_coarse_highlight.py", "-k", "patches"),
+    ),
+    Fault(
         "transport: everything but the hole",
         "capture/exemplar/transport.py",
         "drawn.stacked + share * (laid - drawn.laid)",
