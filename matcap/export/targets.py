@@ -52,6 +52,7 @@ from matcap.export.names import known
 from matcap.export.presets import PresetOptions, pack
 from matcap.export.reach import material_reach
 from matcap.export.surface import Residual, residuals
+from matcap.export.texture_file import WRITERS
 from matcap.export.textures import Export, ExportJob, Workflow, known_scale
 from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.maker import MAKER_VERSION
@@ -67,7 +68,6 @@ _SEAM = (
 
 # All maps twice, in 32-bit floats: no target takes more.
 _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
-_WRITERS = 2  # textures written at a time: each holds one picture in memory
 
 # The forms of a target by workflow; one without a name where there is no choice.
 Forms = Mapping[Workflow | None, Callable[[ExportJob], Export]]
@@ -238,7 +238,7 @@ def _write(
     sidecar = f"{job.name}_{target}.json"
     notes = export.notes if job.maps.periodic else (*export.notes, _SEAM)
     with staged(folder) as stage:
-        with ThreadPoolExecutor(_WRITERS) as pool:
+        with ThreadPoolExecutor(WRITERS) as pool:
             list(pool.map(lambda one: one[1].write(stage / one[0], job), export.textures.items()))
         for file, content in export.documents.items():
             (stage / file).write_bytes(content(stage))

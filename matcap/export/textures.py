@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.export.texture_file import CONTAINERS, Container, Depth, Picture, TextureFile
+from matcap.export.texture_file import (
+    CONTAINERS,
+    Container,
+    Depth,
+    Picture,
+    TextureFile,
+    bands,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -155,7 +162,15 @@ class ExportJob:
     @cached_property
     def normal(self) -> Picture:
         """(H, W, 3), +Y up."""
-        return self._picture(self.maps.normal)
+        from matcap.brdf.normals import normals_of_rows
+
+        maps, (width, height) = self.maps, self.maps.size
+        field = maps.height.detach().cpu().float()
+        made = np.empty((height, width, 3), dtype=np.float32)
+        for band in bands(height):
+            rows = normals_of_rows(field, maps.texel_size, band, periodic=maps.periodic)
+            made[band] = rows.movedim(0, -1).numpy()
+        return made
 
     @cached_property
     def _shadows(self) -> Occlusion:

@@ -16,9 +16,10 @@ import io
 import re
 import struct
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -200,8 +201,9 @@ def _export(
     stage = _stage(job, look, files).encode()
 
     def package(folder: Path) -> bytes:
-        held = {file: (folder / file).read_bytes() for file in files.values()}
-        return _package({f"{job.name}.usda": stage} | held)
+        # Read one by one: all of them are as large as the package.
+        held = ((file, (folder / file).read_bytes()) for file in files.values())
+        return _package(chain([(f"{job.name}.usda", stage)], held))
 
     return Export(
         {file: textures[kind] for kind, file in files.items()},
@@ -391,11 +393,11 @@ def _identifier(name: str) -> str:
     return plain if plain[0].isalpha() else f"M_{plain}"
 
 
-def _package(files: dict[str, bytes]) -> bytes:
-    """A .usdz: the first file is the stage."""
+def _package(files: Iterable[tuple[str, bytes]]) -> bytes:
+    """A .usdz of names and contents: the first file is the stage."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED) as package:
-        for name, content in files.items():
+        for name, content in files:
             info = zipfile.ZipInfo(name, _DATE)
             start = whole.tell() + _HEADER + len(name.encode())
             # An extra field, private to nobody, fills up to the next multiple of 64.
