@@ -3,7 +3,8 @@
 In the specular form, KHR_materials_specular and KHR_materials_ior: the index of refraction gives
 the largest F0 of the maps, the specular colour texture scales it down per texel; so F0 is kept,
 whatever it is. The metallic form does with glTF's core and one index of refraction. The base
-colour makes up for what the layer takes (fit.py). Ambient occlusion lies in red of the texture of
+colour makes up for what the layer takes, and F0 for the bounces between microfacets that viewers
+add (fit.py). Ambient occlusion lies in red of the texture of
 roughness and metallic. The height has no place in glTF; its scale goes with the sidecar. A plane
 unit is as many metres as it really is, or one where nobody measured it.
 """
@@ -15,7 +16,7 @@ import math
 import struct
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,9 @@ from matcap.export.textures import (
 )
 from matcap.files.maker import MAKER
 
-SHADING = TargetShading(layer="half")
+# As viewers shade: three.js, Babylon.js and Blender add what bounces between microfacets.
+SHADING = TargetShading(layer="half", compensated=True)
+_LITERAL = TargetShading(layer="half")  # as glTF says, which leaves that to them
 # Beyond this F0 the index of refraction runs off to infinity; a factor above 1 does the rest.
 _LARGEST_F0 = 0.9
 _FLOAT, _SHORT = 5126, 5123
@@ -101,10 +104,14 @@ def gltf_specular(job: ExportJob) -> Export:
             shading=SHADING,
         )
 
+    def literal(read: Reader) -> TargetSurface:
+        return replace(surface(read), shading=_LITERAL)
+
     look = _GltfLook(textures, ior(limit), 0.0, largest / limit)
     notes = (*clipping_notes(job, SHADING), *job.size_notes())
     facts = occlusion_facts(job)
-    return Export({}, _documents(job, look), {"specular": surface}, notes, facts)
+    surfaces = {"specular": surface, "of a single bounce": literal}
+    return Export({}, _documents(job, look), surfaces, notes, facts)
 
 
 def gltf_metallic(job: ExportJob) -> Export:
