@@ -39,6 +39,7 @@ from matcap.export.textures import (
     BASE,
     Export,
     ExportJob,
+    MadeSurface,
     MapRows,
     Reader,
     coded_normal,
@@ -110,7 +111,7 @@ def gltf_specular(job: ExportJob) -> Export:
     look = _GltfLook(textures, ior(limit), 0.0, largest / limit)
     notes = (*clipping_notes(job, SHADING), *job.size_notes())
     facts = occlusion_facts(job)
-    surfaces = {"specular": surface, "of a single bounce": literal}
+    surfaces: dict[str, MadeSurface] = {"specular": surface, "of a single bounce": literal}
     return Export({}, _documents(job, look), surfaces, notes, facts)
 
 

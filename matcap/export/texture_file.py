@@ -6,6 +6,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -31,6 +32,7 @@ CONTAINERS: dict[Container, tuple[Depth, ...]] = {
     "exr": ("half", "float"),
     "tx": ("8", "16", "half", "float"),
 }
+TOKEN = "<UDIM>"  # stands for a tile's number in names of files
 WRITERS = 2  # textures made at a time: each holds one picture in memory
 _JPEG_QUALITY = 95
 # Of a texture that are made at a time: of 4096 columns what is worked on stays in the cache.
@@ -49,6 +51,7 @@ class TextureFile:
         srgb: whole numbers follow the sRGB curve; floats are light itself.
         meaning: what the values are, for the sidecar.
         container: the file's format.
+        udim: there is one of every tile of a texture set.
     """
 
     make: Callable[[MapRows], Picture]
@@ -56,11 +59,12 @@ class TextureFile:
     srgb: bool = False
     meaning: str = ""
     container: Container = "png"
+    udim: bool = False
 
     @property
     def suffix(self) -> str:
         """Of its file, dot included."""
-        return f".{self.container}"
+        return f".{TOKEN}.{self.container}" if self.udim else f".{self.container}"
 
     @property
     def whole(self) -> bool:
@@ -130,7 +134,7 @@ class TextureFile:
             if self.container == "jpg"
             else [cv2.IMWRITE_WEBP_QUALITY, 101]
         )  # fmt: skip
-        _, encoded = cv2.imencode(self.suffix, turned(whole), flags)
+        _, encoded = cv2.imencode(f".{self.container}", turned(whole), flags)
         return encoded.tobytes()
 
     def write(self, path: Path, job: ExportJob) -> None:
@@ -148,6 +152,14 @@ class TextureFile:
             write_tiled(path, self.pixels(job), srgb=self.colour_space == "sRGB", wrap=job.wrap)
         else:
             path.write_bytes(self.encoded(job))
+
+
+def tile_names(folder: Path, name: str) -> list[str]:
+    """The file of a texture in a folder, or those of all its tiles."""
+    if TOKEN not in name:
+        return [name]
+    before, after = name.split(TOKEN)
+    return sorted(file.name for file in folder.glob(f"{escape(before)}[0-9]*{escape(after)}"))
 
 
 def bands(height: int) -> list[slice]:

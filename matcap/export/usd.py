@@ -31,7 +31,7 @@ from matcap.export.presets import Lit, PackedMaterial
 from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import base_colour, clipping_notes, specular_colour
 from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Picture, TextureFile
+from matcap.export.texture_file import Picture, TextureFile, tile_names
 from matcap.export.textures import (
     BASE,
     CODED_HEIGHT,
@@ -202,7 +202,8 @@ def _export(
 
     def package(folder: Path) -> bytes:
         # Read one by one: all of them are as large as the package.
-        held = ((file, (folder / file).read_bytes()) for file in files.values())
+        names = (one for file in files.values() for one in tile_names(folder, file))
+        held = ((name, (folder / name).read_bytes()) for name in names)
         return _package(chain([(f"{job.name}.usda", stage)], held))
 
     return Export(
@@ -217,6 +218,7 @@ def _export(
 def _stage(job: ExportJob, look: _UsdLook, files: dict[str, str]) -> str:
     """The .usda text."""
     x, y = (side * job.metres / 2.0 for side in job.extent)
+    columns, rows = job.grid or (1, 1)
     name = _identifier(job.name)
     scale, midlevel = job.height_code
     scale *= job.metres
@@ -266,7 +268,7 @@ def Xform "{name}" (
             interpolation = "vertex"
         )
         point3f[] points = [({-x!r}, {-y!r}, 0), ({x!r}, {-y!r}, 0), ({x!r}, {y!r}, 0), ({-x!r}, {y!r}, 0)]
-        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (
+        texCoord2f[] primvars:st = [(0, 0), ({columns}, 0), ({columns}, {rows}), (0, {rows})] (
             interpolation = "vertex"
         )
         uniform token subdivisionScheme = "none"

@@ -18,7 +18,7 @@ _KINDS = {".js": "text/javascript", ".png": "image/png"}
 
 
 def camera_of(maps) -> dict:
-    """What a page must know of `matcap relight`'s camera: straight above, the plane all in sight."""
+    """What a page must know of `matcap relight`'s camera: above the whole plane."""
     width, height = maps.size
     longest = max(width, height)
     # Libraries take the angle across the height.
