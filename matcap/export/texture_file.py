@@ -6,7 +6,6 @@ import struct
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -152,14 +151,6 @@ class TextureFile:
             write_tiled(path, self.pixels(job), srgb=self.colour_space == "sRGB", wrap=job.wrap)
         else:
             path.write_bytes(self.encoded(job))
-
-
-def tile_names(folder: Path, name: str) -> list[str]:
-    """The file of a texture in a folder, or those of all its tiles."""
-    if TOKEN not in name:
-        return [name]
-    before, after = name.split(TOKEN)
-    return sorted(file.name for file in folder.glob(f"{escape(before)}[0-9]*{escape(after)}"))
 
 
 def bands(height: int) -> list[slice]:

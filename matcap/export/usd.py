@@ -31,7 +31,7 @@ from matcap.export.presets import Lit, PackedMaterial
 from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import base_colour, clipping_notes, specular_colour
 from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Picture, TextureFile, tile_names
+from matcap.export.texture_file import Picture, TextureFile
 from matcap.export.textures import (
     BASE,
     CODED_HEIGHT,
@@ -202,13 +202,15 @@ def _export(
 
     def package(folder: Path) -> bytes:
         # Read one by one: all of them are as large as the package.
-        names = (one for file in files.values() for one in tile_names(folder, file))
-        held = ((name, (folder / name).read_bytes()) for name in names)
+        held = ((file, (folder / file).read_bytes()) for file in files.values())
         return _package(chain([(f"{job.name}.usda", stage)], held))
 
+    documents: dict[str, Callable[[Path], bytes]] = {f"{job.name}.usda": lambda _: stage}
+    if job.tiles is None:  # what opens packages knows no texture sets
+        documents[f"{job.name}.usdz"] = package
     return Export(
         {file: textures[kind] for kind, file in files.items()},
-        {f"{job.name}.usda": lambda _: stage, f"{job.name}.usdz": package},
+        documents,
         surfaces | {"mtlx": openpbr},
         (*clipping_notes(job, SHADING), *job.size_notes()),
         height_facts(job, *job.height_code) | occlusion_facts(job),

@@ -3,7 +3,7 @@
 import numpy as np
 from chromium import MODULES, camera_of, drawn
 
-BABYLON = MODULES / "babylonjs"
+PLACE = MODULES / "babylonjs"
 _PAGE = """<script src="/modules/babylonjs/babylon.js"></script>
 <script src="/modules/babylonjs-loaders/babylonjs.loaders.min.js"></script>"""
 

@@ -3,14 +3,14 @@
 import numpy as np
 from chromium import MODULES, camera_of, drawn
 
-THREE = MODULES / "three"
+PLACE = MODULES / "three"
 _PAGE = """<script type="importmap">
 {"imports": {"three": "/modules/three/build/three.module.js",
              "three/addons/": "/modules/three/examples/jsm/"}}
 </script>"""
 
 
-def render(file, maps, position, intensity) -> np.ndarray:
+def render(file, maps, position, intensity, *, plain_normals=False) -> np.ndarray:
     """(H, W, 3) radiance of a .glb or a .usda under one point light, one texel a pixel.
 
     Args:
@@ -18,8 +18,11 @@ def render(file, maps, position, intensity) -> np.ndarray:
         maps: for the plane's size; a plane unit is a metre.
         position: of the light.
         intensity: radiant intensity.
+        plain_normals: the scale 2 of a stage's texture of normals, which takes [0, 1] to [-1, 1],
+            is not taken for their strength too, as three.js does.
     """
     about = {"file": f"/export/{file.name}", "position": list(position), "intensity": intensity}
+    about["plain_normals"] = plain_normals
     return drawn(_DRAW, about | camera_of(maps), _PAGE, file.parent)
 
 
@@ -51,6 +54,7 @@ _DRAW = """async (text) => {
       value.needsUpdate = true;
     }
     one.material.displacementMap = null;
+    if (about.plain_normals) one.material.normalScale.set(1, 1);
     one.material.needsUpdate = true;
   });
   const light = new THREE.PointLight(0xffffff, about.intensity, 0, 2);
