@@ -241,7 +241,8 @@ class ExportJob:
 
         The undisplaced level is mid-grey.
         """
-        reach = self.reach or roomy(float(np.abs(self.height).max(initial=0.0)))
+        known = (self.around or self.maps).height
+        reach = self.reach or roomy(float(known.abs().max()) if known.numel() else 0.0)
         return 2.0 * reach, 0.5
 
 

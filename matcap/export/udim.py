@@ -78,11 +78,13 @@ class TextureSet:
 
     def others(self, first: ExportJob) -> Iterator[tuple[int, ExportJob]]:
         """(number, job) of every tile but the first, whose job is given."""
+        reach = first.height_code[0] / 2.0
         for row in range(self.rows):
             for column in range(self.columns):
                 if row or column:
                     maps, around = self.tile(column, row)
-                    yield FIRST + column + 10 * row, replace(first, maps=maps, around=around)
+                    job = replace(first, maps=maps, around=around, reach=reach)
+                    yield FIRST + column + 10 * row, job
 
 
 def open_set(
