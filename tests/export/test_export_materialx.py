@@ -45,9 +45,8 @@ def test_its_graph_gives_the_light_of_the_maps(tmp_path, made, read_materialx, n
 
 def test_a_shader_can_be_made_of_it(tmp_path, made, read_materialx):
     write_export(ExportJob(made["leather"], "leather"), "materialx", tmp_path)
-    made_of_it = read_materialx.shader(
-        read_materialx.load(tmp_path / "leather.mtlx", "directional")
-    )
+    document = read_materialx.load(tmp_path / "leather.mtlx")
+    made_of_it = read_materialx.shader(document, "point")
     code = made_of_it.getSourceCode("pixel")
     assert "mx_generalized_schlick_bsdf(closureData" in code
     assert "mx_layer_bsdf(closureData" not in code
