@@ -55,8 +55,9 @@ _BRIGHTEST = 0.8  # mean albedo or F0 of the brightest material believed in
 _MOST_ALBEDO = 0.98  # or F0, under a known flash: no surface gives back all
 # One prior deviation weighs like residuals of _HUBER in this share of the cells where a picture
 # was developed: what the model lacks there (tone mapping) is smooth. In a RAW it weighs like
-# the residuals themselves in so many cells: fewer than there are, for blotches are larger.
-_PRIOR_SHARE_DEVELOPED, _CELLS_THAT_COUNT = 0.15, 150.0
+# the residuals themselves in so many cells, found by trial: about as many as there are, for their
+# whitened channels are independent, and a blotch fills several.
+_PRIOR_SHARE_DEVELOPED, _CELLS_THAT_COUNT = 0.15, 600.0
 # Deviation of a found highlight's centre from where the plane mirrors the flash: plane units, and
 # share of its half width.
 _CENTRE_DEVIATION = (0.006, 0.1)
