@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -43,7 +44,8 @@ def compare(
         raise UsageError("there are more than two", where="--photo", remedy="give one or two")
     check_writable(out.parent, 10_000_000, [out.name])
     captures = [Compared.open(path) for path in (first, second)]
-    shown = photos * 2 if len(photos) == 1 else photos or [_own(one, quiet) for one in captures]
+    given = photos * 2 if len(photos) == 1 else photos
+    shown: Sequence[Path | None] = given or [_own(one, quiet=quiet) for one in captures]
     sheet = comparison(captures, [_read(file) for file in shown])
     with staged_file(out) as file:
         sheet.save(file, "PNG")
@@ -56,7 +58,7 @@ def compare(
         typer.echo(f"wrote {out}", err=True)
 
 
-def _own(capture: Compared, quiet: bool) -> Path | None:
+def _own(capture: Compared, *, quiet: bool) -> Path | None:
     """The photograph that a capture was made from; None where it is gone or not known."""
     file = capture.photograph
     if file is None or file.is_file():
