@@ -99,12 +99,13 @@ def find_exemplar(
     inputs = network_inputs(plane.linear, plane.valid, coarse, points)
     answer = _read(network, inputs)
     found, errors = answer[:OUTPUTS].clone(), answer[OUTPUTS:]
-    noise, strengths = noise_level(plane), plane_strengths(plane, inputs)
+    light = Light(coarse, points)
+    noise = noise_level(plane)
+    strengths = plane_strengths(plane, inputs, light.shows_relief(light.maps(found)))
     found[5] = torch.from_numpy(equalise(found[5].numpy(), strengths))
     trusted = confidence(errors, plane.valid)
     glare = inputs[GLOSS].clamp(0.0, 1.0).numpy()
     trusted[0] *= 1.0 - glare
-    light = Light(coarse, points)
 
     def even(outputs: Tensor) -> Tensor:
         return flatten(outputs, torch.from_numpy(trusted), glare)

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import dot, normalize, single_lobe
 from matcap.brdf.maps import MapSet
+from matcap.brdf.normals import normals_from_slopes
 from matcap.capture.exemplar.smooth import smoothed
 from matcap.flash.geometry import camera_in_plane
 from matcap.flash.render import vignette
@@ -30,6 +31,7 @@ from matcap.model.inverse.inputs import read_outputs
 
 _STEPS = 3  # of refinement; what is left falls little further
 _STEP = 0.03  # of log F0 and logit roughness, for differences of log radiance
+_SLOPE = 0.03  # likewise, of slopes
 _LEAST_ERROR, _MOST_ERROR = 0.02, 1.0  # expected errors believed in
 _DARKEST = 1e-5  # linear radiance
 _SLOW = 12.0  # the picture's long side over the deviation of what counts as slow
@@ -100,6 +102,17 @@ class Light:
         lobe = single_lobe(maps.specular, maps.roughness, normal, self._to_light, self._to_view)
         whole = (matte + lobe * power).clamp_min(_DARKEST)
         return whole.log(), matte / whole
+
+    def shows_relief(self, maps: MapSet) -> Tensor:
+        """(2, H, W) what dh/dx and dh/dy change of grey log radiance, were all maps flat."""
+        one = torch.ones_like(maps.roughness)
+
+        def tilted(x: float, y: float) -> Tensor:
+            return self.logs(maps, normals_from_slopes(x * one, y * one))[0].mean(0)
+
+        across = tilted(_SLOPE, 0.0) - tilted(-_SLOPE, 0.0)
+        up = tilted(0.0, _SLOPE) - tilted(0.0, -_SLOPE)
+        return torch.stack([across, up]) / (2.0 * _SLOPE)
 
     def shows(self, maps: MapSet, normal: Tensor) -> Tensor:
         """(2, H, W) what log F0 and logit roughness change of grey log radiance."""

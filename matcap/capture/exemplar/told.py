@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from matcap.capture.coarse import fit_coarse
+from matcap.capture.exemplar.smooth import smoothed
 from matcap.capture.exemplar.strengths import Strengths, measure_strengths
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane, read_plane
 from matcap.model.inverse.inputs import network_inputs
 from matcap.model.inverse.network import COLOUR, SHOWN
 from matcap.photo.photo import Photo
+
+_AROUND = 24.0  # texels: deviation of the neighbourhood whose slopes show alike
 
 
 @torch.no_grad()
@@ -30,14 +34,23 @@ def photographed_strengths(photo: Photo, detail: int) -> Strengths | None:
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     inputs = network_inputs(plane.linear, plane.valid, coarse, points)
-    return plane_strengths(plane, inputs)
+    return plane_strengths(plane, inputs, inputs[SHOWN])
 
 
-def plane_strengths(plane: Plane, inputs: Tensor) -> Strengths | None:
-    """The same of a photograph on its plane and what the network is told of it."""
+def plane_strengths(plane: Plane, inputs: Tensor, shown: Tensor) -> Strengths | None:
+    """The same of a photograph on its plane and what the network is told of it.
+
+    Args:
+        plane: the photograph.
+        inputs: what the network is told.
+        shown: (2, H, W) what slope changes of log radiance: of a uniform material, or of the maps
+            that were read. Between rust bare metal shows slopes three times as strongly as both do
+            together.
+    """
+    even = np.stack([smoothed(s, _AROUND) for s in shown.numpy()])
     return measure_strengths(
         inputs[COLOUR].mean(0).numpy(),
-        inputs[SHOWN].numpy(),
+        even,
         plane.valid.numpy(),
         noise_level(plane),
     )
