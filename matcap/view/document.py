@@ -1,7 +1,8 @@
 """The page: its files, and how they become one document.
 
-The page's scripts are plain ones that run in the order of SCRIPTS and share one scope. Served,
-each is a file of its own; for sending, they all stand inside the document with the maps.
+The page's scripts are modules. Served, each is a file of its own; for sending, they stand one after
+the other inside the document with the maps: SCRIPTS is an order in which each needs only those
+before it, and no two use one name.
 
 The element `about` of a document for sending is JSON; its entry `tile` holds the maps.
 
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import zlib
 from dataclasses import asdict
 from html import escape
@@ -27,15 +29,18 @@ from typing import TYPE_CHECKING, Any
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import LARGEST_HALF
-from matcap.view.block_cache import SIDE
+from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH
 from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
-SCRIPTS = ("shader.js", "surroundings.js", "texture.js", "blocks.js", "view.js", "main.js")
+SCRIPTS = (
+    "surroundings.js", "pages.js", "shader.js", "tile.js", "source.js", "view.js", "main.js",
+)  # fmt: skip
 STYLE = "page.css"
+DEFAULT_TILE = 512  # texels: some 3 MB
 _LARGEST_TILE = 2048  # texels a side of a page for sending: some 50 MB
 # What a document for sending may do: run what stands in it, and fetch nothing.
 _SEALED = (
@@ -56,12 +61,14 @@ def served_page(facts: ViewFacts, photo: EncodedPicture | None) -> str:
         photo: what its server has to show beside it.
     """
     head = f'<link rel="stylesheet" href="{STYLE}">'
-    scripts = "\n".join(f'<script src="{name}"></script>' for name in SCRIPTS)
+    scripts = f'<script type="module" src="{SCRIPTS[-1]}"></script>'
     about = _about(facts, "photo", photo) | {"tile": None}
     return _document(facts, head, scripts, about)
 
 
-def sealed_page(subject: Viewable, size: int = SIDE, photo: EncodedPicture | None = None) -> str:
+def sealed_page(
+    subject: Viewable, size: int = DEFAULT_TILE, photo: EncodedPicture | None = None
+) -> str:
     """One self-contained document: a tile of the subject that repeats without a seam.
 
     Args:
@@ -79,7 +86,7 @@ def sealed_page(subject: Viewable, size: int = SIDE, photo: EncodedPicture | Non
         f'<meta http-equiv="Content-Security-Policy" content="{_SEALED}">'
         f"<style>\n{page_file(STYLE)}</style>"
     )
-    scripts = "\n".join(f"<script>\n{page_file(name)}</script>" for name in SCRIPTS)
+    scripts = f'<script type="module">\n{_joined_scripts()}</script>'
     url = _data_url(photo) if photo else ""
     about = _about(facts, url, photo) | {
         "second": "",
@@ -152,7 +159,14 @@ def _packed(maps: MapSet) -> dict[str, Any]:
 
 def _about(facts: ViewFacts, url: str, photo: EncodedPicture | None) -> dict[str, Any]:
     shown = {"photo": url if photo else None, "photo_is_sheet": bool(photo and photo.sheet)}
-    return asdict(facts) | shown | {"side": SIDE}
+    form = {"width": WIDTH, "height": PAGE_HEIGHT, "apron": APRON, "mips": MIPS}
+    return asdict(facts) | shown | {"page": form}
+
+
+def _joined_scripts() -> str:
+    """All modules as one."""
+    text = "\n".join(page_file(name) for name in SCRIPTS)
+    return re.sub(r"^export |^import \{[^}]*\} from [^;]*;\n", "", text, flags=re.MULTILINE)
 
 
 def _document(facts: ViewFacts, head: str, scripts: str, about: dict[str, Any]) -> str:

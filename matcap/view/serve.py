@@ -8,12 +8,13 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from matcap.errors import MatcapError
-from matcap.view.block_cache import Blocks, Place
+from matcap.view.pages import Pages, Place
 from matcap.view.server import make_app, new_address
 from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import Viewable
 
 HOST = "127.0.0.1"
+_FIRST = ((3, 0, 0), (0, 3, 3), (0, 4, 3), (0, 3, 4), (0, 4, 4))
 
 
 def serve(
@@ -45,15 +46,16 @@ def serve(
         ) from error
     import torch
 
-    # A block is computed on one thread (model/field.py); several blocks side by side must not
-    # change that setting under each other.
+    # A page is made on one thread; several side by side must not change that setting under each
+    # other.
     torch.set_num_threads(1)
     listening = listen(port)
     address = new_address(listening.getsockname()[1])
-    blocks = Blocks(subject)
-    # What will be seen first, begun while the browser starts.
-    blocks.ask(Place(0, 0, subject.facts.seed))
-    app = make_app(subject.facts, blocks, address, photo)
+    pages = Pages(subject)
+    # What will be seen first, begun while the browser starts (initial() in page/view.js).
+    for level, column, row in _FIRST:
+        pages.ask(Place(level, column, row, subject.facts.seed))
+    app = make_app(subject.facts, pages, address, photo)
     server = uvicorn.Server(
         uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
     )
@@ -65,7 +67,7 @@ def serve(
         with suppress(KeyboardInterrupt):
             server.run(sockets=[listening])
     finally:
-        blocks.close()
+        pages.close()
         listening.close()
 
 

@@ -9,14 +9,15 @@ to fetch is a fixed list, so there is no path to climb out of.
 from __future__ import annotations
 
 import asyncio
+import json
 import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from matcap.errors import MatcapError, UsageError
-from matcap.view.block_cache import Blocks, Place
 from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
+from matcap.view.pages import Page, Pages, Place
 from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import ViewFacts
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from starlette.responses import Response
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+_LOOK = 0.05  # seconds between looks at who asked
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
     "img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -61,13 +63,13 @@ def new_address(port: int) -> Address:
 
 
 def make_app(
-    facts: ViewFacts, blocks: Blocks, address: Address, photo: EncodedPicture | None
+    facts: ViewFacts, pages: Pages, address: Address, photo: EncodedPicture | None
 ) -> Starlette:
     """The server's application.
 
     Args:
         facts: of the subject.
-        blocks: of the subject.
+        pages: of the subject.
         address: whose token and host requests must have.
         photo: to show beside it.
     """
@@ -94,32 +96,49 @@ def make_app(
             return PlainTextResponse("There is no photograph.", 404)
         return Response(photo.data, media_type=photo.kind)
 
-    async def block(request: Request) -> Response:
+    async def piece(request: Request) -> Response:
         try:
-            wanted = place_of(request.query_params)
-            found = await asyncio.wrap_future(blocks.ask(wanted))
+            found = await _waited(pages, place_of(request.query_params), request)
         except MatcapError as error:
             return PlainTextResponse(str(error), 400)
-        size = {"X-Texel-Size": repr(found.texel_size)}
-        return Response(found.data, media_type="application/octet-stream", headers=size)
+        if found is None:
+            return PlainTextResponse("Nobody waits for it.", 499)
+        ends = dict(zip(("specular", "roughness", "height"), found.ends, strict=True))
+        about = json.dumps({"texel_size": found.texel_size, "ends": ends})
+        headers = {"X-Page": about}
+        return Response(found.data, media_type="application/octet-stream", headers=headers)
 
     routes = [
         Route("/", whole),
         Route("/photo", picture),
-        Route("/block", block),
+        Route("/page", piece),
         Route("/{name}", part),
     ]
     return Starlette(routes=routes, middleware=[Middleware(_Guard, address=address)])
 
 
+async def _waited(pages: Pages, place: Place, request: Request) -> Page | None:
+    """A page, once it is made; None where who asked has gone."""
+    while True:
+        made = pages.ask(place)
+        waiting = asyncio.wrap_future(made)
+        while not (await asyncio.wait({waiting}, timeout=_LOOK))[0]:
+            if await request.is_disconnected():
+                pages.drop(place)
+                return None
+        if not made.cancelled():  # as it is where somebody else has gone who asked for it, too
+            return waiting.result()
+
+
 def place_of(values: Mapping[str, str]) -> Place:
-    """The block that query parameters ask for.
+    """The page that query parameters ask for.
 
     Raises:
         UsageError: a parameter is missing, is no number, or is not finite.
     """
     try:
         place = Place(
+            int(values["level"]),
             int(values["column"]),
             int(values["row"]),
             int(values.get("seed", "0")),
@@ -127,7 +146,8 @@ def place_of(values: Mapping[str, str]) -> Place:
         )
     except (KeyError, ValueError) as error:
         raise UsageError(
-            "this does not name a block", remedy="give column, row, seed and share as numbers"
+            "this does not name a page",
+            remedy="give level, column, row, seed and share as numbers",
         ) from error
     if not 0.0 <= place.share <= 1.0:
         raise UsageError("the share is not between 0 and 1")

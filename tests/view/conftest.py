@@ -12,7 +12,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.view.block_cache import Blocks
+from matcap.view.pages import Pages
 from matcap.view.subject import Materials
 
 SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
@@ -57,8 +57,8 @@ def served():
         torch.set_num_threads(1)
         listening = listen(0)
         address = new_address(listening.getsockname()[1])
-        blocks = Blocks(subject, workers=2)
-        app = make_app(subject.facts, blocks, address, photo)
+        pages = Pages(subject, workers=2)
+        app = make_app(subject.facts, pages, address, photo)
         server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
         thread.start()
@@ -67,7 +67,7 @@ def served():
         finally:
             server.should_exit = True
             thread.join(10)
-            blocks.close()
+            pages.close()
             listening.close()
             torch.set_num_threads(threads)
 

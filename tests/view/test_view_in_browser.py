@@ -4,14 +4,18 @@ import base64
 import io
 import math
 import os
-from urllib.parse import urlsplit
+import time
+from dataclasses import replace
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
+from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.files.exr import write_exr
+from matcap.model.between import blend
 from matcap.relight.output import encode
 from matcap.relight.render import relight
 from matcap.relight.scene import Camera, EnvironmentLight, Film, PointLight, Scene, Surface
@@ -121,7 +125,7 @@ def test_room_as_relight_draws_it(page, material, tmp_path):
         ),
         axis=-1,
     )
-    light = page.ask("all => all.map(roomRadiance)", directions.reshape(-1, 3).tolist())
+    light = page.ask("all => all.map(matcap.roomRadiance)", directions.reshape(-1, 3).tolist())
     room = np.repeat(np.reshape(light, (rows, columns, 1)), 3, axis=2).astype(np.float32)
     write_exr(tmp_path / "room.exr", room, half=False)
     lights = (EnvironmentLight(file=tmp_path / "room.exr"),)
@@ -141,6 +145,7 @@ def test_each_map_alone(page, material, map_name):
     elif map_name == "normal":
         values = 0.5 + 0.5 * values
     else:
+        values = np.maximum(values, MIN_ROUGHNESS) if map_name == "roughness" else values
         low, high = page.ask("matcap.view.range()")
         assert low <= values.min() < values.max() <= high
         values = (values - low) / (high - low)
@@ -152,7 +157,7 @@ def test_another_seed_and_a_blend_are_other_texels(page, material, subject):
     maps = around(material, 256, 256, seed=5)
     assert np.abs(shown - expected_diffuse(maps)).max() <= 1.01 * STEP
     between = picture(page, map="diffuse", x=256, y=256, span=WIDTH, seed=5, share=0.5)
-    maps = subject.read(-256, -256, 1024, 1024, seed=5, share=0.5)
+    maps = around(blend(subject.first, subject.second, 0.5), 256, 256, seed=5)
     assert np.abs(between - expected_diffuse(maps)).max() <= 1.01 * STEP
 
 
@@ -174,8 +179,93 @@ def test_first_picture_within_two_seconds(tab, subject, served):
         pytest.skip("the machine is busy: the clock would measure its other work")
     with served(subject) as address:
         page = tab(address.url)
-        assert page.until("!!window.matcap && matcap.view.window.blocks.size > 0") < 2.0
+        assert page.until("!!window.matcap && matcap.view.pages.held.size > 0") < 2.0
         page.loaded()  # what is still asked for, before nobody answers any more
+
+
+class Slow(Maps):
+    """A bright map set whose pages take their time."""
+
+    def moments(self, level, area, **which):
+        time.sleep(0.15)
+        return super().moments(level, area, **which)
+
+
+def bright(material):
+    maps = material.maps(200, 150)
+    return Slow(replace(maps, diffuse=0.5 + 0.5 * maps.diffuse), "bright")
+
+
+# Every frame's darkest code while the view moves, a step a frame.
+FILM = """async (steps) => {
+  const { view } = matcap, { gl, canvas } = view, frames = [];
+  const frame = () => new Promise(requestAnimationFrame);
+  for (const step of steps) {
+    matcap.set(step);
+    await frame();
+    view.draw(performance.now());
+    const codes = new Uint8Array(4 * canvas.width * canvas.height);
+    gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
+    let least = 255;
+    for (let i = 0; i < codes.length; i++) if (codes[i] < least) least = codes[i];
+    frames.push(least);
+  }
+  return frames;
+}"""
+
+
+def test_nothing_is_ever_black_while_one_moves_and_zooms(tab, served, material):
+    with served(bright(material)) as address:
+        page = tab(address.url)
+        page.until("!!window.matcap")
+        page.ask("() => Object.assign(matcap.view.canvas, {width: 160, height: 120})")
+        way = [{"map": "diffuse", "shape": "plane"}]
+        way += [{"x": 2000 + 200 * i} for i in range(25)]
+        way += [{"span": 700 * 1.5**i} for i in range(25)]
+        way += [{"x": 1e7, "y": -1e7}, {}, {}]
+        way += [{"span": 1e7 / 2**i} for i in range(21)]
+        way += [{"shape": "sphere"}, {"shape": "plane", "x": 1e9}, {}, {}]
+        least = page.ask(FILM, way)
+        page.loaded()
+    # Linear 0.5 is code 188. The corners around a sphere are its ground, not texels.
+    shown = [code for code, step in zip(least, way, strict=True) if step.get("shape") != "sphere"]
+    assert min(shown) >= 186
+
+
+def test_a_coarse_form_comes_first_then_the_nearest(tab, served, material):
+    with served(bright(material)) as address:
+        page = tab(address.url)
+        page.loaded()
+        asked = [parse_qs(urlsplit(url).query) for url in page.shown() if "/page?" in url]
+        wanted = page.ask("matcap.view.wanted()")
+    order = [tuple(int(one[key][0]) for key in ("level", "column", "row")) for one in asked]
+    assert order == [(one["level"], one["column"], one["row"]) for one in wanted["pages"]]
+    assert order[0][0] == wanted["best"] + 3
+    away = [one["far"] for one in wanted["pages"] if one["level"] == wanted["best"]]
+    assert away == sorted(away) and len(away) >= 4
+
+
+def test_what_leaves_the_view_is_no_longer_asked_for(tab, served, material):
+    with served(bright(material)) as address:
+        page = tab(address.url)
+        page.until("!!window.matcap && matcap.view.loading.size > 0")
+        left = page.ask("""async () => {
+          const before = [...matcap.view.loading.values()];
+          matcap.set({x: 1e8});
+          while (matcap.view.pending) await new Promise(requestAnimationFrame);
+          return before.map(({stop}) => stop.signal.aborted);
+        }""")
+        page.loaded()
+    assert left and all(left)
+
+
+def test_zooming_has_no_end_but_single_texels_and_a_thousand_million(page, material):
+    shown = picture(page, map="diffuse", x=256, y=256, span=2**30)
+    mean = encode(material.maps(512, 512).diffuse.mean(dim=(1, 2)).numpy(), Film())
+    assert np.abs(shown - mean).max() <= 6 * STEP
+    texels = picture(page, map="diffuse", x=100.5, y=300.5, span=4)
+    here = encode(material.maps(1, 1, x=100, y=300).diffuse[:, 0, 0].numpy(), Film())
+    assert np.abs(texels[HEIGHT // 2, WIDTH // 2] - here).max() <= 2 * STEP
 
 
 def test_keys_pointer_and_wheel(tab, address):

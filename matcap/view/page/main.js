@@ -1,5 +1,8 @@
-"use strict";
 // Controls: pointer, touch and keys to the view's state, and its state to words.
+
+import { EnclosedPages, ServedPages } from "./source.js";
+import { roomRadiance } from "./surroundings.js";
+import { FLASH, MAPS, View } from "./view.js";
 
 (() => {
   const about = JSON.parse(document.getElementById("about").textContent);
@@ -31,7 +34,7 @@
   };
   let view;
   try {
-    view = new View(canvas, about, about.tile ? new EnclosedBlocks(about) : new ServedBlocks(about));
+    view = new View(canvas, about, about.tile ? new EnclosedPages(about) : new ServedPages(about));
   } catch (error) {
     trouble(error.message === "no WebGL2"
       ? "This browser gives no WebGL2, which the page draws with. Switch hardware acceleration on, "
@@ -75,9 +78,9 @@
     $("legend").textContent = legend();
     const left = view.missing().length;
     $("status").textContent = view.failure
-      || (left ? `decoding: ${left} block${left > 1 ? "s" : ""} to come` : "");
+      || (left ? `sharpening: ${left} piece${left > 1 ? "s" : ""} to come` : "");
     canvas.setAttribute("aria-label",
-      `${about.name} on a ${view.state.shape}: ${legend()}${left ? ", still decoding" : ""}`);
+      `${about.name} on a ${view.state.shape}: ${legend()}${left ? ", still sharpening" : ""}`);
   };
   const show = () => {
     const { state } = view;
@@ -237,7 +240,7 @@
   });
 
   // For scripts, and for the tests that compare this picture with Python's.
-  window.matcap = { view, set };
+  window.matcap = { view, set, roomRadiance };
   show();
   fit();
 })();

@@ -1,4 +1,3 @@
-"use strict";
 // A room without a picture: dim below, brighter above, a large soft lamp and a smaller one. The
 // same sum of terms in GLSL, for mirroring, and here, for its irradiance. Grey, as the page is.
 
@@ -9,7 +8,7 @@ const ROOM_LAMPS = [
 ];
 const ROOM_BASE = 0.24, ROOM_RISE = 0.18;
 
-const ROOM_GLSL = `
+export const ROOM_GLSL = `
 vec3 roomRadiance(vec3 d) {
   float light = ${ROOM_BASE.toFixed(4)} + ${ROOM_RISE.toFixed(4)} * d.y;
 ${ROOM_LAMPS.map(lampLine).join("\n")}
@@ -26,7 +25,7 @@ function unit(v) {
   return v.map((c) => c / length);
 }
 
-function roomRadiance(d) {
+export function roomRadiance(d) {
   let light = ROOM_BASE + ROOM_RISE * d[1];
   for (const { towards, sharp, power } of ROOM_LAMPS) {
     const cosine = d[0] * towards[0] + d[1] * towards[1] + d[2] * towards[2];
@@ -37,7 +36,7 @@ function roomRadiance(d) {
 
 // Nine numbers a colour, such that the shader's polynomial in a normal is the irradiance
 // (Ramamoorthi and Hanrahan 2001, eq. 11 to 13): 27 numbers in all.
-function roomHarmonics() {
+export function roomHarmonics() {
   const basis = (x, y, z) => [
     0.282095, 0.488603 * y, 0.488603 * z, 0.488603 * x, 1.092548 * x * y, 1.092548 * y * z,
     0.315392 * (3 * z * z - 1), 1.092548 * x * z, 0.546274 * (x * x - y * y),
