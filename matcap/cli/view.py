@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.options import GeneratorOption, QuietOption
+from matcap.cli.options import AdjustOption, GeneratorOption, QuietOption
 
 
 def view(
@@ -22,11 +22,12 @@ def view(
         typer.Option(
             metavar="FILE",
             show_default="what the folder has",
-            help="A photograph to show beside it.",
+            help="A photograph to show beside the piece.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Which piece is shown first.")] = 0,
     generator: GeneratorOption = None,
+    adjust: AdjustOption = None,
     port: Annotated[
         int, typer.Option(min=0, max=65535, show_default="a free one", help="Of the server.")
     ] = 0,
@@ -48,18 +49,20 @@ def view(
 
     The page is served to this machine alone, until Ctrl-C. Its address goes to stdout.
     """
+    from matcap.brdf.adjust import parse_adjustments
+    from matcap.view.beside import find_beside
     from matcap.view.document import check_page_path, sealed_page, write_page
     from matcap.view.serve import serve
-    from matcap.view.shown_photograph import browser_picture, find_photograph
-    from matcap.view.subject import open_subject
+    from matcap.view.subject import Materials, open_subject
 
+    changes = parse_adjustments(adjust)
     if html is not None:
         check_page_path(html)
     subject = open_subject(path, blend, seed, generator and generator.value)
-    beside = photo or find_photograph(path, subject.facts.name)
-    picture = browser_picture(beside) if beside else None
+    exemplar = subject.first.exemplar if isinstance(subject, Materials) else None
+    beside = find_beside(path, subject.facts.name, photo, exemplar)
     if html is not None:
-        write_page(sealed_page(subject, tile, picture), html)
+        write_page(sealed_page(subject, tile, beside, changes), html)
         if not quiet:
             typer.echo(f"wrote {html}", err=True)
         return
@@ -69,4 +72,4 @@ def view(
         if not quiet:
             typer.echo("Ctrl-C ends it.", err=True)
 
-    serve(subject, port=port, photo=picture, opens=opens, announce=announce)
+    serve(subject, port=port, beside=beside, adjust=changes, opens=opens, announce=announce)

@@ -27,17 +27,19 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import LARGEST_HALF
+from matcap.view.beside import Beside, EncodedPicture
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH
-from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
 SCRIPTS = (
-    "surroundings.js", "pages.js", "shader.js", "tile.js", "source.js", "view.js", "main.js",
+    "adjust.js", "address.js", "surroundings.js", "pages.js", "shader.js", "tile.js", "source.js",
+    "view.js", "panel.js", "gestures.js", "main.js",
 )  # fmt: skip
 STYLE = "page.css"
 DEFAULT_TILE = 512  # texels: some 3 MB
@@ -53,28 +55,40 @@ def page_file(name: str) -> str:
     return (files("matcap.view") / "page" / name).read_text(encoding="utf-8")
 
 
-def served_page(facts: ViewFacts, photo: EncodedPicture | None) -> str:
-    """The document that fetches scripts and blocks from its server.
+def served_page(facts: ViewFacts, beside: Beside, adjust: Adjustments = NONE) -> str:
+    """The document that fetches scripts and pages from its server.
 
     Args:
         facts: of the subject.
-        photo: what its server has to show beside it.
+        beside: what its server has to show beside it.
+        adjust: what is changed first.
     """
+    from matcap.export.targets import DOCUMENTS, PRESETS
+
     head = f'<link rel="stylesheet" href="{STYLE}">'
     scripts = f'<script type="module" src="{SCRIPTS[-1]}"></script>'
-    about = _about(facts, "photo", photo) | {"tile": None}
+    about = _about(facts, adjust, beside) | {
+        "photo": beside.photo and "photo",
+        "doubt": beside.doubt and "doubt",
+        "tile": None,
+        "targets": list(dict.fromkeys((*DOCUMENTS, *PRESETS))),
+    }
     return _document(facts, head, scripts, about)
 
 
 def sealed_page(
-    subject: Viewable, size: int = DEFAULT_TILE, photo: EncodedPicture | None = None
+    subject: Viewable,
+    size: int = DEFAULT_TILE,
+    beside: Beside | None = None,
+    adjust: Adjustments = NONE,
 ) -> str:
     """One self-contained document: a tile of the subject that repeats without a seam.
 
     Args:
         subject: a material, of which a periodic piece is taken, or a map set, taken whole.
         size: sides of a material's tile in texels, a multiple of 16.
-        photo: to show beside it.
+        beside: to show beside it.
+        adjust: what is changed first.
 
     Raises:
         UsageError: a size out of range, or no multiple of 16; a map set that is too large.
@@ -87,11 +101,14 @@ def sealed_page(
         f"<style>\n{page_file(STYLE)}</style>"
     )
     scripts = f'<script type="module">\n{_joined_scripts()}</script>'
-    url = _data_url(photo) if photo else ""
-    about = _about(facts, url, photo) | {
+    beside = beside or Beside()
+    about = _about(facts, adjust, beside) | {
+        "photo": beside.photo and _data_url(beside.photo),
+        "doubt": None,
         "second": "",
         "period": list(maps.size),
         "tile": _packed(maps),
+        "targets": [],
     }
     return _document(facts, head, scripts, about)
 
@@ -157,16 +174,15 @@ def _packed(maps: MapSet) -> dict[str, Any]:
     return {"size": list(maps.size), "low": low, "span": span, "data": text}
 
 
-def _about(facts: ViewFacts, url: str, photo: EncodedPicture | None) -> dict[str, Any]:
-    shown = {"photo": url if photo else None, "photo_is_sheet": bool(photo and photo.sheet)}
+def _about(facts: ViewFacts, adjust: Adjustments, beside: Beside) -> dict[str, Any]:
     form = {"width": WIDTH, "height": PAGE_HEIGHT, "apron": APRON, "mips": MIPS}
-    return asdict(facts) | shown | {"page": form}
+    return asdict(facts) | {"page": form, "adjust": adjust.text, "verdict": beside.verdict}
 
 
 def _joined_scripts() -> str:
     """All modules as one."""
     text = "\n".join(page_file(name) for name in SCRIPTS)
-    return re.sub(r"^export |^import \{[^}]*\} from [^;]*;\n", "", text, flags=re.MULTILINE)
+    return re.sub(r"^export |^import \{[^}]*\}\s+from [^;]*;\n", "", text, flags=re.MULTILINE)
 
 
 def _document(facts: ViewFacts, head: str, scripts: str, about: dict[str, Any]) -> str:

@@ -34,13 +34,16 @@ _KEPT = 64  # pages of 5.3 MB: as many as are seen at once, and some to come bac
 
 @dataclass(frozen=True)
 class Place:
-    """Which page: level, column and row of its grid; realisation; share of a blend."""
+    """Which page: level, column and row of its grid; realisation; share of a blend; whether it is
+    of the photographed piece.
+    """
 
     level: int
     column: int
     row: int
     seed: int = 0
     share: float = 0.0
+    piece: bool = False
 
     @property
     def area(self) -> Rectangle:
@@ -101,7 +104,7 @@ class Pages:
         if max(abs(area.x), abs(area.y)) * step > COORDINATE_LIMIT:
             raise UsageError("this page lies beyond 2^40 texels", remedy="stay nearer")
         moments, texel_size = self._subject.moments(
-            place.level, area, seed=place.seed, share=place.share
+            place.level, area, seed=place.seed, share=place.share, piece=place.piece
         )
         return packed(moments, texel_size)
 

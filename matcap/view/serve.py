@@ -7,10 +7,11 @@ import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
 
+from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError
+from matcap.view.beside import Beside
 from matcap.view.pages import Pages, Place
 from matcap.view.server import make_app, new_address
-from matcap.view.shown_photograph import EncodedPicture
 from matcap.view.subject import Viewable
 
 HOST = "127.0.0.1"
@@ -21,7 +22,8 @@ def serve(
     subject: Viewable,
     *,
     port: int = 0,
-    photo: EncodedPicture | None = None,
+    beside: Beside | None = None,
+    adjust: Adjustments = NONE,
     opens: bool = True,
     announce: Callable[[str], None],
 ) -> None:
@@ -30,7 +32,8 @@ def serve(
     Args:
         subject: what to show.
         port: 0 takes a free one.
-        photo: to show beside it.
+        beside: what is shown beside it.
+        adjust: what is changed first.
         opens: the browser is opened.
         announce: told the address once requests are accepted.
 
@@ -55,7 +58,7 @@ def serve(
     # What will be seen first, begun while the browser starts (initial() in page/view.js).
     for level, column, row in _FIRST:
         pages.ask(Place(level, column, row, subject.facts.seed))
-    app = make_app(subject.facts, pages, address, photo)
+    app = make_app(subject, pages, address, beside, adjust)
     server = uvicorn.Server(
         uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
     )

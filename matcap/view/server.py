@@ -14,12 +14,15 @@ import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
+from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError, UsageError
+from matcap.view.beside import Beside
 from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
+from matcap.view.exporting import wish_of, zipped
 from matcap.view.pages import Page, Pages, Place
-from matcap.view.shown_photograph import EncodedPicture
-from matcap.view.subject import ViewFacts
+from matcap.view.subject import Viewable
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
 _LOOK = 0.05  # seconds between looks at who asked
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
-    "img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+    "img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; form-action 'self'; "
     "frame-ancestors 'none'",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
@@ -63,22 +66,29 @@ def new_address(port: int) -> Address:
 
 
 def make_app(
-    facts: ViewFacts, pages: Pages, address: Address, photo: EncodedPicture | None
+    subject: Viewable,
+    pages: Pages,
+    address: Address,
+    beside: Beside | None = None,
+    adjust: Adjustments = NONE,
 ) -> Starlette:
     """The server's application.
 
     Args:
-        facts: of the subject.
+        subject: what is shown.
         pages: of the subject.
         address: whose token and host requests must have.
-        photo: to show beside it.
+        beside: what is shown beside it.
+        adjust: what is changed first.
     """
     from starlette.applications import Starlette
     from starlette.middleware import Middleware
     from starlette.responses import HTMLResponse, PlainTextResponse, Response
     from starlette.routing import Route
 
-    page = served_page(facts, photo)
+    beside = beside or Beside()
+    page = served_page(subject.facts, beside, adjust)
+    pictures = {"photo": beside.photo, "doubt": beside.doubt}
     texts = {name: page_file(name) for name in (*SCRIPTS, STYLE)}
 
     async def whole(_: Request) -> Response:
@@ -91,10 +101,24 @@ def make_app(
         kind = "text/css" if name == STYLE else "text/javascript"
         return Response(texts[name], media_type=kind)
 
-    async def picture(_: Request) -> Response:
-        if photo is None:
-            return PlainTextResponse("There is no photograph.", 404)
-        return Response(photo.data, media_type=photo.kind)
+    async def picture(request: Request) -> Response:
+        found = pictures[request.url.path.rpartition("/")[2]]
+        if found is None:
+            return PlainTextResponse("There is no such picture.", 404)
+        return Response(found.data, media_type=found.kind)
+
+    async def alive(_: Request) -> Response:
+        return Response(status_code=204)
+
+    async def exported(request: Request) -> Response:
+        try:
+            wish = wish_of(request.query_params)
+            data = await asyncio.to_thread(zipped, subject, wish)
+        except MatcapError as error:
+            return PlainTextResponse(str(error), 400)
+        name = f"{quote(subject.facts.name, safe='')}_{wish.target}.zip"
+        headers = {"Content-Disposition": f"attachment; filename*=UTF-8''{name}"}
+        return Response(data, media_type="application/zip", headers=headers)
 
     async def piece(request: Request) -> Response:
         try:
@@ -110,7 +134,9 @@ def make_app(
 
     routes = [
         Route("/", whole),
-        Route("/photo", picture),
+        *(Route(f"/{name}", picture) for name in pictures),
+        Route("/alive", alive),
+        Route("/export", exported),
         Route("/page", piece),
         Route("/{name}", part),
     ]
@@ -143,6 +169,7 @@ def place_of(values: Mapping[str, str]) -> Place:
             int(values["row"]),
             int(values.get("seed", "0")),
             float(values.get("share", "0")),
+            values.get("piece", "0") == "1",
         )
     except (KeyError, ValueError) as error:
         raise UsageError(

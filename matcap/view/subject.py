@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from matcap.errors import UsageError
 from matcap.model.plane import Rectangle
@@ -33,6 +33,8 @@ class ViewFacts:
         period: (width, height) in texels after which it repeats, or None for an endless one.
         seed: the realisation shown first.
         mean: moments (moments.py) of a texel like all together, shown before there is any.
+        piece: (width, height) in texels of the photographed piece, where it is known.
+        millimetres: of a plane unit; 0 where nobody measured it.
     """
 
     name: str
@@ -41,6 +43,8 @@ class ViewFacts:
     period: tuple[int, int] | None
     seed: int
     mean: tuple[float, ...]
+    piece: tuple[int, int] | None = None
+    millimetres: float = 0.0
 
 
 class Viewable(Protocol):
@@ -52,7 +56,7 @@ class Viewable(Protocol):
         ...
 
     def moments(
-        self, level: int, area: Rectangle, *, seed: int, share: float
+        self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
     ) -> tuple[Planes, float]:
         """(9, height, width) moments of an area (moments.py), and a texel's side in plane units.
 
@@ -61,6 +65,7 @@ class Viewable(Protocol):
             area: in texels of the level, y downwards.
             seed: which realisation; a map set has only one.
             share: how far from the first material (0) to the second (1).
+            piece: of the photographed piece instead, which has no seed.
 
         Raises:
             UsageError: a seed or share out of range.
@@ -92,37 +97,62 @@ class Materials:
         """See Viewable."""
         second = self.second.name if self.second else ""
         size = self.first.texel_size
-        return ViewFacts(self.first.name, second, size, None, self.seed, self._mean)
+        exemplar = self.first.exemplar
+        return ViewFacts(
+            self.first.name, second, size, None, self.seed, self._mean,
+            exemplar.size if exemplar else None, _millimetres(self.first.provenance),
+        )  # fmt: skip
+
+    def at(self, share: float) -> Material:
+        """The material between the two.
+
+        Raises:
+            UsageError: there is no second one.
+        """
+        from matcap.model.between import blend
+
+        if self.second is not None:
+            return blend(self.first, self.second, share)
+        if share != 0.0:
+            raise UsageError(
+                "there is no second material to blend with", remedy="view with --blend"
+            )
+        return self.first
+
+    @cached_property
+    def _piece(self) -> Pyramid:
+        from matcap.view.afar import Pyramid
+        from matcap.view.moments import edged, moments_of
+
+        exemplar = self.first.exemplar
+        if exemplar is None:
+            raise _no_piece()
+        return Pyramid(moments_of(edged(exemplar.stacked()), exemplar.texel_size))
 
     @cached_property
     def _mean(self) -> tuple[float, ...]:
         from matcap.view.afar import NetworkFromAfar
-        from matcap.view.moments import edged, mean_of, moments_of
+        from matcap.view.moments import mean_of
 
-        example = self.first.example
-        if example is None:
+        if self.first.exemplar is None:
             return mean_of(NetworkFromAfar.of(self.first, self.seed).mean)
-        exemplar = example.exemplar
-        return mean_of(moments_of(edged(exemplar.stacked()), exemplar.texel_size))
+        return mean_of(self._piece.read(0, Rectangle(0, 0, *self.first.exemplar.size)))
 
     def moments(
-        self, level: int, area: Rectangle, *, seed: int, share: float
+        self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
     ) -> tuple[Planes, float]:
         """See Viewable."""
+        if piece:
+            return self._piece.read(level, area), self.first.texel_size
         field = self._field(seed, share)
         return field.read(level, area), field.texel_size
 
     def _open(self, seed: int, share: float) -> ExampleFromAfar | NetworkFromAfar:
-        from matcap.model.between import blend
         from matcap.model.plane import check_seed
         from matcap.view.afar import ExampleFromAfar, NetworkFromAfar
 
         check_seed(seed)
-        if self.second is None and share != 0.0:
-            raise UsageError(
-                "there is no second material to blend with", remedy="view with --blend"
-            )
-        material = self.first if self.second is None else blend(self.first, self.second, share)
+        material = self.at(share)
         if material.example is None:
             return NetworkFromAfar.of(material, seed)
         return ExampleFromAfar(material.example, seed, self._forms(material.example))
@@ -160,9 +190,11 @@ class Maps:
         return ViewFacts(self.name, "", self.maps.texel_size, self.maps.size, 0, mean)
 
     def moments(
-        self, level: int, area: Rectangle, *, seed: int, share: float
+        self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
     ) -> tuple[Planes, float]:
         """See Viewable."""
+        if piece:
+            raise _no_piece()
         if seed != 0 or share != 0.0:
             raise UsageError("a map set has no other seed and no blend", remedy="view a material")
         return self._pyramid.read(level, area), self.maps.texel_size
@@ -172,6 +204,16 @@ class Maps:
         from matcap.view.afar import from_maps
 
         return from_maps(self.maps.stacked().numpy(), self.maps.texel_size)
+
+
+def _no_piece() -> UsageError:
+    return UsageError("there is no photographed piece", remedy="view a material that has one")
+
+
+def _millimetres(provenance: Mapping[str, Any]) -> float:
+    from matcap.export.textures import known_scale
+
+    return known_scale(provenance) or 0.0
 
 
 def open_subject(

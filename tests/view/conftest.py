@@ -52,13 +52,13 @@ def served():
     from matcap.view.server import make_app, new_address
 
     @contextmanager
-    def run(subject, photo=None):
+    def run(subject, beside=None):
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         listening = listen(0)
         address = new_address(listening.getsockname()[1])
         pages = Pages(subject, workers=2)
-        app = make_app(subject.facts, pages, address, photo)
+        app = make_app(subject, pages, address, beside)
         server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
         thread.start()

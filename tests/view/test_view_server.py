@@ -1,6 +1,9 @@
 """The server: who gets in, what they get, and what happens to those who ask for something else."""
 
+import io
 import json
+import zipfile
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from threading import Event
@@ -8,18 +11,20 @@ from threading import Event
 import numpy as np
 import pytest
 import torch
+from materials import a_material
 from model.example.exemplars import an_example
+from PIL import Image
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.brdf.maps import MapSet
 from matcap.model.field import Field
 from matcap.model.plane import Rectangle
 from matcap.view.afar import ExampleFromAfar, NetworkFromAfar, SmallerForms
+from matcap.view.beside import Beside, EncodedPicture, doubt_picture, read_verdict
 from matcap.view.document import SCRIPTS, STYLE
 from matcap.view.moments import edged, halved, moments_of
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, Pages, Place
-from matcap.view.shown_photograph import EncodedPicture
-from matcap.view.subject import Maps
+from matcap.view.subject import Maps, Materials
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
 server = pytest.importorskip("matcap.view.server")
@@ -38,7 +43,7 @@ def pages(subject):
 
 @pytest.fixture(scope="module")
 def client(subject, pages):
-    app = server.make_app(subject.facts, pages, ADDRESS, PHOTO)
+    app = server.make_app(subject, pages, ADDRESS, Beside(PHOTO))
     return testclient.TestClient(app, base_url=BASE)
 
 
@@ -54,6 +59,8 @@ def test_page_and_all_that_it_names(client):
         assert f'"{name}"' in texts or f'"./{name}"' in texts
         assert get(client, name).status_code == 200
     assert get(client, "photo").content == PHOTO.data
+    assert get(client, "doubt").status_code == 404
+    assert get(client, "alive").status_code == 204
 
 
 def test_every_answer_forbids_what_the_page_does_not_need(client):
@@ -340,6 +347,59 @@ def test_slopes_at_an_exemplars_border_are_one_sided():
                                rtol=1e-5)  # fmt: skip
     np.testing.assert_allclose(found[6, -1, 3], (stacked[5, -2, 3] - stacked[5, -1, 3]) / 0.5,
                                rtol=1e-5)  # fmt: skip
+
+
+def test_export_is_a_zip_of_what_matcap_export_writes(client, material):
+    asked = {"target": "raw", "size": "64", "seed": "5", "adjust": "relief=2"}
+    answer = get(client, "export", **asked)
+    assert answer.status_code == 200
+    assert "test_raw.zip" in answer.headers["content-disposition"]
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        names = archive.namelist()
+        sidecar = json.loads(archive.read("test_raw/test_raw.json"))
+    assert any(name.endswith(".exr") for name in names)
+    assert sidecar["provenance"]["adjust"] == "relief=2"
+    assert (sidecar["width"], sidecar["periodic"]) == (64, True)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"target": "paper"}, {"size": "63"}, {"size": "99999"}, {"size": "x"}, {"share": "nan"},
+     {"adjust": "shine=1"}, {"adjust": "/etc/passwd.json"}, {"seed": str(2**70)}],
+)  # fmt: skip
+def test_an_export_that_cannot_be_is_one_sentence(client, change):
+    answer = get(client, "export", **({"target": "raw", "size": "64"} | change))
+    assert answer.status_code == 400
+    assert answer.text.count("\n") == 0 and "root:" not in answer.text
+
+
+def test_the_photographed_piece_is_the_exemplar(tmp_path):
+    example = an_example()
+    subject = Materials(replace(a_material(), example=example))
+    assert subject.facts.piece == example.exemplar.size
+    wide, tall = example.exemplar.size
+    found, _ = subject.moments(0, Rectangle(0, 0, wide, tall), seed=9, share=0.0, piece=True)
+    assert np.array_equal(found[:4], example.exemplar.stacked()[:4])
+    with pytest.raises(Exception, match="no photographed piece"):
+        Materials(a_material()).moments(0, Rectangle(0, 0, 8, 8), seed=0, share=0.0, piece=True)
+
+
+def test_what_is_doubtful_is_shaded():
+    exemplar = an_example().exemplar
+    confidence = exemplar.confidence.copy()
+    confidence[:, :40] = 0.0
+    stored = doubt_picture(replace(exemplar, confidence=confidence))
+    shade = np.asarray(Image.open(io.BytesIO(stored.data)))[..., 3]
+    assert shade[:40].min() > 150 and not shade[40:].any()
+
+
+def test_the_verdict_is_the_captures(tmp_path):
+    assert read_verdict(tmp_path) is None
+    (tmp_path / "report.json").write_text("[]")
+    assert read_verdict(tmp_path) is None
+    told = {"verdict": {"rating": "good", "sentence": "It is."}}
+    (tmp_path / "report.json").write_text(json.dumps(told))
+    assert read_verdict(tmp_path) == ("good", "It is.")
 
 
 def test_addresses_cannot_be_guessed():

@@ -2,6 +2,7 @@
 // cylinder. Formulas are those of matcap/relight/lobes.py; the camera is the photograph's, 45
 // degrees across the long side, straight above.
 
+import { ADJUST_GLSL } from "./adjust.js";
 import { TABLE_GLSL } from "./pages.js";
 import { ROOM_GLSL } from "./surroundings.js";
 
@@ -24,6 +25,7 @@ uniform vec2 size;            // of the picture, pixels
 uniform vec4 middle;          // where the picture's middle lies in its cell, texels; which cell
 uniform float texels;         // texels to a unit
 uniform float tableScale;     // texels of the table's level to one of the finest
+uniform vec4 bounds;          // texels from the middle beyond which there is nothing
 uniform vec4 meanAlbedo, meanSurface;  // where there is nothing yet
 uniform int shape;            // 0 plane, 1 sphere, 2 cylinder
 uniform int map;              // 0 lit, then diffuse, specular, roughness, height, normal
@@ -67,6 +69,8 @@ Texel readAt(vec2 fromMiddle, float level) {
   return Texel(mix(found.a, fresh.a, more.x), mix(found.b, fresh.b, more.x),
     mix(found.height, fresh.height, more.x));
 }
+
+ADJUST
 
 vec3 encode(vec3 light) {
   vec3 c = clamp(light, 0.0, 1.0);
@@ -164,7 +168,8 @@ void main() {
     float along = inside > 0.0 ? (-b - sqrt(inside)) / a : -1.0;
     point = eye + along * direction;
     if (along <= 0.0 || (upright && abs(point.y) > 1.0)) {
-      colour = vec4(encode(NOTHING), 1.0);
+      vec3 behind = room ? roomRadiance(turned * direction) * gain : NOTHING;
+      colour = vec4(encode(behind), 1.0);
       return;
     }
     float longitude = atan(point.x, point.z);
@@ -175,8 +180,13 @@ void main() {
     float facing = dot(-direction, normal);
     footprint = along * REACH / half_ / max(facing, 1e-3);
   }
+  vec2 fromMiddle = vec2(place.x, -place.y) * texels;
+  if (any(lessThan(fromMiddle, bounds.xy)) || any(greaterThan(fromMiddle, bounds.zw))) {
+    colour = vec4(encode(NOTHING), 1.0);
+    return;
+  }
   float level = log2(max(footprint * texels, 1.0));
-  Texel texel = readAt(vec2(place.x, -place.y) * texels, level);
+  Texel texel = adjusted(readAt(fromMiddle, level));
   vec4 a = texel.a, b = texel.b;
   float a2 = min(b.x + b.w, 1.0);
   vec3 n = normalize(vec3(-b.yz, 1.0));
@@ -215,7 +225,7 @@ void main() {
 // The program, or an error that says what the driver did not like.
 export function buildProgram(gl, { width, height, apron }) {
   const source = FRAGMENT.replace("ROOM_RADIANCE", ROOM_GLSL + BITS_GLSL)
-    .replace("TABLE", `${TABLE_GLSL}
+    .replace("ADJUST", ADJUST_GLSL).replace("TABLE", `${TABLE_GLSL}
 const vec2 PAGE = vec2(${width}.0, ${height}.0);
 const float APRON = ${apron}.0;`);
   const program = gl.createProgram();

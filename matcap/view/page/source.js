@@ -10,8 +10,8 @@ export class ServedPages {
     this.most = 2; // asked at once: as many as the server makes side by side on two cores
   }
 
-  async load({ level, column, row }, seed, share, signal) {
-    const query = new URLSearchParams({ level, column, row, seed, share });
+  async load({ level, column, row }, { seed, share, piece }, signal) {
+    const query = new URLSearchParams({ level, column, row, seed, share, piece: Number(piece) });
     const answer = await fetch(`page?${query}`, { signal });
     if (!answer.ok) throw new Error((await answer.text()).slice(0, 200));
     const data = await answer.arrayBuffer();

@@ -1,10 +1,13 @@
 // What is looked at and how, and its picture: state in, pixels out. Knows nothing of controls.
 
+import { colourMatrix, parseAdjustments } from "./adjust.js";
 import { CELLS, LEAST_RANGE, Pages } from "./pages.js";
 import { buildProgram } from "./shader.js";
-import { roomHarmonics } from "./surroundings.js";
+import { ROOMS, setRoom } from "./surroundings.js";
 
-const SHAPES = ["plane", "sphere", "cylinder"];
+const UNITS = ["albedo", "surface", "relief", "table"];
+export const SHAPES = ["plane", "sphere", "cylinder"];
+export const LIGHTS = ["point", ...Object.keys(ROOMS)];
 export const MAPS = ["lit", "diffuse", "specular", "roughness", "height", "normal"];
 // As the shader has it: a sphere as matcap relight frames it, a cylinder with its whole height.
 const ROOM_AROUND = { sphere: 1.25, cylinder: 1.6 };
@@ -12,8 +15,9 @@ export const FLASH = 1 / Math.tan(Math.PI / 8);
 const NEAREST = 4, FARTHEST = 2 ** 30; // texels across
 const FARTHEST_LEVEL = 21;
 const COARSER = 3; // levels between what is sharp and what comes first
-const SPARE = 12; // pages kept for coarse forms and for what was just seen
-export const GONE = "The server does not answer. Is matcap view still running?";
+const PIECES = 20; // pages of the piece
+const SPARE = { field: 12, piece: 4 }; // pages kept for coarse forms and for what was just seen
+export const GONE = "The server does not answer.";
 
 export class View {
   // Throws where there is no WebGL2.
@@ -24,21 +28,18 @@ export class View {
     // Small devices hold fewer pages: 130 MB of textures, not 320.
     const small = Math.min(screen.width, screen.height) < 700;
     this.pages = new Pages(gl, source.form, small ? 26 : 64);
+    // What lies on the page's left of a wipe: the photographed piece, where there is one.
+    this.field = { name: "field", pages: this.pages };
+    this.piece = about.piece && { name: "piece", pages: null };
     const { program, places } = buildProgram(gl, source.form);
     this.places = places;
     gl.useProgram(program);
     gl.bindVertexArray(gl.createVertexArray());
-    ["albedo", "surface", "relief", "table"].forEach((name, unit) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
-      const kind = name === "table" ? gl.TEXTURE_2D : gl.TEXTURE_2D_ARRAY;
-      gl.bindTexture(kind, this.pages[name]);
-      gl.uniform1i(places[name], unit);
-    });
+    UNITS.forEach((name, unit) => gl.uniform1i(places[name], unit));
     const mean = about.mean;
     gl.uniform4f(places.meanAlbedo, ...mean.slice(0, 4));
     gl.uniform4f(places.meanSurface, mean[4], 0, 0, mean[7]);
-    gl.activeTexture(gl.TEXTURE4); // uploads bind here, and leave the four alone
-    gl.uniform3fv(places.harmonics, roomHarmonics());
+    gl.activeTexture(gl.TEXTURE4); // uploads bind here, and leave those to draw with alone
     this.state = this.initial();
     this.loading = new Map();
     this.failure = "";
@@ -53,6 +54,8 @@ export class View {
       shape: "plane", map: "lit", light: "point", exposure: 0, seed: this.about.seed, share: 0,
       x: 4 * width, y: 4 * height, // texel in the middle; y downwards
       span: 1.5 * width, // texels across the long side, or a sphere's diameter
+      left: "none", wipe: 0.5, // what is on the left of the wipe, and where that is
+      adjust: parseAdjustments(this.about.adjust),
       lamp: [-0.35, 0.3, 1], // in units of half the long side, or of the radius
     };
   }
@@ -62,8 +65,11 @@ export class View {
     this.state = { ...before, ...changes };
     this.state.span = Math.min(Math.max(this.state.span, NEAREST), FARTHEST);
     if (before.seed !== this.state.seed || before.share !== this.state.share) {
-      for (const { stop } of this.loading.values()) stop.abort();
-      this.loading.clear();
+      for (const [key, { stop }] of this.loading) {
+        if (key.startsWith("piece")) continue;
+        stop.abort();
+        this.loading.delete(key);
+      }
       this.pages.clear();
     }
     this.failure = "";
@@ -95,27 +101,46 @@ export class View {
     return Math.min(exact, FARTHEST_LEVEL);
   }
 
-  // First and last column and row of pages of a level that are seen, and so many texels around.
-  seen(level, around = 0) {
+  // Layers that are drawn: the field, and on its left the piece, on a plane.
+  get layers() {
+    const { left, shape } = this.state;
+    return this.piece && left === "piece" && shape === "plane" ? [this.field, this.piece]
+      : [this.field];
+  }
+
+  // The texel of a layer in the picture's middle, and how far it reaches either way. The piece's
+  // middle lies where the view begins.
+  #whereabouts(layer) {
+    const { x, y } = this.state;
+    if (layer === this.field) return { x, y, bounds: [-Infinity, -Infinity, Infinity, Infinity] };
+    const home = this.initial(), [wide, tall] = this.about.piece;
+    return { x: x - home.x + wide / 2, y: y - home.y + tall / 2, bounds: [0, 0, wide, tall] };
+  }
+
+  // First and last column and row of pages of a level that are seen.
+  seen(level, layer = this.field) {
     const { width, height } = this.source.form, [across, down] = this.#reach();
-    const range = (middle, reach, side) => {
-      const first = Math.floor((middle - reach - around) / side);
-      return [first, Math.max(Math.ceil((middle + reach + around) / side) - 1, first)];
+    const { x, y, bounds } = this.#whereabouts(layer);
+    const range = (from, to, side) => {
+      const first = Math.floor(from / side);
+      return [first, Math.max(Math.ceil(to / side) - 1, first)];
     };
+    const [wide, tall] = [width * 2 ** level, height * 2 ** level];
     return {
-      columns: range(this.state.x, across, width * 2 ** level),
-      rows: range(this.state.y, down, height * 2 ** level),
+      columns: range(Math.max(x - across, bounds[0]), Math.min(x + across, bounds[2]), wide),
+      rows: range(Math.max(y - down, bounds[1]), Math.min(y + down, bounds[3]), tall),
     };
   }
 
-  #listed(level, around) {
-    const { width, height } = this.source.form, { columns, rows } = this.seen(level, around);
+  #listed(level, layer) {
+    const { width, height } = this.source.form, { columns, rows } = this.seen(level, layer);
+    const where = this.#whereabouts(layer);
     const found = [];
     for (let row = rows[0]; row <= rows[1]; row++) {
       for (let column = columns[0]; column <= columns[1]; column++) {
-        const x = (column + 0.5) * width * 2 ** level - this.state.x;
-        const y = (row + 0.5) * height * 2 ** level - this.state.y;
-        found.push({ level, column, row, far: x * x + y * y });
+        const x = (column + 0.5) * width * 2 ** level - where.x;
+        const y = (row + 0.5) * height * 2 ** level - where.y;
+        found.push({ layer, level, column, row, far: x * x + y * y });
       }
     }
     return found.sort((a, b) => a.far - b.far);
@@ -124,15 +149,16 @@ export class View {
   // Pages of what is seen, in the order they are wanted: a coarse form of everything, then what is
   // sharp, the nearest to the middle first. `best` is the level of the sharp ones: coarser than it
   // should be where there is no room for all of them.
-  wanted() {
+  wanted(layer = this.field) {
     let best = this.level;
-    while (this.#count(best) > this.pages.count - SPARE && best < FARTHEST_LEVEL) best += 1;
-    const coarse = this.#listed(Math.min(best + COARSER, FARTHEST_LEVEL), 0);
-    return { best, pages: [...coarse, ...this.#listed(best, 0)] };
+    const room = (layer.pages ? layer.pages.count : PIECES) - SPARE[layer.name];
+    while (this.#count(best, layer) > room && best < FARTHEST_LEVEL) best += 1;
+    const coarse = this.#listed(Math.min(best + COARSER, FARTHEST_LEVEL), layer);
+    return { best, pages: [...coarse, ...this.#listed(best, layer)] };
   }
 
-  #count(level) {
-    const { columns, rows } = this.seen(level);
+  #count(level, layer) {
+    const { columns, rows } = this.seen(level, layer);
     return (columns[1] - columns[0] + 1) * (rows[1] - rows[0] + 1);
   }
 
@@ -149,37 +175,85 @@ export class View {
   // Draw now; true while something is still appearing.
   draw(now = Infinity) {
     const { gl, places, state, canvas } = this;
-    const { best, pages } = this.wanted();
-    this.pages.use(pages);
-    const cells = Math.max(best - 1, 0), { columns, rows } = this.seen(cells);
-    const appearing = this.pages.update(cells, best, columns, rows, now, this.fades);
-    const { width, height } = this.source.form;
-    const [x, y] = [state.x / (width * 2 ** cells), state.y / (height * 2 ** cells)];
-    const turn = (value) => Math.floor(value) - Math.floor(value / CELLS) * CELLS;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.uniform2f(places.size, canvas.width, canvas.height);
-    const within = (value, side) => (value - Math.floor(value)) * side;
-    gl.uniform4f(places.middle, within(x, width), within(y, height), turn(x), turn(y));
     gl.uniform1f(places.texels, this.scale);
-    gl.uniform1f(places.tableScale, 2 ** -cells);
     gl.uniform1i(places.shape, SHAPES.indexOf(state.shape));
     gl.uniform1i(places.map, MAPS.indexOf(state.map));
-    gl.uniform1i(places.room, state.light === "room" ? 1 : 0);
+    gl.uniform1i(places.room, state.light === "point" ? 0 : 1);
+    if (state.light !== "point" && this.room !== state.light) {
+      setRoom(gl, places, ROOMS[state.light]);
+      this.room = state.light;
+    }
     const { place, intensity } = this.lamp();
     gl.uniform3f(places.lightPlace, ...place);
     gl.uniform1f(places.intensity, intensity);
     gl.uniform1f(places.gain, 2 ** state.exposure);
     gl.uniform2f(places.range, ...this.range());
+    gl.uniformMatrix3fv(places.colouring, false, colourMatrix(state.adjust));
+    gl.uniform2f(places.reliefAndRough, state.adjust.relief, state.adjust.roughness);
     gl.uniformMatrix3fv(places.turned, false, this.#turned());
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    let appearing = false;
+    for (const layer of this.layers) appearing = this.#drawLayer(layer, now) || appearing;
     this.drawn += 1;
     return appearing;
   }
 
+  #drawLayer(layer, now) {
+    const { gl, places, canvas, state } = this;
+    layer.pages ||= new Pages(gl, this.source.form, PIECES);
+    const { best, pages } = this.wanted(layer);
+    layer.pages.use(pages);
+    const cells = Math.max(best - 1, 0), { columns, rows } = this.seen(cells, layer);
+    const appearing = layer.pages.update(cells, best, columns, rows, now, this.fades);
+    UNITS.forEach((name, unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(name === "table" ? gl.TEXTURE_2D : gl.TEXTURE_2D_ARRAY, layer.pages[name]);
+    });
+    gl.activeTexture(gl.TEXTURE4);
+    const { width, height } = this.source.form, where = this.#whereabouts(layer);
+    const [x, y] = [where.x / (width * 2 ** cells), where.y / (height * 2 ** cells)];
+    const turn = (value) => Math.floor(value) - Math.floor(value / CELLS) * CELLS;
+    const within = (value, side) => (value - Math.floor(value)) * side;
+    gl.uniform4f(places.middle, within(x, width), within(y, height), turn(x), turn(y));
+    gl.uniform1f(places.tableScale, 2 ** -cells);
+    const [left, top, right, below] = where.bounds.map((end, i) => end - (i % 2 ? where.y : where.x));
+    const most = (value) => Math.min(Math.max(value, -3e38), 3e38);
+    gl.uniform4f(places.bounds, most(left), most(top), most(right), most(below));
+    if (layer !== this.field) {
+      gl.enable(gl.SCISSOR_TEST);
+      gl.scissor(0, 0, Math.round(state.wipe * canvas.width), canvas.height);
+    }
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.disable(gl.SCISSOR_TEST);
+    return appearing;
+  }
+
+  // Where the piece lies, in the canvas's own pixels: left, top, width, height.
+  get pieceBox() {
+    const { clientWidth, clientHeight } = this.canvas;
+    const where = this.#whereabouts(this.piece), [wide, tall] = this.about.piece;
+    const scale = Math.max(clientWidth, clientHeight) / this.state.span;
+    return [clientWidth / 2 - where.x * scale, clientHeight / 2 - where.y * scale,
+      wide * scale, tall * scale];
+  }
+
+  // The piece as large as it fits.
+  homeward() {
+    const { clientWidth, clientHeight } = this.canvas, [wide, tall] = this.about.piece;
+    const { x, y } = this.initial();
+    const long = Math.max(clientWidth, clientHeight);
+    return { x, y, span: long * Math.max(wide / clientWidth, tall / clientHeight) };
+  }
+
   // What black and white mean in the map shown.
   range() {
-    const { map } = this.state;
-    return map in LEAST_RANGE ? this.pages.range(map) : [0, 1];
+    const { map, adjust } = this.state;
+    if (!(map in LEAST_RANGE)) return [0, 1];
+    const ends = this.pages.range(map);
+    if (map === "height") return ends.map((value) => value * Math.max(adjust.relief, 0.01));
+    if (map === "roughness") return ends.map((value) => value + adjust.roughness);
+    return ends;
   }
 
   // What the picture shows at the surface's middle, in units: half its long side.
@@ -208,14 +282,15 @@ export class View {
 
   // Pages of what is seen that are not there, in the order they are asked for.
   missing() {
-    return this.wanted().pages.filter(
-      ({ level, column, row }) => !this.pages.has(level, column, row),
+    return this.layers.flatMap((layer) => this.wanted(layer).pages).filter(
+      ({ layer, level, column, row }) => !layer.pages || !layer.pages.has(level, column, row),
     );
   }
 
   #fetch() {
     const missing = this.missing();
-    const keys = new Set(missing.map(({ level, column, row }) => Pages.key(level, column, row)));
+    const keyOf = ({ layer, level, column, row }) => `${layer.name} ${Pages.key(level, column, row)}`;
+    const keys = new Set(missing.map(keyOf));
     for (const [key, { stop }] of this.loading) {
       if (keys.has(key)) continue;
       stop.abort(); // it has left the view
@@ -224,16 +299,17 @@ export class View {
     if (this.failure) return;
     for (const place of missing) {
       if (this.loading.size >= this.source.most) return;
-      const key = Pages.key(place.level, place.column, place.row);
+      const key = keyOf(place);
       if (this.loading.has(key)) continue;
       const stop = new AbortController(), entry = { stop };
       this.loading.set(key, entry);
-      this.source.load(place, this.state.seed, this.state.share, stop.signal).then(
+      const { seed, share } = this.state, piece = place.layer === this.piece;
+      this.source.load(place, { seed, share, piece }, stop.signal).then(
         (page) => {
           if (this.loading.get(key) !== entry) return; // nobody waits for it any more
           this.loading.delete(key);
-          this.texelSize = page.texelSize;
-          this.pages.put(place.level, place.column, place.row, page, performance.now());
+          if (!piece) this.texelSize = page.texelSize;
+          place.layer.pages.put(place.level, place.column, place.row, page, performance.now());
           this.redraw();
         },
         (error) => {
