@@ -12,7 +12,10 @@ from matcap.cli.options import AdjustOption, GeneratorOption, QuietOption
 
 def view(
     path: Annotated[
-        Path, typer.Argument(help="A material, a map set's folder, or a capture's folder.")
+        Path,
+        typer.Argument(
+            help="A material, a map set's folder, a capture's folder, or a folder of captures."
+        ),
     ] = Path("."),
     blend: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A second material to walk towards.")
@@ -47,17 +50,37 @@ def view(
 ) -> None:
     """Look at a material: endless plane, sphere and cylinder, under any light, in the browser.
 
-    The page is served to this machine alone, until Ctrl-C. Its address goes to stdout.
+    A folder of captures, as matcap batch leaves it, is shown as a library. The page is served to
+    this machine alone, until Ctrl-C. Its address goes to stdout.
     """
     from matcap.brdf.adjust import parse_adjustments
+    from matcap.errors import UsageError
     from matcap.view.beside import find_beside
     from matcap.view.document import check_page_path, sealed_page, write_page
-    from matcap.view.serve import serve
+    from matcap.view.library import Library, find_library
+    from matcap.view.serve import serve, serve_library
     from matcap.view.subject import Materials, open_subject
+
+    def announce(address: str) -> None:
+        typer.echo(address)
+        if not quiet:
+            typer.echo("Ctrl-C ends it.", err=True)
 
     changes = parse_adjustments(adjust)
     if html is not None:
         check_page_path(html)
+    files = find_library(path)
+    if files:
+        given = {"--blend": blend, "--photo": photo, "--html": html, "--seed": seed or None}
+        for option, value in given.items():
+            if value is not None:
+                raise UsageError(
+                    "this folder has several materials", where=option, remedy="name one of them"
+                )
+        library = Library(files, generator and generator.value, changes)
+        name = path.resolve().name
+        serve_library(library, name, port=port, opens=opens, announce=announce)
+        return
     subject = open_subject(path, blend, seed, generator and generator.value)
     exemplar = subject.first.exemplar if isinstance(subject, Materials) else None
     beside = find_beside(path, subject.facts.name, photo, exemplar)
@@ -66,10 +89,4 @@ def view(
         if not quiet:
             typer.echo(f"wrote {html}", err=True)
         return
-
-    def announce(address: str) -> None:
-        typer.echo(address)
-        if not quiet:
-            typer.echo("Ctrl-C ends it.", err=True)
-
     serve(subject, port=port, beside=beside, adjust=changes, opens=opens, announce=announce)

@@ -36,11 +36,13 @@ from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+    from matcap.view.library import Library
 
 SCRIPTS = (
     "adjust.js", "address.js", "surroundings.js", "pages.js", "shader.js", "tile.js", "source.js",
     "view.js", "panel.js", "gestures.js", "main.js",
 )  # fmt: skip
+LIBRARY_SCRIPT = "library.js"
 STYLE = "page.css"
 DEFAULT_TILE = 512  # texels: some 3 MB
 _LARGEST_TILE = 2048  # texels a side of a page for sending: some 50 MB
@@ -55,13 +57,16 @@ def page_file(name: str) -> str:
     return (files("matcap.view") / "page" / name).read_text(encoding="utf-8")
 
 
-def served_page(facts: ViewFacts, beside: Beside, adjust: Adjustments = NONE) -> str:
+def served_page(
+    facts: ViewFacts, beside: Beside, adjust: Adjustments = NONE, *, library: bool = False
+) -> str:
     """The document that fetches scripts and pages from its server.
 
     Args:
         facts: of the subject.
         beside: what its server has to show beside it.
         adjust: what is changed first.
+        library: there is a page of more materials above it.
     """
     from matcap.export.targets import DOCUMENTS, PRESETS
 
@@ -71,9 +76,10 @@ def served_page(facts: ViewFacts, beside: Beside, adjust: Adjustments = NONE) ->
         "photo": beside.photo and "photo",
         "doubt": beside.doubt and "doubt",
         "tile": None,
+        "library": library,
         "targets": list(dict.fromkeys((*DOCUMENTS, *PRESETS))),
     }
-    return _document(facts, head, scripts, about)
+    return _document(facts.name, head, scripts, about)
 
 
 def sealed_page(
@@ -108,9 +114,10 @@ def sealed_page(
         "second": "",
         "period": list(maps.size),
         "tile": _packed(maps),
+        "library": False,
         "targets": [],
     }
-    return _document(facts, head, scripts, about)
+    return _document(facts.name, head, scripts, about)
 
 
 def write_page(document: str, path: Path) -> None:
@@ -185,11 +192,29 @@ def _joined_scripts() -> str:
     return re.sub(r"^export |^import \{[^}]*\}\s+from [^;]*;\n", "", text, flags=re.MULTILINE)
 
 
-def _document(facts: ViewFacts, head: str, scripts: str, about: dict[str, Any]) -> str:
+def library_page(name: str, library: Library) -> str:
+    """The page of a folder's materials."""
+    from matcap.view.library import LEVEL, SIDE
+
+    about = {
+        "name": name,
+        "shelf": library.shelf(),
+        "adjust": library.adjust.text,
+        "level": LEVEL,
+        "page": {"width": SIDE, "height": SIDE, "apron": APRON, "mips": MIPS},
+    }
+    head = f'<link rel="stylesheet" href="{STYLE}">'
+    scripts = f'<script type="module" src="{LIBRARY_SCRIPT}"></script>'
+    return _document(name, head, scripts, about, "library.html")
+
+
+def _document(
+    title: str, head: str, scripts: str, about: dict[str, Any], form: str = "page.html"
+) -> str:
     # Inside a script element only '<' could end it.
     data = json.dumps(about, allow_nan=False).replace("<", "\\u003c")
-    parts = {"title": escape(facts.name), "head": head, "about": data, "scripts": scripts}
-    text = page_file("page.html")
+    parts = {"title": escape(title), "head": head, "about": data, "scripts": scripts}
+    text = page_file(form)
     for name, value in parts.items():
         before, mark, after = text.partition("{{" + name + "}}")
         assert mark, name

@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import json
 import secrets
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -19,8 +19,16 @@ from urllib.parse import quote
 from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError, UsageError
 from matcap.view.beside import Beside
-from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
+from matcap.view.document import (
+    LIBRARY_SCRIPT,
+    SCRIPTS,
+    STYLE,
+    library_page,
+    page_file,
+    served_page,
+)
 from matcap.view.exporting import wish_of, zipped
+from matcap.view.library import Library, numbers
 from matcap.view.pages import Page, Pages, Place
 from matcap.view.subject import Viewable
 
@@ -28,7 +36,10 @@ if TYPE_CHECKING:
     from starlette.applications import Starlette
     from starlette.requests import Request
     from starlette.responses import Response
+    from starlette.routing import BaseRoute
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+PagesOf = Callable[[Viewable], Pages]
 
 _LOOK = 0.05  # seconds between looks at who asked
 _HEADERS = {
@@ -72,7 +83,7 @@ def make_app(
     beside: Beside | None = None,
     adjust: Adjustments = NONE,
 ) -> Starlette:
-    """The server's application.
+    """The server's application for one subject.
 
     Args:
         subject: what is shown.
@@ -81,18 +92,80 @@ def make_app(
         beside: what is shown beside it.
         adjust: what is changed first.
     """
-    from starlette.applications import Starlette
-    from starlette.middleware import Middleware
-    from starlette.responses import HTMLResponse, PlainTextResponse, Response
-    from starlette.routing import Route
+    return _guarded(_subject_routes(subject, pages, beside or Beside(), adjust), address)
 
-    beside = beside or Beside()
-    page = served_page(subject.facts, beside, adjust)
-    pictures = {"photo": beside.photo, "doubt": beside.doubt}
-    texts = {name: page_file(name) for name in (*SCRIPTS, STYLE)}
+
+def make_library(library: Library, name: str, address: Address, pages: PagesOf) -> Starlette:
+    """The server's application for a folder of materials.
+
+    Args:
+        library: the materials.
+        name: of the folder.
+        address: whose token and host requests must have.
+        pages: opens those of a material.
+    """
+    from starlette.applications import Starlette
+    from starlette.responses import HTMLResponse, PlainTextResponse, Response
+    from starlette.routing import Mount, Route
+
+    text = library_page(name, library)
+    opened: dict[str, Starlette] = {}
 
     async def whole(_: Request) -> Response:
-        return HTMLResponse(page)
+        return HTMLResponse(text)
+
+    async def swatch(request: Request) -> Response:
+        wanted = numbers(request.query_params.get("index", ""), len(library.files))
+        if wanted is None:
+            return PlainTextResponse("There is no such material.", 404)
+        try:
+            found = await asyncio.to_thread(library.swatch, wanted[0])
+        except MatcapError as error:
+            return PlainTextResponse(str(error), 400)
+        return Response(found.data, media_type="application/octet-stream")
+
+    def open_one(first: int, second: int | None) -> Starlette:
+        subject = library.subject(first, second)
+        beside = library.beside(first)
+        routes = _subject_routes(subject, pages(subject), beside, library.adjust, library=True)
+        return Starlette(routes=routes)
+
+    async def material(scope: Scope, receive: Receive, send: Send) -> None:
+        key, _, rest = scope["path"].removeprefix("/m/").partition("/")
+        wanted = numbers(key, len(library.files))
+        answer: ASGIApp
+        if wanted is None:
+            answer = PlainTextResponse("There is no such material.", 404)
+        else:
+            try:
+                if key not in opened:
+                    opened[key] = await asyncio.to_thread(open_one, *wanted)
+                answer = opened[key]
+            except MatcapError as error:
+                answer = PlainTextResponse(str(error), 400)
+        await answer({**scope, "path": f"/{rest}", "root_path": ""}, receive, send)
+
+    routes = [
+        Route("/", whole),
+        Route("/swatch", swatch),
+        Route("/{name}", _parts((*SCRIPTS, LIBRARY_SCRIPT))),
+        Mount("/m", app=material),
+    ]
+    return _guarded(routes, address)
+
+
+def _guarded(routes: Sequence[BaseRoute], address: Address) -> Starlette:
+    from starlette.applications import Starlette
+    from starlette.middleware import Middleware
+
+    return Starlette(routes=routes, middleware=[Middleware(_Guard, address=address)])
+
+
+def _parts(names: Sequence[str]) -> Callable[[Request], Awaitable[Response]]:
+    """Answers with the page's own files."""
+    from starlette.responses import PlainTextResponse, Response
+
+    texts = {name: page_file(name) for name in (*names, STYLE)}
 
     async def part(request: Request) -> Response:
         name = request.path_params["name"]
@@ -100,6 +173,26 @@ def make_app(
             return PlainTextResponse("There is no such file.", 404)
         kind = "text/css" if name == STYLE else "text/javascript"
         return Response(texts[name], media_type=kind)
+
+    return part
+
+
+def _subject_routes(
+    subject: Viewable,
+    pages: Pages,
+    beside: Beside,
+    adjust: Adjustments,
+    *,
+    library: bool = False,
+) -> list[BaseRoute]:
+    from starlette.responses import HTMLResponse, PlainTextResponse, Response
+    from starlette.routing import Route
+
+    page = served_page(subject.facts, beside, adjust, library=library)
+    pictures = {"photo": beside.photo, "doubt": beside.doubt}
+
+    async def whole(_: Request) -> Response:
+        return HTMLResponse(page)
 
     async def picture(request: Request) -> Response:
         found = pictures[request.url.path.rpartition("/")[2]]
@@ -132,15 +225,14 @@ def make_app(
         headers = {"X-Page": about}
         return Response(found.data, media_type="application/octet-stream", headers=headers)
 
-    routes = [
+    return [
         Route("/", whole),
         *(Route(f"/{name}", picture) for name in pictures),
         Route("/alive", alive),
         Route("/export", exported),
         Route("/page", piece),
-        Route("/{name}", part),
+        Route("/{name}", _parts(SCRIPTS)),
     ]
-    return Starlette(routes=routes, middleware=[Middleware(_Guard, address=address)])
 
 
 async def _waited(pages: Pages, place: Place, request: Request) -> Page | None:

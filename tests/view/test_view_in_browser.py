@@ -308,7 +308,8 @@ def test_keys_pointer_and_wheel(tab, address):
 
 def test_every_control_has_a_name(page):
     nameless = page.ask(
-        """() => [...document.querySelectorAll("input:not([type=hidden]), select, button, canvas, img")].filter((one) =>
+        """() => [...document.querySelectorAll(
+            "input:not([type=hidden]), select, button, canvas, img")].filter((one) =>
           !(one.labels && one.labels.length) && !one.textContent.trim()
           && !one.getAttribute("aria-label") && !one.alt && !one.hidden && !one.closest("[hidden]")
         ).map((one) => one.outerHTML)"""

@@ -92,6 +92,14 @@ export class Pages {
     return appearing;
   }
 
+  // Tell the table's first cell of one page, and nothing else.
+  show(level, column, row) {
+    const { gl } = this, page = this.held.get(Pages.key(level, column, row));
+    this.#tell(level, column, row, page, null, 0, 0);
+    gl.bindTexture(gl.TEXTURE_2D, this.table);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 3, 1, gl.RGBA, gl.FLOAT, this.entries.subarray(0, 12));
+  }
+
   // Lowest and highest value of a map in all pages, and never less apart than can be told.
   range(map) {
     let low = Infinity, high = -Infinity;
@@ -116,9 +124,7 @@ export class Pages {
     }
   }
 
-  #tell(level, column, row, under, over, share) {
-    const wrap = (value) => ((value % CELLS) + CELLS) % CELLS;
-    const at = 12 * (wrap(row) * CELLS + wrap(column));
+  #tell(level, column, row, under, over, share, at = cellAt(column, row)) {
     [under, over].forEach((page, index) => {
       const to = at + 4 * index;
       if (!page) { this.entries[to] = -1; return; }
@@ -155,6 +161,11 @@ export class Pages {
     gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
     return texture;
   }
+}
+
+function cellAt(column, row) {
+  const wrap = (value) => ((value % CELLS) + CELLS) % CELLS;
+  return 12 * (wrap(row) * CELLS + wrap(column));
 }
 
 // How the shader finds a place: texels to left top of cells of the table's level.

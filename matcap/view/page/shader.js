@@ -22,6 +22,7 @@ uniform sampler2DArray surface;  // alpha squared, slopes along x and y, their v
 uniform sampler2DArray relief;   // height
 uniform sampler2D table;      // three texels a cell: its page, the one that appears, how far
 uniform vec2 size;            // of the picture, pixels
+uniform vec2 corner;          // its left bottom one
 uniform vec4 middle;          // where the picture's middle lies in its cell, texels; which cell
 uniform float texels;         // texels to a unit
 uniform float tableScale;     // texels of the table's level to one of the finest
@@ -34,6 +35,7 @@ uniform vec3 lightPlace;
 uniform float intensity;
 uniform float gain;
 uniform vec2 range;           // of the map shown, black to white
+uniform int mirrored;         // directions of the room that each pixel looks in
 uniform mat3 turned;          // scene to room
 uniform vec3 harmonics[9];    // of the room's irradiance
 out vec4 colour;
@@ -126,10 +128,9 @@ vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, float f0, float a2, float nv) {
   vec3 seen = v * around;
   float alpha = sqrt(a2);
   vec3 total = vec3(0.0);
-  const int COUNT = 48;
-  for (int i = 0; i < COUNT; i++) {
+  for (int i = 0; i < mirrored; i++) {
     float radical = float(bitfieldReverseOf(uint(i))) * 2.3283064365386963e-10;
-    vec3 h = visibleNormal(seen, alpha, vec2((float(i) + 0.5) / float(COUNT), radical));
+    vec3 h = visibleNormal(seen, alpha, vec2((float(i) + 0.5) / float(mirrored), radical));
     vec3 l = reflect(-seen, h);
     vec3 direction = around * l;
     if (l.z <= 0.0 || direction.z <= 0.0) continue;
@@ -140,12 +141,12 @@ vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, float f0, float a2, float nv) {
     float fresnel = f0 + (1.0 - f0) * schlickWeight(dot(l, h));
     total += roomRadiance(turned * (frame * direction)) * (weight * fresnel);
   }
-  return total / float(COUNT);
+  return total / float(mirrored);
 }
 
 void main() {
   float half_ = max(size.x, size.y) * 0.5;
-  vec2 s = (gl_FragCoord.xy - 0.5 * size) / half_;
+  vec2 s = (gl_FragCoord.xy - corner - 0.5 * size) / half_;
   float away = 1.0 / REACH;
   vec3 point, eye;
   mat3 frame = mat3(1.0);

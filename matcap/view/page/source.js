@@ -20,7 +20,8 @@ export class ServedPages {
   }
 }
 
-function cut(data, { width, height, apron, mips }) {
+// A page's bytes as its levels.
+export function cut(data, { width, height, apron, mips }) {
   let at = 0;
   const take = (Kind, count) => {
     const part = new Kind(data, at, count);

@@ -15,6 +15,9 @@ export const FLASH = 1 / Math.tan(Math.PI / 8);
 const NEAREST = 4, FARTHEST = 2 ** 30; // texels across
 const FARTHEST_LEVEL = 21;
 const COARSER = 3; // levels between what is sharp and what comes first
+const MIRRORED = 48, HURRIED = 8; // directions of a room, and while anything moves
+const STRIPS = 12; // that a picture is settled in
+const SETTLED = 200; // milliseconds after which nothing moves any more
 const PIECES = 20; // pages of the piece
 const SPARE = { field: 12, piece: 4 }; // pages kept for coarse forms and for what was just seen
 export const GONE = "The server does not answer.";
@@ -22,7 +25,9 @@ export const GONE = "The server does not answer.";
 export class View {
   // Throws where there is no WebGL2.
   constructor(canvas, about, source) {
-    const gl = canvas.getContext("webgl2", { alpha: false, antialias: false });
+    const gl = canvas.getContext("webgl2", {
+      alpha: false, antialias: false, preserveDrawingBuffer: true, // to be settled in strips
+    });
     if (!gl) throw new Error("no WebGL2");
     Object.assign(this, { canvas, gl, source, about });
     // Small devices hold fewer pages: 130 MB of textures, not 320.
@@ -167,13 +172,28 @@ export class View {
     this.pending = requestAnimationFrame((now) => {
       this.pending = 0;
       this.#fetch();
-      if (this.draw(now)) this.redraw();
+      const hurried = this.state.light !== "point" && this.state.map === "lit";
+      const appearing = this.draw(now, hurried ? HURRIED : MIRRORED);
+      if (appearing) this.redraw();
       this.changed();
+      clearTimeout(this.settling);
+      if (hurried && !appearing && this.loading.size === 0) {
+        this.settling = setTimeout(() => this.#settle(0), SETTLED);
+      }
     });
   }
 
+  // Now that nothing moves, look in all directions: strip by strip, so that nothing waits for it.
+  #settle(index) {
+    const tall = Math.ceil(this.canvas.height / STRIPS);
+    this.strip = { bottom: this.canvas.height - (index + 1) * tall, tall };
+    this.draw();
+    this.strip = null;
+    if (index + 1 < STRIPS) this.settling = setTimeout(() => this.#settle(index + 1), 0);
+  }
+
   // Draw now; true while something is still appearing.
-  draw(now = Infinity) {
+  draw(now = Infinity, mirrored = MIRRORED) {
     const { gl, places, state, canvas } = this;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.uniform2f(places.size, canvas.width, canvas.height);
@@ -188,6 +208,7 @@ export class View {
     const { place, intensity } = this.lamp();
     gl.uniform3f(places.lightPlace, ...place);
     gl.uniform1f(places.intensity, intensity);
+    gl.uniform1i(places.mirrored, mirrored);
     gl.uniform1f(places.gain, 2 ** state.exposure);
     gl.uniform2f(places.range, ...this.range());
     gl.uniformMatrix3fv(places.colouring, false, colourMatrix(state.adjust));
@@ -220,12 +241,11 @@ export class View {
     const [left, top, right, below] = where.bounds.map((end, i) => end - (i % 2 ? where.y : where.x));
     const most = (value) => Math.min(Math.max(value, -3e38), 3e38);
     gl.uniform4f(places.bounds, most(left), most(top), most(right), most(below));
-    if (layer !== this.field) {
-      gl.enable(gl.SCISSOR_TEST);
-      gl.scissor(0, 0, Math.round(state.wipe * canvas.width), canvas.height);
-    }
+    const across = layer === this.field ? 1 : state.wipe;
+    const { bottom, tall } = this.strip || { bottom: 0, tall: canvas.height };
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(0, bottom, Math.round(across * canvas.width), tall);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    gl.disable(gl.SCISSOR_TEST);
     return appearing;
   }
 
@@ -329,6 +349,7 @@ export class View {
 
   // What is shown, as a PNG.
   picture() {
+    clearTimeout(this.settling);
     this.draw();
     return new Promise((done) => { this.canvas.toBlob(done, "image/png"); });
   }
