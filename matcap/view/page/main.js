@@ -16,7 +16,6 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   const about = JSON.parse($("about").textContent);
   const canvas = $("canvas");
   describe(about);
-  $("home").hidden = !about.library;
 
   const theme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
   document.documentElement.dataset.theme = theme;

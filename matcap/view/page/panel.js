@@ -12,6 +12,12 @@ export const number = (value, digits = 3) => Number(value.toPrecision(digits)).t
 
 export function describe(about) {
   $("name").textContent = about.name;
+  if (about.library) {
+    const home = document.createElement("a");
+    Object.assign(home, { id: "home", className: "home", textContent: "‹ All materials" });
+    home.setAttribute("href", "../../");
+    $("name").before(home);
+  }
   const [wide, tall] = about.period || [];
   $("what").textContent = about.period ? `repeats every ${wide} × ${tall} texels`
     : "endless: it never repeats";
