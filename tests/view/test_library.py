@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from conftest import small_material
+from materials import a_material
 
 from matcap.cli.main import main
 from matcap.view.library import Library, find_library, numbers
@@ -27,7 +27,7 @@ def shoot(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shoot")
     for seed, name in enumerate(("brick", "cloth", "moss")):
         (folder / name).mkdir()
-        small_material(seed, name).save(folder / name / f"{name}.matcap")
+        a_material(name, seed).save(folder / name / f"{name}.matcap")
     told = {"verdict": {"rating": "good", "sentence": "Nothing speaks against it."}}
     (folder / "cloth" / "report.json").write_text(json.dumps(told))
     (folder / "torn").mkdir()

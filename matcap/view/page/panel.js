@@ -30,7 +30,6 @@ export function describe(about) {
   $("beside").hidden = !about.piece || !(about.photo || !about.tile);
   $("photo-choice").hidden = !about.photo;
   $("piece-choice").hidden = Boolean(about.tile);
-  $("doubt-row").hidden = !about.verdict && !about.doubt;
   if (about.photo) {
     $("photo").src = about.photo;
     $("photo").alt = `The photograph of ${about.name}`;
@@ -87,7 +86,7 @@ export function showScale(view) {
 }
 
 export function showState(view) {
-  const { state, about } = view;
+  const { state } = view;
   for (const [name, key] of CHOICES) {
     document.querySelector(`input[name=${name}][value=${state[key]}]`).checked = true;
   }
@@ -110,7 +109,7 @@ export function showState(view) {
   $("adjust-text").textContent = text ? `--adjust ${text}` : "";
   for (const name of ["seed", "share"]) $("export").elements[name].value = state[name];
   $("export").elements.adjust.value = text;
-  showPiece(view, about);
+  showPiece(view);
 }
 
 // Photograph and shading lie over the piece, cut off at the wipe.
@@ -118,6 +117,7 @@ export function showPiece(view) {
   const { state, canvas } = view;
   const shown = state.left !== "none" && state.shape === "plane";
   for (const id of ["piece", "wipe"]) $(id).hidden = !shown;
+  $("doubt-row").hidden = !shown || (!view.about.verdict && !view.about.doubt);
   $("verdict").hidden = !shown || !$("doubted").checked || !view.about.verdict;
   if (!shown) return;
   const at = state.wipe * canvas.clientWidth;
