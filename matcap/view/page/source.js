@@ -7,7 +7,7 @@ import { Pyramid, unpackTile } from "./tile.js";
 export class ServedPages {
   constructor(about) {
     this.form = about.page;
-    this.most = 2; // asked at once: as many as the server makes side by side on two cores
+    this.most = 3; // asked at once: two that the server makes side by side, and one on its way
   }
 
   async load({ level, column, row }, { seed, share, piece }, signal) {

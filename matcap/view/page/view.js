@@ -330,6 +330,7 @@ export class View {
           this.loading.delete(key);
           if (!piece) this.texelSize = page.texelSize;
           place.layer.pages.put(place.level, place.column, place.row, page, performance.now());
+          this.#fetch(); // at once: a frame may take longer than a page
           this.redraw();
         },
         (error) => {
