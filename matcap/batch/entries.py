@@ -12,6 +12,7 @@ from matcap.batch.record import is_done, read_record
 from matcap.batch.settings import BatchSettings
 from matcap.batch.shoot import ShotSample
 from matcap.batch.workspace import read_failure
+from matcap.capture.replace import refuse_to_replace_longer_capture
 from matcap.errors import MatcapError
 
 State = Literal["todo", "made", "kept", "failed", "left"]
@@ -46,6 +47,7 @@ def make_plan(
     card: str = "",
     force: bool = False,
     retry_failed: bool = False,
+    overwrite: bool = False,
     tell: Callable[[int], None] = lambda count: None,
 ) -> list[BatchEntry]:
     """How every sample stands.
@@ -58,19 +60,31 @@ def make_plan(
         card: hash of the calibration, or "".
         force: make even what is done.
         retry_failed: try even what is known to fail.
+        overwrite: make even what would replace a longer capture.
         tell: called with how many have been looked at.
     """
     entries = []
     for index, sample in enumerate(samples):
         tell(index)
-        entries.append(_entry(sample, out, settings, prior, card, force, retry_failed))
+        entry = _entry(sample, settings, prior, card)
+        if entry.state == "todo":
+            look_again(
+                entry, out, settings, force=force, retry_failed=retry_failed, overwrite=overwrite
+            )
+        entries.append(entry)
     return entries
 
 
 def look_again(
-    entry: BatchEntry, out: Path, *, force: bool = False, retry_failed: bool = False
+    entry: BatchEntry,
+    out: Path,
+    settings: BatchSettings,
+    *,
+    force: bool = False,
+    retry_failed: bool = False,
+    overwrite: bool = False,
 ) -> None:
-    """See whether a material is done or known to fail, now."""
+    """See whether a material is done, known to fail, or would replace a longer capture, now."""
     folder = out / entry.sample.name
     if not force and is_done(folder, entry.identity):
         entry.state, entry.record = "kept", read_record(folder) or {}
@@ -78,21 +92,16 @@ def look_again(
     known = None if force or retry_failed else read_failure(out, entry.sample.name)
     if known is not None and known.get("identity") == entry.identity:
         entry.state, entry.reason = "failed", str(known.get("reason", "it failed before"))
-
-
-def _entry(
-    sample: ShotSample,
-    out: Path,
-    settings: BatchSettings,
-    prior: str,
-    card: str,
-    force: bool,
-    retry_failed: bool,
-) -> BatchEntry:
+        return
     try:
-        digits = identity(sample.photos, settings, prior=prior, card=card)
+        if not overwrite:
+            refuse_to_replace_longer_capture(folder, settings.capture)
+    except MatcapError as error:
+        entry.state, entry.reason, entry.record = "failed", str(error), read_record(folder) or {}
+
+
+def _entry(sample: ShotSample, settings: BatchSettings, prior: str, card: str) -> BatchEntry:
+    try:
+        return BatchEntry(sample, identity(sample.photos, settings, prior=prior, card=card), "todo")
     except MatcapError as error:
         return BatchEntry(sample, "", "failed", str(error))
-    entry = BatchEntry(sample, digits, "todo")
-    look_again(entry, out, force=force, retry_failed=retry_failed)
-    return entry

@@ -43,6 +43,9 @@ a { color: inherit; }
 .verdict.good { color: var(--good); }
 .verdict.doubtful { color: var(--doubt); }
 .verdict.failed { color: var(--bad); }
+details { font-size: 12px; color: var(--soft); }
+summary { cursor: pointer; }
+code { user-select: all; overflow-wrap: anywhere; }
 .failed:has(.verdict) th { border-left: 4px solid var(--bad); }
 .pictures div { display: grid; grid-template-columns: repeat(4, minmax(64px, 108px)); gap: 4px; }
 figure { margin: 0; }
@@ -72,7 +75,7 @@ td:last-child { font-size: 13px; }
 </head>
 <body>
 <h1>matcap batch</h1>
-<p>@SUMMARY@</p>
+<p>@SUMMARY@ · commands under "view" are for a terminal in this page's folder</p>
 <div class="tools">
 <label>Show <select id="show"><option value="">all</option><option>done</option>
 <option>doubtful</option><option>failed</option><option>not begun</option></select></label>

@@ -7,6 +7,7 @@ import html
 import io
 import json
 import math
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -168,10 +169,12 @@ def _verdict_cell(row: dict[str, Any]) -> str:
     if row["verdict"] is None:
         return '<td data-label="Verdict" data-key="">&ndash;</td>'
     word, name = html.escape(row["verdict"]), quote(row["name"])
+    command = html.escape(f"matcap view {shlex.quote('./' + row['name'])}")
     return (
         f'<td data-label="Verdict" data-key="{row["severity"]}">'
         f'<a class="verdict {word}" href="{name}/report.json">{word}</a>'
-        f'<small><a href="{name}/">maps</a></small></td>'
+        f'<small><a href="{name}/">maps</a></small>'
+        f"<details><summary>view</summary><code>{command}</code></details></td>"
     )
 
 

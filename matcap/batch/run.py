@@ -37,12 +37,14 @@ class Policy:
         retry_failed: try again what is known to fail.
         fail_fast: end at the first failure.
         strict: doubtful and failed verdicts count as failures in the exit code.
+        overwrite: replace longer captures, too.
     """
 
     force: bool = False
     retry_failed: bool = False
     fail_fast: bool = False
     strict: bool = False
+    overwrite: bool = False
 
 
 class Show(Protocol):
@@ -172,7 +174,14 @@ class Batch:
                 return
             # Another run may have done it since the plan was made.
             policy = self._policy
-            look_again(entry, self._run.out, force=policy.force, retry_failed=policy.retry_failed)
+            look_again(
+                entry,
+                self._run.out,
+                self._settings,
+                force=policy.force,
+                retry_failed=policy.retry_failed,
+                overwrite=policy.overwrite,
+            )
             if entry.state != "todo":
                 self._end(task)
                 return

@@ -76,6 +76,7 @@ def prepare(
         card=card.digest if card else "",
         force=policy.force,
         retry_failed=policy.retry_failed,
+        overwrite=policy.overwrite,
     )
     todo = [entry for entry in entries if entry.state == "todo"]
     each = largest_worker(settings, [photo for e in todo for photo in e.sample.photos])

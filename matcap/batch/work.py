@@ -22,6 +22,7 @@ from matcap.photo.calibrate import Calibration, calibrated
 if TYPE_CHECKING:
     from matcap.capture.pipeline import CaptureResult
     from matcap.capture.progress import CaptureProgress
+    from matcap.capture.settings import CaptureSettings
     from matcap.photo.inspect import Inspection
 
 Tell = Callable[[str, float], None]  # stage, share of the whole
@@ -117,7 +118,7 @@ def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
     started = time.perf_counter()
     tell("reading", 0.0)
     settings = job.settings
-    chosen = settings.capture
+    chosen = measured(settings.capture, job.card)
     if job.detail != chosen.most_detail:
         chosen = replace(chosen, detail=job.detail)
     photos = []
@@ -142,6 +143,13 @@ def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
     write_record(stage, {**about, "thumbnails": _thumbnails(result)})
     job.run.publish(stage)
     return about
+
+
+def measured(settings: CaptureSettings, card: Calibration | None) -> CaptureSettings:
+    """With the width that a card's board tells, where nobody gave another."""
+    if settings.width_cm is not None or card is None or card.millimetres_per_unit is None:
+        return settings
+    return replace(settings, width_cm=2.0 * card.millimetres_per_unit / 10.0)
 
 
 def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult) -> dict[str, Any]:

@@ -29,6 +29,25 @@ def normals_from_height(height: Tensor, texel_size: float, *, periodic: bool = F
     return normals_from_slopes(dh_dx, dh_dy)
 
 
+def normals_of_rows(
+    height: Tensor, texel_size: float, rows: slice, *, periodic: bool = False
+) -> Tensor:
+    """(..., 3, rows, W): some rows of normals_from_height, for fields too large for it at once.
+
+    Args:
+        height, texel_size, periodic: as normals_from_height takes them.
+        rows: with a start and a stop inside the field.
+    """
+    first, last = rows.start - 1, rows.stop + 1
+    if periodic:
+        around = torch.arange(first, last) % height.shape[-2]
+        wide = normals_from_height(height[..., around, :], texel_size, periodic=True)
+        return wide[..., 1:-1, :]
+    first, last = max(first, 0), min(last, height.shape[-2])
+    wide = normals_from_height(height[..., first:last, :], texel_size)
+    return wide[..., rows.start - first : rows.stop - first, :]
+
+
 def normals_from_slopes(dh_dx: Tensor, dh_dy: Tensor) -> Tensor:
     """(..., 3, H, W) unit normals of a surface with slopes (..., 1, H, W) along x and y."""
     inverse_length = torch.rsqrt(1.0 + dh_dx.square() + dh_dy.square())

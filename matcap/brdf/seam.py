@@ -35,9 +35,10 @@ def _ratio(channels: Tensor, axis: int) -> float:
     """Of one map along one axis."""
     if channels.shape[axis] < 3:
         return 1.0
-    values = channels.detach().double()
-    across = values.diff(dim=axis).abs().movedim(axis, 0).flatten(1).mean(dim=1)
-    inside = float(across.quantile(_LINES))
+    values, other = channels.detach(), -3 - axis
+    # One channel at a time: large maps have no room beside them for copies of their own size.
+    across = sum(one.diff(dim=axis).abs_().mean(dim=other).double() for one in values)
+    inside = float(across.quantile(_LINES)) / len(values)
     wrap = float((values.select(axis, 0) - values.select(axis, -1)).abs().mean())
     least = 1e-6 * float(values.abs().max())  # rounding
     return (wrap + least) / (inside + least) if least > 0.0 else 1.0

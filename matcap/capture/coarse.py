@@ -55,8 +55,9 @@ _BRIGHTEST = 0.8  # mean albedo or F0 of the brightest material believed in
 _MOST_ALBEDO = 0.98  # or F0, under a known flash: no surface gives back all
 # One prior deviation weighs like residuals of _HUBER in this share of the cells where a picture
 # was developed: what the model lacks there (tone mapping) is smooth. In a RAW it weighs like
-# the residuals themselves in so many cells: fewer than there are, for blotches are larger.
-_PRIOR_SHARE_DEVELOPED, _CELLS_THAT_COUNT = 0.15, 150.0
+# the residuals themselves in so many cells, found by trial: about as many as there are, for their
+# whitened channels are independent, and a blotch fills several.
+_PRIOR_SHARE_DEVELOPED, _CELLS_THAT_COUNT = 0.15, 600.0
 # Deviation of a found highlight's centre from where the plane mirrors the flash: plane units, and
 # share of its half width.
 _CENTRE_DEVIATION = (0.006, 0.1)
@@ -66,6 +67,9 @@ _MIDDLE_DEVIATION = (0.004, 0.03)  # likewise of the middle of its half-way ring
 _EVIDENCE_DEVELOPED, _EVIDENCE_RADIOMETRIC = 1.0, 0.005
 _LEVEL_DEVIATION = 0.1  # log radiance, of the highlight's peak, half-way level and surroundings
 _DIRECTIONS = 12  # points of a ring
+# Log radiance: no two channels are believed to agree better; larger residuals count as this large.
+_COLOUR_NOISE, _TEXTURE_AT_MOST = 0.01, 0.5
+_CELLS_THAT_TELL_COLOUR = 30  # at least, for nine numbers
 # Between knee and clip level a developed picture is darker than light, but not by any amount: a
 # model above it is blamed this much.
 _ABOVE_KNEE = 0.25
@@ -157,7 +161,7 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
     tried = [_levenberg_marquardt(first, start, _ITERATIONS[0]) for start in starts]
     tried.sort(key=lambda found: found[0])
     if photo.radiometric:
-        last = last.trusting(tried[0][1])
+        last = last.whitened(tried[0][1]).trusting(tried[0][1])
     single = min(
         (_levenberg_marquardt(last, start, _ITERATIONS[1]) for _, start in tried[:_KEPT]),
         key=lambda found: found[0],
@@ -336,6 +340,7 @@ class _Problem:
         evidence: its weight, as share of the picture's.
         rings: (2, 3 * directions) image coordinates: its middle, half width and surroundings.
         prior, precision: (11,) the prior's mean and inverse variance.
+        whitening: (3, 3) of the channels of cells that no bound concerns; None for as they are.
     """
 
     cells: _Cells
@@ -345,6 +350,20 @@ class _Problem:
     rings: Tensor
     prior: Tensor
     precision: Tensor
+    whitening: Tensor | None = None
+
+    def whitened(self, parameters: Tensor) -> _Problem:
+        """The same with channels compared as the texture left at some parameters calls for.
+
+        Light is common to all channels and a texture's colours are not: what channels differ by
+        says how much of a brightness is texture.
+        """
+        cells = self.cells
+        whole = (cells.above == 1.0).all(0)
+        if int(whole.sum()) < _CELLS_THAT_TELL_COLOUR:
+            return self
+        rest = _log_radiance(parameters, cells.image, self.distance) - cells.observed
+        return replace(self, whitening=_whitening(rest[:, whole], cells.weight[whole]))
 
     def trusting(self, parameters: Tensor) -> _Problem:
         """The same with a prior that weighs what the residuals at some parameters call for."""
@@ -402,7 +421,11 @@ class _Problem:
         cells = self.cells
         difference = _log_radiance(parameters, cells.image, self.distance) - cells.observed
         # A lower bound only complains when the model stays below it.
-        difference = torch.where(difference > 0.0, difference * cells.above, difference).flatten()
+        bounded = torch.where(difference > 0.0, difference * cells.above, difference)
+        if self.whitening is not None:
+            whole = (cells.above == 1.0).all(0)
+            bounded = torch.where(whole, self.whitening @ difference, bounded)
+        difference = bounded.flatten()
         if self.highlight is None:
             return difference
         return torch.cat([difference, _HUBER * self._evidence(parameters, self.highlight)])
@@ -413,6 +436,22 @@ class _Problem:
         huber = torch.where(r < _HUBER, 0.5 * r.square(), _HUBER * (r - 0.5 * _HUBER))
         prior = 0.5 * ((parameters - self.prior).square() * self.precision).sum()
         return float((self.weight * huber).sum() + prior)
+
+
+def _whitening(residuals: Tensor, weight: Tensor) -> Tensor:
+    """(3, 3) that makes residuals (3, n) alike and independent, as large as they are on the whole.
+
+    What all channels have in common keeps its direction but for its scale, so that a light which
+    is not fitted yet does no harm.
+    """
+    share = weight / weight.sum()
+    kept = residuals.clamp(-_TEXTURE_AT_MOST, _TEXTURE_AT_MOST)
+    kept = kept - (kept * share).sum(1, keepdim=True)
+    covariance = (kept * share) @ kept.T
+    covariance = covariance + _COLOUR_NOISE**2 * torch.eye(3, dtype=covariance.dtype)
+    values, vectors = torch.linalg.eigh(covariance)
+    scale = (covariance.trace() / 3.0).sqrt()
+    return scale * (vectors * values.rsqrt()) @ vectors.T
 
 
 def _image_grid(width: int, height: int) -> Tensor:

@@ -30,11 +30,13 @@ class Compared:
         name: of the material.
         material: itself.
         verdict: as its report has it; None where there is no report beside it.
+        photograph: the file that it was made from, as its report has it; it may be gone.
     """
 
     name: str
     material: Material
     verdict: dict[str, Any] | None
+    photograph: Path | None = None
 
     @staticmethod
     def open(path: Path) -> Compared:
@@ -44,7 +46,8 @@ class Compared:
             MatcapError: no material there, or several.
         """
         file, material = open_material(path)
-        return Compared(file.stem, material, _verdict(file.parent / REPORT))
+        report = _report(file.parent / REPORT)
+        return Compared(file.stem, material, _verdict(report), _photograph(report))
 
     def title(self) -> str:
         """Its name and verdict."""
@@ -52,12 +55,14 @@ class Compared:
         return f"{self.name}: {said}"
 
 
-def comparison(captures: Sequence[Compared], photographs: Sequence[Photo] = ()) -> Image.Image:
+def comparison(
+    captures: Sequence[Compared], photographs: Sequence[Photo | None] = ()
+) -> Image.Image:
     """A block of panels for each capture.
 
     Args:
         captures: one above the other.
-        photographs: of each, or none.
+        photographs: of each, None where there is none; or none at all.
     """
     blocks = []
     for index, capture in enumerate(captures):
@@ -86,13 +91,22 @@ def _rows(linear: torch.Tensor) -> np.ndarray[Any, np.dtype[np.float32]]:
     return np.ascontiguousarray(linear.movedim(0, -1).numpy())
 
 
-def _verdict(report: Path) -> dict[str, Any] | None:
-    """The verdict of a capture's report."""
+def _report(file: Path) -> dict[str, Any]:
+    """A capture's report; nothing where there is none."""
     try:
-        document = json.loads(report.read_bytes())
+        document = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(document, dict) or document.get("format") != "matcap report":
-        return None
-    told = document.get("verdict")
+        return {}
+    known = isinstance(document, dict) and document.get("format") == "matcap report"
+    return document if known else {}
+
+
+def _verdict(report: dict[str, Any]) -> dict[str, Any] | None:
+    told = report.get("verdict")
     return told if isinstance(told, dict) and "sentence" in told else None
+
+
+def _photograph(report: dict[str, Any]) -> Path | None:
+    told = report.get("photograph")
+    path = told.get("path") if isinstance(told, dict) else None
+    return Path(path) if isinstance(path, str) else None

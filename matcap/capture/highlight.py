@@ -24,6 +24,9 @@ _FAINTEST = 1.3  # the faintest highlight's peak over what of the surroundings .
 _USUAL = 0.9  # ... so large a share is darker than: a white square of a plaid is no highlight
 _TOP = 0.3  # of the way down from the peak, what its centre is the centroid of
 _ROUNDS = 8
+# Plane units, deviations: how far texture is blurred away until the spot is the only one.
+_TEXTURES = (0.0, 0.015, 0.03, 0.06, 0.12)
+_OTHERS = 0.25  # area as bright beyond two half widths, of the spot's own, that makes it texture
 
 
 @dataclass(frozen=True)
@@ -57,11 +60,45 @@ def light_of(pixels: NDArray[np.float32], cells: int = CELLS) -> Light:
 
 
 def find_highlight(light: Light) -> Highlight | None:
-    """The brightest smooth spot of a picture (h, w), linear; None where none stands out."""
+    """The brightest smooth spot of a picture (h, w), linear; None where none stands out.
+
+    A patch of bare metal between rust is as bright as a highlight and no wider than one may be, but
+    there are others like it. Then the light that all of them make together is looked at.
+    """
+    cell = 2.0 / light.shape[1]
+    found = None
+    for texture in _TEXTURES:
+        blurred = _blur(light, texture / cell) if texture else light
+        wider = _brightest(blurred)
+        if wider is None:
+            break
+        found = wider
+        if _others(blurred, found) < _OTHERS:
+            break
+    return found
+
+
+def _others(light: Light, found: Highlight) -> float:
+    """Area elsewhere that is as bright as a highlight's half-way ring, in areas of that ring."""
+    away = np.hypot(*(c - at for c, at in zip(_coordinates(light), found.centre, strict=True)))
+    middle = 0.5 * (found.peak + found.surroundings)
+    elsewhere = (light > middle) & (away > 2.0 * found.width) & (away < SURROUNDINGS[1])
+    return float(elsewhere.sum() * (2.0 / light.shape[1]) ** 2 / (np.pi * found.width**2))
+
+
+def _coordinates(light: Light) -> tuple[Light, Light]:
+    """Image coordinates of columns (1, w) and of rows (h, 1)."""
     height, width = light.shape
+    u = (np.arange(width) + 0.5) * 2.0 / width - 1.0
+    v = (height - 2.0 * (np.arange(height) + 0.5)) / width
+    return u[None, :], v[:, None]
+
+
+def _brightest(light: Light) -> Highlight | None:
+    """The brightest spot, as it is."""
+    width = light.shape[1]
     cell = 2.0 / width
-    u = (np.arange(width) + 0.5) * cell - 1.0
-    v = height / width - (np.arange(height) + 0.5) * cell
+    u, v = (c.ravel() for c in _coordinates(light))
     smooth = _blur(light, _SEED_BLUR / cell)
     row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
     centre, found = np.array([u[column], v[row]]), None

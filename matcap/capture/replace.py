@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +33,38 @@ def refuse_to_replace_capture(
     old = _report(folder)
     if old is None:
         return
-    differs = ", ".join(_differences(folder, old, photograph, settings, outputs))
-    if differs:
+    _refuse(folder, _differences(folder, old, photograph, settings, outputs))
+
+
+def refuse_to_replace_longer_capture(folder: Path, settings: CaptureSettings) -> None:
+    """Refuse to replace a capture that took longer than these settings would.
+
+    Args:
+        folder: of the capture to be.
+        settings: of the capture to be.
+
+    Raises:
+        MatcapError: how long the old one was, and how to replace it all the same.
+    """
+    old = _report(folder)
+    _refuse(folder, [] if old is None else _longer(old, settings))
+
+
+def _refuse(folder: Path, differences: Sequence[str]) -> None:
+    if differences:
         raise MatcapError(
-            f"an earlier capture stands here ({differs})",
+            f"an earlier capture stands here ({', '.join(differences)})",
             where=str(folder),
             remedy="choose another folder with -o, or give --overwrite",
         )
+
+
+def _longer(old: dict[str, Any], settings: CaptureSettings) -> list[str]:
+    """That an earlier capture came to its end and was of more work."""
+    effort, spent = resolve(settings), old.get("effort", {})
+    if old.get("interrupted") or all(spent.get(k, 0) <= getattr(effort, k) for k in _WORK):
+        return []
+    return [f"a longer one, of preset {spent.get('preset')}"]
 
 
 def _differences(
@@ -59,9 +85,7 @@ def _differences(
         for key in named
         if key in earlier and earlier[key] != json.loads(json.dumps(named[key]))
     ]
-    effort, spent = resolve(settings), old.get("effort", {})
-    if not old.get("interrupted") and any(spent.get(k, 0) > getattr(effort, k) for k in _WORK):
-        found.append(f"a longer one, of preset {spent.get('preset')}")
+    found += _longer(old, settings)
     maps = _document(folder / f"{folder.name}.json")
     if maps is not None:
         size = (maps.get("width"), maps.get("height"))

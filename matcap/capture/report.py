@@ -90,6 +90,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "notes": [*photo.notes, *_rules(result.settings)],
         "photograph": {
             "name": photo.name,
+            "path": None if photo.path is None else str(photo.path),
             "size": list(photo.original_size),
             "size_used": [photo.pixels.shape[1], photo.pixels.shape[0]],
             "turned": photo.turned,

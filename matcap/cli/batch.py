@@ -14,6 +14,7 @@ from matcap.cli.options import (
     GeneratorName,
     JsonOption,
     Normal,
+    OverwriteOption,
     QuietOption,
     StrictOption,
     WidthOption,
@@ -118,6 +119,7 @@ def batch(
     fail_fast: Annotated[
         bool, typer.Option("--fail-fast", help="End at the first failure.")
     ] = False,
+    overwrite: OverwriteOption = False,
     strict: StrictOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
@@ -141,7 +143,7 @@ def batch(
         "target": target, "statistics": statistics, "export": export or None, "card": card,
     }  # fmt: skip
     settings = settings_of(shoot, flags)
-    policy = Policy(force, retry_failed, fail_fast, strict)
+    policy = Policy(force, retry_failed, fail_fast, strict, overwrite)
     with batch_display(quiet=quiet) as shown:
         if scheduler:  # other machines stand in other folders
             shoot, out = shoot.resolve(), out.resolve()

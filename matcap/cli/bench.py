@@ -93,6 +93,9 @@ def highlight(
         int, typer.Option(min=0, help="So many simulated photographs, of known offset and tilt.")
     ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Of the simulated ones.")] = 0,
+    tells_fov: Annotated[
+        bool, typer.Option("--fov/--no-fov", help="Whether the simulated ones tell theirs.")
+    ] = True,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Folder for photograph and re-rendering side by side."),
@@ -101,7 +104,8 @@ def highlight(
     """Whether the coarse fit keeps highlights, and finds flash and tilt where they were.
 
     Compares the highlight's centre, width and contrast in photographs and in re-renderings of
-    their coarse fits. Prints a line a photograph, and errors of offset and tilt on simulated ones.
+    their coarse fits. Prints a line a photograph, and errors of offset and tilt on simulated ones,
+    beside the least that any fit could reach there (the Cramer-Rao bound).
     """
     from matcap.lab.bench.highlight import keep, markdown, place, write_pair
     from matcap.lab.bench.highlight import simulated as make
@@ -117,7 +121,7 @@ def highlight(
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
             write_pair(fit, photo, out / f"{path.stem}.png")
-    placed = [place(*shot) for shot in make(simulated, seed)]
+    placed = [place(*shot) for shot in make(simulated, seed, tells_fov=tells_fov)]
     typer.echo(markdown(kept, placed, shlex.join(["matcap", *sys.argv[1:]])))
 
 

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from matcap.cli.options import JsonOption, QuietOption
 from matcap.errors import UsageError
+
+if TYPE_CHECKING:
+    from matcap.capture.compare import Compared
+    from matcap.photo.photo import Photo
 
 
 def compare(
@@ -19,7 +24,10 @@ def compare(
     second: Annotated[Path, typer.Argument(metavar="B", help="Another one.")],
     photo: Annotated[
         list[Path] | None,
-        typer.Option(help="A photograph to show beside both; given twice, of A and of B."),
+        typer.Option(
+            show_default="what each was made from",
+            help="A photograph to show beside both; given twice, of A and of B.",
+        ),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="The picture, a PNG.")] = Path(
         "compared.png"
@@ -30,15 +38,15 @@ def compare(
     """Show two captures, or two versions of one, under the same lights, with their verdicts."""
     from matcap.capture.compare import Compared, comparison
     from matcap.files.staging import check_writable, staged_file
-    from matcap.photo.load import load_photo
 
     photos = list(photo or [])
     if len(photos) > 2:
         raise UsageError("there are more than two", where="--photo", remedy="give one or two")
     check_writable(out.parent, 10_000_000, [out.name])
     captures = [Compared.open(path) for path in (first, second)]
-    read = [load_photo(path, long_side=1024, noise=False) for path in photos]
-    sheet = comparison(captures, read * 2 if len(read) == 1 else read)
+    given = photos * 2 if len(photos) == 1 else photos
+    shown: Sequence[Path | None] = given or [_own(one, quiet=quiet) for one in captures]
+    sheet = comparison(captures, [_read(file) for file in shown])
     with staged_file(out) as file:
         sheet.save(file, "PNG")
     if as_json:
@@ -48,3 +56,20 @@ def compare(
         for one in captures:
             typer.echo(one.title(), err=True)
         typer.echo(f"wrote {out}", err=True)
+
+
+def _own(capture: Compared, *, quiet: bool) -> Path | None:
+    """The photograph that a capture was made from; None where it is gone or not known."""
+    file = capture.photograph
+    if file is None or file.is_file():
+        return file
+    if not quiet:
+        said = f"{capture.name}: its photograph {file} is gone; give it by --photo to see it."
+        typer.echo(said, err=True)
+    return None
+
+
+def _read(file: Path | None) -> Photo | None:
+    from matcap.photo.load import load_photo
+
+    return None if file is None else load_photo(file, long_side=1024, noise=False)

@@ -23,6 +23,7 @@ from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.export.targets import Exported
+    from matcap.model.source import Generator
 
 
 def export(
@@ -55,6 +56,14 @@ def export(
             show_default="1024x1024",
             help="Texels read from a material, 2048x1024 or 2K; they repeat without a seam where "
             "both are multiples of 16.",
+        ),
+    ] = None,
+    udim: Annotated[
+        values.Size | None,
+        typer.Option(
+            parser=typed(values.size),
+            metavar="CxR",
+            help="A texture set of C columns and R rows of a material, each tile of --size.",
         ),
     ] = None,
     seed: Annotated[
@@ -142,8 +151,9 @@ def export(
         write_preset,
     )
     from matcap.export.textures import ExportJob, Workflow, known_scale
+    from matcap.export.udim import open_set
     from matcap.files.staging import check_writable
-    from matcap.model.opened import open_tile
+    from matcap.model.opened import OpenedMaps, open_tile
 
     if to is not None and to in PRESETS and to not in DOCUMENTS:  # all of them are targets
         to, preset = None, to
@@ -155,21 +165,27 @@ def export(
     changes = parse_adjustments(adjust)
     if onnx and changes.changes:
         raise UsageError("a network is not adjusted", where="--adjust", remedy="leave it out")
+    if udim is not None and changes.changes:
+        raise UsageError("a texture set is not adjusted", where="--adjust", remedy="leave it out")
     if onnx:
         _export_onnx(path, out or Path("."), as_json=json, quiet=quiet)
         return
     target = check_target(to=to, preset=preset)
+    largest, count = size or values.DEFAULT_SIZE, udim.width * udim.height if udim else 1
     if out is not None:
-        largest = size or values.DEFAULT_SIZE
-        check_writable(out, export_bytes(largest.width, largest.height))
-    found = open_tile(
-        path,
-        size=(size.width, size.height) if size else None,
-        seed=seed,
-        generator=generator and generator.value,
-        adjust=changes,
-    )
+        check_writable(out, count * export_bytes(largest.width, largest.height))
+    which: Generator | None = generator and generator.value
+    tiles, around = None, None
+    if udim is not None:
+        side = (largest.width, largest.height)
+        tiles, stem = open_set(path, (udim.width, udim.height), side, seed or 0, which)
+        inner, around = tiles.tile(0, 0)
+        found = OpenedMaps(inner, stem, dict(tiles.material.provenance))
+    else:
+        asked_size = (size.width, size.height) if size else None
+        found = open_tile(path, size=asked_size, seed=seed, generator=which, adjust=changes)
     asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
+    asked_for += f"_udim{udim}" * (udim is not None)
     asked_for += f"_{changes.text.replace('=', '').replace(',', '_')}" * changes.changes
     folder = out or Path(f"{found.name}_{target}{asked_for}")
     sidecar = folder / f"{found.name}_{target}.json"
@@ -179,7 +195,7 @@ def export(
             where=str(sidecar),
             remedy="choose another folder with -o, or give --overwrite",
         )
-    check_writable(folder, export_bytes(*found.maps.size))
+    check_writable(folder, count * export_bytes(*found.maps.size))
     job = ExportJob(
         found.maps,
         found.name,
@@ -189,6 +205,8 @@ def export(
         container and container.value,
         material_reach(path, found.name),
         tiled,
+        around,
+        tiles,
     )
     form: Workflow | None = "specular" if workflow is WorkflowName.specular else None
     form = "metallic" if workflow is WorkflowName.metallic else form

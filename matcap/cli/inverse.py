@@ -37,6 +37,9 @@ def train(
         ),
     ] = None,
     rate: Annotated[float, typer.Option(help="Adam's rate.")] = 4e-4,
+    cooling: Annotated[
+        int, typer.Option(min=0, help="Steps before the last over which the rate falls to nothing.")
+    ] = 0,
     batch: Annotated[int, typer.Option(min=1, help="Photographs a step.")] = 1,
     workers: Annotated[
         int, typer.Option(min=0, help="Processes that make photographs; 0 for none.")
@@ -49,8 +52,8 @@ def train(
     from matcap.lab.inverse.train import train as run
 
     settings = TrainSettings(
-        steps=steps, seconds=time_limit or float("inf"), rate=rate, batch=batch, workers=workers,
-        device=device,
+        steps=steps, seconds=time_limit or float("inf"), rate=rate, cooling=cooling,
+        batch=batch, workers=workers, device=device,
     )  # fmt: skip
     run(folder, settings, tell=(lambda _line: None) if quiet else _tell)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from matcap.export.gltf import SHADING as GLTF
 from matcap.export.godot import LARGEST_F0, godot_material
 from matcap.export.presets import (
     Lit,
@@ -220,7 +221,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
                 "height": height("height"),
                 "normal": normal(),
             },
-            lit=Lit(TargetShading(layer="half"), "metallic", (_UNITY_F0, _UNITY_F0)),
+            lit=Lit(GLTF, "metallic", (_UNITY_F0, _UNITY_F0)),
             notes=("--to gltf keeps F0, by KHR_materials_specular",),
         ),
     },

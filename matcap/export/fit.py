@@ -30,6 +30,7 @@ _ROUGH, _F0 = 64, 33
 # Roughnesses that are tried, relative to the one that is meant, where the highlight has another
 # shape; all others keep it.
 _RATIOS = np.linspace(0.7, 1.3, 61)
+_ROUNDS = 4  # of Newton's kind, until factors stand to 1e-4
 _LEAST = 0.02  # of the grid's roughness: below it a highlight is narrower than the directions
 
 
@@ -102,11 +103,15 @@ def _nearest(
     ratios = _RATIOS if shading.specular == "mobile" else np.ones(1)
     for ratio in sorted(ratios, key=lambda one: abs(one - 1.0)):
         tried = (rough * float(ratio)).clamp(max=1.0)
-        shown = torch.stack(
-            [specular_lobe(shading, at, f0, 1.0, tried) * at.light for at in places]
-        )
-        scale = meant.sum(0) / shown.sum(0).clamp_min(1e-9)
-        off = (meant - scale * shown).abs().sum(0)
+        scale = torch.ones_like(f0)
+        # What bounces between microfacets grows with the square of F0.
+        for _ in range(_ROUNDS if shading.compensated else 1):
+            shown = torch.stack(
+                [specular_lobe(shading, at, f0 * scale, 1.0, tried) * at.light for at in places]
+            )
+            step = meant.sum(0) / shown.sum(0).clamp_min(1e-9)
+            scale = scale * step
+        off = (meant - step * shown).abs().sum(0)
         better = off < best * (1.0 - 1e-6)
         best = torch.where(better, off, best)
         factor = torch.where(better, scale, factor)

@@ -3,7 +3,8 @@
 In the specular form, KHR_materials_specular and KHR_materials_ior: the index of refraction gives
 the largest F0 of the maps, the specular colour texture scales it down per texel; so F0 is kept,
 whatever it is. The metallic form does with glTF's core and one index of refraction. The base
-colour makes up for what the layer takes (fit.py). Ambient occlusion lies in red of the texture of
+colour makes up for what the layer takes, and F0 for the bounces between microfacets that viewers
+add (fit.py). Ambient occlusion lies in red of the texture of
 roughness and metallic. The height has no place in glTF; its scale goes with the sidecar. A plane
 unit is as many metres as it really is, or one where nobody measured it.
 """
@@ -14,7 +15,8 @@ import json
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,11 +34,12 @@ from matcap.export.specular_workflow import (
     told_roughness,
 )
 from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Picture, TextureFile
+from matcap.export.texture_file import WRITERS, Picture, TextureFile
 from matcap.export.textures import (
     BASE,
     Export,
     ExportJob,
+    MadeSurface,
     MapRows,
     Reader,
     coded_normal,
@@ -45,7 +48,9 @@ from matcap.export.textures import (
 )
 from matcap.files.maker import MAKER
 
-SHADING = TargetShading(layer="half")
+# As viewers shade: three.js, Babylon.js and Blender add what bounces between microfacets.
+SHADING = TargetShading(layer="half", compensated=True)
+_LITERAL = TargetShading(layer="half")  # as glTF says, which leaves that to them
 # Beyond this F0 the index of refraction runs off to infinity; a factor above 1 does the rest.
 _LARGEST_F0 = 0.9
 _FLOAT, _SHORT = 5126, 5123
@@ -100,10 +105,14 @@ def gltf_specular(job: ExportJob) -> Export:
             shading=SHADING,
         )
 
+    def literal(read: Reader) -> TargetSurface:
+        return replace(surface(read), shading=_LITERAL)
+
     look = _GltfLook(textures, ior(limit), 0.0, largest / limit)
     notes = (*clipping_notes(job, SHADING), *job.size_notes())
     facts = occlusion_facts(job)
-    return Export({}, _documents(job, look), {"specular": surface}, notes, facts)
+    surfaces: dict[str, MadeSurface] = {"specular": surface, "of a single bounce": literal}
+    return Export({}, _documents(job, look), surfaces, notes, facts)
 
 
 def gltf_metallic(job: ExportJob) -> Export:
@@ -171,40 +180,42 @@ class _Binary:
     """The binary chunk of a .glb, grown piece by piece."""
 
     def __init__(self) -> None:
-        self._bytes = bytearray()
+        self._parts: list[bytes] = []
+        self._length = 0
         self.views: list[dict[str, Any]] = []
 
     def view(self, data: bytes, **extra: int) -> int:
         """Add bytes; gives their buffer view's number."""
-        self._bytes += b"\0" * (-len(self._bytes) % 4)
         self.views.append(
-            {"buffer": 0, "byteOffset": len(self._bytes), "byteLength": len(data), **extra}
+            {"buffer": 0, "byteOffset": self._length, "byteLength": len(data), **extra}
         )
-        self._bytes += data
+        self._parts += [data, b"\0" * (-len(data) % 4)]
+        self._length += len(data) + -len(data) % 4
         return len(self.views) - 1
 
     def glb(self, document: dict[str, Any]) -> bytes:
         """The file: header, JSON chunk, binary chunk (glTF 2.0, section 4.4)."""
-        self._bytes += b"\0" * (-len(self._bytes) % 4)
-        document["buffers"] = [{"byteLength": len(self._bytes)}]
+        document["buffers"] = [{"byteLength": self._length}]
         document["bufferViews"] = self.views
         text = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
-        chunks = struct.pack("<I4s", len(text), b"JSON") + text
-        chunks += struct.pack("<I4s", len(self._bytes), b"BIN\0") + self._bytes
-        return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+        whole = 12 + 8 + len(text) + 8 + self._length
+        header = struct.pack("<4sIII4s", b"glTF", 2, whole, len(text), b"JSON")
+        return b"".join([header, text, struct.pack("<I4s", self._length, b"BIN\0"), *self._parts])
 
 
 def _document(job: ExportJob, binary: _Binary, look: _GltfLook) -> dict[str, Any]:
-    images = [
-        {
-            # Untagged: glTF says itself how numbers are read, and browsers would apply gAMA.
-            "bufferView": binary.view(picture.encoded(job, tagged=False)),
-            "mimeType": _MIME[picture.container],
-            "name": f"{job.name}_{kind}",
-        }
-        for kind, picture in look.textures.items()
-    ]
+    # Untagged: glTF says itself how numbers are read, and browsers would apply gAMA.
+    with ThreadPoolExecutor(WRITERS) as pool:
+        coded = pool.map(lambda one: one.encoded(job, tagged=False), look.textures.values())
+        images = [
+            {
+                "bufferView": binary.view(data),
+                "mimeType": _MIME[picture.container],
+                "name": f"{job.name}_{kind}",
+            }
+            for (kind, picture), data in zip(look.textures.items(), coded, strict=True)
+        ]
     texture = {kind: {"index": index} for index, kind in enumerate(look.textures)}
     extensions: dict[str, Any] = {"KHR_materials_ior": {"ior": look.ior}}
     if look.factor is not None:

@@ -277,8 +277,7 @@ def _names(
     res = _resolution(job, thousand)
     names: dict[str, str] = {}
     for kind, (label, made) in packed.items():
-        container = made.suffix[1:].upper()
-        fields = {"stem": job.name, "map": label, "res": res, "format": container}
+        fields = {"stem": job.name, "map": label, "res": res, "format": made.container.upper()}
         file = plain_name(pattern.format(**fields)) + made.suffix
         if file in names.values():
             raise UsageError(

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 
 from matcap.export.fit import told
 from matcap.export.shading import TargetShading
+from matcap.export.texture_file import bands
 
 if TYPE_CHECKING:
     from matcap.export.texture_file import Picture
     from matcap.export.textures import ExportJob, MapRows
-
-_ROWS = 512
 
 
 def base_colour(piece: MapRows, shading: TargetShading) -> Picture:
@@ -55,4 +54,4 @@ def clipping_notes(job: ExportJob, shading: TargetShading) -> tuple[str, ...]:
 
 def _bands(job: ExportJob) -> list[MapRows]:
     _, height = job.maps.size
-    return [job.piece(slice(top, min(top + _ROWS, height))) for top in range(0, height, _ROWS)]
+    return [job.piece(rows) for rows in bands(height)]

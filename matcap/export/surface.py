@@ -113,14 +113,18 @@ def residual(maps: MapSet, surface: TargetSurface) -> Residual:
     65,000 evenly spread texels, divided by matcap's sum.
     """
     step = thinning(*maps.size)
-    return compared(TargetSurface.of_maps(maps).every(step), surface.every(step))
+    return _compared(_lit(TargetSurface.of_maps(maps).every(step)), surface.every(step))
 
 
-def compared(ours: TargetSurface, theirs: TargetSurface) -> Residual:
-    """The residual of every texel of two surfaces, both in float64."""
+def _lit(surface: TargetSurface) -> list[Tensor]:
+    """A surface under every pair of directions."""
+    return [surface.shine(*directions) for directions in DIRECTIONS]
+
+
+def _compared(meant: list[Tensor], theirs: TargetSurface) -> Residual:
+    """The residual of every texel of a surface, in float64, from what is meant."""
     off, total, worst = 0.0, 0.0, 0.0
-    for directions in DIRECTIONS:
-        true = ours.shine(*directions)
+    for directions, true in zip(DIRECTIONS, meant, strict=True):
         error = float((theirs.shine(*directions) - true).abs().sum())
         light = float(true.sum())
         off, total = off + error, total + light
@@ -149,8 +153,8 @@ def residuals(
 
     kinds = ("diffuse", "specular", "roughness", "normal")
     diffuse, specular, roughness, normal = (_channels(piece.picture(kind)) for kind in kinds)
-    ours = TargetSurface(diffuse, specular, roughness, normal)
-    return {name: compared(ours, made(read)) for name, made in surfaces.items()}
+    meant = _lit(TargetSurface(diffuse, specular, roughness, normal))
+    return {name: _compared(meant, made(read)) for name, made in surfaces.items()}
 
 
 def nearest(job: ExportJob, surfaces: Mapping[int, MadeSurface]) -> int:

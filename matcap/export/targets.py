@@ -19,6 +19,8 @@ Keys:
     height_code: where the target stores heights, `scale`, `midlevel` and `unit`:
         height = (value - midlevel) * scale.
     periodic: whether it repeats without a seam.
+    udim: (columns, rows) of a texture set, whose file names say `<UDIM>` for 1001 and on, left
+        bottom first; null where there is none. `width` and `height` are a tile's, `tile` the set's.
     seam: step across the border over steps inside, about 1 without a seam.
     files: for each texture its `colour_space`, `depth` and `meaning`.
     documents: names of the other files.
@@ -52,7 +54,9 @@ from matcap.export.names import known
 from matcap.export.presets import PresetOptions, pack
 from matcap.export.reach import material_reach
 from matcap.export.surface import Residual, residuals
+from matcap.export.texture_file import TOKEN, WRITERS, TextureFile
 from matcap.export.textures import Export, ExportJob, Workflow, known_scale
+from matcap.export.udim import FIRST
 from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
@@ -67,7 +71,9 @@ _SEAM = (
 
 # All maps twice, in 32-bit floats: no target takes more.
 _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
-_WRITERS = 2  # textures written at a time: each holds one picture in memory
+
+# Programs that find no tiles by their numbers.
+_NO_TILES = ("gltf", "mitsuba", "godot")
 
 # The forms of a target by workflow; one without a name where there is no choice.
 Forms = Mapping[Workflow | None, Callable[[ExportJob], Export]]
@@ -172,7 +178,8 @@ def write_export(
         workflow: the form; the one that comes nearest by default.
 
     Raises:
-        UsageError: no such target, or one that does not know the choice or the workflow.
+        UsageError: no such target, or one that does not know the choice, the workflow or texture
+            sets.
         MatcapError: values that are not finite, a full disk, an unwritable folder.
     """
     if target in DOCUMENTS:
@@ -228,6 +235,10 @@ def _write(
             where="--workflow",
             remedy=f"give {' or '.join(names)}" if names else "leave it out",
         )
+    if job.tiles is not None and target in _NO_TILES:
+        raise UsageError(
+            f"{target} knows no texture sets", where="--udim", remedy="leave it out, or give --size"
+        )
     # Every form is asked what comes of it; only the chosen one makes its files.
     made = {form: make(job) for form, make in forms.items()}
     found = {form: residuals(job, export.surfaces) for form, export in made.items()}
@@ -236,10 +247,11 @@ def _write(
     export, off = made[chosen], first[chosen]
     told = {name: one for per_form in found.values() for name, one in per_form.items()}
     sidecar = f"{job.name}_{target}.json"
-    notes = export.notes if job.maps.periodic else (*export.notes, _SEAM)
+    notes = export.notes if job.repeats else (*export.notes, _SEAM)
     with staged(folder) as stage:
-        with ThreadPoolExecutor(_WRITERS) as pool:
-            list(pool.map(lambda one: one[1].write(stage / one[0], job), export.textures.items()))
+        _write_textures(export.textures, job, stage, FIRST)
+        for number, tile in () if job.tiles is None else job.tiles.others(job):
+            _write_textures(export.textures, tile, stage, number)
         for file, content in export.documents.items():
             (stage / file).write_bytes(content(stage))
         about = _sidecar(export, job, target, off, notes) | {
@@ -252,6 +264,19 @@ def _write(
         (stage / sidecar).write_text(text + "\n")
         files = tuple(sorted(file.name for file in stage.iterdir()))
     return Exported(folder, files, off, notes, chosen, told)
+
+
+def _write_textures(
+    textures: Mapping[str, TextureFile], job: ExportJob, stage: Path, number: int
+) -> None:
+    """All textures of a job; where it is a tile of a texture set, of that number."""
+
+    def write(named: tuple[str, TextureFile]) -> None:
+        name, texture = named
+        texture.write(stage / name.replace(TOKEN, str(number)), job)
+
+    with ThreadPoolExecutor(WRITERS) as pool:
+        list(pool.map(write, textures.items()))
 
 
 def _mean(off: Residual | None) -> float:
@@ -275,7 +300,8 @@ def _sidecar(
         "unit": job.unit,
         "tile": [across, down],
         "texel": job.maps.texel_size * job.unit_length,
-        "periodic": job.maps.periodic,
+        "periodic": job.repeats,
+        "udim": job.grid,
         "seam": round(seam_ratio(job.maps), 3),
         "files": {
             file: {

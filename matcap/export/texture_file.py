@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.files.exr import LARGEST_HALF, write_exr
-from matcap.files.png import png_bytes, quantised
+from matcap.files.png import png_bytes, quantised, turned
 from matcap.files.srgb import srgb_decode, srgb_picture
 
 if TYPE_CHECKING:
@@ -31,8 +31,11 @@ CONTAINERS: dict[Container, tuple[Depth, ...]] = {
     "exr": ("half", "float"),
     "tx": ("8", "16", "half", "float"),
 }
+TOKEN = "<UDIM>"  # stands for a tile's number in names of files
+WRITERS = 2  # textures made at a time: each holds one picture in memory
 _JPEG_QUALITY = 95
-_ROWS = 256  # of a texture that are made at a time
+# Of a texture that are made at a time: of 4096 columns what is worked on stays in the cache.
+_ROWS = 64
 _INCH = 0.0254
 
 
@@ -47,6 +50,7 @@ class TextureFile:
         srgb: whole numbers follow the sRGB curve; floats are light itself.
         meaning: what the values are, for the sidecar.
         container: the file's format.
+        udim: there is one of every tile of a texture set.
     """
 
     make: Callable[[MapRows], Picture]
@@ -54,11 +58,12 @@ class TextureFile:
     srgb: bool = False
     meaning: str = ""
     container: Container = "png"
+    udim: bool = False
 
     @property
     def suffix(self) -> str:
         """Of its file, dot included."""
-        return f".{self.container}"
+        return f".{TOKEN}.{self.container}" if self.udim else f".{self.container}"
 
     @property
     def whole(self) -> bool:
@@ -101,11 +106,11 @@ class TextureFile:
     def pixels(self, job: ExportJob) -> NDArray[np.uint8] | NDArray[np.uint16] | Picture:
         """The whole picture, made a band of rows at a time: little beside the result is held."""
         _, height = job.maps.size
-        first = self.stored(job.piece(slice(0, _ROWS)))
+        top, *rest = bands(height)
+        first = self.stored(job.piece(top))
         whole = np.empty((height, *first.shape[1:]), dtype=first.dtype)
-        whole[:_ROWS] = first
-        for top in range(_ROWS, height, _ROWS):
-            rows = slice(top, min(top + _ROWS, height))
+        whole[: len(first)] = first
+        for rows in rest:
             whole[rows] = self.stored(job.piece(rows))
         return whole
 
@@ -128,8 +133,7 @@ class TextureFile:
             if self.container == "jpg"
             else [cv2.IMWRITE_WEBP_QUALITY, 101]
         )  # fmt: skip
-        turned = whole[..., [2, 1, 0, *range(3, whole.shape[2])]] if whole.ndim == 3 else whole
-        _, encoded = cv2.imencode(self.suffix, np.ascontiguousarray(turned), flags)
+        _, encoded = cv2.imencode(f".{self.container}", turned(whole), flags)
         return encoded.tobytes()
 
     def write(self, path: Path, job: ExportJob) -> None:
@@ -147,6 +151,11 @@ class TextureFile:
             write_tiled(path, self.pixels(job), srgb=self.colour_space == "sRGB", wrap=job.wrap)
         else:
             path.write_bytes(self.encoded(job))
+
+
+def bands(height: int) -> list[slice]:
+    """The rows of a texture, as many at a time as are made at once."""
+    return [slice(top, min(top + _ROWS, height)) for top in range(0, height, _ROWS)]
 
 
 def _curved(values: Picture) -> Picture:

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.export.texture_file import CONTAINERS, Container, Depth, Picture, TextureFile
+from matcap.export.texture_file import (
+    CONTAINERS,
+    Container,
+    Depth,
+    Picture,
+    TextureFile,
+    bands,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -19,6 +26,7 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.export.occlusion import Occlusion
     from matcap.export.surface import TargetSurface
+    from matcap.export.udim import TextureSet
 
 Workflow = Literal["metallic", "specular"]
 
@@ -50,6 +58,9 @@ class ExportJob:
         reach: the height, in plane units, that coded heights hold above and below the undisplaced
             level, the same for every realisation; None to find it from these maps.
         tiled: EXR files in tiles, with mipmaps.
+        around: the same maps with as much around them on every side, where they are a tile of a
+            texture set; it is not periodic.
+        tiles: that set, whose first tile this job is; see udim.py.
     """
 
     maps: MapSet
@@ -60,6 +71,8 @@ class ExportJob:
     container: Container | None = None
     reach: float | None = None
     tiled: bool = False
+    around: MapSet | None = None
+    tiles: TextureSet | None = None
 
     @property
     def unit(self) -> str:
@@ -78,9 +91,19 @@ class ExportJob:
 
     @property
     def extent(self) -> tuple[float, float]:
-        """(width, height) of the map set in plane units."""
-        width, height = self.maps.size
-        return width * self.maps.texel_size, height * self.maps.texel_size
+        """(width, height) of the map set, or of the whole texture set, in plane units."""
+        (width, height), (columns, rows) = self.maps.size, self.grid or (1, 1)
+        return columns * width * self.maps.texel_size, rows * height * self.maps.texel_size
+
+    @property
+    def grid(self) -> tuple[int, int] | None:
+        """(columns, rows) of the texture set; None where there is none."""
+        return None if self.tiles is None else (self.tiles.columns, self.tiles.rows)
+
+    @property
+    def repeats(self) -> bool:
+        """Whether what is exported goes on at its other side."""
+        return self.maps.periodic if self.tiles is None else self.tiles.period is not None
 
     @property
     def wrap(self) -> Literal["periodic", "clamp"]:
@@ -118,7 +141,9 @@ class ExportJob:
         depth, container = self.depth or usual, self.container
         if container in ("jpg", "webp"):
             if not lossy:
-                return TextureFile(make, self.depth or usual, srgb, meaning)
+                return TextureFile(
+                    make, self.depth or usual, srgb, meaning, udim=self.tiles is not None
+                )
             depth = self.depth or "8"
         elif container == "exr":
             depth = self.depth or (usual if usual in CONTAINERS["exr"] else "half")
@@ -130,7 +155,7 @@ class ExportJob:
                 where="--bits",
                 remedy=f"give {' or '.join(CONTAINERS[container])}",
             )
-        return TextureFile(make, depth, srgb, meaning, container)
+        return TextureFile(make, depth, srgb, meaning, container, self.tiles is not None)
 
     @cached_property
     def diffuse(self) -> Picture:
@@ -155,30 +180,44 @@ class ExportJob:
     @cached_property
     def normal(self) -> Picture:
         """(H, W, 3), +Y up."""
-        return self._picture(self.maps.normal)
+        from matcap.brdf.normals import normals_of_rows
+
+        maps = self.around or self.maps
+        field, (width, height) = maps.height.detach().cpu().float(), maps.size
+        made = np.empty((height, width, 3), dtype=np.float32)
+        for band in bands(height):
+            rows = normals_of_rows(field, maps.texel_size, band, periodic=maps.periodic)
+            made[band] = rows.movedim(0, -1).numpy()
+        return self._cut(made)
 
     @cached_property
     def _shadows(self) -> Occlusion:
         from matcap.export.occlusion import occlusion
 
-        return occlusion(
-            self.height / np.float32(self.maps.texel_size), periodic=self.maps.periodic
-        )
+        maps = self.around or self.maps
+        field = self._picture(maps.height) / np.float32(maps.texel_size)
+        return occlusion(field, periodic=maps.periodic)
 
     @cached_property
     def occlusion(self) -> Picture:
         """(H, W) share of an even sky's light that arrives."""
-        return self._shadows.whole("open")
+        return self._cut(self._shadows.whole("open"))
 
     @cached_property
     def cavity(self) -> Picture:
         """(H, W) the same, of the nearest neighbours only."""
-        return self._shadows.whole("cavity")
+        return self._cut(self._shadows.whole("cavity"))
 
     @cached_property
     def bent(self) -> Picture:
         """(H, W, 3) mean direction of what is open, +Y up."""
-        return self._shadows.whole("bent")
+        return self._cut(self._shadows.whole("bent"))
+
+    def _cut(self, wide: Picture) -> Picture:
+        """What was made with its surroundings, without them."""
+        width, height = self.maps.size
+        down, across = (wide.shape[0] - height) // 2, (wide.shape[1] - width) // 2
+        return wide[down : down + height, across : across + width]
 
     @staticmethod
     def _picture(tensor: Tensor) -> Picture:
@@ -202,7 +241,8 @@ class ExportJob:
 
         The undisplaced level is mid-grey.
         """
-        reach = self.reach or roomy(float(np.abs(self.height).max(initial=0.0)))
+        known = (self.around or self.maps).height
+        reach = self.reach or roomy(float(known.abs().max()) if known.numel() else 0.0)
         return 2.0 * reach, 0.5
 
 
@@ -319,7 +359,7 @@ def coded_height(piece: MapRows) -> Picture:
 def float_height(job: ExportJob) -> TextureFile:
     """The height itself in plane units, 32-bit float whatever was asked for of the others."""
     container: Container = job.container if job.container == "tx" else "exr"
-    return TextureFile(picture("height"), "float", meaning=HEIGHT, container=container)
+    return TextureFile(picture("height"), "float", False, HEIGHT, container, job.tiles is not None)
 
 
 def height_facts(job: ExportJob, scale: float, midlevel: float) -> dict[str, Any]:

@@ -16,9 +16,10 @@ import io
 import re
 import struct
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -200,12 +201,16 @@ def _export(
     stage = _stage(job, look, files).encode()
 
     def package(folder: Path) -> bytes:
-        held = {file: (folder / file).read_bytes() for file in files.values()}
-        return _package({f"{job.name}.usda": stage} | held)
+        # Read one by one: all of them are as large as the package.
+        held = ((file, (folder / file).read_bytes()) for file in files.values())
+        return _package(chain([(f"{job.name}.usda", stage)], held))
 
+    documents: dict[str, Callable[[Path], bytes]] = {f"{job.name}.usda": lambda _: stage}
+    if job.tiles is None:  # what opens packages knows no texture sets
+        documents[f"{job.name}.usdz"] = package
     return Export(
         {file: textures[kind] for kind, file in files.items()},
-        {f"{job.name}.usda": lambda _: stage, f"{job.name}.usdz": package},
+        documents,
         surfaces | {"mtlx": openpbr},
         (*clipping_notes(job, SHADING), *job.size_notes()),
         height_facts(job, *job.height_code) | occlusion_facts(job),
@@ -215,6 +220,7 @@ def _export(
 def _stage(job: ExportJob, look: _UsdLook, files: dict[str, str]) -> str:
     """The .usda text."""
     x, y = (side * job.metres / 2.0 for side in job.extent)
+    columns, rows = job.grid or (1, 1)
     name = _identifier(job.name)
     scale, midlevel = job.height_code
     scale *= job.metres
@@ -264,7 +270,7 @@ def Xform "{name}" (
             interpolation = "vertex"
         )
         point3f[] points = [({-x!r}, {-y!r}, 0), ({x!r}, {-y!r}, 0), ({x!r}, {y!r}, 0), ({-x!r}, {y!r}, 0)]
-        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (
+        texCoord2f[] primvars:st = [(0, 0), ({columns}, 0), ({columns}, {rows}), (0, {rows})] (
             interpolation = "vertex"
         )
         uniform token subdivisionScheme = "none"
@@ -391,11 +397,11 @@ def _identifier(name: str) -> str:
     return plain if plain[0].isalpha() else f"M_{plain}"
 
 
-def _package(files: dict[str, bytes]) -> bytes:
-    """A .usdz: the first file is the stage."""
+def _package(files: Iterable[tuple[str, bytes]]) -> bytes:
+    """A .usdz of names and contents: the first file is the stage."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED) as package:
-        for name, content in files.items():
+        for name, content in files:
             info = zipfile.ZipInfo(name, _DATE)
             start = whole.tell() + _HEADER + len(name.encode())
             # An extra field, private to nobody, fills up to the next multiple of 64.

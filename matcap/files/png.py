@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,16 @@ def png_bytes(whole: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     """A PNG file of (H, W, 4), (H, W, 3) or (H, W) whole code values."""
     import cv2
 
-    order = {3: [2, 1, 0], 4: [2, 1, 0, 3]}
-    stored = whole[..., order[whole.shape[2]]] if whole.ndim == 3 else whole
-    _, encoded = cv2.imencode(".png", np.ascontiguousarray(stored))
+    _, encoded = cv2.imencode(".png", turned(whole))
     return encoded.tobytes()
+
+
+def turned(whole: NDArray[Any]) -> NDArray[Any]:
+    """(H, W, 4), (H, W, 3) or (H, W) with red and blue exchanged, as OpenCV stores colours."""
+    import cv2
+
+    whole = np.ascontiguousarray(whole)
+    if whole.ndim == 2:
+        return whole
+    way = cv2.COLOR_RGB2BGR if whole.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+    return np.asarray(cv2.cvtColor(whole, way))

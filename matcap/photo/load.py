@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ def load_photo(
     _check_request(long_side, fov)
     with quiet_decoders():
         picture, exif = _read(path, long_side, noise)
-    return _photo(picture, exif, fov, str(path), path.name)
+    return replace(_photo(picture, exif, fov, str(path), path.name), path=path.absolute())
 
 
 def photo_from_array(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ class Photo:
             `clipped` overstates it, for a shrunk pixel counts when a quarter of it was clipped.
         flash_intensity: radiant intensity of the flash in the units of `pixels`, where a
             calibration card told it: albedo is absolute then.
+        path: where the file was read, absolute; None where there was no file.
         noise: (H, W, 3) float32, what one more draw of the sensor's noise would have added to
             `pixels`; None where it is unknown or has averaged out.
     """
@@ -49,6 +51,7 @@ class Photo:
     notes: tuple[str, ...] = ()
     stored_clipped_share: float | None = None
     flash_intensity: float | None = None
+    path: Path | None = None
     noise: NDArray[np.float32] | None = None
 
     @property

@@ -148,3 +148,15 @@ def test_a_card_in_the_shoot_is_no_sample_and_what_it_tells_is_part_of_the_ident
     assert card.entries[0].identity != without.entries[0].identity
     none = prepare(shoot, tmp_path / "out", BatchSettings(card="none"), Policy(), shown)
     assert len(none.entries) == 2
+
+
+def test_a_cards_millimetres_are_the_materials():
+    from matcap.batch.work import measured
+    from matcap.capture.settings import CaptureSettings
+    from matcap.photo.calibrate import Calibration
+
+    card = Calibration("card.dng", "digest", millimetres_per_unit=120.0)
+    assert measured(CaptureSettings(), card).millimetres_per_unit == 120.0
+    assert measured(CaptureSettings(width_cm=10.0), card).millimetres_per_unit == 50.0
+    for silent in (None, Calibration("card.dng", "digest")):
+        assert measured(CaptureSettings(), silent).millimetres_per_unit is None

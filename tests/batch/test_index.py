@@ -98,3 +98,11 @@ def test_a_material_that_failed_in_the_verdict_is_red(tmp_path):
     assert '<a class="verdict failed" href="lost/report.json">' in page
     (row,) = json.loads((tmp_path / "index.json").read_text())["materials"]
     assert (row["state"], row["verdict"], row["severity"]) == ("done", "failed", 4.2)
+
+
+def test_a_material_links_its_verdict_and_maps_and_says_how_to_view_it(tmp_path):
+    page = (written(tmp_path) / "index.html").read_text()
+    for name in ("good", "earlier"):
+        assert f'href="{name}/report.json">usable' in page and f'href="{name}/">maps' in page
+        assert f"<code>matcap view ./{name}</code>" in page
+    assert page.count("matcap view") == 2  # what was not made cannot be viewed

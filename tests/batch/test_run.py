@@ -1,6 +1,7 @@
 """The order of events of a batch, with a crew that does what it is told."""
 
 import errno
+import json
 import os
 
 import pytest
@@ -263,3 +264,23 @@ def test_whatever_goes_wrong_in_a_worker_comes_back_as_a_failure(batch, monkeypa
     _, crew, _ = batch()
     failure = do_job(crew.jobs[0], lambda stage, share: None)
     assert failure.kind == kind and failure.sentence.endswith(".")
+
+
+def test_a_shorter_capture_replaces_a_longer_one_only_if_asked(shoot, tmp_path):
+    out = tmp_path / "out"
+    (out / "a").mkdir(parents=True)
+    (out / "b").mkdir()
+    long = {"preset": "high", "steps": 10_000, "adapted": 10_000}
+    for name, effort in (("a", long), ("b", {**long, "steps": 0, "adapted": 0})):
+        report = {"format": "matcap report", "interrupted": False, "effort": effort}
+        (out / name / "report.json").write_text(json.dumps(report))
+
+    def plan(**choice):
+        entries = make_plan(find_samples(shoot), out, SETTINGS, prior="p", **choice)
+        return {entry.sample.name: entry for entry in entries}
+
+    kept = plan()
+    assert kept["a"].state == "failed" and kept["b"].state == "todo"
+    assert "a longer one, of preset high" in kept["a"].reason and "--overwrite" in kept["a"].reason
+    assert plan(force=True)["a"].state == "failed"
+    assert plan(overwrite=True)["a"].state == "todo"

@@ -6,6 +6,7 @@ hides a tilt behind an offset, which the priors then split: only glossy ones are
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,3 +75,15 @@ def test_half_the_exposure_is_half_the_flash_and_the_same_material():
     assert half_fit.roughness == pytest.approx(full_fit.roughness, abs=0.01)
     ratio = half_fit.setup.intensity[0] / full_fit.setup.intensity[0]
     assert ratio == pytest.approx(0.5, rel=0.02)
+
+
+def test_a_trend_of_colour_is_not_taken_for_the_light():
+    """Redder to the right and otherwise the same: red alone would put the flash 0.2 units off."""
+    setup, photo = made()
+    height, width = photo.pixels.shape[:2]
+    u = (np.arange(width) + 0.5) / width * 2.0 - 1.0
+    pixels = photo.pixels.copy()
+    pixels[..., 0] *= np.exp(0.3 * u)
+    fit = fit_coarse(replace(photo, pixels=pixels.astype(np.float32)))
+    assert fit.setup.offset[:2] == pytest.approx(setup.offset[:2], abs=0.05)
+    assert fit.setup.tilt == pytest.approx((0.0, 0.0), abs=math.radians(1.5))

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from uniform import a_setup, photograph
@@ -53,6 +54,20 @@ def test_rougher_is_wider():
         for r in (0.2, 0.3, 0.4)
     ]
     assert widths[0] < 0.85 * widths[1] < 0.72 * widths[2]
+
+
+def test_patches_of_metal_make_one_highlight_together():
+    """Between rust every patch is as bright as a highlight is, and far smaller than this one."""
+    setup = a_setup(offset=(0.1, 0.05, 0.0), intensity=10.0)
+    metal = photograph(setup, roughness=0.3, size=(256, 192), specular=0.5, diffuse=(0.02,) * 3)
+    rust = photograph(setup, roughness=0.9, size=(256, 192), diffuse=(0.1, 0.05, 0.02))
+    noise = np.random.default_rng(0).standard_normal((192, 256)).astype(np.float32)
+    patches = cv2.GaussianBlur(noise, (0, 0), 3.0)
+    bare = (patches > 0.5 * patches.std())[..., None]
+    pixels = np.where(bare, metal.pixels, rust.pixels).astype(np.float32)
+    alone, found = (find_highlight(light_of(p)) for p in (metal.pixels, pixels))
+    assert math.dist(found.centre, alone.centre) < 0.08
+    assert found.width == pytest.approx(alone.width, rel=0.2)
 
 
 def test_matt_and_plaid_have_none():

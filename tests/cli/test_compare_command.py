@@ -44,3 +44,22 @@ def test_a_photograph_stands_beside_both(matcap, captures):
 def test_what_is_no_capture_is_refused(matcap, captures):
     said = matcap("compare", captures / "a", captures / "none")
     assert said.code == 3 and "there is no such file" in said.err
+
+
+def test_the_photograph_that_a_report_names_is_shown_or_said_to_be_gone(matcap, captures):
+    file = captures / "taken.png"
+    cv2.imwrite(str(file), np.full((192, 256, 3), 128, np.uint8))
+    report = {"format": "matcap report", "photograph": {"path": str(file)}}
+    (captures / "a" / "report.json").write_text(json.dumps(report))
+    one, two, three = (captures / f"{name}.png" for name in ("own", "given", "gone"))
+    (captures / "b" / "report.json").write_text(json.dumps(report))
+    assert matcap("compare", captures / "a", captures / "b", "-o", one).code == 0
+    options = ("--photo", file, "-o", two)
+    assert matcap("compare", captures / "a", captures / "b", *options).code == 0
+    with Image.open(one) as own, Image.open(two) as given:
+        assert own.tobytes() == given.tobytes()
+    file.unlink()
+    said = matcap("compare", captures / "a", captures / "b", "-o", three)
+    assert said.code == 0 and f"a: its photograph {file} is gone" in said.err
+    with Image.open(one) as own, Image.open(three) as gone:
+        assert own.tobytes() != gone.tobytes()

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 import torch
 
@@ -118,6 +119,39 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
     assert not open_tile(material, size=(40, 32), seed=3).maps.periodic
 
 
+@pytest.mark.parametrize("target", ["usd", "polyhaven"])
+def test_tiles_of_a_texture_set_are_cut_from_one_piece(matcap, material, tmp_path, target):
+    import cv2
+
+    size = ("export", material, "--to", target, "--seed", 3, "--size")
+    assert matcap(*size, "32x32", "--udim", "2x2", "-o", "tiles").code == 0
+    assert matcap(*size, "64x64", "-o", "whole").code == 0
+    about = json.loads((tmp_path / "tiles" / f"noise_{target}.json").read_text())
+    whole = json.loads((tmp_path / "whole" / f"noise_{target}.json").read_text())
+    assert (about["udim"], whole["udim"]) == ([2, 2], None)
+    assert about["periodic"]
+    assert about["tile"] == whole["tile"]
+
+    def read(folder, file, number=""):
+        path = tmp_path / folder / file.replace("<UDIM>", number)
+        return cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(float)
+
+    assert len(about["files"]) == len(whole["files"]) >= 6
+    for tiled, file in zip(about["files"], whole["files"], strict=True):
+        rows = [[read("tiles", tiled, number) for number in row] for row in _UDIM_ROWS]
+        made, expected = np.vstack([np.hstack(row) for row in rows]), read("whole", file)
+        if "height" in file or "disp" in file:  # each by its own range
+            scales = (one["height_code"]["scale"] for one in (about, whole))
+            made, expected = (
+                scale * (one - 32767.5) for scale, one in zip(scales, (made, expected), strict=True)
+            )
+        assert np.abs(made - expected).mean() <= 0.005 * np.ptp(expected), tiled
+
+
+# As they lie: the lowest row is the first.
+_UDIM_ROWS = (("1011", "1012"), ("1001", "1002"))
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
@@ -131,6 +165,7 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
         (["--to", "usd", "--bits", "half"], 2, "--bits: a .usdz holds PNGs only; give 8 or 16."),
         (["--preset", "raw", "--maps", "rough"], 2, "did you mean 'roughness'."),
         (["--preset", "raw", "--name", "{stem}"], 2, "put {map} into the name."),
+        (["--to", "usd", "--udim", "2x2"], 2, "--udim: set is no material"),
         (["--to", "usd", "-o", "set/moss.json"], 3, "a file stands where a folder is needed"),
     ],
 )

@@ -26,3 +26,16 @@ def channels(array: np.ndarray) -> torch.Tensor:
     """(C, H, W) float64."""
     tensor = torch.from_numpy(np.ascontiguousarray(array))
     return tensor[None] if tensor.ndim == 2 else tensor.movedim(-1, 0)
+
+
+def averaged(image: np.ndarray, block: int = 16) -> np.ndarray:
+    """Means of blocks of pixels: of the material, and not of how pictures are filtered."""
+    height, width = (side // block * block for side in image.shape[:2])
+    parts = image[:height, :width].reshape(height // block, block, width // block, block, 3)
+    return parts.mean(axis=(1, 3))
+
+
+def unlike(found: np.ndarray, true: np.ndarray) -> float:
+    """Share of light that differs between two pictures, averaged over 16 x 16 pixels."""
+    found, true = averaged(found), averaged(true)
+    return float(np.abs(found - true).sum() / true.sum())

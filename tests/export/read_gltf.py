@@ -56,8 +56,13 @@ def opened(path):
     return document, view
 
 
-def surface(path) -> TargetSurface:
-    """As the specification and its extensions specular and ior say, and no other way."""
+def surface(path, *, compensated=False) -> TargetSurface:
+    """As the specification and its extensions specular and ior say, and no other way.
+
+    Args:
+        path: of the .glb.
+        compensated: with what bounces between microfacets, as most viewers have it.
+    """
     document, view = opened(path)
     (material,) = document["materials"]
     assert set(document["extensionsUsed"]) == set(material["extensions"])
@@ -81,5 +86,5 @@ def surface(path) -> TargetSurface:
         channels(read(rough["metallicRoughnessTexture"]))[1:2],
         2.0 * channels(read(material["normalTexture"])) - 1.0,
         layer=f0.amax(dim=0, keepdim=True),
-        shading=TargetShading(layer="half"),
+        shading=TargetShading(layer="half", compensated=compensated),
     )

@@ -1,18 +1,14 @@
 """MaterialX documents through MaterialX's own library: validity, parameters, a rendered picture."""
 
 import base64
-import json
-import shutil
 
 import MaterialX as mx
 import numpy as np
+from chromium import drawn
 from exported import channels, linear, picture
 from MaterialX import PyMaterialXGenGlsl, PyMaterialXGenShader
 
 from matcap.export.surface import TargetSurface
-
-# Software WebGL, which needs no screen.
-_FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 
 
 def load(path):
@@ -68,34 +64,35 @@ def _texture(path, node) -> np.ndarray:
     return linear(coded) if space == "srgb_texture" else coded
 
 
-def shader(document):
-    """The document as GLSL for WebGL2, under one directional light."""
+def shader(document, light):
+    """The document as GLSL for WebGL2, under one light: "directional" or "point"."""
     generator = PyMaterialXGenGlsl.EsslShaderGenerator.create()
     context = PyMaterialXGenShader.GenContext(generator)
     context.registerSourceCodeSearchPath(mx.getDefaultDataSearchPath())
     context.getOptions().hwMaxActiveLightSources = 1
-    light = document.getNodeDef("ND_directional_light")
-    PyMaterialXGenShader.HwShaderGenerator.bindLightShader(light, 1, context)
+    kind = document.getNodeDef(f"ND_{light}_light")
+    PyMaterialXGenShader.HwShaderGenerator.bindLightShader(kind, 1, context)
     (element,) = PyMaterialXGenShader.findRenderableElements(document)
     return generator.generate("matcap", element, context)
 
 
-def render(path, maps, direction, irradiance, *, compensated=True) -> np.ndarray:
+def render(path, maps, light, *, compensated=True) -> np.ndarray:
     """(H, W, 3) radiance as MaterialX's own shader has it, drawn by Chromium.
 
     Args:
         path: of the .mtlx.
         maps: for the plane's size.
-        direction: towards the light, a unit vector.
-        irradiance: on a surface facing the light.
+        light: one of matcap's point lights or directional ones.
         compensated: with what bounces between microfacets, which MaterialX adds and matcap's
             diffuse and specular effects leave out.
     """
-    from playwright.sync_api import sync_playwright
-
     document = load(path)
-    made = shader(document)
-    code = made.getSourceCode(PyMaterialXGenShader.PIXEL_STAGE)
+    is_point = hasattr(light, "position")
+    made = shader(document, "point" if is_point else "directional")
+    # Its point light falls off by the square of a unit more than the distance.
+    code = made.getSourceCode(PyMaterialXGenShader.PIXEL_STAGE).replace(
+        "distance + 1.0", "distance"
+    )
     if not compensated:
         start = code.index("vec3 mx_ggx_energy_compensation(")
         body = code.index("{", start) + 1
@@ -120,17 +117,14 @@ def render(path, maps, direction, irradiance, *, compensated=True) -> np.ndarray
         "size": [width, height],
         "half": [x, y],
         "eye": [0.0, 0.0, max(x, y) / np.tan(np.radians(22.5))],
-        "direction": [-c for c in direction],
-        "irradiance": irradiance,
+        "light": [
+            ("position", light.position)
+            if is_point
+            else ("direction", [-c for c in light.direction]),
+            ("color", light.intensity if is_point else light.irradiance),
+        ],
     }
-    program = shutil.which("chromium") or shutil.which("chromium-browser")
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=program, args=_FLAGS)
-        page = browser.new_page()
-        said = page.evaluate(_DRAW, json.dumps(scene))
-        browser.close()
-    found = np.frombuffer(base64.b64decode(said), dtype=np.float32).reshape(height, width, 4)
-    return found[::-1, :, :3]
+    return drawn(_DRAW, scene)
 
 
 def _uniforms(made) -> list:
@@ -199,9 +193,9 @@ _DRAW = """(text) => {
   gl.uniform3fv(at('u_viewPosition'), scene.eye);
   gl.uniform1i(at('u_numActiveLightSources'), 1);
   gl.uniform1i(at('u_lightData[0].type'), 1);
-  gl.uniform3fv(at('u_lightData[0].direction'), scene.direction);
-  gl.uniform3fv(at('u_lightData[0].color'), [1, 1, 1]);
-  gl.uniform1f(at('u_lightData[0].intensity'), scene.irradiance);
+  for (const [name, value] of scene.light) gl.uniform3fv(at(`u_lightData[0].${name}`), value);
+  gl.uniform1f(at('u_lightData[0].intensity'), 1);
+  gl.uniform1f(at('u_lightData[0].decay_rate'), 2);
   const attributes = {
     i_position: [3, [-x, -y, 0, x, -y, 0, -x, y, 0, x, y, 0]],
     i_texcoord_0: [2, [0, 0, 1, 0, 0, 1, 1, 1]],

@@ -1,25 +1,16 @@
-"""Exported binaries and stages as three.js draws them in Chromium.
-
-Needs playwright, a Chromium, and `npm install --prefix .node three`.
-"""
-
-import base64
-import json
-import shutil
-from pathlib import Path
+"""Exported binaries and stages as three.js draws them in Chromium."""
 
 import numpy as np
+from chromium import MODULES, camera_of, drawn
 
-THREE = Path(__file__).parents[2] / ".node" / "node_modules" / "three"
-_PLACE = "http://three.test"
-# Software WebGL, which needs no screen.
-_FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+PLACE = MODULES / "three"
 _PAGE = """<script type="importmap">
-{"imports": {"three": "/three/build/three.module.js", "three/addons/": "/three/examples/jsm/"}}
+{"imports": {"three": "/modules/three/build/three.module.js",
+             "three/addons/": "/modules/three/examples/jsm/"}}
 </script>"""
 
 
-def render(file, maps, position, intensity) -> np.ndarray:
+def render(file, maps, position, intensity, *, plain_normals=False) -> np.ndarray:
     """(H, W, 3) radiance of a .glb or a .usda under one point light, one texel a pixel.
 
     Args:
@@ -27,45 +18,12 @@ def render(file, maps, position, intensity) -> np.ndarray:
         maps: for the plane's size; a plane unit is a metre.
         position: of the light.
         intensity: radiant intensity.
+        plain_normals: the scale 2 of a stage's texture of normals, which takes [0, 1] to [-1, 1],
+            is not taken for their strength too, as three.js does.
     """
-    from playwright.sync_api import sync_playwright
-
-    width, height = maps.size
-    extent = max(width, height) * maps.texel_size
-    # three.js gives the angle across the height.
-    tall = 2.0 * np.degrees(np.arctan(np.tan(np.radians(22.5)) * height / max(width, height)))
-    scene = {
-        "file": f"/export/{file.name}",
-        "size": [width, height],
-        "eye": extent / 2.0 / np.tan(np.radians(22.5)),
-        "angle": float(tall),
-        "position": list(position),
-        "intensity": intensity,
-    }  # fmt: skip
-    program = shutil.which("chromium") or shutil.which("chromium-browser")
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=program, args=_FLAGS)
-        page = browser.new_page()
-        page.route(f"{_PLACE}/**", lambda route: _serve(route, file.parent))
-        page.goto(f"{_PLACE}/")
-        said = page.evaluate(_DRAW, json.dumps(scene))
-        browser.close()
-    found = np.frombuffer(base64.b64decode(said), dtype=np.float32).reshape(height, width, 4)
-    return found[::-1, :, :3]
-
-
-def _serve(route, folder) -> None:
-    path = route.request.url.removeprefix(_PLACE).split("?")[0]
-    if path == "/":
-        route.fulfill(body=_PAGE, content_type="text/html")
-        return
-    place = THREE.parent / path[1:] if path.startswith("/three/") else folder / Path(path).name
-    kinds = {".js": "text/javascript", ".png": "image/png"}
-    if not place.is_file():
-        route.fulfill(status=404)
-        return
-    kind = kinds.get(place.suffix, "application/octet-stream")
-    route.fulfill(body=place.read_bytes(), content_type=kind)
+    about = {"file": f"/export/{file.name}", "position": list(position), "intensity": intensity}
+    about["plain_normals"] = plain_normals
+    return drawn(_DRAW, about | camera_of(maps), _PAGE, file.parent)
 
 
 _DRAW = """async (text) => {
@@ -96,6 +54,7 @@ _DRAW = """async (text) => {
       value.needsUpdate = true;
     }
     one.material.displacementMap = null;
+    if (about.plain_normals) one.material.normalScale.set(1, 1);
     one.material.needsUpdate = true;
   });
   const light = new THREE.PointLight(0xffffff, about.intensity, 0, 2);

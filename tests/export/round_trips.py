@@ -2,9 +2,10 @@
 
 Each material (by default the procedural ones that matcap simulates) is exported to every target,
 checked by the target's validator, read back by its library and compared with matcap; with -r also
-rendered: MaterialX's shaders and three.js in Chromium, Mitsuba, and Blender where BLENDER_PYTHON
-names a Python with bpy. Prints the table of docs/notes/exports.md: light that differs, as a share
-of all light, mean and worst of the materials. What is not installed is left out and said.
+rendered: MaterialX's shaders, three.js and Babylon.js in Chromium, Mitsuba, and Blender where
+BLENDER_PYTHON names a Python with bpy; pictures are compared as means of 16 x 16 pixels. Prints the
+table of docs/notes/exports.md: light that differs, as a share of all light, mean and worst of the
+materials. What is not installed is left out and said.
 """
 
 import os
@@ -15,7 +16,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import render_babylon
 import render_three
+from exported import unlike
 
 import matcap
 from matcap.export.engines import ENGINES
@@ -27,19 +30,12 @@ from matcap.lab.simulate.materials import MATERIALS, realise
 from matcap.model.opened import open_tile
 from matcap.relight.scene import (
     NAMED_LIGHTS,
-    DirectionalLight,
-    Scene,
-    Surface,
+    PointLight,
     exposing_intensity,
 )
 
 SIZE = 64
 LOBES = "none,+diffuse,+specular,+falloff"
-DIRECTION = (0.0, 0.6, 0.8)
-
-
-def difference(found, true) -> float:
-    return float(np.abs(found - true).sum() / true.sum())
 
 
 def lit(maps) -> np.ndarray:
@@ -74,7 +70,7 @@ def rendered(target, folder, name, maps):
         return materialx_pictures(folder, name, maps)
     if target == "mitsuba" and find_spec("mitsuba"):
         return {
-            f"mitsuba, {what}": difference(mitsuba_picture(folder, file), lit(maps))
+            f"mitsuba, {what}": unlike(mitsuba_picture(folder, file), lit(maps))
             for what, file in (("plain", f"{name}.xml"), ("exact", f"{name}_exact.xml"))
         }
     endings = {"blender": "_blender.py", "usd": ".usda", "gltf": ".glb"}
@@ -82,21 +78,29 @@ def rendered(target, folder, name, maps):
     found = {}
     if file and "BLENDER_PYTHON" in os.environ:
         found["in Blender"] = blender_picture(file, maps)
-    if file and target != "blender" and find_spec("playwright") and render_three.THREE.is_dir():
-        place = NAMED_LIGHTS["top"]
-        found["in three.js"] = render_three.render(file, maps, place, exposing_intensity(place))
-    return {
-        f"{target}, {where}": difference(picture, lit(maps)) for where, picture in found.items()
-    }
+    place, drawing = NAMED_LIGHTS["top"], file and target != "blender" and find_spec("playwright")
+    power = exposing_intensity(place)
+    if drawing and render_three.PLACE.is_dir():
+        found["in three.js"] = render_three.render(file, maps, place, power)
+    if drawing and target == "usd" and render_three.PLACE.is_dir():
+        found["in three.js, its normals undoubled"] = render_three.render(
+            file, maps, place, power, plain_normals=True
+        )
+    if drawing and target == "gltf" and render_babylon.PLACE.is_dir():
+        found["in Babylon.js"] = render_babylon.render(file, maps, place, power)
+    return {f"{target}, {where}": unlike(picture, lit(maps)) for where, picture in found.items()}
+
+
+def top_light() -> PointLight:
+    """The light called top."""
+    place = NAMED_LIGHTS["top"]
+    return PointLight(place, (exposing_intensity(place),) * 3)
 
 
 def materialx_pictures(folder, name, maps):
     """The same of MaterialX's shader, of each of its documents."""
     from read_materialx import render
 
-    light = DirectionalLight(DIRECTION, (3.0, 3.0, 3.0))
-    scene = Scene(film=None, surface=Surface(size=None), lights=(light,))
-    true = matcap.relight(maps, scene, effects="none,+diffuse,+specular")
     ways = (
         ("one bounce", "", False),
         ("its own bounces", "", True),
@@ -104,8 +108,8 @@ def materialx_pictures(folder, name, maps):
         ("standard_surface", "_standard_surface", True),
     )
     return {
-        f"materialx, {what}": difference(
-            render(folder / f"{name}{variant}.mtlx", maps, DIRECTION, 3.0, compensated=full), true
+        f"materialx, {what}": unlike(
+            render(folder / f"{name}{variant}.mtlx", maps, top_light(), compensated=full), lit(maps)
         )
         for what, variant, full in ways
     }

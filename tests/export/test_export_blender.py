@@ -59,12 +59,16 @@ def test_the_plane_and_the_relief_are_in_metres(tmp_path, made, monkeypatch, uni
     corner.co.x, corner.co.y = 0.5, 0.5
     blender = Any()
     blender.context.object.data.vertices = [corner]
+    corner.uv = Any()
+    corner.uv.x, corner.uv.y = 1.0, 1.0
+    blender.context.object.data.uv_layers.active.data = [corner]
     monkeypatch.setitem(sys.modules, "bpy", blender)
     spec = importlib.util.spec_from_file_location("script", tmp_path / "leather_blender.py")
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     script.plane(Any(), tmp_path / "leather_blender.json")
     assert 2.0 * corner.co.x == pytest.approx(width)
+    assert (corner.uv.x, corner.uv.y) == (1.0, 1.0)  # one tile
     assert 2.0 * corner.co.y == pytest.approx(width * 32 / 48)
     about = json.loads((tmp_path / "leather_blender.json").read_text())
     assert script.lifted(about) == pytest.approx(width / 2.0)

@@ -17,10 +17,12 @@ from matcap.export.textures import ExportJob
 @pytest.mark.parametrize("name", MATERIALS)
 def test_its_material_gives_the_light_of_the_maps(tmp_path, made, name, depth):
     done = write_export(ExportJob(made[name], name, depth=depth), "gltf", tmp_path)
-    off = residual(made[name], surface(tmp_path / f"{name}.glb"))
-    assert off.mean == pytest.approx(done.residual.mean, rel=1e-3)
-    if depth != "8":
-        assert off.mean < 0.01
+    told = {True: done.residual, False: done.residuals["of a single bounce"]}
+    for compensated, said in told.items():
+        off = residual(made[name], surface(tmp_path / f"{name}.glb", compensated=compensated))
+        assert off.mean == pytest.approx(said.mean, rel=1e-3)
+        if depth != "8":
+            assert off.mean < (0.01 if compensated else 0.03)
 
 
 def test_the_plane_is_as_large_as_the_maps(tmp_path, made):
@@ -47,7 +49,10 @@ def test_the_plane_is_as_large_as_the_maps(tmp_path, made):
 def test_any_f0_is_kept(tmp_path, f0):
     flat = torch.zeros(1, 8, 8)
     maps = MapSet(flat.expand(3, 8, 8), flat + f0, flat + 0.5, flat, 0.1)
-    assert write_export(ExportJob(maps, "even"), "gltf", tmp_path).residual.worst < 0.02
+    done = write_export(ExportJob(maps, "even"), "gltf", tmp_path)
+    # What bounces between microfacets is made up for on average, not for every direction.
+    assert done.residual.mean < 0.015
+    assert done.residual.worst < 0.03
 
 
 def test_more_light_than_a_layer_allows_is_told(tmp_path):

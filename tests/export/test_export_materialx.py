@@ -45,7 +45,8 @@ def test_its_graph_gives_the_light_of_the_maps(tmp_path, made, read_materialx, n
 
 def test_a_shader_can_be_made_of_it(tmp_path, made, read_materialx):
     write_export(ExportJob(made["leather"], "leather"), "materialx", tmp_path)
-    made_of_it = read_materialx.shader(read_materialx.load(tmp_path / "leather.mtlx"))
+    document = read_materialx.load(tmp_path / "leather.mtlx")
+    made_of_it = read_materialx.shader(document, "point")
     code = made_of_it.getSourceCode("pixel")
     assert "mx_generalized_schlick_bsdf(closureData" in code
     assert "mx_layer_bsdf(closureData" not in code
@@ -58,22 +59,20 @@ def test_its_picture_is_matcaps(tmp_path, made, read_materialx, variant, limit):
     """MaterialX's shader, drawn by Chromium, against `matcap relight`."""
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     import matcap
-    from matcap.relight.scene import DirectionalLight, Scene, Surface
+    from matcap.relight.scene import NAMED_LIGHTS, PointLight, exposing_intensity
 
-    maps = made["rust"]
+    maps, place = made["rust"], NAMED_LIGHTS["top"]
     write_export(ExportJob(maps, "rust"), "materialx", tmp_path)
-    direction = (0.0, 0.6, 0.8)
+    light = PointLight(place, (exposing_intensity(place),) * 3)
     try:
         found = read_materialx.render(
-            tmp_path / f"rust{variant}.mtlx", maps, direction, 3.0, compensated=bool(variant)
+            tmp_path / f"rust{variant}.mtlx", maps, light, compensated=bool(variant)
         )
     except api.Error as error:
         if "Executable" not in str(error):
             raise
         pytest.skip(f"no Chromium ({str(error).splitlines()[0]})")
-    light = DirectionalLight(direction, (3.0, 3.0, 3.0))
-    scene = Scene(film=None, surface=Surface(size=None), lights=(light,))
-    true = matcap.relight(maps, scene, effects="none,+diffuse,+specular")
+    true = matcap.relight(maps, "top", effects="none,+diffuse,+specular,+falloff")
     assert np.abs(found - true).sum() / true.sum() < limit
 
 

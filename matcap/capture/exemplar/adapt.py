@@ -24,6 +24,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.adam import Adam
 from matcap.capture.exemplar.smooth import split
+from matcap.capture.exemplar.ties import ties
 from matcap.capture.finetune import TuneScene, compare_windows, render_windows, shuffled
 from matcap.capture.penalty import Penalties, price
 from matcap.capture.schedule import Schedule
@@ -33,12 +34,10 @@ _BETAS = (0.8, 0.95)  # of Adam: short memories, for there are few steps
 _PLACES = 3  # windows a step, of exemplar and of photograph
 _HELD = 0.5  # share of the steps after which the rate falls to nothing, and numbers are averaged
 # How far the numbers are believed to be off: offsets in logits of albedo, F0 and roughness;
-# logarithms of gains of the same, of all relief, and of its bands beside; logits of F0 and of
-# roughness that go with a deviation of lightness or of a band of relief.
+# logarithms of gains of the same, of all relief, and of its bands beside.
 _OFFSETS = (0.3, 0.3, 0.3, 0.5, 0.5)
 _GAINS = (0.3, 0.7, 0.7)
 _RELIEF, _BANDS = 0.5, 0.3
-_TIES = (0.1, 0.3)
 _BELIEF = 0.005  # of the distance of statistics, for a number that is off by its deviation
 _LOGIT_EPSILON = 1e-4  # of albedo, F0 and roughness: bounds the logit at 0 and 1
 _SEEN = 0.95  # share of a window that must have been seen; of the best windows, if none has
@@ -136,22 +135,23 @@ class _Scaled:
         self._logits = torch.logit(stacked, eps=_LOGIT_EPSILON)
         self._means = self._logits.mean((1, 2), keepdim=True)
         self._bands = torch.from_numpy(np.stack(split(maps.height[0].numpy())))
-        self._features = _features(maps.diffuse, self._bands)
-        ties = np.repeat(_TIES, len(self._features))
-        deviations = (*_OFFSETS, *_GAINS, _RELIEF, *[_BANDS] * len(self._bands), *ties)
+        tied = ties(maps.diffuse, self._bands)
+        self._features = tied.features
+        bands = [_BANDS] * len(self._bands)
+        deviations = (*_OFFSETS, *_GAINS, _RELIEF, *bands, *tied.deviations())
         self._deviations = reach * torch.tensor(deviations)
         self.numbers = torch.zeros(len(deviations), requires_grad=True)
 
     def __call__(self, rows: slice, columns: slice) -> MapSet:
         """Maps of a rectangle."""
         count = len(self._features)
-        offsets, gains, relief, bands, *ties = self.numbers[:, None, None].split(
+        offsets, gains, relief, bands, *gloss = self.numbers[:, None, None].split(
             [len(_OFFSETS), len(_GAINS), 1, len(self._bands), count, count]
         )
         albedo = len(_OFFSETS) - len(_GAINS) + 1
         gains = torch.cat([gains[:1].expand(albedo, 1, 1), gains[1:]]).exp()
         apart = self._logits[:, rows, columns] - self._means
-        tied = [(tie * self._features[:, rows, columns]).sum(0, keepdim=True) for tie in ties]
+        tied = [(tie * self._features[:, rows, columns]).sum(0, keepdim=True) for tie in gloss]
         logits = self._means + offsets + gains * apart
         logits = torch.cat([logits[:albedo], logits[albedo:] + torch.cat(tied)])
         diffuse, specular, roughness = torch.sigmoid(logits).split([albedo, 1, 1])
@@ -163,14 +163,6 @@ class _Scaled:
     def price(self) -> Tensor:
         """What the numbers pay for being off."""
         return _BELIEF * (self.numbers / self._deviations).square().sum()
-
-
-def _features(diffuse: Tensor, bands: Tensor) -> Tensor:
-    """(N, H, W) what gloss may go with, of unit deviation: lightness, and height's bands."""
-    light = torch.logit(diffuse, eps=_LOGIT_EPSILON).mean(0)
-    planes = torch.stack([light, bands[0] + bands[1], bands[2], bands[3:-1].sum(0)])
-    planes = planes - planes.mean((1, 2), keepdim=True)
-    return (planes / planes.std((1, 2), keepdim=True).clamp_min(1e-6)).clamp(-3.0, 3.0)
 
 
 def corners(seen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ photograph.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -22,11 +22,11 @@ from matcap.capture.coarse import CoarseFit
 from matcap.capture.exemplar.adapt import adapt
 from matcap.capture.exemplar.contrast import even_contrast
 from matcap.capture.exemplar.equalise import equalise
-from matcap.capture.exemplar.fill import fill
 from matcap.capture.exemplar.refine import Light, flatten, level, refine, remaining
 from matcap.capture.exemplar.smooth import smoothed
 from matcap.capture.exemplar.strengths import Strengths
 from matcap.capture.exemplar.told import noise_level, plane_strengths
+from matcap.capture.exemplar.transport import transport
 from matcap.capture.finetune import TuneScene
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
@@ -34,7 +34,6 @@ from matcap.model.example.example import Example
 from matcap.model.exemplar import Exemplar
 from matcap.model.inverse.inputs import network_inputs, true_outputs
 from matcap.model.inverse.network import GLOSS, OUTPUTS, Inverse
-from matcap.statistics.lattice import Wave
 
 # Expected errors at which confidence has fallen to 1/e: log albedo, log F0, logit roughness, slope.
 _DOUBTED = (0.3, 0.6, 0.6, 0.15)
@@ -42,6 +41,7 @@ _LEAST_NOISE = 0.01  # of log radiance: what is not explained, where the sensor'
 # Legs of adaptation and how far each reaches; in between, what relief no longer explains goes back
 # to albedo. Short steps at the end: long ones stray by a tenth of relief's strength.
 _LEGS = (1.0, 0.35)
+_TRIED, _TRIED_AT_ONCE = 250, 40  # blocks for a place under glare: adapted, or at once
 _AROUND = 12.0  # the long side over the deviation of a neighbourhood's confidence
 
 
@@ -142,9 +142,12 @@ def find_exemplar(
         confidence=trusted,
         texel_size=plane.texel_size,
     )
+    tried = _TRIED if steps else _TRIED_AT_ONCE
+    whole = transport(exemplar, plane.linear, plane.valid, light, tried=tried)
     seen = refined.residual[:, plane.valid]
+    order = tuple((wave.fx, wave.fy) for wave in scene.waves) if scene else ()
     return FoundExemplar(
-        example=_indexed(exemplar, scene.waves if scene else ()),
+        example=Example.of(whole, order),
         strengths=strengths,
         error=float(seen.abs().median()) if seen.numel() else 0.0,
         slow=float(refined.slow.abs().mean()),
@@ -155,15 +158,6 @@ def find_exemplar(
 def _shared(tell: Callable[[float], None], leg: int) -> Callable[[float], None]:
     """Tells of one leg's share as part of all."""
     return lambda share: tell((leg + share) / len(_LEGS))
-
-
-def _indexed(exemplar: Exemplar, waves: tuple[Wave, ...]) -> Example:
-    """An exemplar ready to be rearranged, with what was not seen of it drawn from elsewhere."""
-    order = tuple((wave.fx, wave.fy) for wave in waves)
-    example = Example.of(exemplar, order)
-    whole = fill(exemplar, example)
-    # Nothing is drawn from a hole, so filling it leaves the index as it is.
-    return example if whole is exemplar else replace(example, exemplar=whole.rounded())
 
 
 def piece_maps(exemplar: Exemplar) -> MapSet:

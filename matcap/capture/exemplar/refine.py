@@ -10,6 +10,7 @@ picture is what coarse fit and tone curve left undone, not the material, and sta
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass, replace
 
@@ -80,6 +81,13 @@ class Light:
         self._to_light, self._to_view = normalize(away), normalize(camera - points)
         power = torch.tensor(setup.intensity).to(points)[:, None, None]
         self._power = power * vignette(points, setup) / squared
+
+    def cut(self, rows: slice, columns: slice) -> Light:
+        """The light at some of the texels."""
+        part = copy.copy(self)
+        for name in ("_to_light", "_to_view", "_power"):
+            setattr(part, name, getattr(self, name)[:, rows, columns])
+        return part
 
     def maps(self, outputs: Tensor, texel_size: float = 1.0) -> MapSet:
         """Maps of the network's outputs."""

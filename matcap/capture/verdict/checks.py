@@ -118,16 +118,8 @@ def _plain(highlight: Highlight | None) -> bool:
 def _highlight(seen: Evidence) -> QualityCheck:
     before, after = seen.highlights
     remedy = f"{_TRY}, give --fov if you know it, or {_SHOOT}"
-    if before is None or not _plain(before):
-        if after is None or not _plain(after):
-            return QualityCheck("highlight", 0.0, "no highlight is plain to see in either")
-        return QualityCheck(
-            "highlight",
-            severity(math.log(after.contrast / _FAINTEST), _BRIGHTER) + 1.0,
-            "the re-rendering has a highlight that the photograph has not",
-            "a tone curve or other light passed for gloss",
-            remedy,
-        )
+    if not _plain(before) and not _plain(after):
+        return QualityCheck("highlight", 0.0, "no highlight is plain to see in either")
     if after is None:
         return QualityCheck(
             "highlight",
@@ -136,6 +128,19 @@ def _highlight(seen: Evidence) -> QualityCheck:
             "gloss was taken for light, or the flash for elsewhere",
             remedy,
         )
+    own = _FAINTEST if before is None else before.contrast
+    more = severity(math.log(after.contrast / own), _BRIGHTER)
+    # Between a highlight that is just plain to see and one that just is not there is no step.
+    new = 0.0 if _plain(before) else 1.0 if before is None else min(more, 1.0)
+    worst, says, cause = _unlike(before, after) if before is not None else (more, "", "")
+    if new == 1.0:
+        says = "the re-rendering has a highlight that the photograph has not"
+        cause = "a tone curve or other light passed for gloss"
+    return QualityCheck("highlight", worst + new, says, cause, remedy)
+
+
+def _unlike(before: Highlight, after: Highlight) -> tuple[float, str, str]:
+    """What differs most between two highlights: its severity, what is seen, the likely cause."""
     apart = math.dist(before.centre, after.centre)
     first, second, third = (
         limit + share * before.width for limit, share in zip(_APART, _APART_OF_WIDTH, strict=True)
@@ -158,8 +163,7 @@ def _highlight(seen: Evidence) -> QualityCheck:
             "gloss is wrong",
         ),
     )
-    worst, says, cause = max(found)
-    return QualityCheck("highlight", worst, says, cause, remedy)
+    return max(found)
 
 
 def _light(seen: Evidence) -> QualityCheck:

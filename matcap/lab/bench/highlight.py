@@ -10,7 +10,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -22,10 +22,11 @@ from matcap.capture.coarse import CoarseFit, fit_coarse, render_coarse
 from matcap.capture.highlight import CELLS, Highlight, find_highlight, light_of
 from matcap.files.picture import write_picture
 from matcap.flash.geometry import FlashSetup
+from matcap.lab.bench.place_floor import PlaceFloor, place_floors
 from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
-from matcap.photo.photo import Photo
+from matcap.photo.photo import DEFAULT_FOV, Photo
 
 # A highlight that is plain to see: narrower than the falloff, and so much over its surroundings.
 _WIDEST, _FAINTEST = 0.34, 2.0
@@ -81,12 +82,20 @@ class Kept:
 
 @dataclass(frozen=True)
 class Placed:
-    """Errors of offset (plane units) and tilt (degrees) on a simulated photograph."""
+    """Errors of offset (plane units) and tilt (degrees) on a simulated photograph.
+
+    Attributes:
+        kind: of the material.
+        visible: whether its highlight is plain to see.
+        offset, tilt: the errors.
+        floors: of both, the least median errors from brightness alone and from all channels.
+    """
 
     kind: str
     visible: bool
     offset: float
     tilt: float
+    floors: tuple[PlaceFloor, PlaceFloor]
 
 
 def visible(highlight: Highlight | None) -> bool:
@@ -121,8 +130,16 @@ def write_pair(fit: CoarseFit, photo: Photo, path: Path) -> None:
     write_picture(np.concatenate([np.minimum(small, 1.0), again], axis=1), path)
 
 
-def simulated(count: int, seed: int) -> Iterator[tuple[str, Photo, FlashSetup]]:
-    """(kind of material, photograph, true setup): RAW, any field of view, offset and tilt."""
+def simulated(
+    count: int, seed: int, *, tells_fov: bool = True
+) -> Iterator[tuple[str, Photo, FlashSetup]]:
+    """(kind of material, photograph, true setup): RAW, any field of view, offset and tilt.
+
+    Args:
+        count: how many.
+        seed: of materials and setups.
+        tells_fov: False for files that do not tell their field of view, which is assumed then.
+    """
     rng = np.random.default_rng(seed)
     width, height = _CAMERA
     for number in range(count):
@@ -144,17 +161,22 @@ def simulated(count: int, seed: int) -> Iterator[tuple[str, Photo, FlashSetup]]:
 
         shot = take(piece, camera, setup)
         name = getattr(material, "kind", "pattern")
-        yield name, as_photo(shot, number, f"{name} {number}"), shot.setup
+        photo = as_photo(shot, number, f"{name} {number}")
+        if not tells_fov:
+            photo = replace(photo, fov=DEFAULT_FOV, fov_source="assumed")
+        yield name, photo, shot.setup
 
 
 def place(kind: str, photo: Photo, truth: FlashSetup) -> Placed:
     """Errors of the coarse fit of a simulated photograph."""
-    found = fit_coarse(photo).setup
+    fit = fit_coarse(photo)
+    found = fit.setup
     return Placed(
         kind,
         visible(find_highlight(light_of(photo.pixels))),
         math.dist(found.offset[:2], truth.offset[:2]),
         math.degrees(math.dist(found.tilt, truth.tilt)),
+        place_floors(photo, fit, truth),
     )
 
 
@@ -195,3 +217,11 @@ def _placed_table(placed: Sequence[Placed]) -> Iterable[str]:
                 f"| {name} | {len(group)} | {statistics.median(offsets):.3f} | {max(offsets):.3f} "
                 f"| {statistics.median(tilts):.2f}° | {max(tilts):.2f}° | {beyond} |"
             )
+    yield "\n| no fit could, of brightness alone | of all channels |"
+    yield "| --- | --- |"
+    told = []
+    for index in range(2):
+        floors = [one.floors[index] for one in placed]
+        offset = statistics.median(floor.offset for floor in floors)
+        told.append(f"{offset:.3f}, {statistics.median(floor.tilt for floor in floors):.2f}°")
+    yield f"| {' | '.join(told)} |"

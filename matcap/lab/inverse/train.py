@@ -31,6 +31,7 @@ from matcap.model.inverse.network import Inverse, InverseConfig
 
 _AHEAD = 4  # samples made before they are wanted
 _STATE = "state.safetensors"
+_WARM_UP = 200  # steps
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class TrainSettings:
         steps: to have done in all at the end of the leg.
         seconds: to end after, if sooner.
         rate: Adam's.
+        cooling: steps before the last over which the rate falls to nothing.
         average: decay of the weights' running average.
         width, height: texels of a picture, multiples of 32.
         batch: pictures a step.
@@ -52,6 +54,7 @@ class TrainSettings:
     steps: int = 100_000
     seconds: float = float("inf")
     rate: float = 1e-3
+    cooling: int = 0
     average: float = 0.999
     width: int = 224
     height: int = 160
@@ -59,6 +62,11 @@ class TrainSettings:
     save_every: int = 250
     workers: int = 1
     device: str = "cpu"
+
+    def rate_at(self, step: int) -> float:
+        """Adam's rate at a step: a short warm-up, then flat, then down to nothing."""
+        left = (self.steps - step) / self.cooling if self.cooling else 1.0
+        return self.rate * min(1.0, step / _WARM_UP, max(left, 0.0))
 
 
 class State:
@@ -150,7 +158,7 @@ def train_step(
     parameters = list(state.model.parameters())
     gradients = torch.autograd.grad(loss, parameters)
     state.step += 1
-    _adam(state, parameters, gradients, settings.rate)
+    _adam(state, parameters, gradients, settings.rate_at(state.step))
     decay = min(settings.average, state.step / (state.step + 10.0))
     with torch.no_grad():
         for kept, new in zip(state.average.parameters(), parameters, strict=True):
@@ -165,13 +173,12 @@ def train_step(
 def _adam(
     state: State, parameters: Sequence[Tensor], gradients: Sequence[Tensor], rate: float
 ) -> None:
-    """Adam with gradients of a norm of at most 1, and a short warm-up."""
+    """Adam with gradients of a norm of at most 1."""
     norm = torch.stack([g.norm() for g in gradients]).norm()
     if not bool(torch.isfinite(norm)):
         return  # one unlucky picture is left out
     factor = float(1.0 / norm.clamp_min(1.0))
     one, two = 0.9, 0.99
-    rate = rate * min(1.0, state.step / 200.0)
     correction = (1.0 - two**state.step) ** 0.5 / (1.0 - one**state.step)
     for parameter, gradient, first, second in zip(
         parameters, gradients, state.first, state.second, strict=True

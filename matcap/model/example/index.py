@@ -47,7 +47,9 @@ _APART_TEXELS = 8  # texels at least
 _FINENESS = 16  # places of the coarsest level along the shorter side of a lattice's piece
 _UNIQUE = 12.0  # times the median distance to what is most similar: a mark that occurs once
 _UNIQUE_LEVEL = 2  # it is told at, of some twenty texels
-_LEAST_TRUST = 0.02  # of a map: what was not seen is drawn by example (capture/exemplar/fill.py)
+_LEAST_TRUST = (
+    0.02  # of a map: what was not seen is drawn by example (capture/exemplar/transport.py)
+)
 _TRUSTED = 0.8  # quantile of confidence that a place is held against
 # Confidence below that up to which a place is as good, for steps of it lie between most parts of a
 # photograph, and at which it is as reluctant as can be.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,10 @@ import torch
 from photographed import photographed
 
 from matcap.capture.coarse import CoarseFit
-from matcap.capture.exemplar.fill import fill
 from matcap.capture.exemplar.find import confidence, find_exemplar, piece_maps
 from matcap.capture.exemplar.store import load_inverse, read_inverse, save_inverse
 from matcap.errors import MatcapError
 from matcap.flash.plane import plane_of
-from matcap.model.example.example import Example
 from matcap.model.inverse.network import Inverse, InverseConfig
 
 
@@ -81,27 +78,6 @@ def test_confidence_counts_every_error_in_its_own_units() -> None:
     albedo, f0, roughness, slope = confidence(torch.full((4, 64, 96), -1.5), valid).mean((1, 2))
     assert slope < 0.7 * albedo and albedo < 0.8 * f0
     assert f0 == roughness
-
-
-def test_holes_are_filled_with_what_looks_like_the_rest() -> None:
-    shot = photographed(0.1, 0.3, width=256, height=192)
-    maps = shot.maps
-    truth = maps.diffuse.clamp(0.0, 0.95).numpy()
-    trusted = np.ones((4, 192, 256), np.float32)
-    trusted[:, 80:110, 120:160] = 0.0
-    burnt = truth.copy()
-    burnt[:, 80:110, 120:160] = 0.9
-    from matcap.model.exemplar import Exemplar
-
-    exemplar = Exemplar(burnt, maps.specular.numpy(), maps.roughness.numpy(),
-                        maps.height.numpy(), trusted, maps.texel_size)  # fmt: skip
-    whole = fill(exemplar, Example.of(exemplar))
-    hole = whole.diffuse[:, 80:110, 120:160]
-    assert abs(hole.mean() - truth.mean()) < 0.35 * truth.mean()
-    assert np.array_equal(whole.height, exemplar.height)
-    assert np.array_equal(whole.diffuse[:, :40], exemplar.diffuse[:, :40])
-    seen = replace(exemplar, confidence=np.ones_like(trusted))
-    assert fill(seen, Example.of(seen)) is seen
 
 
 def test_weights_survive_storing_and_are_refused_when_damaged(tmp_path: Path) -> None:

@@ -176,3 +176,17 @@ BAD_SHOTS = {
 @pytest.mark.parametrize("bad", BAD_SHOTS)
 def test_bad_photographs_are_not_called_good_or_usable(bad):
     assert not captured(BAD_SHOTS[bad]()).fit
+
+
+def test_a_highlight_just_plain_beside_one_just_not_is_the_same_highlight():
+    """Contrast 1.99 beside 2.01 is nothing; beside 4 it is a highlight that was not there."""
+    faint = replace(SPOT, peak=1.99 * SPOT.surroundings)
+
+    def check(contrast):
+        after = replace(SPOT, peak=contrast * SPOT.surroundings)
+        return named(replace(FINE, highlights=(faint, after)))["highlight"]
+
+    assert check(2.01).severity < 0.1
+    assert check(2.3).severity < check(2.6).severity < check(3.2).severity
+    assert check(4.0).severity > 3.0
+    assert "that the photograph has not" in check(4.0).says

@@ -1,0 +1,117 @@
+"""A texture set: tiles of one piece of material, numbered 1001 from the left bottom on (UDIM).
+
+Every tile is realised by itself, with some of what lies around it, so that normals and occlusion go
+on over its borders. What a target is told of the whole (an index of refraction, a range of heights)
+is found from the first tile and holds for all. File names and documents say `<UDIM>`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from matcap.errors import UsageError
+from matcap.export.occlusion import settings
+from matcap.model.opened import open_material
+
+if TYPE_CHECKING:
+    from matcap.brdf.maps import MapSet
+    from matcap.export.textures import ExportJob
+    from matcap.model.material import Material
+    from matcap.model.source import Generator
+
+FIRST = 1001
+MOST_COLUMNS, MOST_ROWS = 10, 900
+
+
+@dataclass(frozen=True)
+class TextureSet:
+    """Which tiles there are, and of what.
+
+    Attributes:
+        material: by one generator.
+        columns: at most MOST_COLUMNS.
+        rows: at most MOST_ROWS.
+        size: (width, height) of a tile in texels.
+        seed: which realisation.
+
+    Raises:
+        UsageError: too many tiles, or none.
+    """
+
+    material: Material
+    columns: int
+    rows: int
+    size: tuple[int, int]
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.columns <= MOST_COLUMNS and 1 <= self.rows <= MOST_ROWS):
+            raise UsageError(
+                f"a texture set of {self.columns}x{self.rows} tiles",
+                where="--udim",
+                remedy=f"ask for at most {MOST_COLUMNS} columns and {MOST_ROWS} rows",
+            )
+
+    @property
+    def period(self) -> tuple[int, int] | None:
+        """Of the whole set in texels; None where its sides do not allow one."""
+        whole = self.columns * self.size[0], self.rows * self.size[1]
+        return None if any(side % self.material.alignment for side in whole) else whole
+
+    def tile(self, column: int, row: int) -> tuple[MapSet, MapSet]:
+        """(a tile's maps, the same with their surroundings); rows are counted upwards."""
+        width, height = self.size
+        margin = settings(width, height)["reach"]
+        wide = self.material.maps(
+            width + 2 * margin,
+            height + 2 * margin,
+            seed=self.seed,
+            x=column * width - margin,
+            y=(self.rows - 1 - row) * height - margin,  # texels' rows go downwards
+            period=self.period,
+        )
+        wide = replace(wide, periodic=False)
+        return wide.crop(margin, margin, width, height), wide
+
+    def others(self, first: ExportJob) -> Iterator[tuple[int, ExportJob]]:
+        """(number, job) of every tile but the first, whose job is given."""
+        reach = first.height_code[0] / 2.0
+        for row in range(self.rows):
+            for column in range(self.columns):
+                if row or column:
+                    maps, around = self.tile(column, row)
+                    job = replace(first, maps=maps, around=around, reach=reach)
+                    yield FIRST + column + 10 * row, job
+
+
+def open_set(
+    path: Path,
+    grid: tuple[int, int],
+    size: tuple[int, int],
+    seed: int = 0,
+    generator: Generator | None = None,
+) -> tuple[TextureSet, str]:
+    """A texture set of a material file, or of a folder's one material, and its name.
+
+    Args:
+        path: what to open.
+        grid: (columns, rows).
+        size: (width, height) of a tile in texels.
+        seed: which realisation.
+        generator: "example" or "decoder"; by default by example where there is an exemplar.
+
+    Raises:
+        UsageError: a map set, which has one tile; or too many tiles.
+        MatcapError: no material there, several, or a broken one.
+    """
+    if path.suffix.lower() != ".matcap" and not any(path.glob("*.matcap")):
+        raise UsageError(
+            f"{path} is no material, of which there are tiles",
+            where="--udim",
+            remedy="give the material (.matcap), or leave it out",
+        )
+    file, material = open_material(path)
+    return TextureSet(material.by(generator), *grid, size, seed), file.stem
