@@ -126,14 +126,20 @@ SCREENSHOTS = {
     "plane": ((1280, 800), "matcap.set({lamp: [-0.3, 0.25, 0.8]})"),
     "sphere": ((1280, 800), "matcap.set({shape: 'sphere', span: 800, lamp: [-0.6, 0.5, 1.2]})"),
     "cylinder": ((1280, 800), "matcap.set({shape: 'cylinder', span: 800, lamp: [-0.6, 0.4, 1.2]})"),
-    "room": ((1280, 800), "matcap.set({shape: 'sphere', span: 800, light: 'room', exposure: 0.5})"),
+    "room": ((1280, 800), "matcap.set({shape: 'sphere', span: 800, light: 'dusk', exposure: 0.5})"),
     "diffuse": ((1280, 800), "matcap.set({map: 'diffuse'})"),
     "specular": ((1280, 800), "matcap.set({map: 'specular'})"),
     "roughness": ((1280, 800), "matcap.set({map: 'roughness'})"),
     "height": ((1280, 800), "matcap.set({map: 'height'})"),
     "normal": ((1280, 800), "matcap.set({map: 'normal'})"),
-    "photograph": ((1280, 800), "document.getElementById('with-photo').click()"),
+    "photograph": ((1280, 800), "document.querySelector('input[value=piece]').click()"),
     "blend": ((1280, 800), "matcap.set({share: 0.5, lamp: [-0.3, 0.25, 0.8]})"),
+    "adjusted": (
+        (1280, 800),
+        "document.getElementById('adjusting').open = true; matcap.set({adjust: "
+        "{...matcap.view.state.adjust, relief: 2, roughness: -0.1, saturation: 0.3}})",
+    ),
+    "afar": ((1280, 800), "matcap.set({span: 12000, lamp: [-0.3, 0.25, 0.8]})"),
     "phone": ((390, 844), "matcap.set({shape: 'sphere', span: 700, lamp: [-0.5, 0.5, 1.2]})"),
 }
 
@@ -143,18 +149,17 @@ def page(paths: list[Path]) -> None:
     import uvicorn
     from playwright.sync_api import sync_playwright
 
-    from matcap.view.block_cache import Blocks
+    from matcap.view.beside import find_beside
+    from matcap.view.pages import Pages
     from matcap.view.serve import listen
     from matcap.view.server import make_app, new_address
-    from matcap.view.shown_photograph import browser_picture, find_photograph
     from matcap.view.subject import open_subject
 
     subject = open_subject(*paths[:2])
-    beside = find_photograph(paths[0], subject.facts.name)
-    photo = browser_picture(beside) if beside else None
+    beside = find_beside(paths[0], subject.facts.name, None, subject.first.exemplar)
     listening = listen(0)
     address = new_address(listening.getsockname()[1])
-    app = make_app(subject.facts, Blocks(subject), address, photo)
+    app = make_app(subject, Pages(subject), address, beside)
     server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
     thread.start()
@@ -162,15 +167,18 @@ def page(paths: list[Path]) -> None:
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
         for name, ((width, height), action) in SCREENSHOTS.items():
-            tab = browser.new_page(viewport={"width": width, "height": height})
+            tab = browser.new_page(viewport={"width": width, "height": height}, color_scheme="dark")
             tab.goto(address.url)
+            while not tab.evaluate("!!window.matcap"):
+                time.sleep(0.05)
             tab.evaluate(action)
             while not tab.evaluate("matcap.view.complete && !matcap.view.pending"):
                 time.sleep(0.05)
             time.sleep(0.3)
+            tab.evaluate("matcap.view.draw()")
             target = HERE / "view" / f"{name}.jpg"
             target.parent.mkdir(exist_ok=True)
-            tab.screenshot(path=target, type="jpeg", quality=66)
+            tab.screenshot(path=target, type="jpeg", quality=56, timeout=120_000)
             print(target.relative_to(HERE.parent), target.stat().st_size // 1024, "KB")
             tab.close()
         browser.close()

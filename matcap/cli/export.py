@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from matcap.cli.options import (
+    AdjustOption,
     Bits,
     ContainerName,
     GeneratorOption,
@@ -69,6 +70,7 @@ def export(
         int | None, typer.Option(show_default="0", help="Which piece is read from a material.")
     ] = None,
     generator: GeneratorOption = None,
+    adjust: AdjustOption = None,
     bits: Annotated[
         Bits | None,
         typer.Option(
@@ -136,6 +138,7 @@ def export(
     Prints what the target cannot express: how far its light is from matcap's. See
     docs/guide/export.md.
     """
+    from matcap.brdf.adjust import parse_adjustments
     from matcap.errors import MatcapError, UsageError
     from matcap.export.presets import PresetOptions
     from matcap.export.reach import material_reach
@@ -159,6 +162,11 @@ def export(
     asked = {"--name": name, "--maps": maps, "--normal": normal}
     for option in (option for option, value in asked.items() if not preset and value is not None):
         raise UsageError("this is for --preset", where=option, remedy="leave it out")
+    changes = parse_adjustments(adjust)
+    if onnx and changes.changes:
+        raise UsageError("a network is not adjusted", where="--adjust", remedy="leave it out")
+    if udim is not None and changes.changes:
+        raise UsageError("a texture set is not adjusted", where="--adjust", remedy="leave it out")
     if onnx:
         _export_onnx(path, out or Path("."), as_json=json, quiet=quiet)
         return
@@ -175,9 +183,10 @@ def export(
         found = OpenedMaps(inner, stem, dict(tiles.material.provenance))
     else:
         asked_size = (size.width, size.height) if size else None
-        found = open_tile(path, size=asked_size, seed=seed, generator=which)
+        found = open_tile(path, size=asked_size, seed=seed, generator=which, adjust=changes)
     asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
     asked_for += f"_udim{udim}" * (udim is not None)
+    asked_for += f"_{changes.text.replace('=', '').replace(',', '_')}" * changes.changes
     folder = out or Path(f"{found.name}_{target}{asked_for}")
     sidecar = folder / f"{found.name}_{target}.json"
     if sidecar.exists() and not overwrite:

@@ -80,6 +80,16 @@ GeneratorOption = Annotated[
         help="Rearrange the photographed piece (example), or ask the network (decoder).",
     ),
 ]
+AdjustOption = Annotated[
+    str | None,
+    typer.Option(
+        "--adjust",
+        metavar="NAME=VALUE,...",
+        help="Change relief (factor), roughness (added), saturation, brightness (factors) or tint "
+        "(#rrggbb) of the maps, not of the material: relief=1.3,roughness=-0.1. Or a sidecar "
+        "(.json) that tells it.",
+    ),
+]
 WidthOption = Annotated[
     float | None,
     typer.Option(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from matcap.cli.options import (
+    AdjustOption,
     GeneratorName,
     GeneratorOption,
     JsonOption,
@@ -19,6 +20,7 @@ from matcap.cli.options import (
 from matcap.files import values
 
 if TYPE_CHECKING:
+    from matcap.brdf.adjust import Adjustments
     from matcap.relight.plan import Plan
     from matcap.relight.render import Renderer
     from matcap.relight.scene import Scene
@@ -64,6 +66,7 @@ def relight(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Which piece is read from a material.")] = 0,
     generator: GeneratorOption = None,
+    adjust: AdjustOption = None,
     effects: Annotated[
         str,
         typer.Option(metavar="auto|all|none|+x,-y", help="Which effects run (see --explain)."),
@@ -107,6 +110,7 @@ def relight(
     """Show a material under another light."""
     from itertools import chain
 
+    from matcap.brdf.adjust import parse_adjustments
     from matcap.errors import UsageError
     from matcap.files.staging import check_writable
     from matcap.relight.effects.bound import DEFAULT_TOLERANCE
@@ -119,11 +123,14 @@ def relight(
         raise UsageError("a scene has its own lights", where="--light", remedy="leave it out")
     if animate is not None and sheet is not None:
         raise UsageError("a sheet does not move", where="--sheet", remedy="leave one out")
+    changes = parse_adjustments(adjust)
+    if changes.changes and maps_from is not None:
+        raise UsageError("maps of others are not adjusted", where="--adjust", remedy="leave it out")
     check_path(out, moving=animate is not None)
     parse_choice(effects)
     chosen = _scene(scene, light, size)
     limit = DEFAULT_TOLERANCE if tolerance is None else tolerance
-    renderer = _renderer(path, maps_from, normal, chosen, seed, generator, quiet=quiet)
+    renderer = _renderer(path, maps_from, normal, chosen, seed, generator, changes, quiet=quiet)
     film = renderer.film
     pictures = frames if animate else sheet.width * sheet.height if sheet else 1
     check_writable(out.parent, 16 * film.width * film.height * pictures)
@@ -171,6 +178,7 @@ def _renderer(
     scene: Scene,
     seed: int,
     generator: GeneratorName | None,
+    adjust: Adjustments,
     *,
     quiet: bool,
 ) -> Renderer:
@@ -179,7 +187,7 @@ def _renderer(
     from matcap.relight.render import Renderer
 
     if maps_from is None:
-        return Renderer(open_source(path, generator and generator.value), scene, seed=seed)
+        return Renderer(open_source(path, generator and generator.value, adjust), scene, seed=seed)
     foreign = read_foreign(maps_from, normal=normal.value if normal else None)
     if not quiet:
         for note in foreign.notes:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from matcap.cli.options import (
+    AdjustOption,
     ExportOption,
     GeneratorOption,
     Normal,
@@ -143,6 +144,7 @@ def synth(
         typer.Option("--workers", "-j", min=1, max=1024, help="Processes; by default one a core."),
     ] = None,
     generator: GeneratorOption = None,
+    adjust: AdjustOption = None,
     precision: Annotated[
         Precision,
         typer.Option(help="auto: as much bf16 as changes no map by half an 8-bit step."),
@@ -167,6 +169,7 @@ def synth(
     """
     import os
 
+    from matcap.brdf.adjust import parse_adjustments
     from matcap.model.plane import check_seed
     from matcap.synth.request import Files, Work
     from matcap.synth.synthesise import SynthRequest, synthesise
@@ -196,7 +199,7 @@ def synth(
     axes: Axes | None = tile.value if tile else None
     asked = SynthRequest(
         subject, area, seed, name, files, axes, growth, precision.value, device.value,
-        generator and generator.value,
+        generator and generator.value, parse_adjustments(adjust),
     )  # fmt: skip
     told_apart = _told_apart(asked)
     folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}{told_apart}")
@@ -240,6 +243,7 @@ def _told_apart(asked: SynthRequest) -> str:
         f"into-{growth and Path(str(growth.material)).stem}": growth is not None,
         f"{asked.generator}": asked.generator is not None,
         f"{asked.precision}": asked.precision != "fp32",
+        asked.adjust.text.replace("=", "").replace(",", "_"): asked.adjust.changes,
         "single": files.single,
         "mip": files.mipmap,
         "png": files.png,

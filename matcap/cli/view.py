@@ -7,12 +7,15 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.options import GeneratorOption, QuietOption
+from matcap.cli.options import AdjustOption, GeneratorOption, QuietOption
 
 
 def view(
     path: Annotated[
-        Path, typer.Argument(help="A material, a map set's folder, or a capture's folder.")
+        Path,
+        typer.Argument(
+            help="A material, a map set's folder, a capture's folder, or a folder of captures."
+        ),
     ] = Path("."),
     blend: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A second material to walk towards.")
@@ -22,11 +25,12 @@ def view(
         typer.Option(
             metavar="FILE",
             show_default="what the folder has",
-            help="A photograph to show beside it.",
+            help="A photograph to show beside the piece.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Which piece is shown first.")] = 0,
     generator: GeneratorOption = None,
+    adjust: AdjustOption = None,
     port: Annotated[
         int, typer.Option(min=0, max=65535, show_default="a free one", help="Of the server.")
     ] = 0,
@@ -46,27 +50,43 @@ def view(
 ) -> None:
     """Look at a material: endless plane, sphere and cylinder, under any light, in the browser.
 
-    The page is served to this machine alone, until Ctrl-C. Its address goes to stdout.
+    A folder of captures, as matcap batch leaves it, is shown as a library. The page is served to
+    this machine alone, until Ctrl-C. Its address goes to stdout.
     """
+    from matcap.brdf.adjust import parse_adjustments
+    from matcap.errors import UsageError
+    from matcap.view.beside import find_beside
     from matcap.view.document import check_page_path, sealed_page, write_page
-    from matcap.view.serve import serve
-    from matcap.view.shown_photograph import browser_picture, find_photograph
-    from matcap.view.subject import open_subject
-
-    if html is not None:
-        check_page_path(html)
-    subject = open_subject(path, blend, seed, generator and generator.value)
-    beside = photo or find_photograph(path, subject.facts.name)
-    picture = browser_picture(beside) if beside else None
-    if html is not None:
-        write_page(sealed_page(subject, tile, picture), html)
-        if not quiet:
-            typer.echo(f"wrote {html}", err=True)
-        return
+    from matcap.view.library import Library, find_library
+    from matcap.view.serve import serve, serve_library
+    from matcap.view.subject import Materials, open_subject
 
     def announce(address: str) -> None:
         typer.echo(address)
         if not quiet:
             typer.echo("Ctrl-C ends it.", err=True)
 
-    serve(subject, port=port, photo=picture, opens=opens, announce=announce)
+    changes = parse_adjustments(adjust)
+    if html is not None:
+        check_page_path(html)
+    files = find_library(path)
+    if files:
+        given = {"--blend": blend, "--photo": photo, "--html": html, "--seed": seed or None}
+        for option, value in given.items():
+            if value is not None:
+                raise UsageError(
+                    "this folder has several materials", where=option, remedy="name one of them"
+                )
+        library = Library(files, generator and generator.value, changes)
+        name = path.resolve().name
+        serve_library(library, name, port=port, opens=opens, announce=announce)
+        return
+    subject = open_subject(path, blend, seed, generator and generator.value)
+    exemplar = subject.first.exemplar if isinstance(subject, Materials) else None
+    beside = find_beside(path, subject.facts.name, photo, exemplar)
+    if html is not None:
+        write_page(sealed_page(subject, tile, beside, changes), html)
+        if not quiet:
+            typer.echo(f"wrote {html}", err=True)
+        return
+    serve(subject, port=port, beside=beside, adjust=changes, opens=opens, announce=announce)

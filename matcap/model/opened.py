@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from matcap.brdf.adjust import KEY, NONE, Adjustments, adjusted
 from matcap.brdf.folder import find_mapsets, read_mapset
 from matcap.errors import MatcapError, UsageError
 
@@ -64,6 +65,7 @@ def open_tile(
     size: tuple[int, int] | None = None,
     seed: int | None = None,
     generator: Generator | None = None,
+    adjust: Adjustments = NONE,
 ) -> OpenedMaps:
     """As open_maps, but a material's maps repeat without a seam where their size allows it.
 
@@ -74,6 +76,7 @@ def open_tile(
         size: (width, height) in texels of a material's maps, 1024 x 1024 by default.
         seed: the realisation of a material, 0 by default.
         generator: of a material.
+        adjust: what is changed of the maps; the provenance tells it.
 
     Raises:
         UsageError: a size, seed or generator is asked of a map set, which has its own.
@@ -86,7 +89,7 @@ def open_tile(
         repeat = material.alignment
         period = None if size[0] % repeat or size[1] % repeat else size
         maps = material.maps(*size, seed=seed, period=period)
-        return OpenedMaps(maps, path.stem, dict(material.provenance))
+        return _told(maps, path.stem, dict(material.provenance), adjust)
     for option, asked in (("--size", size), ("--seed", seed), ("--generator", generator)):
         if asked is not None:
             raise UsageError(
@@ -96,7 +99,14 @@ def open_tile(
             )
     maps, document = read_mapset(path)
     name = str(document.get("name") or path.stem)
-    return OpenedMaps(maps, name, dict(document.get("provenance") or {}))
+    return _told(maps, name, dict(document.get("provenance") or {}), adjust)
+
+
+def _told(maps: MapSet, name: str, provenance: dict[str, Any], adjust: Adjustments) -> OpenedMaps:
+    if adjust.changes:
+        before = provenance.get(KEY)
+        provenance[KEY] = f"{before}; {adjust.text}" if before else adjust.text
+    return OpenedMaps(adjusted(maps, adjust), name, provenance)
 
 
 def open_material(path: Path) -> tuple[Path, Material]:
@@ -109,17 +119,37 @@ def open_material(path: Path) -> tuple[Path, Material]:
     return path, _material(path)
 
 
-def open_source(path: Path, generator: Generator | None = None) -> MapSet | Material:
+@dataclass(frozen=True)
+class AdjustedMaterial:
+    """A material whose maps are adjusted as they are read."""
+
+    material: Material
+    adjust: Adjustments
+
+    @property
+    def texel_size(self) -> float:
+        """In plane units."""
+        return self.material.texel_size
+
+    def maps(self, width: int, height: int, *, seed: int = 0, x: int = 0, y: int = 0) -> MapSet:
+        """See Material.maps."""
+        return adjusted(self.material.maps(width, height, seed=seed, x=x, y=y), self.adjust)
+
+
+def open_source(
+    path: Path, generator: Generator | None = None, adjust: Adjustments = NONE
+) -> MapSet | Material | AdjustedMaterial:
     """A map set's maps, or a material itself, to be read where it is seen; by one generator alone
-    where one is named.
+    where one is named, and adjusted.
 
     Raises:
         MatcapError: nothing to open, more than one thing, or a broken file.
     """
     path = _resolved(path)
-    return (
-        _material(path).by(generator) if path.suffix.lower() == ".matcap" else read_mapset(path)[0]
-    )
+    if path.suffix.lower() != ".matcap":
+        return adjusted(read_mapset(path)[0], adjust)
+    material = _material(path).by(generator)
+    return AdjustedMaterial(material, adjust) if adjust.changes else material
 
 
 def _resolved(path: Path) -> Path:

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from matcap.brdf.adjust import KEY, NONE, Adjustments
 from matcap.brdf.folder import MapSetInfo
 from matcap.model.plane import Period, Rectangle, check_seed
+from matcap.synth.adjusted import adjusted_source
 from matcap.synth.fields import Wanted, open_blend, open_field
 from matcap.synth.request import Files, Request, Work
 from matcap.synth.stream import write_field
@@ -57,6 +59,7 @@ class SynthRequest:
             see.
         device: of the decoder: "cpu", "cuda", or "auto" for CUDA where it is there.
         generator: "example" or "decoder"; None: by example where there is an exemplar.
+        adjust: what is changed of the maps; the sidecar's provenance tells it.
     """
 
     material: Material | Path
@@ -69,6 +72,7 @@ class SynthRequest:
     precision: Precision = "fp32"
     device: DeviceName = "auto"
     generator: Generator | None = None
+    adjust: Adjustments = NONE
 
 
 def synthesise(
@@ -108,8 +112,12 @@ def synthesise(
     if found.choice is not None:
         told(found.choice)
     origin = (asked.area.x, asked.area.y)
-    info = MapSetInfo(asked.name or found.name, asked.seed, origin, found.provenance)
-    return write_field(Request(found.source, asked.area, info, asked.files), folder, work)
+    provenance = found.provenance
+    if asked.adjust.changes:
+        provenance = provenance | {KEY: asked.adjust.text}
+    info = MapSetInfo(asked.name or found.name, asked.seed, origin, provenance)
+    source = adjusted_source(found.source, asked.adjust)
+    return write_field(Request(source, asked.area, info, asked.files), folder, work)
 
 
 def _period(tile: Axes | None, area: Rectangle) -> Period | None:

@@ -1,7 +1,8 @@
 """The page: its files, and how they become one document.
 
-The page's scripts are plain ones that run in the order of SCRIPTS and share one scope. Served,
-each is a file of its own; for sending, they all stand inside the document with the maps.
+The page's scripts are modules. Served, each is a file of its own; for sending, they stand one after
+the other inside the document with the maps: SCRIPTS is an order in which each needs only those
+before it, and no two use one name.
 
 The element `about` of a document for sending is JSON; its entry `tile` holds the maps.
 
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import zlib
 from dataclasses import asdict
 from html import escape
@@ -25,17 +27,24 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import LARGEST_HALF
-from matcap.view.block_cache import SIDE
-from matcap.view.shown_photograph import EncodedPicture
+from matcap.view.beside import Beside, EncodedPicture
+from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH
 from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+    from matcap.view.library import Library
 
-SCRIPTS = ("shader.js", "surroundings.js", "texture.js", "blocks.js", "view.js", "main.js")
+SCRIPTS = (
+    "adjust.js", "address.js", "surroundings.js", "pages.js", "shader.js", "tile.js", "source.js",
+    "view.js", "panel.js", "gestures.js", "main.js",
+)  # fmt: skip
+LIBRARY_SCRIPT = "library.js"
 STYLE = "page.css"
+DEFAULT_TILE = 512  # texels: some 3 MB
 _LARGEST_TILE = 2048  # texels a side of a page for sending: some 50 MB
 # What a document for sending may do: run what stands in it, and fetch nothing.
 _SEALED = (
@@ -48,26 +57,44 @@ def page_file(name: str) -> str:
     return (files("matcap.view") / "page" / name).read_text(encoding="utf-8")
 
 
-def served_page(facts: ViewFacts, photo: EncodedPicture | None) -> str:
-    """The document that fetches scripts and blocks from its server.
+def served_page(
+    facts: ViewFacts, beside: Beside, adjust: Adjustments = NONE, *, library: bool = False
+) -> str:
+    """The document that fetches scripts and pages from its server.
 
     Args:
         facts: of the subject.
-        photo: what its server has to show beside it.
+        beside: what its server has to show beside it.
+        adjust: what is changed first.
+        library: there is a page of more materials above it.
     """
+    from matcap.export.targets import DOCUMENTS, PRESETS
+
     head = f'<link rel="stylesheet" href="{STYLE}">'
-    scripts = "\n".join(f'<script src="{name}"></script>' for name in SCRIPTS)
-    about = _about(facts, "photo", photo) | {"tile": None}
-    return _document(facts, head, scripts, about)
+    scripts = f'<script type="module" src="{SCRIPTS[-1]}"></script>'
+    about = _about(facts, adjust, beside) | {
+        "photo": beside.photo and "photo",
+        "doubt": beside.doubt and "doubt",
+        "tile": None,
+        "library": library,
+        "targets": list(dict.fromkeys((*DOCUMENTS, *PRESETS))),
+    }
+    return _document(facts.name, head, scripts, about)
 
 
-def sealed_page(subject: Viewable, size: int = SIDE, photo: EncodedPicture | None = None) -> str:
+def sealed_page(
+    subject: Viewable,
+    size: int = DEFAULT_TILE,
+    beside: Beside | None = None,
+    adjust: Adjustments = NONE,
+) -> str:
     """One self-contained document: a tile of the subject that repeats without a seam.
 
     Args:
         subject: a material, of which a periodic piece is taken, or a map set, taken whole.
         size: sides of a material's tile in texels, a multiple of 16.
-        photo: to show beside it.
+        beside: to show beside it.
+        adjust: what is changed first.
 
     Raises:
         UsageError: a size out of range, or no multiple of 16; a map set that is too large.
@@ -79,14 +106,18 @@ def sealed_page(subject: Viewable, size: int = SIDE, photo: EncodedPicture | Non
         f'<meta http-equiv="Content-Security-Policy" content="{_SEALED}">'
         f"<style>\n{page_file(STYLE)}</style>"
     )
-    scripts = "\n".join(f"<script>\n{page_file(name)}</script>" for name in SCRIPTS)
-    url = _data_url(photo) if photo else ""
-    about = _about(facts, url, photo) | {
+    scripts = f'<script type="module">\n{_joined_scripts()}</script>'
+    beside = beside or Beside()
+    about = _about(facts, adjust, beside) | {
+        "photo": beside.photo and _data_url(beside.photo),
+        "doubt": None,
         "second": "",
         "period": list(maps.size),
         "tile": _packed(maps),
+        "library": False,
+        "targets": [],
     }
-    return _document(facts, head, scripts, about)
+    return _document(facts.name, head, scripts, about)
 
 
 def write_page(document: str, path: Path) -> None:
@@ -150,16 +181,40 @@ def _packed(maps: MapSet) -> dict[str, Any]:
     return {"size": list(maps.size), "low": low, "span": span, "data": text}
 
 
-def _about(facts: ViewFacts, url: str, photo: EncodedPicture | None) -> dict[str, Any]:
-    shown = {"photo": url if photo else None, "photo_is_sheet": bool(photo and photo.sheet)}
-    return asdict(facts) | shown | {"side": SIDE}
+def _about(facts: ViewFacts, adjust: Adjustments, beside: Beside) -> dict[str, Any]:
+    form = {"width": WIDTH, "height": PAGE_HEIGHT, "apron": APRON, "mips": MIPS}
+    return asdict(facts) | {"page": form, "adjust": adjust.text, "verdict": beside.verdict}
 
 
-def _document(facts: ViewFacts, head: str, scripts: str, about: dict[str, Any]) -> str:
+def _joined_scripts() -> str:
+    """All modules as one."""
+    text = "\n".join(page_file(name) for name in SCRIPTS)
+    return re.sub(r"^export |^import \{[^}]*\}\s+from [^;]*;\n", "", text, flags=re.MULTILINE)
+
+
+def library_page(name: str, library: Library) -> str:
+    """The page of a folder's materials."""
+    from matcap.view.library import LEVEL, SIDE
+
+    about = {
+        "name": name,
+        "shelf": library.shelf(),
+        "adjust": library.adjust.text,
+        "level": LEVEL,
+        "page": {"width": SIDE, "height": SIDE, "apron": APRON, "mips": MIPS},
+    }
+    head = f'<link rel="stylesheet" href="{STYLE}">'
+    scripts = f'<script type="module" src="{LIBRARY_SCRIPT}"></script>'
+    return _document(name, head, scripts, about, "library.html")
+
+
+def _document(
+    title: str, head: str, scripts: str, about: dict[str, Any], form: str = "page.html"
+) -> str:
     # Inside a script element only '<' could end it.
     data = json.dumps(about, allow_nan=False).replace("<", "\\u003c")
-    parts = {"title": escape(facts.name), "head": head, "about": data, "scripts": scripts}
-    text = page_file("page.html")
+    parts = {"title": escape(title), "head": head, "about": data, "scripts": scripts}
+    text = page_file(form)
     for name, value in parts.items():
         before, mark, after = text.partition("{{" + name + "}}")
         assert mark, name

@@ -5,22 +5,32 @@ from __future__ import annotations
 import socket
 import webbrowser
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from typing import TYPE_CHECKING
 
+from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError
-from matcap.view.block_cache import Blocks, Place
-from matcap.view.server import make_app, new_address
-from matcap.view.shown_photograph import EncodedPicture
+from matcap.view.beside import Beside
+from matcap.view.pages import Pages, Place
+from matcap.view.server import Address, make_app, make_library, new_address
 from matcap.view.subject import Viewable
 
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+
+    from matcap.view.library import Library
+
 HOST = "127.0.0.1"
+# Level, column and row, as initial() in page/view.js has it.
+_FIRST = ((3, 0, 0), (0, 3, 3), (0, 4, 3), (0, 3, 4), (0, 4, 4))
 
 
 def serve(
     subject: Viewable,
     *,
     port: int = 0,
-    photo: EncodedPicture | None = None,
+    beside: Beside | None = None,
+    adjust: Adjustments = NONE,
     opens: bool = True,
     announce: Callable[[str], None],
 ) -> None:
@@ -29,13 +39,65 @@ def serve(
     Args:
         subject: what to show.
         port: 0 takes a free one.
-        photo: to show beside it.
+        beside: what is shown beside it.
+        adjust: what is changed first.
         opens: the browser is opened.
         announce: told the address once requests are accepted.
 
     Raises:
         MatcapError: the port is taken, or the extra `view` is not installed.
     """
+
+    def open_app(address: Address, opened: ExitStack) -> Starlette:
+        pages = _begun(subject, opened)
+        return make_app(subject, pages, address, beside, adjust)
+
+    _run(open_app, port, opens=opens, announce=announce)
+
+
+def serve_library(
+    library: Library,
+    name: str,
+    *,
+    port: int = 0,
+    opens: bool = True,
+    announce: Callable[[str], None],
+) -> None:
+    """Serve a folder of materials until interrupted.
+
+    Args:
+        library: the materials.
+        name: of the folder.
+        port: 0 takes a free one.
+        opens: the browser is opened.
+        announce: told the address once requests are accepted.
+
+    Raises:
+        MatcapError: the port is taken, or the extra `view` is not installed.
+    """
+
+    def open_app(address: Address, opened: ExitStack) -> Starlette:
+        return make_library(library, name, address, lambda subject: _begun(subject, opened))
+
+    _run(open_app, port, opens=opens, announce=announce)
+
+
+def _begun(subject: Viewable, opened: ExitStack) -> Pages:
+    """Its pages; those that will be seen first are begun while the browser starts."""
+    pages = Pages(subject)
+    opened.callback(pages.close)
+    for level, column, row in _FIRST:
+        pages.ask(Place(level, column, row, subject.facts.seed))
+    return pages
+
+
+def _run(
+    open_app: Callable[[Address, ExitStack], Starlette],
+    port: int,
+    *,
+    opens: bool,
+    announce: Callable[[str], None],
+) -> None:
     try:
         import uvicorn
     except ImportError as error:
@@ -45,15 +107,12 @@ def serve(
         ) from error
     import torch
 
-    # A block is computed on one thread (model/field.py); several blocks side by side must not
-    # change that setting under each other.
+    # A page is made on one thread; several side by side must not change that setting under each
+    # other.
     torch.set_num_threads(1)
-    listening = listen(port)
+    listening, opened = listen(port), ExitStack()
     address = new_address(listening.getsockname()[1])
-    blocks = Blocks(subject)
-    # What will be seen first, begun while the browser starts.
-    blocks.ask(Place(0, 0, subject.facts.seed))
-    app = make_app(subject.facts, blocks, address, photo)
+    app = open_app(address, opened)
     server = uvicorn.Server(
         uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
     )
@@ -65,7 +124,7 @@ def serve(
         with suppress(KeyboardInterrupt):
             server.run(sockets=[listening])
     finally:
-        blocks.close()
+        opened.close()
         listening.close()
 
 

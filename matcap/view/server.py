@@ -9,26 +9,42 @@ to fetch is a fixed list, so there is no path to climb out of.
 from __future__ import annotations
 
 import asyncio
+import json
 import secrets
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
+from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError, UsageError
-from matcap.view.block_cache import Blocks, Place
-from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
-from matcap.view.shown_photograph import EncodedPicture
-from matcap.view.subject import ViewFacts
+from matcap.view.beside import Beside
+from matcap.view.document import (
+    LIBRARY_SCRIPT,
+    SCRIPTS,
+    STYLE,
+    library_page,
+    page_file,
+    served_page,
+)
+from matcap.view.exporting import wish_of, zipped
+from matcap.view.library import Library, numbers
+from matcap.view.pages import Page, Pages, Place
+from matcap.view.subject import Viewable
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
     from starlette.requests import Request
     from starlette.responses import Response
+    from starlette.routing import BaseRoute
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+PagesOf = Callable[[Viewable], Pages]
+
+_LOOK = 0.05  # seconds between looks at who asked
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
-    "img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+    "img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; form-action 'self'; "
     "frame-ancestors 'none'",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
@@ -61,26 +77,95 @@ def new_address(port: int) -> Address:
 
 
 def make_app(
-    facts: ViewFacts, blocks: Blocks, address: Address, photo: EncodedPicture | None
+    subject: Viewable,
+    pages: Pages,
+    address: Address,
+    beside: Beside | None = None,
+    adjust: Adjustments = NONE,
 ) -> Starlette:
-    """The server's application.
+    """The server's application for one subject.
 
     Args:
-        facts: of the subject.
-        blocks: of the subject.
+        subject: what is shown.
+        pages: of the subject.
         address: whose token and host requests must have.
-        photo: to show beside it.
+        beside: what is shown beside it.
+        adjust: what is changed first.
+    """
+    return _guarded(_subject_routes(subject, pages, beside or Beside(), adjust), address)
+
+
+def make_library(library: Library, name: str, address: Address, pages: PagesOf) -> Starlette:
+    """The server's application for a folder of materials.
+
+    Args:
+        library: the materials.
+        name: of the folder.
+        address: whose token and host requests must have.
+        pages: opens those of a material.
     """
     from starlette.applications import Starlette
-    from starlette.middleware import Middleware
     from starlette.responses import HTMLResponse, PlainTextResponse, Response
-    from starlette.routing import Route
+    from starlette.routing import Mount, Route
 
-    page = served_page(facts, photo)
-    texts = {name: page_file(name) for name in (*SCRIPTS, STYLE)}
+    text = library_page(name, library)
+    opened: dict[str, Starlette] = {}
 
     async def whole(_: Request) -> Response:
-        return HTMLResponse(page)
+        return HTMLResponse(text)
+
+    async def swatch(request: Request) -> Response:
+        wanted = numbers(request.query_params.get("index", ""), len(library.files))
+        if wanted is None:
+            return PlainTextResponse("There is no such material.", 404)
+        try:
+            found = await asyncio.to_thread(library.swatch, wanted[0])
+        except MatcapError as error:
+            return PlainTextResponse(str(error), 400)
+        return Response(found.data, media_type="application/octet-stream")
+
+    def open_one(first: int, second: int | None) -> Starlette:
+        subject = library.subject(first, second)
+        beside = library.beside(first)
+        routes = _subject_routes(subject, pages(subject), beside, library.adjust, library=True)
+        return Starlette(routes=routes)
+
+    async def material(scope: Scope, receive: Receive, send: Send) -> None:
+        key, _, rest = scope["path"].removeprefix("/m/").partition("/")
+        wanted = numbers(key, len(library.files))
+        answer: ASGIApp
+        if wanted is None:
+            answer = PlainTextResponse("There is no such material.", 404)
+        else:
+            try:
+                if key not in opened:
+                    opened[key] = await asyncio.to_thread(open_one, *wanted)
+                answer = opened[key]
+            except MatcapError as error:
+                answer = PlainTextResponse(str(error), 400)
+        await answer({**scope, "path": f"/{rest}", "root_path": ""}, receive, send)
+
+    routes = [
+        Route("/", whole),
+        Route("/swatch", swatch),
+        Route("/{name}", _parts((*SCRIPTS, LIBRARY_SCRIPT))),
+        Mount("/m", app=material),
+    ]
+    return _guarded(routes, address)
+
+
+def _guarded(routes: Sequence[BaseRoute], address: Address) -> Starlette:
+    from starlette.applications import Starlette
+    from starlette.middleware import Middleware
+
+    return Starlette(routes=routes, middleware=[Middleware(_Guard, address=address)])
+
+
+def _parts(names: Sequence[str]) -> Callable[[Request], Awaitable[Response]]:
+    """Answers with the page's own files."""
+    from starlette.responses import PlainTextResponse, Response
+
+    texts = {name: page_file(name) for name in (*names, STYLE)}
 
     async def part(request: Request) -> Response:
         name = request.path_params["name"]
@@ -89,45 +174,99 @@ def make_app(
         kind = "text/css" if name == STYLE else "text/javascript"
         return Response(texts[name], media_type=kind)
 
-    async def picture(_: Request) -> Response:
-        if photo is None:
-            return PlainTextResponse("There is no photograph.", 404)
-        return Response(photo.data, media_type=photo.kind)
+    return part
 
-    async def block(request: Request) -> Response:
+
+def _subject_routes(
+    subject: Viewable,
+    pages: Pages,
+    beside: Beside,
+    adjust: Adjustments,
+    *,
+    library: bool = False,
+) -> list[BaseRoute]:
+    from starlette.responses import HTMLResponse, PlainTextResponse, Response
+    from starlette.routing import Route
+
+    page = served_page(subject.facts, beside, adjust, library=library)
+    pictures = {"photo": beside.photo, "doubt": beside.doubt}
+
+    async def whole(_: Request) -> Response:
+        return HTMLResponse(page)
+
+    async def picture(request: Request) -> Response:
+        found = pictures[request.url.path.rpartition("/")[2]]
+        if found is None:
+            return PlainTextResponse("There is no such picture.", 404)
+        return Response(found.data, media_type=found.kind)
+
+    async def alive(_: Request) -> Response:
+        return Response(status_code=204)
+
+    async def exported(request: Request) -> Response:
         try:
-            wanted = place_of(request.query_params)
-            found = await asyncio.wrap_future(blocks.ask(wanted))
+            wish = wish_of(request.query_params)
+            data = await asyncio.to_thread(zipped, subject, wish)
         except MatcapError as error:
             return PlainTextResponse(str(error), 400)
-        size = {"X-Texel-Size": repr(found.texel_size)}
-        return Response(found.data, media_type="application/octet-stream", headers=size)
+        name = f"{quote(subject.facts.name, safe='')}_{wish.target}.zip"
+        headers = {"Content-Disposition": f"attachment; filename*=UTF-8''{name}"}
+        return Response(data, media_type="application/zip", headers=headers)
 
-    routes = [
+    async def piece(request: Request) -> Response:
+        try:
+            found = await _waited(pages, place_of(request.query_params), request)
+        except MatcapError as error:
+            return PlainTextResponse(str(error), 400)
+        if found is None:
+            return PlainTextResponse("Nobody waits for it.", 499)
+        ends = dict(zip(("specular", "roughness", "height"), found.ends, strict=True))
+        about = json.dumps({"texel_size": found.texel_size, "ends": ends})
+        headers = {"X-Page": about}
+        return Response(found.data, media_type="application/octet-stream", headers=headers)
+
+    return [
         Route("/", whole),
-        Route("/photo", picture),
-        Route("/block", block),
-        Route("/{name}", part),
+        *(Route(f"/{name}", picture) for name in pictures),
+        Route("/alive", alive),
+        Route("/export", exported),
+        Route("/page", piece),
+        Route("/{name}", _parts(SCRIPTS)),
     ]
-    return Starlette(routes=routes, middleware=[Middleware(_Guard, address=address)])
+
+
+async def _waited(pages: Pages, place: Place, request: Request) -> Page | None:
+    """A page, once it is made; None where who asked has gone."""
+    while True:
+        made = pages.ask(place)
+        waiting = asyncio.wrap_future(made)
+        while not (await asyncio.wait({waiting}, timeout=_LOOK))[0]:
+            if await request.is_disconnected():
+                pages.drop(place)
+                return None
+        if not made.cancelled():  # as it is where somebody else has gone who asked for it, too
+            return waiting.result()
 
 
 def place_of(values: Mapping[str, str]) -> Place:
-    """The block that query parameters ask for.
+    """The page that query parameters ask for.
 
     Raises:
         UsageError: a parameter is missing, is no number, or is not finite.
     """
     try:
         place = Place(
+            int(values["level"]),
             int(values["column"]),
             int(values["row"]),
             int(values.get("seed", "0")),
             float(values.get("share", "0")),
+            values.get("piece", "0") == "1",
         )
     except (KeyError, ValueError) as error:
         raise UsageError(
-            "this does not name a block", remedy="give column, row, seed and share as numbers"
+            "this does not name a page",
+            remedy="give level, column, row, seed and share as numbers",
         ) from error
     if not 0.0 <= place.share <= 1.0:
         raise UsageError("the share is not between 0 and 1")

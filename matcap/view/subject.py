@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from matcap.errors import UsageError
+from matcap.model.plane import Rectangle
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
-    from matcap.model.field import Field
+    from matcap.model.example.example import Example
     from matcap.model.material import Material
     from matcap.model.source import Generator
+    from matcap.view.afar import ExampleFromAfar, NetworkFromAfar, Pyramid, SmallerForms
+    from matcap.view.moments import Planes
 
 _FIELDS = 8  # seeds and shares kept at hand: each is a folded network, a megabyte or so
 
@@ -28,6 +32,9 @@ class ViewFacts:
         texel_size: in plane units; between two materials it lies between theirs.
         period: (width, height) in texels after which it repeats, or None for an endless one.
         seed: the realisation shown first.
+        mean: moments (moments.py) of a texel like all together, shown before there is any.
+        piece: (width, height) in texels of the photographed piece, where it is known.
+        millimetres: of a plane unit; 0 where nobody measured it.
     """
 
     name: str
@@ -35,26 +42,33 @@ class ViewFacts:
     texel_size: float
     period: tuple[int, int] | None
     seed: int
+    mean: tuple[float, ...]
+    piece: tuple[int, int] | None = None
+    millimetres: float = 0.0
 
 
 class Viewable(Protocol):
-    """Something that maps of any rectangle can be read from."""
+    """Something that can be seen anywhere, from near and far."""
 
     @property
     def facts(self) -> ViewFacts:
         """What the page tells of it."""
         ...
 
-    def read(self, x: int, y: int, width: int, height: int, *, seed: int, share: float) -> MapSet:
-        """The rectangle whose left top texel is (x, y), y downwards.
+    def moments(
+        self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
+    ) -> tuple[Planes, float]:
+        """(9, height, width) moments of an area (moments.py), and a texel's side in plane units.
 
         Args:
-            x, y, width, height: in texels.
+            level: a texel of it is 2^level texels of the material wide.
+            area: in texels of the level, y downwards.
             seed: which realisation; a map set has only one.
             share: how far from the first material (0) to the second (1).
+            piece: of the photographed piece instead, which has no seed.
 
         Raises:
-            UsageError: a rectangle, seed or share out of range.
+            UsageError: a seed or share out of range.
         """
         ...
 
@@ -74,6 +88,7 @@ class Materials:
 
     def __init__(self, first: Material, second: Material | None = None, seed: int = 0) -> None:
         self.first, self.second, self.seed = first, second, seed
+        self._prepared: dict[int, Callable[[], SmallerForms]] = {}
         self._field = lru_cache(_FIELDS)(self._open)
         self._field(seed, 0.0 if second is None else 0.5)  # what is wrong is told at once
 
@@ -81,24 +96,76 @@ class Materials:
     def facts(self) -> ViewFacts:
         """See Viewable."""
         second = self.second.name if self.second else ""
-        return ViewFacts(self.first.name, second, self.first.texel_size, None, self.seed)
+        size = self.first.texel_size
+        exemplar = self.first.exemplar
+        return ViewFacts(
+            self.first.name, second, size, None, self.seed, self._mean,
+            exemplar.size if exemplar else None, _millimetres(self.first.provenance),
+        )  # fmt: skip
 
-    def read(self, x: int, y: int, width: int, height: int, *, seed: int, share: float) -> MapSet:
-        """See Viewable."""
-        # One block a call, computed here: the caller decides how many run side by side.
-        return self._field(seed, share).read(x, y, width, height, workers=1)
+    def at(self, share: float) -> Material:
+        """The material between the two.
 
-    def _open(self, seed: int, share: float) -> Field:
+        Raises:
+            UsageError: there is no second one.
+        """
         from matcap.model.between import blend
-        from matcap.model.field import Field
 
-        if self.second is None:
-            if share != 0.0:
-                raise UsageError(
-                    "there is no second material to blend with", remedy="view with --blend"
-                )
-            return Field(self.first, seed)
-        return Field(blend(self.first, self.second, share), seed)
+        if self.second is not None:
+            return blend(self.first, self.second, share)
+        if share != 0.0:
+            raise UsageError(
+                "there is no second material to blend with", remedy="view with --blend"
+            )
+        return self.first
+
+    @cached_property
+    def _piece(self) -> Pyramid:
+        from matcap.view.afar import Pyramid
+        from matcap.view.moments import edged, moments_of
+
+        exemplar = self.first.exemplar
+        if exemplar is None:
+            raise _no_piece()
+        return Pyramid(moments_of(edged(exemplar.stacked()), exemplar.texel_size))
+
+    @cached_property
+    def _mean(self) -> tuple[float, ...]:
+        from matcap.view.afar import NetworkFromAfar
+        from matcap.view.moments import mean_of
+
+        if self.first.exemplar is None:
+            return mean_of(NetworkFromAfar.of(self.first, self.seed).mean)
+        return mean_of(self._piece.read(0, Rectangle(0, 0, *self.first.exemplar.size)))
+
+    def moments(
+        self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
+    ) -> tuple[Planes, float]:
+        """See Viewable."""
+        if piece:
+            return self._piece.read(level, area), self.first.texel_size
+        field = self._field(seed, share)
+        return field.read(level, area), field.texel_size
+
+    def _open(self, seed: int, share: float) -> ExampleFromAfar | NetworkFromAfar:
+        from matcap.model.plane import check_seed
+        from matcap.view.afar import ExampleFromAfar, NetworkFromAfar
+
+        check_seed(seed)
+        material = self.at(share)
+        if material.example is None:
+            return NetworkFromAfar.of(material, seed)
+        return ExampleFromAfar(material.example, seed, self._forms(material.example))
+
+    def _forms(self, example: Example) -> Callable[[], SmallerForms]:
+        """Made when they are asked for, and once."""
+        from matcap.view.afar import SmallerForms
+
+        # Two materials have two exemplars at most.
+        key = id(example)
+        if key not in self._prepared:
+            self._prepared[key] = cache(lambda: SmallerForms(example.exemplar))
+        return self._prepared[key]
 
 
 @dataclass(frozen=True)
@@ -116,19 +183,37 @@ class Maps:
     @property
     def facts(self) -> ViewFacts:
         """See Viewable."""
-        return ViewFacts(self.name, "", self.maps.texel_size, self.maps.size, 0)
+        from matcap.view.moments import mean_of
 
-    def read(self, x: int, y: int, width: int, height: int, *, seed: int, share: float) -> MapSet:
+        whole = Rectangle(0, 0, *self.maps.size)
+        mean = mean_of(self._pyramid.read(0, whole))
+        return ViewFacts(self.name, "", self.maps.texel_size, self.maps.size, 0, mean)
+
+    def moments(
+        self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
+    ) -> tuple[Planes, float]:
         """See Viewable."""
-        import torch
-
+        if piece:
+            raise _no_piece()
         if seed != 0 or share != 0.0:
             raise UsageError("a map set has no other seed and no blend", remedy="view a material")
-        across, down = self.maps.size
-        columns, rows = torch.arange(x, x + width) % across, torch.arange(y, y + height) % down
-        # The rectangle is a piece of plane, whose borders do not continue each other.
-        cut = self.maps.map(lambda m: m[..., rows, :][..., columns])
-        return replace(cut, periodic=False)
+        return self._pyramid.read(level, area), self.maps.texel_size
+
+    @cached_property
+    def _pyramid(self) -> Pyramid:
+        from matcap.view.afar import from_maps
+
+        return from_maps(self.maps.stacked().numpy(), self.maps.texel_size)
+
+
+def _no_piece() -> UsageError:
+    return UsageError("there is no photographed piece", remedy="view a material that has one")
+
+
+def _millimetres(provenance: Mapping[str, Any]) -> float:
+    from matcap.export.textures import known_scale
+
+    return known_scale(provenance) or 0.0
 
 
 def open_subject(

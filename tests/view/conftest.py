@@ -12,7 +12,8 @@ from matcap.flash.geometry import FlashSetup
 from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.material import Material
-from matcap.view.block_cache import Blocks
+from matcap.view.library import Library
+from matcap.view.pages import Pages
 from matcap.view.subject import Materials
 
 SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
@@ -49,16 +50,24 @@ def served():
     """The page of a subject on a free port of this machine: `with served(subject) as address`."""
     uvicorn = pytest.importorskip("uvicorn", reason="the extra 'view' is not installed")
     from matcap.view.serve import listen
-    from matcap.view.server import make_app, new_address
+    from matcap.view.server import make_app, make_library, new_address
 
     @contextmanager
-    def run(subject, photo=None):
+    def run(subject, beside=None):
         threads = torch.get_num_threads()
         torch.set_num_threads(1)
         listening = listen(0)
         address = new_address(listening.getsockname()[1])
-        blocks = Blocks(subject, workers=2)
-        app = make_app(subject.facts, blocks, address, photo)
+        opened = []
+
+        def pages_of(one):
+            opened.append(Pages(one, workers=2))
+            return opened[-1]
+
+        if isinstance(subject, Library):
+            app = make_library(subject, "shoot", address, pages_of)
+        else:
+            app = make_app(subject, pages_of(subject), address, beside)
         server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
         thread.start()
@@ -67,7 +76,8 @@ def served():
         finally:
             server.should_exit = True
             thread.join(10)
-            blocks.close()
+            for pages in opened:
+                pages.close()
             listening.close()
             torch.set_num_threads(threads)
 

@@ -17,9 +17,9 @@ import pytest
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
+from matcap.view.beside import find_photograph
 from matcap.view.document import sealed_page
 from matcap.view.serve import HOST
-from matcap.view.shown_photograph import find_photograph
 from matcap.view.subject import Maps, Materials, open_subject
 
 
@@ -56,7 +56,9 @@ def test_a_map_set_has_no_seed_and_no_blend(tmp_path, material, extra):
 
 def test_photograph_of_the_folder(folder, tmp_path):
     assert find_photograph(tmp_path, "leather") is None
-    for name in ("preview.png", "photo.jpg", "leather.dng"):
+    (tmp_path / "preview.png").touch()  # a sheet of many panels, which nobody can read
+    assert find_photograph(tmp_path, "leather") is None
+    for name in ("photo.jpg", "leather.dng"):
         (tmp_path / name).touch()
         assert find_photograph(tmp_path, "leather") == tmp_path / name
         assert find_photograph(tmp_path / "leather.matcap", "leather") == tmp_path / name
@@ -109,6 +111,7 @@ def test_names_cannot_break_out_of_the_page(material):
         (["{folder}", "--blend", "nowhere.matcap"], "no such file", 3),
         (["{folder}", "--photo", "nowhere.jpg"], "nowhere.jpg", 3),
         (["{folder}", "--seed", str(2**70)], "out of range", 2),
+        (["{folder}", "--adjust", "shine=1"], "a name of relief", 2),
     ],
 )
 def test_mistakes_are_one_sentence(folder, tmp_path, capsys, arguments, says, code):

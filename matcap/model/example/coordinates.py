@@ -50,15 +50,27 @@ def coordinates(
         period: that the field repeats in, multiples of 2^(levels - 1).
         correct: plain.correct, or the compiled one.
     """
-    areas = [area.grown(margin(_passes(0)))]
-    for depth in range(1, len(lookup.levels)):
-        areas.append(areas[-1].halved().grown(margin(_passes(depth))))
+    return coordinates_down_to(lookup, seed, area, 0, period, correct)
+
+
+def coordinates_down_to(
+    lookup: Lookup,
+    seed: int,
+    area: Rectangle,
+    finest: int,
+    period: Period | None,
+    correct: Correct,
+) -> Places:
+    """Places of a level, found no finer; the area is in steps of that level, 2^finest texels."""
+    areas = {finest: area.grown(margin(_passes(finest)))}
+    for depth in range(finest + 1, len(lookup.levels)):
+        areas[depth] = areas[depth - 1].halved().grown(margin(_passes(depth)))
     places: Places | None = None
-    for depth in reversed(range(len(lookup.levels))):
+    for depth in reversed(range(finest, len(lookup.levels))):
         level, wanted = lookup.levels[depth], areas[depth]
         columns, rows = _wrapped(wanted, depth, period)
         if places is None:
-            places = _begin(lookup, seed, columns, rows, period)
+            places = begin(lookup, seed, columns, rows, period)
         else:
             places = _refine(places, level, wanted)
         phases = _wanted(lookup, seed, depth, columns, rows, period)
@@ -83,10 +95,14 @@ def _wrapped(area: Rectangle, depth: int, period: Period | None) -> tuple[Intege
     )
 
 
-def _begin(
+def begin(
     lookup: Lookup, seed: int, columns: Integers, rows: Integers, period: Period | None
 ) -> Places:
-    """Pieces of the exemplar at random places; in phase with the order there is."""
+    """Pieces of the exemplar at random places, for columns and rows of the coarsest level.
+
+    In phase with the order there is. Every place stands for itself: columns and rows need not be
+    neighbours.
+    """
     depth, level = len(lookup.levels) - 1, lookup.levels[-1]
     x, y = columns << depth, rows << depth
     if lookup.order is None:

@@ -151,6 +151,11 @@ class Example:
         return found[top : top + area.height, left : left + area.width]
 
     @property
+    def lookup(self) -> Lookup:
+        """What places are found with."""
+        return self._ready.lookup
+
+    @property
     def _ready(self) -> _Ready:
         with _PREPARING:  # threads that ask at once wait for the first one
             return self._prepared

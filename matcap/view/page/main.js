@@ -1,29 +1,28 @@
-"use strict";
-// Controls: pointer, touch and keys to the view's state, and its state to words.
+// The page: its view, its controls and what they do.
+
+import { UNCHANGED, adjustmentsText } from "./adjust.js";
+import { fromAddress, toAddress } from "./address.js";
+import { EnclosedPages, ServedPages } from "./source.js";
+import { ROOMS, roomRadiance } from "./surroundings.js";
+import { GONE, LIGHTS, MAPS, SHAPES, View } from "./view.js";
+import { $, ADJUSTED, CHOICES, describe, legend, number, showPiece, showScale, showState }
+  from "./panel.js";
+import { listen, listenToWipe } from "./gestures.js";
+
+const TURN = 12; // seconds of a turn of the turntable
+const PULSE = 4000; // milliseconds between looks whether the server is there
 
 (() => {
-  const about = JSON.parse(document.getElementById("about").textContent);
-  const $ = (id) => document.getElementById(id);
+  const about = JSON.parse($("about").textContent);
   const canvas = $("canvas");
+  describe(about);
 
-  $("name").textContent = about.name;
-  $("what").textContent = about.period
-    ? `repeats every ${about.period[0]} × ${about.period[1]} texels`
-    : "endless: it never repeats";
-  if (about.photo) {
-    const kind = about.photo_is_sheet ? "capture sheet" : "photograph";
-    $("photo").src = about.photo;
-    $("photo").alt = `The ${kind} of ${about.name}`;
-    $("photo-caption").textContent = kind;
-    $("with-photo").textContent = kind[0].toUpperCase() + kind.slice(1);
-    $("with-photo").hidden = false;
-  }
-  // A map set and an enclosed tile have one realisation.
-  $("seed-row").hidden = about.period !== null;
-  if (about.second) {
-    $("share-row").hidden = false;
-    $("share-label").textContent = `Blend with ${about.second}`;
-  }
+  const theme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
+  document.documentElement.dataset.theme = theme;
+  $("theme").addEventListener("click", () => {
+    const { dataset } = document.documentElement;
+    dataset.theme = dataset.theme === "light" ? "dark" : "light";
+  });
 
   const trouble = (words) => {
     $("trouble").textContent = words;
@@ -31,7 +30,7 @@
   };
   let view;
   try {
-    view = new View(canvas, about, about.tile ? new EnclosedBlocks(about) : new ServedBlocks(about));
+    view = new View(canvas, about, about.tile ? new EnclosedPages(about) : new ServedPages(about));
   } catch (error) {
     trouble(error.message === "no WebGL2"
       ? "This browser gives no WebGL2, which the page draws with. Switch hardware acceleration on, "
@@ -44,7 +43,22 @@
     trouble("The graphics driver has stopped. Reload the page.");
   });
 
-  // --- size -------------------------------------------------------------------------------------
+  // --- state and address ------------------------------------------------------------------------
+  const lefts = ["none", ...(about.photo ? ["photo"] : []), ...(about.tile ? [] : ["piece"])];
+  const choices = { shape: SHAPES, map: MAPS, light: LIGHTS, left: about.piece ? lefts : ["none"] };
+  const begin = () => fromAddress(location.hash.slice(1), view.initial(), choices);
+  let told = 0;
+  const set = (changes) => {
+    view.set(changes);
+    showState(view);
+    clearTimeout(told);
+    told = setTimeout(() => {
+      const address = toAddress(view.state, view.initial());
+      history.replaceState(null, "", address ? `#${address}` : location.pathname + location.search);
+    }, 300);
+  };
+  addEventListener("hashchange", () => view.set(begin()) || showState(view));
+
   const fit = () => {
     const ratio = Math.min(devicePixelRatio, 2);
     canvas.width = Math.max(1, Math.round(canvas.clientWidth * ratio));
@@ -53,58 +67,29 @@
   };
   new ResizeObserver(fit).observe(canvas);
 
-  // --- words ------------------------------------------------------------------------------------
-  const number = (value, digits = 3) => Number(value.toPrecision(digits)).toString();
-  const legend = () => {
-    const { map, light, span, shape, x, y } = view.state;
-    const [low, high] = view.range().map((value) => number(value));
-    const said = {
-      lit: light === "point" ? "point light" : "a made-up room: two soft lamps, dim below",
-      diffuse: "diffuse albedo, sRGB",
-      specular: `specular albedo F0, black ${low} to white ${high}`,
-      roughness: `roughness, black ${low} to white ${high}`,
-      height: `height, black ${low} to white ${high} plane units`,
-      normal: "normal, +x right in red, +y up in green",
-    }[map];
-    const where = shape === "plane"
-      ? `${Math.round(span)} texels across, at ${Math.round(x)}, ${Math.round(y)}`
-      : `${Math.round(span)} texels in diameter`;
-    return `${said} · ${where}`;
-  };
   view.changed = () => {
-    $("legend").textContent = legend();
+    $("legend").textContent = legend(view);
+    showScale(view);
+    showPiece(view);
     const left = view.missing().length;
+    $("gone").hidden = view.failure !== GONE;
     $("status").textContent = view.failure
-      || (left ? `decoding: ${left} block${left > 1 ? "s" : ""} to come` : "");
+      || (left ? `sharpening: ${left} piece${left > 1 ? "s" : ""} to come` : "");
     canvas.setAttribute("aria-label",
-      `${about.name} on a ${view.state.shape}: ${legend()}${left ? ", still decoding" : ""}`);
-  };
-  const show = () => {
-    const { state } = view;
-    for (const group of ["shape", "light", "map"]) {
-      const name = group === "shape" ? "surface" : group;
-      document.querySelector(`input[name=${name}][value=${state[group]}]`).checked = true;
-    }
-    $("exposure").value = state.exposure;
-    $("exposure-value").textContent = `${state.exposure > 0 ? "+" : ""}${state.exposure} stops`;
-    $("lift").value = state.lamp[2];
-    $("lift-value").textContent = number(state.lamp[2], 2);
-    $("lift-row").hidden = state.light !== "point";
-    $("share").value = state.share;
-    $("share-value").textContent = number(state.share, 2);
-    if (document.activeElement !== $("seed")) $("seed").value = state.seed;
-  };
-  const set = (changes) => {
-    view.set(changes);
-    show();
+      `${about.name} on a ${view.state.shape}: ${legend(view)}${left ? ", still sharpening" : ""}`);
   };
 
   // --- controls ---------------------------------------------------------------------------------
-  for (const [name, key] of [["surface", "shape"], ["light", "light"], ["map", "map"]]) {
+  for (const [name, key] of CHOICES) {
     for (const input of document.querySelectorAll(`input[name=${name}]`)) {
-      input.addEventListener("change", () => set({ [key]: input.value }));
+      input.addEventListener("change", () => {
+        const home = key === "left" && input.value !== "none"
+          ? { shape: "plane", ...view.homeward() } : {};
+        set({ [key]: input.value, ...home });
+      });
     }
   }
+  $("doubted").addEventListener("change", () => set({}));
   const expose = (value) => set({ exposure: Math.min(4, Math.max(-4, value)) });
   $("exposure").addEventListener("input", (event) => expose(event.target.valueAsNumber));
   $("lift").addEventListener("input", (event) => {
@@ -114,130 +99,106 @@
   $("share").addEventListener("input", (event) => {
     $("share-value").textContent = number(event.target.valueAsNumber, 2);
   });
-  const sow = (seed) => {
-    if (!$("seed-row").hidden && Number.isSafeInteger(seed)) set({ seed });
-  };
-  $("seed").addEventListener("change", (event) => sow(event.target.valueAsNumber));
-  $("another").addEventListener("click", () => sow(view.state.seed + 1));
-  const reset = () => set({ ...view.initial(), seed: view.state.seed, share: view.state.share });
-  $("reset").addEventListener("click", reset);
-  $("with-photo").addEventListener("click", () => {
-    $("beside").hidden = !$("beside").hidden;
-    $("with-photo").setAttribute("aria-pressed", String(!$("beside").hidden));
+  const adjust = (changes) => set({ adjust: { ...view.state.adjust, ...changes } });
+  for (const [id, name] of Object.entries(ADJUSTED)) {
+    $(id).addEventListener("input", (event) => adjust({ [name]: event.target.valueAsNumber }));
+  }
+  $("tint").addEventListener("input", ({ target }) => {
+    adjust({ tint: target.value === "#000000" ? UNCHANGED.tint : target.value });
   });
-  const save = async () => {
-    const { shape, map, seed } = view.state;
+  $("unadjust").addEventListener("click", () => adjust(UNCHANGED));
+  const download = (blob, name) => {
     const link = document.createElement("a");
-    link.href = URL.createObjectURL(await view.picture());
-    link.download = `${about.name}_${shape}_${map}_seed${seed}.png`;
+    link.href = URL.createObjectURL(blob);
+    link.download = name;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-    $("status").textContent = `saved ${link.download}`;
+    $("status").textContent = `saved ${name}`;
+  };
+  // A sidecar beside the material: --adjust takes it.
+  $("sidecar").addEventListener("click", () => {
+    const text = JSON.stringify({ adjust: adjustmentsText(view.state.adjust) });
+    download(new Blob([text], { type: "application/json" }), `${about.name}.adjust.json`);
+  });
+
+  const sow = (seed) => {
+    if ($("seed-row").hidden) return;
+    const sound = Number.isSafeInteger(seed);
+    $("seed-trouble").hidden = sound;
+    $("seed").setAttribute("aria-invalid", String(!sound));
+    if (sound) set({ seed });
+    else $("seed-trouble").textContent = "A seed is a whole number of at most 15 digits.";
+  };
+  $("seed").addEventListener("change", ({ target }) => {
+    sow(target.value.trim() === "" ? NaN : Number(target.value));
+  });
+  $("another").addEventListener("click", () => sow(view.state.seed + 1));
+  const reset = () => set({
+    ...view.initial(), seed: view.state.seed, share: view.state.share, adjust: view.state.adjust,
+  });
+  $("reset").addEventListener("click", reset);
+  const save = async () => {
+    const { shape, map, seed } = view.state;
+    download(await view.picture(), `${about.name}_${shape}_${map}_seed${seed}.png`);
   };
   $("save").addEventListener("click", save);
+  const enlarge = () => {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else $("stage").requestFullscreen().catch(() => {});
+  };
+  $("large").addEventListener("click", enlarge);
+  $("export").addEventListener("submit", () => {
+    $("status").textContent = `exporting for ${$("target").value}; the download begins by itself`;
+  });
+  $("again").addEventListener("click", () => view.set({}));
+  const help = () => $("keys-dialog").showModal();
+  $("help").addEventListener("click", help);
 
-  // --- pointer and touch ------------------------------------------------------------------------
-  // Units of the picture from its middle, y up.
-  const units = (event) => {
-    const box = canvas.getBoundingClientRect(), half = Math.max(box.width, box.height) / 2;
-    return [
-      (event.clientX - box.left - box.width / 2) / half,
-      -(event.clientY - box.top - box.height / 2) / half,
-    ];
+  // The lamp goes around a plane; a sphere or cylinder turns under it.
+  let turning = 0;
+  const turn = () => {
+    const on = !turning;
+    $("turn").setAttribute("aria-pressed", String(on));
+    cancelAnimationFrame(turning);
+    turning = 0;
+    if (!on) return;
+    let before = performance.now();
+    const step = (now) => {
+      const angle = (2 * Math.PI * (now - before)) / (1000 * TURN);
+      before = now;
+      const { shape, lamp: [x, y, z], x: column } = view.state;
+      const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
+      if (shape === "plane") view.set({ lamp: [x * cos - y * sin, x * sin + y * cos, z] });
+      else view.set({ x: column + angle * view.scale });
+      turning = requestAnimationFrame(step);
+    };
+    turning = requestAnimationFrame(step);
   };
-  const aim = (event) => {
-    const [x, y] = units(event).map((value) => value * view.spread);
-    set({ lamp: [x, y, view.state.lamp[2]] });
-  };
-  const move = (dx, dy) => {
-    const scale = view.scale * view.spread;
-    set({ x: view.state.x - dx * scale, y: view.state.y + dy * scale });
-  };
-  const zoom = (factor, [x, y] = [0, 0]) => {
-    const before = view.scale * view.spread;
-    set({ span: view.state.span * factor });
-    if (view.state.shape !== "plane") return;
-    const less = before - view.scale * view.spread; // what is under the pointer stays there
-    set({ x: view.state.x + x * less, y: view.state.y - y * less });
-  };
-  const fingers = new Map();
-  const middle = () => {
-    const all = [...fingers.values()];
-    const mean = [0, 1].map((k) => all.reduce((sum, p) => sum + p[k], 0) / all.length);
-    const apart = all.length > 1 ? Math.hypot(all[0][0] - all[1][0], all[0][1] - all[1][1]) : 0;
-    return { mean, apart };
-  };
-  canvas.addEventListener("pointerdown", (event) => {
-    canvas.setPointerCapture(event.pointerId);
-    fingers.set(event.pointerId, units(event));
-    if (event.pointerType === "touch" && fingers.size === 1) aim(event);
-    else canvas.classList.add("moving");
-  });
-  canvas.addEventListener("pointermove", (event) => {
-    if (!fingers.has(event.pointerId)) {
-      if (event.pointerType !== "touch") aim(event);
-      return;
-    }
-    if (event.pointerType === "touch" && fingers.size === 1) {
-      fingers.set(event.pointerId, units(event));
-      aim(event);
-      return;
-    }
-    const before = middle();
-    fingers.set(event.pointerId, units(event));
-    const now = middle();
-    move(now.mean[0] - before.mean[0], now.mean[1] - before.mean[1]);
-    if (before.apart > 0 && now.apart > 0) zoom(before.apart / now.apart, now.mean);
-  });
-  for (const kind of ["pointerup", "pointercancel"]) {
-    canvas.addEventListener(kind, (event) => {
-      fingers.delete(event.pointerId);
-      if (fingers.size === 0) canvas.classList.remove("moving");
-    });
+  $("turn").addEventListener("click", turn);
+
+  // --- manners ----------------------------------------------------------------------------------
+  $("hint").textContent = matchMedia("(pointer: coarse)").matches
+    ? "Touch to light it, two fingers to wander" : "Move to light it, drag to wander, scroll to zoom";
+  const moved = () => $("hint").classList.add("gone");
+  listen(view, set, {
+    expose,
+    keys: { n: () => sow(view.state.seed + 1), d: save, t: turn, b: enlarge, home: reset, "?": help },
+  }, moved);
+  listenToWipe(view, $("wipe"), set);
+  canvas.addEventListener("wheel", moved, { passive: true });
+  if (!about.tile) {
+    setInterval(() => {
+      if (document.hidden || view.loading.size) return;
+      fetch("alive").then(() => { if (view.failure === GONE) view.set({}); }, () => {
+        view.failure = GONE;
+        view.changed();
+      });
+    }, PULSE);
   }
-  canvas.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    const steps = event.deltaMode === 0 ? event.deltaY / 400 : event.deltaY / 12;
-    zoom(2 ** Math.min(1, Math.max(-1, steps)), units(event));
-  }, { passive: false });
-
-  // --- keys -------------------------------------------------------------------------------------
-  const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-  const KEYS = {
-    p: () => set({ shape: "plane" }),
-    s: () => set({ shape: "sphere" }),
-    c: () => set({ shape: "cylinder" }),
-    l: () => set({ light: view.state.light === "point" ? "room" : "point" }),
-    f: () => set({ lamp: [0, 0, FLASH] }),
-    n: () => sow(view.state.seed + 1),
-    d: save,
-    "[": () => expose(view.state.exposure - 0.25),
-    "]": () => expose(view.state.exposure + 0.25),
-    "+": () => zoom(0.8),
-    "=": () => zoom(0.8),
-    "-": () => zoom(1.25),
-    home: reset,
-  };
-  MAPS.forEach((map, index) => { KEYS[index + 1] = () => set({ map }); });
-  document.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.target.matches("input[type=number]")) return;
-    const way = ARROWS[event.key];
-    if (way) {
-      if (event.target !== canvas) return; // elsewhere arrows move sliders and choices
-      const [x, y, z] = view.state.lamp;
-      if (event.shiftKey) set({ lamp: [x + 0.1 * way[0], y + 0.1 * way[1], z] });
-      else move(-0.1 * way[0], -0.1 * way[1]);
-    } else {
-      const act = KEYS[event.key.toLowerCase()];
-      if (!act) return;
-      act();
-    }
-    event.preventDefault();
-  });
 
   // For scripts, and for the tests that compare this picture with Python's.
-  window.matcap = { view, set };
-  show();
+  window.matcap = { view, set, room: (name, d) => roomRadiance(ROOMS[name], d) };
+  view.set(begin());
+  showState(view);
   fit();
 })();

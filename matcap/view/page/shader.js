@@ -1,7 +1,10 @@
-"use strict";
 // The page's one shader. Units: half the picture's long side on a plane, the radius on a sphere or
 // cylinder. Formulas are those of matcap/relight/lobes.py; the camera is the photograph's, 45
 // degrees across the long side, straight above.
+
+import { ADJUST_GLSL } from "./adjust.js";
+import { TABLE_GLSL } from "./pages.js";
+import { ROOM_GLSL } from "./surroundings.js";
 
 const VERTEX = `#version 300 es
 void main() {
@@ -13,13 +16,18 @@ void main() {
 const FRAGMENT = `#version 300 es
 precision highp float;
 precision highp sampler2D;
-uniform sampler2D albedo;     // diffuse, F0
-uniform sampler2D surface;    // alpha squared, slopes along x and y, their variance
-uniform sampler2D relief;     // height
-uniform sampler2D presence;   // one texel a block: whether it is there
+precision highp sampler2DArray;
+uniform sampler2DArray albedo;   // diffuse, F0
+uniform sampler2DArray surface;  // alpha squared, slopes along x and y, their variance
+uniform sampler2DArray relief;   // height
+uniform sampler2D table;      // three texels a cell: its page, the one that appears, how far
 uniform vec2 size;            // of the picture, pixels
-uniform vec2 centre;          // texel in the picture's middle, less whole turns of the textures
-uniform vec2 texels;          // texels to a unit, texels of the textures' side
+uniform vec2 corner;          // its left bottom one
+uniform vec4 middle;          // where the picture's middle lies in its cell, texels; which cell
+uniform float texels;         // texels to a unit
+uniform float tableScale;     // texels of the table's level to one of the finest
+uniform vec4 bounds;          // texels from the middle beyond which there is nothing
+uniform vec4 meanAlbedo, meanSurface;  // where there is nothing yet
 uniform int shape;            // 0 plane, 1 sphere, 2 cylinder
 uniform int map;              // 0 lit, then diffuse, specular, roughness, height, normal
 uniform bool room;            // surroundings, not the point light
@@ -27,6 +35,7 @@ uniform vec3 lightPlace;
 uniform float intensity;
 uniform float gain;
 uniform vec2 range;           // of the map shown, black to white
+uniform int mirrored;         // directions of the room that each pixel looks in
 uniform mat3 turned;          // scene to room
 uniform vec3 harmonics[9];    // of the room's irradiance
 out vec4 colour;
@@ -35,7 +44,35 @@ const float PI = 3.14159265358979;
 const float REACH = 0.41421356237;  // tan(22.5 degrees)
 const vec3 NOTHING = vec3(0.0185);
 
+TABLE
+
 ROOM_RADIANCE
+
+struct Texel { vec4 a; vec4 b; float height; };
+
+// A place within a cell, in texels, of the page that an entry names.
+Texel read(vec4 entry, vec2 along, float mip) {
+  if (entry.x < 0.0) return Texel(meanAlbedo, meanSurface, 0.0);
+  vec3 at = vec3((APRON + entry.yz * PAGE + along * entry.w) / (PAGE + 2.0 * APRON), entry.x);
+  return Texel(textureLod(albedo, at, mip), textureLod(surface, at, mip),
+    map == 4 ? textureLod(relief, at, mip).r : 0.0);
+}
+
+Texel readAt(vec2 fromMiddle, float level) {
+  // Rounded, so that what is at a texel's middle is of that texel alone.
+  vec2 place = floor((middle.xy + fromMiddle * tableScale) * 1024.0 + 0.5) / 1024.0;
+  vec2 cell = floor(place / PAGE), along = place - cell * PAGE;
+  ivec2 at = ivec2(mod(middle.zw + cell, CELLS)) * ivec2(3, 1);
+  vec4 under = texelFetch(table, at, 0), over = texelFetch(table, at + ivec2(1, 0), 0);
+  vec3 more = texelFetch(table, at + ivec2(2, 0), 0).xyz; // share of what appears, both levels
+  Texel found = read(under, along, level - more.y);
+  if (more.x <= 0.0) return found;
+  Texel fresh = read(over, along, level - more.z);
+  return Texel(mix(found.a, fresh.a, more.x), mix(found.b, fresh.b, more.x),
+    mix(found.height, fresh.height, more.x));
+}
+
+ADJUST
 
 vec3 encode(vec3 light) {
   vec3 c = clamp(light, 0.0, 1.0);
@@ -91,10 +128,9 @@ vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, float f0, float a2, float nv) {
   vec3 seen = v * around;
   float alpha = sqrt(a2);
   vec3 total = vec3(0.0);
-  const int COUNT = 48;
-  for (int i = 0; i < COUNT; i++) {
+  for (int i = 0; i < mirrored; i++) {
     float radical = float(bitfieldReverseOf(uint(i))) * 2.3283064365386963e-10;
-    vec3 h = visibleNormal(seen, alpha, vec2((float(i) + 0.5) / float(COUNT), radical));
+    vec3 h = visibleNormal(seen, alpha, vec2((float(i) + 0.5) / float(mirrored), radical));
     vec3 l = reflect(-seen, h);
     vec3 direction = around * l;
     if (l.z <= 0.0 || direction.z <= 0.0) continue;
@@ -105,12 +141,12 @@ vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, float f0, float a2, float nv) {
     float fresnel = f0 + (1.0 - f0) * schlickWeight(dot(l, h));
     total += roomRadiance(turned * (frame * direction)) * (weight * fresnel);
   }
-  return total / float(COUNT);
+  return total / float(mirrored);
 }
 
 void main() {
   float half_ = max(size.x, size.y) * 0.5;
-  vec2 s = (gl_FragCoord.xy - 0.5 * size) / half_;
+  vec2 s = (gl_FragCoord.xy - corner - 0.5 * size) / half_;
   float away = 1.0 / REACH;
   vec3 point, eye;
   mat3 frame = mat3(1.0);
@@ -133,7 +169,8 @@ void main() {
     float along = inside > 0.0 ? (-b - sqrt(inside)) / a : -1.0;
     point = eye + along * direction;
     if (along <= 0.0 || (upright && abs(point.y) > 1.0)) {
-      colour = vec4(encode(NOTHING), 1.0);
+      vec3 behind = room ? roomRadiance(turned * direction) * gain : NOTHING;
+      colour = vec4(encode(behind), 1.0);
       return;
     }
     float longitude = atan(point.x, point.z);
@@ -144,19 +181,21 @@ void main() {
     float facing = dot(-direction, normal);
     footprint = along * REACH / half_ / max(facing, 1e-3);
   }
-  vec2 texel = centre + vec2(place.x, -place.y) * texels.x;
-  float there = texelFetch(presence, ivec2(mod(floor(texel / BLOCK_SIDE), texels.y / BLOCK_SIDE)), 0).r;
-  vec2 at = texel / texels.y;
-  float level = log2(max(footprint * texels.x, 1.0));
-  vec4 a = textureLod(albedo, at, level);
-  vec4 b = textureLod(surface, at, level);
+  vec2 fromMiddle = vec2(place.x, -place.y) * texels;
+  if (any(lessThan(fromMiddle, bounds.xy)) || any(greaterThan(fromMiddle, bounds.zw))) {
+    colour = vec4(encode(NOTHING), 1.0);
+    return;
+  }
+  float level = log2(max(footprint * texels, 1.0));
+  Texel texel = adjusted(readAt(fromMiddle, level));
+  vec4 a = texel.a, b = texel.b;
   float a2 = min(b.x + b.w, 1.0);
   vec3 n = normalize(vec3(-b.yz, 1.0));
   vec3 shown;
   if (map == 1) shown = encode(a.rgb);
   else if (map == 2) shown = stretched(a.a);
   else if (map == 3) shown = stretched(sqrt(sqrt(b.x)));
-  else if (map == 4) shown = stretched(textureLod(relief, at, level).r);
+  else if (map == 4) shown = stretched(texel.height);
   else if (map == 5) shown = 0.5 + 0.5 * n;
   else {
     vec3 v = normalize(eye - point) * frame;
@@ -181,13 +220,15 @@ void main() {
     }
     shown = encode(radiance * gain);
   }
-  colour = vec4(mix(encode(NOTHING), clamp(shown, 0.0, 1.0), there), 1.0);
+  colour = vec4(clamp(shown, 0.0, 1.0), 1.0);
 }`;
 
 // The program, or an error that says what the driver did not like.
-function buildProgram(gl, side) {
+export function buildProgram(gl, { width, height, apron }) {
   const source = FRAGMENT.replace("ROOM_RADIANCE", ROOM_GLSL + BITS_GLSL)
-    .replaceAll("BLOCK_SIDE", side.toFixed(1));
+    .replace("ADJUST", ADJUST_GLSL).replace("TABLE", `${TABLE_GLSL}
+const vec2 PAGE = vec2(${width}.0, ${height}.0);
+const float APRON = ${apron}.0;`);
   const program = gl.createProgram();
   for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, source]]) {
     const shader = gl.createShader(kind);

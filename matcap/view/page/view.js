@@ -1,34 +1,50 @@
-"use strict";
 // What is looked at and how, and its picture: state in, pixels out. Knows nothing of controls.
 
-const SHAPES = ["plane", "sphere", "cylinder"];
-const MAPS = ["lit", "diffuse", "specular", "roughness", "height", "normal"];
+import { colourMatrix, parseAdjustments } from "./adjust.js";
+import { CELLS, LEAST_RANGE, Pages } from "./pages.js";
+import { buildProgram } from "./shader.js";
+import { ROOMS, setRoom } from "./surroundings.js";
+
+const UNITS = ["albedo", "surface", "relief", "table"];
+export const SHAPES = ["plane", "sphere", "cylinder"];
+export const LIGHTS = ["point", ...Object.keys(ROOMS)];
+export const MAPS = ["lit", "diffuse", "specular", "roughness", "height", "normal"];
 // As the shader has it: a sphere as matcap relight frames it, a cylinder with its whole height.
 const ROOM_AROUND = { sphere: 1.25, cylinder: 1.6 };
-const FLASH = 1 / Math.tan(Math.PI / 8);
+export const FLASH = 1 / Math.tan(Math.PI / 8);
+const NEAREST = 4, FARTHEST = 2 ** 30; // texels across
+const FARTHEST_LEVEL = 21;
+const COARSER = 3; // levels between what is sharp and what comes first
+const MIRRORED = 48, HURRIED = 8; // directions of a room, and while anything moves
+const STRIPS = 12; // that a picture is settled in
+const SETTLED = 200; // milliseconds after which nothing moves any more
+const PIECES = 20; // pages of the piece
+const SPARE = { field: 12, piece: 4 }; // pages kept for coarse forms and for what was just seen
+export const GONE = "The server does not answer.";
 
-class View {
+export class View {
   // Throws where there is no WebGL2.
   constructor(canvas, about, source) {
-    const gl = canvas.getContext("webgl2", { alpha: false, antialias: false });
+    const gl = canvas.getContext("webgl2", {
+      alpha: false, antialias: false, preserveDrawingBuffer: true, // to be settled in strips
+    });
     if (!gl) throw new Error("no WebGL2");
     Object.assign(this, { canvas, gl, source, about });
-    // Small devices hold fewer blocks: 96 MB of textures, not 310.
-    const small = gl.getParameter(gl.MAX_TEXTURE_SIZE) < 6 * source.side
-      || Math.min(screen.width, screen.height) < 700;
-    this.slots = small ? 4 : 6;
-    this.window = new Window(gl, source.side, this.slots);
-    const { program, places } = buildProgram(gl, source.side);
+    // Small devices hold fewer pages: 130 MB of textures, not 320.
+    const small = Math.min(screen.width, screen.height) < 700;
+    this.pages = new Pages(gl, source.form, small ? 26 : 64);
+    // What lies on the page's left of a wipe: the photographed piece, where there is one.
+    this.field = { name: "field", pages: this.pages };
+    this.piece = about.piece && { name: "piece", pages: null };
+    const { program, places } = buildProgram(gl, source.form);
     this.places = places;
     gl.useProgram(program);
     gl.bindVertexArray(gl.createVertexArray());
-    ["albedo", "surface", "relief", "presence"].forEach((name, unit) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(gl.TEXTURE_2D, this.window[name]);
-      gl.uniform1i(places[name], unit);
-    });
-    gl.activeTexture(gl.TEXTURE4); // uploads bind here, and leave the four alone
-    gl.uniform3fv(places.harmonics, roomHarmonics());
+    UNITS.forEach((name, unit) => gl.uniform1i(places[name], unit));
+    const mean = about.mean;
+    gl.uniform4f(places.meanAlbedo, ...mean.slice(0, 4));
+    gl.uniform4f(places.meanSurface, mean[4], 0, 0, mean[7]);
+    gl.activeTexture(gl.TEXTURE4); // uploads bind here, and leave those to draw with alone
     this.state = this.initial();
     this.loading = new Map();
     this.failure = "";
@@ -38,11 +54,13 @@ class View {
   }
 
   initial() {
-    const { side } = this.source;
+    const { width, height } = this.source.form;
     return {
       shape: "plane", map: "lit", light: "point", exposure: 0, seed: this.about.seed, share: 0,
-      x: side / 2, y: side / 2, // texel in the middle; y downwards
-      span: 1.5 * side, // texels across the long side, or a sphere's diameter
+      x: 4 * width, y: 4 * height, // texel in the middle; y downwards
+      span: 1.5 * width, // texels across the long side, or a sphere's diameter
+      left: "none", wipe: 0.5, // what is on the left of the wipe, and where that is
+      adjust: parseAdjustments(this.about.adjust),
       lamp: [-0.35, 0.3, 1], // in units of half the long side, or of the radius
     };
   }
@@ -50,20 +68,17 @@ class View {
   set(changes) {
     const before = this.state;
     this.state = { ...before, ...changes };
-    this.state.span = Math.min(Math.max(this.state.span, 8), this.widest());
+    this.state.span = Math.min(Math.max(this.state.span, NEAREST), FARTHEST);
     if (before.seed !== this.state.seed || before.share !== this.state.share) {
-      for (const { stop } of this.loading.values()) stop.abort();
-      this.loading.clear();
-      this.window.clear();
+      for (const [key, { stop }] of this.loading) {
+        if (key.startsWith("piece")) continue;
+        stop.abort();
+        this.loading.delete(key);
+      }
+      this.pages.clear();
     }
     this.failure = "";
     this.redraw();
-  }
-
-  // As far away as the window's blocks allow.
-  widest() {
-    const room = (this.slots - 1) * this.source.side;
-    return this.state.shape === "plane" ? room : (2 * room) / Math.PI;
   }
 
   // Texels to a unit.
@@ -79,14 +94,77 @@ class View {
     return [(this.scale * Math.PI) / 2, this.scale * upwards];
   }
 
-  // First and last column and row of blocks that are seen.
-  wanted() {
-    const { side } = this.source, [across, down] = this.#reach();
-    const range = (middle, reach) => [
-      Math.floor((middle - reach) / side),
-      Math.max(Math.ceil((middle + reach) / side) - 1, Math.floor((middle - reach) / side)),
-    ];
-    return { columns: range(this.state.x, across), rows: range(this.state.y, down) };
+  // How many times the finest texels must be halved to be no smaller than pixels.
+  get level() {
+    const { width, height } = this.canvas, half = Math.max(width, height) / 2;
+    let footprint = 1 / half;
+    if (this.state.shape !== "plane") {
+      const reach = 1 / FLASH;
+      footprint *= this.spread - reach;
+    }
+    const exact = Math.floor(Math.log2(Math.max(footprint * this.scale, 1)) + 1e-9);
+    return Math.min(exact, FARTHEST_LEVEL);
+  }
+
+  // Layers that are drawn: the field, and on its left the piece, on a plane.
+  get layers() {
+    const { left, shape } = this.state;
+    return this.piece && left === "piece" && shape === "plane" ? [this.field, this.piece]
+      : [this.field];
+  }
+
+  // The texel of a layer in the picture's middle, and how far it reaches either way. The piece's
+  // middle lies where the view begins.
+  #whereabouts(layer) {
+    const { x, y } = this.state;
+    if (layer === this.field) return { x, y, bounds: [-Infinity, -Infinity, Infinity, Infinity] };
+    const home = this.initial(), [wide, tall] = this.about.piece;
+    return { x: x - home.x + wide / 2, y: y - home.y + tall / 2, bounds: [0, 0, wide, tall] };
+  }
+
+  // First and last column and row of pages of a level that are seen.
+  seen(level, layer = this.field) {
+    const { width, height } = this.source.form, [across, down] = this.#reach();
+    const { x, y, bounds } = this.#whereabouts(layer);
+    const range = (from, to, side) => {
+      const first = Math.floor(from / side);
+      return [first, Math.max(Math.ceil(to / side) - 1, first)];
+    };
+    const [wide, tall] = [width * 2 ** level, height * 2 ** level];
+    return {
+      columns: range(Math.max(x - across, bounds[0]), Math.min(x + across, bounds[2]), wide),
+      rows: range(Math.max(y - down, bounds[1]), Math.min(y + down, bounds[3]), tall),
+    };
+  }
+
+  #listed(level, layer) {
+    const { width, height } = this.source.form, { columns, rows } = this.seen(level, layer);
+    const where = this.#whereabouts(layer);
+    const found = [];
+    for (let row = rows[0]; row <= rows[1]; row++) {
+      for (let column = columns[0]; column <= columns[1]; column++) {
+        const x = (column + 0.5) * width * 2 ** level - where.x;
+        const y = (row + 0.5) * height * 2 ** level - where.y;
+        found.push({ layer, level, column, row, far: x * x + y * y });
+      }
+    }
+    return found.sort((a, b) => a.far - b.far);
+  }
+
+  // Pages of what is seen, in the order they are wanted: a coarse form of everything, then what is
+  // sharp, the nearest to the middle first. `best` is the level of the sharp ones: coarser than it
+  // should be where there is no room for all of them.
+  wanted(layer = this.field) {
+    let best = this.level;
+    const room = (layer.pages ? layer.pages.count : PIECES) - SPARE[layer.name];
+    while (this.#count(best, layer) > room && best < FARTHEST_LEVEL) best += 1;
+    const coarse = this.#listed(Math.min(best + COARSER, FARTHEST_LEVEL), layer);
+    return { best, pages: [...coarse, ...this.#listed(best, layer)] };
+  }
+
+  #count(level, layer) {
+    const { columns, rows } = this.seen(level, layer);
+    return (columns[1] - columns[0] + 1) * (rows[1] - rows[0] + 1);
   }
 
   redraw() {
@@ -94,40 +172,108 @@ class View {
     this.pending = requestAnimationFrame((now) => {
       this.pending = 0;
       this.#fetch();
-      if (this.draw(now)) this.redraw();
+      const hurried = this.state.light !== "point" && this.state.map === "lit";
+      const appearing = this.draw(now, hurried ? HURRIED : MIRRORED);
+      if (appearing) this.redraw();
       this.changed();
+      clearTimeout(this.settling);
+      if (hurried && !appearing && this.loading.size === 0) {
+        this.settling = setTimeout(() => this.#settle(0), SETTLED);
+      }
     });
   }
 
+  // Now that nothing moves, look in all directions: strip by strip, so that nothing waits for it.
+  #settle(index) {
+    const tall = Math.ceil(this.canvas.height / STRIPS);
+    this.strip = { bottom: this.canvas.height - (index + 1) * tall, tall };
+    this.draw();
+    this.strip = null;
+    if (index + 1 < STRIPS) this.settling = setTimeout(() => this.#settle(index + 1), 0);
+  }
+
   // Draw now; true while something is still appearing.
-  draw(now = Infinity) {
+  draw(now = Infinity, mirrored = MIRRORED) {
     const { gl, places, state, canvas } = this;
-    const { columns, rows } = this.wanted();
-    const appearing = this.window.update(columns, rows, now, this.fades);
-    const whole = this.slots * this.source.side;
-    const turn = (value) => value - Math.floor(value / whole) * whole;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.uniform2f(places.size, canvas.width, canvas.height);
-    gl.uniform2f(places.centre, turn(state.x), turn(state.y));
-    gl.uniform2f(places.texels, this.scale, whole);
+    gl.uniform1f(places.texels, this.scale);
     gl.uniform1i(places.shape, SHAPES.indexOf(state.shape));
     gl.uniform1i(places.map, MAPS.indexOf(state.map));
-    gl.uniform1i(places.room, state.light === "room" ? 1 : 0);
+    gl.uniform1i(places.room, state.light === "point" ? 0 : 1);
+    if (state.light !== "point" && this.room !== state.light) {
+      setRoom(gl, places, ROOMS[state.light]);
+      this.room = state.light;
+    }
     const { place, intensity } = this.lamp();
     gl.uniform3f(places.lightPlace, ...place);
     gl.uniform1f(places.intensity, intensity);
+    gl.uniform1i(places.mirrored, mirrored);
     gl.uniform1f(places.gain, 2 ** state.exposure);
     gl.uniform2f(places.range, ...this.range());
+    gl.uniformMatrix3fv(places.colouring, false, colourMatrix(state.adjust));
+    gl.uniform2f(places.reliefAndRough, state.adjust.relief, state.adjust.roughness);
     gl.uniformMatrix3fv(places.turned, false, this.#turned());
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    let appearing = false;
+    for (const layer of this.layers) appearing = this.#drawLayer(layer, now) || appearing;
     this.drawn += 1;
     return appearing;
   }
 
+  #drawLayer(layer, now) {
+    const { gl, places, canvas, state } = this;
+    layer.pages ||= new Pages(gl, this.source.form, PIECES);
+    const { best, pages } = this.wanted(layer);
+    layer.pages.use(pages);
+    const cells = Math.max(best - 1, 0), { columns, rows } = this.seen(cells, layer);
+    const appearing = layer.pages.update(cells, best, columns, rows, now, this.fades);
+    UNITS.forEach((name, unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(name === "table" ? gl.TEXTURE_2D : gl.TEXTURE_2D_ARRAY, layer.pages[name]);
+    });
+    gl.activeTexture(gl.TEXTURE4);
+    const { width, height } = this.source.form, where = this.#whereabouts(layer);
+    const [x, y] = [where.x / (width * 2 ** cells), where.y / (height * 2 ** cells)];
+    const turn = (value) => Math.floor(value) - Math.floor(value / CELLS) * CELLS;
+    const within = (value, side) => (value - Math.floor(value)) * side;
+    gl.uniform4f(places.middle, within(x, width), within(y, height), turn(x), turn(y));
+    gl.uniform1f(places.tableScale, 2 ** -cells);
+    const [left, top, right, below] = where.bounds.map((end, i) => end - (i % 2 ? where.y : where.x));
+    const most = (value) => Math.min(Math.max(value, -3e38), 3e38);
+    gl.uniform4f(places.bounds, most(left), most(top), most(right), most(below));
+    const across = layer === this.field ? 1 : state.wipe;
+    const { bottom, tall } = this.strip || { bottom: 0, tall: canvas.height };
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(0, bottom, Math.round(across * canvas.width), tall);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    return appearing;
+  }
+
+  // Where the piece lies, in the canvas's own pixels: left, top, width, height.
+  get pieceBox() {
+    const { clientWidth, clientHeight } = this.canvas;
+    const where = this.#whereabouts(this.piece), [wide, tall] = this.about.piece;
+    const scale = Math.max(clientWidth, clientHeight) / this.state.span;
+    return [clientWidth / 2 - where.x * scale, clientHeight / 2 - where.y * scale,
+      wide * scale, tall * scale];
+  }
+
+  // The piece as large as it fits.
+  homeward() {
+    const { clientWidth, clientHeight } = this.canvas, [wide, tall] = this.about.piece;
+    const { x, y } = this.initial();
+    const long = Math.max(clientWidth, clientHeight);
+    return { x, y, span: long * Math.max(wide / clientWidth, tall / clientHeight) };
+  }
+
   // What black and white mean in the map shown.
   range() {
-    const { map } = this.state;
-    return map in LEAST_RANGE ? this.window.range(map) : [0, 1];
+    const { map, adjust } = this.state;
+    if (!(map in LEAST_RANGE)) return [0, 1];
+    const ends = this.pages.range(map);
+    if (map === "height") return ends.map((value) => value * Math.max(adjust.relief, 0.01));
+    if (map === "roughness") return ends.map((value) => value + adjust.roughness);
+    return ends;
   }
 
   // What the picture shows at the surface's middle, in units: half its long side.
@@ -154,40 +300,43 @@ class View {
     return [cx, sy * sx, cy * sx, 0, cy, -sy, -sx, sy * cx, cy * cx];
   }
 
-  // Missing blocks, the nearest to the middle first.
+  // Pages of what is seen that are not there, in the order they are asked for.
   missing() {
-    const { columns, rows } = this.wanted(), { side } = this.source;
-    const found = [];
-    for (let row = rows[0]; row <= rows[1]; row++) {
-      for (let column = columns[0]; column <= columns[1]; column++) {
-        if (this.window.has(column, row)) continue;
-        const x = (column + 0.5) * side - this.state.x, y = (row + 0.5) * side - this.state.y;
-        found.push({ column, row, far: x * x + y * y });
-      }
-    }
-    return found.sort((a, b) => a.far - b.far);
+    return this.layers.flatMap((layer) => this.wanted(layer).pages).filter(
+      ({ layer, level, column, row }) => !layer.pages || !layer.pages.has(level, column, row),
+    );
   }
 
   #fetch() {
+    const missing = this.missing();
+    const keyOf = ({ layer, level, column, row }) => `${layer.name} ${Pages.key(level, column, row)}`;
+    const keys = new Set(missing.map(keyOf));
+    for (const [key, { stop }] of this.loading) {
+      if (keys.has(key)) continue;
+      stop.abort(); // it has left the view
+      this.loading.delete(key);
+    }
     if (this.failure) return;
-    for (const { column, row } of this.missing()) {
+    for (const place of missing) {
       if (this.loading.size >= this.source.most) return;
-      const key = `${column} ${row}`;
+      const key = keyOf(place);
       if (this.loading.has(key)) continue;
       const stop = new AbortController(), entry = { stop };
       this.loading.set(key, entry);
-      this.source.load(column, row, this.state.seed, this.state.share, stop.signal).then(
-        (block) => {
-          if (this.loading.get(key) !== entry) return; // of another seed by now
+      const { seed, share } = this.state, piece = place.layer === this.piece;
+      this.source.load(place, { seed, share, piece }, stop.signal).then(
+        (page) => {
+          if (this.loading.get(key) !== entry) return; // nobody waits for it any more
           this.loading.delete(key);
-          this.window.put(column, row, block, performance.now());
+          if (!piece) this.texelSize = page.texelSize;
+          place.layer.pages.put(place.level, place.column, place.row, page, performance.now());
+          this.#fetch(); // at once: a frame may take longer than a page
           this.redraw();
         },
         (error) => {
           if (this.loading.get(key) !== entry) return;
           this.loading.delete(key);
-          this.failure = error instanceof TypeError
-            ? "The server does not answer. Is matcap view still running?" : error.message;
+          this.failure = error instanceof TypeError ? GONE : error.message;
           this.redraw();
         },
       );
@@ -201,6 +350,7 @@ class View {
 
   // What is shown, as a PNG.
   picture() {
+    clearTimeout(this.settling);
     this.draw();
     return new Promise((done) => { this.canvas.toBlob(done, "image/png"); });
   }

@@ -1,0 +1,204 @@
+"""Adjustments: how a material is to look other than it was found, without changing it.
+
+One short text, shared by `synth`, `export`, `relight` and the page, and kept in sidecars:
+
+    relief=1.3,roughness=-0.1,saturation=0.8,brightness=1.1,tint=#ffe8d0
+
+Keys:
+    relief: factor on heights, and so on slopes.
+    roughness: added to perceptual roughness, which stays within 0 and 1.
+    saturation: factor on what colours differ from grey of their luminance by; 0 is grey.
+    tint: a colour that diffuse albedo is multiplied by, brought to luminance 1.
+    brightness: factor on diffuse albedo, which stays within 0 and 1.
+
+In this order: saturation, tint, brightness. NumPy alone: what reads a field by example needs no
+PyTorch.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import UsageError
+from matcap.files.srgb import srgb_decode
+
+if TYPE_CHECKING:
+    from matcap.brdf.maps import MapSet
+
+Planes = NDArray[np.float32]
+
+WHERE = "--adjust"
+KEY = "adjust"  # of sidecars
+RANGES = {
+    "relief": (0.0, 10.0),
+    "roughness": (-1.0, 1.0),
+    "saturation": (0.0, 4.0),
+    "brightness": (0.0, 8.0),
+}
+_WHITE = "#ffffff"
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec.709
+_LONGEST = 10_000  # bytes of a file of adjustments
+
+
+@dataclass(frozen=True)
+class Adjustments:
+    """What is changed; by default nothing. The module tells of each.
+
+    Attributes:
+        relief: factor, 0 to 10.
+        roughness: what is added, -1 to 1.
+        saturation: factor, 0 to 4.
+        brightness: factor, 0 to 8.
+        tint: sRGB colour, "#rrggbb".
+
+    Raises:
+        UsageError: a value out of range.
+    """
+
+    relief: float = 1.0
+    roughness: float = 0.0
+    saturation: float = 1.0
+    brightness: float = 1.0
+    tint: str = _WHITE
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in RANGES.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise UsageError(
+                    f"{name} is {value:g}",
+                    where=WHERE,
+                    remedy=f"give a number from {least:g} to {most:g}",
+                )
+        if not re.fullmatch(r"#[0-9a-fA-F]{6}", self.tint) or self.tint == "#000000":
+            raise UsageError(
+                f"tint is '{self.tint[:20]}'",
+                where=WHERE,
+                remedy="give a colour other than black, such as #ffe8d0",
+            )
+
+    @property
+    def changes(self) -> bool:
+        """Whether there is anything to do."""
+        return bool(self.text)
+
+    @property
+    def text(self) -> str:
+        """What parse_adjustments takes; "" for none."""
+        told = (
+            (name, value) for name, value in asdict(self).items() if value != getattr(NONE, name)
+        )
+        return ",".join(
+            f"{name}={value if isinstance(value, str) else f'{value:g}'}" for name, value in told
+        )
+
+    @property
+    def colour(self) -> NDArray[np.float32]:
+        """(3, 3) what diffuse albedo (red, green, blue) is multiplied by."""
+        grey = np.tile(_LUMINANCE, (3, 1))
+        saturated = grey + np.float32(self.saturation) * (np.eye(3, dtype=np.float32) - grey)
+        linear = srgb_decode(
+            np.array([int(self.tint[at : at + 2], 16) for at in (1, 3, 5)], np.float64) / 255.0
+        )
+        tint = linear / float(linear @ _LUMINANCE)
+        found: NDArray[np.float32] = (self.brightness * tint[:, None] * saturated).astype(
+            np.float32
+        )
+        return found
+
+
+NONE = Adjustments()
+
+
+def parse_adjustments(text: str | None) -> Adjustments:
+    """Adjustments from a text, or from a sidecar that has one (a file's name in .json).
+
+    Raises:
+        UsageError: an unknown name, one given twice, a value that is none or out of range; a file
+            without adjustments.
+    """
+    if not text:
+        return NONE
+    if text.lower().endswith(".json"):
+        text = _read(Path(text))
+    given: dict[str, Any] = {}
+    for part in text.split(",") if text else []:
+        name, equals, value = (one.strip() for one in part.partition("="))
+        known = [field.name for field in fields(Adjustments)]
+        if not equals or name not in known:
+            raise UsageError(
+                f"'{part.strip()[:40]}' is no adjustment",
+                where=WHERE,
+                remedy=f"give name=value with a name of {', '.join(known)}",
+            )
+        if name in given:
+            raise UsageError(f"{name} is given twice", where=WHERE, remedy="leave one out")
+        given[name] = value.lower() if name == "tint" else _number(name, value)
+    return Adjustments(**given)
+
+
+def adjusted_planes(planes: Planes, adjustments: Adjustments) -> Planes:
+    """Stacked maps (6, H, W), or with their normal (9, H, W), adjusted.
+
+    Slopes become exactly `relief` times as steep. Nothing to do gives the planes themselves.
+    """
+    if not adjustments.changes:
+        return planes
+    found = planes.copy()
+    if not np.array_equal(adjustments.colour, NONE.colour):
+        mixed = np.einsum("ij,jhw->ihw", adjustments.colour, planes[:3])
+        found[:3] = mixed.clip(0.0, 1.0)
+    if adjustments.roughness:
+        found[4] = (planes[4] + np.float32(adjustments.roughness)).clip(0.0, 1.0)
+    if adjustments.relief != 1.0:
+        factor = np.float32(adjustments.relief)
+        found[5] *= factor
+        if len(planes) > 6:
+            found[6:8] *= factor
+            found[6:9] /= np.sqrt(np.square(found[6:9]).sum(axis=0))
+    return found
+
+
+def adjusted(maps: MapSet, adjustments: Adjustments) -> MapSet:
+    """Maps without batch dimensions, adjusted; the same maps where there is nothing to do."""
+    if not adjustments.changes:
+        return maps
+    import torch
+
+    planes = adjusted_planes(maps.stacked().detach().cpu().float().numpy(), adjustments)
+    found = type(maps).from_stacked(torch.from_numpy(planes), maps.texel_size)
+    return replace(found, periodic=maps.periodic)
+
+
+def _number(name: str, value: str) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise UsageError(f"{name} is '{value[:20]}'", where=WHERE, remedy="give a number")
+    return number
+
+
+def _read(path: Path) -> str:
+    import json
+
+    try:
+        if path.stat().st_size > _LONGEST:
+            raise ValueError("too long")
+        document = json.loads(path.read_text(encoding="utf-8"))
+        found = document.get(KEY, document.get("provenance", {}).get(KEY))
+        if not isinstance(found, str):
+            raise ValueError("no adjustments")
+    except (OSError, ValueError, AttributeError) as error:
+        raise UsageError(
+            "this file has no adjustments", where=str(path), remedy="give relief=1.3 or the like"
+        ) from error
+    return found

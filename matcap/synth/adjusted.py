@@ -1,0 +1,63 @@
+"""A field as it is adjusted: every block of another source, changed on its way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.brdf.adjust import Adjustments, adjusted_planes
+from matcap.brdf.folder import NormalStyle
+from matcap.model.blocks import Grid
+from matcap.model.plane import Period, Rectangle
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from matcap.model.source import Source
+
+
+@dataclass(frozen=True)
+class AdjustedSource:
+    """A source, and what is changed of it; picklable where that one is."""
+
+    source: Source
+    adjustments: Adjustments
+
+    @property
+    def texel_size(self) -> float:
+        """In plane units."""
+        return self.source.texel_size
+
+    @property
+    def grid(self) -> Grid:
+        """The blocks that the plane is cut into."""
+        return self.source.grid
+
+    @property
+    def period(self) -> Period | None:
+        """What repeats."""
+        return self.source.period
+
+    @property
+    def device_type(self) -> str:
+        """Where it is computed."""
+        return self.source.device_type
+
+    def maps(self, block: Rectangle) -> Tensor:
+        """Stacked maps of a block and its ring."""
+        import torch
+
+        found = self.source.maps(block)
+        return torch.from_numpy(adjusted_planes(found.cpu().numpy(), self.adjustments))
+
+    def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
+        """(9, height, width) of a block: the six maps and the normal."""
+        return adjusted_planes(self.source.planes(block, normal), self.adjustments)
+
+
+def adjusted_source(source: Source, adjustments: Adjustments) -> Source:
+    """The source itself where there is nothing to change."""
+    return AdjustedSource(source, adjustments) if adjustments.changes else source

@@ -1,0 +1,233 @@
+"""Materials from afar: moments of squares of 2^level texels, at any place of the endless field.
+
+Near levels are means of the texels themselves. Far ones would be means of more texels than anybody
+waits for: by example they are read from the exemplar's own smaller forms, at places found no finer
+than they need be; of a network, from a piece of its field that repeats, mixed with itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.model.plane import Rectangle
+from matcap.view.moments import PLANES, RING, Planes, edged, halved, moments_of, wrapped
+
+if TYPE_CHECKING:
+    from matcap.model.example.example import Example
+    from matcap.model.example.plain import Places
+    from matcap.model.exemplar import Exemplar
+    from matcap.model.material import Material
+    from matcap.model.source import MaterialSource
+
+_NEAR = 1  # levels that are means of texels: four a texel take as long as anybody waits
+_PIECE = 7  # squares of 2^7 texels and more lie in pieces of their own, and are independent
+_TILE = 256  # texels a side of a network's repeating piece
+
+
+class Pyramid:
+    """Moments that repeat: (9, H, W) of their finest level, and all that are coarser, exactly."""
+
+    def __init__(self, moments: Planes) -> None:
+        self._levels = [moments]
+
+    def read(self, level: int, area: Rectangle) -> Planes:
+        """Of an area, in texels of a level."""
+        while len(self._levels) <= level:
+            finest = self._levels[-1]
+            # An odd side is two of itself, which are even.
+            repeats = (1, *(1 + size % 2 for size in finest.shape[1:]))
+            self._levels.append(halved(np.tile(finest, repeats)))
+        planes = self._levels[level]
+        rows = np.arange(area.y, area.y + area.height) % planes.shape[1]
+        columns = np.arange(area.x, area.x + area.width) % planes.shape[2]
+        return planes[:, rows[:, None], columns]
+
+
+@dataclass(frozen=True)
+class ExampleFromAfar:
+    """The field by example of a seed; `forms` gives the exemplar's, which all seeds share."""
+
+    example: Example
+    seed: int
+    forms: Callable[[], SmallerForms]
+
+    @property
+    def texel_size(self) -> float:
+        """In plane units."""
+        return self.example.exemplar.texel_size
+
+    def read(self, level: int, area: Rectangle) -> Planes:
+        """Moments of an area, in texels of a level."""
+        from matcap.model.example.coarse import places_from_afar
+        from matcap.model.example.example import detail_bits
+
+        if level <= max(_NEAR, detail_bits(self.example.exemplar)):
+            stacked = self.example.maps(self.seed, _finest(level, area).grown(RING), None)
+            return _coarser(moments_of(stacked, self.texel_size), level)
+        places = places_from_afar(self.example, self.seed, level, area)
+        return self.forms().read(level, places)
+
+
+class SmallerForms:
+    """Means of an exemplar's moments over squares, wherever these begin."""
+
+    def __init__(self, exemplar: Exemplar) -> None:
+        moments = moments_of(edged(exemplar.stacked()), exemplar.texel_size)
+        self._mean = moments.mean(axis=(1, 2), dtype=np.float64).astype(np.float32)[:, None, None]
+        self._most = min(_PIECE, min(moments.shape[1:]).bit_length() - 1)
+        padded = np.pad(moments, ((0, 0), (1, 0), (1, 0)))
+        self._sums = padded.cumsum(axis=1, dtype=np.float64).cumsum(axis=2)
+        self._means = lru_cache(maxsize=None)(self._of)
+
+    def read(self, level: int, places: Places) -> Planes:
+        """(9, H, W) of squares of 2^level texels that begin at places (H, W, 2)."""
+        x, y = places[..., 0], places[..., 1]
+        bits = min(level, self._most)
+        stride, means = self._means(bits)
+        rows = np.minimum(y // stride, means.shape[1] - 1)
+        columns = np.minimum(x // stride, means.shape[2] - 1)
+        found = means[:, rows, columns]
+        if level > bits:
+            # Of n independent squares the mean is sqrt(n) times nearer to that of all.
+            found = self._mean + (found - self._mean) * np.float32(2.0 ** (bits - level))
+        return found
+
+    def _of(self, bits: int) -> tuple[int, Planes]:
+        """Squares that begin at every fourth of their side: the stride, and their means."""
+        side, stride = 1 << bits, 1 << max(bits - 2, 0)
+        right, below = self._sums[..., side::stride], self._sums[:, side::stride]
+        rows, columns = below.shape[1], right.shape[2]
+        corners = self._sums[:, ::stride, ::stride]
+        offset = side // stride
+        total = (
+            corners[:, offset : offset + rows, offset : offset + columns]
+            - corners[:, :rows, offset : offset + columns]
+            - corners[:, offset : offset + rows, :columns]
+            + corners[:, :rows, :columns]
+        )
+        return stride, (total / side**2).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class NetworkFromAfar:
+    """The field that a material's network makes of a seed."""
+
+    source: MaterialSource
+    material: Material
+
+    @staticmethod
+    def of(material: Material, seed: int) -> NetworkFromAfar:
+        """The field.
+
+        Raises:
+            UsageError: the seed is out of range.
+        """
+        from matcap.model.source import material_source
+
+        return NetworkFromAfar(material_source(material, seed), material)
+
+    @property
+    def texel_size(self) -> float:
+        """In plane units."""
+        return self.source.texel_size
+
+    def read(self, level: int, area: Rectangle) -> Planes:
+        """Moments of an area, in texels of a level."""
+        if level > _NEAR:
+            return self._mixed(level, area)
+        wanted = _finest(level, area)
+        stacked = self._decoded(_aligned(wanted))
+        x, y = wanted.x - _aligned(wanted).x, wanted.y - _aligned(wanted).y
+        cut = stacked[:, y : y + wanted.height + 2 * RING, x : x + wanted.width + 2 * RING]
+        return _coarser(moments_of(cut, self.texel_size), level)
+
+    def _decoded(self, block: Rectangle) -> Planes:
+        found: Planes = self.source.maps(block).numpy()
+        return found
+
+    @cached_property
+    def _tile(self) -> Pyramid:
+        """A piece that repeats, of as much contrast as the field."""
+        from matcap.model.source import material_source
+
+        source = material_source(self.material, self.source.seed, (_TILE, _TILE))
+        stacked = source.maps(Rectangle(0, 0, _TILE, _TILE)).numpy()
+        return Pyramid(moments_of(stacked, self.texel_size))
+
+    @property
+    def mean(self) -> Planes:
+        """(9, 1, 1) moments of all texels together."""
+        return self._tile.read(_TILE.bit_length() - 1, Rectangle(0, 0, 1, 1))
+
+    def _mixed(self, level: int, area: Rectangle) -> Planes:
+        """Four pieces at random shifts, mixed so that mean and variance stay (Heitz and Neyret
+        2018, without their histogram).
+        """
+        from matcap.model.example.hashing import draw, hash_places
+
+        # The coarsest form that still is a picture.
+        seen = min(level, _TILE.bit_length() - 4)
+        mean = self.mean
+        size = _TILE >> seen
+        columns, along_x = _cells(area.x, area.width, size)
+        rows, along_y = _cells(area.y, area.height, size)
+        whole = self._tile.read(seen, Rectangle(0, 0, size, size))
+        x, y = np.arange(area.x, area.x + area.width), np.arange(area.y, area.y + area.height)
+        total = np.zeros((PLANES, area.height, area.width), np.float32)
+        squares = np.zeros((area.height, area.width), np.float32)
+        for right in (0, 1):
+            for below in (0, 1):
+                weight = (along_y if below else 1 - along_y)[:, None] * (
+                    along_x if right else 1 - along_x
+                )
+                hashes = hash_places(
+                    self.source.seed, level, columns + right, (rows + below)[:, None]
+                )
+                shift_x, shift_y = draw(hashes, 0, size), draw(hashes, 1, size)
+                piece = whole[:, (y[:, None] + shift_y) % size, (x + shift_x) % size]
+                total += weight.astype(np.float32) * (piece - mean)
+                squares += np.square(weight, dtype=np.float32)
+        shrunk = np.float32(2.0 ** (seen - level))
+        mixed: Planes = np.asarray(mean + total * (shrunk / np.sqrt(squares)), np.float32)
+        mixed[[0, 1, 2, 3, 4, 7]] = np.maximum(mixed[[0, 1, 2, 3, 4, 7]], np.float32(1e-9))
+        return mixed
+
+
+def from_maps(stacked: Planes, texel_size: float) -> Pyramid:
+    """A map set's; beyond its borders it repeats."""
+    return Pyramid(moments_of(wrapped(stacked), texel_size))
+
+
+def _cells(start: int, count: int, size: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Cells of so many texels that texels lie in, and how far along in them."""
+    place = np.arange(start, start + count)
+    cell = place // size
+    along = (place - cell * size + 0.5) / size
+    return cell, along * along * (3.0 - 2.0 * along)
+
+
+def _finest(level: int, area: Rectangle) -> Rectangle:
+    """An area of a level in texels of the material."""
+    return Rectangle(area.x << level, area.y << level, area.width << level, area.height << level)
+
+
+def _aligned(area: Rectangle) -> Rectangle:
+    """A little more, on the network's coarsest grid."""
+    from matcap.model.decoder import ALIGNMENT
+
+    x, y = area.x // ALIGNMENT * ALIGNMENT, area.y // ALIGNMENT * ALIGNMENT
+    right = -(-(area.x + area.width) // ALIGNMENT) * ALIGNMENT
+    below = -(-(area.y + area.height) // ALIGNMENT) * ALIGNMENT
+    return Rectangle(x, y, right - x, below - y)
+
+
+def _coarser(moments: Planes, level: int) -> Planes:
+    for _ in range(level):
+        moments = halved(moments)
+    return moments

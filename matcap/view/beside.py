@@ -1,0 +1,117 @@
+"""What is shown beside a material: its photograph, the verdict on its capture, what is doubtful."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matcap.model.exemplar import Exemplar
+
+_LONG_SIDE = 1024
+_PHOTOGRAPHS = (".dng", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".cr2", ".nef", ".arw")
+_DOUBT = (236, 118, 52)  # of what is not trusted: no colour of most materials
+_OPAQUE = 200  # of 255, where the photograph says nothing
+
+
+@dataclass(frozen=True)
+class EncodedPicture:
+    """A picture that a browser shows.
+
+    Attributes:
+        data: a file's bytes.
+        kind: its media type.
+    """
+
+    data: bytes
+    kind: str
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What there is to show.
+
+    Attributes:
+        photo: the photograph.
+        doubt: over the photographed piece, shaded where the photograph says little.
+        verdict: (rating, sentence) on the capture, or none.
+    """
+
+    photo: EncodedPicture | None = None
+    doubt: EncodedPicture | None = None
+    verdict: tuple[str, str] | None = None
+
+
+def find_beside(path: Path, name: str, photo: Path | None, exemplar: Exemplar | None) -> Beside:
+    """What lies with a material or map set, or in it.
+
+    Args:
+        path: its file or folder.
+        name: of it.
+        photo: to be shown in place of what is found.
+        exemplar: of the material.
+
+    Raises:
+        MatcapError: the photograph is none that matcap reads.
+    """
+    file = photo or find_photograph(path, name)
+    return Beside(
+        browser_picture(file) if file else None,
+        doubt_picture(exemplar) if exemplar else None,
+        read_verdict(path if path.is_dir() else path.parent),
+    )
+
+
+def find_photograph(path: Path, name: str) -> Path | None:
+    """The photograph in a capture's folder: of the material's name, or called photo."""
+    folder = path if path.is_dir() else path.parent
+    for suffix in _PHOTOGRAPHS:
+        for file in (folder / f"{name}{suffix}", folder / f"photo{suffix}"):
+            if file.is_file():
+                return file
+    return None
+
+
+def read_verdict(folder: Path) -> tuple[str, str] | None:
+    """The verdict that a capture left in its folder; None where there is none to be read."""
+    try:
+        verdict = json.loads((folder / "report.json").read_text(encoding="utf-8"))["verdict"]
+        return str(verdict["rating"]), str(verdict["sentence"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def browser_picture(file: Path) -> EncodedPicture:
+    """A photograph as JPEG of at most 1024 pixels a side.
+
+    Raises:
+        MatcapError: the file is not a photograph that matcap reads.
+    """
+    from PIL import Image
+
+    from matcap.files.srgb import srgb_picture
+    from matcap.photo.load import load_photo
+
+    pixels = srgb_picture(load_photo(file, long_side=_LONG_SIDE, noise=False).pixels)
+    stored = io.BytesIO()
+    Image.fromarray(np.rint(pixels * 255.0).astype(np.uint8)).save(stored, "JPEG", quality=88)
+    return EncodedPicture(stored.getvalue(), "image/jpeg")
+
+
+def doubt_picture(exemplar: Exemplar) -> EncodedPicture:
+    """A colour over the piece, the more opaque the less its maps are trusted."""
+    from PIL import Image
+
+    step = max(1, max(exemplar.size) // _LONG_SIDE)
+    trusted = exemplar.confidence.mean(axis=0)[::step, ::step]
+    shade = np.empty((*trusted.shape, 4), np.uint8)
+    shade[..., :3] = _DOUBT
+    shade[..., 3] = np.rint(_OPAQUE * (1.0 - trusted))
+    stored = io.BytesIO()
+    Image.fromarray(shade).save(stored, "PNG")
+    return EncodedPicture(stored.getvalue(), "image/png")

@@ -1,0 +1,133 @@
+"""A folder of materials: all of them under one light, each a page of its own behind it.
+
+A material is opened when somebody looks at it. For the spheres of the library a swatch is enough:
+a page (pages.py) of level LEVEL, SIDE texels a side, of the photographed piece where it is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from matcap.brdf.adjust import NONE, Adjustments
+from matcap.brdf.folder import find_mapsets
+from matcap.errors import MatcapError
+from matcap.model.plane import Rectangle
+from matcap.view.beside import Beside, find_beside, read_verdict
+from matcap.view.pages import APRON, Page, packed
+from matcap.view.subject import Materials
+
+if TYPE_CHECKING:
+    from matcap.model.source import Generator
+
+SIDE, LEVEL = 240, 2
+_OPENED = 8  # materials kept: some 50 MB each
+
+
+@dataclass(frozen=True)
+class Shelved:
+    """A material of a library.
+
+    Attributes:
+        name: of the file.
+        rating: of its capture, or "".
+        sentence: of the verdict.
+    """
+
+    name: str
+    rating: str = ""
+    sentence: str = ""
+
+
+class Library:
+    """Materials of a folder, by number.
+
+    Args:
+        files: of the materials.
+        generator: how their fields are made.
+        adjust: what is changed of all of them first.
+    """
+
+    def __init__(
+        self,
+        files: Sequence[Path],
+        generator: Generator | None = None,
+        adjust: Adjustments = NONE,
+    ) -> None:
+        self.files, self.adjust = tuple(files), adjust
+        self._generator = generator
+        self._kept = lru_cache(_OPENED)(self._open)
+
+    def shelf(self) -> list[dict[str, str]]:
+        """What is told of each, in their order."""
+        return [asdict(_shelved(file)) for file in self.files]
+
+    def subject(self, first: int, second: int | None = None) -> Materials:
+        """A material, or two to blend.
+
+        Raises:
+            MatcapError: a broken file, or two that cannot be blended.
+        """
+        return self._kept(first, second)
+
+    def beside(self, index: int) -> Beside:
+        """What is shown beside one of them."""
+        file = self.files[index]
+        subject = self.subject(index)
+        # A photograph that cannot be read any more does not hide the material.
+        try:
+            return find_beside(file, file.stem, None, subject.first.exemplar)
+        except MatcapError:
+            return Beside(verdict=read_verdict(file.parent))
+
+    def swatch(self, index: int) -> Page:
+        """Of one of them.
+
+        Raises:
+            MatcapError: a broken file.
+        """
+        subject = self.subject(index)
+        piece = subject.facts.piece
+        middle = (0, 0) if piece is None else (piece[0] >> LEVEL + 1, piece[1] >> LEVEL + 1)
+        area = Rectangle(middle[0] - SIDE // 2, middle[1] - SIDE // 2, SIDE, SIDE).grown(APRON)
+        moments, texel_size = subject.moments(
+            LEVEL, area, seed=0, share=0.0, piece=piece is not None
+        )
+        return packed(moments, texel_size)
+
+    def _open(self, first: int, second: int | None) -> Materials:
+        from matcap.model.material import Material
+
+        def load(index: int) -> Material:
+            return Material.load(self.files[index]).by(self._generator)
+
+        return Materials(load(first), None if second is None else load(second))
+
+
+def find_library(path: Path) -> list[Path]:
+    """The materials of a folder that is no single one's; none for anything else."""
+    if not path.is_dir() or find_mapsets(path):
+        return []
+    own = sorted(path.glob("*.matcap"))
+    if len(own) == 1:
+        return []
+    return [*own, *sorted(path.glob("*/*.matcap"))]
+
+
+def _shelved(file: Path) -> Shelved:
+    rating, sentence = read_verdict(file.parent) or ("", "")
+    return Shelved(file.stem, rating, sentence)
+
+
+def numbers(name: str, count: int) -> tuple[int, int | None] | None:
+    """What "3" or "3+5" names among so many; None where it names nothing."""
+    parts = name.split("+")
+    if len(parts) > 2 or not all(part.isascii() and part.isdigit() for part in parts):
+        return None
+    found = [int(part) for part in parts if len(part) < 9]
+    if len(found) < len(parts) or max(found) >= count:
+        return None
+    return found[0], found[1] if len(found) > 1 else None

@@ -1,0 +1,51 @@
+// Adjustments of a material's look, as matcap/brdf/adjust.py has them: one short text for all.
+
+export const UNCHANGED = { relief: 1, roughness: 0, saturation: 1, brightness: 1, tint: "#ffffff" };
+const RANGES = { relief: [0, 10], roughness: [-1, 1], saturation: [0, 4], brightness: [0, 8] };
+const LUMINANCE = [0.2126, 0.7152, 0.0722];
+
+export function adjustmentsText(adjust) {
+  return Object.keys(UNCHANGED).filter((name) => adjust[name] !== UNCHANGED[name])
+    .map((name) => `${name}=${adjust[name]}`).join(",");
+}
+
+// What a text says; what it says wrongly is left out.
+export function parseAdjustments(text) {
+  const found = { ...UNCHANGED };
+  for (const part of (text || "").split(",")) {
+    const [name, value] = part.split("=");
+    if (name === "tint" && /^#[0-9a-f]{6}$/.test(value) && value !== "#000000") found.tint = value;
+    if (!(name in RANGES)) continue;
+    const [least, most] = RANGES[name], number = Number(value);
+    if (number >= least && number <= most) found[name] = number;
+  }
+  return found;
+}
+
+// Column by column, what diffuse albedo is multiplied by.
+export function colourMatrix({ saturation, brightness, tint }) {
+  const linear = [1, 3, 5].map((at) => {
+    const code = parseInt(tint.slice(at, at + 2), 16) / 255;
+    return code <= 0.04045 ? code / 12.92 : ((code + 0.055) / 1.055) ** 2.4;
+  });
+  const light = linear.reduce((sum, value, k) => sum + value * LUMINANCE[k], 0);
+  return LUMINANCE.flatMap((share, from) => linear.map((value, to) =>
+    brightness * (value / light) * (share + saturation * ((from === to) - share))));
+}
+
+export const ADJUST_GLSL = `
+uniform mat3 colouring;      // of diffuse albedo
+uniform vec2 reliefAndRough; // factor, and what is added
+
+Texel adjusted(Texel t) {
+  float relief = reliefAndRough.x;
+  t.a.rgb = clamp(colouring * t.a.rgb, 0.0, 1.0);
+  t.b *= vec4(1.0, relief, relief, relief * relief);
+  t.height *= relief;
+  if (reliefAndRough.y != 0.0) {
+    float rough = clamp(sqrt(sqrt(t.b.x)) + reliefAndRough.y, 0.001, 1.0);
+    t.b.x = rough * rough * rough * rough;
+  }
+  return t;
+}
+`;

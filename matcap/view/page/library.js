@@ -1,0 +1,185 @@
+// A library: every material a sphere, all under one light that follows the pointer.
+
+import { UNCHANGED, colourMatrix, parseAdjustments } from "./adjust.js";
+import { Pages } from "./pages.js";
+import { buildProgram } from "./shader.js";
+import { cut } from "./source.js";
+
+const SPAN = 460; // texels of a sphere's diameter
+const AROUND = 1.12; // half a card's width, in radii
+const LIFT = 1.5; // of the light, in radii above the nearest point
+const NEARER = 0.4; // sideways it is nearer than the pointer, or far spheres would be dark
+const MOST = 48; // swatches held
+const CAMERA = 1.25 / AROUND; // the shader's own room around a sphere
+
+const $ = (id) => document.getElementById(id);
+const about = JSON.parse($("about").textContent);
+const canvas = $("canvas");
+
+class Shelf {
+  constructor(gl) {
+    const form = about.page;
+    this.gl = gl;
+    this.pages = new Pages(gl, form, MOST);
+    const { program, places } = buildProgram(gl, form);
+    this.places = places;
+    gl.useProgram(program);
+    gl.bindVertexArray(gl.createVertexArray());
+    ["albedo", "surface", "relief", "table"].forEach((name, unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(name === "table" ? gl.TEXTURE_2D : gl.TEXTURE_2D_ARRAY, this.pages[name]);
+      gl.uniform1i(places[name], unit);
+    });
+    gl.activeTexture(gl.TEXTURE4);
+    const adjust = about.adjust ? parseAdjustments(about.adjust) : UNCHANGED;
+    gl.uniformMatrix3fv(places.colouring, false, colourMatrix(adjust));
+    gl.uniform2f(places.reliefAndRough, adjust.relief, adjust.roughness);
+    gl.uniform4f(places.middle, form.width / 2, form.height / 2, 0, 0);
+    gl.uniform1f(places.tableScale, 2 ** -about.level);
+    gl.uniform1f(places.texels, SPAN / 2);
+    gl.uniform4f(places.bounds, -3e38, -3e38, 3e38, 3e38);
+    gl.uniform1i(places.shape, 1);
+    gl.uniform1i(places.map, 0);
+    gl.uniform1i(places.room, 0);
+    gl.uniform1f(places.gain, 1);
+    gl.uniform4f(places.meanAlbedo, 0.2, 0.2, 0.2, 0.04);
+    gl.uniform4f(places.meanSurface, 0.06, 0, 0, 0);
+    this.light = [innerWidth * 0.35, innerHeight * 0.3];
+  }
+
+  // Draw every sphere that is seen, where its card is.
+  draw(cards) {
+    const { gl, places } = this, ratio = canvas.width / innerWidth;
+    gl.disable(gl.SCISSOR_TEST);
+    gl.clearColor(0.1451, 0.1451, 0.1451, 1); // the shader's NOTHING
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    gl.enable(gl.SCISSOR_TEST);
+    for (const card of cards) {
+      const box = card.face.getBoundingClientRect();
+      if (card.link.hidden || box.bottom < 0 || box.top > innerHeight) continue;
+      if (!this.pages.has(about.level, card.index, 0)) continue;
+      const side = box.width * ratio, x = box.left * ratio, y = canvas.height - box.bottom * ratio;
+      gl.viewport(x, y, side, side);
+      gl.scissor(x, y, side, side);
+      gl.uniform2f(places.size, side, side);
+      gl.uniform2f(places.corner, x, y);
+      const radius = box.width / 2 / (AROUND * CAMERA);
+      const [dx, dy] = [this.light[0] - box.left - box.width / 2, box.top + box.width / 2 - this.light[1]];
+      const place = [(NEARER * dx) / radius, (NEARER * dy) / radius, LIFT + 1];
+      const away = Math.max(Math.hypot(...place) - 1, 0.05);
+      gl.uniform3f(places.lightPlace, ...place);
+      gl.uniform1f(places.intensity, Math.PI * away * away);
+      this.pages.show(about.level, card.index, 0);
+      gl.drawArrays(gl.TRIANGLES, 0, 3);
+    }
+  }
+}
+
+function makeCard(material, index) {
+  const link = document.createElement("a");
+  link.className = "card";
+  link.href = `m/${index}/`;
+  link.draggable = true;
+  const face = document.createElement("span"), name = document.createElement("span");
+  face.className = "face";
+  name.className = "called";
+  name.textContent = material.name;
+  link.append(face, name);
+  if (material.rating) {
+    const rating = document.createElement("span");
+    rating.className = `rating ${material.rating}`;
+    rating.textContent = material.rating;
+    rating.title = material.sentence;
+    link.append(rating);
+  }
+  link.addEventListener("dragstart", (event) => event.dataTransfer.setData("text/plain", String(index)));
+  link.addEventListener("dragover", (event) => {
+    event.preventDefault();
+    link.classList.add("over");
+  });
+  link.addEventListener("dragleave", () => link.classList.remove("over"));
+  link.addEventListener("drop", (event) => {
+    event.preventDefault();
+    link.classList.remove("over");
+    const other = Number(event.dataTransfer.getData("text/plain"));
+    if (Number.isInteger(other) && other !== index) location.href = `m/${index}+${other}/#share=0.5`;
+  });
+  $("shelf").append(link);
+  return { link, face, index, material };
+}
+
+(() => {
+  $("name").textContent = about.name;
+  const cards = about.shelf.map(makeCard);
+  for (const rating of new Set(about.shelf.map((one) => one.rating).filter(Boolean))) {
+    $("rating").append(new Option(rating));
+  }
+  const gl = canvas.getContext("webgl2", { alpha: false, antialias: false });
+  if (!gl) {
+    $("trouble").textContent = "This browser gives no WebGL2, which the spheres are drawn with.";
+    $("trouble").hidden = false;
+  }
+  const shelf = gl && new Shelf(gl);
+  let pending = 0;
+  const redraw = () => {
+    if (!pending && shelf) pending = requestAnimationFrame(() => { pending = 0; shelf.draw(cards); });
+  };
+  const fit = () => {
+    const ratio = Math.min(devicePixelRatio, 2);
+    canvas.width = Math.round(innerWidth * ratio);
+    canvas.height = Math.round(innerHeight * ratio);
+    redraw();
+  };
+  const filter = () => {
+    const text = $("find").value.toLowerCase(), rating = $("rating").value;
+    for (const { link, material } of cards) {
+      link.hidden = !material.name.toLowerCase().includes(text)
+        || (rating !== "" && material.rating !== rating);
+    }
+    const shown = cards.filter(({ link }) => !link.hidden).length;
+    $("status").textContent = `${shown} of ${cards.length} materials`;
+    redraw();
+  };
+  $("find").addEventListener("input", filter);
+  $("rating").addEventListener("change", filter);
+  addEventListener("resize", fit);
+  addEventListener("scroll", redraw, { passive: true });
+  addEventListener("pointermove", (event) => {
+    if (shelf) shelf.light = [event.clientX, event.clientY];
+    redraw();
+  });
+  fit();
+  filter();
+
+  // Swatches, one after the other, as cards come into view.
+  const waiting = [];
+  let fetching = false;
+  const next = async () => {
+    if (fetching || waiting.length === 0) return;
+    fetching = true;
+    const card = waiting.shift();
+    try {
+      const answer = await fetch(`swatch?index=${card.index}`);
+      if (!answer.ok) throw new Error((await answer.text()).slice(0, 200));
+      const levels = cut(await answer.arrayBuffer(), about.page);
+      shelf.pages.put(about.level, card.index, 0, { levels, ends: {} }, 0);
+      redraw();
+    } catch (error) {
+      card.link.title = error instanceof TypeError ? "matcap view has ended" : error.message;
+      card.link.classList.add("broken");
+    }
+    fetching = false;
+    next();
+  };
+  const watcher = new IntersectionObserver((seen) => {
+    for (const { isIntersecting, target } of seen) {
+      const card = cards.find(({ link }) => link === target);
+      if (!isIntersecting || !shelf || shelf.pages.has(about.level, card.index, 0)) continue;
+      if (!waiting.includes(card)) waiting.push(card);
+    }
+    shelf?.pages.use(cards.map(({ index }) => ({ level: about.level, column: index, row: 0 })));
+    next();
+  }, { rootMargin: "200px" });
+  for (const { link } of cards) watcher.observe(link);
+  window.matcap = { shelf, cards };
+})();

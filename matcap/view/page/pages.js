@@ -1,0 +1,174 @@
+// Pages on the graphics card: pieces of the endless plane, each at a level (a texel of level k is
+// 2^k texels wide) and each complete in itself: it brings what lies around it and its own smaller
+// levels. Pages lie in the layers of texture arrays; a table tells the shader, for every cell of
+// what is seen, the best page there is, and what that one fades in over.
+
+const FADE = 180; // milliseconds in which a page appears
+export const CELLS = 64; // cells of the table along either side; it wraps around
+const UPWARDS = 24; // levels that a cell looks up for something coarser
+// A map's shown range is never narrower, or a flat map would show its rounding noise.
+export const LEAST_RANGE = { specular: 0.02, roughness: 0.05, height: 0.002 };
+
+export class Pages {
+  constructor(gl, form, count) {
+    Object.assign(this, { gl, form, count });
+    this.held = new Map(); // key -> {slot, level, column, row, born, used, ends}
+    this.free = Array.from({ length: count }, (_, slot) => slot);
+    this.turn = 0;
+    const fine = gl.getExtension("OES_texture_float_linear");
+    this.albedo = this.#array(gl.RGBA16F);
+    this.surface = this.#array(fine ? gl.RGBA32F : gl.RGBA16F);
+    this.relief = this.#array(fine ? gl.R32F : gl.R16F);
+    this.entries = new Float32Array(CELLS * CELLS * 12);
+    this.table = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, this.table);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32F, 3 * CELLS, CELLS);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+  }
+
+  static key(level, column, row) {
+    return `${level} ${column} ${row}`;
+  }
+
+  has(level, column, row) {
+    return this.held.has(Pages.key(level, column, row));
+  }
+
+  clear() {
+    this.free = Array.from({ length: this.count }, (_, slot) => slot);
+    this.held.clear();
+  }
+
+  // What is wanted now is the last to give way.
+  use(places) {
+    this.turn += 1;
+    for (const { level, column, row } of places) {
+      const page = this.held.get(Pages.key(level, column, row));
+      if (page) page.used = this.turn;
+    }
+  }
+
+  put(level, column, row, { levels, ends }, now) {
+    const { gl } = this, slot = this.#room();
+    if (slot === undefined) return;
+    levels.forEach(({ width, height, albedo, surface, relief }, mip) => {
+      const fill = (texture, format, data) => {
+        gl.bindTexture(gl.TEXTURE_2D_ARRAY, texture);
+        const type = data instanceof Uint16Array ? gl.HALF_FLOAT : gl.FLOAT;
+        gl.texSubImage3D(
+          gl.TEXTURE_2D_ARRAY, mip, 0, 0, slot, width, height, 1, format, type, data,
+        );
+      };
+      fill(this.albedo, gl.RGBA, albedo);
+      fill(this.surface, gl.RGBA, surface);
+      fill(this.relief, gl.RED, relief);
+    });
+    const page = { slot, level, column, row, born: now, used: this.turn, ends };
+    this.held.set(Pages.key(level, column, row), page);
+  }
+
+  // Tell the table what there is in cells of a level; true while something is still appearing.
+  // The page of `best` is preferred to that of the cell's own level, and that to coarser ones.
+  update(level, best, columns, rows, now, fades) {
+    let appearing = false;
+    for (let row = rows[0]; row <= rows[1]; row++) {
+      for (let column = columns[0]; column <= columns[1]; column++) {
+        let over = null, under = null, share = 1;
+        for (const page of this.#above(level, best, column, row)) {
+          const age = fades ? Math.min(1, (now - page.born) / FADE) : 1;
+          if (age >= 1) { under = page; break; }
+          if (!over) { over = page; share = age; }
+        }
+        if (over) appearing = true;
+        this.#tell(level, column, row, under, over, share);
+      }
+    }
+    const { gl } = this;
+    gl.bindTexture(gl.TEXTURE_2D, this.table);
+    gl.texSubImage2D(
+      gl.TEXTURE_2D, 0, 0, 0, 3 * CELLS, CELLS, gl.RGBA, gl.FLOAT, this.entries,
+    );
+    return appearing;
+  }
+
+  // Tell the table's first cell of one page, and nothing else.
+  show(level, column, row) {
+    const { gl } = this, page = this.held.get(Pages.key(level, column, row));
+    this.#tell(level, column, row, page, null, 0, 0);
+    gl.bindTexture(gl.TEXTURE_2D, this.table);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 3, 1, gl.RGBA, gl.FLOAT, this.entries.subarray(0, 12));
+  }
+
+  // Lowest and highest value of a map in all pages, and never less apart than can be told.
+  range(map) {
+    let low = Infinity, high = -Infinity;
+    for (const { ends, used } of this.held.values()) {
+      if (used < this.turn) continue;
+      low = Math.min(low, ends[map][0]);
+      high = Math.max(high, ends[map][1]);
+    }
+    if (high < low) return [0, 1];
+    const short = Math.max(LEAST_RANGE[map] - (high - low), 0);
+    return [low - short / 2, high + short / 2];
+  }
+
+  * #above(level, best, column, row) {
+    const order = best > level ? [best, level] : [level];
+    for (let up = Math.max(best, level) + 1; up <= level + UPWARDS; up++) order.push(up);
+    for (const one of order) {
+      const step = 2 ** (one - level);
+      const key = Pages.key(one, Math.floor(column / step), Math.floor(row / step));
+      const page = this.held.get(key);
+      if (page) yield page;
+    }
+  }
+
+  #tell(level, column, row, under, over, share, at = cellAt(column, row)) {
+    [under, over].forEach((page, index) => {
+      const to = at + 4 * index;
+      if (!page) { this.entries[to] = -1; return; }
+      const scale = 2 ** (level - page.level);
+      this.entries[to] = page.slot;
+      this.entries[to + 1] = column * scale - page.column;
+      this.entries[to + 2] = row * scale - page.row;
+      this.entries[to + 3] = scale;
+      this.entries[at + 9 + index] = page.level;
+    });
+    this.entries[at + 8] = over ? share : 0;
+  }
+
+  #room() {
+    if (this.free.length) return this.free.pop();
+    let oldest = null;
+    for (const [key, page] of this.held) {
+      if (page.used < this.turn && (!oldest || page.used < oldest[1].used)) oldest = [key, page];
+    }
+    if (!oldest) return undefined;
+    this.held.delete(oldest[0]);
+    return oldest[1].slot;
+  }
+
+  #array(format) {
+    const { gl, form } = this, texture = gl.createTexture();
+    const width = form.width + 2 * form.apron, height = form.height + 2 * form.apron;
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, texture);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, form.mips, format, width, height, this.count);
+    gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+    return texture;
+  }
+}
+
+function cellAt(column, row) {
+  const wrap = (value) => ((value % CELLS) + CELLS) % CELLS;
+  return 12 * (wrap(row) * CELLS + wrap(column));
+}
+
+// How the shader finds a place: texels to left top of cells of the table's level.
+export const TABLE_GLSL = `
+const float CELLS = ${CELLS}.0;
+`;

@@ -1,0 +1,139 @@
+// The state in words and on the controls.
+
+import { adjustmentsText } from "./adjust.js";
+
+export const $ = (id) => document.getElementById(id);
+export const CHOICES = [["surface", "shape"], ["light", "light"], ["map", "map"], ["left", "left"]];
+export const ADJUSTED = { relief: "relief", roughen: "roughness", saturation: "saturation",
+  brightness: "brightness" };
+const SCALE = 190; // pixels that the scale is long at most
+
+export const number = (value, digits = 3) => Number(value.toPrecision(digits)).toString();
+
+export function describe(about) {
+  $("name").textContent = about.name;
+  if (about.library) {
+    const home = document.createElement("a");
+    Object.assign(home, { id: "home", className: "home", textContent: "‹ All materials" });
+    home.setAttribute("href", "../../");
+    $("name").before(home);
+  }
+  const [wide, tall] = about.period || [];
+  $("what").textContent = about.period ? `repeats every ${wide} × ${tall} texels`
+    : "endless: it never repeats";
+  // A map set and an enclosed tile have one realisation.
+  $("seed-row").hidden = about.period !== null;
+  if (about.second) {
+    $("share-row").hidden = false;
+    $("share-label").textContent = `Blend with ${about.second}`;
+  }
+  $("beside").hidden = !about.piece || !(about.photo || !about.tile);
+  $("photo-choice").hidden = !about.photo;
+  $("piece-choice").hidden = Boolean(about.tile);
+  if (about.photo) {
+    $("photo").src = about.photo;
+    $("photo").alt = `The photograph of ${about.name}`;
+  }
+  if (about.doubt) {
+    $("doubt").src = about.doubt;
+    $("doubt").alt = "Shaded where the photograph tells little";
+  }
+  if (about.verdict) {
+    const [rating, ...rest] = about.verdict;
+    const word = document.createElement("b");
+    word.textContent = rating;
+    $("verdict").replaceChildren(word, ` ${rest.join(" ")}`);
+  }
+  for (const target of about.targets) $("target").append(new Option(target));
+  $("export").hidden = about.targets.length === 0;
+}
+
+// A length in texels as one reads it.
+export function length(view, texels) {
+  const millimetres = view.about.millimetres * (view.texelSize || view.about.texel_size) * texels;
+  if (!millimetres) return `${number(texels)} texels`;
+  if (millimetres < 10) return `${number(millimetres)} mm`;
+  return millimetres < 1000 ? `${number(millimetres / 10)} cm` : `${number(millimetres / 1000)} m`;
+}
+
+export function legend(view) {
+  const { map, light, span, shape, x, y } = view.state;
+  const [low, high] = view.range().map((value) => number(value));
+  const said = {
+    lit: { point: "point light", studio: "a studio: two soft lamps",
+      window: "a window on the left", dusk: "a low sun" }[light],
+    diffuse: "diffuse albedo, sRGB",
+    specular: `specular albedo F0, black ${low} to white ${high}`,
+    roughness: `roughness, black ${low} to white ${high}`,
+    height: `height, black ${low} to white ${high} plane units`,
+    normal: "normal, +x right in red, +y up in green",
+  }[map];
+  const where = shape === "plane"
+    ? `${number(span, 4)} texels across, at ${Math.round(x)}, ${Math.round(y)}`
+    : `${number(span, 4)} texels in diameter`;
+  return `${said} · ${where}`;
+}
+
+// A length of 1, 2 or 5 times a power of ten.
+export function showScale(view) {
+  const { canvas, state } = view, size = view.texelSize || view.about.texel_size;
+  const unit = view.about.millimetres ? view.about.millimetres * size : 1;
+  const texels = (state.span * SCALE) / Math.max(canvas.clientWidth, canvas.clientHeight);
+  const ten = 10 ** Math.floor(Math.log10(texels * unit));
+  const step = [5, 2, 1].find((one) => one * ten <= texels * unit) * ten;
+  $("scale").style.width = `${(step / (texels * unit)) * SCALE}px`;
+  $("scale").textContent = state.shape === "plane" ? length(view, step / unit) : "";
+}
+
+export function showState(view) {
+  const { state } = view;
+  for (const [name, key] of CHOICES) {
+    document.querySelector(`input[name=${name}][value=${state[key]}]`).checked = true;
+  }
+  $("exposure").value = state.exposure;
+  $("exposure-value").textContent = `${state.exposure > 0 ? "+" : ""}${state.exposure} stops`;
+  $("lift").value = state.lamp[2];
+  $("lift-value").textContent = number(state.lamp[2], 2);
+  $("lift-row").hidden = state.light !== "point";
+  $("share").value = state.share;
+  $("share-value").textContent = number(state.share, 2);
+  if (document.activeElement !== $("seed")) $("seed").value = state.seed;
+  for (const [id, name] of Object.entries(ADJUSTED)) {
+    $(id).value = state.adjust[name];
+    const value = number(state.adjust[name]);
+    $(`${name}-value`).textContent = name === "roughness" ? `${value > 0 ? "+" : ""}${value}`
+      : `× ${value}`;
+  }
+  $("tint").value = state.adjust.tint;
+  const text = adjustmentsText(state.adjust);
+  $("adjust-text").textContent = text ? `--adjust ${text}` : "";
+  for (const name of ["seed", "share"]) $("export").elements[name].value = state[name];
+  $("export").elements.adjust.value = text;
+  showPiece(view);
+}
+
+// Photograph and shading lie over the piece, cut off at the wipe.
+export function showPiece(view) {
+  const { state, canvas } = view;
+  const shown = state.left !== "none" && state.shape === "plane";
+  for (const id of ["piece", "wipe"]) $(id).hidden = !shown;
+  $("doubt-row").hidden = !shown || (!view.about.verdict && !view.about.doubt);
+  $("verdict").hidden = !shown || !$("doubted").checked || !view.about.verdict;
+  if (!shown) return;
+  const at = state.wipe * canvas.clientWidth;
+  $("wipe").style.left = `${at}px`;
+  $("wipe").setAttribute("aria-valuenow", String(Math.round(100 * state.wipe)));
+  $("wipe-left").textContent = state.left === "photo" ? "photograph" : "photographed piece, relit";
+  $("wipe-right").textContent = view.about.period ? "repeated" : "endless";
+  $("piece").style.width = `${at}px`;
+  const [left, top, wide, tall] = view.pieceBox;
+  for (const id of ["photo", "doubt"]) {
+    Object.assign($(id).style, {
+      left: `${left}px`, top: `${top}px`, width: `${wide}px`, height: `${tall}px`,
+    });
+  }
+  $("photo").hidden = state.left !== "photo";
+  $("doubt").hidden = !$("doubted").checked || !view.about.doubt;
+  $("piece").classList.toggle("covering", state.left === "photo");
+}
+

@@ -1,0 +1,63 @@
+// Where pages come from: the server, or the tile inside this document. A page is {levels, texelSize,
+// ends}; each level has its width and height, albedo and F0, surface (alpha squared, slopes along x
+// and y, their variance) and relief (height).
+
+import { Pyramid, unpackTile } from "./tile.js";
+
+export class ServedPages {
+  constructor(about) {
+    this.form = about.page;
+    this.most = 3; // asked at once: two that the server makes side by side, and one on its way
+  }
+
+  async load({ level, column, row }, { seed, share, piece }, signal) {
+    const query = new URLSearchParams({ level, column, row, seed, share, piece: Number(piece) });
+    const answer = await fetch(`page?${query}`, { signal });
+    if (!answer.ok) throw new Error((await answer.text()).slice(0, 200));
+    const data = await answer.arrayBuffer();
+    const { texel_size: texelSize, ends } = JSON.parse(answer.headers.get("X-Page"));
+    return { levels: cut(data, this.form), texelSize, ends };
+  }
+}
+
+// A page's bytes as its levels.
+export function cut(data, { width, height, apron, mips }) {
+  let at = 0;
+  const take = (Kind, count) => {
+    const part = new Kind(data, at, count);
+    at += part.byteLength;
+    return part;
+  };
+  return Array.from({ length: mips }, (_, mip) => {
+    const wide = (width + 2 * apron) >> mip, tall = (height + 2 * apron) >> mip;
+    const count = wide * tall;
+    return {
+      width: wide, height: tall,
+      albedo: take(Uint16Array, 4 * count),
+      surface: take(Float32Array, 4 * count),
+      relief: take(Float32Array, count),
+    };
+  });
+}
+
+export class EnclosedPages {
+  constructor(about) {
+    this.form = about.page;
+    this.most = 1;
+    this.texelSize = about.texel_size;
+    const [width, height] = about.tile.size;
+    this.pyramid = unpackTile(about.tile).then(
+      (tile) => new Pyramid(tile, width, height, about.texel_size),
+    );
+  }
+
+  async load({ level, column, row }) {
+    const pyramid = await this.pyramid, { width, height, apron, mips } = this.form;
+    const levels = Array.from({ length: mips }, (_, mip) => pyramid.read(
+      level + mip,
+      (column * width - apron) / 2 ** mip, (row * height - apron) / 2 ** mip,
+      (width + 2 * apron) >> mip, (height + 2 * apron) >> mip,
+    ));
+    return { levels, texelSize: this.texelSize, ends: pyramid.ends };
+  }
+}
