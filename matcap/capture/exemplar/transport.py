@@ -30,10 +30,13 @@ _OVERLAP = 12  # texels that neighbours share
 _SHARPNESS = 8.0  # of the border between two: the nearer block's texels, hardly mixed
 _TRUSTED = 0.93  # confidence of albedo, as a share of the well seen places', that lends
 _WELL_SEEN = 0.75  # quantile of confidence that counts as well seen
+_MOST_HIDDEN = 0.2  # share of the picture: more than this no flash hides
 _WHOLE = 0.95  # share of a block that must be trusted
 _WANTED = 0.25  # share of a place that is not, for a block to be laid there
 _LEAST = 2e-4  # share of all texels below which nothing is worth lending
 _LIKENESS = 0.7  # what a drawing's correlation counts beside the overlap's continuity
+_UNLIKE = 0.35  # one less the correlation, beyond which a place keeps what is there ...
+_SHOWN = 0.5  # ... if so large a share of it shows at all
 _THINNED = 4  # texels a side of which one is lit; overlaps are compared on every second
 _FARTHEST = 4.0  # squared, in deviations: differences beyond it are edges that do not meet
 _EDGE = 4.0  # texels: deviation of the soft edge towards what is kept
@@ -74,7 +77,7 @@ def transport(
     trusted = exemplar.confidence[0] / max(
         float(np.quantile(exemplar.confidence[0], _WELL_SEEN)), 1e-6
     )
-    hidden = trusted < _TRUSTED
+    hidden = trusted < min(_TRUSTED, float(np.quantile(trusted, _MOST_HIDDEN)) + 1e-6)
     lenders = _lenders(~hidden)
     if hidden.mean() < _LEAST or not len(lenders):
         return exemplar
@@ -105,6 +108,12 @@ class _Photograph:
         maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
         whole = torch.cat([maps.diffuse, maps.specular, maps.roughness, maps.normal])
         self._maps = whole.movedim(0, -1).numpy().copy()  # a texel's numbers lie together
+        # What the mean material would show is the light's doing, and in every block alike.
+        mean = whole.mean((1, 2), keepdim=True).expand_as(whole)
+        upright = torch.zeros_like(maps.normal)
+        upright[2] = 1.0
+        even = MapSet(mean[:3], mean[3:4], mean[4:5], maps.height, 1.0)
+        self._even = light.logs(even, upright)[0]
 
     def unlikeness(self, place: tuple[int, int], blocks: Places) -> Array:
         """(N,) one less the correlation of log radiance, of blocks as if they lay at a place."""
@@ -118,10 +127,15 @@ class _Photograph:
         share = float(seen.mean())
         if not share:
             return np.zeros(len(blocks), np.float32)
-        a, b = (_centred(x, seen) for x in (log, self._log[(slice(None), *here)][None]))
+        even, shown = (x[(slice(None), *here)][None] for x in (self._even, self._log))
+        a, b = (_centred(x - even, seen) for x in (log, shown))
         both = (a * b).sum((1, 2, 3))
         own = (a.square().sum((1, 2, 3)) * b.square().sum((1, 2, 3))).sqrt()
         return np.asarray(share * (1.0 - both / (own + 1e-6)), np.float32)
+
+    def share(self, place: tuple[int, int]) -> float:
+        """Share of a place that was seen and not clipped."""
+        return float(self._valid[_block(place)].float().mean())
 
 
 def _centred(log: Tensor, seen: Tensor) -> Tensor:
@@ -148,11 +162,15 @@ def _choose(
         follow = [s for s in _continued(place, chosen) if s in allowed]
         if follow:
             blocks = np.concatenate([blocks, np.array(follow)])
-        cost = _discontinuity(place, blocks, drawn.seen, seen, known)
-        cost += _LIKENESS * photograph.unlikeness(place, blocks)
-        best = blocks[int(cost.argmin())]
-        source = (int(best[0]), int(best[1]))
-        chosen[place] = source
+        unlike = photograph.unlikeness(place, blocks)
+        cost = _discontinuity(place, blocks, drawn.seen, seen, known) + _LIKENESS * unlike
+        best = int(cost.argmin())
+        source = (int(blocks[best][0]), int(blocks[best][1]))
+        share = photograph.share(place)
+        if share > _SHOWN and unlike[best] > _UNLIKE * share:
+            source = place  # nothing looks like it: a scratch stays, be it ever so bright
+        else:
+            chosen[place] = source
         here = _block(place)
         seen[here] = np.where(known[here][..., None], seen[here], drawn.seen[_block(source)])
         known[here] = True

@@ -104,8 +104,9 @@ def test_half_the_exposure_gives_the_same_maps(ordinary):
     seen_well, gloss = [0, 1, 2, 5], [3, 4]
     assert torch.allclose(one[seen_well].std(1), other[seen_well].std(1), rtol=0.05)
     assert torch.allclose(one[gloss].std(1), other[gloss].std(1), rtol=0.25)
-    apart = (one - other).square().mean(1).sqrt() / one.std(1)
-    assert apart.max() < 0.3
+    apart = (one - other).square().mean(1).sqrt()
+    assert (apart / one.std(1))[seen_well].max() < 0.3
+    assert apart[gloss].max() < 0.04  # of F0 and roughness, which nobody sees
     intensities = [r.material.setup.intensity[0] for r in (ordinary, half)]
     assert intensities[1] / intensities[0] == pytest.approx(0.5, rel=0.02)
 

@@ -21,6 +21,7 @@ from matcap.files.srgb import srgb_decode
 from matcap.lab.bench.edges.swept import Swept, compared, log_uniform
 
 _TEXELS = 10_000
+_CURVE = 3e-7  # of light: what 32-bit floats leave of the sRGB curve, there and back
 _DEPTHS: tuple[Depth, ...] = ("8", "16", "half", "float")
 
 
@@ -58,7 +59,7 @@ def textures(g: np.random.Generator) -> Swept:
     if depth in ("half", "float"):
         values = (values * log_uniform(g, 1e-6, 1e6)).astype(np.float32)
     container: Container = "png" if depth in ("8", "16") else "exr"
-    stored = TextureFile(lambda _piece: values, depth, srgb, container=container)
+    stored = TextureFile(lambda piece: values[piece.rows], depth, srgb, container=container)
     job = ExportJob(_even_maps(values.shape), "edge")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"texture{stored.suffix}"
@@ -73,7 +74,8 @@ def textures(g: np.random.Generator) -> Swept:
                     np.abs(srgb_decode(np.minimum(read + step, 1.0)) - srgb_decode(read)),
                     np.abs(srgb_decode(np.maximum(read - step, 0.0)) - srgb_decode(read)),
                 )
-                read, step = srgb_decode(read), error
+                # The curve itself is worked out in 32-bit floats.
+                read, step = srgb_decode(read), error + _CURVE
         else:
             read = read_exr(path)[..., 0].astype(np.float64)
             step = np.maximum(np.abs(values) * 2.0**-11, 2.0**-25) if depth == "half" else 1e-30
