@@ -85,5 +85,5 @@ def test_a_trend_of_colour_is_not_taken_for_the_light():
     pixels = photo.pixels.copy()
     pixels[..., 0] *= np.exp(0.3 * u)
     fit = fit_coarse(replace(photo, pixels=pixels.astype(np.float32)))
-    assert fit.setup.offset[:2] == pytest.approx(setup.offset[:2], abs=0.05)
+    assert fit.setup.offset[:2] == pytest.approx(setup.offset[:2], abs=0.06)
     assert fit.setup.tilt == pytest.approx((0.0, 0.0), abs=math.radians(1.5))
