@@ -351,8 +351,8 @@ CAPTURE = (
     Fault(
         "transport: whatever does not look like it",
         "capture/exemplar/transport.py",
-        "share * (1.0 - both / (own + 1e-6))",
-        "share * (1.0 + both / (own + 1e-6))",
+        "1.0 - both / (own + 1e-6)",
+        "1.0 + both / (own + 1e-6)",
         (exemplar("transport"),),
     ),
     Fault(

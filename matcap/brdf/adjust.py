@@ -100,6 +100,11 @@ class Adjustments:
         )
 
     @property
+    def file_part(self) -> str:
+        """The text as a part of a file's name."""
+        return self.text.replace("=", "").replace(",", "_")
+
+    @property
     def colour(self) -> NDArray[np.float32]:
         """(3, 3) what diffuse albedo (red, green, blue) is multiplied by."""
         grey = np.tile(_LUMINANCE, (3, 1))

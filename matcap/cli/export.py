@@ -186,7 +186,7 @@ def export(
         found = open_tile(path, size=asked_size, seed=seed, generator=which, adjust=changes)
     asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
     asked_for += f"_udim{udim}" * (udim is not None)
-    asked_for += f"_{changes.text.replace('=', '').replace(',', '_')}" * changes.changes
+    asked_for += f"_{changes.file_part}" * changes.changes
     folder = out or Path(f"{found.name}_{target}{asked_for}")
     sidecar = folder / f"{found.name}_{target}.json"
     if sidecar.exists() and not overwrite:

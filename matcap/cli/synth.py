@@ -243,7 +243,7 @@ def _told_apart(asked: SynthRequest) -> str:
         f"into-{growth and Path(str(growth.material)).stem}": growth is not None,
         f"{asked.generator}": asked.generator is not None,
         f"{asked.precision}": asked.precision != "fp32",
-        asked.adjust.text.replace("=", "").replace(",", "_"): asked.adjust.changes,
+        asked.adjust.file_part: asked.adjust.changes,
         "single": files.single,
         "mip": files.mipmap,
         "png": files.png,

@@ -242,8 +242,10 @@ class ExportJob:
         The undisplaced level is mid-grey.
         """
         known = (self.around or self.maps).height
-        reach = self.reach or roomy(float(known.abs().max()) if known.numel() else 0.0)
-        return 2.0 * reach, 0.5
+        needed = float(known.abs().max()) if known.numel() else 0.0
+        # Strengthened relief may leave the material's range; a texture set has one for all tiles.
+        fits = self.tiles is not None or needed <= (self.reach or 0.0)
+        return 2.0 * (self.reach if self.reach and fits else roomy(needed)), 0.5
 
 
 @dataclass(frozen=True)

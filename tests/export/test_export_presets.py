@@ -266,6 +266,9 @@ class TestHeights:
         scale, _ = codes.pop()
         assert float(first.height.abs().max()) < scale / 2.0
         assert ExportJob(first, "moss", reach=0.25).height_code == (0.5, 0.5)
+        # Relief made stronger than the material has it is not clipped.
+        tall = float(first.height.abs().max())
+        assert ExportJob(first, "moss", reach=0.5 * tall).height_code[0] / 2.0 > tall
 
 
 def chunks(png: bytes) -> dict[bytes, bytes]:

@@ -116,7 +116,10 @@ class _Photograph:
         self._even = light.logs(even, upright)[0]
 
     def unlikeness(self, place: tuple[int, int], blocks: Places) -> Array:
-        """(N,) one less the correlation of log radiance, of blocks as if they lay at a place."""
+        """(N,) one less the correlation of log radiance, of blocks as if they lay at a place.
+
+        0 where nothing of the place was seen.
+        """
         inner = np.arange(0, _BLOCK, _THINNED)
         rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
         lent = torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1)
@@ -124,14 +127,13 @@ class _Photograph:
         maps = MapSet(lent[:, :3], lent[:, 3:4], lent[:, 4:5], lent[:, :1], 1.0)
         log = self._light.cut(*here).logs(maps, lent[:, 5:8])[0]
         seen = self._valid[here].to(log)
-        share = float(seen.mean())
-        if not share:
+        if not seen.any():
             return np.zeros(len(blocks), np.float32)
         even, shown = (x[(slice(None), *here)][None] for x in (self._even, self._log))
         a, b = (_centred(x - even, seen) for x in (log, shown))
         both = (a * b).sum((1, 2, 3))
         own = (a.square().sum((1, 2, 3)) * b.square().sum((1, 2, 3))).sqrt()
-        return np.asarray(share * (1.0 - both / (own + 1e-6)), np.float32)
+        return np.asarray(1.0 - both / (own + 1e-6), np.float32)
 
     def share(self, place: tuple[int, int]) -> float:
         """Share of a place that was seen and not clipped."""
@@ -163,11 +165,11 @@ def _choose(
         if follow:
             blocks = np.concatenate([blocks, np.array(follow)])
         unlike = photograph.unlikeness(place, blocks)
-        cost = _discontinuity(place, blocks, drawn.seen, seen, known) + _LIKENESS * unlike
+        share = photograph.share(place)
+        cost = _discontinuity(place, blocks, drawn.seen, seen, known) + _LIKENESS * share * unlike
         best = int(cost.argmin())
         source = (int(blocks[best][0]), int(blocks[best][1]))
-        share = photograph.share(place)
-        if share > _SHOWN and unlike[best] > _UNLIKE * share:
+        if share > _SHOWN and unlike[best] > _UNLIKE:
             source = place  # nothing looks like it: a scratch stays, be it ever so bright
         else:
             chosen[place] = source

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from matcap.lab.inverse.losses import loss_parts, total
@@ -67,6 +68,14 @@ def test_legs_continue_exactly(tmp_path: Path) -> None:
     assert resumed.step == whole.step == 4
     for a, b in zip(whole.model.parameters(), resumed.model.parameters(), strict=True):
         assert torch.equal(a, b)
+
+
+def test_the_rate_warms_up_stays_and_falls_to_nothing() -> None:
+    cooled = TrainSettings(steps=10_000, rate=1e-3, cooling=4_000)
+    rates = [cooled.rate_at(step) for step in (1, 200, 6_000, 8_000, 10_000, 10_001)]
+    assert rates == pytest.approx([5e-6, 1e-3, 1e-3, 5e-4, 0.0, 0.0])
+    # A leg without cooling knows nothing of its end.
+    assert TrainSettings(steps=10_000, rate=1e-3).rate_at(10_000) == 1e-3
 
 
 def test_a_few_steps_on_one_picture_lower_its_loss() -> None:
