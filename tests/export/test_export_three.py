@@ -10,15 +10,17 @@ from matcap.export.textures import ExportJob
 
 
 @pytest.mark.parametrize(
-    ("library", "target", "suffix", "limit"),
+    ("library", "target", "suffix", "limit", "told"),
     [
-        (render_three, "gltf", "glb", 0.01),
-        (render_three, "usd", "usda", 0.04),
-        (render_babylon, "gltf", "glb", 0.01),
+        (render_three, "gltf", "glb", 0.01, {}),
+        # three.js doubles a stage's relief: it takes the texture's scale for the normals' strength.
+        # What is left is the bounces, which a stage read elsewhere must not make up for.
+        (render_three, "usd", "usda", 0.025, {"plain_normals": True}),
+        (render_babylon, "gltf", "glb", 0.01, {}),
     ],
 )
 @pytest.mark.parametrize("material", ["leather", "rust"])
-def test_its_picture_is_matcaps(tmp_path, made, material, library, target, suffix, limit):
+def test_its_picture_is_matcaps(tmp_path, made, material, library, target, suffix, limit, told):
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if not library.PLACE.is_dir():
         pytest.skip(f"needs `npm install --prefix .node {library.PLACE.name}`")
@@ -29,7 +31,7 @@ def test_its_picture_is_matcaps(tmp_path, made, material, library, target, suffi
     write_export(ExportJob(maps, material), target, tmp_path)
     try:
         found = library.render(
-            tmp_path / f"{material}.{suffix}", maps, light, exposing_intensity(light)
+            tmp_path / f"{material}.{suffix}", maps, light, exposing_intensity(light), **told
         )
     except api.Error as error:
         if "Executable" not in str(error):
