@@ -365,7 +365,7 @@ def test_sliders_adjust_and_say_how_commands_would(tab, address):
     page.loaded()
     page.page.click("#adjusting summary")
     page.page.fill("#relief", "1.5")
-    page.page.fill("#roughen", "-0.1")
+    page.page.fill("#roughness", "-0.1")
     assert page.page.inner_text("#adjust-text") == "--adjust relief=1.5,roughness=-0.1"
     with page.page.expect_download() as download:
         page.page.click("#sidecar")
@@ -449,14 +449,14 @@ def test_the_wipe_shows_the_piece_on_its_left(tab, served):
     with served(Materials(material), told) as address:
         page = tab(address.url)
         page.loaded()
-        page.page.click("label:has(input[value=piece])")
+        page.page.click("#left-choice label:has(input[value=piece])")
         assert page.ask("matcap.view.state.left") == "piece"
         home = page.ask("matcap.view.initial()")
         shown = picture(page, left="piece", wipe=0.5, map="diffuse", span=WIDTH, x=home["x"],
                         y=home["y"])  # fmt: skip
         page.page.check("#doubted")
         assert "Look at it" in page.page.inner_text("#verdict")
-        page.page.click("label:has(input[value=photo])")
+        page.page.click("#left-choice label:has(input[value=photo])")
         page.until("document.getElementById('photo').naturalWidth === 8")
         page.page.focus("#wipe")
         page.page.keyboard.press("ArrowLeft")

@@ -1,6 +1,6 @@
 // Pointer, touch and keys to changes of the state.
 
-import { FLASH, LIGHTS, MAPS } from "./view.js";
+import { FLASH, MAPS } from "./view.js";
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
@@ -77,7 +77,10 @@ export function listen(view, set, acts, moved) {
     p: () => set({ shape: "plane" }),
     s: () => set({ shape: "sphere" }),
     c: () => set({ shape: "cylinder" }),
-    l: () => set({ light: LIGHTS[(LIGHTS.indexOf(view.state.light) + 1) % LIGHTS.length] }),
+    l: () => {
+      const { lights } = view;
+      set({ light: lights[(lights.indexOf(view.state.light) + 1) % lights.length] });
+    },
     f: () => set({ lamp: [0, 0, FLASH], light: "point" }),
     "[": () => acts.expose(view.state.exposure - 0.25),
     "]": () => acts.expose(view.state.exposure + 0.25),

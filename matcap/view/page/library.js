@@ -40,6 +40,7 @@ class Shelf {
     gl.uniform4f(places.bounds, -3e38, -3e38, 3e38, 3e38);
     gl.uniform1i(places.shape, 1);
     gl.uniform1i(places.map, 0);
+    gl.uniform4f(places.lens, 0, 0, -1, 0);
     gl.uniform1i(places.room, 0);
     gl.uniform1f(places.gain, 1);
     gl.uniform4f(places.meanAlbedo, 0.2, 0.2, 0.2, 0.04);
@@ -68,7 +69,7 @@ class Shelf {
       const place = [(NEARER * dx) / radius, (NEARER * dy) / radius, LIFT + 1];
       const away = Math.max(Math.hypot(...place) - 1, 0.05);
       gl.uniform3f(places.lightPlace, ...place);
-      gl.uniform1f(places.intensity, Math.PI * away * away);
+      gl.uniform3fv(places.intensity, Array(3).fill(Math.PI * away * away));
       this.pages.show(about.level, card.index, 0);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
