@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 SCRIPTS = (
     "adjust.js", "address.js", "surroundings.js", "rooms.js", "pages.js", "shader.js", "tile.js",
-    "source.js", "view.js", "controls.js", "panel.js", "gestures.js", "reading.js", "bring.js",
-    "main.js",
+    "source.js", "controls.js", "theme.js", "view.js", "panel.js", "gestures.js", "reading.js",
+    "bring.js", "main.js",
 )  # fmt: skip
 LIBRARY_SCRIPT = "library.js"
 STYLE = "page.css"

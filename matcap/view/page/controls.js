@@ -12,9 +12,8 @@ export const CHOICES = {
   light: ["Light", 3, { point: "Point", studio: "Studio", window: "Window", dusk: "Dusk", own: "Own" }],
   map: ["Show", 3, { lit: "Lit", diffuse: "Diffuse", specular: "Specular", roughness: "Roughness",
     height: "Height", normal: "Normal" }],
-  left: ["Beside it, left of a wipe", 0,
-    { none: "Nothing", photo: "Photo", flash: "Own flash", piece: "Relit" }],
-  right: ["and right of it", 0, { flash: "Own flash", piece: "Relit", field: "Endless" }],
+  left: ["Left of a wipe", 0, { none: "Nothing", photo: "Photo", flash: "Flash", piece: "Relit" }],
+  right: ["Right of it", 0, { flash: "Flash", piece: "Relit", field: "Endless" }],
 };
 
 // By the state's name, or the adjustment's: label, least, most, step, and how a value is said.
@@ -41,6 +40,7 @@ export function makeControls() {
       make("input", { type: "radio", name, value }), make("span", { textContent: text })));
     const row = make("div", {}, ...cells);
     if (columns) row.classList.add("three");
+    row.append(...$(`${name}-choice`).querySelectorAll("button")); // as one more cell
     $(`${name}-choice`).prepend(make("legend", { textContent: legend }), row);
   }
   for (const [name, [text, min, max, step]] of Object.entries(SLIDERS)) {

@@ -1,5 +1,7 @@
 // A library: every material a sphere, all under one light that follows the pointer.
 
+import { $ } from "./controls.js";
+import { dressed, followTheme } from "./theme.js";
 import { UNCHANGED, colourMatrix, parseAdjustments } from "./adjust.js";
 import { Pages } from "./pages.js";
 import { buildProgram } from "./shader.js";
@@ -12,7 +14,6 @@ const NEARER = 0.4; // sideways it is nearer than the pointer, or far spheres wo
 const MOST = 48; // swatches held
 const CAMERA = 1.25 / AROUND; // the shader's own room around a sphere
 
-const $ = (id) => document.getElementById(id);
 const about = JSON.parse($("about").textContent);
 const canvas = $("canvas");
 
@@ -51,13 +52,15 @@ class Shelf {
   // Draw every sphere that is seen, where its card is.
   draw(cards) {
     const { gl, places } = this, ratio = canvas.width / innerWidth;
+    const ground = dressed();
+    gl.uniform3f(places.ground, ...ground);
     gl.disable(gl.SCISSOR_TEST);
-    gl.clearColor(0.1451, 0.1451, 0.1451, 1); // the shader's NOTHING
+    gl.clearColor(...ground, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.enable(gl.SCISSOR_TEST);
     for (const card of cards) {
       const box = card.face.getBoundingClientRect();
-      if (card.link.hidden || box.bottom < 0 || box.top > innerHeight) continue;
+      if (card.box.hidden || box.bottom < 0 || box.top > innerHeight) continue;
       if (!this.pages.has(about.level, card.index, 0)) continue;
       const side = box.width * ratio, x = box.left * ratio, y = canvas.height - box.bottom * ratio;
       gl.viewport(x, y, side, side);
@@ -76,9 +79,33 @@ class Shelf {
   }
 }
 
+// Two that are to be blended: the first waits for the second.
+const blending = { first: null };
+
+function choose(card) {
+  const { first } = blending, name = card?.material.name;
+  first?.button.setAttribute("aria-pressed", "false");
+  blending.first = null;
+  if (!card || card === first) {
+    $("chosen").textContent = first ? `${first.material.name} is let go.` : "";
+  } else if (first) {
+    $("chosen").textContent = `Blending ${first.material.name} with ${name}.`;
+    blend(first.index, card.index);
+  } else {
+    blending.first = card;
+    card.button.setAttribute("aria-pressed", "true");
+    $("chosen").textContent = `${name} is chosen. Choose another one to blend it with.`;
+  }
+}
+
+function blend(first, second) {
+  location.href = `m/${first}+${second}/#share=0.5`;
+}
+
 function makeCard(material, index) {
+  const box = document.createElement("div");
+  box.className = "card";
   const link = document.createElement("a");
-  link.className = "card";
   link.href = `m/${index}/`;
   link.draggable = true;
   const face = document.createElement("span"), name = document.createElement("span");
@@ -86,6 +113,17 @@ function makeCard(material, index) {
   name.className = "called";
   name.textContent = material.name;
   link.append(face, name);
+  const button = document.createElement("button");
+  Object.assign(button, { type: "button", className: "quiet", textContent: "Blend" });
+  button.setAttribute("aria-pressed", "false");
+  button.setAttribute("aria-label", `Blend ${material.name} with another`);
+  const card = { box, link, face, button, index, material };
+  button.addEventListener("click", () => choose(card));
+  box.addEventListener("keydown", (event) => {
+    if (event.key.toLowerCase() !== "b" || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    choose(card);
+  });
   if (material.rating) {
     const rating = document.createElement("span");
     rating.className = `rating ${material.rating}`;
@@ -94,19 +132,20 @@ function makeCard(material, index) {
     link.append(rating);
   }
   link.addEventListener("dragstart", (event) => event.dataTransfer.setData("text/plain", String(index)));
-  link.addEventListener("dragover", (event) => {
+  box.addEventListener("dragover", (event) => {
     event.preventDefault();
-    link.classList.add("over");
+    box.classList.add("over");
   });
-  link.addEventListener("dragleave", () => link.classList.remove("over"));
-  link.addEventListener("drop", (event) => {
+  box.addEventListener("dragleave", () => box.classList.remove("over"));
+  box.addEventListener("drop", (event) => {
     event.preventDefault();
-    link.classList.remove("over");
+    box.classList.remove("over");
     const other = Number(event.dataTransfer.getData("text/plain"));
-    if (Number.isInteger(other) && other !== index) location.href = `m/${index}+${other}/#share=0.5`;
+    if (Number.isInteger(other) && other !== index) blend(index, other);
   });
-  $("shelf").append(link);
-  return { link, face, index, material };
+  box.append(link, button);
+  $("shelf").append(box);
+  return card;
 }
 
 (() => {
@@ -133,16 +172,19 @@ function makeCard(material, index) {
   };
   const filter = () => {
     const text = $("find").value.toLowerCase(), rating = $("rating").value;
-    for (const { link, material } of cards) {
-      link.hidden = !material.name.toLowerCase().includes(text)
+    for (const { box, material } of cards) {
+      box.hidden = !material.name.toLowerCase().includes(text)
         || (rating !== "" && material.rating !== rating);
     }
-    const shown = cards.filter(({ link }) => !link.hidden).length;
+    const shown = cards.filter(({ box }) => !box.hidden).length;
     $("status").textContent = `${shown} of ${cards.length} materials`;
     redraw();
   };
   $("find").addEventListener("input", filter);
   $("rating").addEventListener("change", filter);
+  followTheme(redraw);
+  addEventListener("keydown", ({ key }) => { if (key === "Escape") choose(null); });
+  addEventListener("pageshow", () => { if (blending.first) choose(null); }); // come back to
   addEventListener("resize", fit);
   addEventListener("scroll", redraw, { passive: true });
   addEventListener("pointermove", (event) => {
@@ -167,20 +209,21 @@ function makeCard(material, index) {
       redraw();
     } catch (error) {
       card.link.title = error instanceof TypeError ? "matcap view has ended" : error.message;
-      card.link.classList.add("broken");
+      card.box.classList.add("broken");
+      card.button.hidden = true;
     }
     fetching = false;
     next();
   };
   const watcher = new IntersectionObserver((seen) => {
     for (const { isIntersecting, target } of seen) {
-      const card = cards.find(({ link }) => link === target);
+      const card = cards.find(({ box }) => box === target);
       if (!isIntersecting || !shelf || shelf.pages.has(about.level, card.index, 0)) continue;
       if (!waiting.includes(card)) waiting.push(card);
     }
     shelf?.pages.use(cards.map(({ index }) => ({ level: about.level, column: index, row: 0 })));
     next();
   }, { rootMargin: "200px" });
-  for (const { link } of cards) watcher.observe(link);
+  for (const { box } of cards) watcher.observe(box);
   window.matcap = { shelf, cards };
 })();

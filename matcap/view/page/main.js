@@ -7,6 +7,7 @@ import { ROOMS, roomRadiance } from "./rooms.js";
 import { GONE, LEFTS, MAPS, RIGHTS, SHAPES, View } from "./view.js";
 import { $, ADJUSTED, CHOICES, makeControls, saySlider } from "./controls.js";
 import { describe, legend, showPiece, showScale, showState } from "./panel.js";
+import { followTheme } from "./theme.js";
 import { readSurroundings } from "./reading.js";
 import { listenForPictures } from "./bring.js";
 import { listen, listenToWipe } from "./gestures.js";
@@ -22,14 +23,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   makeControls();
   describe(about);
 
-  const theme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
-  document.documentElement.dataset.theme = theme;
-  $("theme").addEventListener("click", () => {
-    const { dataset } = document.documentElement;
-    dataset.theme = dataset.theme === "light" ? "dark" : "light";
-    view?.dress();
-    view?.redraw();
-  });
+  followTheme(() => view?.redraw());
 
   // Said for a while.
   let noticed = 0;

@@ -46,6 +46,7 @@ out vec4 colour;
 
 const float PI = 3.14159265358979;
 const float REACH = 0.41421356237;  // tan(22.5 degrees)
+const float GRAZING = 0.02; // least cosine of a normal that is seen
 const float BLUR = 0.25; // of a direction's solid angle, as in relight/effects/environment.py
 
 TABLE
@@ -206,6 +207,9 @@ void main() {
   else if (map == 5) shown = 0.5 + 0.5 * n;
   else {
     vec3 v = normalize(eye - point) * frame;
+    // Where all around is light, a normal that is turned away would be a black speck at an outline:
+    // it is turned back as far as it takes.
+    if (room) n = normalize(n + v * max(GRAZING - dot(n, v), 0.0));
     float nv = max(dot(n, v), 0.0);
     vec3 radiance = vec3(0.0);
     if (nv > 0.0 && v.z > 0.0) {

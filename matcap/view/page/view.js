@@ -5,6 +5,7 @@ import { CELLS, LEAST_RANGE, Pages } from "./pages.js";
 import { buildProgram } from "./shader.js";
 import { ROOMS, roomPicture } from "./rooms.js";
 import { Surroundings } from "./surroundings.js";
+import { dressed } from "./theme.js";
 
 const UNITS = ["albedo", "surface", "relief", "table", "radiances", "irradiances", "photograph"];
 const [ROOM_UNIT, PHOTO_UNIT, SPARE_UNIT] = [4, 6, 7];
@@ -54,7 +55,6 @@ export class View {
     gl.uniform4f(places.meanAlbedo, ...mean.slice(0, 4));
     gl.uniform4f(places.meanSurface, mean[4], 0, 0, mean[7]);
     gl.activeTexture(gl.TEXTURE0 + SPARE_UNIT); // uploads bind here, and leave those to draw with alone
-    this.dress();
     this.state = this.initial();
     this.loading = new Map();
     this.failure = "";
@@ -130,13 +130,6 @@ export class View {
     this.gl.activeTexture(this.gl.TEXTURE0 + SPARE_UNIT);
     const stops = Math.log2(ORDINARY / Math.max(this.own.mean, 1e-6));
     this.set({ light: "own", exposure: Math.min(4, Math.max(-4, Math.round(stops * 4) / 4)) });
-  }
-
-  // What lies where there is nothing: as the page has it.
-  dress() {
-    const colour = getComputedStyle(document.documentElement).getPropertyValue("--stage").trim();
-    const parts = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
-    this.gl.uniform3f(this.places.ground, ...parts);
   }
 
   get wiped() {
@@ -242,6 +235,7 @@ export class View {
     const { gl, places, state, canvas } = this;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.uniform2f(places.size, canvas.width, canvas.height);
+    gl.uniform3f(places.ground, ...dressed());
     gl.uniform1f(places.texels, this.scale);
     gl.uniform1i(places.shape, SHAPES.indexOf(state.shape));
     gl.uniform1i(places.map, MAPS.indexOf(state.map));
