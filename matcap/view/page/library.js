@@ -4,7 +4,7 @@ import { $ } from "./controls.js";
 import { dressed, followTheme } from "./theme.js";
 import { UNCHANGED, colourMatrix, parseAdjustments } from "./adjust.js";
 import { Pages } from "./pages.js";
-import { buildProgram } from "./shader.js";
+import { UNIT, buildProgram } from "./shader.js";
 import { cut } from "./source.js";
 
 const SPAN = 460; // texels of a sphere's diameter
@@ -22,16 +22,9 @@ class Shelf {
     const form = about.page;
     this.gl = gl;
     this.pages = new Pages(gl, form, MOST);
-    const { program, places } = buildProgram(gl, form);
+    const places = buildProgram(gl, form);
     this.places = places;
-    gl.useProgram(program);
-    gl.bindVertexArray(gl.createVertexArray());
-    ["albedo", "surface", "relief", "table"].forEach((name, unit) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(name === "table" ? gl.TEXTURE_2D : gl.TEXTURE_2D_ARRAY, this.pages[name]);
-      gl.uniform1i(places[name], unit);
-    });
-    gl.activeTexture(gl.TEXTURE4);
+    this.pages.bind(UNIT);
     const adjust = about.adjust ? parseAdjustments(about.adjust) : UNCHANGED;
     gl.uniformMatrix3fv(places.colouring, false, colourMatrix(adjust));
     gl.uniform2f(places.reliefAndRough, adjust.relief, adjust.roughness);

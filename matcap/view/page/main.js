@@ -6,7 +6,7 @@ import { EnclosedPages, ServedPages } from "./source.js";
 import { ROOMS, roomRadiance } from "./rooms.js";
 import { GONE, LEFTS, MAPS, RIGHTS, SHAPES, View } from "./view.js";
 import { $, ADJUSTED, CHOICES, makeControls, saySlider } from "./controls.js";
-import { describe, legend, showPiece, showScale, showState } from "./panel.js";
+import { describe, legend, showPiece, showScale, showState, whereabouts } from "./panel.js";
 import { followTheme } from "./theme.js";
 import { readSurroundings } from "./reading.js";
 import { listenForPictures } from "./bring.js";
@@ -78,6 +78,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
 
   view.changed = () => {
     $("legend").textContent = legend(view);
+    $("where").textContent = whereabouts(view);
     showScale(view);
     showPiece(view);
     const left = view.missing().length;
@@ -85,7 +86,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
     $("status").textContent = view.failure
       || (left ? `sharpening: ${left} piece${left > 1 ? "s" : ""} to come` : "");
     canvas.setAttribute("aria-label",
-      `${about.name} on a ${view.state.shape}: ${legend(view)}${left ? ", still sharpening" : ""}`);
+      `${about.name} on a ${view.state.shape}: ${legend(view)}${whereabouts(view)}${left ? ", still sharpening" : ""}`);
   };
 
   // --- controls ---------------------------------------------------------------------------------

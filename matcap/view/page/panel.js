@@ -48,7 +48,7 @@ export function length(view, texels) {
 }
 
 export function legend(view) {
-  const { map, light, span, shape, x, y } = view.state;
+  const { map, light, span, shape } = view.state;
   const [low, high] = view.range().map((value) => number(value));
   const said = {
     lit: { point: "point light", studio: "a studio: two soft lamps",
@@ -59,10 +59,12 @@ export function legend(view) {
     height: `height, black ${low} to white ${high} plane units`,
     normal: "normal, +x right in red, +y up in green",
   }[map];
-  const where = shape === "plane"
-    ? `${number(span, 4)} texels across, at ${Math.round(x)}, ${Math.round(y)}`
-    : `${number(span, 4)} texels in diameter`;
-  return `${said} · ${where}`;
+  return `${said} · ${number(span, 4)} texels ${shape === "plane" ? "across" : "in diameter"}`;
+}
+
+export function whereabouts(view) {
+  const { shape, x, y } = view.state;
+  return shape === "plane" ? `, at ${Math.round(x)}, ${Math.round(y)}` : "";
 }
 
 // A length of 1, 2 or 5 times a power of ten.

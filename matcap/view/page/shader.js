@@ -238,7 +238,12 @@ void main() {
   colour = vec4(clamp(shown, 0.0, 1.0), 1.0);
 }`;
 
-// The program, or an error that says what the driver did not like.
+// Which texture unit each is bound to: two kinds at one unit are an error, though unused. The last
+// is for uploads, which leave those to draw with alone.
+const UNITS = ["albedo", "surface", "relief", "table", "radiances", "irradiances", "photograph"];
+export const UNIT = Object.fromEntries([...UNITS, "spare"].map((name, unit) => [name, unit]));
+
+// The program in use, or an error that says what the driver did not like.
 export function buildProgram(gl, { width, height, apron }) {
   const source = FRAGMENT.replace("SURROUNDINGS", SURROUNDINGS_GLSL + BITS_GLSL)
     .replace("ADJUST", ADJUST_GLSL).replace("TABLE", `${TABLE_GLSL}
@@ -264,7 +269,11 @@ const float APRON = ${apron}.0;`);
     const { name } = gl.getActiveUniform(program, i);
     places[name.replace("[0]", "")] = gl.getUniformLocation(program, name);
   }
-  return { program, places };
+  gl.useProgram(program);
+  gl.bindVertexArray(gl.createVertexArray());
+  for (const name of UNITS) gl.uniform1i(places[name], UNIT[name]);
+  gl.activeTexture(gl.TEXTURE0 + UNIT.spare);
+  return places;
 }
 
 // GLSL ES 3.00 has no bitfieldReverse.

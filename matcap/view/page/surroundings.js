@@ -26,12 +26,13 @@ export class Surroundings {
     this.irradiance = this.#texture(gl, [irradianceOf(few)]);
   }
 
-  // Tell the shader, on two texture units.
-  use(gl, places, first) {
-    [this.radiance, this.irradiance].forEach((texture, index) => {
-      gl.activeTexture(gl.TEXTURE0 + first + index);
-      gl.bindTexture(gl.TEXTURE_2D, texture);
-    });
+  // Tell the shader.
+  use(gl, places, units) {
+    gl.activeTexture(gl.TEXTURE0 + units.radiances);
+    gl.bindTexture(gl.TEXTURE_2D, this.radiance);
+    gl.activeTexture(gl.TEXTURE0 + units.irradiances);
+    gl.bindTexture(gl.TEXTURE_2D, this.irradiance);
+    gl.activeTexture(gl.TEXTURE0 + units.spare);
     gl.uniform1f(places.strength, this.strength);
   }
 

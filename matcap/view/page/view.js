@@ -2,13 +2,11 @@
 
 import { colourMatrix, parseAdjustments } from "./adjust.js";
 import { CELLS, LEAST_RANGE, Pages } from "./pages.js";
-import { buildProgram } from "./shader.js";
+import { UNIT, buildProgram } from "./shader.js";
 import { ROOMS, roomPicture } from "./rooms.js";
 import { Surroundings } from "./surroundings.js";
 import { dressed } from "./theme.js";
 
-const UNITS = ["albedo", "surface", "relief", "table", "radiances", "irradiances", "photograph"];
-const [ROOM_UNIT, PHOTO_UNIT, SPARE_UNIT] = [4, 6, 7];
 export const SHAPES = ["plane", "sphere", "cylinder"];
 const LIGHTS = ["point", ...Object.keys(ROOMS), "own"];
 // What may lie on the left and on the right of the wipe: the photograph, the photographed piece under
@@ -46,15 +44,11 @@ export class View {
     // The photographed piece, where there is one: it may be known less finely than the field.
     this.piece = about.piece && { name: "piece", pages: null, finest: about.piece_level };
     this.rooms = new Map(); // surroundings by the light's name, made when they are first seen
-    const { program, places } = buildProgram(gl, source.form);
+    const places = buildProgram(gl, source.form);
     this.places = places;
-    gl.useProgram(program);
-    gl.bindVertexArray(gl.createVertexArray());
-    UNITS.forEach((name, unit) => gl.uniform1i(places[name], unit));
     const mean = about.mean;
     gl.uniform4f(places.meanAlbedo, ...mean.slice(0, 4));
     gl.uniform4f(places.meanSurface, mean[4], 0, 0, mean[7]);
-    gl.activeTexture(gl.TEXTURE0 + SPARE_UNIT); // uploads bind here, and leave those to draw with alone
     this.state = this.initial();
     this.loading = new Map();
     this.failure = "";
@@ -127,7 +121,6 @@ export class View {
     this.rooms.get("own")?.dispose(this.gl);
     this.own = new Surroundings(this.gl, picture);
     this.rooms.set("own", this.own);
-    this.gl.activeTexture(this.gl.TEXTURE0 + SPARE_UNIT);
     const stops = Math.log2(ORDINARY / Math.max(this.own.mean, 1e-6));
     this.set({ light: "own", exposure: Math.min(4, Math.max(-4, Math.round(stops * 4) / 4)) });
   }
@@ -260,8 +253,7 @@ export class View {
     if (!rooms.has(state.light)) {
       rooms.set(state.light, new Surroundings(gl, roomPicture(ROOMS[state.light])));
     }
-    rooms.get(state.light).use(gl, this.places, ROOM_UNIT);
-    gl.activeTexture(gl.TEXTURE0 + SPARE_UNIT);
+    rooms.get(state.light).use(gl, this.places, UNIT);
   }
 
   // Camera and light of a side.
@@ -294,13 +286,13 @@ export class View {
     this.photo = { there: false };
     picture.src = this.about.photo;
     picture.decode().then(() => {
-      gl.activeTexture(gl.TEXTURE0 + PHOTO_UNIT);
+      gl.activeTexture(gl.TEXTURE0 + UNIT.photograph);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.SRGB8_ALPHA8, gl.RGBA, gl.UNSIGNED_BYTE, picture);
       gl.generateMipmap(gl.TEXTURE_2D);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
-      gl.activeTexture(gl.TEXTURE0 + SPARE_UNIT);
+      gl.activeTexture(gl.TEXTURE0 + UNIT.spare);
       this.photo.there = true;
       this.redraw();
     }, () => {
@@ -327,19 +319,20 @@ export class View {
     return appearing;
   }
 
+  // The piece's pages are made when they are first needed.
+  #open(layer) {
+    layer.pages ||= new Pages(this.gl, this.source.form, PIECES);
+    return layer.pages;
+  }
+
   // Bind what a layer is drawn with.
   #drawPages(layer, now) {
-    const { gl } = this;
-    layer.pages ||= new Pages(gl, this.source.form, PIECES);
+    this.#open(layer);
     const { best, pages } = this.wanted(layer);
     layer.pages.use(pages);
     const cells = Math.max(best - 1, 0), { columns, rows } = this.seen(cells, layer);
     const appearing = layer.pages.update(cells, best, columns, rows, now, this.fades);
-    UNITS.slice(0, ROOM_UNIT).forEach((name, unit) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(name === "table" ? gl.TEXTURE_2D : gl.TEXTURE_2D_ARRAY, layer.pages[name]);
-    });
-    gl.activeTexture(gl.TEXTURE0 + SPARE_UNIT);
+    layer.pages.bind(UNIT);
     this.#placed(layer, cells);
     return appearing;
   }
@@ -438,7 +431,7 @@ export class View {
           if (this.loading.get(key) !== entry) return; // nobody waits for it any more
           this.loading.delete(key);
           if (!piece) this.texelSize = page.texelSize;
-          place.layer.pages.put(place.level, place.column, place.row, page, performance.now());
+          this.#open(place.layer).put(place.level, place.column, place.row, page, performance.now());
           this.#fetch(); // at once: a frame may take longer than a page
           this.redraw();
         },
