@@ -8,7 +8,7 @@ photograph.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -43,6 +43,9 @@ _LEAST_NOISE = 0.01  # of log radiance: what is not explained, where the sensor'
 _LEGS = (1.0, 0.35)
 _TRIED, _TRIED_AT_ONCE = 250, 40  # blocks for a place under glare: adapted, or at once
 _AROUND = 12.0  # the long side over the deviation of a neighbourhood's confidence
+# Where a neighbourhood (deviation in texels) has less light than this, of 1 at clipping, a
+# photograph of 8 bits has its last codes, and a RAW the sensor's noise.
+_UNLIT, _UNLIT_AROUND = 1e-3, 8.0
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,7 @@ def find_exemplar(
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     inputs = network_inputs(plane.linear, plane.valid, coarse, points)
+    plane = replace(plane, valid=plane.valid & lit(plane.linear))
     answer = _read(network, inputs)
     found, errors = answer[:OUTPUTS].clone(), answer[OUTPUTS:]
     light = Light(coarse, points)
@@ -179,6 +183,11 @@ def confidence(errors: Tensor, valid: Tensor) -> NDArray[np.float32]:
     # What a clipped texel's neighbours hold is partly its own.
     seen = cv2.erode(valid.numpy().astype(np.uint8), np.ones((5, 5), np.uint8))
     return np.ascontiguousarray(believed * seen, dtype=np.float32)
+
+
+def lit(linear: Tensor) -> Tensor:
+    """(H, W) bool: where radiance (3, H, W) tells anything, and is not black all around."""
+    return torch.from_numpy(smoothed(linear.mean(0).numpy(), _UNLIT_AROUND) > _UNLIT)
 
 
 def _read(network: Inverse, inputs: Tensor) -> Tensor:
