@@ -30,6 +30,7 @@ from matcap.capture.exemplar.transport import transport
 from matcap.capture.finetune import TuneScene
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
+from matcap.flash.rectify import inside
 from matcap.model.example.example import Example
 from matcap.model.exemplar import Exemplar
 from matcap.model.inverse.inputs import network_inputs, true_outputs
@@ -99,8 +100,12 @@ def find_exemplar(
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    inputs = network_inputs(plane.linear, plane.valid, coarse, points)
-    plane = replace(plane, valid=plane.valid & lit(plane.linear))
+    # What lies beyond the photograph is its mirror, not glare.
+    beyond = torch.from_numpy(~inside((height, width), coarse.setup))
+    shown = plane.valid | beyond
+    inputs = network_inputs(plane.linear, shown, coarse, points)
+    bright = lit(plane.linear)
+    shown, plane = shown & bright, replace(plane, valid=plane.valid & bright)
     answer = _read(network, inputs)
     found, errors = answer[:OUTPUTS].clone(), answer[OUTPUTS:]
     light = Light(coarse, points)
@@ -116,10 +121,10 @@ def find_exemplar(
 
     def explained(outputs: Tensor) -> Tensor:
         least = max(noise, _LEAST_NOISE)
-        refined = refine(outputs, errors, plane.linear, plane.valid, light, noise=least)
+        refined = refine(outputs, errors, plane.linear, shown, light, noise=least)
         return even(refined.outputs)
 
-    outputs = explained(level(even(found), plane.linear, plane.valid, light))
+    outputs = explained(level(even(found), plane.linear, shown, light))
     interrupted = False
     for leg, reach in enumerate(_LEGS):
         if scene is None or not steps or interrupted:

@@ -15,6 +15,7 @@ from matcap.capture.exemplar.find import confidence, find_exemplar, lit, piece_m
 from matcap.capture.exemplar.store import load_inverse, read_inverse, save_inverse
 from matcap.errors import MatcapError
 from matcap.flash.plane import plane_of
+from matcap.flash.rectify import inside
 from matcap.model.inverse.network import Inverse, InverseConfig
 
 
@@ -67,6 +68,20 @@ def test_what_is_crushed_to_black_is_not_read_as_black() -> None:
     corner = (slice(None), slice(8, 56), slice(8, 56))
     assert float(found.confidence[corner].max()) == 0.0
     assert float(found.diffuse[corner].mean()) > 0.5 * float(found.diffuse[:, 100:].mean())
+
+
+def test_what_the_photograph_does_not_reach_is_not_taken_for_glare() -> None:
+    plane, coarse, _ = _plane()
+    setup = replace(coarse.setup, tilt=(0.03, -0.03))
+    height, width = plane.valid.shape
+    seen = torch.from_numpy(inside((height, width), setup))
+    assert 0 < int((~seen).sum()) < height * width // 10
+    reached = replace(plane, valid=plane.valid & seen)
+    found = find_exemplar(reached, replace(coarse, setup=setup), load_inverse()).exemplar
+    beyond = ~seen.numpy()
+    ratio = found.diffuse[:, beyond].mean() / found.diffuse[:, ~beyond].mean()
+    assert 0.75 < float(ratio) < 1.33
+    assert float(found.confidence[:, beyond].max()) == 0.0
 
 
 def test_dark_grains_in_the_light_are_seen() -> None:
