@@ -72,7 +72,7 @@ def test_what_is_crushed_to_black_is_not_read_as_black() -> None:
 
 def test_what_the_photograph_does_not_reach_is_not_taken_for_glare() -> None:
     plane, coarse, _ = _plane()
-    setup = replace(coarse.setup, tilt=(0.03, -0.03))
+    setup = replace(coarse.setup, tilt=(0.08, -0.08))
     height, width = plane.valid.shape
     seen = torch.from_numpy(inside((height, width), setup))
     assert 0 < int((~seen).sum()) < height * width // 10
@@ -80,7 +80,7 @@ def test_what_the_photograph_does_not_reach_is_not_taken_for_glare() -> None:
     found = find_exemplar(reached, replace(coarse, setup=setup), load_inverse()).exemplar
     beyond = ~seen.numpy()
     ratio = found.diffuse[:, beyond].mean() / found.diffuse[:, ~beyond].mean()
-    assert 0.75 < float(ratio) < 1.33
+    assert 0.85 < float(ratio) < 1.15  # 1.35 where the network is told of glare there
     assert float(found.confidence[:, beyond].max()) == 0.0
 
 
