@@ -76,7 +76,7 @@ def row(pieces: Callable[[int], Realise]) -> Picture:
     # Flash and albedo share a factor that no photograph tells: the truth's own is taken.
     gain = material.setup.intensity[1] / shot.setup.intensity[1]
     captured = replace(captured, diffuse=(captured.diffuse * gain).clamp(0.0, 1.0))
-    photo = np.asarray(as_photo(shot, 1, "photo").linear, np.float32)
+    photo = np.asarray(as_photo(shot, 1, "photo").pixels, np.float32)
     return np.concatenate([seen(photo), plane(true), plane(captured), sphere(captured)], axis=1)
 
 
