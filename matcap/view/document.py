@@ -38,6 +38,8 @@ SCRIPTS = (
 LIBRARY_SCRIPT = "library.js"
 STYLE = "page.css"
 DEFAULT_TILE = 512  # texels: some 3 MB
+_PIECE_SIDES = (512, 256)  # texels along the piece's longer side: the first that fits
+_LONGEST = 4_000_000  # bytes of a page for sending whose tile is no larger than it is by default
 _LARGEST_TILE = 2048  # texels a side of a page for sending: some 50 MB
 # What a document for sending may do: run what stands in it, and fetch nothing.
 _SEALED = (
@@ -103,20 +105,28 @@ def sealed_page(
     )
     scripts = f'<script type="module">\n{_joined_scripts()}</script>'
     beside = beside or Beside()
-    exemplar = subject.first.exemplar if isinstance(subject, Materials) else None
-    piece = packed_piece(exemplar) if exemplar else None
     about = _about(facts, adjust, beside) | {
         "photo": beside.photo and _data_url(beside.photo),
         "doubt": beside.doubt and _data_url(beside.doubt),
         "second": "",
         "period": list(maps.size),
         "tile": packed_tile(maps),
-        "enclosed": piece,
-        "piece_level": piece["level"] if piece else 0,
+        "enclosed": None,
+        "piece_level": 0,
         "library": False,
         "targets": [],
     }
-    return _document(facts.name, head, scripts, about)
+    text = _document(facts.name, head, scripts, about)
+    exemplar = subject.first.exemplar if isinstance(subject, Materials) else None
+    if exemplar is None:
+        return text
+    for side in _PIECE_SIDES:
+        piece = packed_piece(exemplar, side)
+        enclosed = about | {"enclosed": piece, "piece_level": piece["level"]}
+        text = _document(facts.name, head, scripts, enclosed)
+        if len(text) <= _LONGEST or size > DEFAULT_TILE:
+            break
+    return text
 
 
 def write_page(document: str, path: Path) -> None:

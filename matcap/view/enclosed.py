@@ -1,6 +1,7 @@
-"""Maps inside a document for sending: short enough for a letter, and what page/tile.js unpacks.
+"""Maps inside a document for sending, which page/tile.js unpacks.
 
-Both are texts: base64 of zlib of bytes.
+The document's element `about` is JSON; its entry `tile` holds the maps, and its entry `enclosed`
+the photographed piece, where it is known. What is called `data` is base64 of zlib of bytes.
 
 Tile:
     size: (width, height) in texels.
@@ -10,14 +11,14 @@ Tile:
         roughness as half floats, then height: low + word / 65535 * span. Albedos have 8 bits after
         the leading one: an eighth of a code value, and noise that would not compress.
 
-Piece: the photographed piece, no finer than half a thousand texels.
-    size, level: (width, height) in texels of the level; one is 2^level texels of the material wide.
+Piece:
+    size: (width, height) in texels of the level.
+    level: a texel of it is 2^level texels of the material wide.
     diffuse: a JPEG, as an address that holds its data.
-    low, span: of specular, roughness and height.
+    low: the lowest specular, roughness (with what slopes vary within a texel) and height.
+    span: the highest of each less the lowest.
     data: specular, then roughness, in 255 steps a byte, then low and high bytes of height in 65535
         steps; every number less the one before it.
-
-What slopes vary within a texel of a piece is roughness, as the page shades it.
 """
 
 from __future__ import annotations
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.model.exemplar import Exemplar
 
-_SIDE = 512  # texels along the longer side of a piece, at most
 _QUALITY = 90  # of its diffuse albedo's JPEG
 _SPARED = 2  # bits of a half float's ten that albedos do without
 
@@ -64,10 +64,10 @@ def packed_tile(maps: MapSet) -> dict[str, Any]:
     return {"size": list(maps.size), "low": low, "span": span, "data": _text(split)}
 
 
-def packed_piece(exemplar: Exemplar) -> dict[str, Any]:
-    """An exemplar as the page's JSON has it."""
+def packed_piece(exemplar: Exemplar, side: int) -> dict[str, Any]:
+    """An exemplar as the page's JSON has it, at most `side` texels along its longer side."""
     level, moments = 0, moments_of(edged(exemplar.stacked()), exemplar.texel_size)
-    while max(moments.shape[1:]) > _SIDE:
+    while max(moments.shape[1:]) > side:
         height, width = moments.shape[1:]
         moments = halved(moments[:, : height & ~1, : width & ~1])
         level += 1

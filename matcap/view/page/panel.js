@@ -33,7 +33,9 @@ export function describe(about) {
     const [rating, ...rest] = about.verdict;
     const word = document.createElement("b");
     word.textContent = rating;
-    $("verdict").replaceChildren(word, ` ${rest.join(" ")}`);
+    // The sentence may begin with it.
+    const text = rest.join(" ").replace(new RegExp(`^${rating}:? `), "");
+    $("verdict").replaceChildren(word, `: ${text}`);
   }
   for (const target of about.targets) $("target").append(new Option(target));
   $("export").hidden = about.targets.length === 0;
