@@ -286,7 +286,7 @@ class _Block:
         """Add the light of a rule of some order, or of the mirrored lobe without one."""
         points = order or 6
         if shadow:
-            points = max(4 * math.ceil(points / 4), 8)
+            points = max(4 * math.ceil(points / 4), 12)
         place, frame = self.hits.point, self.hits.frame
         for node in area.nodes(light, place, frame, points, parts=bool(shadow)):
             received = self.fading(light, node)

@@ -112,7 +112,7 @@ class Lobe:
         As mirrored(), with the half of its arithmetic that says so.
         """
         vx, vy, vz = self.stretched
-        z = np.float32(1.0 - point.u) * (1.0 + vz)
+        z = (1.0 + vz) * np.float32(1.0 - point.u)
         z -= vz
         ring = z * z
         np.subtract(np.float32(1.0), ring, out=ring)
