@@ -69,6 +69,16 @@ def test_nothing_hides_a_light_above_the_shelter(relief):
     assert not shadows.lit(relief, (u, v), height, unit(tuple(low)), None).all()
 
 
+def test_a_wall_further_away_is_a_shelter():
+    """Where the floor is flat all around, nothing but distance speaks of the wall."""
+    maps = flat(128, 16)
+    maps.height[:, :, 64] = 0.2
+    relief = Relief(Texture.from_maps(maps), 1.0, 1.0)
+    u, v = np.full((1, 1), (44.5 - 64.0) * relief.texel_size), np.zeros((1, 1))
+    tangent = 0.2 / (20.0 * relief.texel_size)
+    assert relief.shelter(u, v, relief.at(u, v)).item() >= tangent
+
+
 def test_the_highest_texel_around_is_found_across_the_border(relief):
     field = relief.heights.reshape(32, 48)
     for reach in (1, 7, 40):
