@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 _BOUNDS = "tests/relight/test_relight_bounds.py"
 _EDGES = "tests/relight/test_relight_edges.py"
+_TILES = "tests/relight/test_relight_tiles.py"
 _PUBLISHING = "tests/files/test_publishing.py"
 
 
@@ -74,6 +75,18 @@ RELIGHTING_AND_FILES = (
           "            left -= bounds[effect].radiance\n", "", (_BOUNDS, "-k", "adds_up")),
     Fault("plan: largest first", "relight/plan.py", "key=lambda name: bounds[name].radiance",
           "key=lambda name: -bounds[name].radiance", (_BOUNDS, "-k", "adds_up")),
+    Fault("tiles: budgets as at white", "relight/budget.py", "light <= _KNEE] = allowed /",
+          "light <= _KNEE] = 30.0 * allowed /", (_TILES, "-k", "budget")),
+    Fault("tiles: walks end early", "relight/texel_horizons.py",
+          "room * np.float32(1.0 / part[0]) > level", "room * np.float32(0.3 / part[0]) > level",
+          (_TILES, "-k", "horizons_of_some")),
+    Fault("tiles: nothing further away hides a light", "relight/relief.py",
+          "np.maximum(tangent, over, out=tangent)", "pass", (_TILES, "-k", "shelter")),
+    Fault("tiles: low directions are clear", "relight/visible_normals.py",
+          "half -= sine + self.to_view[2]", "half -= 0.5 * sine + self.to_view[2]",
+          (_TILES, "-k", "left_out_of_the_sky")),
+    Fault("tiles: parts of a light weigh differently", "relight/effects/area.py",
+          "pieces = 1 if not parts else", "pieces = 1 if parts else", (_TILES, "-k", "weigh")),
     Fault("publishing: files are not synced", "files/publish.py", "os.fsync(handle)", "pass",
           (_PUBLISHING, "-k", "leaves_a_half and plain")),
     Fault("publishing: no order", "files/publish.py", "(name.endswith(\".json\"), name)",
@@ -102,7 +115,8 @@ RELIGHTING_AND_FILES = (
           "sky.above_plane() if flat else sky", "sky", (_EDGES, "-k", "behind")),
     Fault("lights of any brightness", "relight/render.py",
           "        check_lights(scene.lights)\n", "", (_EDGES, "-k", "too_bright_is_named")),
-    Fault("overflow is not told", "relight/render.py", "if not np.isfinite(picture).all():",
+    Fault("overflow is not told", "relight/render.py",
+          "if not all(np.isfinite(row).all() for row in picture):",
           "if False:", (_EDGES, "-k", "overflows")),
     Fault("heights of any size are written", "brdf/folder.py",
           '    check_heights(arrays["height"], "height")\n', "", (_EDGES, "-k", "no_surface")),

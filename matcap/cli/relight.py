@@ -82,6 +82,10 @@ def relight(
     explain: Annotated[
         bool, typer.Option("--explain", help="Print which effects ran, why, and their time.")
     ] = False,
+    explain_map: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.png", help="A picture of the tiles that each effect ran in."),
+    ] = None,
     animate: Annotated[
         Motion | None, typer.Option(help="Animation to .gif, .mp4 or numbered .exr.")
     ] = None,
@@ -111,10 +115,17 @@ def relight(
     from itertools import chain
 
     from matcap.brdf.adjust import parse_adjustments
+    from matcap.cli.relight_display import shown
     from matcap.errors import UsageError
     from matcap.files.staging import check_writable
     from matcap.relight.effects.bound import DEFAULT_TOLERANCE
-    from matcap.relight.output import check_path, write_movie, write_still
+    from matcap.relight.output import (
+        check_path,
+        check_tiles_path,
+        write_movie,
+        write_still,
+        write_tiles,
+    )
     from matcap.relight.plan import parse_choice
     from matcap.relight.sequence import ANIMATIONS, light_sheet
     from matcap.relight.sequence import animate as animated
@@ -126,7 +137,11 @@ def relight(
     changes = parse_adjustments(adjust)
     if changes.changes and maps_from is not None:
         raise UsageError("maps of others are not adjusted", where="--adjust", remedy="leave it out")
+    if explain_map is not None and (animate is not None or sheet is not None):
+        raise UsageError("this is of one picture", where="--explain-map", remedy="leave it out")
     check_path(out, moving=animate is not None)
+    if explain_map is not None:
+        check_tiles_path(explain_map)
     parse_choice(effects)
     chosen = _scene(scene, light, size)
     limit = DEFAULT_TOLERANCE if tolerance is None else tolerance
@@ -147,8 +162,11 @@ def relight(
         )
         write_still(picture, out, film)
     else:
-        rendering = renderer.render(tolerance=limit, effects=effects)
+        with shown(quiet=quiet or json) as progress:
+            rendering = renderer.render(tolerance=limit, effects=effects, progress=progress)
         write_still(rendering.radiance, out, film)
+        if explain_map is not None:
+            write_tiles(rendering, explain_map)
         plan = rendering.plan
     _report(plan, out, as_json=json, explain=explain)
     if not quiet and not json:

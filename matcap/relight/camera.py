@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ class View:
         reach: half the picture's long side at distance 1 (perspective) or in plane units.
         size: (width, height) in pixels.
         perspective: whether rays meet in `position`.
+        columns: half open range of those that rays are asked for; None is all.
     """
 
     position: Points
@@ -30,17 +31,27 @@ class View:
     reach: float
     size: tuple[int, int]
     perspective: bool
+    columns: tuple[int, int] | None = None
+
+    @property
+    def across(self) -> tuple[int, int]:
+        """Half open range of the columns that rays are asked for."""
+        return self.columns or (0, self.size[0])
 
     @property
     def pixel(self) -> float:
         """A pixel's side: at distance 1 (perspective) or in plane units."""
         return 2.0 * self.reach / max(self.size)
 
+    def part(self, left: int, right: int) -> View:
+        """The view of some columns, half open, of the same picture."""
+        return replace(self, columns=(left, right))
+
     def screen(self, top: int, bottom: int) -> tuple[Array, Array]:
-        """(1, W) and (bottom - top, 1): places of the rows' pixel centres, in units of `reach`."""
+        """(1, W) and (bottom - top, 1): places of pixel centres, in units of `reach`."""
         width, height = self.size
         half = max(width, height) / 2.0
-        across = (np.arange(width) + 0.5 - width / 2.0) / half * self.reach
+        across = (np.arange(*self.across) + 0.5 - width / 2.0) / half * self.reach
         down = (height / 2.0 - np.arange(top, bottom) - 0.5) / half * self.reach
         return across[None, :], down[:, None]
 

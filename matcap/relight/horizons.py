@@ -58,13 +58,12 @@ def find_horizons(relief: Relief, *, bounces: bool, run: Runner) -> Horizons:
     """
     width, height = relief.texture.size
     field = relief.heights.reshape(height, width) / np.float32(relief.texel_size)
-    steps = _steps(float(field.max() - field.min()))
+    steps = steps_of(float(field.max() - field.min()))
     reach = max(steps)
     # Enough of the material's repetition all around.
     padded = np.pad(field, reach, mode="wrap")
-    slope_x = 0.5 * (np.roll(field, -1, 1) - np.roll(field, 1, 1))
-    slope_y = 0.5 * (np.roll(field, 1, 0) - np.roll(field, -1, 0))
-    lit = _lit(relief, slope_x, slope_y, reach) if bounces else None
+    slope_x, slope_y = slopes(field)
+    lit = lit_texels(relief, reach) if bounces else None
     tangents = np.empty((height, width, AZIMUTHS), dtype=np.float32)
     clear = np.empty((height, width), dtype=np.float32)
     bounced = np.zeros((9, height, width), dtype=np.float32) if bounces else None
@@ -81,7 +80,7 @@ def find_horizons(relief: Relief, *, bounces: bool, run: Runner) -> Horizons:
             # In units of nz: n . (c, s, 0), and the slope at which the surface itself ends.
             level = np.float32(c) * sx + np.float32(s) * sy
             side = -level * nz
-            weight = _strip(level, side, nz)
+            weight = strip(level, side, nz)
             for step in steps:
                 across, down = round(step * c), -round(step * s)
                 window = (
@@ -95,16 +94,14 @@ def find_horizons(relief: Relief, *, bounces: bool, run: Runner) -> Horizons:
                 if not (rise > level).any():
                     continue
                 np.maximum(level, rise, out=level)
-                higher = _strip(level, side, nz)
+                higher = strip(level, side, nz)
                 share = higher - weight
                 weight = higher
                 for k in range(9):
                     bounced[k, part] += share * lit[k][window]
             tangents[part, :, azimuth] = level
             np.maximum(level, np.float32(0.0), out=level)
-            seen += (
-                side * np.float32(math.pi / 4.0) + nz * np.float32(0.5) - _strip(level, side, nz)
-            )
+            seen += side * np.float32(math.pi / 4.0) + nz * np.float32(0.5) - strip(level, side, nz)
         # Of an even sky of radiance 1, what arrives, against what a slope alone lets through.
         seen *= np.float32(2.0 * math.pi / AZIMUTHS)
         clear[part] = np.clip(seen / (np.float32(math.pi / 2.0) * (1.0 + nz)), 0.0, 1.0)
@@ -117,21 +114,31 @@ def find_horizons(relief: Relief, *, bounces: bool, run: Runner) -> Horizons:
     )
 
 
-def _strip(tangent: Map, side: Map, nz: Map) -> Map:
+def strip(tangent: Map, side: Map, nz: Map) -> Map:
     """Integral of n . w cos(e) over elevations e from 0 to that of the tangent, at one azimuth.
 
     `side` is n . (the azimuth's direction).
     """
     squared = tangent * tangent
     share = 1.0 / (1.0 + squared)
-    strip: Map = np.float32(0.5) * (
+    integral: Map = np.float32(0.5) * (
         side * (np.arctan(tangent) + tangent * share) + nz * squared * share
     )
-    return strip
+    return integral
 
 
-def _lit(relief: Relief, slope_x: Map, slope_y: Map, reach: int) -> list[Map]:
+def slopes(field: Map) -> tuple[Map, Map]:
+    """Slopes of a field in texels that repeats, rightwards and upwards."""
+    return (
+        0.5 * (np.roll(field, -1, 1) - np.roll(field, 1, 1)),
+        0.5 * (np.roll(field, 1, 0) - np.roll(field, -1, 0)),
+    )
+
+
+def lit_texels(relief: Relief, reach: int) -> list[Map]:
     """What each texel reflects of light along x, y and z, a colour after the other, padded."""
+    width, height = relief.texture.size
+    slope_x, slope_y = slopes(relief.heights.reshape(height, width) / np.float32(relief.texel_size))
     nz = 1.0 / np.sqrt(1.0 + slope_x**2 + slope_y**2)
     # albedo / pi, and the width of an azimuth.
     factor = np.float32(2.0 / AZIMUTHS)
@@ -142,7 +149,7 @@ def _lit(relief: Relief, slope_x: Map, slope_y: Map, reach: int) -> list[Map]:
     ]
 
 
-def _steps(rise: float) -> list[int]:
+def steps_of(rise: float) -> list[int]:
     """Distances in texels at which the field is looked at; `rise` is its range in texels."""
     last = min(max(1, math.ceil(rise / _LOWEST)), _FARTHEST)
     steps, step = [], 1

@@ -4,21 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.errors import UsageError
+from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import write_exr
-from matcap.files.png import write_png
+from matcap.files.png import png_bytes
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged, staged_file, write_error
 from matcap.relight.scene import Film
+from matcap.relight.tally import TILE
+
+if TYPE_CHECKING:
+    from matcap.relight.render import Rendering
 
 Radiance = NDArray[np.float32]
 STILLS = (".png", ".exr")
 MOVIES = (".gif", ".mp4", ".exr")
 _FRAMES_PER_SECOND = 24
+# Rows that are encoded together.
+_STRIP = 256
+# Pixels of a panel's longer side in a map of tiles and of its caption, and panels side by side.
+_PANEL, _CAPTION, _ACROSS = 320, 20, 4
 
 
 def check_path(path: Path, *, moving: bool) -> None:
@@ -31,6 +40,12 @@ def check_path(path: Path, *, moving: bool) -> None:
             where=str(path),
             remedy=f"use {', '.join(known[:-1])} or {known[-1]}",
         )
+
+
+def check_tiles_path(path: Path) -> None:
+    """Raise UsageError unless a map of tiles can be written there."""
+    if path.suffix.lower() != ".png":
+        raise UsageError("a map of tiles is a PNG", where=str(path), remedy="name it .png")
 
 
 def encode(radiance: Radiance, film: Film) -> Radiance:
@@ -51,7 +66,45 @@ def write_still(radiance: Radiance, path: Path, film: Film) -> None:
         if path.suffix.lower() == ".exr":
             write_exr(file, radiance, half=False)
         else:
-            write_png(file, encode(radiance, film), bits=8)
+            if not all(np.isfinite(part).all() for part in _strips(radiance)):
+                raise MatcapError("has values that are not finite", where=path.name)
+            file.write_bytes(png_bytes(_codes(radiance, film)))
+
+
+def write_tiles(rendering: Rendering, path: Path) -> None:
+    """Write a PNG of where each effect ran: the picture once for each, dark where it did not.
+
+    Raises:
+        UsageError: another suffix than .png.
+        MatcapError: the file cannot be written.
+    """
+    import cv2
+
+    check_tiles_path(path)
+    height, width = rendering.radiance.shape[:2]
+    small = min(1.0, _PANEL / max(width, height))
+    size = (max(1, round(width * small)), max(1, round(height * small)))
+    picture = cv2.resize(_codes(rendering.radiance, rendering.film), size)
+    panels = []
+    for effect, ran in rendering.tally.maps().items():
+        # Tiles at the border are cut, not squeezed.
+        lit = ran.repeat(TILE, axis=0).repeat(TILE, axis=1)[:height, :width]
+        lit = cv2.resize(lit.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        panel = np.where(lit[..., None], np.maximum(picture, 48), picture // 5)
+        named = np.pad(panel, ((_CAPTION, 2), (2, 2), (0, 0))).astype(np.uint8)
+        text = f"{effect} {100.0 * ran.mean():.0f} %"
+        cv2.putText(named, text, (4, _CAPTION - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255,) * 3)
+        panels.append(named)
+    columns = min(_ACROSS, len(panels))
+    panels += [np.zeros_like(panels[0])] * (-len(panels) % columns)
+    rows = [np.hstack(panels[i : i + columns]) for i in range(0, len(panels), columns)]
+    with staged_file(path) as file:
+        file.write_bytes(png_bytes(np.vstack(rows)))
+
+
+def _strips(radiance: Radiance) -> list[Radiance]:
+    """A picture in strips of rows, so that what is made of it needs little memory."""
+    return [radiance[top : top + _STRIP] for top in range(0, len(radiance), _STRIP)]
 
 
 def write_movie(frames: Iterable[Radiance], path: Path, film: Film) -> None:
@@ -76,7 +129,10 @@ def write_movie(frames: Iterable[Radiance], path: Path, film: Film) -> None:
 
 
 def _codes(frame: Radiance, film: Film) -> NDArray[np.uint8]:
-    return np.rint(encode(frame, film) * 255.0).astype(np.uint8)
+    codes = np.empty(frame.shape, dtype=np.uint8)
+    for part, strip in zip(_strips(frame), range(0, len(frame), _STRIP), strict=True):
+        codes[strip : strip + _STRIP] = np.rint(encode(part, film) * 255.0)
+    return codes
 
 
 def _write_gif(frames: Iterable[Radiance], path: Path, film: Film) -> None:

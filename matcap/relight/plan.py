@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.files.srgb import srgb_decode
+from matcap.files.srgb import srgb_decode, srgb_encode
 from matcap.relight.effects import (
     area,
     direct,
@@ -58,6 +58,8 @@ class Step:
         bound: what leaving it out could change, in radiance.
         reason: why it runs or not.
         milliseconds: what it took, all cores together; 0 before rendering.
+        spends: whether, when off, it is so by its bound and not because it was asked for.
+        share: of the picture's tiles that it ran in; None before rendering.
     """
 
     effect: str
@@ -65,6 +67,8 @@ class Step:
     bound: float
     reason: str
     milliseconds: float = 0.0
+    spends: bool = True
+    share: float | None = None
 
 
 @dataclass(frozen=True)
@@ -82,20 +86,36 @@ class Plan:
         """Whether an effect runs."""
         return effect in self.running
 
-    def timed(self, seconds: Mapping[str, float]) -> Plan:
-        """The plan with what each effect took."""
+    def left(self, tolerance: float, film: Film) -> float:
+        """What of a tolerance in code values tiles may still leave out.
+
+        The effects that are off by their bounds have spent the rest; those that were asked for
+        off count nothing.
+        """
+        spent = sum(step.bound for step in self.steps if not step.on and step.spends)
+        light = np.array(min(spent, self.tolerance) * film.gain)
+        code = light if film.transfer == "linear" else srgb_encode(light)
+        return max(tolerance - float(code), 0.0)
+
+    def done(self, seconds: Mapping[str, float], shares: Mapping[str, float]) -> Plan:
+        """The plan with what each effect took, and in what share of the tiles it ran."""
         steps = tuple(
-            replace(step, milliseconds=1e3 * seconds.get(step.effect, 0.0)) for step in self.steps
+            replace(
+                step,
+                milliseconds=1e3 * seconds.get(step.effect, 0.0),
+                share=shares.get(step.effect, 0.0) if step.on else 0.0,
+            )
+            for step in self.steps
         )
         return Plan(steps, self.tolerance)
 
     def table(self) -> str:
-        """The plan as text: effect, on or off, bound, milliseconds, reason."""
-        lines = [f"{'effect':<16}{'':<5}{'bound':>9}{'ms':>10}  reason"]
+        """The plan as text: effect, on or off, share of tiles, bound, milliseconds, reason."""
+        lines = [f"{'effect':<16}{'':<5}{'tiles':>6}{'bound':>9}{'ms':>10}  reason"]
         for step in self.steps:
             state = "on" if step.on else "off"
             lines.append(
-                f"{step.effect:<16}{state:<5}{step.bound:>9.2g}"
+                f"{step.effect:<16}{state:<5}{_percent(step.share):>6}{step.bound:>9.2g}"
                 f"{step.milliseconds:>10.1f}  {step.reason}"
             )
         lines.append(f"tolerance {self.tolerance:.2g} in radiance; milliseconds of all cores")
@@ -109,10 +129,15 @@ class Plan:
                 "on": step.on,
                 "bound": step.bound if math.isfinite(step.bound) else None,
                 "reason": step.reason,
+                "tiles": step.share,
                 "milliseconds": round(step.milliseconds, 3),
             }
             for step in self.steps
         ]
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100.0 * share:.0f} %"
 
 
 @dataclass(frozen=True)
@@ -183,5 +208,13 @@ def make_plan(facts: Facts, tolerance: float, choice: EffectChoice) -> Plan:
         elif choice.start != "auto":
             reason = f"{choice.start} as asked for ({reason})"
         on = forced.get(effect, effect not in off)
-        steps.append(Step(effect, on, bound.radiance, reason))
+        steps.append(
+            Step(
+                effect,
+                on,
+                bound.radiance,
+                reason,
+                spends=effect in off and effect not in forced and choice.start == "auto",
+            )
+        )
     return Plan(tuple(steps), tolerance)

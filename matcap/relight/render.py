@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.relight.brightness import check_lights, too_bright
+from matcap.relight.budget import Budget
 from matcap.relight.camera import View, view_of
 from matcap.relight.clock import Clock
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
@@ -27,6 +28,8 @@ from matcap.relight.sampling import Sampler
 from matcap.relight.scene import EnvironmentLight, Film, Scene, Surface, scene_from_light
 from matcap.relight.shade import ShadingContext, shade
 from matcap.relight.surfaces.shape import Shape, shape_of
+from matcap.relight.tally import TILE, Tally
+from matcap.relight.texel_horizons import TexelHorizons
 from matcap.relight.texture import Texture
 
 if TYPE_CHECKING:
@@ -34,6 +37,12 @@ if TYPE_CHECKING:
 
 # Pixels shaded together: their two dozen arrays should stay in a core's own cache.
 _BLOCK = 16384
+# Top, bottom, left and right; half open.
+Block = tuple[int, int, int, int]
+Item = TypeVar("Item")
+Progress = Callable[[float], None]
+# Effects that are decided tile by tile.
+BY_TILES = ("area", "environment", "parallax", "shadows", "visibility", "interreflection")
 # Texels that a material is read across at most; beyond that it repeats.
 _LARGEST_READ = 8192
 # How often the material's longer side its height may span: a ray crosses as many texels.
@@ -62,12 +71,14 @@ class Rendering:
         plan: which effects ran, why, and what each took.
         film: of the picture.
         seconds: in all.
+        tally: which tiles each effect ran in.
     """
 
     radiance: NDArray[np.float32]
     plan: Plan
     film: Film
     seconds: float
+    tally: Tally
 
 
 def relight(
@@ -119,6 +130,7 @@ class Renderer:
         self.relief = Relief(self.texture, surface.repeat, surface.displacement)
         self._skies: dict[EnvironmentLight, Environment] = {}
         self._horizons: dict[bool, Horizons] = {}
+        self._texels: TexelHorizons | None = None
         self._shapes: dict[tuple[object, Surface], tuple[View, Shape]] = {}
 
     @property
@@ -133,6 +145,7 @@ class Renderer:
         *,
         tolerance: float = DEFAULT_TOLERANCE,
         effects: str | EffectChoice = "auto",
+        progress: Progress = lambda _share: None,
     ) -> Rendering:
         """One picture.
 
@@ -140,6 +153,7 @@ class Renderer:
             scene: another camera, film or lights than the renderer was made for; its surface must
                 be the same.
             tolerance, effects: see relight().
+            progress: hears of the share of the picture that is done, block by block.
 
         Raises:
             MatcapError: a light too bright for single precision, or what relight() raises.
@@ -155,23 +169,37 @@ class Renderer:
         footprint *= scene.surface.repeat / self.texture.texel_size
         facts = gather(scene, self.texture, view, region, footprint, skies)
         plan = make_plan(facts, radiance_tolerance(tolerance, film), choice)
-        clock = Clock()
-        horizons = self._find_horizons(plan, clock)
-        samples = samples_for(tolerance)
+        clock, tally = Clock(), Tally(view.size)
+        thrifty = choice.start != "all" and any(plan.on(effect) for effect in BY_TILES)
         context = ShadingContext(
-            scene, self.sampler, self.relief, plan, skies, horizons, clock, samples
+            scene,
+            self.sampler,
+            self.relief,
+            plan,
+            skies,
+            None if thrifty else self._find_horizons(plan, clock),
+            self._texel_horizons(plan) if thrifty else None,
+            clock,
+            samples_for(tolerance),
+            Budget(plan.left(tolerance, film), film, plan.running) if thrifty else None,
+            tally,
         )
         picture = np.zeros((film.height, film.width, 3), dtype=np.float32)
 
-        def rows(top: int, bottom: int) -> None:
-            hits = shape.hits(view, top, bottom)
+        def block(place: Block) -> None:
+            top, bottom, left, right = place
+            hits = shape.hits(view.part(left, right), top, bottom)
             if hits.seen is None or hits.seen.any():
-                picture[top:bottom] = np.moveaxis(shade(context, hits), 0, -1)
+                found = shade(context, hits, tally.of(*place))
+                picture[top:bottom, left:right] = np.moveaxis(found, 0, -1)
 
-        _in_blocks(view, rows)
-        if not np.isfinite(picture).all():
+        blocks = list(_blocks(view.size, whole_tiles=thrifty))
+        _in_parallel(block, blocks, lambda done: progress(done / len(blocks)))
+        if not all(np.isfinite(row).all() for row in picture):
             raise too_bright(scene.lights)
-        return Rendering(picture, plan.timed(clock.seconds), film, perf_counter() - start)
+        shares = {} if thrifty else dict.fromkeys(plan.running, 1.0)
+        done = plan.done(clock.seconds, {**tally.shares(), **shares})
+        return Rendering(picture, done, film, perf_counter() - start, tally)
 
     def _seen(self, scene: Scene, film: Film) -> tuple[View, Shape]:
         key = ((scene.camera, film.width, film.height), scene.surface)
@@ -187,6 +215,13 @@ class Renderer:
             sky = environment_of(light)
             self._skies[light] = sky.above_plane() if flat else sky
         return self._skies[light]
+
+    def _texel_horizons(self, plan: Plan) -> TexelHorizons | None:
+        if not plan.on("interreflection") and not plan.on("visibility"):
+            return None
+        if self._texels is None:
+            self._texels = TexelHorizons(self.relief)
+        return self._texels
 
     def _find_horizons(self, plan: Plan, clock: Clock) -> Horizons | None:
         bounces = plan.on("interreflection")
@@ -235,17 +270,29 @@ def _needed(scene: Scene) -> tuple[float, float]:
     return size, size
 
 
-def _in_blocks(view: View, rows: Callable[[int, int], None]) -> None:
-    """Call `rows` for all rows of the picture, in blocks, on all cores."""
-    width, height = view.size
-    step = max(1, _BLOCK // width)
-    _in_parallel(lambda top: rows(top, min(top + step, height)), range(0, height, step))
+def _blocks(size: tuple[int, int], *, whole_tiles: bool) -> Iterator[Block]:
+    """Rectangles of a picture of some size, of so many pixels that a core's cache holds them."""
+    width, height = size
+    columns = TILE * max(1, _BLOCK // TILE**2) if whole_tiles else width
+    rows = TILE if whole_tiles else max(1, _BLOCK // width)
+    for top in range(0, height, rows):
+        for left in range(0, width, columns):
+            yield top, min(top + rows, height), left, min(left + columns, width)
 
 
-def _in_parallel(work: Callable[[int], None], items: Iterable[int]) -> None:
-    with ThreadPoolExecutor(_workers()) as pool:
-        for _ in pool.map(work, items):
-            pass
+def _in_parallel(
+    work: Callable[[Item], None],
+    items: Iterable[Item],
+    tell: Callable[[int], None] = lambda _done: None,
+) -> None:
+    """Work on all items, on all cores; tell how many of the first are done."""
+    pool = ThreadPoolExecutor(_workers())
+    try:
+        for index, _ in enumerate(pool.map(work, items)):
+            tell(index + 1)
+    finally:
+        # An interruption waits for no more than what has begun.
+        pool.shutdown(cancel_futures=True)
 
 
 def _workers() -> int:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from matcap.relight.lobes import alpha_of
+from matcap.relight.surfaces.hits import some
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array, Vec
 
@@ -30,6 +32,16 @@ class SurfaceSample:
     specular: tuple[Array, ...]
     alpha: Array
     normal: Vec
+
+    def take(self, index: Array, shape: tuple[int, ...]) -> SurfaceSample:
+        """Some of the pixels of a block of some shape, counted row by row, as one row."""
+        x, y, z = (some(one, index, shape) for one in self.normal)
+        return SurfaceSample(
+            tuple(some(one, index, shape) for one in self.diffuse),
+            tuple(some(one, index, shape) for one in self.specular),
+            some(self.alpha, index, shape),
+            (x, y, z),
+        )
 
 
 @dataclass(frozen=True)
@@ -70,6 +82,24 @@ class Sampler:
         """(C, ...) bilinear values of other numbers (H W, C) of each texel."""
         column, row = np.broadcast_arrays(*self.texels(place))
         return bilinear(rows, self.texture.size, column, row)
+
+    def between(self, rows: Callable[[Array], Array], place: tuple[Array, Array]) -> Array:
+        """As extra(), of numbers (N, C) that a function has for a list of texels."""
+        texels, index = np.unique(self.corners(place), return_inverse=True)
+        column, row = np.broadcast_arrays(*self.texels(place))
+        fx, fy = (c - np.floor(c) for c in (column, row))
+        weights = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
+        found = rows(texels)[index.reshape(weights.shape)]
+        mean: Array = (found * weights[..., None].astype(np.float32)).sum(axis=0)
+        return np.moveaxis(mean, -1, 0)
+
+    def corners(self, place: tuple[Array, Array]) -> Array:
+        """(4, ...) indices of the texels that extra() reads between."""
+        width, height = self.texture.size
+        column, row = np.broadcast_arrays(*(np.floor(c) for c in self.texels(place)))
+        x = [np.mod(column + step, width).astype(np.intp) for step in (0, 1)]
+        y = [np.mod(row + step, height).astype(np.intp) * width for step in (0, 1)]
+        return np.stack([y[i] + x[j] for i in (0, 1) for j in (0, 1)])
 
     def nearest(self, place: tuple[Array, Array]) -> Array:
         """Indices of the texels nearest to places."""

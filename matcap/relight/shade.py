@@ -1,13 +1,19 @@
-"""Radiance of a block of pixels: every light through every effect that the plan runs."""
+"""Radiance of a block of pixels: every light through every effect that the plan runs.
+
+With a budget, an effect runs for those pixels of a tile only whose own bound says that they need
+it. Without one it runs for all: that is the plain way, which the other is held to.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from matcap.relight.budget import Budget
 from matcap.relight.clock import Clock
 from matcap.relight.effects import (
     area,
@@ -33,8 +39,10 @@ from matcap.relight.scene import (
     Scene,
     SphereLight,
 )
-from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
+from matcap.relight.surfaces.hits import Hits, some, to_frame, to_scene
 from matcap.relight.tables import albedo
+from matcap.relight.tally import Tally
+from matcap.relight.texel_horizons import COARSENESS, TexelHorizons
 from matcap.relight.vectors import Array, Vec, add, dot, scale, subtract, unit3, vec
 from matcap.relight.visible_normals import lattice, lobe_of
 
@@ -42,6 +50,10 @@ _ZERO: Any = np.float32(0.0)
 _ONE: Any = np.float32(1.0)
 # Plane units squared, from a point light: nearer, it would be in the surface.
 _NEAREST: Any = np.float32(1e-12)
+# What runs in every pixel where the plan has it.
+_EVERYWHERE = ("diffuse", "specular", "falloff", "filtering", "parallax", "multiscatter")
+# Radiance: with no tolerance at all, any change counts.
+_TINY: Any = np.float32(1e-30)
 
 
 @dataclass(frozen=True)
@@ -54,9 +66,12 @@ class ShadingContext:
         relief: its height.
         plan: which effects run.
         skies: the environments, in the order of their lights.
-        horizons: where ambient visibility or interreflection run.
+        horizons: where ambient visibility or interreflection run, without a budget; and
+        near: the same with one.
         clock: of the effects.
         samples: directions in which surroundings are mirrored.
+        budget: what tiles may leave out; None where everything runs everywhere.
+        tally: which tiles effects run in.
     """
 
     scene: Scene
@@ -65,12 +80,35 @@ class ShadingContext:
     plan: Plan
     skies: tuple[Environment, ...]
     horizons: Horizons | None
+    near: TexelHorizons | None
     clock: Clock
     samples: int
+    budget: Budget | None
+    tally: Tally
 
 
-def shade(context: ShadingContext, hits: Hits) -> Array:
-    """(3, rows, W) radiance of a block; 0 where nothing is seen."""
+def shade(context: ShadingContext, hits: Hits, tiles: Array) -> Array:
+    """(3, rows, W) radiance of a block; 0 where nothing is seen.
+
+    Args:
+        context: what all blocks share.
+        hits: the block.
+        tiles: (rows, W) which tile of the picture each pixel is in.
+    """
+    if context.budget is None or hits.seen is None:
+        radiance = _shade(context, hits, tiles)
+        if hits.seen is not None:
+            radiance *= hits.seen
+        return radiance
+    index = np.flatnonzero(hits.seen)
+    picture = np.zeros((3, hits.seen.size), dtype=np.float32)
+    picture[:, index] = _shade(
+        context, hits.take(index, hits.seen.shape), tiles.ravel()[index][None]
+    )[:, 0]
+    return picture.reshape(3, *hits.seen.shape)
+
+
+def _shade(context: ShadingContext, hits: Hits, tiles: Array) -> Array:
     height: Array = np.zeros((1, 1), dtype=np.float32)
     if context.plan.on("parallax"):
         with context.clock.on("parallax"):
@@ -81,10 +119,7 @@ def shade(context: ShadingContext, hits: Hits) -> Array:
         footprint = hits.footprint if context.plan.on("filtering") else None
         sample = context.sampler.read(hits.place, footprint)
     with np.errstate(over="ignore", invalid="ignore"):  # render.py names the light
-        radiance = _Block(context, hits, height, sample).radiance()
-    if hits.seen is not None:
-        radiance *= hits.seen
-    return radiance
+        return _Block(context, hits, height, sample, tiles).radiance()
 
 
 def _displaced(relief: Relief, hits: Hits) -> tuple[Hits, Array]:
@@ -102,11 +137,19 @@ class _Block:
     """One block's radiance while it is added up."""
 
     def __init__(
-        self, context: ShadingContext, hits: Hits, height: Array, sample: SurfaceSample
+        self,
+        context: ShadingContext,
+        hits: Hits,
+        height: Array,
+        sample: SurfaceSample,
+        tiles: Array,
     ) -> None:
         self.context, self.hits, self.height, self.sample = context, hits, height, sample
+        self.tiles = tiles
         self.plan = context.plan
-        shape = np.broadcast_shapes(*(p.shape for p in hits.place), sample.alpha.shape)
+        self.shape = shape = np.broadcast_shapes(
+            *(p.shape for p in hits.place), *(d.shape for d in sample.diffuse)
+        )
         self.total = np.zeros((3, *shape), dtype=np.float32)
         self.n_dot_v = np.maximum(dot(sample.normal, hits.to_view), _ZERO)
         self.facing = (self.n_dot_v > 0.0) & (hits.to_view[2] > 0.0)
@@ -124,15 +167,46 @@ class _Block:
     def bounces(self) -> bool:
         return self.plan.on("interreflection")
 
+    def part(self, index: Array) -> _Block:
+        """Some of the pixels, counted row by row, still dark."""
+        shape = self.shape
+        return _Block(
+            self.context,
+            self.hits.take(index, shape),
+            some(self.height, index, shape),
+            self.sample.take(index, shape),
+            some(self.tiles, index, shape),
+        )
+
+    def take_back(self, part: _Block, index: Array) -> None:
+        """Add what the lights of a part have done."""
+        self.total.reshape(3, -1)[:, index] += part.total[:, 0]
+        for channel, flow in enumerate(part.flow):
+            whole = []
+            for old, new in zip(self.flow[channel], flow, strict=True):
+                field = np.array(np.broadcast_to(old, self.shape), dtype=np.float32)
+                field.ravel()[index] += np.broadcast_to(new, part.shape)[0]
+                whole.append(field)
+            self.flow[channel] = (whole[0], whole[1], whole[2])
+
+    def ran(self, effect: str, index: Array | None = None) -> None:
+        """Note that an effect ran, in all pixels or in some."""
+        if self.context.budget is not None:
+            some_tiles = self.tiles if index is None else self.tiles.ravel()[index]
+            self.context.tally.ran(effect, some_tiles)
+
     def radiance(self) -> Array:
-        skies = iter(self.context.skies)
+        for effect in _EVERYWHERE:
+            if self.plan.on(effect):
+                self.ran(effect)
+        # Surroundings last: what is known by then says how much of them may be left out.
         for light in self.context.scene.lights:
-            if isinstance(light, EnvironmentLight):
-                self.add_sky(next(skies))
-            elif isinstance(light, SphereLight | RectangleLight):
+            if isinstance(light, SphereLight | RectangleLight):
                 self.add_area(light)
-            else:
+            elif not isinstance(light, EnvironmentLight):
                 self.add_point(light)
+        for sky in self.context.skies:
+            self.add_sky(sky)
         if self.bounces:
             with self.context.clock.on("interreflection"):
                 self.add_bounce()
@@ -162,18 +236,66 @@ class _Block:
             self.add(node.to_light, received, light.radiance)
             return
         with self.context.clock.on("area"):
-            offset = subtract(vec(light.position), hits.point)
-            nearest = float(np.sqrt(dot(offset, offset).min()))
-            order = area.order(light, nearest, float(self.sample.alpha.min()))
-            shadow = self.area_shadow(light)
-            for node in area.nodes(light, hits.point, hits.frame, order or 6):
-                received = self.fading(light, node)
-                if shadow:
-                    received = received * shadow[_cell(light, node.place)]
-                self.add(node.to_light, received, light.radiance, lobe=order is not None)
-            if order is None and self.plan.on("specular"):
-                seen = np.mean(list(shadow.values()), axis=0) if shadow else _ONE
-                self.mirror(light, seen)
+            self.add_by_rules(light)
+
+    def add_by_rules(self, light: SphereLight | RectangleLight) -> None:
+        """Each pixel by the rule that its lobe asks for, with shadows where relief hides a part."""
+        hits, sample, thrifty = self.hits, self.sample, self.context.budget is not None
+        offset = subtract(vec(light.position), hits.point)
+        distance = np.sqrt(dot(offset, offset))
+        to_light = to_frame(scale(offset, 1.0 / distance), hits.frame)
+        if thrifty:
+            rule = area.rules(
+                light, distance, to_light, hits.to_view, sample.normal, sample.alpha, self.n_dot_v
+            )
+            rule = np.where(np.broadcast_to(self.facing, self.shape), rule, 0).ravel()
+        else:
+            rule = area.plain_rules(light, distance, sample.alpha)
+            rule = np.broadcast_to(rule, self.shape).ravel()
+        hidden = np.full(rule.shape, self.casts and not thrifty)
+        index, shadow = np.flatnonzero(hidden), {}
+        if self.casts and thrifty:
+            # The light's lowest point against the highest that anything around can be.
+            low = area.lowest(light, distance, to_light) < self.shelter
+            index = np.flatnonzero(np.broadcast_to(low, self.shape).ravel() & (rule > 0))
+        if len(index):
+            shadow = self.part(index).area_shadow(light)
+            if thrifty:
+                hidden[index] = np.min(list(shadow.values()), axis=0)[0] < 1.0
+        # Where in the list of those that shadows were looked for at each pixel is.
+        listed = np.zeros(rule.shape, dtype=np.intp)
+        listed[index] = np.arange(len(index))
+        key = np.where(rule > 0, 2 * rule + hidden, 0)
+        for one in np.flatnonzero(np.bincount(key)).tolist():
+            if one == 0:
+                continue
+            some_pixels = np.flatnonzero(key == one)
+            part = self.part(some_pixels)
+            dark = one % 2 == 1
+            cells = {k: v[:, listed[some_pixels]] for k, v in shadow.items()} if dark else {}
+            part.integrate(light, area.RULES.get(one // 2), cells)
+            self.take_back(part, some_pixels)
+            self.ran("area", some_pixels)
+
+    def integrate(
+        self,
+        light: SphereLight | RectangleLight,
+        order: int | None,
+        shadow: dict[tuple[int, int], Array],
+    ) -> None:
+        """Add the light of a rule of some order, or of the mirrored lobe without one."""
+        points = order or 6
+        if shadow:
+            points = max(4 * math.ceil(points / 4), 12)
+        place, frame = self.hits.point, self.hits.frame
+        for node in area.nodes(light, place, frame, points, parts=bool(shadow)):
+            received = self.fading(light, node)
+            if shadow:
+                received = received * shadow[_cell(light, node.place)]
+            self.add(node.to_light, received, light.radiance, lobe=order is not None)
+        if order is None and self.plan.on("specular"):
+            seen = np.mean(list(shadow.values()), axis=0) if shadow else _ONE
+            self.mirror(light, seen)
 
     def fading(self, light: SphereLight | RectangleLight, node: area.Node) -> Array:
         """The node's irradiance, with or without falloff."""
@@ -186,6 +308,14 @@ class _Block:
     @property
     def casts(self) -> bool:
         return self.plan.on("shadows")
+
+    @cached_property
+    def shelter(self) -> Array:
+        """Tangents of elevations from which on nothing hides a light."""
+        relief = self.context.relief
+        u, v = np.broadcast_arrays(*self.hits.place)
+        with self.context.clock.on("shadows"):
+            return relief.shelter(u, v, np.broadcast_to(self.height, u.shape))
 
     def area_shadow(self, light: SphereLight | RectangleLight) -> dict[tuple[int, int], Array]:
         """What arrives from each of a light's 16 parts; empty where nothing casts shadows."""
@@ -231,10 +361,26 @@ class _Block:
         """1 where light arrives past the relief, 0 where it does not."""
         if not self.casts:
             return np.float32(1.0)
+        relief, place = self.context.relief, self.hits.place
+        if self.context.budget is None:
+            with self.context.clock.on("shadows"):
+                found = shadows.lit(relief, place, self.height, to_light, distance)
+                return found.astype(np.float32)
+        shelter = self.shelter
         with self.context.clock.on("shadows"):
-            return shadows.lit(
-                self.context.relief, self.hits.place, self.height, to_light, distance
-            ).astype(np.float32)
+            x, y, z = to_light
+            low = z < shelter * np.sqrt(x * x + y * y)
+            low = np.broadcast_to(low & (z > 0.0) & self.facing, self.shape)
+            index = np.flatnonzero(low)
+            lit = np.ones(self.shape, dtype=np.float32)
+            if len(index):
+                far = None if distance is None else some(distance, index, self.shape)
+                u, v, h, x, y, z = (
+                    some(one, index, self.shape) for one in (*place, self.height, *to_light)
+                )
+                lit.ravel()[index] = shadows.lit(relief, (u, v), h, (x, y, z), far)[0]
+                self.ran("shadows", index)
+            return lit
 
     def add(self, to_light: Vec, received: Array, colour: Colour, *, lobe: bool = True) -> None:
         """Add the light that arrives from one direction.
@@ -298,11 +444,15 @@ class _Block:
         horizon = None
         if hides:
             with context.clock.on("visibility"):
-                assert context.horizons is not None
-                seen = context.sampler.extra(context.horizons.open, hits.place)[0]
-                horizon = visibility.horizon_test(
-                    context.horizons, context.sampler.nearest(hits.place)
-                )
+                if context.near is not None:
+                    seen = self.surroundings[0]
+                    self.ran("visibility")
+                else:
+                    assert context.horizons is not None
+                    seen = context.sampler.extra(context.horizons.open, hits.place)[0]
+                    horizon = visibility.horizon_test(
+                        context.horizons.tangents, context.sampler.nearest(hits.place)
+                    )
         with context.clock.on("environment"):
             if varied:
                 irradiance = environment.diffuse_irradiance(sky, sample.normal, hits)
@@ -314,7 +464,9 @@ class _Block:
                     lambert = sample.diffuse[channel] * np.float32(1.0 / math.pi)
                     self.total[channel] += lambert * irradiance[channel]
             if self.plan.on("specular"):
-                if varied:
+                if varied and context.budget is not None:
+                    parts = self.mirrored_sky(sky, context.budget)
+                elif varied:
                     parts = environment.specular(
                         sky, sample, hits, self.n_dot_v, context.samples, horizon
                     )
@@ -335,14 +487,102 @@ class _Block:
             for channel, flow in enumerate(environment.irradiance_vector(sky, hits)):
                 self.flow[channel] = add(self.flow[channel], flow)
 
+    @cached_property
+    def surroundings(self) -> Array:
+        """(2, ...) what of the surroundings is open, and how much of neighbours is seen."""
+        near, sampler, place = self.context.near, self.context.sampler, self.hits.place
+        assert near is not None
+        near.see(sampler.corners(place).ravel())
+        return sampler.extra(near.open, place)
+
+    def mirrored_sky(self, sky: Environment, budget: Budget) -> tuple[Array, Array]:
+        """As environment.specular(), in no more pixels than the budget asks for."""
+        sample, hits, context = self.sample, self.hits, self.context
+        even = environment.uniform_specular(sky.calm, sample, self.n_dot_v)
+        scale, bias = (np.array(np.broadcast_to(part, self.total.shape)) for part in even)
+        needed = np.zeros(self.shape, dtype=bool)
+        if sky.varying > 0.0 or sky.suns:
+            needed |= self.facing
+        else:
+            # At most all of it is hidden.
+            allowed = budget.radiance("environment", self.total)
+            for channel in range(3):
+                f0 = sample.specular[channel if len(sample.specular) == 3 else 0]
+                needed |= f0 * scale[channel] + bias[channel] > allowed[channel]
+            needed &= self.facing
+        index = np.flatnonzero(needed)
+        if len(index):
+            u, v = (some(one, index, self.shape) for one in hits.place)
+            place = (u, v)
+            horizon = None
+            highest: Array = np.zeros((1, 1), dtype=np.float32)
+            if context.near is not None and self.plan.on("visibility"):
+                texel = context.sampler.nearest(place)
+                context.near.see(texel.ravel())
+                horizon = visibility.horizon_test(context.near.tangents, texel)
+                steepest = np.maximum(context.near.steepest(texel), _ZERO)
+                highest = steepest / np.sqrt(_ONE + steepest * steepest) + np.float32(1e-5)
+            part = environment.specular(
+                sky,
+                sample.take(index, self.shape),
+                hits.take(index, self.shape),
+                some(self.n_dot_v, index, self.shape),
+                context.samples,
+                horizon,
+                highest,
+            )
+            scale.reshape(3, -1)[:, index] = part[0][:, 0]
+            bias.reshape(3, -1)[:, index] = part[1][:, 0]
+            self.ran("environment", index)
+        return scale, bias
+
     def add_bounce(self) -> None:
         """Add what neighbours reflect of all the light collected."""
+        if self.context.near is not None:
+            self.add_needed_bounce(self.context.near)
+            return
         assert self.context.horizons is not None and self.context.horizons.bounced is not None
         bounced = self.context.sampler.extra(self.context.horizons.bounced, self.hits.place)
         arriving = interreflection.received(bounced, self.flow)
         for channel in range(3):
             lambert = self.sample.diffuse[channel] * np.float32(1.0 / math.pi)
             self.total[channel] += lambert * arriving[channel]
+
+    def add_needed_bounce(self, near: TexelHorizons) -> None:
+        """The same where it may matter, as finely as it may."""
+        context, budget = self.context, self.context.budget
+        assert budget is not None
+        allowed = budget.radiance("interreflection", self.total)
+        facing = self.surroundings[1]
+        most = np.zeros(self.shape, dtype=np.float32)
+        for channel in range(3):
+            flow = np.sqrt(dot(self.flow[channel], self.flow[channel]))
+            largest = np.float32(context.relief.texture.brightest[channel] / math.pi)
+            change = self.sample.diffuse[channel] * flow * facing * largest
+            np.maximum(most, change / np.maximum(allowed[channel], _TINY), out=most)
+        most *= self.facing
+        coarse = (most > 1.0) & (most * np.float32(COARSENESS) <= 1.0)
+        for fine, which in ((False, coarse), (True, most * np.float32(COARSENESS) > 1.0)):
+            index = np.flatnonzero(which)
+            if not len(index):
+                continue
+            u, v = (some(one, index, self.shape) for one in self.hits.place)
+            if fine:
+                bounced = context.sampler.between(near.fine, (u, v))
+            else:
+                known = near.coarse(context.sampler.corners((u, v)).ravel())
+                bounced = context.sampler.extra(known, (u, v))
+            flows = [_some(flow, index, self.shape) for flow in self.flow]
+            for channel, arriving in enumerate(interreflection.received(bounced, flows)):
+                lambert = some(self.sample.diffuse[channel], index, self.shape)
+                reflected = lambert * arriving * np.float32(1.0 / math.pi)
+                self.total[channel].ravel()[index] += reflected[0]
+            self.ran("interreflection", index)
+
+
+def _some(vector: Vec, index: Array, shape: tuple[int, ...]) -> Vec:
+    x, y, z = (some(one, index, shape) for one in vector)
+    return x, y, z
 
 
 def _cell(light: SphereLight | RectangleLight, place: tuple[float, float]) -> tuple[int, int]:

@@ -99,6 +99,12 @@ class Texture:
         return np.stack([-x * z, -y * z, z])
 
     @cached_property
+    def brightest(self) -> tuple[float, float, float]:
+        """Largest albedo of each channel."""
+        red, green, blue = (float(channel.max()) for channel in self.diffuse)
+        return red, green, blue
+
+    @cached_property
     def extremes(self) -> Extremes:
         """Extremes, for the plan."""
         height = self.height[0]

@@ -106,6 +106,53 @@ class Lobe:
         squared = np.maximum(dot(half, half), np.float32(1e-20))
         return Mirrored(self, point, (a, b, z), half, 1.0 / squared)
 
+    def low(self, point: LatticePoint, sine: Array) -> Array:
+        """Pixels, counted row by row, whose mirrored direction may matter and is not above a sine.
+
+        As mirrored(), with the half of its arithmetic that says so.
+        """
+        vx, vy, vz = self.stretched
+        z = (1.0 + vz) * np.float32(1.0 - point.u)
+        z -= vz
+        ring = z * z
+        np.subtract(np.float32(1.0), ring, out=ring)
+        np.maximum(ring, np.float32(0.0), out=ring)
+        np.sqrt(ring, out=ring)
+        a, b = ring * np.float32(point.cosine), ring * np.float32(point.sine)
+        half = self.middle[2] + self.across[2] * a
+        half += self.along[2] * b
+        half += self.normal[2] * z
+        # 1 + cap . view; v.h is that times the stretched view's length, |h|^2 as below.
+        a *= vx
+        b *= vy
+        a += b
+        a += 1.0
+        a += z * vz
+        tilt = z + vz
+        squared = tilt * tilt
+        squared *= self._flatness
+        squared += a * self._doubled
+        a *= self._stretch
+        a /= np.maximum(squared, np.float32(1e-20))
+        # a is 2 v.h / |h|^2 now.
+        half *= a
+        half -= sine + self.to_view[2]
+        tilt *= a
+        return np.flatnonzero((half <= 0.0) & (tilt > self.n_dot_v * np.float32(1.0 - 1e-5)))
+
+    @cached_property
+    def _flatness(self) -> Array:
+        return 1.0 - self.alpha * self.alpha
+
+    @cached_property
+    def _doubled(self) -> Array:
+        return np.float32(2.0) * self.alpha * self.alpha
+
+    @cached_property
+    def _stretch(self) -> Array:
+        """Twice the length of the view, stretched."""
+        return np.float32(2.0) * self.n_dot_v / self.stretched[2]
+
     @cached_property
     def view_term(self) -> Array:
         """Smith's term of the view times n.v (1 + Lambda) 2 - n.v."""

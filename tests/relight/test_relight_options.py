@@ -62,13 +62,22 @@ def test_explain_and_json(run):
     code, out, _ = run("m", "--light", "left", "--explain", "-o", "a.png")
     assert code == 0
     lines = out.splitlines()
-    assert lines[0].split() == ["effect", "bound", "ms", "reason"]
+    assert lines[0].split() == ["effect", "tiles", "bound", "ms", "reason"]
     assert any(line.startswith("shadows") for line in lines)
     assert any(line.split()[:2] == ["area", "off"] for line in lines)
     code, out, err = run("m", "--json", "-o", "a.png", "--effects", "none,+diffuse")
     report = json.loads(out)
     assert (code, err, report["out"]) == (0, "", "a.png")
     assert [row["effect"] for row in report["plan"] if row["on"]] == ["diffuse"]
+
+
+def test_the_map_of_tiles_shows_a_panel_for_each_effect_that_ran(run, tmp_path):
+    code, _, _ = run("m", "--light", "left", "--explain-map", "where.png", "-o", "a.png")
+    assert code == 0
+    where = cv2.imread("where.png")
+    assert where is not None and where.shape[1] > 3 * 24 and where.any()
+    code, _, err = run("m", "--explain-map", "where.exr", "-o", "b.png")
+    assert (code, "name it .png" in err, (tmp_path / "b.png").exists()) == (2, True, False)
 
 
 def test_tolerance_and_effects_reach_the_plan(run):

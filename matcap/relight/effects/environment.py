@@ -105,6 +105,7 @@ def specular(
     n_dot_v: Array,
     samples: int,
     horizon: Horizon | None = None,
+    highest: Array | None = None,
 ) -> tuple[Array, Array]:
     """(3, ...) mirrored light, split as Schlick has it: times F0, and on its own.
 
@@ -116,6 +117,7 @@ def specular(
         samples: how many directions.
         horizon: a function from directions in the frame, and pixels of the block, to whether they
             are clear of the relief; None where nothing stands in the way.
+        highest: see hidden().
     """
     lobe = lobe_of(sample, hits.to_view, n_dot_v)
     calm = sky.calm
@@ -123,7 +125,7 @@ def specular(
     mean = calm.mean.astype(np.float32)[:, None, None]
     tables = uniform_specular(calm, sample, n_dot_v)
     if calm.varying == 0.0:
-        scale, bias = hidden(lobe, samples, horizon)
+        scale, bias = hidden(lobe, samples, horizon, highest)
         return tables[0] - mean * scale, tables[1] - mean * bias
     shape = (3, *lobe.middle[2].shape)
     scale, bias = (np.array(np.broadcast_to(part, shape)) for part in tables)
@@ -161,13 +163,33 @@ def _sunlight(
     return lobe * (n_dot_l * clear), schlick_weight(l_dot_h)
 
 
-def hidden(lobe: Lobe, samples: int, horizon: Horizon | None) -> tuple[Array, Array]:
+def hidden(
+    lobe: Lobe, samples: int, horizon: Horizon | None, highest: Array | None = None
+) -> tuple[Array, Array]:
     """Share of even surroundings that surface and relief hide: times F0, and on its own.
 
     Most directions of most pixels are clear, and cost no more than finding that out.
+
+    Args:
+        lobe: the block's.
+        samples: how many directions.
+        horizon: see specular().
+        highest: sines of the highest elevations that horizons reach; directions above are clear.
     """
     scale, bias = (np.zeros(lobe.middle[2].shape, dtype=np.float32) for _ in range(2))
     for point in lattice(samples):
+        if highest is not None:
+            index = lobe.low(point, highest)
+            if len(index):
+                some = lobe.take(index).mirrored(point)
+                lost = ~some.above
+                if horizon is not None:
+                    lost |= ~horizon(some.to_light, index)
+                weight = some.weight * lost
+                mixed = weight * some.fresnel
+                bias.ravel()[index] += mixed
+                scale.ravel()[index] += weight - mixed
+            continue
         one = lobe.mirrored(point)
         lost = ~one.above
         if horizon is not None:

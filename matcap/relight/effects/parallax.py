@@ -19,6 +19,9 @@ from matcap.relight.facts import Facts
 from matcap.relight.relief import Relief
 from matcap.relight.vectors import Array, Vec
 
+# Texels around a place on a ray whose highest says how many steps can be left out.
+_AROUND = 10
+
 
 def bound(facts: Facts) -> Bound:
     """Nothing on a flat surface; on another, whatever the picture shows."""
@@ -45,34 +48,46 @@ def shift(
     # Per unit of height, how far the ray moves on the surface.
     steep = 1.0 / np.maximum(z, np.float32(0.05))
     du, dv = x * steep, y * steep
-    span = relief.high - relief.low
-    reach = float(np.hypot(du, dv).max()) * span / relief.texel_size
-    count = int(np.clip(np.ceil(2.0 * reach), 4, 512))
-    step = span / count
-    u0, v0, du0, dv0 = (a.ravel() for a in (u, v, du, dv))
-    found: Array = np.full(u0.size, relief.low, dtype=np.float32)
-    gap_above: Array = np.full(u0.size, span, dtype=np.float32)
-    open_rays = np.arange(u0.size)
-    uu, vv, su, sv = u0, v0, du0, dv0
-    for index in range(count + 1):
-        level = relief.high - step * index
-        surface = relief.at(uu + su * level, vv + sv * level)
-        gap = np.float32(level) - surface
-        below = gap <= 0.0
-        if below.any():
-            hit = open_rays[below]
-            before = gap_above[below]
-            # The crossing of two straight lines between the last two steps.
-            share = before / np.maximum(before - gap[below], np.float32(1e-12))
-            start = np.float32(level + (step if index else 0.0))
-            found[hit] = start - np.float32(step if index else 0.0) * share
-            keep = ~below
-            open_rays, gap = open_rays[keep], gap[keep]
-            uu, vv, su, sv = uu[keep], vv[keep], su[keep], sv[keep]
-            if not len(open_rays):
-                break
-        gap_above = gap
-    height = found.reshape(shape)
+    height = _met(relief, *(a.ravel() for a in (u, v, du, dv))).reshape(shape)
     u, v = u + du * height, v + dv * height
     # The secant ends near the surface; shadows must start on it.
     return (u, v), relief.at(u, v)
+
+
+def _met(relief: Relief, u: Array, v: Array, du: Array, dv: Array) -> Array:
+    """The heights at which rays meet the surface.
+
+    Each takes as many steps as it needs itself, wherever in the picture it is, and leaves out
+    those on which it is above all texels around.
+    """
+    found: Array = np.full(u.size, relief.low, dtype=np.float32)
+    span = relief.high - relief.low
+    pace = np.hypot(du, dv) * np.float32(span / relief.texel_size)
+    count = np.clip(np.ceil(2.0 * pace), 4.0, 512.0)
+    step = span / count.astype(np.float64)
+    # So many steps stay where the highest texel is known.
+    near = np.maximum(np.floor((_AROUND - 2) * count / np.maximum(pace, 1e-6)), 1.0)
+    peaks = relief.peaks(_AROUND)
+    rays: Array = np.arange(u.size)
+    index: Array = np.zeros(u.size)
+    while len(rays):
+        level = relief.high - step * index
+        uu, vv = u + du * level, v + dv * level
+        gap = level - relief.at(uu, vv)
+        below = gap <= 0.0
+        if below.any():
+            hit = np.flatnonzero(below)
+            # The crossing of two straight lines between the last two steps.
+            before = np.where(index[hit] > 0.0, level[hit] + step[hit], level[hit])
+            over = before - relief.at(u[hit] + du[hit] * before, v[hit] + dv[hit] * before)
+            share = over / np.maximum(over - gap[hit], 1e-12)
+            found[rays[hit]] = before - (before - level[hit]) * share
+        # Above the highest texel around there is nothing to meet.
+        clear = np.floor((level - np.take(peaks, relief.nearest(uu, vv))) / np.maximum(step, 1e-30))
+        index += np.clip(clear - 1.0, 1.0, near)
+        keep = np.flatnonzero(~below & (index <= count))
+        if len(keep) < len(rays):
+            rays, index, count = rays[keep], index[keep], count[keep]
+            step, near = step[keep], near[keep]
+            u, v, du, dv = u[keep], v[keep], du[keep], dv[keep]
+    return found

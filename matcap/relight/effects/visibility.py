@@ -17,7 +17,7 @@ import numpy as np
 
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
-from matcap.relight.horizons import AZIMUTHS, Horizons
+from matcap.relight.horizons import AZIMUTHS
 from matcap.relight.vectors import Array, Vec
 
 
@@ -31,28 +31,28 @@ def bound(facts: Facts) -> Bound:
     return Bound(facts.surroundings, f"horizons of up to {slope:.3g} degrees")
 
 
-def horizon_test(horizons: Horizons, texel: Array) -> Callable[[Vec, Array | None], Array]:
+def horizon_test(tangents: Array, texel: Array) -> Callable[[Vec, Array | None], Array]:
     """Whether directions in the material's frame are above the horizon of texels.
 
     Args:
-        horizons: of the material.
+        tangents: (H W, AZIMUTHS) of the material's horizons.
         texel: index of each pixel's nearest texel.
 
     Returns:
         A function of directions and of which pixels they belong to, counted row by row; None is
         all of them.
     """
-    flat = horizons.tangents.ravel()
-    base = texel * AZIMUTHS
+    flat = tangents.ravel()
+    base = (texel * AZIMUTHS).ravel()
 
     def clear(direction: Vec, some: Array | None) -> Array:
         x, y, z = direction
-        start = base if some is None else np.take(base, some)
+        start = base.reshape(z.shape) if some is None else np.take(base, some)
         turn = np.arctan2(y, x) * np.float32(AZIMUTHS / (2.0 * math.pi))
         low = np.floor(turn)
         share = turn - low
-        first = np.mod(low.astype(np.int64), AZIMUTHS)
-        second = np.where(first + 1 == AZIMUTHS, 0, first + 1)
+        first = low.astype(np.int32) & (AZIMUTHS - 1)
+        second = (first + 1) & (AZIMUTHS - 1)
         t0 = flat[start + first]
         tangent: Array = t0 + share * (flat[start + second] - t0)
         above: Array = z > tangent * np.sqrt(x * x + y * y)

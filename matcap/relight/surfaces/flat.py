@@ -40,7 +40,7 @@ def plane_hits(
         inside_y = np.abs(y) <= extent[1] / 2.0 * slack
         seen = seen & inside_x & inside_y
     all_seen = bool(seen.all())
-    shape = (bottom - top, view.size[0])
+    shape = (bottom - top, view.across[1] - view.across[0])
     point = (x.astype(np.float32), y.astype(np.float32), np.zeros((1, 1), dtype=np.float32))
     footprint: Array
     to_view: Vec

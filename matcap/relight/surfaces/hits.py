@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from matcap.relight.vectors import Array, Vec, add, dot, scale
 
 Frame = tuple[Vec, Vec, Vec]
@@ -29,6 +31,28 @@ class Hits:
     to_view: Vec
     seen: Array | None
     footprint: Array
+
+    def take(self, index: Array, shape: tuple[int, ...]) -> Hits:
+        """Some of the pixels of a block of some shape, counted row by row, as one row; all hit."""
+
+        def vector(one: Vec) -> Vec:
+            return (
+                some(one[0], index, shape),
+                some(one[1], index, shape),
+                some(one[2], index, shape),
+            )
+
+        frame = self.frame and (vector(self.frame[0]), vector(self.frame[1]), vector(self.frame[2]))
+        u, v = (some(one, index, shape) for one in self.place)
+        footprint = some(self.footprint, index, shape)
+        return Hits(vector(self.point), frame, (u, v), vector(self.to_view), None, footprint)
+
+
+def some(array: Array, index: Array, shape: tuple[int, ...]) -> Array:
+    """(1, N) values of an array that broadcasts to a shape; one for all stays one for all."""
+    if array.size == 1:
+        return array.reshape(1, 1)
+    return np.take(np.broadcast_to(array, shape), index)[None]
 
 
 def to_frame(vector: Vec, frame: Frame | None) -> Vec:

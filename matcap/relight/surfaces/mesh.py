@@ -60,7 +60,7 @@ class Mesh:
 
     def hits(self, view: View, top: int, bottom: int) -> Hits:
         """See Shape."""
-        face = self.seen[top:bottom]
+        face = self.seen[top:bottom, slice(*view.across)]
         seen = face >= 0
         face = np.where(seen, face, 0)
         origin, direction = view.rays(top, bottom)

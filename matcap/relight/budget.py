@@ -1,0 +1,54 @@
+"""What tiles may leave out: the tolerance that the picture's plan has left, shared among effects.
+
+The tolerance is in code values, and what is known of a pixel's radiance already, all of which
+adds up, says how much more of it such a step of code is: at code 0.5 eight times as much as at
+black, where the curve is steepest. The curve is concave, so a change of radiance anywhere above
+what is known changes the code by no more than its slope there says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from matcap.relight.scene import Film
+from matcap.relight.vectors import Array
+
+# How what is left is shared among those effects that are decided tile by tile and run.
+SHARES: Mapping[str, float] = {"area": 0.4, "environment": 0.2, "interreflection": 0.4}
+# The sRGB curve's slope: 12.92 near black, 1.055 / 2.4 light^(1 / 2.4 - 1) beyond.
+_STEEPEST, _FACTOR, _POWER = 12.92, 1.055 / 2.4, 1.0 / 2.4 - 1.0
+_KNEE = 0.0031308
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What may be left out in any one pixel.
+
+    Attributes:
+        codes: code values from 0 to 1.
+        film: of the picture.
+        running: the effects that run.
+    """
+
+    codes: float
+    film: Film
+    running: frozenset[str]
+
+    def radiance(self, effect: str, known: Array) -> Array:
+        """(3, ...) what an effect may change, where pixels are known to be as bright at least.
+
+        Args:
+            effect: a name in SHARES.
+            known: (3, ...) radiance.
+        """
+        share = SHARES[effect] / sum(SHARES[one] for one in {effect, *self.running} & set(SHARES))
+        allowed = np.float32(share * self.codes / self.film.gain)
+        if self.film.transfer == "linear":
+            return np.broadcast_to(allowed, known.shape)
+        light = np.maximum(known * np.float32(self.film.gain), np.float32(_KNEE))
+        found: Array = allowed / np.float32(_FACTOR) * light ** np.float32(-_POWER)
+        found[light <= _KNEE] = allowed / np.float32(_STEEPEST)
+        return found
