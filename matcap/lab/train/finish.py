@@ -16,8 +16,9 @@ import torch
 from torch import Tensor
 
 from matcap.capture.prior.base import VARYING, base_of, varying
+from matcap.capture.prior.kinds import Habits, Kind, kinds_of
 from matcap.capture.prior.look import describe_windows, numbers, picture, texture
-from matcap.capture.prior.store import Habits, Prior
+from matcap.capture.prior.store import Prior
 from matcap.flash.rectify import rectify
 from matcap.lab.train.pack import WAVE_DETAIL, Entry
 from matcap.model.alignment import Alignment
@@ -115,4 +116,10 @@ def finish(
         "dead_dimensions": int((told < DEAD).sum()),
     }
     habits = habits_of(codes, entries)
-    return Prior(encoder, decoder, alignment, habits, {**about, **measured})
+    kinds = kinds_of(
+        [
+            Kind(code, habits.rest(code, base_of(e.coarse, e.contrast)), e.waves)
+            for code, e in zip(codes.mean, entries, strict=True)
+        ]
+    )
+    return Prior(encoder, decoder, alignment, habits, {**about, **measured}, kinds)

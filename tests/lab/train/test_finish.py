@@ -1,6 +1,7 @@
 """Standardised codes: the same pictures from codes of zero mean and unit variance."""
 
 import torch
+from small import SMALL
 
 from matcap.lab.train.finish import codes_of, finish, standardise
 from matcap.lab.train.step import fields
@@ -16,7 +17,7 @@ def test_standardising_changes_codes_and_no_picture(prior, pack):
     torch.testing.assert_close(mean, torch.zeros(64), atol=1e-3, rtol=0)
     torch.testing.assert_close(variance, torch.ones(64), atol=1e-3, rtol=0)
     assert torch.allclose(after.mean, codes.standardised().mean, atol=1e-3)
-    field = fields(4, [()], 32, 1, "cpu")
+    field = fields(SMALL, [()], 32, 1, "cpu")
     with torch.no_grad():
         before_picture = prior.decoder(field, codes.mean[0])
         after_picture = decoder(field, after.mean[0])
