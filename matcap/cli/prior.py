@@ -105,6 +105,26 @@ def finish(
 
 
 @app.command()
+def kinds(
+    pack: PackArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="The prior.")],
+    prior: PriorOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Let a prior draw near the training photographs of a pack; its networks stay as they are.
+
+    `prior finish` does so by itself.
+    """
+    from matcap.capture.prior.store import load_prior
+    from matcap.lab.train.finish import with_kinds
+    from matcap.lab.train.pack import Pack
+
+    with_kinds(load_prior(prior), Pack.load(pack).training).save(out)
+    if not quiet:
+        typer.echo(f"wrote {out}", err=True)
+
+
+@app.command()
 def evaluate(
     pack: PackArgument,
     prior: PriorOption = None,
@@ -177,7 +197,7 @@ def variety(
     ] = Path("docs/notes"),
     draws: Annotated[int, typer.Option(min=8, help="How many materials to draw.")] = 256,
     simulated: Annotated[
-        int, typer.Option(min=0, help="Unseen simulated photographs beside the held-out ones.")
+        int, typer.Option(min=8, help="Unseen simulated photographs beside the held-out ones.")
     ] = 64,
     quiet: QuietOption = False,
 ) -> None:

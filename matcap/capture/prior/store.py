@@ -117,7 +117,7 @@ class Prior:
         """A material out of nothing, another for every seed.
 
         Args:
-            seed: any integer in [0, 2^63).
+            seed: any integer of 64 bits.
             near: where to draw; by default near a random one of the training photographs.
             spread: how far from there, from 0 (there) to 1 (anywhere).
             name: of the material, to which the seed is added.

@@ -11,28 +11,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-import numpy as np
-import torch
-from torch import Tensor
-
 from matcap.capture.prior.store import Prior
-from matcap.files.srgb import srgb_encode_tensor
-from matcap.files.staging import staged_file
-from matcap.flash.geometry import plane_points
-from matcap.flash.render import render_flash
-from matcap.lab.bench.variety import Variety, describe_pictures, variety
-from matcap.lab.train.corpus import LONG_SIDE, simulated_code
+from matcap.lab.bench.variety import Variety, describe_pictures, joined, variety
 from matcap.lab.train.evaluate import UNSEEN
-from matcap.lab.train.pack import Entry, Pack, linear_of
+from matcap.lab.train.journal import first_of_each
+from matcap.lab.train.middles import Middle, middles
+from matcap.lab.train.pack import Pack
 from matcap.lab.train.pages import table
-from matcap.model.material import Material
+from matcap.lab.train.pictures import lit, middle, simulated_middle, write_grid
 
-_SIZE = 256  # texels a side of what is compared
-_MEAN = 0.25  # radiance that every picture is brought to
 _SHEET, _COLUMNS = 64, 8  # draws that are shown, and how many side by side
-_SHOWN = 192  # texels a side of each
-_QUALITY = 85
+_FARTHER = 1.3  # than the ends of a blend, at most, may its middle be from photographs
 
 
 @dataclass(frozen=True)
@@ -59,7 +48,7 @@ def run_variety(
     """Measure draws, write prior-variety.md and .jpg into a folder, and return the page."""
     real = [middle(entry) for entry in pack.reporting]
     seeds = range(UNSEEN, UNSEEN + settings.simulated)
-    simulated = [_exposed(_cut(linear_of(simulated_code(seed)[0]))) for seed in seeds]
+    simulated = [simulated_middle(seed) for seed in seeds]
     tell(f"{len(real)} held-out photographs and {len(simulated)} simulated ones")
     known = [middle(entry) for entry in pack.training]
     drawn = []
@@ -68,43 +57,32 @@ def run_variety(
         if (seed + 1) % 16 == 0:
             tell(f"{seed + 1} of {settings.draws} draws")
     made, ceiling = describe_pictures(drawn), describe_pictures(known)
-    rows = []
-    for name, true in (
-        ("all", [*real, *simulated]),
-        ("photographs", real),
-        ("simulated", simulated),
-    ):
-        there = describe_pictures(true)
-        rows.append((f"draws, {name}", variety(made, there)))
-        rows.append((f"training photographs, {name}", variety(ceiling, there)))
-    everything = rows[0][1]
-    page = markdown(rows, settings, len(real), command)
+    told = describe_pictures(real), describe_pictures(simulated)
+    sets = {"all": joined(told), "photographs": told[0], "simulated": told[1]}
+    rows = [
+        (f"{name}, {beside}", variety(ours, true))
+        for beside, true in sets.items()
+        for name, ours in (("draws", made), ("training photographs", ceiling))
+    ]
+    blends = middles(prior, first_of_each(pack.reporting), joined([*told, ceiling]))
+    page = markdown(rows, blends, settings, len(real), command)
     out.mkdir(parents=True, exist_ok=True)
     (out / "prior-variety.md").write_text(page)
-    order = everything.nearest[:_SHEET].argsort(stable=True).tolist()
-    write_grid([drawn[index] for index in order], out / "prior-variety.jpg")
+    order = rows[0][1].nearest[:_SHEET].argsort(stable=True).tolist()
+    write_grid([drawn[index] for index in order], _COLUMNS, out / "prior-variety.jpg")
+    write_grid([one.strip for one in blends], 2, out / "prior-blends.jpg")
     return page
 
 
-def middle(entry: Entry) -> Tensor:
-    """(3, _SIZE, _SIZE) sRGB, the middle of a photograph of the pack."""
-    return _exposed(_cut(torch.from_numpy(entry.photo().pixels.transpose(2, 0, 1).copy())))
-
-
-def lit(material: Material) -> Tensor:
-    """(3, _SIZE, _SIZE) sRGB of a material lying in the middle of a photograph, under its flash."""
-    maps = material.maps(_SIZE, _SIZE)
-    width, height = LONG_SIDE, LONG_SIDE * 3 // 4
-    x, y = (width - _SIZE) // 2, (height - _SIZE) // 2
-    points = plane_points(x, y, _SIZE, _SIZE, (width, height), dtype=torch.float32)
-    with torch.inference_mode():
-        return _exposed(render_flash(maps, material.setup, points))
-
-
 def markdown(
-    rows: Sequence[tuple[str, Variety]], settings: VarietySettings, real: int, command: str
+    rows: Sequence[tuple[str, Variety]],
+    blends: Sequence[Middle],
+    settings: VarietySettings,
+    real: int,
+    command: str,
 ) -> str:
     """The page."""
+    passed = sum(one.ratio <= _FARTHER for one in blends)
     lines = [
         "# How varied the space is",
         "",
@@ -135,35 +113,27 @@ def markdown(
         f"![{_SHEET} draws, in the order of the photographs they are nearest to]"
         "(prior-variety.jpg)",
         "",
+        "## Blends",
+        "",
+        *table(
+            ["between", "ends", "middle", "ratio"],
+            [
+                [
+                    f"{one.first} and {one.second}",
+                    f"{one.ends:.3f}",
+                    f"{one.middle:.3f}",
+                    f"{one.ratio:.2f}",
+                ]
+                for one in blends
+            ],
+        ),
+        "",
+        "Held-out photographs as they lie in the space, untuned, and the middle between two of",
+        "them: style distance to the nearest of all photographs, held out, simulated or trained",
+        f"on; for the ends the mean of both. {passed} of {len(blends)} middles are at most",
+        f"{_FARTHER} times as far from any as their ends are.",
+        "",
+        "![Ten blends, in five steps each](prior-blends.jpg)",
+        "",
     ]
     return "\n".join(lines)
-
-
-def write_grid(pictures: Sequence[Tensor], path: Path) -> None:
-    """JPEG of sRGB pictures, a row after another.
-
-    Raises:
-        MatcapError: the file cannot be written.
-    """
-    blank = torch.zeros_like(pictures[0])
-    padded = [*pictures, *[blank] * (-len(pictures) % _COLUMNS)]
-    rows = [torch.cat(padded[i : i + _COLUMNS], dim=2) for i in range(0, len(padded), _COLUMNS)]
-    code = torch.cat(rows, dim=1).permute(1, 2, 0).numpy()[..., ::-1]
-    share = _SHOWN / pictures[0].shape[-1]
-    small = cv2.resize(code, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
-    stored = np.ascontiguousarray((small * 255.0).round().astype(np.uint8))
-    _, encoded = cv2.imencode(".jpg", stored, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    with staged_file(path) as file:
-        file.write_bytes(encoded.tobytes())
-
-
-def _cut(linear: Tensor) -> Tensor:
-    """The middle of (3, H, W)."""
-    y, x = ((side - _SIZE) // 2 for side in linear.shape[-2:])
-    return linear[:, y : y + _SIZE, x : x + _SIZE]
-
-
-def _exposed(linear: Tensor) -> Tensor:
-    """SRGB of radiance, brought to the mean that all have."""
-    gain = _MEAN / linear.mean().clamp_min(1e-6)
-    return srgb_encode_tensor((linear * gain).clamp(0.0, 1.0))

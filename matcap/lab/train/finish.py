@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from matcap.capture.prior.base import VARYING, base_of, varying
-from matcap.capture.prior.kinds import Habits, Kind, kinds_of
+from matcap.capture.prior.kinds import Habits, Kind, Kinds, kinds_of
 from matcap.capture.prior.look import describe_windows, numbers, picture, texture
 from matcap.capture.prior.store import Prior
 from matcap.flash.rectify import rectify
@@ -116,10 +116,22 @@ def finish(
         "dead_dimensions": int((told < DEAD).sum()),
     }
     habits = habits_of(codes, entries)
-    kinds = kinds_of(
+    return Prior(
+        encoder, decoder, alignment, habits, {**about, **measured}, places(codes, habits, entries)
+    )
+
+
+def places(codes: Codes, habits: Habits, entries: Sequence[Entry]) -> Kinds:
+    """Where photographs lie in a space, of whose codes they have these."""
+    return kinds_of(
         [
-            Kind(code, habits.rest(code, base_of(e.coarse, e.contrast)), e.waves)
-            for code, e in zip(codes.mean, entries, strict=True)
+            Kind(code, habits.rest(code, base_of(entry.coarse, entry.contrast)), entry.waves)
+            for code, entry in zip(codes.mean, entries, strict=True)
         ]
     )
-    return Prior(encoder, decoder, alignment, habits, {**about, **measured}, kinds)
+
+
+def with_kinds(prior: Prior, entries: Sequence[Entry]) -> Prior:
+    """A prior whose draws are near these photographs; its networks stay as they are."""
+    kinds = places(codes_of(prior.encoder, entries), prior.habits, entries)
+    return replace(prior, kinds=kinds)
