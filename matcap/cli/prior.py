@@ -105,7 +105,7 @@ def finish(
 
 
 @app.command()
-def kinds(
+def anchors(
     pack: PackArgument,
     out: Annotated[Path, typer.Option("--out", "-o", help="The prior.")],
     prior: PriorOption = None,
@@ -116,10 +116,10 @@ def kinds(
     `prior finish` does so by itself.
     """
     from matcap.capture.prior.store import load_prior
-    from matcap.lab.train.finish import with_kinds
+    from matcap.lab.train.finish import with_anchors
     from matcap.lab.train.pack import Pack
 
-    with_kinds(load_prior(prior), Pack.load(pack).training).save(out)
+    with_anchors(load_prior(prior), Pack.load(pack).training).save(out)
     if not quiet:
         typer.echo(f"wrote {out}", err=True)
 

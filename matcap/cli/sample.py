@@ -65,7 +65,7 @@ def drawing(
     """Materials by their seed, near a photograph where one is given."""
     from functools import partial
 
-    from matcap.capture.prior.kinds import SPREAD
+    from matcap.capture.prior.anchors import SPREAD
     from matcap.capture.prior.store import DETAIL, load_prior
     from matcap.photo.load import load_photo
 

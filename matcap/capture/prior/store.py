@@ -19,8 +19,8 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from matcap.capture.coarse import CoarseFit, fit_coarse
+from matcap.capture.prior.anchors import SPREAD, Anchor, Anchors, Habits, nowhere
 from matcap.capture.prior.base import VARYING, base_of, fold
-from matcap.capture.prior.kinds import SPREAD, Habits, Kind, Kinds, nowhere
 from matcap.capture.prior.look import describe_windows, numbers, picture, texture
 from matcap.capture.start import log_contrast
 from matcap.errors import MatcapError, UsageError
@@ -41,7 +41,7 @@ FORMAT = "matcap-prior"
 VERSIONS = (1, 2)  # of the file: without, and with structured noise
 SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
 
-_MOST_KINDS = 1_000_000  # a stranger's file cannot ask for more memory than this allows
+_MOST_ANCHORS = 1_000_000  # a stranger's file cannot ask for more memory than this allows
 DETAIL = 1024  # texels across the photograph a drawn material is meant for
 _REMEDY = "install matcap again, or train a prior with `matcap prior train`"
 
@@ -56,7 +56,7 @@ class Prior:
         alignment: photograph to tilt.
         habits: how bases go with codes.
         about: how it was trained; JSON.
-        kinds: where the training photographs lie; without them draws may lie anywhere.
+        anchors: where the training photographs lie; without them draws may lie anywhere.
     """
 
     encoder: Encoder
@@ -64,7 +64,7 @@ class Prior:
     alignment: Alignment
     habits: Habits
     about: Mapping[str, Any] = field(default_factory=dict)
-    kinds: Kinds | None = None
+    anchors: Anchors | None = None
 
     def tilt(self, photo: Photo) -> tuple[float, float]:
         """(tilt_x, tilt_y) of a photograph in radians."""
@@ -97,20 +97,20 @@ class Prior:
         contrast = log_contrast(plane.linear, plane.valid)
         return fold(self.decoder, base_of(coarse, contrast)), self.code(photo, coarse, plane)
 
-    def place(self, photo: Photo) -> Kind:
+    def place(self, photo: Photo) -> Anchor:
         """Where a photograph lies in the space, at the fineness of drawn materials."""
         coarse = fit_coarse(photo)
         plane = read_plane(photo, coarse.setup, DETAIL)
         code = self.code(photo, coarse, plane)
         base = base_of(coarse, log_contrast(plane.linear, plane.valid))
         waves = find_lattice(plane.encoded(), plane.valid).waves
-        return Kind(code, self.habits.rest(code, base), waves)
+        return Anchor(code, self.habits.rest(code, base), waves)
 
     def draw(
         self,
         seed: int,
         *,
-        near: Kind | None = None,
+        near: Anchor | None = None,
         spread: float = SPREAD,
         name: str = "drawn",
     ) -> Material:
@@ -129,22 +129,22 @@ class Prior:
             raise UsageError(f"the spread {spread:g} is not between 0 and 1", where="-t")
         generator = torch.Generator().manual_seed(seed)
         if near is not None:
-            kind = near.near(spread, generator)
-        elif self.kinds is not None:
-            kind = self.kinds.draw(spread, generator)
+            anchor = near.near(spread, generator)
+        elif self.anchors is not None:
+            anchor = self.anchors.draw(spread, generator)
         else:
-            kind = nowhere().near(1.0, generator)
-        return self.material(f"{name}_{seed}", kind, {"drawn": seed, "spread": spread})
+            anchor = nowhere().near(1.0, generator)
+        return self.material(f"{name}_{seed}", anchor, {"drawn": seed, "spread": spread})
 
-    def material(self, name: str, kind: Kind, provenance: Mapping[str, Any]) -> Material:
+    def material(self, name: str, anchor: Anchor, provenance: Mapping[str, Any]) -> Material:
         """A frozen material of one place in the space."""
-        decoder = fold(self.decoder, self.habits.base(kind.code, kind.rest))
+        decoder = fold(self.decoder, self.habits.base(anchor.code, anchor.rest))
         return Material(
             name=name,
             decoder=decoder.eval().requires_grad_(False),
-            code=kind.code,
-            moments=tuple(freeze(decoder, kind.code, kind.waves)),
-            waves=kind.waves,
+            code=anchor.code,
+            moments=tuple(freeze(decoder, anchor.code, anchor.waves)),
+            waves=anchor.waves,
             texel_size=2.0 / DETAIL,
             setup=FlashSetup(intensity=(math.pi * 4.0,) * 3),
             provenance=provenance,
@@ -159,14 +159,14 @@ class Prior:
         }
         for name, tensor in vars(self.habits).items():
             tensors[f"habits.{name}"] = tensor.float()
-        if self.kinds is not None:
-            tensors |= {f"kinds.{name}": tensor for name, tensor in vars(self.kinds).items()}
+        if self.anchors is not None:
+            tensors |= {f"anchors.{name}": tensor for name, tensor in vars(self.anchors).items()}
         about = {
             "format": FORMAT,
             "version": VERSIONS[bool(self.decoder.config.grains)],
             "encoder": asdict(self.encoder.config),
             "decoder": described(self.decoder.config),
-            "kinds": 0 if self.kinds is None else len(self.kinds),
+            "anchors": 0 if self.anchors is None else len(self.anchors),
             "about": dict(self.about),
         }
         write_tensors(path, tensors, {"matcap": json.dumps(about)})
@@ -205,7 +205,7 @@ def load_prior(path: Path | None = None) -> Prior:
                     )
                 ),
                 about=about["about"],
-                kinds=_kinds(stored, int(about.get("kinds", 0))),
+                anchors=_anchors(stored, int(about.get("anchors", 0))),
             )
             for part, module in prior._modules().items():
                 module.load_state_dict(
@@ -227,14 +227,14 @@ def load_prior(path: Path | None = None) -> Prior:
         ) from error
 
 
-def _kinds(stored: StoredTensors, count: int) -> Kinds | None:
-    """So many kinds; the first priors had none."""
+def _anchors(stored: StoredTensors, count: int) -> Anchors | None:
+    """So many anchors; the first priors had none."""
     if not count:
         return None
-    if not 0 < count <= _MOST_KINDS:
-        raise ValueError(f"{count} kinds")
+    if not 0 < count <= _MOST_ANCHORS:
+        raise ValueError(f"{count} anchors")
     shapes = {"codes": (count, CODE_SIZE), "rests": (count, VARYING), "waves": (count, 2, 2)}
-    return Kinds(**{name: stored.tensor(f"kinds.{name}", s) for name, s in shapes.items()})
+    return Anchors(**{name: stored.tensor(f"anchors.{name}", s) for name, s in shapes.items()})
 
 
 def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:

@@ -15,8 +15,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from matcap.capture.prior.anchors import Anchor, Anchors, Habits, anchors_of
 from matcap.capture.prior.base import VARYING, base_of, varying
-from matcap.capture.prior.kinds import Habits, Kind, Kinds, kinds_of
 from matcap.capture.prior.look import describe_windows, numbers, picture, texture
 from matcap.capture.prior.store import Prior
 from matcap.flash.rectify import rectify
@@ -117,21 +117,26 @@ def finish(
     }
     habits = habits_of(codes, entries)
     return Prior(
-        encoder, decoder, alignment, habits, {**about, **measured}, places(codes, habits, entries)
+        encoder,
+        decoder,
+        alignment,
+        habits,
+        {**about, **measured},
+        anchors_known(codes, habits, entries),
     )
 
 
-def places(codes: Codes, habits: Habits, entries: Sequence[Entry]) -> Kinds:
+def anchors_known(codes: Codes, habits: Habits, entries: Sequence[Entry]) -> Anchors:
     """Where photographs lie in a space, of whose codes they have these."""
-    return kinds_of(
+    return anchors_of(
         [
-            Kind(code, habits.rest(code, base_of(entry.coarse, entry.contrast)), entry.waves)
+            Anchor(code, habits.rest(code, base_of(entry.coarse, entry.contrast)), entry.waves)
             for code, entry in zip(codes.mean, entries, strict=True)
         ]
     )
 
 
-def with_kinds(prior: Prior, entries: Sequence[Entry]) -> Prior:
+def with_anchors(prior: Prior, entries: Sequence[Entry]) -> Prior:
     """A prior whose draws are near these photographs; its networks stay as they are."""
-    kinds = places(codes_of(prior.encoder, entries), prior.habits, entries)
-    return replace(prior, kinds=kinds)
+    codes = codes_of(prior.encoder, entries)
+    return replace(prior, anchors=anchors_known(codes, prior.habits, entries))

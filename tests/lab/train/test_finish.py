@@ -4,7 +4,7 @@ import torch
 from small import SMALL
 
 from matcap.capture.prior.base import base_of
-from matcap.lab.train.finish import codes_of, finish, standardise, with_kinds
+from matcap.lab.train.finish import codes_of, finish, standardise, with_anchors
 from matcap.lab.train.step import fields
 
 
@@ -31,18 +31,18 @@ def test_a_finished_prior_knows_its_codes(prior, pack):
     assert len(done.about["code_mean"]) == len(done.about["code_variance"]) == 64
     assert 0 <= done.about["dead_dimensions"] <= 64
     assert bool(torch.isfinite(done.draw(1).maps(32, 32).stacked()).all())
-    assert done.kinds is not None and len(done.kinds) == 3
+    assert done.anchors is not None and len(done.anchors) == 3
 
 
 def test_draws_of_an_older_prior_are_led_to_photographs(prior, pack):
     entries = pack.entries[-3:]
     codes = codes_of(prior.encoder, entries)
-    led = with_kinds(prior, entries)
-    assert led.kinds is not None
+    led = with_anchors(prior, entries)
+    assert led.anchors is not None
     for index, entry in enumerate(entries):
-        kind = led.kinds[index]
-        torch.testing.assert_close(kind.code, codes.mean[index])
-        assert len(kind.waves) == len(entry.waves)
-        base = led.habits.base(kind.code, kind.rest)
+        anchor = led.anchors[index]
+        torch.testing.assert_close(anchor.code, codes.mean[index])
+        assert len(anchor.waves) == len(entry.waves)
+        base = led.habits.base(anchor.code, anchor.rest)
         wanted = base_of(entry.coarse, entry.contrast)
         torch.testing.assert_close(base.mean[:5], wanted.mean[:5], atol=1e-4, rtol=1e-4)

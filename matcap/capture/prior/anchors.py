@@ -1,16 +1,16 @@
-"""Kinds of material in the space: where photographs lie in it, and what lies near them.
+"""Anchors in the space: where photographs lie in it, and what lies near them.
 
-A kind is a code, the base that goes with it and its regular order. Codes are standard normal over
-all the training photographs together, but not between them: photographs of 64 numbers each are
-few, and most of the space lies near none. So materials are drawn near photographs' places, and
+An anchor is a code, the base that goes with it and its regular order. Codes are standard normal
+over all the training photographs together, but not between them: a few hundred places in 64
+dimensions leave most of the space near none. So materials are drawn near photographs' places, and
 each brings its order along, without which nothing is woven.
 
 A base is told by the habits (base = A code + b + L rest) and a rest that is standard normal, too.
-Code and rest of a kind z move to
+Code and rest of an anchor z move to
 
     sqrt(1 - t^2) z + t e,    e standard normal,
 
-so t = 0 is the kind itself and t = 1 a draw that knows nothing of it but its order; what is
+so t = 0 is the anchor itself and t = 1 a draw that knows nothing of it but its order; what is
 standard normal stays so, whatever t is.
 """
 
@@ -55,7 +55,7 @@ class Habits:
 
 
 @dataclass(frozen=True)
-class Kind:
+class Anchor:
     """A place in the space.
 
     Attributes:
@@ -68,7 +68,7 @@ class Kind:
     rest: Tensor
     waves: tuple[Wave, ...]
 
-    def near(self, spread: float, generator: torch.Generator) -> Kind:
+    def near(self, spread: float, generator: torch.Generator) -> Anchor:
         """A random place near this one.
 
         Args:
@@ -78,12 +78,12 @@ class Kind:
         drawn = torch.randn(CODE_SIZE + VARYING, generator=generator)
         kept = math.sqrt(1.0 - spread**2)
         here = kept * torch.cat([self.code, self.rest]) + spread * drawn
-        return Kind(here[:CODE_SIZE], here[CODE_SIZE:], self.waves)
+        return Anchor(here[:CODE_SIZE], here[CODE_SIZE:], self.waves)
 
 
 @dataclass(frozen=True)
-class Kinds:
-    """Kinds of the training photographs.
+class Anchors:
+    """Where the training photographs lie.
 
     Attributes:
         codes: (N, CODE_SIZE).
@@ -98,26 +98,26 @@ class Kinds:
     def __len__(self) -> int:
         return len(self.codes)
 
-    def __getitem__(self, index: int) -> Kind:
+    def __getitem__(self, index: int) -> Anchor:
         waves = tuple(Wave(fx, fy) for fx, fy in self.waves[index].tolist() if fx or fy)
-        return Kind(self.codes[index], self.rests[index], waves)
+        return Anchor(self.codes[index], self.rests[index], waves)
 
-    def draw(self, spread: float, generator: torch.Generator) -> Kind:
+    def draw(self, spread: float, generator: torch.Generator) -> Anchor:
         """A random place near a random one of them."""
         index = int(torch.randint(len(self), (1,), generator=generator))
         return self[index].near(spread, generator)
 
 
-def nowhere() -> Kind:
+def nowhere() -> Anchor:
     """The middle of the space: where nothing is known."""
-    return Kind(torch.zeros(CODE_SIZE), torch.zeros(VARYING), ())
+    return Anchor(torch.zeros(CODE_SIZE), torch.zeros(VARYING), ())
 
 
-def kinds_of(places: Sequence[Kind]) -> Kinds:
+def anchors_of(places: Sequence[Anchor]) -> Anchors:
     """Several as one."""
     waves = torch.zeros(len(places), 2, 2)
     for row, place in zip(waves, places, strict=True):
         for slot, wave in zip(row, place.waves, strict=False):
             slot.copy_(torch.tensor([wave.fx, wave.fy]))
     codes = torch.stack([place.code for place in places])
-    return Kinds(codes, torch.stack([place.rest for place in places]), waves)
+    return Anchors(codes, torch.stack([place.rest for place in places]), waves)
