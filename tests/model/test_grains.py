@@ -45,6 +45,12 @@ def test_a_period_is_kept(period):
     assert torch.equal(field, moved)
 
 
+def test_cells_go_on_across_a_period_s_border():
+    number = grain_field(Patch(3, Rectangle(0, 0, 256, 192), period=(256, 192)))[7]
+    for first, last in ((number[:, 0], number[:, -1]), (number[0], number[-1])):
+        assert float((first == last).float().mean()) > 0.8
+
+
 def test_a_period_may_be_as_long_as_the_plane():
     far = Patch(3, Rectangle(2**40 - 64, 0, 64, 32), period=(2**40, 2**40))
     beyond = grain_field(replace(far, area=Rectangle(-64, 0, 64, 32)))
