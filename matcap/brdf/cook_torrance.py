@@ -82,12 +82,15 @@ def single_lobe(
     cosines below 1e-3 count as 1e-3, so that gradients do not end at the horizon.
     """
     half = normalize(to_light + to_view)
-    cross = torch.linalg.cross(*torch.broadcast_tensors(normal, half), dim=-3)
+    # Of unit vectors a chord d apart the squared sine is d^2 (1 - d^2 / 4): as exact as their cross
+    # product where they nearly meet, at a fraction of its cost.
+    apart = normal - half
+    chord = dot(apart, apart)
     alpha = roughness.clamp_min(SINGLE_ROUGHNESS).square()
     n_dot_l = dot(normal, to_light).clamp_min(1e-3)
     n_dot_v = dot(normal, to_view).clamp_min(1e-3)
     return (
-        ggx(dot(normal, half), dot(cross, cross), alpha)
+        ggx(dot(normal, half), chord * (1.0 - 0.25 * chord), alpha)
         * smith_visibility(n_dot_l, n_dot_v, alpha)
         * schlick(specular, dot(to_light, half))
     )

@@ -22,6 +22,9 @@ def capture(
     material: Annotated[
         list[str] | None, typer.Option(help="Only this subject; may be given several times.")
     ] = None,
+    seed: Annotated[
+        list[int] | None, typer.Option(help="Of the captures; may be given several times. 0.")
+    ] = None,
     detail: Annotated[
         int, typer.Option(min=128, max=4096, help="Texels along the photograph's long side.")
     ] = 1024,
@@ -47,6 +50,7 @@ def capture(
     from matcap.lab.bench.capture import (
         SUBJECTS,
         USUAL,
+        USUAL_SUBJECTS,
         WAYS,
         CaptureBench,
         run_capture_bench,
@@ -58,7 +62,7 @@ def capture(
         for name, way in WAYS.items():
             typer.echo(f"point    {way.group:10} {name}{'' if name in USUAL else ' (on demand)'}")
         for name in SUBJECTS:
-            typer.echo(f"subject  {name}")
+            typer.echo(f"subject  {name}{'' if name in USUAL_SUBJECTS else ' (on demand)'}")
         return
     check_writable(out, 500_000_000)
 
@@ -66,7 +70,12 @@ def capture(
         typer.echo(line, err=True)
 
     bench = CaptureBench(
-        out, point or USUAL, material or (), QualitySettings(detail=detail, size=size), steps
+        out,
+        point or USUAL,
+        material or (),
+        seed or (0,),
+        QualitySettings(detail=detail, size=size),
+        steps,
     )
     measured = run_steps(bench, tell) if step else run_capture_bench(bench, tell)
     typer.echo(f"{bench.table}: {len(measured)} measurements")

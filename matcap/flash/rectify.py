@@ -35,7 +35,7 @@ def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tenso
     """
     linear = _resampled(photo.pixels, setup, detail, cv2.INTER_CUBIC).clip(0.0)
     clipped = _resampled(photo.clipped.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
-    valid = _inside(linear.shape[:2], setup) & (clipped < _MOST_CLIPPED)
+    valid = inside(linear.shape[:2], setup) & (clipped < _MOST_CLIPPED)
     return _planes(linear), torch.from_numpy(valid)
 
 
@@ -67,14 +67,14 @@ def _resampled(
     return np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _inside(shape: tuple[int, ...], setup: FlashSetup) -> NDArray[np.bool_]:
-    """(H, W) whether the camera saw a texel."""
+def inside(shape: tuple[int, ...], setup: FlashSetup) -> NDArray[np.bool_]:
+    """(H, W) whether the camera saw a texel; what it did not, `rectify` mirrors at the border."""
     height, width = shape
     row, column = np.mgrid[0:height, 0:width].reshape(2, -1).astype(np.float64)
     places = np.stack([column, row, np.ones_like(row)])
     x, y, w = _homography(setup, (width, height), (width, height)) @ places
-    inside = (x > -0.5 * w) & (x < (width - 0.5) * w) & (y > -0.5 * w) & (y < (height - 0.5) * w)
-    return inside.reshape(height, width)
+    seen = (x > -0.5 * w) & (x < (width - 0.5) * w) & (y > -0.5 * w) & (y < (height - 0.5) * w)
+    return seen.reshape(height, width)
 
 
 def _homography(

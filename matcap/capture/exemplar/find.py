@@ -8,7 +8,7 @@ photograph.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -30,6 +30,7 @@ from matcap.capture.exemplar.transport import transport
 from matcap.capture.finetune import TuneScene
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
+from matcap.flash.rectify import inside
 from matcap.model.example.example import Example
 from matcap.model.exemplar import Exemplar
 from matcap.model.inverse.inputs import network_inputs, true_outputs
@@ -43,6 +44,9 @@ _LEAST_NOISE = 0.01  # of log radiance: what is not explained, where the sensor'
 _LEGS = (1.0, 0.35)
 _TRIED, _TRIED_AT_ONCE = 250, 40  # blocks for a place under glare: adapted, or at once
 _AROUND = 12.0  # the long side over the deviation of a neighbourhood's confidence
+# Where a neighbourhood (deviation in texels) has less light than this, of 1 at clipping, a
+# photograph of 8 bits has its last codes, and a RAW the sensor's noise.
+_UNLIT, _UNLIT_AROUND = 1e-3, 8.0
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,12 @@ def find_exemplar(
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    inputs = network_inputs(plane.linear, plane.valid, coarse, points)
+    # What lies beyond the photograph is its mirror, not glare.
+    beyond = torch.from_numpy(~inside((height, width), coarse.setup))
+    shown = plane.valid | beyond
+    inputs = network_inputs(plane.linear, shown, coarse, points)
+    bright = lit(plane.linear)
+    shown, plane = shown & bright, replace(plane, valid=plane.valid & bright)
     answer = _read(network, inputs)
     found, errors = answer[:OUTPUTS].clone(), answer[OUTPUTS:]
     light = Light(coarse, points)
@@ -112,10 +121,10 @@ def find_exemplar(
 
     def explained(outputs: Tensor) -> Tensor:
         least = max(noise, _LEAST_NOISE)
-        refined = refine(outputs, errors, plane.linear, plane.valid, light, noise=least)
+        refined = refine(outputs, errors, plane.linear, shown, light, noise=least)
         return even(refined.outputs)
 
-    outputs = explained(level(even(found), plane.linear, plane.valid, light))
+    outputs = explained(level(even(found), plane.linear, shown, light))
     interrupted = False
     for leg, reach in enumerate(_LEGS):
         if scene is None or not steps or interrupted:
@@ -179,6 +188,11 @@ def confidence(errors: Tensor, valid: Tensor) -> NDArray[np.float32]:
     # What a clipped texel's neighbours hold is partly its own.
     seen = cv2.erode(valid.numpy().astype(np.uint8), np.ones((5, 5), np.uint8))
     return np.ascontiguousarray(believed * seen, dtype=np.float32)
+
+
+def lit(linear: Tensor) -> Tensor:
+    """(H, W) bool: where radiance (3, H, W) tells anything, and is not black all around."""
+    return torch.from_numpy(smoothed(linear.mean(0).numpy(), _UNLIT_AROUND) > _UNLIT)
 
 
 def _read(network: Inverse, inputs: Tensor) -> Tensor:

@@ -35,9 +35,11 @@ _WORDS = {
         "Error of relit realisations against other true pieces of the same material, in multiples "
         "of the floor (what true pieces differ by), under lights away from the flash; *flash*: the "
         "same under the photograph's own light; *diversity*: how far two realisations are apart "
-        "as a share of what two true pieces are. Seconds from opening the file to the saved "
-        "material, without importing; memory is the process's, libraries included. Points of "
-        "another detail are judged at it, by another floor, and are not on the front."
+        "as a share of what two true pieces are. Seconds of processor time (on one thread those "
+        "of the clock, at rest) from opening the file to the saved material, without importing; "
+        "*spread* over subjects, *scatter* over seeds; memory is the process's, libraries "
+        "included. Points of another detail are judged at it, by another floor, and are not on the "
+        "front."
     ),
     "step": (
         "Forward, backward and the optimiser's step on 512 x 384 texels. The paper's form is its "
@@ -83,6 +85,8 @@ def _section(bench: str, measured: Sequence[Measurement], table: Path, page: Pat
     found = points(measured)
     machines = "; ".join(dict.fromkeys(one.machine for one in measured if one.machine))
     heading = _TITLES.get(bench, bench)
+    if bench == "capture" and table.stem != bench:
+        heading += f", {table.stem.replace('-', ' ')} materials"
     lines = [f"## {heading}", "", f"On {machines}.", ""] if machines else [f"## {heading}", ""]
     if _WORDS.get(bench):
         lines += [_WORDS[bench], ""]
@@ -108,13 +112,16 @@ def _section(bench: str, measured: Sequence[Measurement], table: Path, page: Pat
 def _table(found: Sequence[Point]) -> list[str]:
     best = front(found)
     whole = any(not math.isnan(point.flash) for point in found)
+    seeds = any(point.seeds > 1 for point in found)
     heads = ["", "varied", "point", "subjects", "seconds", "MB", "error", "spread"]
+    heads += ["scatter"] if seeds else []
     heads += ["flash", "diversity"] if whole else []
     lines = [f"| {' | '.join(heads)} |", "|---|---|---|" + "---:|" * (len(heads) - 3)]
     for point in sorted(found, key=lambda point: point.seconds):
         cells = ["*" if point in best else "", point.group, point.name, str(point.subjects)]
         cells += [_number(point.seconds), _number(point.megabytes)]
         cells += [_number(point.error), _number(point.spread)]
+        cells += [_number(point.scatter)] if seeds else []
         cells += [_number(point.flash), _number(point.diversity)] if whole else []
         lines.append(f"| {' | '.join(cells)} |")
     return lines

@@ -28,12 +28,13 @@ class Measurement:
         group: what was varied: "preset", "steps", "window" and the like.
         point: which way it was done; the same on every subject.
         subject: on what: a material, a scene.
-        seconds: by the wall's clock.
+        seconds: by the wall's clock; of captures, of processor time.
         megabytes: most memory the process held; NaN where not measured.
         error: how far from the truth; what it counts in, the bench's page says.
         flash: of captures: the same for the photograph's own light; else NaN.
         diversity: of captures: how far two pieces are apart, as a share of what true ones are.
         machine: that did it.
+        seed: of everything random in it.
     """
 
     bench: str
@@ -46,11 +47,12 @@ class Measurement:
     flash: float = math.nan
     diversity: float = math.nan
     machine: str = ""
+    seed: int = 0
 
     @property
-    def key(self) -> tuple[str, str, str]:
+    def key(self) -> tuple[str, str, str, int]:
         """What makes it the same measurement made again."""
-        return self.bench, self.point, self.subject
+        return self.bench, self.point, self.subject, self.seed
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,11 @@ class Point:
     Attributes:
         group, name: of the measurements.
         subjects: how many.
-        seconds, megabytes, error, flash, diversity: means over the subjects.
+        seconds, megabytes, error, flash, diversity: means over the subjects' means over seeds.
         spread: standard deviation of the error over the subjects.
+        seeds: how many each subject was measured with, at least.
+        scatter: standard deviation of the error over seeds, its mean over the subjects; NaN with
+            one seed.
     """
 
     group: str
@@ -73,10 +78,13 @@ class Point:
     spread: float
     flash: float
     diversity: float
+    seeds: int = 1
+    scatter: float = math.nan
 
 
 _COLUMNS = tuple(field.name for field in fields(Measurement))
 _NUMBERS = ("seconds", "megabytes", "error", "flash", "diversity")
+_WORDS = ("bench", "group", "point", "subject", "machine")
 
 
 def read(path: Path) -> list[Measurement]:
@@ -115,23 +123,28 @@ def append(path: Path, measured: Measurement) -> None:
 def points(measured: Iterable[Measurement]) -> list[Point]:
     """Means over the subjects, in the order of the first measurement; the last one counts."""
     latest = {one.key: one for one in measured}
-    by_point: dict[str, list[Measurement]] = {}
+    by_point: dict[str, dict[str, list[Measurement]]] = {}
     for one in latest.values():
-        by_point.setdefault(one.point, []).append(one)
-    return [
-        Point(
-            group=found[0].group,
-            name=name,
-            subjects=len(found),
-            seconds=_mean([one.seconds for one in found]),
-            megabytes=_mean([one.megabytes for one in found]),
-            error=_mean([one.error for one in found]),
-            spread=_deviation([one.error for one in found]),
-            flash=_mean([one.flash for one in found]),
-            diversity=_mean([one.diversity for one in found]),
-        )
-        for name, found in by_point.items()
-    ]
+        by_point.setdefault(one.point, {}).setdefault(one.subject, []).append(one)
+    return [_point(name, list(of_subjects.values())) for name, of_subjects in by_point.items()]
+
+
+def _point(name: str, of_subjects: Sequence[Sequence[Measurement]]) -> Point:
+    """The point of measurements by subject and seed."""
+
+    def means(number: str) -> list[float]:
+        return [_mean([getattr(one, number) for one in of_one]) for of_one in of_subjects]
+
+    several = [[one.error for one in of_one] for of_one in of_subjects if len(of_one) > 1]
+    return Point(
+        group=of_subjects[0][0].group,
+        name=name,
+        subjects=len(of_subjects),
+        spread=_deviation(means("error")),
+        seeds=min(len(of_one) for of_one in of_subjects),
+        scatter=_mean([_deviation(errors) for errors in several]),
+        **{number: _mean(means(number)) for number in _NUMBERS},
+    )
 
 
 def comparable(found: Sequence[Point]) -> list[Point]:
@@ -175,8 +188,9 @@ def _processor() -> str:
 
 def _measurement(row: dict[str, str]) -> Measurement:
     numbers = {name: float(row[name] or "nan") for name in _NUMBERS}
-    words = {name: row[name] for name in _COLUMNS if name not in numbers}
-    return Measurement(**words, **numbers)  # type: ignore[arg-type]
+    words = {name: row[name] for name in _WORDS}
+    seed = int(row.get("seed") or 0)  # older tables have none
+    return Measurement(**words, **numbers, seed=seed)  # type: ignore[arg-type]
 
 
 def _text(value: object) -> str:

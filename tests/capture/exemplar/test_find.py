@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ import torch
 from photographed import photographed
 
 from matcap.capture.coarse import CoarseFit
-from matcap.capture.exemplar.find import confidence, find_exemplar, piece_maps
+from matcap.capture.exemplar.find import confidence, find_exemplar, lit, piece_maps
 from matcap.capture.exemplar.store import load_inverse, read_inverse, save_inverse
 from matcap.errors import MatcapError
 from matcap.flash.plane import plane_of
+from matcap.flash.rectify import inside
 from matcap.model.inverse.network import Inverse, InverseConfig
 
 
@@ -55,6 +57,38 @@ def test_nothing_is_trusted_where_nothing_was_seen() -> None:
     assert unseen.any()
     assert float(found.exemplar.confidence[:, unseen].max()) == 0.0
     assert float(found.exemplar.confidence[:, ~unseen].mean()) > 0.2
+
+
+def test_what_is_crushed_to_black_is_not_read_as_black() -> None:
+    """A corner of no light says nothing: its albedo is the others', and nobody trusts it."""
+    plane, coarse, _ = _plane()
+    crushed = plane.linear.clone()
+    crushed[:, :80, :80] = 2e-4
+    found = find_exemplar(replace(plane, linear=crushed), coarse, load_inverse()).exemplar
+    corner = (slice(None), slice(8, 56), slice(8, 56))
+    assert float(found.confidence[corner].max()) == 0.0
+    assert float(found.diffuse[corner].mean()) > 0.5 * float(found.diffuse[:, 100:].mean())
+
+
+def test_what_the_photograph_does_not_reach_is_not_taken_for_glare() -> None:
+    plane, coarse, _ = _plane()
+    setup = replace(coarse.setup, tilt=(0.08, -0.08))
+    height, width = plane.valid.shape
+    seen = torch.from_numpy(inside((height, width), setup))
+    assert 0 < int((~seen).sum()) < height * width // 10
+    reached = replace(plane, valid=plane.valid & seen)
+    found = find_exemplar(reached, replace(coarse, setup=setup), load_inverse()).exemplar
+    beyond = ~seen.numpy()
+    ratio = found.diffuse[:, beyond].mean() / found.diffuse[:, ~beyond].mean()
+    assert 0.85 < float(ratio) < 1.15  # 1.35 where the network is told of glare there
+    assert float(found.confidence[:, beyond].max()) == 0.0
+
+
+def test_dark_grains_in_the_light_are_seen() -> None:
+    radiance = torch.full((3, 64, 64), 0.05)
+    radiance[:, ::9, ::9] = 1e-5
+    assert bool(lit(radiance).all())
+    assert not lit(0.01 * radiance).any()
 
 
 def test_confidence_falls_with_the_error_to_be_expected() -> None:

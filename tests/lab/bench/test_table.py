@@ -1,6 +1,7 @@
 """The table of measurements: kept through kills, averaged, and its Pareto front."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -51,6 +52,25 @@ def test_points_are_means_over_subjects_and_the_last_measurement_counts():
     (point,) = points(lines)
     assert (point.subjects, point.error, point.spread, point.seconds) == (2, 3.0, 1.0, 1.0)
     assert math.isnan(point.flash)
+
+
+def test_seeds_scatter_within_a_subject_and_subjects_spread():
+    lines = [replace(measured(error=error), seed=seed) for seed, error in enumerate((1.0, 3.0))]
+    lines += [replace(measured(subject="tile", error=6.0), seed=seed) for seed in (0, 1)]
+    (point,) = points(lines)
+    assert (point.seeds, point.subjects, point.error) == (2, 2, 4.0)
+    assert (point.spread, point.scatter) == (2.0, 0.5)
+    (alone,) = points(lines[:1])
+    assert alone.seeds == 1
+    assert math.isnan(alone.scatter)
+
+
+def test_a_table_without_seeds_is_read(tmp_path):
+    path = tmp_path / "capture.csv"
+    append(path, measured())
+    path.write_text("\n".join(line.rpartition(",")[0] for line in path.read_text().splitlines()))
+    path.write_text(path.read_text() + "\n")
+    assert [one.seed for one in read(path)] == [0]
 
 
 def a_point(name, seconds, error, subjects=8):

@@ -56,12 +56,14 @@ def test_a_sweep_goes_on_where_it_was_stopped(captures, tmp_path):
     run_capture_bench(CaptureBench(tmp_path, ways[:1], subjects[:1]))
     found = run_capture_bench(CaptureBench(tmp_path, ways, subjects))
     assert len(captures) == len(found) == 4
-    assert {m.key[1:] for m in found} == {(w, s) for w in ways for s in subjects}
+    assert {m.key[1:] for m in found} == {(w, s, 0) for w in ways for s in subjects}
     # Each way has its own detail, and is judged by it.
     assert [m.error for m in found if m.point == "detail 512"] == [0.512, 0.512]
     assert [m.error for m in found if m.point == "draft"] == [1.024, 1.024]
     run_capture_bench(CaptureBench(tmp_path, ways, subjects))
     assert len(captures) == 4
+    run_capture_bench(CaptureBench(tmp_path, ways[:1], subjects[:1], seeds=(0, 5)))
+    assert [settings.seed for _, settings, _ in captures] == [0, 0, 0, 0, 5]
 
 
 def test_steps_of_a_trial_take_the_place_of_every_ways_own(captures, tmp_path):

@@ -1,0 +1,120 @@
+"""The gallery: simulated photographs of sixteen kinds of material, and what captures make of them.
+
+python docs/images/captures.py [NAME...]     all of them take a quarter of an hour
+
+From the left: the photograph; the true material and the captured one under a light from the left,
+which no photograph showed; the captured one as a sphere in the scene `studio`.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.pipeline import capture_file
+from matcap.capture.settings import CaptureSettings
+from matcap.files.srgb import srgb_picture
+from matcap.flash.geometry import FlashSetup
+from matcap.lab.simulate.examples import EXAMPLES, realisation
+from matcap.lab.simulate.materials.kinds import kind_of
+from matcap.lab.simulate.photograph import PhoneCamera, Realise, as_photo, take
+from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.relight.named import SCENES
+from matcap.relight.output import encode
+from matcap.relight.render import relight
+from matcap.relight.scene import Film, PointLight, Scene, Surface, exposing_intensity
+
+HERE = Path(__file__).parent / "gallery"
+# Of each kind the first draw that shows it plainly, chosen before it was captured.
+KINDS = {
+    "knit": 2, "basket": 3, "felt": 2, "planks": 1, "gravel": 5, "terrazzo": 5, "crackle": 4,
+    "bond": 1, "hammered": 2, "worn": 5,
+}  # fmt: skip
+SETUP = FlashSetup(offset=(0.08, 0.05, 0.0), tilt=(0.015, -0.01))
+SIDE = 224  # pixels of a panel
+_DETAIL = 1024
+_TEXELS = 512  # a side of the planes
+# Cast shadows of relief this fine hardly show on a sphere, and take most of the time.
+_QUICK = "auto,-environment,-visibility,-interreflection,-shadows,-parallax"
+_GROUND = np.float32(0.1)  # grey behind spheres, in code values
+
+Picture = NDArray[np.float32]
+
+
+def main(names: list[str]) -> None:
+    """Make the pictures of some materials, or of all."""
+    HERE.mkdir(exist_ok=True)
+    pieces = {name: _named(name) for name in EXAMPLES} | {
+        kind: _drawn(kind, number) for kind, number in KINDS.items()
+    }
+    for name in names or pieces:
+        path = HERE / f"{name}.jpg"
+        codes = np.rint(row(pieces[name]) * 255.0).astype(np.uint8)
+        Image.fromarray(codes).save(path, "JPEG", quality=82)
+        print(path, path.stat().st_size // 1024, "KB", flush=True)
+
+
+def row(pieces: Callable[[int], Realise]) -> Picture:
+    """The four pictures of a material side by side, code values from 0 to 1."""
+    shot = take(pieces(0), PhoneCamera(), SETUP)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "photo.dng"
+        write_dng(path, shot, Sensor(), 1)
+        material = capture_file(path, CaptureSettings(detail=_DETAIL)).material
+    texel = 2.0 / _DETAIL
+    true = pieces(1)(_TEXELS, _TEXELS, texel).map(lambda m: m.float())
+    captured = material.maps(_TEXELS, _TEXELS)
+    # Flash and albedo share a factor that no photograph tells: the truth's own is taken.
+    gain = material.setup.intensity[1] / shot.setup.intensity[1]
+    captured = replace(captured, diffuse=(captured.diffuse * gain).clamp(0.0, 1.0))
+    photo = np.asarray(as_photo(shot, 1, "photo").pixels, np.float32)
+    return np.concatenate([seen(photo), plane(true), plane(captured), sphere(captured)], axis=1)
+
+
+def seen(linear: Picture) -> Picture:
+    """The middle of a photograph (H, W, 3)."""
+    rows, columns = linear.shape[:2]
+    start = (columns - rows) // 2
+    square = cv2.resize(linear[:, start : start + rows], (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+    return np.asarray(srgb_picture(square.clip(0.0, 1.0)), np.float32)
+
+
+def plane(maps: MapSet) -> Picture:
+    """Half of a photograph's width under a light from the left."""
+    place = (-1.2, 0.8, 2.0)
+    light = PointLight(place, (0.9 * exposing_intensity(place),) * 3)
+    scene = Scene(film=Film(SIDE, SIDE), surface=Surface(size=1.0), lights=(light,))
+    return np.asarray(encode(relight(maps, scene), Film()), np.float32)
+
+
+def sphere(maps: MapSet) -> Picture:
+    """A sphere in the studio, twice as fine and then shrunk, which smooths its outline."""
+    studio = SCENES["studio"]
+    assert studio.camera is not None
+    film = Film(2 * SIDE, 2 * SIDE, exposure=1.5)
+    studio = replace(studio, film=film, camera=replace(studio.camera, fov=25.0))
+    radiance = relight(maps, studio, effects=_QUICK)
+    ball = np.where(radiance.max(axis=2, keepdims=True) > 0.0, encode(radiance, film), _GROUND)
+    return np.asarray(ball.reshape(SIDE, 2, SIDE, 2, 3).mean(axis=(1, 3)), np.float32)
+
+
+def _named(name: str) -> Callable[[int], Realise]:
+    return lambda seed: realisation(name, EXAMPLES[name].seed + seed)
+
+
+def _drawn(kind: str, number: int) -> Callable[[int], Realise]:
+    drawn = kind_of(kind, number)
+    return lambda seed: lambda width, height, texel: drawn.realise(width, height, seed, texel)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
