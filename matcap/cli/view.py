@@ -82,8 +82,8 @@ def view(
         serve_library(library, name, port=port, opens=opens, announce=announce)
         return
     subject = open_subject(path, blend, seed, generator and generator.value)
-    exemplar = subject.first.exemplar if isinstance(subject, Materials) else None
-    beside = find_beside(path, subject.facts.name, photo, exemplar)
+    material = subject.first if isinstance(subject, Materials) else None
+    beside = find_beside(path, subject.facts.name, photo, material)
     if html is not None:
         write_page(sealed_page(subject, tile, beside, changes), html)
         if not quiet:

@@ -14,7 +14,7 @@ from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points, project
 
 # Corner of a 4:3 picture: its squared distance from the middle, where vignetting is stated.
-_CORNER_SQUARED = 1.25**2
+CORNER_SQUARED = 1.25**2
 
 
 def shade(maps: MapSet, points: Tensor, camera: Tensor, light: Tensor, intensity: Tensor) -> Tensor:
@@ -44,7 +44,7 @@ def vignette(points: Tensor, setup: FlashSetup) -> Tensor:
     """(..., 1, H, W) share of light that reaches the sensor from plane points (..., 3, H, W)."""
     image = project(points.movedim(-3, 0), setup)
     squared_radius = image.square().sum(0).unsqueeze(-3)
-    return torch.exp(-setup.vignetting * squared_radius / _CORNER_SQUARED)
+    return torch.exp(-setup.vignetting * squared_radius / CORNER_SQUARED)
 
 
 def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:

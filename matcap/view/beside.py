@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from matcap.flash.geometry import FlashSetup
     from matcap.model.exemplar import Exemplar
+    from matcap.model.material import Material
 
 _LONG_SIDE = 1024
 _PHOTOGRAPHS = (".dng", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".cr2", ".nef", ".arw")
@@ -37,7 +39,7 @@ class Beside:
     """What there is to show.
 
     Attributes:
-        photo: the photograph.
+        photo: the photograph; of a piece that is known, as seen from straight above it.
         doubt: over the photographed piece, shaded where the photograph says little.
         verdict: (rating, sentence) on the capture, or none.
     """
@@ -47,21 +49,25 @@ class Beside:
     verdict: tuple[str, str] | None = None
 
 
-def find_beside(path: Path, name: str, photo: Path | None, exemplar: Exemplar | None) -> Beside:
+def find_beside(
+    path: Path, name: str, photo: Path | None = None, material: Material | None = None
+) -> Beside:
     """What lies with a material or map set, or in it.
 
     Args:
         path: its file or folder.
         name: of it.
         photo: to be shown in place of what is found.
-        exemplar: of the material.
+        material: the material itself; None of a map set.
 
     Raises:
         MatcapError: the photograph is none that matcap reads.
     """
     file = photo or find_photograph(path, name)
+    exemplar = material.exemplar if material else None
+    setup = material.setup if material and exemplar else None
     return Beside(
-        browser_picture(file) if file else None,
+        browser_picture(file, setup) if file else None,
         doubt_picture(exemplar) if exemplar else None,
         read_verdict(path if path.is_dir() else path.parent),
     )
@@ -86,8 +92,12 @@ def read_verdict(folder: Path) -> tuple[str, str] | None:
         return None
 
 
-def browser_picture(file: Path) -> EncodedPicture:
+def browser_picture(file: Path, setup: FlashSetup | None = None) -> EncodedPicture:
     """A photograph as JPEG of at most 1024 pixels a side.
+
+    Args:
+        file: the photograph.
+        setup: how it was taken: it is shown as its plane would look from straight above.
 
     Raises:
         MatcapError: the file is not a photograph that matcap reads.
@@ -97,7 +107,13 @@ def browser_picture(file: Path) -> EncodedPicture:
     from matcap.files.srgb import srgb_picture
     from matcap.photo.load import load_photo
 
-    pixels = srgb_picture(load_photo(file, long_side=_LONG_SIDE, noise=False).pixels)
+    photo = load_photo(file, long_side=_LONG_SIDE, noise=False)
+    linear = photo.pixels
+    if setup is not None:
+        from matcap.flash.rectify import rectify
+
+        linear = rectify(photo, setup, linear.shape[1])[0].movedim(0, -1).numpy()
+    pixels = srgb_picture(linear)
     stored = io.BytesIO()
     Image.fromarray(np.rint(pixels * 255.0).astype(np.uint8)).save(stored, "JPEG", quality=88)
     return EncodedPicture(stored.getvalue(), "image/jpeg")

@@ -4,15 +4,8 @@ The page's scripts are modules. Served, each is a file of its own; for sending, 
 the other inside the document with the maps: SCRIPTS is an order in which each needs only those
 before it, and no two use one name.
 
-The element `about` of a document for sending is JSON; its entry `tile` holds the maps.
-
-Tile:
-    size: (width, height) in texels.
-    low: the lowest height, plane units.
-    span: the highest height less the lowest.
-    data: base64 of zlib of 16-bit words, all low bytes before all high ones. Words are the planes
-        of diffuse (3), specular and roughness as half floats, then height: low + word / 65535 *
-        span.
+The element `about` is JSON; in a document for sending its entries `tile` and `enclosed` hold the
+maps (enclosed.py).
 """
 
 from __future__ import annotations
@@ -20,7 +13,6 @@ from __future__ import annotations
 import base64
 import json
 import re
-import zlib
 from dataclasses import asdict
 from html import escape
 from importlib.resources import files
@@ -28,9 +20,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.brdf.adjust import NONE, Adjustments
-from matcap.errors import MatcapError, UsageError
-from matcap.files.exr import LARGEST_HALF
+from matcap.errors import UsageError
 from matcap.view.beside import Beside, EncodedPicture
+from matcap.view.enclosed import packed_piece, packed_tile
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH
 from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 
@@ -39,12 +31,15 @@ if TYPE_CHECKING:
     from matcap.view.library import Library
 
 SCRIPTS = (
-    "adjust.js", "address.js", "surroundings.js", "pages.js", "shader.js", "tile.js", "source.js",
-    "view.js", "panel.js", "gestures.js", "main.js",
+    "adjust.js", "address.js", "surroundings.js", "rooms.js", "pages.js", "shader.js", "tile.js",
+    "source.js", "controls.js", "theme.js", "view.js", "panel.js", "gestures.js", "reading.js",
+    "bring.js", "main.js",
 )  # fmt: skip
 LIBRARY_SCRIPT = "library.js"
 STYLE = "page.css"
 DEFAULT_TILE = 512  # texels: some 3 MB
+_PIECE_SIDES = (512, 256)  # texels along the piece's longer side: the first that fits
+_LONGEST = 4_000_000  # bytes of a page for sending whose tile is no larger than it is by default
 _LARGEST_TILE = 2048  # texels a side of a page for sending: some 50 MB
 # What a document for sending may do: run what stands in it, and fetch nothing.
 _SEALED = (
@@ -76,6 +71,8 @@ def served_page(
         "photo": beside.photo and "photo",
         "doubt": beside.doubt and "doubt",
         "tile": None,
+        "enclosed": None,
+        "piece_level": 0,
         "library": library,
         "targets": list(dict.fromkeys((*DOCUMENTS, *PRESETS))),
     }
@@ -110,14 +107,26 @@ def sealed_page(
     beside = beside or Beside()
     about = _about(facts, adjust, beside) | {
         "photo": beside.photo and _data_url(beside.photo),
-        "doubt": None,
+        "doubt": beside.doubt and _data_url(beside.doubt),
         "second": "",
         "period": list(maps.size),
-        "tile": _packed(maps),
+        "tile": packed_tile(maps),
+        "enclosed": None,
+        "piece_level": 0,
         "library": False,
         "targets": [],
     }
-    return _document(facts.name, head, scripts, about)
+    text = _document(facts.name, head, scripts, about)
+    exemplar = subject.first.exemplar if isinstance(subject, Materials) else None
+    if exemplar is None:
+        return text
+    for side in _PIECE_SIDES:
+        piece = packed_piece(exemplar, side)
+        enclosed = about | {"enclosed": piece, "piece_level": piece["level"]}
+        text = _document(facts.name, head, scripts, enclosed)
+        if len(text) <= _LONGEST or size > DEFAULT_TILE:
+            break
+    return text
 
 
 def write_page(document: str, path: Path) -> None:
@@ -159,26 +168,6 @@ def _tile(subject: Viewable, size: int) -> MapSet:
             remedy=f"make one of at most {_LARGEST_TILE} texels a side",
         )
     return subject.maps
-
-
-def _packed(maps: MapSet) -> dict[str, Any]:
-    """Maps as text: half floats, and the height as 16-bit steps between its ends; compressed."""
-    import numpy as np
-
-    stacked = maps.stacked().numpy()
-    if np.abs(stacked[:5]).max() > LARGEST_HALF:
-        raise MatcapError(
-            "the maps have values too large for half float (65504)", remedy="scale them down"
-        )
-    height = stacked[5]
-    low, high = float(height.min()), float(height.max())
-    span = high - low or 1.0
-    steps = np.rint((height - low) / span * 65535.0).astype("<u2")
-    # Bytes of one kind together compress better: all low bytes, then all high ones.
-    words = np.concatenate([stacked[:5].astype("<f2").view("<u2").ravel(), steps.ravel()])
-    split = words.view(np.uint8).reshape(-1, 2).T.tobytes()
-    text = base64.b64encode(zlib.compress(split, 9)).decode()
-    return {"size": list(maps.size), "low": low, "span": span, "data": text}
 
 
 def _about(facts: ViewFacts, adjust: Adjustments, beside: Beside) -> dict[str, Any]:

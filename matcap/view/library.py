@@ -79,7 +79,7 @@ class Library:
         subject = self.subject(index)
         # A photograph that cannot be read any more does not hide the material.
         try:
-            return find_beside(file, file.stem, None, subject.first.exemplar)
+            return find_beside(file, file.stem, None, subject.first)
         except MatcapError:
             return Beside(verdict=read_verdict(file.parent))
 

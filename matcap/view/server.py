@@ -31,6 +31,7 @@ from matcap.view.exporting import wish_of, zipped
 from matcap.view.library import Library, numbers
 from matcap.view.pages import Page, Pages, Place
 from matcap.view.subject import Viewable
+from matcap.view.surroundings import LARGEST_FILE, decoded
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -213,6 +214,22 @@ def _subject_routes(
         headers = {"Content-Disposition": f"attachment; filename*=UTF-8''{name}"}
         return Response(data, media_type="application/zip", headers=headers)
 
+    async def surroundings(request: Request) -> Response:
+        parts, size = [], 0
+        async for part in request.stream():
+            size += len(part)
+            if size > LARGEST_FILE:
+                return PlainTextResponse("This picture is too large.", 413)
+            parts.append(part)
+        try:
+            picture = await asyncio.to_thread(decoded, b"".join(parts))
+        except MatcapError as error:
+            return PlainTextResponse(str(error), 400)
+        height, width = picture.shape[:2]
+        headers = {"X-Size": json.dumps([width, height])}
+        data = picture.astype("<f4").tobytes()
+        return Response(data, media_type="application/octet-stream", headers=headers)
+
     async def piece(request: Request) -> Response:
         try:
             found = await _waited(pages, place_of(request.query_params), request)
@@ -231,6 +248,7 @@ def _subject_routes(
         Route("/alive", alive),
         Route("/export", exported),
         Route("/page", piece),
+        Route("/surroundings", surroundings, methods=["POST"]),
         Route("/{name}", _parts(SCRIPTS)),
     ]
 

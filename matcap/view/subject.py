@@ -13,6 +13,7 @@ from matcap.model.plane import Rectangle
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+    from matcap.flash.geometry import FlashSetup
     from matcap.model.example.example import Example
     from matcap.model.material import Material
     from matcap.model.source import Generator
@@ -20,6 +21,27 @@ if TYPE_CHECKING:
     from matcap.view.moments import Planes
 
 _FIELDS = 8  # seeds and shares kept at hand: each is a folded network, a megabyte or so
+
+
+@dataclass(frozen=True)
+class Flashed:
+    """Camera and flash of the photograph, in the plane of its piece (flash/geometry.py).
+
+    The piece is two plane units wide, and its middle is their origin.
+
+    Attributes:
+        camera: its place.
+        light: place of the flash.
+        axis: where the camera looks, a unit vector.
+        intensity: radiant intensity of the flash, by channel.
+        vignetting: light is lost by exp(-vignetting tan^2) at an angle from the axis.
+    """
+
+    camera: tuple[float, ...]
+    light: tuple[float, ...]
+    axis: tuple[float, ...]
+    intensity: tuple[float, float, float]
+    vignetting: float
 
 
 @dataclass(frozen=True)
@@ -34,6 +56,7 @@ class ViewFacts:
         seed: the realisation shown first.
         mean: moments (moments.py) of a texel like all together, shown before there is any.
         piece: (width, height) in texels of the photographed piece, where it is known.
+        flash: what it was photographed with.
         millimetres: of a plane unit; 0 where nobody measured it.
     """
 
@@ -44,6 +67,7 @@ class ViewFacts:
     seed: int
     mean: tuple[float, ...]
     piece: tuple[int, int] | None = None
+    flash: Flashed | None = None
     millimetres: float = 0.0
 
 
@@ -100,7 +124,8 @@ class Materials:
         exemplar = self.first.exemplar
         return ViewFacts(
             self.first.name, second, size, None, self.seed, self._mean,
-            exemplar.size if exemplar else None, _millimetres(self.first.provenance),
+            exemplar.size if exemplar else None, _flashed(self.first.setup) if exemplar else None,
+            _millimetres(self.first.provenance),
         )  # fmt: skip
 
     def at(self, share: float) -> Material:
@@ -208,6 +233,17 @@ class Maps:
 
 def _no_piece() -> UsageError:
     return UsageError("there is no photographed piece", remedy="view a material that has one")
+
+
+def _flashed(setup: FlashSetup) -> Flashed:
+    from matcap.flash.geometry import camera_in_plane, setup_rotation
+    from matcap.flash.render import CORNER_SQUARED
+
+    camera, light = (tuple(place.tolist()) for place in camera_in_plane(setup))
+    axis = tuple((-setup_rotation(setup)[2]).tolist())
+    # There it is stated of image coordinates: distance times the tangent.
+    lost = setup.vignetting * setup.distance**2 / CORNER_SQUARED
+    return Flashed(camera, light, axis, setup.intensity, lost)
 
 
 def _millimetres(provenance: Mapping[str, Any]) -> float:

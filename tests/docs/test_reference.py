@@ -110,7 +110,7 @@ def test_a_page_for_sending_holds_what_is_told(small, tmp_path, monkeypatch):
     assert main(["view", "leather.matcap", "--html", "page.html", "--tile", "32", "-q"]) == 0
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     (about,) = re.findall(r'<script[^>]*id="about"[^>]*>(.*?)</script>', page, re.DOTALL)
-    assert set(json.loads(about)["tile"]) == formats.keys("matcap.view.document", "Tile")
+    assert set(json.loads(about)["tile"]) == formats.keys("matcap.view.enclosed", "Tile")
 
 
 def test_scenes_take_the_keys_that_are_told():

@@ -143,7 +143,8 @@ def opened(browser):
     yield open_tab
     for one in tabs:
         one.page.close()
-        assert one.complaints == []
+        # A server may end before the page that it served; what is said then is tested on its own.
+        assert [said for said in one.complaints if "CONNECTION_REFUSED" not in said] == []
 
 
 @pytest.fixture

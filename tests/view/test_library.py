@@ -137,6 +137,25 @@ def test_spheres_follow_one_light_and_open_their_material(tab, served, library):
         page.page.select_option("#rating", "good")
         assert page.page.locator(".card:visible .called").inner_text() == "cloth"
         page.page.select_option("#rating", "")
+        stage = "matcap.shelf.gl.getParameter(matcap.shelf.gl.COLOR_CLEAR_VALUE)[0]"
+        light = page.ask(stage)  # as the browser is
+        page.page.click("#theme")
+        page.until(f"{stage} < {light} - 0.3")
+        page.page.focus(".card >> nth=2 >> a")
+        page.page.keyboard.press("b")
+        assert page.page.inner_text("#chosen").startswith("moss is chosen.")
+        assert page.page.get_attribute(".card >> nth=2 >> button", "aria-pressed") == "true"
+        page.page.keyboard.press("Escape")
+        assert page.page.inner_text("#chosen") == "moss is let go."
+        assert page.page.get_attribute(".card >> nth=2 >> button", "aria-pressed") == "false"
+        page.page.keyboard.press("b")
+        page.page.focus(".card >> nth=0 >> button")
+        page.page.keyboard.press("Enter")
+        page.page.wait_for_url("**/m/2+0/**")
+        page.loaded()
+        assert page.page.input_value("#share") == "0.5"
+        page.page.go_back()
+        page.until(SHOWN, 120)
         page.page.drag_and_drop(".card >> nth=0", ".card >> nth=1")
         page.page.wait_for_url("**/m/1+0/**")
         page.loaded()

@@ -9,6 +9,7 @@ import zipfile
 from dataclasses import asdict, replace
 from urllib.parse import parse_qs, urlsplit
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -18,7 +19,11 @@ from PIL import Image
 
 from matcap.brdf.adjust import adjusted, parse_adjustments
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
+from matcap.capture.exemplar.find import piece_maps
 from matcap.files.exr import write_exr
+from matcap.files.srgb import srgb_decode, srgb_picture
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.render import render_rectified
 from matcap.model.between import blend
 from matcap.relight.output import encode
 from matcap.relight.render import relight
@@ -111,25 +116,26 @@ def test_round_surfaces_as_relight_draws_them(page, material, shape):
     assert np.abs(shown - wanted)[inner(seen)].max() <= 2 * STEP
 
 
+def all_around(rows, columns):
+    """(rows, columns, 3) directions of the texels of a picture of surroundings."""
+    latitude = (0.5 - (np.arange(rows) + 0.5) / rows)[:, None] * math.pi
+    # The middle is +z, the right half towards -x (relight/scene.py).
+    longitude = -((np.arange(columns) + 0.5) / columns - 0.5)[None, :] * 2 * math.pi
+    parts = (
+        np.cos(latitude) * np.sin(longitude), np.sin(latitude), np.cos(latitude) * np.cos(longitude)
+    )  # fmt: skip
+    return np.stack(np.broadcast_arrays(*parts), axis=-1)
+
+
 @pytest.mark.parametrize(("room_name", "mean", "most"), [("studio", 2, 8), ("dusk", 3, 16)])
 def test_rooms_as_relight_draws_them(page, material, tmp_path, room_name, mean, most):
-    """Two ways to integrate over surroundings: harmonics and 48 directions, against 640."""
+    """Two ways to integrate over surroundings: 48 directions of a lobe, against 144."""
     # The pointer where it leaves the room as it is.
     shown = picture(
         page, shape="sphere", x=256, y=256, span=WIDTH, light=room_name, lamp=[-0.35, 0.3, 1]
     )
     rows, columns = 128, 256
-    latitude = (0.5 - (np.arange(rows) + 0.5) / rows)[:, None] * math.pi
-    # The middle is +z, the right half towards -x (relight/scene.py).
-    longitude = -((np.arange(columns) + 0.5) / columns - 0.5)[None, :] * 2 * math.pi
-    directions = np.stack(
-        np.broadcast_arrays(
-            np.cos(latitude) * np.sin(longitude),
-            np.sin(latitude),
-            np.cos(latitude) * np.cos(longitude),
-        ),
-        axis=-1,
-    )
+    directions = all_around(rows, columns)
     light = page.ask(
         "([name, all]) => all.map((d) => matcap.room(name, d))",
         [room_name, directions.reshape(-1, 3).tolist()],
@@ -141,6 +147,95 @@ def test_rooms_as_relight_draws_them(page, material, tmp_path, room_name, mean, 
     off = np.abs(shown - wanted)[inner(seen, 4)]
     assert off.mean() <= mean * STEP
     assert np.quantile(off, 0.99) <= most * STEP
+
+
+def a_street():
+    """(128, 256, 3) a blue sky above something brown, a low sun and a tower before it."""
+    towards = all_around(128, 256)
+    up = towards[..., 1:2]
+    light = np.where(up > 0, (0.5 + 0.5 * up) * (0.3, 0.5, 0.9), (0.25, 0.2, 0.12))
+    sun = np.exp(150.0 * (towards @ np.array([-0.6, 0.48, 0.64]) - 1.0))
+    tower = (np.abs(towards[..., 0] - 0.5) < 0.2) & (np.abs(up[..., 0]) < 0.5)
+    light = np.where(tower[..., None], 0.05, light) + 12.0 * sun[..., None]
+    return light.astype(np.float32)
+
+
+def stored_street(path):
+    """In the format of the path's suffix; what of it the format keeps."""
+    street = a_street()
+    if path.suffix == ".exr":
+        write_exr(path, street, half=False)
+    elif path.suffix == ".hdr":
+        assert cv2.imwrite(str(path), street[..., ::-1])
+    else:
+        codes = np.rint(srgb_picture(street) * 255).astype(np.uint8)
+        Image.fromarray(codes).save(path)
+        street = srgb_decode(codes / 255.0).astype(np.float32)
+    return street
+
+
+@pytest.mark.parametrize("suffix", [".hdr", ".exr", ".png"])
+def test_ones_own_surroundings_as_relight_draws_them(page, material, tmp_path, suffix):
+    street = stored_street(tmp_path / f"street{suffix}")
+    write_exr(tmp_path / "wanted.exr", street, half=False)
+    page.until("!!window.matcap")
+    page.page.set_input_files("#picture", tmp_path / f"street{suffix}")
+    page.until(f"document.getElementById('notice').textContent === 'lit by street{suffix}'")
+    state = page.ask("matcap.view.state")
+    # Brightened until its mean is 0.35, in quarters of a stop.
+    weights = np.sin((np.arange(128) + 0.5) * math.pi / 128)
+    mean = np.average(street.mean(axis=(1, 2)), weights=weights)
+    assert state["exposure"] == pytest.approx(math.log2(0.35 / mean), abs=0.15)
+    assert (state["light"], state["shape"]) == ("own", "sphere")
+    # The pointer where it leaves the surroundings as they are.
+    lamp = [-0.35, 0.3, 1]
+    shown = picture(page, shape="sphere", x=256, y=256, span=WIDTH, light="own", lamp=lamp,
+                    exposure=-0.5)  # fmt: skip
+    lights = (EnvironmentLight(file=tmp_path / "wanted.exr"),)
+    wanted, seen = expected(around(material, 256, 256), "sphere", WIDTH, -0.5, lights)
+    off = np.abs(shown - wanted)[inner(seen, 4)]
+    assert off.mean() <= 3 * STEP
+    assert np.quantile(off, 0.99) <= 12 * STEP
+    # And it is what one sees around the sphere: the left corner looks past it.
+    towards = np.array([-1.0, HEIGHT / WIDTH, -1.0 / math.tan(math.pi / 8)])
+    x, y, z = towards / np.linalg.norm(towards)
+    row = int(math.acos(y) / math.pi * 128)
+    column = int((math.atan2(-x, z) / (2 * math.pi) + 0.5) % 1 * 256)
+    behind = encode(street[row, column], Film(exposure=-0.5))
+    assert np.abs(shown[0, 0] - behind).max() <= 4 * STEP
+
+
+def test_a_picture_is_dropped_onto_the_page(tab, address, tmp_path):
+    stored_street(tmp_path / "street.hdr")
+    page = tab(address.url)
+    page.loaded()
+    drop = """([name, text]) => {
+      const data = new DataTransfer(), bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+      data.items.add(new File([bytes], name));
+      const tell = (kind) => document.body.dispatchEvent(
+        new DragEvent(kind, { dataTransfer: data, bubbles: true, cancelable: true }));
+      tell("dragover");
+      const invited = !document.getElementById("drop").hidden;
+      tell("drop");
+      return [invited, document.getElementById("drop").hidden];
+    }"""
+    whole = (tmp_path / "street.hdr").read_bytes()
+    notice = "document.getElementById('notice').textContent"
+    wrong = {"short.hdr": whole[:-3000], "words.hdr": b"hello", "words.exr": b"hello",
+             "words.jpg": b"hello"}  # fmt: skip
+    for name, data in wrong.items():
+        page.ask(drop, [name, base64.b64encode(data).decode()])
+        page.until(f"{notice} && !{notice}.startsWith('reading')")
+        assert page.page.get_attribute("#notice", "class") == "wrong", name
+        assert page.ask("matcap.view.state.light") == "point"
+        page.ask("document.getElementById('notice').textContent = ''")
+    page.complaints.clear()  # the browser's own words about the refused .exr
+    assert page.ask(drop, ["street.hdr", base64.b64encode(whole).decode()]) == [True, True]
+    page.until("matcap.view.state.light === 'own'")
+    page.page.focus("#canvas")
+    page.page.keyboard.press("l")
+    assert page.ask("matcap.view.state.light") == "point"  # after one's own the first comes again
+    page.loaded()
 
 
 @pytest.mark.parametrize("map_name", ["diffuse", "specular", "roughness", "height", "normal"])
@@ -306,6 +401,80 @@ def test_keys_pointer_and_wheel(tab, address):
     assert "texels across" in page.page.get_attribute("#canvas", "aria-label")
 
 
+def test_two_fingers_zoom_and_move(tab, address):
+    page = tab(address.url, has_touch=True)
+    page.loaded()
+    before = page.ask("matcap.view.state")
+    fingers = page.page.context.new_cdp_session(page.page)
+
+    def touch(kind, *places):
+        points = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(places)]
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    width, height = page.ask("[matcap.view.canvas.clientWidth, matcap.view.canvas.clientHeight]")
+    x, y = width / 2 + 60, height / 2
+    touch("touchStart", (x - 40, y), (x + 40, y))
+    for apart in (50, 60, 70, 80):
+        touch("touchMove", (x - apart, y), (x + apart, y))
+    page.until(f"Math.abs(matcap.view.state.span - {before['span'] / 2}) < 1")
+    pinched = page.ask("matcap.view.state")
+    # What lies between the fingers stays there.
+    scale = before["span"] / max(width, height)
+    assert pinched["x"] == pytest.approx(before["x"] + 60 * scale / 2, abs=2)
+    assert pinched["y"] == pytest.approx(before["y"], abs=2)
+    touch("touchMove", (x - 50, y + 30), (x + 110, y + 30))
+    page.until(f"matcap.view.state.x < {pinched['x'] - 10 * scale}")
+    assert page.ask("matcap.view.state.y") == pytest.approx(pinched["y"] - 15 * scale, abs=2)
+    touch("touchEnd")
+    assert page.ask("matcap.view.state.lamp") == before["lamp"]
+    # One finger is the light.
+    touch("touchStart", (x, y))
+    touch("touchMove", (x + 30, y - 20))
+    touch("touchEnd")
+    page.until(f"matcap.view.state.lamp[0] > {60 / width}")
+    assert page.ask("document.getElementById('hint').className") == "gone"
+    page.loaded()
+
+
+def test_full_screen_comes_and_goes(tab, address):
+    page = tab(address.url)
+    page.loaded()
+    page.page.click("#large")
+    page.until("document.fullscreenElement === document.getElementById('stage')")
+    page.until("matcap.view.canvas.clientWidth === innerWidth")
+    page.loaded()
+    page.page.keyboard.press("b")
+    page.until("!document.fullscreenElement")
+    page.until("matcap.view.canvas.clientWidth < innerWidth")
+    page.loaded()
+
+
+def test_no_mode_complains(tab, served):
+    """The tab itself objects to whatever the console says."""
+    material, told = photographed()
+    with served(Materials(material, a_material(seed=4)), told) as address:
+        page = tab(address.url)
+        page.loaded()
+        size = {"width": 64, "height": 48}
+        page.ask("size => Object.assign(matcap.view.canvas, size)", size)
+        faults = page.ask("""() => {
+          const { view } = matcap, of = (name) => [...document.getElementsByName(name)].map(
+            ({ value }) => value).filter((value) => value !== "own");
+          const draw = (state) => {
+            matcap.set({ ...view.initial(), ...state });
+            view.draw(Infinity, 2);
+            return view.gl.getError() ? [state] : [];
+          };
+          return of("map").flatMap((map) => of("light").flatMap((light) => [
+            ...of("shape").flatMap((shape) => draw({ map, light, shape })),
+            ...of("left").flatMap((left) => of("right").flatMap((right) => (
+              map === "lit" ? draw({ light, left, right }) : []))),
+          ]));
+        }""")
+        assert faults == []
+        page.loaded()
+
+
 def test_every_control_has_a_name(page):
     nameless = page.ask(
         """() => [...document.querySelectorAll(
@@ -365,7 +534,7 @@ def test_sliders_adjust_and_say_how_commands_would(tab, address):
     page.loaded()
     page.page.click("#adjusting summary")
     page.page.fill("#relief", "1.5")
-    page.page.fill("#roughen", "-0.1")
+    page.page.fill("#roughness", "-0.1")
     assert page.page.inner_text("#adjust-text") == "--adjust relief=1.5,roughness=-0.1"
     with page.page.expect_download() as download:
         page.page.click("#sidecar")
@@ -441,23 +610,42 @@ def test_light_and_dark(tab, address):
     page.loaded()
 
 
-def test_the_wipe_shows_the_piece_on_its_left(tab, served):
-    material = replace(a_material(), example=an_example())
-    exemplar = material.exemplar
-    shade = doubt_picture(exemplar)
+SETUP = FlashSetup(60.0, (0.1, 0.05, 0.0), (0.03, -0.04), (5.0, 4.5, 4.0), 0.3)
+
+
+def photographed():
+    """A material that knows its piece, and what lies beside it."""
+    material = replace(a_material(), example=an_example(), setup=SETUP)
+    shade = doubt_picture(material.exemplar)
     told = Beside(EncodedPicture(jpeg(), "image/jpeg"), shade, ("usable", "Look at it."))
+    return material, told
+
+
+def of_the_piece(shown, exemplar):
+    """What a picture that is a texel a pixel shows of the piece, and the piece's left part."""
+    wide, tall = exemplar.size
+    left, top = WIDTH // 2 - wide // 2, HEIGHT // 2 - tall // 2
+    return shown[top : top + tall, left : left + wide]
+
+
+def test_the_wipe_between_photograph_own_flash_relit_piece_and_field(tab, served):
+    material, told = photographed()
+    exemplar = material.exemplar
     with served(Materials(material), told) as address:
         page = tab(address.url)
         page.loaded()
-        page.page.click("label:has(input[value=piece])")
+        assert not page.page.is_visible("#wipe") and not page.page.is_visible("#right-choice")
+        page.page.click("#left-choice label:has(input[value=piece])")
         assert page.ask("matcap.view.state.left") == "piece"
         home = page.ask("matcap.view.initial()")
-        shown = picture(page, left="piece", wipe=0.5, map="diffuse", span=WIDTH, x=home["x"],
-                        y=home["y"])  # fmt: skip
+        middle = {"span": WIDTH, "x": home["x"], "y": home["y"]}
+        relit = picture(page, left="piece", wipe=0.5, map="diffuse", **middle)
+        both = picture(page, left="photo", right="flash", wipe=0.5, **middle)
+        brighter = picture(page, left="photo", right="flash", wipe=0.5, exposure=1, **middle)
         page.page.check("#doubted")
         assert "Look at it" in page.page.inner_text("#verdict")
-        page.page.click("label:has(input[value=photo])")
-        page.until("document.getElementById('photo').naturalWidth === 8")
+        words = page.page.get_attribute("#wipe", "aria-valuetext")
+        assert words == "photograph to the left, re-rendered, own flash to the right"
         page.page.focus("#wipe")
         page.page.keyboard.press("ArrowLeft")
         assert page.ask("matcap.view.state.wipe") == pytest.approx(0.45)
@@ -467,15 +655,24 @@ def test_the_wipe_shows_the_piece_on_its_left(tab, served):
         page.page.mouse.move(100, 100, steps=3)
         page.page.mouse.up()
         assert page.ask("matcap.view.state.wipe") < 0.25
+        page.page.click("#right-choice label:has(input[value=piece])")
+        assert page.ask("matcap.view.state.right") == "piece"
+        page.until("location.hash.includes('right=piece')")
         page.loaded()
-    wide, tall = exemplar.size
-    left, top = WIDTH // 2 - wide // 2, HEIGHT // 2 - tall // 2
-    piece = encode(exemplar.diffuse.transpose(1, 2, 0), Film())[:, : WIDTH // 2 - left]
-    found = shown[top : top + tall, left : WIDTH // 2]
-    assert np.abs(found - piece).max() <= 2 * STEP
+    half = exemplar.size[0] // 2
+    piece = encode(exemplar.diffuse.transpose(1, 2, 0), Film())
+    assert np.abs(of_the_piece(relit, exemplar) - piece)[:, :half].max() <= 2 * STEP
     field = material.maps(WIDTH // 2, HEIGHT, x=home["x"], y=home["y"] - HEIGHT // 2)
     wanted = encode(field.diffuse.movedim(0, -1).numpy(), Film())
-    assert np.abs(shown[:, WIDTH // 2 :] - wanted).max() <= 2 * STEP
+    assert np.abs(relit[:, WIDTH // 2 :] - wanted).max() <= 2 * STEP
+    # On the right what the flash renderer makes of the piece, on the left the photograph.
+    flash = render_rectified(piece_maps(exemplar), SETUP).movedim(0, -1).numpy()
+    assert 0.1 < flash.mean() < 0.9
+    off = np.abs(of_the_piece(both, exemplar) - encode(flash, Film()))[2:-2, half:-2]
+    assert off.max() <= 2 * STEP
+    assert np.abs(of_the_piece(both, exemplar)[:, :half] - 90 / 255).max() <= 2 * STEP
+    doubled = encode(srgb_decode(np.array(90 / 255)) * np.ones(3), Film(exposure=1.0))
+    assert np.abs(of_the_piece(brighter, exemplar)[:, :half] - doubled).max() <= 2 * STEP
 
 
 def test_turntable_and_export(tab, address):
@@ -511,6 +708,33 @@ def test_enclosed_page_draws_the_same_and_fetches_nothing(tab, material, subject
     wanted, _ = expected(maps, "plane", WIDTH)
     assert np.abs(shown - wanted).max() <= 2 * STEP
     assert page.shown() == []
+
+
+def test_enclosed_page_plays_as_well(tab, tmp_path):
+    material, told = photographed()
+    path = tmp_path / "page.html"
+    path.write_text(sealed_page(Materials(material), 256, told), encoding="utf-8")
+    page = tab(path.as_uri())
+    page.loaded()
+    home = page.ask("matcap.view.initial()")
+    shown = picture(page, left="photo", right="flash", span=WIDTH, x=home["x"], y=home["y"])
+    page.page.check("#doubted")
+    assert page.page.is_visible("#verdict") and page.page.is_visible("#doubt")
+    stored_street(tmp_path / "street.hdr")
+    stored_street(tmp_path / "street.exr")
+    page.page.set_input_files("#picture", tmp_path / "street.exr")
+    page.until("document.getElementById('notice').className === 'wrong'")
+    assert "reads no .exr" in page.page.inner_text("#notice")
+    page.page.set_input_files("#picture", tmp_path / "street.hdr")
+    page.until("matcap.view.state.light === 'own'")
+    page.loaded()
+    assert page.shown() == []
+    exemplar = material.exemplar
+    flash = render_rectified(piece_maps(exemplar), SETUP).movedim(0, -1).numpy()
+    half = exemplar.size[0] // 2
+    off = np.abs(of_the_piece(shown, exemplar) - encode(flash, Film()))[2:-2, half:-2]
+    assert np.quantile(off, 0.99) <= 6 * STEP  # a JPEG, and steps
+    assert np.abs(of_the_piece(shown, exemplar)[:, :half] - 90 / 255).max() <= 2 * STEP
 
 
 def test_map_set_repeats(tab, served, material):

@@ -17,6 +17,7 @@ from PIL import Image
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.brdf.maps import MapSet
+from matcap.files.exr import write_exr
 from matcap.model.field import Field
 from matcap.model.plane import Rectangle
 from matcap.view.afar import ExampleFromAfar, NetworkFromAfar, SmallerForms
@@ -400,6 +401,34 @@ def test_the_verdict_is_the_captures(tmp_path):
     told = {"verdict": {"rating": "good", "sentence": "It is."}}
     (tmp_path / "report.json").write_text(json.dumps(told))
     assert read_verdict(tmp_path) == ("good", "It is.")
+
+
+def test_surroundings_are_read_as_relight_reads_them(client, tmp_path, monkeypatch):
+    street = np.random.default_rng(0).random((20, 40, 3), np.float32)
+    write_exr(tmp_path / "street.exr", street, half=False)
+    sent = (tmp_path / "street.exr").read_bytes()
+    where = f"/{ADDRESS.token}/surroundings"
+    answer = client.post(where, content=sent)
+    assert json.loads(answer.headers["x-size"]) == [40, 20]
+    assert np.array_equal(np.frombuffer(answer.content, "<f4"), street.ravel())
+    for broken in (b"", b"hello", sent[:-200]):
+        answer = client.post(where, content=broken)
+        assert answer.status_code == 400
+        assert answer.text.startswith("the picture: ") and "\n" not in answer.text
+        assert ".exr" not in answer.text.split(";")[0]
+    assert client.get(where).status_code == 404
+    assert client.post("/wrong/surroundings", content=sent).status_code == 403
+    monkeypatch.setattr("matcap.view.server.LARGEST_FILE", 100)
+    assert client.post(where, content=sent).status_code == 413
+
+
+def test_wide_surroundings_are_averaged_down(client, tmp_path):
+    wide = np.full((2, 4100, 3), 0.25, np.float32)
+    write_exr(tmp_path / "wide.exr", wide, half=False)
+    sent = (tmp_path / "wide.exr").read_bytes()
+    answer = client.post(f"/{ADDRESS.token}/surroundings", content=sent)
+    assert json.loads(answer.headers["x-size"]) == [2048, 2]
+    np.testing.assert_allclose(np.frombuffer(answer.content, "<f4"), 0.25, rtol=1e-6)
 
 
 def test_addresses_cannot_be_guessed():

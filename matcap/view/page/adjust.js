@@ -22,12 +22,14 @@ export function parseAdjustments(text) {
   return found;
 }
 
+// Light of an sRGB code value from 0 to 1 (IEC 61966-2-1).
+export function linearOf(code) {
+  return code <= 0.04045 ? code / 12.92 : ((code + 0.055) / 1.055) ** 2.4;
+}
+
 // Column by column, what diffuse albedo is multiplied by.
 export function colourMatrix({ saturation, brightness, tint }) {
-  const linear = [1, 3, 5].map((at) => {
-    const code = parseInt(tint.slice(at, at + 2), 16) / 255;
-    return code <= 0.04045 ? code / 12.92 : ((code + 0.055) / 1.055) ** 2.4;
-  });
+  const linear = [1, 3, 5].map((at) => linearOf(parseInt(tint.slice(at, at + 2), 16) / 255));
   const light = linear.reduce((sum, value, k) => sum + value * LUMINANCE[k], 0);
   return LUMINANCE.flatMap((share, from) => linear.map((value, to) =>
     brightness * (value / light) * (share + saturation * ((from === to) - share))));

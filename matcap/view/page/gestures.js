@@ -1,6 +1,6 @@
 // Pointer, touch and keys to changes of the state.
 
-import { FLASH, LIGHTS, MAPS } from "./view.js";
+import { FLASH, MAPS } from "./view.js";
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
@@ -32,6 +32,7 @@ export function listen(view, set, acts, moved) {
   };
 
   const fingers = new Map();
+  let touched = false; // by one finger, which has not moved yet
   const middle = () => {
     const all = [...fingers.values()];
     const mean = [0, 1].map((k) => all.reduce((sum, p) => sum + p[k], 0) / all.length);
@@ -41,8 +42,9 @@ export function listen(view, set, acts, moved) {
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, units(event));
-    if (event.pointerType === "touch" && fingers.size === 1) aim(event);
-    else canvas.classList.add("moving");
+    // A second finger may follow, and would find the light moved.
+    touched = event.pointerType === "touch" && fingers.size === 1;
+    if (!touched) canvas.classList.add("moving");
   });
   canvas.addEventListener("pointermove", (event) => {
     if (!fingers.has(event.pointerId)) {
@@ -50,6 +52,7 @@ export function listen(view, set, acts, moved) {
       return;
     }
     moved();
+    touched = false;
     if (event.pointerType === "touch" && fingers.size === 1) {
       fingers.set(event.pointerId, units(event));
       aim(event);
@@ -64,6 +67,8 @@ export function listen(view, set, acts, moved) {
   for (const kind of ["pointerup", "pointercancel"]) {
     canvas.addEventListener(kind, (event) => {
       fingers.delete(event.pointerId);
+      if (touched && kind === "pointerup") aim(event);
+      touched = false;
       if (fingers.size === 0) canvas.classList.remove("moving");
     });
   }
@@ -77,7 +82,10 @@ export function listen(view, set, acts, moved) {
     p: () => set({ shape: "plane" }),
     s: () => set({ shape: "sphere" }),
     c: () => set({ shape: "cylinder" }),
-    l: () => set({ light: LIGHTS[(LIGHTS.indexOf(view.state.light) + 1) % LIGHTS.length] }),
+    l: () => {
+      const { lights } = view;
+      set({ light: lights[(lights.indexOf(view.state.light) + 1) % lights.length] });
+    },
     f: () => set({ lamp: [0, 0, FLASH], light: "point" }),
     "[": () => acts.expose(view.state.exposure - 0.25),
     "]": () => acts.expose(view.state.exposure + 0.25),

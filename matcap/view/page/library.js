@@ -1,8 +1,10 @@
 // A library: every material a sphere, all under one light that follows the pointer.
 
+import { $ } from "./controls.js";
+import { dressed, followTheme } from "./theme.js";
 import { UNCHANGED, colourMatrix, parseAdjustments } from "./adjust.js";
 import { Pages } from "./pages.js";
-import { buildProgram } from "./shader.js";
+import { UNIT, buildProgram } from "./shader.js";
 import { cut } from "./source.js";
 
 const SPAN = 460; // texels of a sphere's diameter
@@ -12,7 +14,6 @@ const NEARER = 0.4; // sideways it is nearer than the pointer, or far spheres wo
 const MOST = 48; // swatches held
 const CAMERA = 1.25 / AROUND; // the shader's own room around a sphere
 
-const $ = (id) => document.getElementById(id);
 const about = JSON.parse($("about").textContent);
 const canvas = $("canvas");
 
@@ -21,16 +22,9 @@ class Shelf {
     const form = about.page;
     this.gl = gl;
     this.pages = new Pages(gl, form, MOST);
-    const { program, places } = buildProgram(gl, form);
+    const places = buildProgram(gl, form);
     this.places = places;
-    gl.useProgram(program);
-    gl.bindVertexArray(gl.createVertexArray());
-    ["albedo", "surface", "relief", "table"].forEach((name, unit) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(name === "table" ? gl.TEXTURE_2D : gl.TEXTURE_2D_ARRAY, this.pages[name]);
-      gl.uniform1i(places[name], unit);
-    });
-    gl.activeTexture(gl.TEXTURE4);
+    this.pages.bind(UNIT);
     const adjust = about.adjust ? parseAdjustments(about.adjust) : UNCHANGED;
     gl.uniformMatrix3fv(places.colouring, false, colourMatrix(adjust));
     gl.uniform2f(places.reliefAndRough, adjust.relief, adjust.roughness);
@@ -40,6 +34,7 @@ class Shelf {
     gl.uniform4f(places.bounds, -3e38, -3e38, 3e38, 3e38);
     gl.uniform1i(places.shape, 1);
     gl.uniform1i(places.map, 0);
+    gl.uniform4f(places.lens, 0, 0, -1, 0);
     gl.uniform1i(places.room, 0);
     gl.uniform1f(places.gain, 1);
     gl.uniform4f(places.meanAlbedo, 0.2, 0.2, 0.2, 0.04);
@@ -50,13 +45,15 @@ class Shelf {
   // Draw every sphere that is seen, where its card is.
   draw(cards) {
     const { gl, places } = this, ratio = canvas.width / innerWidth;
+    const ground = dressed();
+    gl.uniform3f(places.ground, ...ground);
     gl.disable(gl.SCISSOR_TEST);
-    gl.clearColor(0.1451, 0.1451, 0.1451, 1); // the shader's NOTHING
+    gl.clearColor(...ground, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.enable(gl.SCISSOR_TEST);
     for (const card of cards) {
       const box = card.face.getBoundingClientRect();
-      if (card.link.hidden || box.bottom < 0 || box.top > innerHeight) continue;
+      if (card.box.hidden || box.bottom < 0 || box.top > innerHeight) continue;
       if (!this.pages.has(about.level, card.index, 0)) continue;
       const side = box.width * ratio, x = box.left * ratio, y = canvas.height - box.bottom * ratio;
       gl.viewport(x, y, side, side);
@@ -68,16 +65,40 @@ class Shelf {
       const place = [(NEARER * dx) / radius, (NEARER * dy) / radius, LIFT + 1];
       const away = Math.max(Math.hypot(...place) - 1, 0.05);
       gl.uniform3f(places.lightPlace, ...place);
-      gl.uniform1f(places.intensity, Math.PI * away * away);
+      gl.uniform3fv(places.intensity, Array(3).fill(Math.PI * away * away));
       this.pages.show(about.level, card.index, 0);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
   }
 }
 
+// Two that are to be blended: the first waits for the second.
+const blending = { first: null };
+
+function choose(card) {
+  const { first } = blending, name = card?.material.name;
+  first?.button.setAttribute("aria-pressed", "false");
+  blending.first = null;
+  if (!card || card === first) {
+    $("chosen").textContent = first ? `${first.material.name} is let go.` : "";
+  } else if (first) {
+    $("chosen").textContent = `Blending ${first.material.name} with ${name}.`;
+    blend(first.index, card.index);
+  } else {
+    blending.first = card;
+    card.button.setAttribute("aria-pressed", "true");
+    $("chosen").textContent = `${name} is chosen. Choose another one to blend it with.`;
+  }
+}
+
+function blend(first, second) {
+  location.href = `m/${first}+${second}/#share=0.5`;
+}
+
 function makeCard(material, index) {
+  const box = document.createElement("div");
+  box.className = "card";
   const link = document.createElement("a");
-  link.className = "card";
   link.href = `m/${index}/`;
   link.draggable = true;
   const face = document.createElement("span"), name = document.createElement("span");
@@ -85,6 +106,17 @@ function makeCard(material, index) {
   name.className = "called";
   name.textContent = material.name;
   link.append(face, name);
+  const button = document.createElement("button");
+  Object.assign(button, { type: "button", className: "quiet", textContent: "Blend" });
+  button.setAttribute("aria-pressed", "false");
+  button.setAttribute("aria-label", `Blend ${material.name} with another`);
+  const card = { box, link, face, button, index, material };
+  button.addEventListener("click", () => choose(card));
+  box.addEventListener("keydown", (event) => {
+    if (event.key.toLowerCase() !== "b" || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    choose(card);
+  });
   if (material.rating) {
     const rating = document.createElement("span");
     rating.className = `rating ${material.rating}`;
@@ -93,19 +125,20 @@ function makeCard(material, index) {
     link.append(rating);
   }
   link.addEventListener("dragstart", (event) => event.dataTransfer.setData("text/plain", String(index)));
-  link.addEventListener("dragover", (event) => {
+  box.addEventListener("dragover", (event) => {
     event.preventDefault();
-    link.classList.add("over");
+    box.classList.add("over");
   });
-  link.addEventListener("dragleave", () => link.classList.remove("over"));
-  link.addEventListener("drop", (event) => {
+  box.addEventListener("dragleave", () => box.classList.remove("over"));
+  box.addEventListener("drop", (event) => {
     event.preventDefault();
-    link.classList.remove("over");
+    box.classList.remove("over");
     const other = Number(event.dataTransfer.getData("text/plain"));
-    if (Number.isInteger(other) && other !== index) location.href = `m/${index}+${other}/#share=0.5`;
+    if (Number.isInteger(other) && other !== index) blend(index, other);
   });
-  $("shelf").append(link);
-  return { link, face, index, material };
+  box.append(link, button);
+  $("shelf").append(box);
+  return card;
 }
 
 (() => {
@@ -132,16 +165,19 @@ function makeCard(material, index) {
   };
   const filter = () => {
     const text = $("find").value.toLowerCase(), rating = $("rating").value;
-    for (const { link, material } of cards) {
-      link.hidden = !material.name.toLowerCase().includes(text)
+    for (const { box, material } of cards) {
+      box.hidden = !material.name.toLowerCase().includes(text)
         || (rating !== "" && material.rating !== rating);
     }
-    const shown = cards.filter(({ link }) => !link.hidden).length;
+    const shown = cards.filter(({ box }) => !box.hidden).length;
     $("status").textContent = `${shown} of ${cards.length} materials`;
     redraw();
   };
   $("find").addEventListener("input", filter);
   $("rating").addEventListener("change", filter);
+  followTheme(redraw);
+  addEventListener("keydown", ({ key }) => { if (key === "Escape") choose(null); });
+  addEventListener("pageshow", () => { if (blending.first) choose(null); }); // come back to
   addEventListener("resize", fit);
   addEventListener("scroll", redraw, { passive: true });
   addEventListener("pointermove", (event) => {
@@ -166,20 +202,21 @@ function makeCard(material, index) {
       redraw();
     } catch (error) {
       card.link.title = error instanceof TypeError ? "matcap view has ended" : error.message;
-      card.link.classList.add("broken");
+      card.box.classList.add("broken");
+      card.button.hidden = true;
     }
     fetching = false;
     next();
   };
   const watcher = new IntersectionObserver((seen) => {
     for (const { isIntersecting, target } of seen) {
-      const card = cards.find(({ link }) => link === target);
+      const card = cards.find(({ box }) => box === target);
       if (!isIntersecting || !shelf || shelf.pages.has(about.level, card.index, 0)) continue;
       if (!waiting.includes(card)) waiting.push(card);
     }
     shelf?.pages.use(cards.map(({ index }) => ({ level: about.level, column: index, row: 0 })));
     next();
   }, { rootMargin: "200px" });
-  for (const { link } of cards) watcher.observe(link);
+  for (const { box } of cards) watcher.observe(box);
   window.matcap = { shelf, cards };
 })();

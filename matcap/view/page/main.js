@@ -3,32 +3,40 @@
 import { UNCHANGED, adjustmentsText } from "./adjust.js";
 import { fromAddress, toAddress } from "./address.js";
 import { EnclosedPages, ServedPages } from "./source.js";
-import { ROOMS, roomRadiance } from "./surroundings.js";
-import { GONE, LIGHTS, MAPS, SHAPES, View } from "./view.js";
-import { $, ADJUSTED, CHOICES, describe, legend, number, showPiece, showScale, showState }
-  from "./panel.js";
+import { ROOMS, roomRadiance } from "./rooms.js";
+import { GONE, LEFTS, MAPS, RIGHTS, SHAPES, View } from "./view.js";
+import { $, ADJUSTED, CHOICES, makeControls, saySlider } from "./controls.js";
+import { describe, legend, showPiece, showScale, showState, whereabouts } from "./panel.js";
+import { followTheme } from "./theme.js";
+import { readSurroundings } from "./reading.js";
+import { listenForPictures } from "./bring.js";
 import { listen, listenToWipe } from "./gestures.js";
 
 const TURN = 12; // seconds of a turn of the turntable
+const SAID = 9000; // milliseconds that a notice stays
 const PULSE = 4000; // milliseconds between looks whether the server is there
 
 (() => {
   const about = JSON.parse($("about").textContent);
   const canvas = $("canvas");
+  let view;
+  makeControls();
   describe(about);
 
-  const theme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
-  document.documentElement.dataset.theme = theme;
-  $("theme").addEventListener("click", () => {
-    const { dataset } = document.documentElement;
-    dataset.theme = dataset.theme === "light" ? "dark" : "light";
-  });
+  followTheme(() => view?.redraw());
 
+  // Said for a while.
+  let noticed = 0;
+  const tell = (words, wrong = false) => {
+    $("notice").textContent = words;
+    $("notice").classList.toggle("wrong", wrong);
+    clearTimeout(noticed);
+    noticed = setTimeout(() => { $("notice").textContent = ""; }, SAID);
+  };
   const trouble = (words) => {
     $("trouble").textContent = words;
     $("trouble").hidden = false;
   };
-  let view;
   try {
     view = new View(canvas, about, about.tile ? new EnclosedPages(about) : new ServedPages(about));
   } catch (error) {
@@ -44,9 +52,10 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   });
 
   // --- state and address ------------------------------------------------------------------------
-  const lefts = ["none", ...(about.photo ? ["photo"] : []), ...(about.tile ? [] : ["piece"])];
-  const choices = { shape: SHAPES, map: MAPS, light: LIGHTS, left: about.piece ? lefts : ["none"] };
-  const begin = () => fromAddress(location.hash.slice(1), view.initial(), choices);
+  const lefts = about.piece ? LEFTS.filter((name) => name !== "photo" || about.photo) : ["none"];
+  const choices = () => (
+    { shape: SHAPES, map: MAPS, light: view.lights, left: lefts, right: RIGHTS });
+  const begin = () => fromAddress(location.hash.slice(1), view.initial(), choices());
   let told = 0;
   const set = (changes) => {
     view.set(changes);
@@ -69,6 +78,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
 
   view.changed = () => {
     $("legend").textContent = legend(view);
+    $("where").textContent = whereabouts(view);
     showScale(view);
     showPiece(view);
     const left = view.missing().length;
@@ -76,18 +86,17 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
     $("status").textContent = view.failure
       || (left ? `sharpening: ${left} piece${left > 1 ? "s" : ""} to come` : "");
     canvas.setAttribute("aria-label",
-      `${about.name} on a ${view.state.shape}: ${legend(view)}${left ? ", still sharpening" : ""}`);
+      `${about.name} on a ${view.state.shape}: ${legend(view)}${whereabouts(view)}${left ? ", still sharpening" : ""}`);
   };
 
   // --- controls ---------------------------------------------------------------------------------
-  for (const [name, key] of CHOICES) {
-    for (const input of document.querySelectorAll(`input[name=${name}]`)) {
-      input.addEventListener("change", () => {
-        const home = key === "left" && input.value !== "none"
-          ? { shape: "plane", ...view.homeward() } : {};
-        set({ [key]: input.value, ...home });
-      });
-    }
+  for (const name of Object.keys(CHOICES)) {
+    $(`${name}-choice`).addEventListener("change", ({ target }) => {
+      if (target.name !== name) return;
+      const home = name === "left" && !view.wiped && target.value !== "none"
+        ? { shape: "plane", ...view.homeward() } : {};
+      set({ [name]: target.value, ...home });
+    });
   }
   $("doubted").addEventListener("change", () => set({}));
   const expose = (value) => set({ exposure: Math.min(4, Math.max(-4, value)) });
@@ -96,12 +105,10 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
     set({ lamp: [...view.state.lamp.slice(0, 2), event.target.valueAsNumber] });
   });
   $("share").addEventListener("change", (event) => set({ share: event.target.valueAsNumber }));
-  $("share").addEventListener("input", (event) => {
-    $("share-value").textContent = number(event.target.valueAsNumber, 2);
-  });
+  $("share").addEventListener("input", ({ target }) => saySlider("share", target.valueAsNumber));
   const adjust = (changes) => set({ adjust: { ...view.state.adjust, ...changes } });
-  for (const [id, name] of Object.entries(ADJUSTED)) {
-    $(id).addEventListener("input", (event) => adjust({ [name]: event.target.valueAsNumber }));
+  for (const name of ADJUSTED) {
+    $(name).addEventListener("input", ({ target }) => adjust({ [name]: target.valueAsNumber }));
   }
   $("tint").addEventListener("input", ({ target }) => {
     adjust({ tint: target.value === "#000000" ? UNCHANGED.tint : target.value });
@@ -113,12 +120,29 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
     link.download = name;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-    $("status").textContent = `saved ${name}`;
+    tell(`saved ${name}`);
   };
   // A sidecar beside the material: --adjust takes it.
   $("sidecar").addEventListener("click", () => {
     const text = JSON.stringify({ adjust: adjustmentsText(view.state.adjust) });
     download(new Blob([text], { type: "application/json" }), `${about.name}.adjust.json`);
+  });
+
+  const send = about.tile ? null
+    : (file) => fetch("surroundings", { method: "POST", body: file });
+  listenForPictures(async (file) => {
+    tell(`reading ${file.name} …`);
+    try {
+      const picture = await readSurroundings(file, send);
+      view.surround(picture);
+      $("bring").textContent = "Another…";
+      // A plane fills the picture, and hides what is around it.
+      set(view.state.shape === "plane" ? { shape: "sphere" } : {});
+      const round = Math.abs(picture.width / picture.height - 2) < 0.1;
+      tell(`lit by ${file.name}${round ? "" : ", which is no whole panorama and is stretched around"}`);
+    } catch (error) {
+      tell(error instanceof TypeError ? GONE : error.message, true);
+    }
   });
 
   const sow = (seed) => {
@@ -148,7 +172,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   };
   $("large").addEventListener("click", enlarge);
   $("export").addEventListener("submit", () => {
-    $("status").textContent = `exporting for ${$("target").value}; the download begins by itself`;
+    tell(`exporting for ${$("target").value}; the download begins by itself`);
   });
   $("again").addEventListener("click", () => view.set({}));
   const help = () => $("keys-dialog").showModal();

@@ -27,6 +27,16 @@ export class Pages {
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
   }
 
+  // Bind what is drawn with.
+  bind(units) {
+    const { gl } = this;
+    for (const name of ["albedo", "surface", "relief", "table"]) {
+      gl.activeTexture(gl.TEXTURE0 + units[name]);
+      gl.bindTexture(name === "table" ? gl.TEXTURE_2D : gl.TEXTURE_2D_ARRAY, this[name]);
+    }
+    gl.activeTexture(gl.TEXTURE0 + units.spare);
+  }
+
   static key(level, column, row) {
     return `${level} ${column} ${row}`;
   }

@@ -1,14 +1,9 @@
 // The state in words and on the controls.
 
 import { adjustmentsText } from "./adjust.js";
+import { $, ADJUSTED, CHOICES, number, offer, option, showSlider } from "./controls.js";
 
-export const $ = (id) => document.getElementById(id);
-export const CHOICES = [["surface", "shape"], ["light", "light"], ["map", "map"], ["left", "left"]];
-export const ADJUSTED = { relief: "relief", roughen: "roughness", saturation: "saturation",
-  brightness: "brightness" };
 const SCALE = 190; // pixels that the scale is long at most
-
-export const number = (value, digits = 3) => Number(value.toPrecision(digits)).toString();
 
 export function describe(about) {
   $("name").textContent = about.name;
@@ -27,13 +22,9 @@ export function describe(about) {
     $("share-row").hidden = false;
     $("share-label").textContent = `Blend with ${about.second}`;
   }
-  $("beside").hidden = !about.piece || !(about.photo || !about.tile);
-  $("photo-choice").hidden = !about.photo;
-  $("piece-choice").hidden = Boolean(about.tile);
-  if (about.photo) {
-    $("photo").src = about.photo;
-    $("photo").alt = `The photograph of ${about.name}`;
-  }
+  $("left-choice").hidden = !about.piece;
+  offer("left", "photo", Boolean(about.photo));
+  offer("light", "own", false);
   if (about.doubt) {
     $("doubt").src = about.doubt;
     $("doubt").alt = "Shaded where the photograph tells little";
@@ -42,7 +33,9 @@ export function describe(about) {
     const [rating, ...rest] = about.verdict;
     const word = document.createElement("b");
     word.textContent = rating;
-    $("verdict").replaceChildren(word, ` ${rest.join(" ")}`);
+    // The sentence may begin with it.
+    const text = rest.join(" ").replace(new RegExp(`^${rating}:? `), "");
+    $("verdict").replaceChildren(word, `: ${text}`);
   }
   for (const target of about.targets) $("target").append(new Option(target));
   $("export").hidden = about.targets.length === 0;
@@ -57,21 +50,23 @@ export function length(view, texels) {
 }
 
 export function legend(view) {
-  const { map, light, span, shape, x, y } = view.state;
+  const { map, light, span, shape } = view.state;
   const [low, high] = view.range().map((value) => number(value));
   const said = {
     lit: { point: "point light", studio: "a studio: two soft lamps",
-      window: "a window on the left", dusk: "a low sun" }[light],
+      window: "a window on the left", dusk: "a low sun", own: "your own picture" }[light],
     diffuse: "diffuse albedo, sRGB",
     specular: `specular albedo F0, black ${low} to white ${high}`,
     roughness: `roughness, black ${low} to white ${high}`,
     height: `height, black ${low} to white ${high} plane units`,
     normal: "normal, +x right in red, +y up in green",
   }[map];
-  const where = shape === "plane"
-    ? `${number(span, 4)} texels across, at ${Math.round(x)}, ${Math.round(y)}`
-    : `${number(span, 4)} texels in diameter`;
-  return `${said} · ${where}`;
+  return `${said} · ${number(span, 4)} texels ${shape === "plane" ? "across" : "in diameter"}`;
+}
+
+export function whereabouts(view) {
+  const { shape, x, y } = view.state;
+  return shape === "plane" ? `, at ${Math.round(x)}, ${Math.round(y)}` : "";
 }
 
 // A length of 1, 2 or 5 times a power of ten.
@@ -87,23 +82,14 @@ export function showScale(view) {
 
 export function showState(view) {
   const { state } = view;
-  for (const [name, key] of CHOICES) {
-    document.querySelector(`input[name=${name}][value=${state[key]}]`).checked = true;
-  }
-  $("exposure").value = state.exposure;
-  $("exposure-value").textContent = `${state.exposure > 0 ? "+" : ""}${state.exposure} stops`;
-  $("lift").value = state.lamp[2];
-  $("lift-value").textContent = number(state.lamp[2], 2);
+  for (const name of Object.keys(CHOICES)) option(name, state[name]).checked = true;
+  offer("light", "own", Boolean(view.own));
+  showSlider("exposure", state.exposure);
+  showSlider("lift", state.lamp[2]);
   $("lift-row").hidden = state.light !== "point";
-  $("share").value = state.share;
-  $("share-value").textContent = number(state.share, 2);
+  showSlider("share", state.share);
   if (document.activeElement !== $("seed")) $("seed").value = state.seed;
-  for (const [id, name] of Object.entries(ADJUSTED)) {
-    $(id).value = state.adjust[name];
-    const value = number(state.adjust[name]);
-    $(`${name}-value`).textContent = name === "roughness" ? `${value > 0 ? "+" : ""}${value}`
-      : `× ${value}`;
-  }
+  for (const name of ADJUSTED) showSlider(name, state.adjust[name]);
   $("tint").value = state.adjust.tint;
   const text = adjustmentsText(state.adjust);
   $("adjust-text").textContent = text ? `--adjust ${text}` : "";
@@ -112,28 +98,32 @@ export function showState(view) {
   showPiece(view);
 }
 
-// Photograph and shading lie over the piece, cut off at the wipe.
+// The wipe, what is said of its sides, and the shading over the piece, cut off at the wipe.
 export function showPiece(view) {
-  const { state, canvas } = view;
-  const shown = state.left !== "none" && state.shape === "plane";
+  const { state, canvas } = view, shown = view.wiped;
   for (const id of ["piece", "wipe"]) $(id).hidden = !shown;
-  $("doubt-row").hidden = !shown || (!view.about.verdict && !view.about.doubt);
+  $("right-choice").hidden = !shown;
+  $("doubt-row").hidden = !view.about.verdict && !view.about.doubt;
   $("verdict").hidden = !shown || !$("doubted").checked || !view.about.verdict;
   if (!shown) return;
   const at = state.wipe * canvas.clientWidth;
   $("wipe").style.left = `${at}px`;
   $("wipe").setAttribute("aria-valuenow", String(Math.round(100 * state.wipe)));
-  $("wipe-left").textContent = state.left === "photo" ? "photograph" : "photographed piece, relit";
-  $("wipe-right").textContent = view.about.period ? "repeated" : "endless";
+  $("wipe").setAttribute("aria-valuetext",
+    `${sideOf(view, state.left)} to the left, ${sideOf(view, state.right)} to the right`);
+  $("wipe-left").textContent = sideOf(view, state.left);
+  $("wipe-right").textContent = sideOf(view, state.right);
   $("piece").style.width = `${at}px`;
   const [left, top, wide, tall] = view.pieceBox;
-  for (const id of ["photo", "doubt"]) {
-    Object.assign($(id).style, {
-      left: `${left}px`, top: `${top}px`, width: `${wide}px`, height: `${tall}px`,
-    });
-  }
-  $("photo").hidden = state.left !== "photo";
+  Object.assign($("doubt").style, {
+    left: `${left}px`, top: `${top}px`, width: `${wide}px`, height: `${tall}px`,
+  });
   $("doubt").hidden = !$("doubted").checked || !view.about.doubt;
-  $("piece").classList.toggle("covering", state.left === "photo");
 }
 
+function sideOf(view, side) {
+  return {
+    photo: "photograph", flash: "re-rendered, own flash", piece: "the piece, relit",
+    field: view.about.period ? "repeated" : "endless",
+  }[side];
+}

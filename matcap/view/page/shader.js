@@ -4,7 +4,7 @@
 
 import { ADJUST_GLSL } from "./adjust.js";
 import { TABLE_GLSL } from "./pages.js";
-import { ROOM_GLSL } from "./surroundings.js";
+import { SURROUNDINGS_GLSL } from "./surroundings.js";
 
 const VERTEX = `#version 300 es
 void main() {
@@ -31,22 +31,27 @@ uniform vec4 meanAlbedo, meanSurface;  // where there is nothing yet
 uniform int shape;            // 0 plane, 1 sphere, 2 cylinder
 uniform int map;              // 0 lit, then diffuse, specular, roughness, height, normal
 uniform bool room;            // surroundings, not the point light
+uniform vec3 viewPlace;       // of the camera over a plane
+uniform vec4 lens;            // its axis, and what it loses with the squared tangent from there
 uniform vec3 lightPlace;
-uniform float intensity;
+uniform vec3 intensity;
+uniform bool photographed;    // the photograph itself
+uniform sampler2D photograph; // as large as the bounds
 uniform float gain;
 uniform vec2 range;           // of the map shown, black to white
 uniform int mirrored;         // directions of the room that each pixel looks in
 uniform mat3 turned;          // scene to room
-uniform vec3 harmonics[9];    // of the room's irradiance
+uniform vec3 ground;          // where there is nothing: a colour as it is shown
 out vec4 colour;
 
 const float PI = 3.14159265358979;
 const float REACH = 0.41421356237;  // tan(22.5 degrees)
-const vec3 NOTHING = vec3(0.0185);
+const float GRAZING = 0.02; // least cosine of a normal that is seen
+const float BLUR = 0.25; // of a direction's solid angle, as in relight/effects/environment.py
 
 TABLE
 
-ROOM_RADIANCE
+SURROUNDINGS
 
 struct Texel { vec4 a; vec4 b; float height; };
 
@@ -100,14 +105,6 @@ float schlickWeight(float lh) {
   return rest * rest * rest * rest * rest;
 }
 
-// Irradiance of the room on a normal (Ramamoorthi and Hanrahan 2001).
-vec3 roomIrradiance(vec3 n) {
-  vec3 e = harmonics[0] + harmonics[1] * n.y + harmonics[2] * n.z + harmonics[3] * n.x
-    + harmonics[4] * (n.x * n.y) + harmonics[5] * (n.y * n.z) + harmonics[6] * (3.0 * n.z * n.z - 1.0)
-    + harmonics[7] * (n.x * n.z) + harmonics[8] * (n.x * n.x - n.y * n.y);
-  return max(e, 0.0);
-}
-
 // A half vector among the normals that v sees (Heitz 2018).
 vec3 visibleNormal(vec3 v, float alpha, vec2 at) {
   vec3 stretched = normalize(vec3(alpha * v.xy, v.z));
@@ -131,6 +128,7 @@ vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, float f0, float a2, float nv) {
   for (int i = 0; i < mirrored; i++) {
     float radical = float(bitfieldReverseOf(uint(i))) * 2.3283064365386963e-10;
     vec3 h = visibleNormal(seen, alpha, vec2((float(i) + 0.5) / float(mirrored), radical));
+    float spread = dot(h.xy, h.xy) + a2 * h.z * h.z;
     vec3 l = reflect(-seen, h);
     vec3 direction = around * l;
     if (l.z <= 0.0 || direction.z <= 0.0) continue;
@@ -139,7 +137,10 @@ vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, float f0, float a2, float nv) {
     float ll = sqrt(a2 + (1.0 - a2) * l.z * l.z) / l.z;
     float weight = (1.0 + lv) / (lv + ll);
     float fresnel = f0 + (1.0 - f0) * schlickWeight(dot(l, h));
-    total += roomRadiance(turned * (frame * direction)) * (weight * fresnel);
+    // The solid angle that this direction stands for (Krivanek and Colbert 2008), blunted less.
+    float density = a2 / (PI * spread * spread) / (2.0 * max(seen.z, 1e-6) * (1.0 + lv));
+    float solid = BLUR / (float(mirrored) * max(density, 1e-9));
+    total += radianceFrom(turned * (frame * direction), solid) * (weight * fresnel);
   }
   return total / float(mirrored);
 }
@@ -153,7 +154,7 @@ void main() {
   vec2 place;
   float footprint;
   if (shape == 0) {
-    eye = vec3(0.0, 0.0, away);
+    eye = viewPlace;
     point = vec3(s, 0.0);
     place = s;
     footprint = 1.0 / half_;
@@ -169,8 +170,8 @@ void main() {
     float along = inside > 0.0 ? (-b - sqrt(inside)) / a : -1.0;
     point = eye + along * direction;
     if (along <= 0.0 || (upright && abs(point.y) > 1.0)) {
-      vec3 behind = room ? roomRadiance(turned * direction) * gain : NOTHING;
-      colour = vec4(encode(behind), 1.0);
+      vec3 behind = encode(radianceFrom(turned * direction, 0.0) * gain);
+      colour = vec4(room ? behind : ground, 1.0);
       return;
     }
     float longitude = atan(point.x, point.z);
@@ -183,7 +184,14 @@ void main() {
   }
   vec2 fromMiddle = vec2(place.x, -place.y) * texels;
   if (any(lessThan(fromMiddle, bounds.xy)) || any(greaterThan(fromMiddle, bounds.zw))) {
-    colour = vec4(encode(NOTHING), 1.0);
+    colour = vec4(ground, 1.0);
+    return;
+  }
+  if (photographed) {
+    vec2 at = (fromMiddle - bounds.xy) / (bounds.zw - bounds.xy);
+    vec2 pixels = vec2(textureSize(photograph, 0)) / (bounds.zw - bounds.xy);
+    float smaller = log2(max(footprint * texels * pixels.x, 1.0));
+    colour = vec4(encode(textureLod(photograph, at, smaller).rgb * gain), 1.0);
     return;
   }
   float level = log2(max(footprint * texels, 1.0));
@@ -199,12 +207,15 @@ void main() {
   else if (map == 5) shown = 0.5 + 0.5 * n;
   else {
     vec3 v = normalize(eye - point) * frame;
+    // Where all around is light, a normal that is turned away would be a black speck at an outline:
+    // it is turned back as far as it takes.
+    if (room) n = normalize(n + v * max(GRAZING - dot(n, v), 0.0));
     float nv = max(dot(n, v), 0.0);
     vec3 radiance = vec3(0.0);
     if (nv > 0.0 && v.z > 0.0) {
       if (room) {
         // A tilted normal sees only what is above the surface itself.
-        vec3 lambert = a.rgb / PI * roomIrradiance(turned * (frame * n)) * (0.5 + 0.5 * n.z);
+        vec3 lambert = a.rgb / PI * irradianceOn(turned * (frame * n)) * (0.5 + 0.5 * n.z);
         radiance = lambert + roomSpecular(n, v, frame, a.a, a2, nv);
       } else {
         vec3 offset = lightPlace - point;
@@ -214,7 +225,11 @@ void main() {
         if (nl > 0.0 && l.z > 0.0) {
           vec2 lobe = ggxSmith(n, v, l, nv, nl, a2);
           float fresnel = a.a + (1.0 - a.a) * schlickWeight(lobe.y);
-          radiance = (a.rgb / PI + fresnel * lobe.x) * (nl * intensity / squared);
+          radiance = (a.rgb / PI + fresnel * lobe.x) * intensity * (nl / squared);
+          // Along the axis of a lens without falloff this is 1.
+          vec3 ray = point - eye;
+          float axial = dot(ray, lens.xyz);
+          radiance *= exp(-lens.w * max(dot(ray, ray) / (axial * axial) - 1.0, 0.0));
         }
       }
     }
@@ -223,9 +238,14 @@ void main() {
   colour = vec4(clamp(shown, 0.0, 1.0), 1.0);
 }`;
 
-// The program, or an error that says what the driver did not like.
+// Which texture unit each is bound to: two kinds at one unit are an error, though unused. The last
+// is for uploads, which leave those to draw with alone.
+const UNITS = ["albedo", "surface", "relief", "table", "radiances", "irradiances", "photograph"];
+export const UNIT = Object.fromEntries([...UNITS, "spare"].map((name, unit) => [name, unit]));
+
+// The program in use, or an error that says what the driver did not like.
 export function buildProgram(gl, { width, height, apron }) {
-  const source = FRAGMENT.replace("ROOM_RADIANCE", ROOM_GLSL + BITS_GLSL)
+  const source = FRAGMENT.replace("SURROUNDINGS", SURROUNDINGS_GLSL + BITS_GLSL)
     .replace("ADJUST", ADJUST_GLSL).replace("TABLE", `${TABLE_GLSL}
 const vec2 PAGE = vec2(${width}.0, ${height}.0);
 const float APRON = ${apron}.0;`);
@@ -249,7 +269,11 @@ const float APRON = ${apron}.0;`);
     const { name } = gl.getActiveUniform(program, i);
     places[name.replace("[0]", "")] = gl.getUniformLocation(program, name);
   }
-  return { program, places };
+  gl.useProgram(program);
+  gl.bindVertexArray(gl.createVertexArray());
+  for (const name of UNITS) gl.uniform1i(places[name], UNIT[name]);
+  gl.activeTexture(gl.TEXTURE0 + UNIT.spare);
+  return places;
 }
 
 // GLSL ES 3.00 has no bitfieldReverse.

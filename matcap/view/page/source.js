@@ -2,7 +2,7 @@
 // ends}; each level has its width and height, albedo and F0, surface (alpha squared, slopes along x
 // and y, their variance) and relief (height).
 
-import { Pyramid, unpackTile } from "./tile.js";
+import { Pyramid, unpackPiece, unpackTile } from "./tile.js";
 
 export class ServedPages {
   constructor(about) {
@@ -49,12 +49,24 @@ export class EnclosedPages {
     this.pyramid = unpackTile(about.tile).then(
       (tile) => new Pyramid(tile, width, height, about.texel_size),
     );
+    this.enclosed = about.enclosed;
+    this.finest = about.piece_level;
   }
 
-  async load({ level, column, row }) {
-    const pyramid = await this.pyramid, { width, height, apron, mips } = this.form;
+  // Unpacked when it is first looked at.
+  get #piece() {
+    const { enclosed } = this, size = this.texelSize * 2 ** this.finest;
+    this.unpacked ||= unpackPiece(enclosed).then(
+      (tile) => new Pyramid(tile, ...enclosed.size, size, false),
+    );
+    return this.unpacked;
+  }
+
+  async load({ level, column, row }, { piece }) {
+    const pyramid = await (piece ? this.#piece : this.pyramid);
+    const { width, height, apron, mips } = this.form;
     const levels = Array.from({ length: mips }, (_, mip) => pyramid.read(
-      level + mip,
+      level + mip - (piece ? this.finest : 0),
       (column * width - apron) / 2 ** mip, (row * height - apron) / 2 ** mip,
       (width + 2 * apron) >> mip, (height + 2 * apron) >> mip,
     ));

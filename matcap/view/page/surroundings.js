@@ -1,102 +1,139 @@
-// Rooms without a picture: dim below, brighter above, and soft lamps. The same sum of terms in GLSL,
-// for mirroring and for what one sees behind a sphere, and here, for its irradiance.
+// Surroundings as the shader asks for them: a picture of radiance, latitude by longitude as matcap
+// relight has it (its top is +y, its middle +z, its right half towards -x), with its smaller forms,
+// and the light that falls on every normal.
 
-const grey = (value) => [value, value, value];
+const AROUND = 64; // normals of the irradiance, half as many from pole to pole
+const SUMMED = 128; // texels across that it is summed over, at most
+const BRIGHTEST = 6e4; // half floats end at 65504
 
-export const ROOMS = {
-  // A large soft lamp and a smaller one; grey, as the page is.
-  studio: {
-    base: grey(0.24), rise: grey(0.18),
-    lamps: [
-      { towards: unit([-0.55, 0.6, 0.6]), sharp: 14, power: grey(4.2) },
-      { towards: unit([0.85, 0.05, 0.5]), sharp: 40, power: grey(3.0) },
-    ],
-  },
-  // Four panes of daylight on the left, a warm floor.
-  window: {
-    base: [0.2, 0.19, 0.18], rise: [0.06, 0.07, 0.09],
-    lamps: [[-0.95, 0.62], [-0.7, 0.62], [-0.95, 0.24], [-0.7, 0.24]].map(([x, y]) => (
-      { towards: unit([x, y, 0.62]), sharp: 48, power: [3.6, 4.1, 4.8] })),
-  },
-  // A low sun behind haze, a blue sky.
-  dusk: {
-    base: [0.2, 0.21, 0.27], rise: [0.06, 0.12, 0.24],
-    lamps: [
-      { towards: unit([0.8, 0.16, 0.35]), sharp: 60, power: [11, 6, 2.4] },
-      { towards: unit([0.8, 0.1, 0.35]), sharp: 9, power: [1.5, 0.75, 0.32] },
-    ],
-  },
-};
-const MOST_LAMPS = 4;
+// The direction of a place in the picture, both coordinates from 0 to 1.
+export function directionOf(u, v) {
+  const azimuth = 2 * Math.PI * (u - 0.5), polar = Math.PI * v, ring = Math.sin(polar);
+  return [-Math.sin(azimuth) * ring, Math.cos(polar), Math.cos(azimuth) * ring];
+}
 
-export const ROOM_GLSL = `
-uniform vec3 roomBase, roomRise;
-uniform vec4 lampTowards[${MOST_LAMPS}]; // and how sharp
-uniform vec3 lampPower[${MOST_LAMPS}];
-
-vec3 roomRadiance(vec3 d) {
-  vec3 light = roomBase + roomRise * d.y;
-  for (int i = 0; i < ${MOST_LAMPS}; i++) {
-    light += lampPower[i] * exp(lampTowards[i].w * (dot(d, lampTowards[i].xyz) - 1.0));
+export class Surroundings {
+  // A picture is {width, height, data}: rows from the top, three floats a texel.
+  constructor(gl, picture) {
+    let peak = 0;
+    for (const value of picture.data) peak = Math.max(peak, value);
+    this.strength = Math.max(1, peak / BRIGHTEST);
+    const levels = [picture];
+    while (levels.at(-1).height >= 8) levels.push(smaller(levels.at(-1)));
+    const few = levels.find(({ width }) => width <= SUMMED) || levels.at(-1);
+    this.mean = meanOf(few);
+    this.radiance = this.#texture(gl, levels);
+    this.irradiance = this.#texture(gl, [irradianceOf(few)]);
   }
-  return light;
-}`;
 
-// Tell the shader of a room.
-export function setRoom(gl, places, { base, rise, lamps }) {
-  const towards = new Float32Array(4 * MOST_LAMPS), power = new Float32Array(3 * MOST_LAMPS);
-  lamps.forEach((lamp, index) => {
-    towards.set([...lamp.towards, lamp.sharp], 4 * index);
-    power.set(lamp.power, 3 * index);
-  });
-  gl.uniform3f(places.roomBase, ...base);
-  gl.uniform3f(places.roomRise, ...rise);
-  gl.uniform4fv(places.lampTowards, towards);
-  gl.uniform3fv(places.lampPower, power);
-  gl.uniform3fv(places.harmonics, roomHarmonics({ base, rise, lamps }));
-}
-
-function unit(v) {
-  const length = Math.hypot(...v);
-  return v.map((c) => c / length);
-}
-
-export function roomRadiance({ base, rise, lamps }, d) {
-  const light = base.map((value, c) => value + rise[c] * d[1]);
-  for (const { towards, sharp, power } of lamps) {
-    const cosine = d[0] * towards[0] + d[1] * towards[1] + d[2] * towards[2];
-    const share = Math.exp(sharp * (cosine - 1));
-    power.forEach((value, c) => { light[c] += value * share; });
+  // Tell the shader.
+  use(gl, places, units) {
+    gl.activeTexture(gl.TEXTURE0 + units.radiances);
+    gl.bindTexture(gl.TEXTURE_2D, this.radiance);
+    gl.activeTexture(gl.TEXTURE0 + units.irradiances);
+    gl.bindTexture(gl.TEXTURE_2D, this.irradiance);
+    gl.activeTexture(gl.TEXTURE0 + units.spare);
+    gl.uniform1f(places.strength, this.strength);
   }
-  return light;
+
+  dispose(gl) {
+    gl.deleteTexture(this.radiance);
+    gl.deleteTexture(this.irradiance);
+  }
+
+  #texture(gl, levels) {
+    const texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texStorage2D(gl.TEXTURE_2D, levels.length, gl.RGB16F, levels[0].width, levels[0].height);
+    levels.forEach(({ width, height, data }, level) => {
+      const scaled = this.strength > 1 ? data.map((value) => value / this.strength) : data;
+      gl.texSubImage2D(gl.TEXTURE_2D, level, 0, 0, width, height, gl.RGB, gl.FLOAT, scaled);
+    });
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER,
+      levels.length > 1 ? gl.LINEAR_MIPMAP_NEAREST : gl.LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.REPEAT);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+    return texture;
+  }
 }
 
-// Nine numbers a colour, such that the shader's polynomial in a normal is the irradiance
-// (Ramamoorthi and Hanrahan 2001, eq. 11 to 13): 27 numbers in all.
-function roomHarmonics(room) {
-  const basis = (x, y, z) => [
-    0.282095, 0.488603 * y, 0.488603 * z, 0.488603 * x, 1.092548 * x * y, 1.092548 * y * z,
-    0.315392 * (3 * z * z - 1), 1.092548 * x * z, 0.546274 * (x * x - y * y),
-  ];
-  const factors = [
-    0.282095, 0.488603, 0.488603, 0.488603, 1.092548, 1.092548, 0.315392, 1.092548, 0.546274,
-  ];
-  const lobe = [Math.PI, ...Array(3).fill((2 * Math.PI) / 3), ...Array(5).fill(Math.PI / 4)];
-  const sums = new Float64Array(27);
-  const rows = 64, columns = 128;
-  for (let i = 0; i < rows; i++) {
-    // Equal areas: bands of equal height.
-    const z = 1 - (2 * (i + 0.5)) / rows, flat = Math.sqrt(1 - z * z);
-    for (let j = 0; j < columns; j++) {
-      const angle = (2 * Math.PI * (j + 0.5)) / columns;
-      const d = [flat * Math.cos(angle), flat * Math.sin(angle), z];
-      const light = roomRadiance(room, d);
-      basis(...d).forEach((value, k) => {
-        for (let c = 0; c < 3; c++) sums[3 * k + c] += light[c] * value;
-      });
+// Means of four; an odd last row or column is left out.
+function smaller({ width, height, data }) {
+  const wide = width >> 1, tall = height >> 1, half = new Float32Array(3 * wide * tall);
+  for (let row = 0, to = 0; row < tall; row++) {
+    for (let column = 0; column < wide; column++, to += 3) {
+      const upper = 3 * (2 * row * width + 2 * column), lower = upper + 3 * width;
+      for (let c = 0; c < 3; c++) {
+        half[to + c] = 0.25
+          * (data[upper + c] + data[upper + 3 + c] + data[lower + c] + data[lower + 3 + c]);
+      }
     }
   }
-  const share = (4 * Math.PI) / (rows * columns);
-  return Float32Array.from(sums, (sum, i) => sum * share * lobe[Math.floor(i / 3)]
-    * factors[Math.floor(i / 3)]);
+  return { width: wide, height: tall, data: half };
 }
+
+// Solid angle of each of a row's texels.
+function solidAngle({ width, height }, row) {
+  const edge = (line) => Math.cos((Math.PI * line) / height);
+  return ((edge(row) - edge(row + 1)) * 2 * Math.PI) / width;
+}
+
+// Of all channels and directions.
+function meanOf(picture) {
+  let sum = 0;
+  for (let row = 0, at = 0; row < picture.height; row++) {
+    const share = solidAngle(picture, row) / (12 * Math.PI);
+    for (let i = 0; i < 3 * picture.width; i++, at++) sum += share * picture.data[at];
+  }
+  return sum;
+}
+
+// Harmonics would be shorter, and wrong by a tenth where a sun sets.
+function irradianceOf(picture) {
+  const count = picture.width * picture.height;
+  const towards = new Float32Array(3 * count), power = new Float32Array(3 * count);
+  for (let i = 0; i < count; i++) {
+    const row = Math.floor(i / picture.width), column = i - row * picture.width;
+    const solid = solidAngle(picture, row);
+    towards.set(directionOf((column + 0.5) / picture.width, (row + 0.5) / picture.height), 3 * i);
+    for (let c = 0; c < 3; c++) power[3 * i + c] = picture.data[3 * i + c] * solid;
+  }
+  const width = AROUND, height = AROUND / 2, data = new Float32Array(3 * width * height);
+  for (let place = 0; place < width * height; place++) {
+    const row = Math.floor(place / width), column = place - row * width;
+    const [x, y, z] = directionOf((column + 0.5) / width, (row + 0.5) / height);
+    let red = 0, green = 0, blue = 0;
+    for (let i = 0; i < 3 * count; i += 3) {
+      const cosine = x * towards[i] + y * towards[i + 1] + z * towards[i + 2];
+      if (cosine <= 0) continue;
+      red += cosine * power[i];
+      green += cosine * power[i + 1];
+      blue += cosine * power[i + 2];
+    }
+    data.set([red, green, blue], 3 * place);
+  }
+  return { width, height, data };
+}
+
+export const SURROUNDINGS_GLSL = `
+uniform sampler2D radiances;    // latitude by longitude
+uniform sampler2D irradiances;  // likewise, of normals
+uniform float strength;         // that both were divided by
+
+vec2 placeOf(vec3 d) {
+  float z = abs(d.z) < 1e-9 ? 1e-9 : d.z; // at the poles any longitude will do
+  return vec2(atan(-d.x, z) * 0.5 / PI + 0.5, acos(clamp(d.y, -1.0, 1.0)) / PI);
+}
+
+// Averaged over about a solid angle; 0 for none.
+vec3 radianceFrom(vec3 d, float solid) {
+  vec2 texels = vec2(textureSize(radiances, 0));
+  float texel = 2.0 * PI * PI / (texels.x * texels.y); // at the equator
+  return textureLod(radiances, placeOf(d), 0.5 * log2(max(solid / texel, 1.0))).rgb * strength;
+}
+
+vec3 irradianceOn(vec3 n) {
+  return textureLod(irradiances, placeOf(n), 0.0).rgb * strength;
+}`;

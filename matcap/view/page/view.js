@@ -2,16 +2,23 @@
 
 import { colourMatrix, parseAdjustments } from "./adjust.js";
 import { CELLS, LEAST_RANGE, Pages } from "./pages.js";
-import { buildProgram } from "./shader.js";
-import { ROOMS, setRoom } from "./surroundings.js";
+import { UNIT, buildProgram } from "./shader.js";
+import { ROOMS, roomPicture } from "./rooms.js";
+import { Surroundings } from "./surroundings.js";
+import { dressed } from "./theme.js";
 
-const UNITS = ["albedo", "surface", "relief", "table"];
 export const SHAPES = ["plane", "sphere", "cylinder"];
-export const LIGHTS = ["point", ...Object.keys(ROOMS)];
+const LIGHTS = ["point", ...Object.keys(ROOMS), "own"];
+// What may lie on the left and on the right of the wipe: the photograph, the photographed piece under
+// the photograph's own flash, that piece as all else is lit, the endless field.
+export const LEFTS = ["none", "photo", "flash", "piece"];
+export const RIGHTS = ["flash", "piece", "field"];
 export const MAPS = ["lit", "diffuse", "specular", "roughness", "height", "normal"];
 // As the shader has it: a sphere as matcap relight frames it, a cylinder with its whole height.
 const ROOM_AROUND = { sphere: 1.25, cylinder: 1.6 };
 export const FLASH = 1 / Math.tan(Math.PI / 8);
+const CAMERA = { place: [0, 0, FLASH], lens: [0, 0, -1, 0] };
+const ORDINARY = 0.35; // mean radiance of surroundings that need no other exposure
 const NEAREST = 4, FARTHEST = 2 ** 30; // texels across
 const FARTHEST_LEVEL = 21;
 const COARSER = 3; // levels between what is sharp and what comes first
@@ -33,18 +40,15 @@ export class View {
     // Small devices hold fewer pages: 130 MB of textures, not 320.
     const small = Math.min(screen.width, screen.height) < 700;
     this.pages = new Pages(gl, source.form, small ? 26 : 64);
-    // What lies on the page's left of a wipe: the photographed piece, where there is one.
-    this.field = { name: "field", pages: this.pages };
-    this.piece = about.piece && { name: "piece", pages: null };
-    const { program, places } = buildProgram(gl, source.form);
+    this.field = { name: "field", pages: this.pages, finest: 0 };
+    // The photographed piece, where there is one: it may be known less finely than the field.
+    this.piece = about.piece && { name: "piece", pages: null, finest: about.piece_level };
+    this.rooms = new Map(); // surroundings by the light's name, made when they are first seen
+    const places = buildProgram(gl, source.form);
     this.places = places;
-    gl.useProgram(program);
-    gl.bindVertexArray(gl.createVertexArray());
-    UNITS.forEach((name, unit) => gl.uniform1i(places[name], unit));
     const mean = about.mean;
     gl.uniform4f(places.meanAlbedo, ...mean.slice(0, 4));
     gl.uniform4f(places.meanSurface, mean[4], 0, 0, mean[7]);
-    gl.activeTexture(gl.TEXTURE4); // uploads bind here, and leave those to draw with alone
     this.state = this.initial();
     this.loading = new Map();
     this.failure = "";
@@ -59,7 +63,7 @@ export class View {
       shape: "plane", map: "lit", light: "point", exposure: 0, seed: this.about.seed, share: 0,
       x: 4 * width, y: 4 * height, // texel in the middle; y downwards
       span: 1.5 * width, // texels across the long side, or a sphere's diameter
-      left: "none", wipe: 0.5, // what is on the left of the wipe, and where that is
+      left: "none", right: "field", wipe: 0.5, // what is on either side of the wipe, and where that is
       adjust: parseAdjustments(this.about.adjust),
       lamp: [-0.35, 0.3, 1], // in units of half the long side, or of the radius
     };
@@ -68,6 +72,7 @@ export class View {
   set(changes) {
     const before = this.state;
     this.state = { ...before, ...changes };
+    if (!this.lights.includes(this.state.light)) this.state.light = "point";
     this.state.span = Math.min(Math.max(this.state.span, NEAREST), FARTHEST);
     if (before.seed !== this.state.seed || before.share !== this.state.share) {
       for (const [key, { stop }] of this.loading) {
@@ -106,11 +111,37 @@ export class View {
     return Math.min(exact, FARTHEST_LEVEL);
   }
 
-  // Layers that are drawn: the field, and on its left the piece, on a plane.
+  // Lights that there are.
+  get lights() {
+    return LIGHTS.filter((name) => name !== "own" || this.own);
+  }
+
+  // A picture of one's own to be lit by (surroundings.js).
+  surround(picture) {
+    this.rooms.get("own")?.dispose(this.gl);
+    this.own = new Surroundings(this.gl, picture);
+    this.rooms.set("own", this.own);
+    const stops = Math.log2(ORDINARY / Math.max(this.own.mean, 1e-6));
+    this.set({ light: "own", exposure: Math.min(4, Math.max(-4, Math.round(stops * 4) / 4)) });
+  }
+
+  get wiped() {
+    return Boolean(this.piece) && this.state.left !== "none" && this.state.shape === "plane";
+  }
+
+  // What is drawn, the left side of the wipe last.
+  get #sides() {
+    return this.wiped ? [this.state.right, this.state.left] : ["field"];
+  }
+
+  #layerOf(side) {
+    return side === "field" ? this.field : this.piece;
+  }
+
+  // Layers whose pages are drawn.
   get layers() {
-    const { left, shape } = this.state;
-    return this.piece && left === "piece" && shape === "plane" ? [this.field, this.piece]
-      : [this.field];
+    const sides = this.#sides.filter((side) => side !== "photo");
+    return [...new Set(sides.map((side) => this.#layerOf(side)))];
   }
 
   // The texel of a layer in the picture's middle, and how far it reaches either way. The piece's
@@ -155,7 +186,7 @@ export class View {
   // sharp, the nearest to the middle first. `best` is the level of the sharp ones: coarser than it
   // should be where there is no room for all of them.
   wanted(layer = this.field) {
-    let best = this.level;
+    let best = Math.max(this.level, layer.finest);
     const room = (layer.pages ? layer.pages.count : PIECES) - SPARE[layer.name];
     while (this.#count(best, layer) > room && best < FARTHEST_LEVEL) best += 1;
     const coarse = this.#listed(Math.min(best + COARSER, FARTHEST_LEVEL), layer);
@@ -197,41 +228,118 @@ export class View {
     const { gl, places, state, canvas } = this;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.uniform2f(places.size, canvas.width, canvas.height);
+    gl.uniform3f(places.ground, ...dressed());
     gl.uniform1f(places.texels, this.scale);
     gl.uniform1i(places.shape, SHAPES.indexOf(state.shape));
     gl.uniform1i(places.map, MAPS.indexOf(state.map));
-    gl.uniform1i(places.room, state.light === "point" ? 0 : 1);
-    if (state.light !== "point" && this.room !== state.light) {
-      setRoom(gl, places, ROOMS[state.light]);
-      this.room = state.light;
-    }
-    const { place, intensity } = this.lamp();
-    gl.uniform3f(places.lightPlace, ...place);
-    gl.uniform1f(places.intensity, intensity);
     gl.uniform1i(places.mirrored, mirrored);
     gl.uniform1f(places.gain, 2 ** state.exposure);
     gl.uniform2f(places.range, ...this.range());
     gl.uniformMatrix3fv(places.colouring, false, colourMatrix(state.adjust));
     gl.uniform2f(places.reliefAndRough, state.adjust.relief, state.adjust.roughness);
     gl.uniformMatrix3fv(places.turned, false, this.#turned());
-    let appearing = false;
-    for (const layer of this.layers) appearing = this.#drawLayer(layer, now) || appearing;
+    if (state.light !== "point") this.#room();
+    let appearing = false, across = 1;
+    for (const side of this.#sides) {
+      appearing = this.#drawSide(side, across, now) || appearing;
+      across = state.wipe;
+    }
     this.drawn += 1;
     return appearing;
   }
 
-  #drawLayer(layer, now) {
-    const { gl, places, canvas, state } = this;
-    layer.pages ||= new Pages(gl, this.source.form, PIECES);
+  #room() {
+    const { gl, state, rooms } = this;
+    if (!rooms.has(state.light)) {
+      rooms.set(state.light, new Surroundings(gl, roomPicture(ROOMS[state.light])));
+    }
+    rooms.get(state.light).use(gl, this.places, UNIT);
+  }
+
+  // Camera and light of a side.
+  #light(side) {
+    const { gl, places, state, about } = this;
+    gl.uniform1i(places.room, side !== "flash" && state.light !== "point" ? 1 : 0);
+    gl.uniform1i(places.photographed, side === "photo" ? 1 : 0);
+    let { place: from, lens } = CAMERA, { place, intensity } = this.lamp();
+    intensity = [intensity, intensity, intensity];
+    if (side === "flash") {
+      // The photograph's long side is two plane units, its middle their origin.
+      const { camera, light, axis, intensity: power, vignetting } = about.flash;
+      const where = this.#whereabouts(this.piece), [wide, tall] = about.piece;
+      const plane = 2 / wide, unit = this.scale * plane;
+      const middle = [(where.x - wide / 2) * plane, (tall / 2 - where.y) * plane, 0];
+      const seen = (point) => point.map((value, k) => (value - middle[k]) / unit);
+      [from, place, lens] = [seen(camera), seen(light), [...axis, vignetting]];
+      intensity = power.map((value) => value / unit ** 2);
+    }
+    gl.uniform3f(places.viewPlace, ...from);
+    gl.uniform4f(places.lens, ...lens);
+    gl.uniform3f(places.lightPlace, ...place);
+    gl.uniform3f(places.intensity, ...intensity);
+  }
+
+  // The photograph, once it is there.
+  #photograph() {
+    if (this.photo) return this.photo.there;
+    const { gl } = this, picture = new Image();
+    this.photo = { there: false };
+    picture.src = this.about.photo;
+    picture.decode().then(() => {
+      gl.activeTexture(gl.TEXTURE0 + UNIT.photograph);
+      gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.SRGB8_ALPHA8, gl.RGBA, gl.UNSIGNED_BYTE, picture);
+      gl.generateMipmap(gl.TEXTURE_2D);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+      gl.activeTexture(gl.TEXTURE0 + UNIT.spare);
+      this.photo.there = true;
+      this.redraw();
+    }, () => {
+      this.failure = "The photograph cannot be read.";
+      this.changed();
+    });
+    return false;
+  }
+
+  #drawSide(side, across, now) {
+    const { gl, canvas } = this, layer = this.#layerOf(side);
+    this.#light(side);
+    let appearing = false;
+    if (side === "photo") {
+      this.#placed(layer, 0);
+      if (!this.#photograph()) return false; // it will be drawn when it is there
+    } else {
+      appearing = this.#drawPages(layer, now);
+    }
+    const { bottom, tall } = this.strip || { bottom: 0, tall: canvas.height };
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(0, bottom, Math.round(across * canvas.width), tall);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    return appearing;
+  }
+
+  // The piece's pages are made when they are first needed.
+  #open(layer) {
+    layer.pages ||= new Pages(this.gl, this.source.form, PIECES);
+    return layer.pages;
+  }
+
+  // Bind what a layer is drawn with.
+  #drawPages(layer, now) {
+    this.#open(layer);
     const { best, pages } = this.wanted(layer);
     layer.pages.use(pages);
     const cells = Math.max(best - 1, 0), { columns, rows } = this.seen(cells, layer);
     const appearing = layer.pages.update(cells, best, columns, rows, now, this.fades);
-    UNITS.forEach((name, unit) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(name === "table" ? gl.TEXTURE_2D : gl.TEXTURE_2D_ARRAY, layer.pages[name]);
-    });
-    gl.activeTexture(gl.TEXTURE4);
+    layer.pages.bind(UNIT);
+    this.#placed(layer, cells);
+    return appearing;
+  }
+
+  // Tell the shader where a layer lies.
+  #placed(layer, cells) {
+    const { gl, places } = this;
     const { width, height } = this.source.form, where = this.#whereabouts(layer);
     const [x, y] = [where.x / (width * 2 ** cells), where.y / (height * 2 ** cells)];
     const turn = (value) => Math.floor(value) - Math.floor(value / CELLS) * CELLS;
@@ -241,12 +349,6 @@ export class View {
     const [left, top, right, below] = where.bounds.map((end, i) => end - (i % 2 ? where.y : where.x));
     const most = (value) => Math.min(Math.max(value, -3e38), 3e38);
     gl.uniform4f(places.bounds, most(left), most(top), most(right), most(below));
-    const across = layer === this.field ? 1 : state.wipe;
-    const { bottom, tall } = this.strip || { bottom: 0, tall: canvas.height };
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(0, bottom, Math.round(across * canvas.width), tall);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
-    return appearing;
   }
 
   // Where the piece lies, in the canvas's own pixels: left, top, width, height.
@@ -329,7 +431,7 @@ export class View {
           if (this.loading.get(key) !== entry) return; // nobody waits for it any more
           this.loading.delete(key);
           if (!piece) this.texelSize = page.texelSize;
-          place.layer.pages.put(place.level, place.column, place.row, page, performance.now());
+          this.#open(place.layer).put(place.level, place.column, place.row, page, performance.now());
           this.#fetch(); // at once: a frame may take longer than a page
           this.redraw();
         },
@@ -345,7 +447,8 @@ export class View {
 
   // All that is seen has been loaded.
   get complete() {
-    return this.missing().length === 0;
+    const unseen = this.#sides.includes("photo") && !this.photo?.there;
+    return this.missing().length === 0 && !unseen;
   }
 
   // What is shown, as a PNG.

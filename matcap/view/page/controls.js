@@ -1,0 +1,72 @@
+// The panel's choices and sliders, each told once: made where page.html names them.
+
+export const $ = (id) => document.getElementById(id);
+export const number = (value, digits = 3) => Number(value.toPrecision(digits)).toString();
+
+const signed = (value) => `${value > 0 ? "+" : ""}${number(value)}`;
+const times = (value) => `× ${number(value)}`;
+
+// By the state's name: legend, columns (0 is all in a row), and what there is to choose.
+export const CHOICES = {
+  shape: ["Surface", 0, { plane: "Plane", sphere: "Sphere", cylinder: "Cylinder" }],
+  light: ["Light", 3, { point: "Point", studio: "Studio", window: "Window", dusk: "Dusk", own: "Own" }],
+  map: ["Show", 3, { lit: "Lit", diffuse: "Diffuse", specular: "Specular", roughness: "Roughness",
+    height: "Height", normal: "Normal" }],
+  left: ["Left of the wipe", 0, { none: "Nothing", photo: "Photo", flash: "Flash", piece: "Relit" }],
+  right: ["Right of the wipe", 0, { flash: "Flash", piece: "Relit", field: "Endless" }],
+};
+
+// By the state's name, or the adjustment's: label, least, most, step, and how a value is said.
+export const ADJUSTED = ["relief", "roughness", "saturation", "brightness"];
+const SLIDERS = {
+  exposure: ["Exposure", -4, 4, 0.25, (value) => `${signed(value)} stops`],
+  lift: ["Light's height", 0.2, 3, 0.1, (value) => number(value, 2)],
+  share: ["Blend", 0, 1, 0.1, (value) => number(value, 2)],
+  relief: ["Relief", 0, 3, 0.05, times],
+  roughness: ["Roughness", -0.5, 0.5, 0.01, signed],
+  saturation: ["Saturation", 0, 2, 0.05, times],
+  brightness: ["Brightness", 0, 2, 0.05, times],
+};
+
+const make = (kind, properties, ...inside) => {
+  const one = Object.assign(document.createElement(kind), properties);
+  one.append(...inside);
+  return one;
+};
+
+export function makeControls() {
+  for (const [name, [legend, columns, options]] of Object.entries(CHOICES)) {
+    const cells = Object.entries(options).map(([value, text]) => make("label", {},
+      make("input", { type: "radio", name, value }), make("span", { textContent: text })));
+    const row = make("div", {}, ...cells);
+    if (columns) row.classList.add("three");
+    row.append(...$(`${name}-choice`).querySelectorAll("button")); // as one more cell
+    $(`${name}-choice`).prepend(make("legend", { textContent: legend }), row);
+  }
+  for (const [name, [text, min, max, step]] of Object.entries(SLIDERS)) {
+    const input = make("input", { id: name, type: "range", min, max, step });
+    const output = make("output", { id: `${name}-value` });
+    output.htmlFor = name;
+    $(`${name}-row`).append(
+      make("label", { id: `${name}-label`, htmlFor: name, textContent: text }), output, input,
+    );
+  }
+}
+
+export function option(name, value) {
+  return document.querySelector(`input[name=${name}][value=${value}]`);
+}
+
+// Whether a choice has this option.
+export function offer(name, value, there) {
+  option(name, value).parentElement.hidden = !there;
+}
+
+export function showSlider(name, value) {
+  $(name).value = value;
+  saySlider(name, value);
+}
+
+export function saySlider(name, value) {
+  $(`${name}-value`).textContent = SLIDERS[name][4](value);
+}
