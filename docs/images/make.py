@@ -1,7 +1,6 @@
 """Make the pictures of docs/ again: nothing in them comes from anywhere but matcap itself.
 
 python docs/images/make.py shooting          photographs simulated well and badly
-python docs/images/make.py gallery           true maps of simulated materials, relit
 python docs/images/make.py page MATERIAL...  screenshots of matcap view (needs the extras view and
                                              browser, and Chromium); a second material is blended
 """
@@ -20,44 +19,32 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from matcap.brdf.maps import MapSet
 from matcap.files.srgb import srgb_picture
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.examples import EXAMPLES
-from matcap.lab.simulate.materials import MATERIALS
-from matcap.lab.simulate.materials.varied import random_material
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
-from matcap.relight.named import SCENES
-from matcap.relight.output import encode
 from matcap.relight.render import relight
 from matcap.relight.scene import (
     EnvironmentLight,
     Film,
-    PointLight,
     Scene,
     Surface,
-    exposing_intensity,
 )
 
 HERE = Path(__file__).parent
-# Draws of the simulator's endless stream, chosen by eye for being unlike each other.
-DRAWS = (11, 17, 24, 41, 42, 43, 45, 47, 49, 51, 52)
-# Cast shadows of relief this fine hardly show on a sphere, and take most of the time.
-_QUICK = "auto,-environment,-visibility,-interreflection,-shadows,-parallax"
-_GROUND = np.float32(0.1)  # grey behind spheres, in code values
 _SMALL = PhoneCamera(width=640, height=480, supersampling=1)
 
 
 def main() -> None:
     """Parse the command line and make what it asks for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("shooting", "gallery", "page"))
+    parser.add_argument("what", choices=("shooting", "page"))
     parser.add_argument("materials", nargs="*", type=Path)
     chosen = parser.parse_args()
     if chosen.what == "page":
         page(chosen.materials)
     else:
-        {"shooting": shooting, "gallery": gallery}[chosen.what]()
+        shooting()
 
 
 def shooting() -> None:
@@ -79,39 +66,6 @@ def shooting() -> None:
     lights = (EnvironmentLight(radiance=(0.55, 0.6, 0.7)),)
     even = relight(maps, Scene(film=Film(640, 480), surface=Surface(size=None), lights=lights))
     save(srgb_picture(even), HERE / "shooting" / "no-flash.jpg")
-
-
-def gallery() -> None:
-    """Every material as a plane under a light from the left, and as a sphere in a studio."""
-    width = 640
-    for index, name in enumerate(MATERIALS):
-        example = EXAMPLES[name]
-        draw(example.realise(width, width, 2.0 / width), f"{index + 1:02d}-{name}")
-    for number in DRAWS:
-        material = random_material(np.random.default_rng(number))
-        maps = material.realise(width, width, 1, 2.0 / width)
-        draw(maps, f"draw-{number:02d}")
-
-
-def draw(maps: MapSet, name: str) -> None:
-    """One picture of the gallery."""
-    maps = maps.map(lambda m: m.float())
-    place = (-1.2, 0.8, 2.0)
-    strength = 0.9 * exposing_intensity(place)
-    plane = Scene(
-        film=Film(256, 256),
-        surface=Surface(size=1.2),
-        lights=(PointLight(place, (strength,) * 3),),
-    )
-    studio = SCENES["studio"]
-    assert studio.camera is not None
-    film = Film(512, 512, exposure=1.5)
-    studio = replace(studio, film=film, camera=replace(studio.camera, fov=25.0))
-    flat = encode(relight(maps, plane), Film())
-    radiance = relight(maps, studio, effects=_QUICK)
-    ball = np.where(radiance.max(axis=2, keepdims=True) > 0.0, encode(radiance, film), _GROUND)
-    ball = ball.reshape(256, 2, 256, 2, 3).mean(axis=(1, 3))  # smooths the outline
-    save(np.concatenate([flat, ball], axis=1), HERE / "gallery" / f"{name}.jpg")
 
 
 def save(codes: NDArray[np.float32], path: Path) -> None:
