@@ -8,6 +8,7 @@ python docs/images/make.py page MATERIAL...  screenshots of matcap view (needs t
 from __future__ import annotations
 
 import argparse
+import io
 import math
 import shutil
 import threading
@@ -132,7 +133,8 @@ def page(paths: list[Path]) -> None:
             tab.evaluate("matcap.view.draw()")
             target = HERE / "view" / f"{name}.jpg"
             target.parent.mkdir(exist_ok=True)
-            tab.screenshot(path=target, type="jpeg", quality=56, timeout=120_000)
+            taken = Image.open(io.BytesIO(tab.screenshot(timeout=120_000))).convert("RGB")
+            taken.save(target, "JPEG", quality=52, optimize=True, progressive=True)
             print(target.relative_to(HERE.parent), target.stat().st_size // 1024, "KB")
             tab.close()
         browser.close()
