@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from matcap.capture.coarse import CoarseFit
+from matcap.capture.prior.anchors import Habits
 from matcap.capture.prior.base import VARYING, start_head
-from matcap.capture.prior.store import Habits, Prior
+from matcap.capture.prior.store import Prior
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.train.corpus import srgb_bytes
 from matcap.lab.train.pack import Entry, Pack

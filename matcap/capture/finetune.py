@@ -188,6 +188,7 @@ def decode_window(
         decoder.config.noise_channels,
         (),
         levels=0,
+        grains=decoder.config.grains,
     ).noise
     cells = decoder.config.cells
     waves = random_field(

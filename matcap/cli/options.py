@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import Enum
 from functools import wraps
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import typer
@@ -120,5 +121,22 @@ ExportOption = Annotated[
         metavar="TARGET",
         help="Also for this renderer or engine, into a folder of its name; see matcap export. "
         "May be given several times.",
+    ),
+]
+LikeOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="PHOTO", help="Draw near this flash photograph instead of anywhere in the space."
+    ),
+]
+SpreadOption = Annotated[
+    float | None,
+    typer.Option(
+        "-t",
+        min=0.0,
+        max=1.0,
+        metavar="T",
+        show_default="0.3",
+        help="How far from there to draw: 0 is the photograph's own place, 1 anywhere.",
     ),
 ]

@@ -105,6 +105,26 @@ def finish(
 
 
 @app.command()
+def anchors(
+    pack: PackArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="The prior.")],
+    prior: PriorOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Let a prior draw near the training photographs of a pack; its networks stay as they are.
+
+    `prior finish` does so by itself.
+    """
+    from matcap.capture.prior.store import load_prior
+    from matcap.lab.train.finish import with_anchors
+    from matcap.lab.train.pack import Pack
+
+    with_anchors(load_prior(prior), Pack.load(pack).training).save(out)
+    if not quiet:
+        typer.echo(f"wrote {out}", err=True)
+
+
+@app.command()
 def evaluate(
     pack: PackArgument,
     prior: PriorOption = None,
@@ -166,6 +186,38 @@ def ablate(
         load_prior(prior), Pack.load(pack), steps, materials, out, command, _teller(quiet)
     )
     typer.echo(table)
+
+
+@app.command()
+def variety(
+    pack: PackArgument,
+    prior: PriorOption = None,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for the table and the picture.")
+    ] = Path("docs/notes"),
+    draws: Annotated[int, typer.Option(min=8, help="How many materials to draw.")] = 256,
+    simulated: Annotated[
+        int, typer.Option(min=8, help="Unseen simulated photographs beside the held-out ones.")
+    ] = 64,
+    quiet: QuietOption = False,
+) -> None:
+    """Measure how varied a prior's draws are, and how like photographs it never saw.
+
+    Precision, recall and pairwise style distance, and a sheet of draws.
+    """
+    import shlex
+    import sys
+
+    from matcap.capture.prior.store import load_prior
+    from matcap.files.staging import check_writable
+    from matcap.lab.train.draws import VarietySettings, run_variety
+    from matcap.lab.train.pack import Pack
+
+    check_writable(out, 2_000_000)
+    command = shlex.join(["matcap", *sys.argv[1:]])
+    settings = VarietySettings(draws, simulated)
+    page = run_variety(load_prior(prior), Pack.load(pack), settings, out, command, _teller(quiet))
+    typer.echo(page)
 
 
 def _teller(quiet: bool) -> Callable[[str], None]:

@@ -3,30 +3,75 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import QuietOption
+from matcap.cli.options import LikeOption, QuietOption, SpreadOption
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matcap.model.material import Material
 
 
 def sample(
     count: Annotated[int, typer.Option("-n", min=1, max=256, help="How many.")] = 16,
     seed: Annotated[int, typer.Option(min=0, help="Of the first; the others follow.")] = 0,
+    like: LikeOption = None,
+    spread: SpreadOption = None,
     prior: Annotated[
         Path | None, typer.Option(help="A prior's file, instead of the one that comes along.")
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="The picture, .png or .exr.")] = Path(
         "samples.png"
     ),
+    materials: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Write the materials there, too, a .matcap file each."),
+    ] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Draw materials out of nothing and show them under a flash."""
+    """Draw materials out of nothing and show them under a flash.
+
+    Each is near a random one of the photographs that the prior learnt from, or near the one given
+    with --like. They are materials like any other: synth, relight, export, view and blend take
+    them.
+    """
     from matcap.capture.prior.sample import sample_sheet
-    from matcap.capture.prior.store import load_prior
     from matcap.files.picture import check_picture_path, write_picture
+    from matcap.files.staging import check_writable, staged
 
     check_picture_path(out)
-    write_picture(sample_sheet(load_prior(prior), count, seed), out)
+    draw = drawing(prior, like, spread)
+    if materials is not None:
+        check_writable(materials, 4_000_000 * count)
+    drawn = [draw(seed + index) for index in range(count)]
+    write_picture(sample_sheet(drawn, seed), out)
+    written = [out]
+    if materials is not None:
+        with staged(materials) as stage:
+            for material in drawn:
+                material.save(stage / f"{material.name}.matcap")
+                written.append(materials / f"{material.name}.matcap")
     if not quiet:
-        typer.echo(f"wrote {out}", err=True)
+        for path in written:
+            typer.echo(f"wrote {path}", err=True)
+
+
+def drawing(
+    prior: Path | None, like: Path | None, spread: float | None
+) -> Callable[[int], Material]:
+    """Materials by their seed, near a photograph where one is given."""
+    from functools import partial
+
+    from matcap.capture.prior.anchors import SPREAD
+    from matcap.capture.prior.store import DETAIL, load_prior
+    from matcap.photo.load import load_photo
+
+    space = load_prior(prior)
+    share = SPREAD if spread is None else spread
+    if like is None:
+        return partial(space.draw, spread=share)
+    place = space.place(load_photo(like, long_side=DETAIL, noise=False))
+    return partial(space.draw, near=place, spread=share, name=f"like_{like.stem}")

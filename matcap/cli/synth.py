@@ -15,11 +15,13 @@ from matcap.cli.options import (
     AdjustOption,
     ExportOption,
     GeneratorOption,
+    LikeOption,
     Normal,
     NormalOption,
     OverwriteOption,
     PngOption,
     QuietOption,
+    SpreadOption,
     typed,
 )
 from matcap.cli.plain_command import PlainCommand
@@ -82,6 +84,8 @@ def synth(
             metavar="MATERIAL", help="A .matcap file; without one, the prior draws a material."
         ),
     ] = None,
+    like: LikeOption = None,
+    spread: SpreadOption = None,
     size: Annotated[
         values.Size | None,
         typer.Option(
@@ -165,7 +169,7 @@ def synth(
     """Make more of a material: a map set of any size, seam-free and repeatable.
 
     The same material, seed and place give the same texels, whatever rectangle they are part of.
-    Without a material the prior draws one, another for every seed.
+    Without a material the prior draws one, another for every seed; --like a photograph, near it.
     """
     import os
 
@@ -195,7 +199,7 @@ def synth(
     sides = size or values.DEFAULT_SIZE
     area = _rectangle(region or values.Region(0, 0, sides.width, sides.height))
     files = Files(png, normal.value, single, mip, (udim.width, udim.height) if udim else None)
-    subject, name = _subject(material, seed)
+    subject, name = _subject(material, seed, like, spread)
     axes: Axes | None = tile.value if tile else None
     asked = SynthRequest(
         subject, area, seed, name, files, axes, growth, precision.value, device.value,
@@ -252,13 +256,22 @@ def _told_apart(asked: SynthRequest) -> str:
     return "".join(f"_{part}" for part, holds in parts.items() if holds)
 
 
-def _subject(material: Path | None, seed: int) -> tuple[Path | Material, str]:
+def _subject(
+    material: Path | None, seed: int, like: Path | None, spread: float | None
+) -> tuple[Path | Material, str]:
     """The material's file, or a material that the prior draws; and what its maps are called."""
     if material is not None:
+        for option, given in (("--like", like), ("-t", spread)):
+            if given is not None:
+                raise UsageError(
+                    "only a material that the prior draws is like a photograph",
+                    where=option,
+                    remedy="leave the material out, or the option",
+                )
         return material, material.stem
-    from matcap.capture.prior.store import load_prior
+    from matcap.cli.sample import drawing
 
-    drawn = load_prior().draw(seed)
+    drawn = drawing(None, like, spread)(seed)
     return drawn, drawn.name
 
 

@@ -112,7 +112,7 @@ def _model(onnx: Any, material: Material) -> Any:  # noqa: ANN401
             graph.add("Mul", "raw_height", texel, output="height")
         else:
             graph.add("Sigmoid", f"raw_{kind}", output=kind)
-    inputs = {"noise": (decoder.noise_channels, 0)}
+    inputs = {"noise": (decoder.noise_channels + decoder.grains, 0)}
     if decoder.has_waves:
         inputs |= {
             f"waves_{level}": (WAVE_CHANNELS + decoder.cells, level) for level in range(DEPTH)
@@ -177,6 +177,7 @@ def _difference(runtime: Any, model: bytes, material: Material) -> float:  # noq
         material.waves,
         levels=DEPTH,
         cells=decoder.cells,
+        grains=decoder.grains,
     )
     session = runtime.InferenceSession(model, providers=["CPUExecutionProvider"])
     given = {"noise": field.noise.numpy()}

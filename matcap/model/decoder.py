@@ -48,12 +48,19 @@ class DecoderConfig:
         convolutions: 3 x 3 convolutions per block on the way down and on the way up.
         cells: channels of noise for the cells of regular order (regular_order.py), for materials
             that have any.
+        grains: channels of structured noise (grains.py) read beside the white noise; 0 for none.
     """
 
     noise_channels: int = 8
     widths: tuple[int, ...] = (16, 32, 64, 64, 64)
     convolutions: tuple[int, int] = (1, 2)
     cells: int = 0
+    grains: int = 0
+
+    @property
+    def inputs(self) -> int:
+        """What the way down reads at full resolution."""
+        return self.noise_channels + self.grains
 
     @property
     def order_channels(self) -> int:
@@ -151,7 +158,7 @@ class Decoder(nn.Module):
         self.config = config
         widths = config.widths
         down, up = [], []
-        channels = config.noise_channels
+        channels = config.inputs
         for width in widths:
             down.append(_block(channels, width, config.convolutions[0]))
             channels = width
@@ -192,7 +199,7 @@ class Decoder(nn.Module):
         """Raw outputs (B, OUTPUTS, H, W) of a random field, float32.
 
         Args:
-            field: noise (B, noise_channels, H, W) and order, H and W multiples of ALIGNMENT.
+            field: noise (B, config.inputs, H, W) and order, H and W multiples of ALIGNMENT.
             code: (CODE_SIZE,) for one material or (B, CODE_SIZE) for one a sample.
             moments: frozen statistics, one a layer; None measures them on this very field.
             periodic: wrap around the borders; otherwise the outermost texels are not valid.

@@ -46,6 +46,7 @@ def reference_field(
         waves,
         levels=DEPTH,
         cells=config.cells,
+        grains=config.grains,
     )
 
 
@@ -97,12 +98,14 @@ class FoldedDecoder:
 
     Attributes:
         noise_channels: of white noise that it reads.
+        grains: channels of structured noise that it reads.
         cells: channels of the noise of cells; 0 without waves.
         has_waves: whether it reads the order of regular_order.py.
         down, up, head: its layers, block by block.
     """
 
     noise_channels: int
+    grains: int
     cells: int
     has_waves: bool
     down: tuple[tuple[FoldedLayer, ...], ...]
@@ -221,6 +224,7 @@ def fold(
             below = skip
         return FoldedDecoder(
             noise_channels=decoder.config.noise_channels,
+            grains=decoder.config.grains,
             cells=decoder.config.cells if has_waves else 0,
             has_waves=has_waves,
             down=down,

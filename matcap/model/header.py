@@ -22,7 +22,7 @@ from matcap.files.digest import is_whole
 from matcap.model.example.example import Example
 
 FORMAT = "matcap-material"
-VERSION = 1  # of the file
+VERSIONS = (1, 2)  # of the file: without, and with structured noise
 REMEDY = "capture the photograph again, or fetch the file again"
 # What reading JSON raises that is not as it should be.
 DAMAGED = (
@@ -147,9 +147,10 @@ def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
             where=str(path),
             remedy="give a .matcap file written by matcap capture",
         )
-    if about["version"] != VERSION:
+    if about["version"] not in VERSIONS:
         raise MatcapError(
-            f"this material is of version {about['version']}; this matcap reads {VERSION}",
+            f"this material is of version {about['version']}; "
+            f"this matcap reads {VERSIONS[0]} to {VERSIONS[-1]}",
             where=str(path),
             remedy="install the matcap that wrote it, or capture the photograph again",
         )

@@ -15,10 +15,10 @@ Tensors:
 
 Metadata:
     format: "matcap-material".
-    version: 1.
+    version: 2 where the decoder reads structured noise, else 1.
     name: of the photograph.
     decoder: `noise_channels`, `widths` (five), `convolutions` (down, up) and `cells` (channels of
-        the noise of cells, 0 or absent for none).
+        the noise of cells, 0 or absent for none) and `grains` (of structured noise, likewise).
     waves: at most two of `{fx, fy}`, cycles a texel; the plane waves of regular order.
     texel_size: plane units.
     setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`.
@@ -51,13 +51,13 @@ from matcap.model.header import (
     EXAMPLE,
     FORMAT,
     REMEDY,
-    VERSION,
+    VERSIONS,
     opened,
     plain_name,
     read_example,
 )
 from matcap.model.source import Generator, no_exemplar
-from matcap.model.stored import StoredTensors, decoder_config, empty_decoder
+from matcap.model.stored import StoredTensors, decoder_config, described, empty_decoder
 from matcap.statistics.lattice import Wave
 
 
@@ -155,9 +155,9 @@ class Material:
             tensors[f"moments.{index}.deviation"] = deviation
         about = {
             "format": FORMAT,
-            "version": VERSION,
+            "version": VERSIONS[bool(self.decoder.config.grains)],
             "name": self.name,
-            "decoder": asdict(self.decoder.config),
+            "decoder": described(self.decoder.config),
             "waves": [asdict(wave) for wave in self.waves],
             "texel_size": self.texel_size,
             "setup": asdict(self.setup),

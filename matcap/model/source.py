@@ -19,10 +19,9 @@ from matcap.model.device import repeatable
 from matcap.model.example.example import Example
 from matcap.model.example.source import ExampleSource, example_source
 from matcap.model.freeze import FoldedDecoder
-from matcap.model.noise import noise_field
 from matcap.model.patch import Patch
 from matcap.model.plane import Period, Rectangle, check_period, check_seed
-from matcap.model.random_field import RandomField
+from matcap.model.random_field import RandomField, noise_of
 from matcap.model.regular_order import order_field
 from matcap.model.spans import Span, Spans, spans_of
 from matcap.statistics.lattice import Wave
@@ -136,13 +135,13 @@ def spans_of_block(block: Rectangle, convolutions: tuple[int, int]) -> BlockSpan
     return BlockSpans(block, rows, columns)
 
 
-def read_noise(source: Seeded, spans: BlockSpans, channels: int) -> Tensor:
+def read_noise(source: Seeded, spans: BlockSpans, white: int, grains: int = 0) -> Tensor:
     """(1, channels, H, W) noise of a block's spans."""
     columns, rows = spans.columns.down[0], spans.rows.down[0]
     x, y = spans.block.x + columns.start, spans.block.y + rows.start
     part = Rectangle(x, y, columns.size, rows.size)
     patch = Patch(source.seed, part, period=source.period, device=source.device)
-    return noise_field(patch, channels)[None]
+    return noise_of(patch, white, grains)[None]
 
 
 def read_order(
@@ -202,7 +201,7 @@ class MaterialSource:
         spans = spans_of_block(block, self.decoder.convolutions)
         with torch.inference_mode(), repeatable(self.device):
             field = RandomField(
-                read_noise(self, spans, self.decoder.noise_channels),
+                read_noise(self, spans, self.decoder.noise_channels, self.decoder.grains),
                 read_order(self, spans, self.waves, self.decoder.cells),
             )
             raw = self.decoder.decode(field, spans.rows, spans.columns)[0].contiguous()

@@ -7,7 +7,7 @@ tensor is compared with it before it is read.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from torch import Tensor
 
 from matcap.errors import MatcapError
 from matcap.model.decoder import DEPTH, Decoder, DecoderConfig
+from matcap.model.grains import GRAIN_CHANNELS
 
 _LARGEST_WIDTH = 1024  # channels; a stranger's file cannot ask for more memory than this allows
 _MOST_CELLS = 64  # channels at full resolution, whatever the network makes of them
@@ -58,6 +59,15 @@ class StoredTensors:
         return MatcapError(what, where=str(self.path), remedy=self.remedy)
 
 
+def described(config: DecoderConfig) -> dict[str, Any]:
+    """The description of a decoder's shape, which decoder_config reads.
+
+    Structured noise is told of where there is any: files without it stay as they always were.
+    """
+    stated = asdict(config)
+    return stated if config.grains else {k: v for k, v in stated.items() if k != "grains"}
+
+
 def decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:
     """The shape of a decoder as a description states it.
 
@@ -69,12 +79,15 @@ def decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:
         widths=tuple(int(width) for width in stated["widths"]),
         convolutions=(int(stated["convolutions"][0]), int(stated["convolutions"][1])),
         cells=int(stated.get("cells", 0)),  # unknown to the first materials and priors
+        grains=int(stated.get("grains", 0)),  # likewise
     )
     sizes = (config.noise_channels, *config.widths)
     if len(config.widths) != DEPTH + 1 or not all(1 <= s <= _LARGEST_WIDTH for s in sizes):
         raise ValueError(f"widths {config.widths} are not {DEPTH + 1} of at most {_LARGEST_WIDTH}")
     if not 0 <= config.cells <= _MOST_CELLS:
         raise ValueError(f"{config.cells} channels of cells")
+    if not 0 <= config.grains <= GRAIN_CHANNELS:
+        raise ValueError(f"{config.grains} channels of structured noise")
     if not all(1 <= count <= 4 for count in config.convolutions):
         raise ValueError(f"{config.convolutions} convolutions a block")
     return config

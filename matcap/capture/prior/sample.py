@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.capture.prior.store import Prior
 from matcap.flash.render import render_rectified
+from matcap.model.material import Material
 
 _COLUMNS = 4  # materials side by side
 _BRIGHTNESS = 0.25  # mean radiance every picture is exposed to
 
 
-def sample_sheet(prior: Prior, count: int, seed: int, size: int = 256) -> NDArray[np.float32]:
-    """(rows * size, columns * size, 3) linear picture of materials seed, seed + 1, ... by flash."""
+def sample_sheet(materials: Sequence[Material], seed: int, size: int = 256) -> NDArray[np.float32]:
+    """(rows * size, columns * size, 3) linear picture of pieces seed, seed + 1, ... by flash."""
+    count = len(materials)
     tiles = []
-    for index in range(count):
-        material = prior.draw(seed + index)
+    for index, material in enumerate(materials):
         maps = material.maps(size, size, seed=seed + index)
         with torch.inference_mode():
             picture = render_rectified(maps, material.setup)

@@ -18,44 +18,32 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from matcap.capture.coarse import CoarseFit
-from matcap.capture.prior.base import VARYING, Base, base_from, base_of, fold
+from matcap.capture.coarse import CoarseFit, fit_coarse
+from matcap.capture.prior.anchors import SPREAD, Anchor, Anchors, Habits, nowhere
+from matcap.capture.prior.base import VARYING, base_of, fold
 from matcap.capture.prior.look import describe_windows, numbers, picture, texture
 from matcap.capture.start import log_contrast
-from matcap.errors import MatcapError
+from matcap.errors import MatcapError, UsageError
 from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.plane import Plane
+from matcap.flash.plane import Plane, read_plane
 from matcap.model.alignment import WIDTH, Alignment
 from matcap.model.decoder import CODE_SIZE, Decoder
 from matcap.model.encoder import BACKBONES, Encoder, EncoderConfig
 from matcap.model.freeze import freeze
 from matcap.model.header import DAMAGED
 from matcap.model.material import Material
-from matcap.model.stored import StoredTensors, decoder_config, empty_decoder
+from matcap.model.stored import StoredTensors, decoder_config, described, empty_decoder
 from matcap.photo.photo import Photo
+from matcap.statistics.lattice import find_lattice
 
 FORMAT = "matcap-prior"
-VERSION = 1  # of the file
+VERSIONS = (1, 2)  # of the file: without, and with structured noise
 SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
 
-_DETAIL = 1024  # texels across the photograph a drawn material is meant for
+_MOST_ANCHORS = 1_000_000  # a stranger's file cannot ask for more memory than this allows
+DETAIL = 1024  # texels across the photograph a drawn material is meant for
 _REMEDY = "install matcap again, or train a prior with `matcap prior train`"
-
-
-@dataclass(frozen=True)
-class Habits:
-    """How bases go with codes, learnt from the training photographs: base = A code + b + noise.
-
-    Attributes:
-        matrix: (VARYING, CODE_SIZE).
-        offset: (VARYING,).
-        spread: (VARYING, VARYING) lower triangular; times standard normal noise.
-    """
-
-    matrix: Tensor
-    offset: Tensor
-    spread: Tensor
 
 
 @dataclass(frozen=True)
@@ -66,8 +54,9 @@ class Prior:
         encoder: photograph to code.
         decoder: code and noise to maps, in units of the base.
         alignment: photograph to tilt.
-        habits: for drawing from nothing.
+        habits: how bases go with codes.
         about: how it was trained; JSON.
+        anchors: where the training photographs lie; without them draws may lie anywhere.
     """
 
     encoder: Encoder
@@ -75,6 +64,7 @@ class Prior:
     alignment: Alignment
     habits: Habits
     about: Mapping[str, Any] = field(default_factory=dict)
+    anchors: Anchors | None = None
 
     def tilt(self, photo: Photo) -> tuple[float, float]:
         """(tilt_x, tilt_y) of a photograph in radians."""
@@ -107,27 +97,55 @@ class Prior:
         contrast = log_contrast(plane.linear, plane.valid)
         return fold(self.decoder, base_of(coarse, contrast)), self.code(photo, coarse, plane)
 
-    def draw(self, seed: int) -> Material:
-        """A material out of nothing: a standard normal code, and a base that goes with it."""
-        generator = torch.Generator().manual_seed(seed)
-        code = torch.randn(CODE_SIZE, generator=generator)
-        habits = self.habits
-        noise = torch.randn(len(habits.offset), generator=generator)
-        varying = habits.matrix @ code + habits.offset + habits.spread @ noise
-        return self.material(f"drawn_{seed}", base_from(varying), code, {"drawn": seed})
+    def place(self, photo: Photo) -> Anchor:
+        """Where a photograph lies in the space, at the fineness of drawn materials."""
+        coarse = fit_coarse(photo)
+        plane = read_plane(photo, coarse.setup, DETAIL)
+        code = self.code(photo, coarse, plane)
+        base = base_of(coarse, log_contrast(plane.linear, plane.valid))
+        waves = find_lattice(plane.encoded(), plane.valid).waves
+        return Anchor(code, self.habits.rest(code, base), waves)
 
-    def material(
-        self, name: str, base: Base, code: Tensor, provenance: Mapping[str, Any]
+    def draw(
+        self,
+        seed: int,
+        *,
+        near: Anchor | None = None,
+        spread: float = SPREAD,
+        name: str = "drawn",
     ) -> Material:
-        """A frozen material of a code and a base."""
-        decoder = fold(self.decoder, base)
+        """A material out of nothing, another for every seed.
+
+        Args:
+            seed: any integer of 64 bits.
+            near: where to draw; by default near a random one of the training photographs.
+            spread: how far from there, from 0 (there) to 1 (anywhere).
+            name: of the material, to which the seed is added.
+
+        Raises:
+            UsageError: a spread outside [0, 1].
+        """
+        if not 0.0 <= spread <= 1.0:
+            raise UsageError(f"the spread {spread:g} is not between 0 and 1", where="-t")
+        generator = torch.Generator().manual_seed(seed)
+        if near is not None:
+            anchor = near.near(spread, generator)
+        elif self.anchors is not None:
+            anchor = self.anchors.draw(spread, generator)
+        else:
+            anchor = nowhere().near(1.0, generator)
+        return self.material(f"{name}_{seed}", anchor, {"drawn": seed, "spread": spread})
+
+    def material(self, name: str, anchor: Anchor, provenance: Mapping[str, Any]) -> Material:
+        """A frozen material of one place in the space."""
+        decoder = fold(self.decoder, self.habits.base(anchor.code, anchor.rest))
         return Material(
             name=name,
             decoder=decoder.eval().requires_grad_(False),
-            code=code,
-            moments=tuple(freeze(decoder, code, ())),
-            waves=(),
-            texel_size=2.0 / _DETAIL,
+            code=anchor.code,
+            moments=tuple(freeze(decoder, anchor.code, anchor.waves)),
+            waves=anchor.waves,
+            texel_size=2.0 / DETAIL,
             setup=FlashSetup(intensity=(math.pi * 4.0,) * 3),
             provenance=provenance,
         )
@@ -141,11 +159,14 @@ class Prior:
         }
         for name, tensor in vars(self.habits).items():
             tensors[f"habits.{name}"] = tensor.float()
+        if self.anchors is not None:
+            tensors |= {f"anchors.{name}": tensor for name, tensor in vars(self.anchors).items()}
         about = {
             "format": FORMAT,
-            "version": VERSION,
+            "version": VERSIONS[bool(self.decoder.config.grains)],
             "encoder": asdict(self.encoder.config),
-            "decoder": asdict(self.decoder.config),
+            "decoder": described(self.decoder.config),
+            "anchors": 0 if self.anchors is None else len(self.anchors),
             "about": dict(self.about),
         }
         write_tensors(path, tensors, {"matcap": json.dumps(about)})
@@ -184,6 +205,7 @@ def load_prior(path: Path | None = None) -> Prior:
                     )
                 ),
                 about=about["about"],
+                anchors=_anchors(stored, int(about.get("anchors", 0))),
             )
             for part, module in prior._modules().items():
                 module.load_state_dict(
@@ -205,6 +227,16 @@ def load_prior(path: Path | None = None) -> Prior:
         ) from error
 
 
+def _anchors(stored: StoredTensors, count: int) -> Anchors | None:
+    """So many anchors; the first priors had none."""
+    if not count:
+        return None
+    if not 0 < count <= _MOST_ANCHORS:
+        raise ValueError(f"{count} anchors")
+    shapes = {"codes": (count, CODE_SIZE), "rests": (count, VARYING), "waves": (count, 2, 2)}
+    return Anchors(**{name: stored.tensor(f"anchors.{name}", s) for name, s in shapes.items()})
+
+
 def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
     if not metadata or "matcap" not in metadata:
         raise MatcapError(
@@ -215,9 +247,10 @@ def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
         raise MatcapError(
             f"this holds a {about['format']}, not a prior", where=str(path), remedy=_REMEDY
         )
-    if about["version"] != VERSION:
+    if about["version"] not in VERSIONS:
         raise MatcapError(
-            f"this prior is of version {about['version']}; this matcap reads {VERSION}",
+            f"this prior is of version {about['version']}; this matcap reads {VERSIONS[0]} to "
+            f"{VERSIONS[-1]}",
             where=str(path),
             remedy=_REMEDY,
         )

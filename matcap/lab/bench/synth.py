@@ -45,9 +45,9 @@ from matcap.model.decoder import (
 from matcap.model.field import read_source
 from matcap.model.freeze import FoldedDecoder, FoldedLayer, freeze
 from matcap.model.material import Material
-from matcap.model.noise import noise_field
 from matcap.model.patch import Patch
 from matcap.model.plane import Rectangle
+from matcap.model.random_field import noise_of
 from matcap.model.regular_order import WAVE_CHANNELS
 from matcap.model.single import single_threaded
 from matcap.model.source import BlockSpans, MaterialSource, material_source, spans_of_block
@@ -313,9 +313,9 @@ def comma_separated(report: Report) -> str:
 
 def _rows(name: str, subject: Material, allocator: str, settings: Settings) -> Iterator[Timing]:
     width, height = settings.size
-    noise = noise_field(
-        Patch(1, Rectangle(0, 0, width, height)), subject.decoder.config.noise_channels
-    )[None]
+    config = subject.decoder.config
+    noise = noise_of(Patch(1, Rectangle(0, 0, width, height)), config.noise_channels, config.grains)
+    noise = noise[None]
     noise = noise.contiguous()
     for workers in settings.workers:
         for block in settings.blocks:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from matcap.capture.coarse import fit_coarse
 from matcap.capture.start import log_contrast
@@ -100,6 +101,15 @@ def read(path: Path) -> Entry:
 
 def simulate(seed: int, *, deviation: float = _PACK_TILT) -> Entry:
     """Pack one simulated photograph; a seed is a material and a shot of it."""
+    code, camera, setup = simulated_code(seed, deviation=deviation)
+    name = f"simulated_{seed}"
+    return entry(name, name, code, camera.fov, tilt=setup.tilt)
+
+
+def simulated_code(
+    seed: int, *, deviation: float = _PACK_TILT
+) -> tuple[NDArray[np.uint8], PhoneCamera, FlashSetup]:
+    """A simulated photograph (H, W, 3) uint8 BGR, the camera and the flash; see simulate."""
     rng = np.random.default_rng([20212, seed])
     material = random_material(rng)
     camera = PhoneCamera(
@@ -114,9 +124,7 @@ def simulate(seed: int, *, deviation: float = _PACK_TILT) -> Entry:
     )
     setup = random_setup(rng, deviation)
     shot = take(lambda w, h, texel: material.realise(w, h, seed, texel), camera, setup)
-    code = srgb_bytes(expose(shot, seed))
-    name = f"simulated_{seed}"
-    return entry(name, name, code, camera.fov, tilt=setup.tilt)
+    return srgb_bytes(expose(shot, seed)), camera, setup
 
 
 def random_setup(rng: np.random.Generator, deviation: float | None) -> FlashSetup:

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from matcap.capture.prior.anchors import Anchor, Anchors, Habits, anchors_of
 from matcap.capture.prior.base import VARYING, base_of, varying
 from matcap.capture.prior.look import describe_windows, numbers, picture, texture
-from matcap.capture.prior.store import Habits, Prior
+from matcap.capture.prior.store import Prior
 from matcap.flash.rectify import rectify
 from matcap.lab.train.pack import WAVE_DETAIL, Entry
 from matcap.model.alignment import Alignment
@@ -115,4 +116,27 @@ def finish(
         "dead_dimensions": int((told < DEAD).sum()),
     }
     habits = habits_of(codes, entries)
-    return Prior(encoder, decoder, alignment, habits, {**about, **measured})
+    return Prior(
+        encoder,
+        decoder,
+        alignment,
+        habits,
+        {**about, **measured},
+        anchors_known(codes, habits, entries),
+    )
+
+
+def anchors_known(codes: Codes, habits: Habits, entries: Sequence[Entry]) -> Anchors:
+    """Where photographs lie in a space, of whose codes they have these."""
+    return anchors_of(
+        [
+            Anchor(code, habits.rest(code, base_of(entry.coarse, entry.contrast)), entry.waves)
+            for code, entry in zip(codes.mean, entries, strict=True)
+        ]
+    )
+
+
+def with_anchors(prior: Prior, entries: Sequence[Entry]) -> Prior:
+    """A prior whose draws are near these photographs; its networks stay as they are."""
+    codes = codes_of(prior.encoder, entries)
+    return replace(prior, anchors=anchors_known(codes, prior.habits, entries))

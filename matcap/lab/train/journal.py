@@ -124,7 +124,7 @@ def _pair(
     size = sample.linear.shape[-1]
     code = encode(state, sample, targets([sample], bank, device)[0], device)
     sample = sample.to(device)
-    field = fields(state.average.decoder.config.noise_channels, [sample.waves], size, 7, device)
+    field = fields(state.average.decoder.config, [sample.waves], size, 7, device)
     output = state.average.decoder(field, code)
     inner = output[..., MARGIN : MARGIN + size, MARGIN : MARGIN + size]
     maps = read_maps(inner, sample.base, sample.texel_size)

@@ -98,6 +98,11 @@ def read_code(data: bytes, name: str) -> NDArray[np.uint8]:
     return np.asarray(code, np.uint8)
 
 
+def linear_of(code: NDArray[np.uint8]) -> Tensor:
+    """(3, H, W) scene-linear float32 of (H, W, 3) BGR code values."""
+    return torch.from_numpy(np.ascontiguousarray(_LINEAR[code[..., ::-1]].transpose(2, 0, 1)))
+
+
 # Linear light of each 8-bit code value.
 _LINEAR = srgb_decode(np.arange(256) / 255.0).astype(np.float32)
 

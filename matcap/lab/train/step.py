@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -12,7 +13,8 @@ from matcap.capture.prior.base import Base
 from matcap.capture.prior.look import texture
 from matcap.lab.train.state import TrainConfig, TrainingState
 from matcap.lab.train.training_windows import TrainingSample
-from matcap.model.decoder import DEPTH, Decoder, maps_from_raw
+from matcap.model.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw
+from matcap.model.grains import grain_field
 from matcap.model.noise import noise_field
 from matcap.model.patch import Patch
 from matcap.model.plane import Rectangle
@@ -93,7 +95,7 @@ def compare(
     """(B,) style distances of decoded materials from their windows, and (B,) slope penalties."""
     kind = torch.device(device).type
     size = samples[0].linear.shape[-1]
-    field = fields(decoder.config.noise_channels, [s.waves for s in samples], size, seed, device)
+    field = fields(decoder.config, [s.waves for s in samples], size, seed, device)
     with torch.autocast(kind, torch.bfloat16):
         output = decoder(field, code)
     inner = output[..., MARGIN : MARGIN + size, MARGIN : MARGIN + size]
@@ -122,14 +124,17 @@ def slope_penalty(maps: MapSet) -> Tensor:
 
 
 def fields(
-    channels: int, waves: Sequence[tuple[Wave, ...]], size: int, seed: int, device: str
+    config: DecoderConfig, waves: Sequence[tuple[Wave, ...]], size: int, seed: int, device: str
 ) -> RandomField:
     """A batch of fields for windows of `size` texels: noise on a torus, waves endless."""
     side = size + 2 * MARGIN
-    noise = noise_field(
-        Patch(seed, Rectangle(0, 0, side, side), period=(side, side), device=device),
-        channels * len(waves),
-    ).view(len(waves), channels, side, side)
+    torus = Patch(seed, Rectangle(0, 0, side, side), period=(side, side), device=device)
+    noise = noise_field(torus, config.noise_channels * len(waves))
+    noise = noise.view(len(waves), config.noise_channels, side, side)
+    if config.grains:
+        seeds = range(seed * len(waves), (seed + 1) * len(waves))
+        grains = [grain_field(replace(torus, seed=one))[: config.grains] for one in seeds]
+        noise = torch.cat([noise, torch.stack(grains)], dim=1)
     stack = []
     for level in range(DEPTH):
         here = side >> level

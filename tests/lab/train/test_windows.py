@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from small import SMALL
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.prior.base import base_of, fold, start_head
@@ -75,7 +76,7 @@ def test_folding_the_base_changes_no_output(prior, pack):
 
     start_head(prior.decoder)
     base = base_of(pack.entries[0].coarse, torch.tensor([0.1, 0.2, 0.3]))
-    field = fields(4, [()], 32, 1, "cpu")
+    field = fields(SMALL, [()], 32, 1, "cpu")
     code = torch.randn(64)
     with torch.no_grad():
         wanted = base.apply(prior.decoder(field, code))
