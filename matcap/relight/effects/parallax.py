@@ -63,7 +63,7 @@ def _met(relief: Relief, u: Array, v: Array, du: Array, dv: Array) -> Array:
     found: Array = np.full(u.size, relief.low, dtype=np.float32)
     span = relief.high - relief.low
     pace = np.hypot(du, dv) * np.float32(span / relief.texel_size)
-    count = np.clip(np.ceil(2.0 * pace), 4.0, 512.0)
+    count = np.clip(np.ceil(3.0 * pace), 8.0, 512.0)
     step = span / count.astype(np.float64)
     # So many steps stay where the highest texel is known.
     near = np.maximum(np.floor((_AROUND - 2) * count / np.maximum(pace, 1e-6)), 1.0)

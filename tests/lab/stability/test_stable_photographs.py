@@ -91,23 +91,25 @@ def ordinary():
     return capture_array(textured(WIDTH, HEIGHT, 3), settings(), "ordinary")
 
 
-def test_half_the_exposure_gives_the_same_maps(ordinary):
-    """Texel by texel too, of the piece where it was seen: rounding may rearrange it otherwise."""
-    half = capture_array(0.5 * textured(WIDTH, HEIGHT, 3), settings(), "half")
-    pieces = [result.found.exemplar for result in (ordinary, half)]
+def test_half_the_exposure_gives_the_same_maps():
+    """Texel by texel too, of the piece where it was seen: rounding may rearrange it otherwise.
+
+    Neither clips: what does is known less of.
+    """
+    bright, dark = (
+        capture_array(gain * textured(WIDTH, HEIGHT, 3), settings(), "exposed")
+        for gain in (0.5, 0.25)
+    )
+    pieces = [result.found.exemplar for result in (bright, dark)]
     seen = torch.from_numpy(np.minimum(*(p.confidence[0] for p in pieces)) > 0.0)
     seen = -torch.nn.functional.max_pool2d(-seen[None].float(), 41, 1, 20)[0] > 0.0
     assert seen.float().mean() > 0.2
     one, other = (torch.from_numpy(p.stacked())[:, seen] for p in pieces)
-    assert torch.allclose(one[:5].mean(1), other[:5].mean(1), rtol=0.02)
-    # How gloss varies shows so little here that steps of adaptation make much of rounding.
-    seen_well, gloss = [0, 1, 2, 5], [3, 4]
-    assert torch.allclose(one[seen_well].std(1), other[seen_well].std(1), rtol=0.05)
-    assert torch.allclose(one[gloss].std(1), other[gloss].std(1), rtol=0.25)
+    assert torch.allclose(one[:5].mean(1), other[:5].mean(1), rtol=0.01)
+    assert torch.allclose(one.std(1), other.std(1), rtol=0.05)
     apart = (one - other).square().mean(1).sqrt()
-    assert (apart / one.std(1))[seen_well].max() < 0.3
-    assert apart[gloss].max() < 0.04  # of F0 and roughness, which nobody sees
-    intensities = [r.material.setup.intensity[0] for r in (ordinary, half)]
+    assert (apart / one.std(1)).max() < 0.3
+    intensities = [r.material.setup.intensity[0] for r in (bright, dark)]
     assert intensities[1] / intensities[0] == pytest.approx(0.5, rel=0.02)
 
 
