@@ -57,15 +57,26 @@ def train(
     config: Annotated[Path, typer.Option(help="TOML; see docs/guide/train-a-prior.md.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for checkpoints and curves.")],
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
+    begin: Annotated[
+        Path | None, typer.Option("--start", help="A prior whose networks are trained on.")
+    ] = None,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     quiet: QuietOption = False,
 ) -> None:
     """Train encoder and decoder on a pack; a killed run goes on with --resume."""
+    from matcap.capture.prior.store import load_prior
     from matcap.lab.train.pack import Pack
     from matcap.lab.train.train import train as run
 
-    settings = _config(config)
-    run(Pack.load(pack), settings, out, resume=resume, device=device, tell=_teller(quiet))
+    run(
+        Pack.load(pack),
+        _config(config),
+        out,
+        resume=resume,
+        prior=load_prior(begin) if begin is not None else None,
+        device=device,
+        tell=_teller(quiet),
+    )
 
 
 @app.command()

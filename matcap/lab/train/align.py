@@ -22,6 +22,7 @@ from matcap.lab.simulate.materials.varied import random_material
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.train.corpus import QUALITY, random_setup, srgb_bytes
 from matcap.lab.train.pack import decode
+from matcap.lab.train.precision import mixed
 from matcap.model.alignment import WIDTH, Alignment
 from matcap.model.encoder import PICTURE_CHANNELS
 from matcap.photo.photo import Photo
@@ -111,7 +112,7 @@ def train_alignment(
             bool(rng.integers(2)),
         )
         order = torch.from_numpy(np.concatenate([rng.permutation(3), [3, 4]]))
-        with torch.autocast("cpu", torch.bfloat16):
+        with mixed("cpu"):
             found = network(pictures[:, order], pool.fov[chosen])
         loss = F.smooth_l1_loss(found, tilt, beta=0.02)
         optimiser.zero_grad(set_to_none=True)

@@ -21,7 +21,8 @@ from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_encode
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import read_plane
-from matcap.lab.simulate.materials.varied import random_material
+from matcap.lab.simulate.materials.kinds import RandomKind, random_kind
+from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.train.pack import WAVE_DETAIL, Entry, Pack, decode, read_code
 from matcap.photo.photo import DEFAULT_FOV, Photo
@@ -31,6 +32,7 @@ PICTURES = (".jpg", ".jpeg", ".png")
 QUALITY = 85  # of the pack's JPEGs
 LONG_SIDE = 1024  # of the pack's pictures
 _MOST_TILT = math.radians(15.0)
+_KIND_SHARE = 0.6  # of the simulated photographs, as in the inverse network's training
 _PACK_TILT = math.radians(4.0)  # deviation, of photographs meant to be taken from straight above
 
 
@@ -111,7 +113,7 @@ def simulated_code(
 ) -> tuple[NDArray[np.uint8], PhoneCamera, FlashSetup]:
     """A simulated photograph (H, W, 3) uint8 BGR, the camera and the flash; see simulate."""
     rng = np.random.default_rng([20212, seed])
-    material = random_material(rng)
+    material = material_of(seed, rng)
     camera = PhoneCamera(
         width=LONG_SIDE,
         height=LONG_SIDE * 3 // 4,
@@ -125,6 +127,12 @@ def simulated_code(
     setup = random_setup(rng, deviation)
     shot = take(lambda w, h, texel: material.realise(w, h, seed, texel), camera, setup)
     return srgb_bytes(expose(shot, seed)), camera, setup
+
+
+def material_of(seed: int, rng: np.random.Generator) -> RandomMaterial | RandomKind:
+    """A thing that has structure (cells, weaves, planks, ...), or a pattern drawn from `rng`."""
+    which = np.random.default_rng([20213, seed])
+    return random_kind(which) if which.random() < _KIND_SHARE else random_material(rng)
 
 
 def random_setup(rng: np.random.Generator, deviation: float | None) -> FlashSetup:

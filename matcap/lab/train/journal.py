@@ -15,6 +15,7 @@ from torch import Tensor
 from matcap.capture.prior.look import texture
 from matcap.files.srgb import srgb_decode_tensor, srgb_picture
 from matcap.lab.train.pack import Entry, Pack
+from matcap.lab.train.precision import mixed
 from matcap.lab.train.state import TrainConfig, TrainingState
 from matcap.lab.train.step import MARGIN, compare, fields, read_maps, targets
 from matcap.lab.train.training_windows import PreparedPhotograph, TrainingSample, Turn, cut
@@ -109,7 +110,7 @@ def cut_plain(
 
 def encode(state: TrainingState, sample: TrainingSample, wanted: Descriptor, device: str) -> Tensor:
     """(1, CODE_SIZE) mean code by the running mean's encoder."""
-    with torch.autocast(torch.device(device).type, torch.bfloat16):
+    with mixed(device):
         return state.average.encoder(
             sample.picture[None].to(device),
             sample.numbers[None].to(device),

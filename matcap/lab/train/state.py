@@ -8,6 +8,8 @@ import torch
 from torch import nn
 
 from matcap.capture.prior.base import start_head
+from matcap.capture.prior.store import Prior
+from matcap.errors import UsageError
 from matcap.model.decoder import Decoder, DecoderConfig
 from matcap.model.encoder import Encoder, EncoderConfig
 
@@ -92,3 +94,25 @@ def start(config: TrainConfig, device: str) -> TrainingState:
         weight_decay=config.weight_decay,
     )
     return TrainingState(model, average.requires_grad_(False), optimiser)
+
+
+def start_from(prior: Prior, config: TrainConfig, device: str) -> TrainingState:
+    """The state that goes on from a prior's networks, with an optimiser that knows nothing yet.
+
+    Raises:
+        UsageError: its networks are of other shapes than the configuration's.
+    """
+    state = start(config, device)
+    for name, network, shape in (
+        ("encoder", prior.encoder, config.encoder),
+        ("decoder", prior.decoder, config.decoder),
+    ):
+        if network.config != shape:
+            raise UsageError(
+                f"the prior's {name} is of another shape than [{name}] of the settings",
+                where="--start",
+                remedy="give the settings it was trained with",
+            )
+        for model in (state.model, state.average):
+            getattr(model, name).load_state_dict(network.state_dict())
+    return state

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from matcap.brdf.maps import MapSet
 from matcap.capture.prior.base import Base
 from matcap.capture.prior.look import texture
+from matcap.lab.train.precision import mixed
 from matcap.lab.train.state import TrainConfig, TrainingState
 from matcap.lab.train.training_windows import TrainingSample
 from matcap.model.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw
@@ -46,7 +47,7 @@ def train_step(
     numbers = torch.stack([s.numbers for s in samples]).to(device)
     wanted = targets(samples, bank, device)
     told = torch.stack([texture(target) for target in wanted])
-    with torch.autocast(torch.device(device).type, torch.bfloat16):
+    with mixed(device):
         mean, log_variance = state.model.encoder(pictures, numbers, told)
     noise_seed = config.seed * 1_000_003 + state.step
     generator = torch.Generator().manual_seed(noise_seed)
@@ -78,8 +79,7 @@ def schedule(step: int, steps: int) -> float:
 
 def targets(samples: Sequence[TrainingSample], bank: FilterBank, device: str) -> list[Descriptor]:
     """What the windows of each sample look like."""
-    kind = torch.device(device).type
-    with torch.no_grad(), torch.autocast(kind, torch.bfloat16):
+    with torch.no_grad(), mixed(device):
         return [describe(s.linear.to(device), s.encoding, bank) for s in samples]
 
 
@@ -93,17 +93,16 @@ def compare(
     device: str,
 ) -> tuple[Tensor, Tensor]:
     """(B,) style distances of decoded materials from their windows, and (B,) slope penalties."""
-    kind = torch.device(device).type
     size = samples[0].linear.shape[-1]
     field = fields(decoder.config, [s.waves for s in samples], size, seed, device)
-    with torch.autocast(kind, torch.bfloat16):
+    with mixed(device):
         output = decoder(field, code)
     inner = output[..., MARGIN : MARGIN + size, MARGIN : MARGIN + size]
     losses, slopes = [], []
     for index, sample in enumerate(samples):
         sample = sample.to(device)
         maps = read_maps(inner[index : index + 1], sample.base, sample.texel_size)
-        with torch.autocast(kind, torch.bfloat16):
+        with mixed(device):
             found = describe(sample.render(maps), sample.encoding, bank)
         losses.append(distance(found, wanted[index], Weights()).mean())
         slopes.append(slope_penalty(maps))

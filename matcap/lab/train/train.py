@@ -7,7 +7,8 @@ up, keeps codes near a standard normal.
 
 Everything random in a step follows from (seed, step), so weights, optimiser and step are the whole
 state: a run killed at any time goes on from its last checkpoint as if nothing had happened.
-Imports torch, numpy, cv2 and safetensors alone. Runs on the CPU and on CUDA, both in bfloat16.
+Imports torch, numpy, cv2 and safetensors alone. Runs on the CPU and on CUDA, in bfloat16 where the
+device multiplies it (precision.py).
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from pathlib import Path
 import numpy as np
 
 from matcap.capture.prior.look import FEATURES
+from matcap.capture.prior.store import Prior
 from matcap.lab.train.checkpoint import load_checkpoint, save_checkpoint
 from matcap.lab.train.journal import Journal
 from matcap.lab.train.pack import Entry, Pack
-from matcap.lab.train.state import TrainConfig, TrainingState, start
+from matcap.lab.train.state import TrainConfig, TrainingState, start, start_from
 from matcap.lab.train.step import train_step
 from matcap.lab.train.training_windows import PreparedPhotograph, Turn, cut, prepare
 from matcap.statistics.filterbank import FilterBank
@@ -34,15 +36,18 @@ def train(
     out: Path,
     *,
     resume: bool = False,
+    prior: Prior | None = None,
     device: str = "cpu",
     tell: Callable[[str], None] = lambda line: None,
 ) -> TrainingState:
     """Train until config.steps, writing checkpoints, curves and pictures into a folder.
 
+    Begins with nothing, or with a prior's networks, or where a checkpoint in the folder ends.
+
     Raises:
         MatcapError: the checkpoint to resume from is missing, broken or of another shape.
     """
-    state = start(config, device)
+    state = start(config, device) if prior is None else start_from(prior, config, device)
     if resume:
         load_checkpoint(out / "checkpoint.safetensors", state)
     out.mkdir(parents=True, exist_ok=True)

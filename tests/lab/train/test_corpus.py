@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from matcap.errors import MatcapError
-from matcap.lab.train.corpus import build, simulate
+from matcap.lab.simulate.materials.kinds import RandomKind
+from matcap.lab.train.corpus import build, material_of, simulate
 from matcap.lab.train.pack import Pack, held_out
 
 # torch's own forward differentiation, which the coarse fit uses, still loads what torch deprecates.
@@ -65,6 +66,13 @@ def test_holding_out_depends_on_names_alone():
     # Leaving out a material that was not chosen changes nothing.
     rest = [n for n in names if n in chosen or n != max(set(names) - chosen)]
     assert held_out(rest) == chosen
+
+
+def test_simulated_photographs_show_things_and_patterns():
+    drawn = [material_of(seed, np.random.default_rng(seed)) for seed in range(40)]
+    things = [m for m in drawn if isinstance(m, RandomKind)]
+    assert 16 < len(things) < 32
+    assert len({m.kind for m in things}) > 10
 
 
 def test_a_simulated_photograph_knows_its_tilt():

@@ -8,6 +8,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from matcap.capture.prior.store import load_prior
 from matcap.errors import MatcapError, UsageError
 from matcap.lab.train.settings import read_config
 from matcap.lab.train.state import TrainConfig
@@ -58,6 +59,25 @@ def test_a_resumed_run_ends_with_the_same_bits(small_pack, tmp_path):
     assert [row["step"] for row in curves(tmp_path / "parts")] == [2, 4]
     assert (tmp_path / "parts" / "sheet.png").is_file()
     assert (tmp_path / "parts" / "curves.png").is_file()
+
+
+def test_a_leg_goes_on_from_a_priors_networks(small_pack, tmp_path):
+    """What is shipped can be trained on: the first step begins where it stands."""
+    config = replace(TrainConfig(), steps=1, materials=1, places=1, window=64, rate=1e-5)
+    config = replace(config, encoder_rate=1e-5, average=0.0, kl_warmup=1)
+    prior = load_prior()
+    trained = train(small_pack, config, tmp_path, prior=prior).model
+    for name in ("encoder", "decoder"):
+        before, after = getattr(prior, name).state_dict(), getattr(trained, name).state_dict()
+        moved = max(float((after[k] - before[k]).abs().max()) for k in before)
+        assert 0.0 < moved < 2e-5, name  # one step of Adam at that rate
+
+
+def test_a_prior_of_another_shape_is_refused(small_pack, tmp_path):
+    with pytest.raises(UsageError, match="encoder is of another shape") as error:
+        train(small_pack, TINY, tmp_path / "run", prior=load_prior())
+    assert error.value.where == "--start"
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_checkpoint_of_another_shape_names_the_tensor(small_pack, tmp_path):
