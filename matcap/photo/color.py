@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,7 +78,8 @@ class ColorSpace:
             return finish(light)
 
         def from_bytes(rows: NDArray[np.generic]) -> NDArray[np.float32]:
-            # OpenCV looks up bytes, and them alone, in a tenth of the time.
+            import cv2  # looks up bytes, and them alone, in a tenth of the time
+
             return finish(np.asarray(cv2.LUT(np.asarray(rows), np.stack(tables, axis=-1)[None])))
 
         return from_bytes if largest == 255 else from_integers

@@ -102,7 +102,8 @@ class _Rectified(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: BackwardCFunction, gradient: Tensor) -> tuple[Tensor, None]:
-        responses, weight = ctx.saved_tensors
+        saved: tuple[Tensor, ...] = ctx.saved_tensors
+        responses, weight = saved
         seen = torch.ops.aten.threshold_backward(gradient, responses, 0.0)
         rows = seen.permute(0, 2, 3, 1).flatten(1, 2)
         side = weight.shape[-1]
