@@ -149,6 +149,9 @@ def run() -> None:
     # sets it otherwise is heeded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("GOMP_SPINCOUNT", "2000")
+    # NumPy's matrices are small here: its threads wait for each other, spinning, more than they
+    # compute, on a shared machine twenty times as long.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     came = end_alike()
     code = main(interrupted=came)
     ignore_both()
