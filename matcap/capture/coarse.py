@@ -555,7 +555,7 @@ def _levenberg_marquardt(problem: _Problem, start: Tensor, iterations: int) -> t
     prior, precision, each = problem.prior, problem.precision, problem.weight
     for _ in range(iterations):
         r = problem.residuals(parameters)
-        jacobian = _jacobian(problem.residuals, parameters)
+        jacobian = _jacobian(problem.residuals, parameters, r)
         weight = each * _HUBER / r.abs().clamp_min(_HUBER)
         normal = (jacobian * weight[:, None]).T @ jacobian + torch.diag(precision)
         gradient = jacobian.T @ (weight * r) + precision * (parameters - prior)
@@ -574,13 +574,12 @@ def _levenberg_marquardt(problem: _Problem, start: Tensor, iterations: int) -> t
     return cost, parameters
 
 
-def _jacobian(residuals: Callable[[Tensor], Tensor], parameters: Tensor) -> Tensor:
-    """(residuals, parameters) derivatives by central differences, right to 1e-8 in float64.
+def _jacobian(residuals: Callable[[Tensor], Tensor], parameters: Tensor, here: Tensor) -> Tensor:
+    """(residuals, parameters) derivatives by differences from what residuals are here.
 
-    Twice as fast as `torch.func.jacfwd` for so few parameters, and spares the two seconds in which
-    that imports PyTorch's compiler.
+    Right to 1e-5 in float64, as it has to be for steps whose cost is what counts. Much faster than
+    `torch.func.jacfwd` for so few parameters, and spares the two seconds in which that imports
+    PyTorch's compiler.
     """
     steps = _STEP * torch.eye(len(parameters), dtype=parameters.dtype)
-    moved = torch.vmap(residuals)(torch.cat([parameters + steps, parameters - steps]))
-    forward, back = moved.chunk(2)
-    return (forward - back).T / (2.0 * _STEP)
+    return (torch.vmap(residuals)(parameters + steps) - here).T / _STEP

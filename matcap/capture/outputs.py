@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -104,20 +105,32 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
     from matcap.capture.preview import write_preview
     from matcap.capture.report import write_report
 
-    material, name = result.material, folder.name
-    period = settings.size if settings.repeats(material.alignment) else None
-    maps = material.maps(*settings.size, seed=settings.seed, period=period)
-    info = MapSetInfo(name, settings.seed, provenance=dict(material.provenance))
-    with staged(folder, replacing=[*mapset_files(name), *_piece_files(name)]) as stage:
-        write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
+    name = folder.name
+    older = [*mapset_files(name), *_piece_files(name)]
+    # The sheet and its verdict take as long as all the rest, and one thread most of the time. The
+    # pool is left first, and what it wrote is published then.
+    with staged(folder, replacing=older) as stage, ThreadPoolExecutor(1) as pool:
+        written = pool.submit(_write_material, result, stage, name, settings)
         write_preview(result, stage / PREVIEW)
         write_report(result, stage / REPORT)
-        material.save(stage / f"{name}.matcap")
-        if result.found is not None and result.settings.aligned:
-            _write_piece(result.found, stage, name, settings)
+        written.result()
     for target in settings.targets:
         export_mapset(folder / f"{name}.json", target)
     return folder / f"{name}.matcap"
+
+
+def _write_material(
+    result: CaptureResult, stage: Path, name: str, settings: OutputSettings
+) -> None:
+    """The material, its first map set and, if asked for, the photographed piece."""
+    material = result.material
+    period = settings.size if settings.repeats(material.alignment) else None
+    maps = material.maps(*settings.size, seed=settings.seed, period=period)
+    info = MapSetInfo(name, settings.seed, provenance=dict(material.provenance))
+    write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
+    material.save(stage / f"{name}.matcap")
+    if result.found is not None and result.settings.aligned:
+        _write_piece(result.found, stage, name, settings)
 
 
 def no_repeat(size: tuple[int, int], alignment: int) -> str:

@@ -7,6 +7,7 @@ it runs, so that --help answers at once.
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import sys
 import time
@@ -148,9 +149,14 @@ def run() -> None:
     # sets it otherwise is heeded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("GOMP_SPINCOUNT", "2000")
+    # NumPy's matrices are small here: its threads wait for each other, spinning, more than they
+    # compute, on a shared machine twenty times as long.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     came = end_alike()
     code = main(interrupted=came)
     ignore_both()
+    # At its end Python looks for garbage among all there is, torch too: a third of a second.
+    gc.freeze()
     sys.exit(_flushed(code))
 
 

@@ -175,7 +175,8 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
                 where=where,
                 remedy="export it again without them",
             )
-        clipped: NDArray[np.bool_] = np.any(codes >= clip_code, axis=-1)
+        red, green, blue = (codes[..., channel] >= clip_code for channel in range(3))
+        clipped: NDArray[np.bool_] = red | green | blue
         nonlocal at_limit
         at_limit += int(np.count_nonzero(clipped))
         return linearise(codes), clipped

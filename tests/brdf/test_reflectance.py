@@ -7,6 +7,7 @@ import torch
 
 from matcap.brdf.cook_torrance import (
     SINGLE_ROUGHNESS,
+    Angles,
     cook_torrance,
     ggx,
     normalize,
@@ -85,7 +86,8 @@ def test_gradients_are_finite_where_the_papers_code_was_not(roughness, theta):
 def test_the_single_precision_lobe_is_the_lobe(roughness, apart):
     arguments = scalar(0.04), scalar(roughness), UP, direction(0.4 + apart), direction(0.4, math.pi)
     exact = specular_lobe(*arguments)
-    single = single_lobe(*(a.float() for a in arguments))
+    specular, roughness, *directions = (a.float() for a in arguments)
+    single = single_lobe(specular, roughness, Angles.of(*directions))
     assert single.dtype == torch.float32
     assert torch.allclose(single.double(), exact, rtol=0.01)
 
@@ -93,7 +95,8 @@ def test_the_single_precision_lobe_is_the_lobe(roughness, apart):
 def test_the_single_precision_lobe_keeps_gradients_below_the_horizon():
     roughness = scalar(0.5, torch.float32).requires_grad_()
     up = UP.float()
-    single_lobe(scalar(0.04).float(), roughness, up, direction(1.7).float(), up).sum().backward()
+    angles = Angles.of(up, direction(1.7).float(), up)
+    single_lobe(scalar(0.04).float(), roughness, angles).sum().backward()
     assert torch.isfinite(roughness.grad).all() and (roughness.grad != 0.0).all()
 
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from matcap.statistics.gram import covariance, gram
+from matcap.statistics.gram import gram, moments
 
 
 def plain(features):
@@ -12,6 +12,10 @@ def plain(features):
     ones = torch.ones_like(features[:, :1])
     flat = torch.cat([features, ones], dim=1).flatten(2)
     return torch.einsum("bin,bjn->bij", flat, flat) / flat.shape[2]
+
+
+def covariance(fine, coarse):
+    return moments([fine, coarse], crossed=True)[1][0]
 
 
 def features(shape, *, seed=0):

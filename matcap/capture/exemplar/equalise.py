@@ -9,6 +9,8 @@ and made a height again.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +38,8 @@ def equalise(height: Height, strengths: Strengths | None) -> Height:
     """
     # What is slower than all bands is the bowl that a highlight's error leaves, not relief.
     bands = split(height)[:-1]
-    even = np.stack([_evened(band) for band in bands])
+    with ThreadPoolExecutor() as pool:
+        even = np.stack(list(pool.map(_evened, bands)))
     wanted = _wanted(height, strengths)
     factors: Array = np.ones(len(even))
     for _ in range(_ROUNDS):

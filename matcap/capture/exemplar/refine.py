@@ -20,7 +20,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import dot, normalize, single_lobe
+from matcap.brdf.cook_torrance import Angles, dot, normalize, single_lobe
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
 from matcap.capture.exemplar.smooth import smoothed
@@ -95,11 +95,15 @@ class Light:
         """Maps of the network's outputs."""
         return read_outputs(outputs, self.uniform, texel_size)
 
-    def logs(self, maps: MapSet, normal: Tensor) -> tuple[Tensor, Tensor]:
+    def angles(self, normal: Tensor) -> Angles:
+        """Where light and view come from on a relief of some normals (3, H, W)."""
+        return Angles.of(normal, self._to_light, self._to_view)
+
+    def logs(self, maps: MapSet, angles: Angles) -> tuple[Tensor, Tensor]:
         """(3, H, W) log radiance of maps, and the diffuse share of the radiance."""
-        power = self._power * dot(normal, self._to_light).clamp_min(1e-3)
+        power = self._power * angles.n_dot_l
         matte = maps.diffuse / math.pi * power
-        lobe = single_lobe(maps.specular, maps.roughness, normal, self._to_light, self._to_view)
+        lobe = single_lobe(maps.specular, maps.roughness, angles)
         whole = (matte + lobe * power).clamp_min(_DARKEST)
         return whole.log(), matte / whole
 
@@ -108,19 +112,20 @@ class Light:
         one = torch.ones_like(maps.roughness)
 
         def tilted(x: float, y: float) -> Tensor:
-            return self.logs(maps, normals_from_slopes(x * one, y * one))[0].mean(0)
+            angles = self.angles(normals_from_slopes(x * one, y * one))
+            return self.logs(maps, angles)[0].mean(0)
 
         across = tilted(_SLOPE, 0.0) - tilted(-_SLOPE, 0.0)
         up = tilted(0.0, _SLOPE) - tilted(0.0, -_SLOPE)
         return torch.stack([across, up]) / (2.0 * _SLOPE)
 
-    def shows(self, maps: MapSet, normal: Tensor) -> Tensor:
-        """(2, H, W) what log F0 and logit roughness change of grey log radiance."""
-        grey = self.logs(maps, normal)[0].mean(0, keepdim=True)
+    def shows(self, maps: MapSet, angles: Angles, log: Tensor) -> Tensor:
+        """(2, H, W) what log F0 and logit roughness change of the log radiance that maps have."""
+        grey = log.mean(0, keepdim=True)
         brighter = replace(maps, specular=maps.specular * math.exp(_STEP))
         logit = maps.roughness.clamp(1e-3, 0.999).logit()
         duller = replace(maps, roughness=torch.sigmoid(logit + _STEP))
-        moved = [self.logs(m, normal)[0].mean(0, keepdim=True) for m in (brighter, duller)]
+        moved = [self.logs(m, angles)[0].mean(0, keepdim=True) for m in (brighter, duller)]
         return (torch.cat(moved) - grey) / _STEP
 
 
@@ -144,11 +149,11 @@ def level(outputs: Tensor, linear: Tensor, valid: Tensor, light: Light) -> Tenso
     prior = torch.tensor(_LEVELS).square().reciprocal()
     moved = torch.zeros(5)
     scale = _LEVEL_CELLS / observed.numel() / _LEVEL_NOISE**2
-    normals = light.maps(outputs).normal
+    angles = light.angles(light.maps(outputs).normal)
     for _ in range(_LEVEL_STEPS):
         maps = light.maps(outputs)
-        log, shares = light.logs(maps, normals)
-        shows = light.shows(maps, normals)
+        log, shares = light.logs(maps, angles)
+        shows = light.shows(maps, angles, log)
         radiance = log.exp().clamp_max(1.0)
         mean = F.avg_pool2d(radiance, cell)
         residual = observed - mean.clamp_min(_DARKEST).log()
@@ -234,10 +239,12 @@ def refine(
     albedo, gloss = doubt[:1], doubt[1:3]
     colour = albedo * _CHROMA**2
     maps = light.maps(outputs)
-    normals = maps.normal
-    shows = light.shows(maps, normals)  # hardly changes from step to step
-    for _ in range(_STEPS):
-        found, shares = light.logs(light.maps(outputs), normals)
+    angles = light.angles(maps.normal)
+    found, shares = light.logs(maps, angles)
+    shows = light.shows(maps, angles, found)  # hardly changes from step to step
+    for step in range(_STEPS):
+        if step:
+            found, shares = light.logs(light.maps(outputs), angles)
         residual = _unexplained(observed, found, valid)
         residual = (residual - _slow(residual, valid)).clamp(-_MOST, _MOST)
         grey, share = residual.mean(0, keepdim=True), shares.mean(0, keepdim=True)
@@ -253,7 +260,7 @@ def refine(
 def remaining(outputs: Tensor, linear: Tensor, valid: Tensor, light: Light) -> Refined:
     """Outputs (OUTPUTS, H, W) and what their re-rendering leaves; arguments as for refine."""
     maps = light.maps(outputs)
-    found, _ = light.logs(maps, maps.normal)
+    found, _ = light.logs(maps, light.angles(maps.normal))
     residual = _unexplained(linear.clamp_min(_DARKEST).log(), found, valid)
     return Refined(outputs, residual, _slow(residual, valid))
 

@@ -102,7 +102,7 @@ def measure_strengths(
     """
     window = np.hanning(_WINDOW)[:, None] * np.hanning(_WINDOW)
     power = float(np.square(window).sum())
-    masks = _masks()
+    kinds = _kinds()
     energies, slants = [], []
     for cut in _windows(log.shape):
         if use[cut].mean() < _SEEN:
@@ -112,18 +112,19 @@ def measure_strengths(
             continue
         flat = log[cut] - log[cut].mean()
         spectrum = np.square(np.abs(np.fft.fft2(flat * window))) / power / flat.size
-        energies.append([[(spectrum * mask).sum() for mask in band] for band in masks])
+        energies.append(_sums(spectrum, kinds))
         angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
         slants.append(g[0] * np.cos(angles) + g[1] * np.sin(angles))
     if len(energies) < _FEWEST:
         return None
     energy, slant = np.array(energies), np.array(slants)
     found = np.zeros((3, len(BANDS), DIRECTIONS))
-    for band, masked in enumerate(masks):
+    white = noise**2 * _sums(np.ones_like(window), kinds) / window.size
+    for band in range(len(BANDS)):
         for direction in range(DIRECTIONS):
-            white = noise**2 * masked[direction].sum() / window.size
             found[:, band, direction] = _regress(
-                slant[:, direction], np.maximum(energy[:, band, direction] - white, 0.0)
+                slant[:, direction],
+                np.maximum(energy[:, band, direction] - white[band, direction], 0.0),
             )
     albedo, slope, error = found
     return Strengths(
@@ -139,15 +140,13 @@ def slope_strengths(height: NDArray[np.float32]) -> Array:
     power = float(np.square(window).sum())
     across = np.gradient(height, axis=1)
     up = -np.gradient(height, axis=0)
-    masks = _masks()
-    total = np.zeros((len(BANDS), DIRECTIONS))
+    total = np.zeros_like(window)
     count = 0
     for cut in _windows(height.shape):
         waves = [np.fft.fft2((s[cut] - s[cut].mean()) * window) for s in (across, up)]
-        spectrum = sum(np.square(np.abs(w)) for w in waves) / power / window.size
-        total += [[(spectrum * mask).sum() for mask in band] for band in masks]
+        total += sum(np.square(np.abs(w)) for w in waves)
         count += 1
-    return np.sqrt(total / max(1, count))
+    return np.sqrt(_sums(total, _kinds()) / power / window.size / max(1, count))
 
 
 def _windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
@@ -156,20 +155,26 @@ def _windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
     return [(slice(y, y + _WINDOW), slice(x, x + _WINDOW)) for y in rows for x in columns]
 
 
-def _masks() -> list[list[Array]]:
-    """Waves of each band and direction, both halves of the plane, y upwards."""
+def _sums(spectrum: Array, kinds: NDArray[np.int64]) -> Array:
+    """(len(BANDS), DIRECTIONS) of a spectrum (_WINDOW, _WINDOW)."""
+    sums = np.bincount(kinds.ravel(), spectrum.ravel(), len(BANDS) * DIRECTIONS + 1)
+    return np.asarray(sums[:-1].reshape(len(BANDS), DIRECTIONS), np.float64)
+
+
+def _kinds() -> NDArray[np.int64]:
+    """(_WINDOW, _WINDOW) DIRECTIONS * band + direction of every wave, y upwards; last: none.
+
+    Both halves of the plane have the same.
+    """
     frequency = np.fft.fftfreq(_WINDOW)
     fx, fy = np.meshgrid(frequency, -frequency)
     radius, angle = np.hypot(fx, fy), np.arctan2(fy, fx)
-    bands = []
-    for longest, shortest in BANDS:
+    direction = np.rint(angle / (np.pi / DIRECTIONS)).astype(np.int64) % DIRECTIONS
+    kinds = np.full(radius.shape, len(BANDS) * DIRECTIONS)
+    for band, (longest, shortest) in enumerate(BANDS):
         inside = (radius >= 1.0 / longest) & (radius < 1.0 / shortest)
-        off = [
-            np.abs((angle - k * np.pi / DIRECTIONS + np.pi / 2) % np.pi - np.pi / 2)
-            for k in range(DIRECTIONS)
-        ]
-        bands.append([(inside & (o <= np.pi / DIRECTIONS / 2)).astype(np.float64) for o in off])
-    return bands
+        kinds[inside] = DIRECTIONS * band + direction[inside]
+    return kinds
 
 
 def _regress(slant: Array, energy: Array) -> tuple[float, float, float]:

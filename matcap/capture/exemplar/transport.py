@@ -113,7 +113,7 @@ class _Photograph:
         upright = torch.zeros_like(maps.normal)
         upright[2] = 1.0
         even = MapSet(mean[:3], mean[3:4], mean[4:5], maps.height, 1.0)
-        self._even = light.logs(even, upright)[0]
+        self._even = light.logs(even, light.angles(upright))[0]
 
     def unlikeness(self, place: tuple[int, int], blocks: Places) -> Array:
         """(N,) one less the correlation of log radiance, of blocks as if they lay at a place.
@@ -125,7 +125,8 @@ class _Photograph:
         lent = torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1)
         here = tuple(slice(start, start + _BLOCK, _THINNED) for start in place)
         maps = MapSet(lent[:, :3], lent[:, 3:4], lent[:, 4:5], lent[:, :1], 1.0)
-        log = self._light.cut(*here).logs(maps, lent[:, 5:8])[0]
+        light = self._light.cut(*here)
+        log = light.logs(maps, light.angles(lent[:, 5:8]))[0]
         seen = self._valid[here].to(log)
         if not seen.any():
             return np.zeros(len(blocks), np.float32)

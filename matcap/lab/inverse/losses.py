@@ -16,7 +16,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import dot, normalize, single_lobe
+from matcap.brdf.cook_torrance import Angles, dot, normalize, single_lobe
 from matcap.brdf.maps import MapSet
 from matcap.lab.inverse.samples import Sample
 from matcap.model.inverse.inputs import read_outputs, true_outputs
@@ -201,7 +201,7 @@ def _lit(maps: MapSet, normal: Tensor, points: Tensor, light: Tensor, to_view: T
     away = light.to(points)[:, None, None] - points
     squared = dot(away, away)
     to_light = away * squared.rsqrt()
-    n_dot_l = dot(normal, to_light).clamp_min(1e-3)
-    lobe = single_lobe(maps.specular, maps.roughness, normal, to_light, to_view)
+    angles = Angles.of(normal, to_light, to_view)
+    lobe = single_lobe(maps.specular, maps.roughness, angles)
     strength = math.pi * float(light.square().sum()) ** 1.5 / float(light[2])
-    return (maps.diffuse / math.pi + lobe) * n_dot_l / squared * strength
+    return (maps.diffuse / math.pi + lobe) * angles.n_dot_l / squared * strength

@@ -56,8 +56,8 @@ def choose_basis(features: Features, step: int) -> Basis:
     _, components = np.linalg.eigh(centred @ centred.T)
     components = components[:, : -DIMENSIONS - 1 : -1].T * weight
     weights = np.rint(components * (LIMIT / np.abs(components).max())).astype(np.int8)
-    sums = np.abs(weights.astype(np.float64) @ found)
-    large = max(float(np.quantile(sums[0], 1.0 - _CLIPPED)), 1.0)
+    sums = np.abs(weights[0].astype(np.float64) @ found)
+    large = max(float(np.quantile(sums, 1.0 - _CLIPPED)), 1.0)
     return Basis(weights, max(0, math.ceil(math.log2(large / LARGEST))), step)
 
 

@@ -68,7 +68,7 @@ def test_relief_is_not_touched() -> None:
 
 def _log_radiance(outputs, light):
     maps = light.maps(outputs)
-    return light.logs(maps, maps.normal)[0]
+    return light.logs(maps, light.angles(maps.normal))[0]
 
 
 def test_what_is_clipped_must_be_as_bright_as_the_clip_level() -> None:
