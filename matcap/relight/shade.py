@@ -244,28 +244,30 @@ class _Block:
         offset = subtract(vec(light.position), hits.point)
         distance = np.sqrt(dot(offset, offset))
         to_light = to_frame(scale(offset, 1.0 / distance), hits.frame)
+        sets: Array = np.ones(1, dtype=bool)
         if thrifty:
-            rule = area.rules(
+            rule, sets = area.rules(
                 light, distance, to_light, hits.to_view, sample.normal, sample.alpha, self.n_dot_v
             )
-            rule = np.where(np.broadcast_to(self.facing, self.shape), rule, 0).ravel()
+            rule = np.where(self.facing, rule, 0)
         else:
             rule = area.plain_rules(light, distance, sample.alpha)
-            rule = np.broadcast_to(rule, self.shape).ravel()
-        hidden = np.full(rule.shape, self.casts and not thrifty)
-        index, shadow = np.flatnonzero(hidden), {}
+        rule = np.broadcast_to(rule, self.shape).ravel()
+        # Whether the rule is put together from the light's parts.
+        parted = np.broadcast_to(sets & self.casts, self.shape).ravel().copy()
+        index, shadow = np.flatnonzero(parted), {}
         if self.casts and thrifty:
             # The light's lowest point against the highest that anything around can be.
             low = area.lowest(light, distance, to_light) < self.shelter
-            index = np.flatnonzero(np.broadcast_to(low, self.shape).ravel() & (rule > 0))
+            index = np.flatnonzero((np.broadcast_to(low, self.shape).ravel() | parted) & (rule > 0))
         if len(index):
             shadow = self.part(index).area_shadow(light)
             if thrifty:
-                hidden[index] = np.min(list(shadow.values()), axis=0)[0] < 1.0
+                parted[index] |= np.min(list(shadow.values()), axis=0)[0] < 1.0
         # Where in the list of those that shadows were looked for at each pixel is.
         listed = np.zeros(rule.shape, dtype=np.intp)
         listed[index] = np.arange(len(index))
-        key = np.where(rule > 0, 2 * rule + hidden, 0)
+        key = np.where(rule > 0, 2 * rule + parted, 0)
         for one in np.flatnonzero(np.bincount(key)).tolist():
             if one == 0:
                 continue

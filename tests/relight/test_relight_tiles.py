@@ -201,6 +201,16 @@ def test_the_named_scenes_are_what_everything_makes_them(name):
     assert all(0.0 <= step.share <= 1.0 for step in planned.plan.steps)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_large_light_that_sets_behind_bumps_is_what_everything_makes_it(seed):
+    """Half a tolerance: two coarse rules for the same edge would be off by three times that."""
+    maps = bumpy(64, 64, seed=seed, relief=0.05)
+    maps.roughness.mul_(0.6)
+    light = RectangleLight((-1.6, 0.3, 0.5), (1.6, -0.3, -0.5), size=(1.2, 1.2), radiance=(4.0,) * 3)
+    off, _ = difference(maps, Scene(Film(48, 48), None, Surface(size=None), (light,)))
+    assert np.abs(off).max() <= 0.5
+
+
 @pytest.mark.parametrize("kind", ["plane", "sphere"])
 def test_no_step_along_the_borders_of_tiles(kind):
     """What is left out changes no more from tile to tile than inside of them."""

@@ -35,10 +35,10 @@ RULES = {1: 3, 2: 4, 3: 6, 4: 8, 5: 12, 6: 16}
 # Points of the rule to the angle of a lobe, alpha: measured errors stay below 4e-4.
 _DENSITY = 1.5
 # The same pixel by pixel, where errors may be as large as a share of the tolerance: points to a
-# lobe's width, to the angle of the light, and for where it sets; how far the microfacet turns.
-# Measured on leather between softboxes, without shadows: with three quarters of these, no code is
-# off by more than 0.4 of half a step.
-_RATE, _SPREAD, _EDGE, _TURN = 1.0, 2.0, 6.0, 0.6
+# lobe's width and to the angle of the light; how far the microfacet turns. Measured on leather
+# between softboxes, without shadows: with three quarters of these, no code is off by more than 0.4
+# of half a step.
+_RATE, _SPREAD, _TURN = 1.0, 2.0, 0.6
 
 
 @dataclass(frozen=True)
@@ -112,12 +112,16 @@ def rules(
     normal: Vec,
     alpha: Array,
     n_dot_v: Array,
-) -> Array:
+) -> tuple[Array, Array]:
     """Which of RULES each pixel needs, or 7 as plain_rules(); 0 where the light is below.
 
     Away from its peak a lobe changes no faster than its distance from there lets it: GGX is
     (alpha^2 + t^2)^-2 in the tangent t between normal and microfacet, whose nearest singularity
-    is that far off the light's range of t.
+    is that far off the light's range of t. Where the light sets what it gives has an edge, which
+    no rule of few points meets: there it is plain_rules().
+
+    Returns:
+        The numbers, and where the light sets.
 
     Args:
         light: the light.
@@ -136,15 +140,14 @@ def rules(
     # The microfacet turns half as far as the light, and a little more at grazing views.
     clear = np.tan(np.clip(away - angle * np.float32(_TURN), np.float32(0.0), np.float32(1.5)))
     sharp = np.sqrt(alpha * alpha + clear * clear)
-    # Where the light sets behind the normal, or the surface, what it gives has an edge.
+    # Where the light sets behind the normal, or the surface.
     sine = np.sin(np.minimum(angle, np.float32(math.pi / 2.0)))
     lowest = np.minimum(n_dot_l, to_light[2])
-    edge = lowest < sine
+    sets = lowest < sine
     needed = 2.0 + np.float32(_RATE) * angle / sharp + np.float32(_SPREAD) * angle
-    needed += np.float32(_EDGE) * edge
     plain = plain_rules(light, distance, alpha)
-    number = np.where(plain > len(RULES), plain, np.minimum(_number(needed), len(RULES)))
-    return np.where(lowest < -sine, 0, number)
+    number = np.where(sets | (plain > len(RULES)), plain, np.minimum(_number(needed), plain))
+    return np.where(lowest < -sine, 0, number), sets
 
 
 def lowest(light: AreaLight, distance: Array, to_light: Vec) -> Array:
