@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from matcap.brdf.folder import (
     PIECE,
+    SETUP,
     MapSetInfo,
     NormalStyle,
     mapset_bytes,
@@ -25,6 +26,7 @@ from matcap.model.exemplar import CHANNELS
 if TYPE_CHECKING:
     from matcap.capture.exemplar.find import FoundExemplar
     from matcap.capture.pipeline import CaptureResult
+    from matcap.flash.geometry import FlashSetup
 
 PREVIEW, REPORT = "preview.png", "report.json"
 
@@ -114,7 +116,7 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
         write_report(result, stage / REPORT)
         material.save(stage / f"{name}.matcap")
         if result.found is not None and result.settings.aligned:
-            _write_piece(result.found, stage, name, settings)
+            _write_piece(result.found, material.setup, stage, name, settings)
     for target in settings.targets:
         export_mapset(folder / f"{name}.json", target)
     return folder / f"{name}.matcap"
@@ -136,12 +138,14 @@ def output_files(name: str) -> list[str]:
     return [f"{name}.matcap", PREVIEW, REPORT, CURVE, *mapset_files(name)]
 
 
-def _write_piece(found: FoundExemplar, stage: Path, name: str, settings: OutputSettings) -> None:
+def _write_piece(
+    found: FoundExemplar, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
+) -> None:
     """Maps of the photographed piece, and how far each is trusted."""
     from matcap.capture.exemplar.find import piece_maps
 
     exemplar = found.exemplar
-    about = {"of": "the photographed piece", "error": found.error}
+    about = {"of": "the photographed piece", "error": found.error, SETUP: asdict(setup)}
     info = MapSetInfo(name + PIECE, None, provenance=about)
     write_mapset(piece_maps(exemplar), stage, info, png=settings.png, normal=settings.normal)
     trusted = dict(zip(CHANNELS, exemplar.confidence, strict=True))

@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from matcap.relight.scene import Scene
 
 
+# Pixels of a flash picture whose photograph's sides are not known.
+_SQUARE = (1024, 1024)
+
+
 class Motion(Enum):
     """What moves in an animation."""
 
@@ -42,7 +46,8 @@ def relight(
         typer.Option(
             metavar="NAME|x,y,z[,intensity]",
             show_default="top",
-            help="A named light (flash, top, left), or the place of a point light.",
+            help="A named light (flash, top, left), or the place of a point light. Of what was "
+            "photographed, flash is the photograph's own: its camera, exposure and vignetting.",
         ),
     ] = None,
     scene: Annotated[
@@ -143,7 +148,10 @@ def relight(
     if explain_map is not None:
         check_tiles_path(explain_map)
     parse_choice(effects)
-    chosen = _scene(scene, light, size)
+    chosen = None
+    if light == "flash" and maps_from is None:
+        chosen = _photographed(path, size)
+    chosen = chosen or _scene(scene, light, size)
     limit = DEFAULT_TOLERANCE if tolerance is None else tolerance
     renderer = _renderer(path, maps_from, normal, chosen, seed, generator, changes, quiet=quiet)
     film = renderer.film
@@ -187,6 +195,19 @@ def _scene(name: str | None, light: str | None, size: values.Size | None) -> Sce
     if size is None:
         return scene
     return replace(scene, film=replace(scene.film or Film(), width=size.width, height=size.height))
+
+
+def _photographed(path: Path, size: values.Size | None) -> Scene | None:
+    """The photograph's own scene, where a material tells it."""
+    from matcap.model.opened import open_photographed
+    from matcap.relight.photographed import photographed_scene
+    from matcap.relight.scene import Film
+
+    known = open_photographed(path)
+    if known is None:
+        return None
+    width, height = (size.width, size.height) if size else known.size or _SQUARE
+    return photographed_scene(known.setup, Film(width, height), endless=known.endless)
 
 
 def _renderer(

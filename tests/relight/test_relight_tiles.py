@@ -206,7 +206,9 @@ def test_a_large_light_that_sets_behind_bumps_is_what_everything_makes_it(seed):
     """Half a tolerance: two coarse rules for the same edge would be off by three times that."""
     maps = bumpy(64, 64, seed=seed, relief=0.05)
     maps.roughness.mul_(0.6)
-    light = RectangleLight((-1.6, 0.3, 0.5), (1.6, -0.3, -0.5), size=(1.2, 1.2), radiance=(4.0,) * 3)
+    light = RectangleLight(
+        (-1.6, 0.3, 0.5), (1.6, -0.3, -0.5), size=(1.2, 1.2), radiance=(4.0,) * 3
+    )
     off, _ = difference(maps, Scene(Film(48, 48), None, Surface(size=None), (light,)))
     assert np.abs(off).max() <= 0.5
 
