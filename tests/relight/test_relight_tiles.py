@@ -12,7 +12,7 @@ from matcap.relight import render
 from matcap.relight.budget import Budget
 from matcap.relight.effects import area, environment, interreflection, parallax, shadows
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
-from matcap.relight.effects.visibility import horizon_test
+from matcap.relight.effects.visibility import HorizonTest
 from matcap.relight.horizons import find_horizons
 from matcap.relight.named import SCENES
 from matcap.relight.relief import Relief
@@ -134,7 +134,7 @@ def test_directions_that_are_left_out_of_the_sky_are_clear(relief, plain):
     facing = n_dot_v > 0.0
     assert facing.mean() > 0.9
     lobe = lobe_of(sample, to_view, n_dot_v)
-    horizon = horizon_test(plain.tangents, texel)
+    horizon = HorizonTest(plain.tangents, texel)
     steepest = np.maximum(plain.tangents[texel].max(axis=-1), 0.0)
     highest = (steepest / np.hypot(1.0, steepest) + 1e-5).astype(np.float32)
     for whole, some in zip(
@@ -176,9 +176,8 @@ def test_the_parts_of_a_light_weigh_what_they_measure():
     light = RectangleLight((0.0, 0.0, 300.0), (0.0, 0.0, -1.0), size=(1.0, 1.0))
     zero = np.zeros((1, 1), dtype=np.float32)
     weights = np.zeros((4, 4))
-    for node in area.nodes(light, (zero, zero, zero), None, 12, parts=True):
-        row, column = (int(4 * place) for place in node.place)
-        weights[row, column] += float(node.received[0, 0])
+    for node in area.nodes(light, area.rule(light, 12, parts=True), (zero, zero, zero), None):
+        weights[divmod(node.cell, 4)] += float(node.received[0, 0])
     np.testing.assert_allclose(weights, weights.mean(), rtol=1e-4)
 
 
