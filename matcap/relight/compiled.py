@@ -26,7 +26,7 @@ from matcap.relight.tables import albedo
 from matcap.relight.vectors import Array, Vec, unit3
 from matcap.relight.visible_normals import Lobe, lattice
 
-_FORM, _LANES, CHANNELS = 1, 8, 9  # of kernel.c
+_FORM, _LANES, CHANNELS = 1, 8, 9  # of kernel.c, as is AZIMUTHS
 _LIFT = 2e-6  # of shadows.py
 # (AZIMUTHS, 2) rightwards and upwards.
 _WAYS = np.array([direction(azimuth) for azimuth in range(AZIMUTHS)])
@@ -62,7 +62,7 @@ class _Walk(ctypes.Structure):
         *((name, _Pointer) for name in (
             "padded", "lit", "cosine", "sine", "offset", "middle", "inverse", "end", "nearest",
         )),
-        ("azimuths", _Int), ("steps", _Int), ("parts", _Int), ("highest", _Float),
+        ("steps", _Int), ("parts", _Int), ("highest", _Float),
     )  # fmt: skip
 
 
@@ -185,6 +185,37 @@ def lit(
         )),
     )  # fmt: skip
     return found.reshape(shape).astype(bool)
+
+
+def met(
+    relief: Relief,
+    reach: int,
+    place: tuple[Array, Array],
+    move: tuple[Array, Array],
+    steps: Array,
+    near: Array,
+) -> Array:
+    """Heights at which rays meet the surface, as parallax._met.
+
+    Args:
+        relief: the surface.
+        reach: texels around a place of which the highest is known.
+        place: (N,) where rays meet the undisplaced surface.
+        move: how far they move on it per unit of height.
+        steps: that each takes at most.
+        near: steps that stay within reach.
+    """
+    kept = _Kept(len(place[0]))
+    column, row = relief.texels(*place)
+    across, down = move[0] / relief.texel_size, -move[1] / relief.texel_size
+    found = np.empty(kept.count, dtype=np.float32)
+    _library().matcap_relight_met(
+        ctypes.byref(_field(relief, kept)), _Pointer(kept.of(relief.peaks(reach))),
+        ctypes.c_double(relief.low), ctypes.c_int64(kept.count),
+        *(_Pointer(kept.each(one, np.float64)) for one in (column, row, across, down, steps, near)),
+        _Pointer(found.ctypes.data),
+    )  # fmt: skip
+    return found
 
 
 def parts_lit(relief: Relief, light: AreaLight, rule: Rule, pixels: LitPixels, count: int) -> Array:
@@ -346,7 +377,7 @@ def hidden(
     scale, bias = np.empty((2, *shape), dtype=np.float32)
     _library().matcap_relight_hidden(
         ctypes.byref(lobes), ctypes.byref(told), ctypes.c_int64(kept.count),
-        _Pointer(None if tangents is None else kept.of(tangents)), _Int(AZIMUTHS),
+        _Pointer(None if tangents is None else kept.of(tangents)),
         _Pointer(None if texel is None else kept.each(texel, np.int64)),
         *map(_Pointer, (kept.each(highest), scale.ctypes.data, bias.ctypes.data)),
     )  # fmt: skip
@@ -402,7 +433,7 @@ def _walk(steps: Steps, kept: _Kept) -> _Walk:
         kept.of(steps.offset, np.int32), kept.of(steps.middle, np.int32), kept.of(steps.inverse),
         kept.of(np.cumsum([len(part) for part in steps.parts]), np.int32),
         kept.of(steps.nearest),
-        AZIMUTHS, steps.offset.shape[1], len(steps.parts), steps.highest,
+        steps.offset.shape[1], len(steps.parts), steps.highest,
     )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ enum {
     POINTS = 4184, /* of a lattice, at most, and LANES - 1 more */
     CELLS = 16,  /* parts of a light */
     CHANNELS = 9,
+    AZIMUTHS = 16, /* of horizons */
 };
 
 static const float HALF_PI = 1.57079632679f;
@@ -100,6 +101,55 @@ void matcap_relight_lit(const Field *f, int64_t count, const double *column, con
     for (int64_t i = 0; i < count; i++)
         lit[i] = z[i] > 0.0f && arrives(f, column[i], row[i], height[i], x[i], y[i], z[i],
                                         distance ? distance[i] : HUGE_VAL);
+}
+
+/* ---- parallax ---- */
+
+/* The surface at a place in columns and rows; see Relief.at. */
+static inline float surface(const Field *f, double column, double row) {
+    double left = floor(column), above = floor(row);
+    float fx = (float)(column - left), fy = (float)(row - above);
+    int32_t x = wrapped((int64_t)left, f->columns), y = wrapped((int64_t)above, f->rows);
+    const float *here = f->heights + (int64_t)y * f->columns;
+    const float *below = f->heights + (int64_t)(y + 1 == f->rows ? 0 : y + 1) * f->columns;
+    int32_t next = x + 1 == f->columns ? 0 : x + 1;
+    float upper = here[x] + fx * (here[next] - here[x]);
+    float lower = below[x] + fx * (below[next] - below[x]);
+    return upper + fy * (lower - upper);
+}
+
+/* Heights at which rays meet the surface; see parallax._met. Columns and rows of places on the
+   undisplaced surface, and how far rays move there per unit of height. peaks: the highest texel
+   around each, within which `near` steps stay. */
+void matcap_relight_met(const Field *f, const float *peaks, double low, int64_t count,
+                        const double *column, const double *row, const double *across,
+                        const double *down, const double *steps, const double *near,
+                        float *found) {
+    for (int64_t i = 0; i < count; i++) {
+        double step = (f->high - low) / steps[i], index = 0.0;
+        found[i] = (float)low;
+        while (index <= steps[i]) {
+            double level = f->high - step * index;
+            double x = column[i] + across[i] * level, y = row[i] + down[i] * level;
+            double gap = level - surface(f, x, y);
+            if (gap <= 0.0) {
+                /* The crossing of two straight lines between the last two steps. */
+                double before = index > 0.0 ? level + step : level;
+                double over = before - surface(f, column[i] + across[i] * before,
+                                               row[i] + down[i] * before);
+                double span = over - gap > 1e-12 ? over - gap : 1e-12;
+                found[i] = (float)(before - (before - level) * (over / span));
+                break;
+            }
+            /* Above the highest texel around there is nothing to meet. */
+            int32_t c = wrapped((int64_t)rint(x), f->columns);
+            int32_t r = wrapped((int64_t)rint(y), f->rows);
+            double clear = (level - peaks[(int64_t)r * f->columns + c]) / (step > 1e-30 ? step : 1e-30);
+            clear = floor(clear) - 1.0;
+            clear = clear < near[i] ? clear : near[i];
+            index += clear > 1.0 ? clear : 1.0;
+        }
+    }
 }
 
 /* ---- area lights ---- */
@@ -284,7 +334,7 @@ typedef struct {
     const float *inverse;                /* azimuths x steps: of the distance */
     const int32_t *end;                  /* of each part: the step after its last */
     const float *nearest;                /* of each part: inverse of its least distance */
-    int32_t azimuths, steps, parts;
+    int32_t steps, parts;
     float highest;
 } Walk;
 
@@ -294,60 +344,69 @@ static inline float strip(float tangent, float side, float nz) {
     return 0.5f * (side * (arctangent(tangent) + tangent * share) + nz * squared * share);
 }
 
-/* The horizon after a part's steps. */
-static inline float walked(const Walk *w, int azimuth, int part, int64_t spot, float own,
-                           float level) {
-    const int32_t *offset = w->offset + azimuth * w->steps;
-    const float *inverse = w->inverse + azimuth * w->steps;
-    for (int k = part ? w->end[part - 1] : 0; k < w->end[part]; k++) {
-        float rise = (w->padded[spot + offset[k]] - own) * inverse[k];
-        level = rise > level ? rise : level;
+/* Horizons of all azimuths after a part's steps; whether any of them could rise further. */
+static inline int walked(const Walk *w, int part, int64_t spot, float own, float *level) {
+    float room = (w->highest - own) * w->nearest[part];
+    int more = 0, first = part ? w->end[part - 1] : 0, end = w->end[part];
+    for (int a = 0; a < AZIMUTHS; a++) {
+        const int32_t *offset = w->offset + a * w->steps;
+        const float *inverse = w->inverse + a * w->steps;
+        float highest = level[a];
+        if (!(room > highest)) continue;
+        for (int k = first; k < end; k++) {
+            float rise = (w->padded[spot + offset[k]] - own) * inverse[k];
+            highest = rise > highest ? rise : highest;
+        }
+        level[a] = highest;
+        more = 1;
     }
-    return level;
+    return more;
 }
 
-/* Horizons (count, azimuths), and (count, 2) what they leave open; see TexelHorizons._look. */
-void matcap_relight_look(const Walk *w, int64_t count, const int64_t *spot, const float *own,
-                         const float *sx, const float *sy, const float *nz, float *tangents,
-                         float *open) {
+/* Horizons (count, AZIMUTHS), and (count, 2) what they leave open; see TexelHorizons._look. */
+WIDE void matcap_relight_look(const Walk *w, int64_t count, const int64_t *spot, const float *own,
+                              const float *sx, const float *sy, const float *nz, float *tangents,
+                              float *open) {
     for (int64_t i = 0; i < count; i++) {
-        float seen = 0.0f, faced = 0.0f, room = w->highest - own[i];
-        for (int a = 0; a < w->azimuths; a++) {
-            float first = w->cosine[a] * sx[i] + w->sine[a] * sy[i], level = first;
-            float side = -level * nz[i];
-            for (int part = 0; part < w->parts && room * w->nearest[part] > level; part++)
-                level = walked(w, a, part, spot[i], own[i], level);
-            tangents[i * w->azimuths + a] = level;
-            float above = strip(level, side, nz[i]);
-            if (level > first) faced += above - strip(first, side, nz[i]);
-            seen += side * 0.78539816340f + nz[i] * 0.5f;
-            if (level > 0.0f) seen -= above;
+        float first[AZIMUTHS], level[AZIMUTHS], seen[AZIMUTHS], faced[AZIMUTHS];
+        for (int a = 0; a < AZIMUTHS; a++)
+            level[a] = first[a] = w->cosine[a] * sx[i] + w->sine[a] * sy[i];
+        for (int part = 0; part < w->parts && walked(w, part, spot[i], own[i], level); part++) {
         }
-        seen *= 4.0f * HALF_PI / (float)w->azimuths;
-        seen /= HALF_PI * (1.0f + nz[i]);
-        open[2 * i] = seen < 0.0f ? 0.0f : seen > 1.0f ? 1.0f : seen;
-        open[2 * i + 1] = faced * 2.0f / (float)w->azimuths;
+        for (int a = 0; a < AZIMUTHS; a++) {
+            float side = -first[a] * nz[i], above = strip(level[a], side, nz[i]);
+            faced[a] = above - strip(first[a], side, nz[i]);
+            seen[a] = side * (0.5f * HALF_PI) + nz[i] * 0.5f - (level[a] > 0.0f ? above : 0.0f);
+            tangents[i * AZIMUTHS + a] = level[a];
+        }
+        float share = total(seen, AZIMUTHS) * (4.0f / AZIMUTHS) / (1.0f + nz[i]);
+        open[2 * i] = share < 0.0f ? 0.0f : share > 1.0f ? 1.0f : share;
+        open[2 * i + 1] = total(faced, AZIMUTHS) * (2.0f / AZIMUTHS);
     }
 }
 
 /* (count, CHANNELS) transfer vectors; see TexelHorizons._gather. */
-void matcap_relight_gather(const Walk *w, int64_t count, const int64_t *spot, const float *own,
-                           const float *sx, const float *sy, const float *nz, float *found) {
+WIDE void matcap_relight_gather(const Walk *w, int64_t count, const int64_t *spot,
+                                const float *own, const float *sx, const float *sy,
+                                const float *nz, float *found) {
     for (int64_t i = 0; i < count; i++) {
-        float sum[CHANNELS] = {0}, room = w->highest - own[i];
-        for (int a = 0; a < w->azimuths; a++) {
-            float level = w->cosine[a] * sx[i] + w->sine[a] * sy[i];
-            float side = -level * nz[i], weight = 0.0f;
-            int known = 0;
-            for (int part = 0; part < w->parts && room * w->nearest[part] > level; part++) {
-                float before = level;
-                level = walked(w, a, part, spot[i], own[i], level);
-                if (!(level > before)) continue;
-                if (!known) weight = strip(before, side, nz[i]), known = 1;
-                float higher = strip(level, side, nz[i]), share = higher - weight;
+        float level[AZIMUTHS], side[AZIMUTHS], weight[AZIMUTHS], share[AZIMUTHS];
+        float sum[CHANNELS] = {0};
+        for (int a = 0; a < AZIMUTHS; a++) {
+            level[a] = w->cosine[a] * sx[i] + w->sine[a] * sy[i];
+            side[a] = -level[a] * nz[i];
+            weight[a] = strip(level[a], side[a], nz[i]);
+        }
+        for (int part = 0; part < w->parts && walked(w, part, spot[i], own[i], level); part++) {
+            for (int a = 0; a < AZIMUTHS; a++) {
+                float higher = strip(level[a], side[a], nz[i]);
+                share[a] = higher - weight[a];
+                weight[a] = higher;
+            }
+            for (int a = 0; a < AZIMUTHS; a++) {
+                if (share[a] == 0.0f) continue;
                 const float *lit = w->lit + CHANNELS * (spot[i] + w->middle[a * w->parts + part]);
-                weight = higher;
-                for (int c = 0; c < CHANNELS; c++) sum[c] += share * lit[c];
+                for (int c = 0; c < CHANNELS; c++) sum[c] += share[a] * lit[c];
             }
         }
         for (int c = 0; c < CHANNELS; c++) found[i * CHANNELS + c] = sum[c];
@@ -367,23 +426,23 @@ typedef struct {
     int32_t points; /* a multiple of LANES; weights of those too many are 0 */
 } Lattice;
 
-static int clear(const float *tangents, int azimuths, float x, float y, float z) {
+static int clear(const float *tangents, float x, float y, float z) {
     float ax = fabsf(x), ay = fabsf(y), turn = ax > ay ? arctangent(ay / ax)
                                                : ay > 0.0f ? HALF_PI - arctangent(ax / ay) : 0.0f;
     turn = x < 0.0f ? 2.0f * HALF_PI - turn : turn;
-    turn = (y < 0.0f ? -turn : turn) * ((float)azimuths / (4.0f * HALF_PI));
+    turn = (y < 0.0f ? -turn : turn) * (AZIMUTHS / (4.0f * HALF_PI));
     float low = floorf(turn), share = turn - low;
-    int first = (int)low & (azimuths - 1), second = (first + 1) & (azimuths - 1);
+    int first = (int)low & (AZIMUTHS - 1), second = (first + 1) & (AZIMUTHS - 1);
     float tangent = tangents[first] + share * (tangents[second] - tangents[first]);
     return z > tangent * sqrtf(x * x + y * y);
 }
 
 /* Share of even surroundings that is hidden, times F0 and on its own; see environment.hidden.
 
-   tangents: horizons of texels, `azimuths` each, or NULL; highest: sines of the highest. */
+   tangents: horizons of texels, AZIMUTHS each, or NULL; highest: sines of the highest. */
 WIDE void matcap_relight_hidden(const Lobes *l, const Lattice *at, int64_t count,
-                                const float *tangents, int32_t azimuths, const int64_t *texel,
-                                const float *highest, float *scale, float *bias) {
+                                const float *tangents, const int64_t *texel, const float *highest,
+                                float *scale, float *bias) {
     int32_t low[POINTS];
     for (int64_t i = 0; i < count; i++) {
         float vx = l->stretched[0][i], vy = l->stretched[1][i], vz = l->stretched[2][i];
@@ -421,7 +480,7 @@ WIDE void matcap_relight_hidden(const Lobes *l, const Lattice *at, int64_t count
             float rise = reach * h[2] - l->view[2][i];
             if (rise > 0.0f &&
                 (!tangents ||
-                 clear(tangents + texel[i] * azimuths, azimuths, reach * h[0] - l->view[0][i],
+                 clear(tangents + texel[i] * AZIMUTHS, reach * h[0] - l->view[0][i],
                        reach * h[1] - l->view[1][i], rise)))
                 continue;
             nl = nl > 1e-6f ? nl : 1e-6f;

@@ -113,7 +113,7 @@ def _shade(context: ShadingContext, hits: Hits, tiles: Array) -> Array:
     height: Array = np.zeros((1, 1), dtype=np.float32)
     if context.plan.on("parallax"):
         with context.clock.on("parallax"):
-            hits, height = _displaced(context.relief, hits)
+            hits, height = _displaced(context.relief, hits, quick=context.budget is not None)
     elif context.plan.on("shadows"):
         height = context.relief.at(*hits.place)
     with context.clock.on("filtering" if context.plan.on("filtering") else "reading"):
@@ -123,9 +123,9 @@ def _shade(context: ShadingContext, hits: Hits, tiles: Array) -> Array:
         return _Block(context, hits, height, sample, tiles).radiance()
 
 
-def _displaced(relief: Relief, hits: Hits) -> tuple[Hits, Array]:
+def _displaced(relief: Relief, hits: Hits, *, quick: bool) -> tuple[Hits, Array]:
     """The hits on the displaced surface, and the height there."""
-    (u, v), height = parallax.shift(relief, hits.place, hits.to_view)
+    (u, v), height = parallax.shift(relief, hits.place, hits.to_view, quick=quick)
     moved = (
         (u - hits.place[0]).astype(np.float32),
         (v - hits.place[1]).astype(np.float32),

@@ -23,9 +23,10 @@ from matcap.relight.vectors import Array
 _ROWS, _COLUMNS = 16, 512
 # Of the distances in a coarse sum the last of each part, in texels: light is taken from the
 # middle of a part. Its error as a share of what a texel may receive at most is taken to be
-# COARSENESS: on simulated leather it is less in 99 of 100 texels and 0.29 in one, in bumps as deep
-# as they are wide 0.05 in half of them and 0.42 in one. Pictures are held to those of all effects.
-_PARTS = (1, 3, 7, 17)
+# COARSENESS: in 20,000 texels of simulated leather it is 0.07 or less in 99 of 100 and 0.18 in one
+# (with parts up to 1, 3, 7 and 17 texels 0.11 and 0.35: a few pixels of a large picture showed it).
+# Pictures are held to those of all effects.
+_PARTS = (1, 2, 3, 5, 8, 12, 20)
 COARSENESS = 0.12
 # A step leads to a texel, which may be so much nearer than the step is long, in texels.
 _ROUNDED = 0.7072

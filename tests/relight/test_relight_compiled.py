@@ -6,7 +6,7 @@ from relight_samples import bumpy
 from test_relight_tiles import difference, scattered
 
 from matcap.relight import compiled
-from matcap.relight.effects import area, environment, shadows
+from matcap.relight.effects import area, environment, parallax, shadows
 from matcap.relight.effects.visibility import HorizonTest
 from matcap.relight.horizons import find_horizons
 from matcap.relight.lobes import ggx_smith, schlick_weight
@@ -87,6 +87,16 @@ def test_shadows(relief, far):
     found = compiled.lit(relief, (u, v), height, towards, distance)
     assert 0.1 < expected.mean() < 0.9
     assert (found != expected).mean() <= 1e-3
+
+
+def test_parallax(relief):
+    place, generator = scattered(3000)
+    to_view = directions(generator, 3000, tilt=2.0)
+    ours, theirs = (parallax.shift(relief, tuple(place), to_view, quick=q) for q in (True, False))
+    # Rays that graze a ridge may or may not meet it.
+    near = np.abs(ours[1] - theirs[1]) <= 1e-5
+    assert near.mean() >= 0.999
+    np.testing.assert_allclose(ours[0][0][near], theirs[0][0][near], atol=1e-3)
 
 
 @pytest.mark.parametrize("light", LIGHTS)
