@@ -12,6 +12,11 @@
 #else
 #define WIDE
 #endif
+#ifdef __GNUC__
+#define INLINE static inline __attribute__((always_inline)) /* as wide as what calls it */
+#else
+#define INLINE static inline
+#endif
 
 enum {
     /* Raised with every change of results or arguments, here and in compiled.py. */
@@ -29,7 +34,7 @@ static const float HALF_PI = 1.57079632679f;
 int32_t matcap_relight_form(void) { return FORM; }
 
 /* Arctangent within 2e-7 (odd polynomial of degree 15 on [-1, 1], minimax). */
-static inline float arctangent(float x) {
+INLINE float arctangent(float x) {
     float size = fabsf(x);
     float t = size > 1.0f ? 1.0f / size : size;
     float s = t * t;
@@ -55,7 +60,7 @@ typedef struct {
     double high, texel;
 } Field;
 
-static inline int32_t wrapped(int64_t i, int32_t size) {
+INLINE int32_t wrapped(int64_t i, int32_t size) {
     int32_t left = (int32_t)(i % size);
     return left < 0 ? left + size : left;
 }
@@ -106,7 +111,7 @@ void matcap_relight_lit(const Field *f, int64_t count, const double *column, con
 /* ---- parallax ---- */
 
 /* The surface at a place in columns and rows; see Relief.at. */
-static inline float surface(const Field *f, double column, double row) {
+INLINE float surface(const Field *f, double column, double row) {
     double left = floor(column), above = floor(row);
     float fx = (float)(column - left), fy = (float)(row - above);
     int32_t x = wrapped((int64_t)left, f->columns), y = wrapped((int64_t)above, f->rows);
@@ -175,7 +180,7 @@ typedef struct {
 } Seen;
 
 /* The light's nodes seen from a pixel: unit vectors in its frame, irradiance for radiance 1. */
-static inline void look_at(const AreaLight *l, const Pixels *p, int64_t i, Seen *s) {
+INLINE void look_at(const AreaLight *l, const Pixels *p, int64_t i, Seen *s) {
     float px = p->point[0][i], py = p->point[1][i], pz = p->point[2][i];
     float m[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
     if (p->frame[0])
@@ -222,7 +227,7 @@ static inline void look_at(const AreaLight *l, const Pixels *p, int64_t i, Seen 
 }
 
 /* Share that arrives of each part of a light, (cells, count); see _Block.area_shadow. */
-void matcap_relight_parts(const Field *f, const AreaLight *l, const Pixels *p, int64_t count,
+WIDE void matcap_relight_parts(const Field *f, const AreaLight *l, const Pixels *p, int64_t count,
                           const double *column, const double *row, const float *height,
                           const float *shelter, float *arriving) {
     Seen seen;
@@ -242,7 +247,7 @@ void matcap_relight_parts(const Field *f, const AreaLight *l, const Pixels *p, i
     }
 }
 
-static inline float total(const float *values, int count) {
+INLINE float total(const float *values, int count) {
     float lanes[LANES] = {0}, sum = 0.0f;
     for (int n = 0; n < count; n += LANES)
         for (int k = 0; k < LANES; k++) lanes[k] += values[n + k];
@@ -339,13 +344,13 @@ typedef struct {
 } Walk;
 
 /* See horizons.strip. */
-static inline float strip(float tangent, float side, float nz) {
+INLINE float strip(float tangent, float side, float nz) {
     float squared = tangent * tangent, share = 1.0f / (1.0f + squared);
     return 0.5f * (side * (arctangent(tangent) + tangent * share) + nz * squared * share);
 }
 
 /* Horizons of all azimuths after a part's steps; whether any of them could rise further. */
-static inline int walked(const Walk *w, int part, int64_t spot, float own, float *level) {
+INLINE int walked(const Walk *w, int part, int64_t spot, float own, float *level) {
     float room = (w->highest - own) * w->nearest[part];
     int more = 0, first = part ? w->end[part - 1] : 0, end = w->end[part];
     for (int a = 0; a < AZIMUTHS; a++) {
