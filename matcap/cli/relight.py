@@ -253,6 +253,9 @@ def bench(
         bool,
         typer.Option("--tolerances", help="Time against accuracy instead, tolerance by tolerance."),
     ] = False,
+    mitsuba: Annotated[
+        bool, typer.Option("--mitsuba", help="The named scenes against Mitsuba 3 instead.")
+    ] = False,
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for table and picture of --tolerances.")
     ] = Path("bench/relight"),
@@ -265,8 +268,15 @@ def bench(
     One megapixel under one light; each scene with its plan against all effects; and Mitsuba 3's
     time for the same picture at the same error, where it is installed. With --tolerances each
     scene at several tolerances, with all effects and with diffuse light alone: seconds against
-    the largest error, as a table and as a picture with the Pareto front.
+    the largest error, as a table and as a picture with the Pareto front. With --mitsuba the named
+    scenes' time and that of Mitsuba to 1 % of noise.
     """
+    if mitsuba:
+        from matcap.lab.bench.relight_mitsuba import against_mitsuba, rivals_markdown
+
+        rivals = against_mitsuba(tell=lambda line: typer.echo(line, err=True))
+        typer.echo(rivals_markdown(rivals))
+        return
     if tolerances:
         import shlex
         import sys
