@@ -269,7 +269,7 @@ def rule_sums(
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class HorizonSteps:
     """How horizons are walked to.
 
     Attributes:
@@ -316,7 +316,7 @@ class Steps:
 
 
 def look(
-    steps: Steps, spot: Array, own: Array, sx: Array, sy: Array, nz: Array
+    steps: HorizonSteps, spot: Array, own: Array, sx: Array, sy: Array, nz: Array
 ) -> tuple[Array, Array]:
     """(N, AZIMUTHS) horizons of texels, and (N, 2) what they leave open; see TexelHorizons.
 
@@ -338,7 +338,7 @@ def look(
     return tangents, found
 
 
-def gather(steps: Steps, spot: Array, own: Array, sx: Array, sy: Array, nz: Array) -> Array:
+def gather(steps: HorizonSteps, spot: Array, own: Array, sx: Array, sy: Array, nz: Array) -> Array:
     """(N, CHANNELS) transfer vectors of texels; arguments as of look()."""
     kept = _Kept(len(spot))
     found = np.empty((len(spot), CHANNELS), dtype=np.float32)
@@ -425,7 +425,7 @@ def _pixels(pixels: LitPixels, kept: _Kept) -> _Pixels:
     )  # fmt: skip
 
 
-def _walk(steps: Steps, kept: _Kept) -> _Walk:
+def _walk(steps: HorizonSteps, kept: _Kept) -> _Walk:
     c, s = _WAYS.T
     return _Walk(
         kept.of(steps.padded), None if steps.lit is None else kept.of(steps.lit),

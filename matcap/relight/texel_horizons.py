@@ -190,15 +190,15 @@ class TexelHorizons:
         return np.stack(self._lit, axis=-1)
 
     @cached_property
-    def _seeing(self) -> compiled.Steps:
-        return compiled.Steps(self._parts, self._padded, None, float(self._highest))
+    def _seeing(self) -> compiled.HorizonSteps:
+        return compiled.HorizonSteps(self._parts, self._padded, None, float(self._highest))
 
     @cached_property
-    def _gathering(self) -> compiled.Steps:
+    def _gathering(self) -> compiled.HorizonSteps:
         return replace(self._seeing, lit=self._lit_rows)
 
     @cached_property
-    def _gathering_finely(self) -> compiled.Steps:
+    def _gathering_finely(self) -> compiled.HorizonSteps:
         return replace(self._gathering, parts=[[step] for step in self._steps])
 
     def _walk(
