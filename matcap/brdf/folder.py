@@ -24,7 +24,8 @@ Keys:
     png: with PNGs, `height_scale` and `height_midlevel`: height = (value - midlevel) * scale.
     conventions: what axes, unit, reflectance and normals are, in words.
     provenance: how the material was made; its `millimetres_per_unit` is how long a plane unit is,
-        or null where nobody measured it.
+        or null where nobody measured it; of the photographed piece, `setup` is its camera and
+        flash, as in the material file.
 """
 
 from __future__ import annotations
@@ -60,6 +61,7 @@ NormalStyle = Literal["gl", "dx"]
 
 FORMAT = "matcap map set"
 PIECE = "_photo"  # after a material's name: the maps of the photographed piece itself
+SETUP = "setup"  # in its provenance: camera and flash of the photograph
 VERSION = 1  # of the document
 # Bytes a texel takes at most, for all maps: what is asked of the disk beforehand.
 EXR_BYTES = 2 * (3 + 1 + 1 + 3) + 4

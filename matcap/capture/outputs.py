@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from matcap.brdf.folder import (
     PIECE,
+    SETUP,
     MapSetInfo,
     NormalStyle,
     mapset_bytes,
@@ -26,6 +27,7 @@ from matcap.model.exemplar import CHANNELS
 if TYPE_CHECKING:
     from matcap.capture.exemplar.find import FoundExemplar
     from matcap.capture.pipeline import CaptureResult
+    from matcap.flash.geometry import FlashSetup
 
 PREVIEW, REPORT = "preview.png", "report.json"
 
@@ -130,7 +132,7 @@ def _write_material(
     write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
     material.save(stage / f"{name}.matcap")
     if result.found is not None and result.settings.aligned:
-        _write_piece(result.found, stage, name, settings)
+        _write_piece(result.found, material.setup, stage, name, settings)
 
 
 def no_repeat(size: tuple[int, int], alignment: int) -> str:
@@ -149,12 +151,14 @@ def output_files(name: str) -> list[str]:
     return [f"{name}.matcap", PREVIEW, REPORT, CURVE, *mapset_files(name)]
 
 
-def _write_piece(found: FoundExemplar, stage: Path, name: str, settings: OutputSettings) -> None:
+def _write_piece(
+    found: FoundExemplar, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
+) -> None:
     """Maps of the photographed piece, and how far each is trusted."""
     from matcap.capture.exemplar.find import piece_maps
 
     exemplar = found.exemplar
-    about = {"of": "the photographed piece", "error": found.error}
+    about = {"of": "the photographed piece", "error": found.error, SETUP: asdict(setup)}
     info = MapSetInfo(name + PIECE, None, provenance=about)
     write_mapset(piece_maps(exemplar), stage, info, png=settings.png, normal=settings.normal)
     trusted = dict(zip(CHANNELS, exemplar.confidence, strict=True))

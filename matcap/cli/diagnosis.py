@@ -16,8 +16,10 @@ from typing import Any
 from matcap.errors import MatcapError
 from matcap.files.maker import MAKER_VERSION
 from matcap.model.example.compiled import kernel
+from matcap.relight import compiled as relighting
 
 _PLACE = Path(__file__).parents[1]  # the installed package
+_COMPILED = "compiled loops"
 _PLAIN = "plain loops, slow; for compiled ones install matcap again where there is a C compiler"
 _SIDE = 256  # texels of the self-test's maps
 
@@ -86,6 +88,7 @@ class Diagnosis:
         devices: what torch can compute on.
         compiled: whether the inner loops of the field by example were built; without them it is
             the same bits, slowly.
+        compiled_relighting: whether those of relighting were.
         prior: bytes of the trained prior that comes along, or None where it is missing.
         packages: what matcap cannot do without.
         extras: what it can.
@@ -99,6 +102,7 @@ class Diagnosis:
     cores: int
     devices: tuple[str, ...]
     compiled: bool
+    compiled_relighting: bool
     prior: int | None
     packages: tuple[Package, ...]
     extras: tuple[Extra, ...]
@@ -123,7 +127,8 @@ class Diagnosis:
             f"matcap {self.matcap} in {self.place}",
             f"Python {self.python}, {self.system}",
             f"{self.cores} cores; devices: {', '.join(self.devices) or 'unknown'}",
-            "field by example: " + ("compiled loops" if self.compiled else _PLAIN),
+            "field by example: " + (_COMPILED if self.compiled else _PLAIN),
+            "relighting: " + (_COMPILED if self.compiled_relighting else _PLAIN),
             "prior " + ("MISSING" if self.prior is None else f"{self.prior / 1e6:.1f} MB"),
             "",
             "Needed",
@@ -159,6 +164,7 @@ def diagnose(*, self_test: bool = True) -> Diagnosis:
         cores=_cores(),
         devices=_devices(),
         compiled=kernel() is not None,
+        compiled_relighting=relighting.kernel() is not None,
         prior=_prior(),
         packages=packages,
         extras=extras,

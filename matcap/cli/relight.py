@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from matcap.relight.scene import Scene
 
 
+# Pixels of a flash picture whose photograph's sides are not known.
+_SQUARE = (1024, 1024)
+
+
 class Motion(Enum):
     """What moves in an animation."""
 
@@ -42,7 +46,8 @@ def relight(
         typer.Option(
             metavar="NAME|x,y,z[,intensity]",
             show_default="top",
-            help="A named light (flash, top, left), or the place of a point light.",
+            help="A named light (flash, top, left), or the place of a point light. Of what was "
+            "photographed, flash is the photograph's own: its camera, exposure and vignetting.",
         ),
     ] = None,
     scene: Annotated[
@@ -143,7 +148,10 @@ def relight(
     if explain_map is not None:
         check_tiles_path(explain_map)
     parse_choice(effects)
-    chosen = _scene(scene, light, size)
+    chosen = None
+    if light == "flash" and maps_from is None:
+        chosen = _photographed(path, size)
+    chosen = chosen or _scene(scene, light, size)
     limit = DEFAULT_TOLERANCE if tolerance is None else tolerance
     renderer = _renderer(path, maps_from, normal, chosen, seed, generator, changes, quiet=quiet)
     film = renderer.film
@@ -189,6 +197,19 @@ def _scene(name: str | None, light: str | None, size: values.Size | None) -> Sce
     return replace(scene, film=replace(scene.film or Film(), width=size.width, height=size.height))
 
 
+def _photographed(path: Path, size: values.Size | None) -> Scene | None:
+    """The photograph's own scene, where a material tells it."""
+    from matcap.model.opened import open_photographed
+    from matcap.relight.photographed import photographed_scene
+    from matcap.relight.scene import Film
+
+    known = open_photographed(path)
+    if known is None:
+        return None
+    width, height = (size.width, size.height) if size else known.size or _SQUARE
+    return photographed_scene(known.setup, Film(width, height), endless=known.endless)
+
+
 def _renderer(
     path: Path,
     maps_from: Path | None,
@@ -232,6 +253,9 @@ def bench(
         bool,
         typer.Option("--tolerances", help="Time against accuracy instead, tolerance by tolerance."),
     ] = False,
+    mitsuba: Annotated[
+        bool, typer.Option("--mitsuba", help="The named scenes against Mitsuba 3 instead.")
+    ] = False,
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for table and picture of --tolerances.")
     ] = Path("bench/relight"),
@@ -244,8 +268,15 @@ def bench(
     One megapixel under one light; each scene with its plan against all effects; and Mitsuba 3's
     time for the same picture at the same error, where it is installed. With --tolerances each
     scene at several tolerances, with all effects and with diffuse light alone: seconds against
-    the largest error, as a table and as a picture with the Pareto front.
+    the largest error, as a table and as a picture with the Pareto front. With --mitsuba the named
+    scenes' time and that of Mitsuba to 1 % of noise.
     """
+    if mitsuba:
+        from matcap.lab.bench.relight_mitsuba import against_mitsuba, rivals_markdown
+
+        rivals = against_mitsuba(tell=lambda line: typer.echo(line, err=True))
+        typer.echo(rivals_markdown(rivals))
+        return
     if tolerances:
         import shlex
         import sys

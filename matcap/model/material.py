@@ -200,7 +200,7 @@ class Material:
                 moments=tuple(moments),
                 waves=_waves(about["waves"]),
                 texel_size=_number(about, "texel_size", 1e-9, 1e3),
-                setup=_setup(about["setup"]),
+                setup=stated_setup(about["setup"]),
                 provenance=dict(about["provenance"]),
                 example=read_example(about, lambda name: file.get_tensor(name).numpy()),
             )
@@ -210,7 +210,12 @@ def _waves(stated: list[Mapping[str, Any]]) -> tuple[Wave, ...]:
     return tuple(Wave(_number(w, "fx", -1.0, 1.0), _number(w, "fy", -1.0, 1.0)) for w in stated[:2])
 
 
-def _setup(stated: Mapping[str, Any]) -> FlashSetup:
+def stated_setup(stated: Mapping[str, Any]) -> FlashSetup:
+    """The setup that a file states.
+
+    Raises:
+        KeyError, TypeError, ValueError: something is missing, of another kind or out of range.
+    """
     ox, oy, oz = (_bounded(v, "offset", -1e3, 1e3) for v in stated["offset"])
     red, green, blue = (_bounded(v, "intensity", 0.0, 1e12) for v in stated["intensity"])
     tilt_x, tilt_y = (_bounded(v, "tilt", -1.5, 1.5) for v in stated["tilt"])

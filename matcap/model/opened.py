@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.brdf.adjust import KEY, NONE, Adjustments, adjusted
-from matcap.brdf.folder import find_mapsets, read_mapset
+from matcap.brdf.folder import SETUP, find_mapsets, read_mapset
 from matcap.errors import MatcapError, UsageError
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+    from matcap.flash.geometry import FlashSetup
     from matcap.model.material import Material
     from matcap.model.source import Generator
 
@@ -107,6 +108,44 @@ def _told(maps: MapSet, name: str, provenance: dict[str, Any], adjust: Adjustmen
         before = provenance.get(KEY)
         provenance[KEY] = f"{before}; {adjust.text}" if before else adjust.text
     return OpenedMaps(adjusted(maps, adjust), name, provenance)
+
+
+@dataclass(frozen=True)
+class PhotographedAs:
+    """How a material was photographed.
+
+    Attributes:
+        setup: camera and flash.
+        size: (width, height) in texels of the photographed piece, whose sides are the
+            photograph's; None where a material has no piece.
+        endless: there is material beyond the piece.
+    """
+
+    setup: FlashSetup
+    size: tuple[int, int] | None
+    endless: bool
+
+
+def open_photographed(path: Path) -> PhotographedAs | None:
+    """How what open_source opens was photographed; None where nothing says so.
+
+    A material says so, and the map set of the photographed piece itself.
+
+    Raises:
+        MatcapError: as open_source.
+    """
+    from matcap.model.material import stated_setup
+
+    path = _resolved(path)
+    if path.suffix.lower() == ".matcap":
+        material = _material(path)
+        piece = material.exemplar
+        return PhotographedAs(material.setup, None if piece is None else piece.size, endless=True)
+    maps, document = read_mapset(path)
+    try:
+        return PhotographedAs(stated_setup(document["provenance"][SETUP]), maps.size, endless=False)
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def open_material(path: Path) -> tuple[Path, Material]:

@@ -11,6 +11,8 @@ from matcap.relight.scene import Camera, Film
 from matcap.relight.vectors import Array, unit3
 
 Points = Array
+# Of a 4:3 picture's corner, whose long side is in [-1, 1]: where vignetting is stated.
+_CORNER_SQUARED = 1.25**2
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class View:
         size: (width, height) in pixels.
         perspective: whether rays meet in `position`.
         columns: half open range of those that rays are asked for; None is all.
+        vignetting: see Camera.
     """
 
     position: Points
@@ -32,6 +35,7 @@ class View:
     size: tuple[int, int]
     perspective: bool
     columns: tuple[int, int] | None = None
+    vignetting: float = 0.0
 
     @property
     def across(self) -> tuple[int, int]:
@@ -54,6 +58,20 @@ class View:
         across = (np.arange(*self.across) + 0.5 - width / 2.0) / half * self.reach
         down = (height / 2.0 - np.arange(top, bottom) - 0.5) / half * self.reach
         return across[None, :], down[:, None]
+
+    def share(self, top: int, bottom: int) -> Array:
+        """(bottom - top, W) share of the light of rows of pixels that the lens lets through."""
+        across, down = (c / self.reach for c in self.screen(top, bottom))
+        squared = (across * across + down * down) / _CORNER_SQUARED
+        share: Array = np.exp(-self.vignetting * squared).astype(np.float32)
+        return share
+
+    @property
+    def brightest(self) -> float:
+        """By how much at most the lens brightens a picture."""
+        width, height = self.size
+        corner = 1.0 + (min(width, height) / max(width, height)) ** 2
+        return max(1.0, math.exp(-self.vignetting * corner / _CORNER_SQUARED))
 
     def rays(self, top: int, bottom: int) -> tuple[Array, Array]:
         """Origins and unit directions of the rows' rays, (3, bottom - top, W) each."""
@@ -81,11 +99,16 @@ def view_of(camera: Camera | None, film: Film, long_side: float) -> View:
         return View(place, np.diag([1.0, 1.0, -1.0]), reach, size, True)
     place = np.asarray(camera.position, dtype=np.float64)
     forward = unit3(tuple(np.asarray(camera.target) - place))
-    # Looking along y, the picture's top is where the scene's front is.
-    upright = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < 1.0 - 1e-9 else np.array([0, 0, -1.0])
+    upright = unit3(camera.up)
+    # Looking along `up`, the picture's top is where the scene's front is.
+    if abs(forward @ upright) >= 1.0 - 1e-9:
+        upright = np.array([0.0, 0.0, -1.0])
     right = np.cross(forward, upright)
     right = right / np.linalg.norm(right)
     axes = np.stack([right, np.cross(right, forward), forward])
     if camera.type == "perspective":
-        return View(place, axes, math.tan(math.radians(camera.fov / 2.0)), size, True)
-    return View(place, axes, camera.scale, size, False)
+        reach = math.tan(math.radians(camera.fov / 2.0))
+    else:
+        reach = camera.scale
+    perspective = camera.type == "perspective"
+    return View(place, axes, reach, size, perspective, vignetting=camera.vignetting)

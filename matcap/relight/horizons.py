@@ -75,8 +75,7 @@ def find_horizons(relief: Relief, *, bounces: bool, run: Runner) -> Horizons:
         nz = 1.0 / np.sqrt(1.0 + sx * sx + sy * sy)
         seen = np.zeros_like(own)
         for azimuth in range(AZIMUTHS):
-            angle = 2.0 * math.pi * azimuth / AZIMUTHS
-            c, s = math.cos(angle), math.sin(angle)
+            c, s = direction(azimuth)
             # In units of nz: n . (c, s, 0), and the slope at which the surface itself ends.
             level = np.float32(c) * sx + np.float32(s) * sy
             side = -level * nz
@@ -112,6 +111,12 @@ def find_horizons(relief: Relief, *, bounces: bool, run: Runner) -> Horizons:
         clear.reshape(-1, 1),
         None if bounced is None else np.ascontiguousarray(bounced.reshape(9, -1).T),
     )
+
+
+def direction(azimuth: int) -> tuple[float, float]:
+    """Rightwards and upwards components of an azimuth's unit vector."""
+    angle = 2.0 * math.pi * azimuth / AZIMUTHS
+    return math.cos(angle), math.sin(angle)
 
 
 def strip(tangent: Map, side: Map, nz: Map) -> Map:

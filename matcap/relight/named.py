@@ -98,6 +98,7 @@ def turntable(scene: Scene, frames: int) -> list[Scene]:
             camera,
             position=_rotated(camera.position, angle, 1),
             target=_rotated(camera.target, angle, 1),
+            up=_rotated(camera.up, angle, 1),
         )
         lights = tuple(_turned(one, angle, 1) for one in scene.lights)
         scenes.append(replace(scene, camera=turned, lights=lights))

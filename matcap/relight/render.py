@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -168,7 +169,9 @@ class Renderer:
         region, footprint = shape.region(view, self.relief)
         footprint *= scene.surface.repeat / self.texture.texel_size
         facts = gather(scene, self.texture, view, region, footprint, skies)
-        plan = make_plan(facts, radiance_tolerance(tolerance, film), choice)
+        # A lens that brightens corners brightens what is left out there, too.
+        judged = replace(film, exposure=film.exposure + math.log2(view.brightest))
+        plan = make_plan(facts, radiance_tolerance(tolerance, judged), choice)
         clock, tally = Clock(), Tally(view.size)
         thrifty = choice.start != "all" and any(plan.on(effect) for effect in BY_TILES)
         context = ShadingContext(
@@ -181,7 +184,7 @@ class Renderer:
             self._texel_horizons(plan) if thrifty else None,
             clock,
             samples_for(tolerance),
-            Budget(plan.left(tolerance, film), film, plan.running) if thrifty else None,
+            Budget(plan.left(tolerance, judged), judged, plan.running) if thrifty else None,
             tally,
         )
         picture = np.zeros((film.height, film.width, 3), dtype=np.float32)
@@ -191,6 +194,8 @@ class Renderer:
             hits = shape.hits(view.part(left, right), top, bottom)
             if hits.seen is None or hits.seen.any():
                 found = shade(context, hits, tally.of(*place))
+                if view.vignetting:
+                    found *= view.part(left, right).share(top, bottom)
                 picture[top:bottom, left:right] = np.moveaxis(found, 0, -1)
 
         blocks = list(_blocks(view.size, whole_tiles=thrifty))

@@ -51,6 +51,10 @@ class Camera:
         target: the point in the middle of the picture.
         fov: field of view across the long side, degrees; perspective only.
         scale: half of what the long side shows; orthographic only.
+        up: the direction whose picture points upwards.
+        vignetting: share of light that a lens loses in the corners of a 4:3 picture, as an
+            exponent: exp(-vignetting) is left there, and more towards the middle, with r squared.
+            May be negative.
     """
 
     type: Literal["perspective", "orthographic"] = "perspective"
@@ -58,6 +62,8 @@ class Camera:
     target: Vector = (0.0, 0.0, 0.0)
     fov: float = 45.0
     scale: float = 1.0
+    up: Vector = (0.0, 1.0, 0.0)
+    vignetting: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from matcap.relight.scene import (
 )
 
 _LARGEST_SIDE = 32768
+_LARGEST_EXPONENT = 20.0  # of vignetting, as in material files
 
 
 class _Fault(Exception):
@@ -178,6 +179,13 @@ def _angle(value: Any, folder: Path) -> float:  # noqa: ANN401
     return number
 
 
+def _exponent(value: Any, folder: Path) -> float:  # noqa: ANN401
+    number = _number(value, folder)
+    if abs(number) > _LARGEST_EXPONENT:
+        raise _Fault(f"a number from -{_LARGEST_EXPONENT:g} to {_LARGEST_EXPONENT:g}")
+    return number
+
+
 def _side(value: Any, _: Path) -> int:  # noqa: ANN401
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= _LARGEST_SIDE:
         raise _Fault(f"a whole number from 1 to {_LARGEST_SIDE}")
@@ -245,6 +253,8 @@ _CAMERA: dict[str, Check] = {
     "target": _vector,
     "fov": _angle,
     "scale": _at_least(0.0, above=True),
+    "up": _direction,
+    "vignetting": _exponent,
 }
 _SURFACE: dict[str, Check] = {
     "type": _one_of("plane", "sphere", "cylinder", "mesh"),

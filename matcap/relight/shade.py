@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from matcap.relight import compiled
 from matcap.relight.budget import Budget
 from matcap.relight.clock import Clock
 from matcap.relight.effects import (
@@ -112,7 +113,7 @@ def _shade(context: ShadingContext, hits: Hits, tiles: Array) -> Array:
     height: Array = np.zeros((1, 1), dtype=np.float32)
     if context.plan.on("parallax"):
         with context.clock.on("parallax"):
-            hits, height = _displaced(context.relief, hits)
+            hits, height = _displaced(context.relief, hits, quick=context.budget is not None)
     elif context.plan.on("shadows"):
         height = context.relief.at(*hits.place)
     with context.clock.on("filtering" if context.plan.on("filtering") else "reading"):
@@ -122,9 +123,9 @@ def _shade(context: ShadingContext, hits: Hits, tiles: Array) -> Array:
         return _Block(context, hits, height, sample, tiles).radiance()
 
 
-def _displaced(relief: Relief, hits: Hits) -> tuple[Hits, Array]:
+def _displaced(relief: Relief, hits: Hits, *, quick: bool) -> tuple[Hits, Array]:
     """The hits on the displaced surface, and the height there."""
-    (u, v), height = parallax.shift(relief, hits.place, hits.to_view)
+    (u, v), height = parallax.shift(relief, hits.place, hits.to_view, quick=quick)
     moved = (
         (u - hits.place[0]).astype(np.float32),
         (v - hits.place[1]).astype(np.float32),
@@ -232,7 +233,7 @@ class _Block:
         hits = self.hits
         if not self.plan.on("area"):
             node = area.centre(light, hits.point, hits.frame)
-            received = self.fading(light, node) * self.lit(node.to_light, node.distance)
+            received = node.received * self.fading(light) * self.lit(node.to_light, node.distance)
             self.add(node.to_light, received, light.radiance)
             return
         with self.context.clock.on("area"):
@@ -244,35 +245,36 @@ class _Block:
         offset = subtract(vec(light.position), hits.point)
         distance = np.sqrt(dot(offset, offset))
         to_light = to_frame(scale(offset, 1.0 / distance), hits.frame)
+        sets: Array = np.ones(1, dtype=bool)
         if thrifty:
-            rule = area.rules(
+            rule, sets = area.rules(
                 light, distance, to_light, hits.to_view, sample.normal, sample.alpha, self.n_dot_v
             )
-            rule = np.where(np.broadcast_to(self.facing, self.shape), rule, 0).ravel()
+            rule = np.where(self.facing, rule, 0)
         else:
             rule = area.plain_rules(light, distance, sample.alpha)
-            rule = np.broadcast_to(rule, self.shape).ravel()
-        hidden = np.full(rule.shape, self.casts and not thrifty)
-        index, shadow = np.flatnonzero(hidden), {}
+        rule = np.broadcast_to(rule, self.shape).ravel()
+        # Whether the rule is put together from the light's parts.
+        parted = np.broadcast_to(sets & self.casts, self.shape).ravel().copy()
+        index, shadow = np.flatnonzero(parted), np.ones((0, 0), dtype=np.float32)
         if self.casts and thrifty:
             # The light's lowest point against the highest that anything around can be.
             low = area.lowest(light, distance, to_light) < self.shelter
-            index = np.flatnonzero(np.broadcast_to(low, self.shape).ravel() & (rule > 0))
+            index = np.flatnonzero((np.broadcast_to(low, self.shape).ravel() | parted) & (rule > 0))
         if len(index):
             shadow = self.part(index).area_shadow(light)
             if thrifty:
-                hidden[index] = np.min(list(shadow.values()), axis=0)[0] < 1.0
+                parted[index] |= shadow.min(axis=0) < 1.0
         # Where in the list of those that shadows were looked for at each pixel is.
         listed = np.zeros(rule.shape, dtype=np.intp)
         listed[index] = np.arange(len(index))
-        key = np.where(rule > 0, 2 * rule + hidden, 0)
+        key = np.where(rule > 0, 2 * rule + parted, 0)
         for one in np.flatnonzero(np.bincount(key)).tolist():
             if one == 0:
                 continue
             some_pixels = np.flatnonzero(key == one)
             part = self.part(some_pixels)
-            dark = one % 2 == 1
-            cells = {k: v[:, listed[some_pixels]] for k, v in shadow.items()} if dark else {}
+            cells = shadow[:, listed[some_pixels]] if one % 2 == 1 else None
             part.integrate(light, area.RULES.get(one // 2), cells)
             self.take_back(part, some_pixels)
             self.ran("area", some_pixels)
@@ -281,29 +283,70 @@ class _Block:
         self,
         light: SphereLight | RectangleLight,
         order: int | None,
-        shadow: dict[tuple[int, int], Array],
+        shadow: Array | None,
     ) -> None:
-        """Add the light of a rule of some order, or of the mirrored lobe without one."""
-        points = order or 6
-        if shadow:
-            points = max(4 * math.ceil(points / 4), 12)
-        place, frame = self.hits.point, self.hits.frame
-        for node in area.nodes(light, place, frame, points, parts=bool(shadow)):
-            received = self.fading(light, node)
-            if shadow:
-                received = received * shadow[_cell(light, node.place)]
-            self.add(node.to_light, received, light.radiance, lobe=order is not None)
-        if order is None and self.plan.on("specular"):
-            seen = np.mean(list(shadow.values()), axis=0) if shadow else _ONE
-            self.mirror(light, seen)
+        """Add the light of a rule of some order, or of the mirrored lobe without one.
 
-    def fading(self, light: SphereLight | RectangleLight, node: area.Node) -> Array:
-        """The node's irradiance, with or without falloff."""
+        Args:
+            light: the light.
+            order: of the rule.
+            shadow: (cells, N) share that arrives of each part of the light.
+        """
+        points = order or 6
+        if shadow is not None:
+            points = max(4 * math.ceil(points / 4), 12)
+        rule, fading = area.rule(light, points, parts=shadow is not None), self.fading(light)
+        if self.quick:
+            pixels = self.as_lit(np.zeros((1, 1), dtype=np.float32))
+            lobe = order is not None and self.plan.on("specular")
+            sums = compiled.rule_sums(light, rule, pixels, self.total[0].size, shadow, lobe=lobe)
+            self.add_sums(sums, fading, light.radiance)
+        else:
+            for node in area.nodes(light, rule, self.hits.point, self.hits.frame):
+                received = node.received * fading
+                if shadow is not None:
+                    received = received * shadow[node.cell]
+                self.add(node.to_light, received, light.radiance, lobe=order is not None)
+        if order is None and self.plan.on("specular"):
+            self.mirror(light, _ONE if shadow is None else shadow.mean(axis=0))
+
+    def add_sums(self, sums: compiled.RuleSums, fading: Array, colour: Colour) -> None:
+        """Add the light of all points of a rule at once."""
+        sample = self.sample
+        if self.bounces:
+            self.collect(scale(sums.flow, fading), colour)
+        lambert = sums.irradiance * np.float32(1.0 / math.pi)
+        for channel in range(3):
+            value: Array = np.zeros((1, 1), dtype=np.float32)
+            if self.plan.on("diffuse"):
+                value = sample.diffuse[channel] * lambert
+            if self.plan.on("specular"):
+                f0 = sample.specular[channel if len(sample.specular) == 3 else 0]
+                value = value + (f0 * (sums.mirrored - sums.fresnel) + sums.fresnel)
+            if self.scatter:
+                value = value + self.scatter[channel % len(self.scatter)][0] * sums.lost
+            self.total[channel] += value * (fading * np.float32(colour[channel]))
+
+    def as_lit(self, shelter: Array) -> compiled.LitPixels:
+        """The pixels as the compiled loops take them."""
+        hits, sample = self.hits, self.sample
+        near = self.near if self.scatter else None
+        return compiled.LitPixels(
+            hits, self.height, shelter, sample.normal, self.n_dot_v, sample.alpha, near
+        )
+
+    def fading(self, light: SphereLight | RectangleLight) -> Array:
+        """Factor on the irradiance of a light's points: 1 where it falls off with distance."""
         if self.plan.on("falloff"):
-            return node.received
+            return np.ones((1, 1), dtype=np.float32)
         central = max(sum(c * c for c in light.position), 1e-12)
         offset = subtract(vec(light.position), self.hits.point)
-        return node.received * (dot(offset, offset) * np.float32(1.0 / central))
+        return dot(offset, offset) * np.float32(1.0 / central)
+
+    @property
+    def quick(self) -> bool:
+        """Whether loops run compiled: where tiles are decided, and there is a compiled form."""
+        return self.context.budget is not None and compiled.kernel() is not None
 
     @property
     def casts(self) -> bool:
@@ -317,23 +360,25 @@ class _Block:
         with self.context.clock.on("shadows"):
             return relief.shelter(u, v, np.broadcast_to(self.height, u.shape))
 
-    def area_shadow(self, light: SphereLight | RectangleLight) -> dict[tuple[int, int], Array]:
-        """What arrives from each of a light's 16 parts; empty where nothing casts shadows."""
-        if not self.casts:
-            return {}
-        arriving: dict[tuple[int, int], Array] = {}
-        above: dict[tuple[int, int], Array] = {}
-        for probe in area.nodes(light, self.hits.point, self.hits.frame, 4):
-            cell = _cell(light, probe.place)
+    def area_shadow(self, light: SphereLight | RectangleLight) -> Array:
+        """(cells, N) share that arrives from each of a light's 16 parts."""
+        rule = area.rule(light, 4)
+        if self.quick:
+            shelter, relief = self.shelter, self.context.relief
+            with self.context.clock.on("shadows"):
+                found = compiled.parts_lit(
+                    relief, light, rule, self.as_lit(shelter), self.total[0].size
+                )
+            self.ran("shadows", np.flatnonzero(found.min(axis=0) < 1.0))
+            return found
+        arriving, above = np.zeros((2, rule.cells, *self.shape), dtype=np.float32)
+        for probe in area.nodes(light, rule, self.hits.point, self.hits.frame):
             # What has set behind the surface itself is no matter of shadows.
             risen = (probe.to_light[2] > 0.0).astype(np.float32)
-            lit = self.lit(probe.to_light, probe.distance) * risen
-            arriving[cell] = arriving.get(cell, _ZERO) + lit
-            above[cell] = above.get(cell, _ZERO) + risen
-        return {
-            cell: np.where(count > 0.0, arriving[cell] / np.maximum(count, _ONE), _ONE)
-            for cell, count in above.items()
-        }
+            arriving[probe.cell] += self.lit(probe.to_light, probe.distance) * risen
+            above[probe.cell] += risen
+        found = np.where(above > 0.0, arriving / np.maximum(above, _ONE), _ONE)
+        return found.reshape(rule.cells, -1)
 
     def mirror(self, light: SphereLight | RectangleLight, seen: Array) -> None:
         """The specular lobe of a light too large for a rule: the lobe is sampled instead.
@@ -378,7 +423,8 @@ class _Block:
                 u, v, h, x, y, z = (
                     some(one, index, self.shape) for one in (*place, self.height, *to_light)
                 )
-                lit.ravel()[index] = shadows.lit(relief, (u, v), h, (x, y, z), far)[0]
+                cast = compiled.lit if self.quick else shadows.lit
+                lit.ravel()[index] = cast(relief, (u, v), h, (x, y, z), far)[0]
                 self.ran("shadows", index)
             return lit
 
@@ -450,7 +496,7 @@ class _Block:
                 else:
                     assert context.horizons is not None
                     seen = context.sampler.extra(context.horizons.open, hits.place)[0]
-                    horizon = visibility.horizon_test(
+                    horizon = visibility.HorizonTest(
                         context.horizons.tangents, context.sampler.nearest(hits.place)
                     )
         with context.clock.on("environment"):
@@ -519,7 +565,7 @@ class _Block:
             if context.near is not None and self.plan.on("visibility"):
                 texel = context.sampler.nearest(place)
                 context.near.see(texel.ravel())
-                horizon = visibility.horizon_test(context.near.tangents, texel)
+                horizon = visibility.HorizonTest(context.near.tangents, texel)
                 steepest = np.maximum(context.near.steepest(texel), _ZERO)
                 highest = steepest / np.sqrt(_ONE + steepest * steepest) + np.float32(1e-5)
             part = environment.specular(
@@ -583,9 +629,3 @@ class _Block:
 def _some(vector: Vec, index: Array, shape: tuple[int, ...]) -> Vec:
     x, y, z = (some(one, index, shape) for one in vector)
     return x, y, z
-
-
-def _cell(light: SphereLight | RectangleLight, place: tuple[float, float]) -> tuple[int, int]:
-    """Which of a light's parts a place in [0, 1] x [0, 1] belongs to: 4 x 4, or 2 rings of 8."""
-    rows, columns = (2, 8) if isinstance(light, SphereLight) else (4, 4)
-    return min(int(place[0] * rows), rows - 1), min(int(place[1] * columns), columns - 1)

@@ -69,14 +69,20 @@ class Albedo:
     def missing(self, near: Array, mu: Array) -> Array:
         """1 - total at cosines, the nearest of those tabulated: within 1e-3, and quick."""
         index = mu * np.float32(_COSINES - 1) + (near + np.float32(0.5))
-        return np.take(self._missing, index.astype(np.intp), mode="clip")
+        return np.take(self.lost, index.astype(np.intp), mode="clip")
+
+    @property
+    def lost_step(self) -> float:
+        """How much further in `lost` the cosine 1 is than 0."""
+        return _COSINES - 1.0
 
     def average_at(self, near: Array) -> Array:
         """The average for alphas."""
         return np.take(self._averages, (near * np.float32(1.0 / _COSINES)).astype(np.intp))
 
     @cached_property
-    def _missing(self) -> Array:
+    def lost(self) -> Array:
+        """What missing() looks up: a row for each of 512 alphas, over cosines."""
         roughness = np.sqrt(np.linspace(0.0, 1.0, _ALPHAS))
         root_mu = np.sqrt(np.linspace(0.0, 1.0, _COSINES))
         total = _between(_between(self.total, roughness).T, root_mu).T

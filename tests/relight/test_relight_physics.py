@@ -152,7 +152,7 @@ def test_rectangle_light_irradiance_in_closed_form():
     zero = np.zeros((1, 1), dtype=np.float32)
     total = sum(
         float((node.received * node.to_light[2]).item())
-        for node in area.nodes(light, (zero, zero, zero), None, 8)
+        for node in area.nodes(light, area.rule(light, 8), (zero, zero, zero), None)
     )
     # E / L = (1/2) sum of edge angles times their planes' slope; the square's two far edges.
     edge = math.atan(1.0 / math.sqrt(2.0)) / math.sqrt(2.0)

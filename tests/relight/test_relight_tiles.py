@@ -8,11 +8,11 @@ import pytest
 from random_scenes import encoded
 from relight_samples import bumpy, flat
 
-from matcap.relight import render
+from matcap.relight import compiled, render
 from matcap.relight.budget import Budget
 from matcap.relight.effects import area, environment, interreflection, parallax, shadows
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
-from matcap.relight.effects.visibility import horizon_test
+from matcap.relight.effects.visibility import HorizonTest
 from matcap.relight.horizons import find_horizons
 from matcap.relight.named import SCENES
 from matcap.relight.relief import Relief
@@ -48,6 +48,15 @@ def plain(relief):
             work(item)
 
     return find_horizons(relief, bounces=True, run=run)
+
+
+@pytest.fixture(params=["compiled", "plain"])
+def form(request, monkeypatch):
+    """Loops compiled, where they were built, and plain."""
+    if request.param == "plain":
+        monkeypatch.setattr(compiled, "kernel", lambda: None)
+    elif compiled.kernel() is None:
+        pytest.skip("the kernel was not built")
 
 
 def scattered(count, seed=0):
@@ -92,6 +101,7 @@ def test_the_highest_texel_around_is_found_across_the_border(relief):
 
 
 @pytest.mark.parametrize("texels", [np.arange(48 * 32), np.array([1535, 0, 700, 700, 47])])
+@pytest.mark.usefixtures("form")
 def test_horizons_of_some_texels_are_those_of_all(relief, plain, texels):
     near = TexelHorizons(relief)
     near.see(texels)
@@ -101,6 +111,7 @@ def test_horizons_of_some_texels_are_those_of_all(relief, plain, texels):
     np.testing.assert_allclose(near.fine(texels), plain.bounced[texels], atol=1e-6)
 
 
+@pytest.mark.usefixtures("form")
 def test_no_transfer_is_longer_than_its_bound_nor_a_coarse_sum_far_off(relief, plain):
     every = np.arange(48 * 32)
     near = TexelHorizons(relief)
@@ -120,6 +131,7 @@ def test_a_material_read_between_listed_texels_is_read_between_all(relief, plain
     np.testing.assert_allclose(found, sampler.extra(plain.bounced, (u, v)), atol=1e-6)
 
 
+@pytest.mark.usefixtures("form")
 def test_directions_that_are_left_out_of_the_sky_are_clear(relief, plain):
     """What is hidden is the same whether all directions are looked at or the low ones alone."""
     (u, v), generator = scattered(600)
@@ -134,7 +146,7 @@ def test_directions_that_are_left_out_of_the_sky_are_clear(relief, plain):
     facing = n_dot_v > 0.0
     assert facing.mean() > 0.9
     lobe = lobe_of(sample, to_view, n_dot_v)
-    horizon = horizon_test(plain.tangents, texel)
+    horizon = HorizonTest(plain.tangents, texel)
     steepest = np.maximum(plain.tangents[texel].max(axis=-1), 0.0)
     highest = (steepest / np.hypot(1.0, steepest) + 1e-5).astype(np.float32)
     for whole, some in zip(
@@ -176,9 +188,8 @@ def test_the_parts_of_a_light_weigh_what_they_measure():
     light = RectangleLight((0.0, 0.0, 300.0), (0.0, 0.0, -1.0), size=(1.0, 1.0))
     zero = np.zeros((1, 1), dtype=np.float32)
     weights = np.zeros((4, 4))
-    for node in area.nodes(light, (zero, zero, zero), None, 12, parts=True):
-        row, column = (int(4 * place) for place in node.place)
-        weights[row, column] += float(node.received[0, 0])
+    for node in area.nodes(light, area.rule(light, 12, parts=True), (zero, zero, zero), None):
+        weights[divmod(node.cell, 4)] += float(node.received[0, 0])
     np.testing.assert_allclose(weights, weights.mean(), rtol=1e-4)
 
 
@@ -192,6 +203,7 @@ def difference(maps, scene):
 
 
 @pytest.mark.parametrize("name", SCENES)
+@pytest.mark.usefixtures("form")
 def test_the_named_scenes_are_what_everything_makes_them(name):
     film = Film(80, 60, exposure=SCENES[name].film.exposure)
     scene = Scene(film, SCENES[name].camera, SCENES[name].surface, SCENES[name].lights)
@@ -199,6 +211,19 @@ def test_the_named_scenes_are_what_everything_makes_them(name):
     off, planned = difference(maps, scene)
     assert np.abs(off).max() <= 1.0
     assert all(0.0 <= step.share <= 1.0 for step in planned.plan.steps)
+
+
+@pytest.mark.usefixtures("form")
+@pytest.mark.parametrize("seed", range(3))
+def test_a_large_light_that_sets_behind_bumps_is_what_everything_makes_it(seed):
+    """Half a tolerance: two coarse rules for the same edge would be off by three times that."""
+    maps = bumpy(64, 64, seed=seed, relief=0.05)
+    maps.roughness.mul_(0.6)
+    light = RectangleLight(
+        (-1.6, 0.3, 0.5), (1.6, -0.3, -0.5), size=(1.2, 1.2), radiance=(4.0,) * 3
+    )
+    off, _ = difference(maps, Scene(Film(48, 48), None, Surface(size=None), (light,)))
+    assert np.abs(off).max() <= 0.5
 
 
 @pytest.mark.parametrize("kind", ["plane", "sphere"])

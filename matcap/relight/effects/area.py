@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -35,10 +36,10 @@ RULES = {1: 3, 2: 4, 3: 6, 4: 8, 5: 12, 6: 16}
 # Points of the rule to the angle of a lobe, alpha: measured errors stay below 4e-4.
 _DENSITY = 1.5
 # The same pixel by pixel, where errors may be as large as a share of the tolerance: points to a
-# lobe's width, to the angle of the light, and for where it sets; how far the microfacet turns.
-# Measured on leather between softboxes, without shadows: with three quarters of these, no code is
-# off by more than 0.4 of half a step.
-_RATE, _SPREAD, _EDGE, _TURN = 1.0, 2.0, 6.0, 0.6
+# lobe's width and to the angle of the light; how far the microfacet turns. Measured on leather
+# between softboxes, without shadows: with three quarters of these, no code is off by more than 0.4
+# of half a step.
+_RATE, _SPREAD, _TURN = 1.0, 2.0, 0.6
 
 
 @dataclass(frozen=True)
@@ -49,13 +50,31 @@ class Node:
         to_light: unit vector in the material's frame.
         received: irradiance on a surface facing it, for radiance 1.
         distance: to the light.
-        place: (across, along) in [0, 1], where on the light the point is.
+        cell: which of the light's parts the point is in.
     """
 
     to_light: Vec
     received: Array
     distance: Array
-    place: tuple[float, float]
+    cell: int
+
+
+@dataclass(frozen=True, eq=False)
+class Rule:
+    """Points of a light, (N,) arrays.
+
+    Attributes:
+        places: of a rectangle: x, y and z in the scene. Of a sphere: how far from the middle of
+            the cap that shows, in [0, 1] of what its height is, and cosine and sine of the turn.
+        weights: of a rectangle they add up to 1, of a sphere's cap to 2 pi.
+        cell: which part of the light each is in: of 4 x 4, or of 2 rings of 8.
+        cells: how many parts there are.
+    """
+
+    places: tuple[Array, Array, Array]
+    weights: Array
+    cell: Array
+    cells: int = 16
 
 
 def bound(facts: Facts) -> Bound:
@@ -112,12 +131,16 @@ def rules(
     normal: Vec,
     alpha: Array,
     n_dot_v: Array,
-) -> Array:
+) -> tuple[Array, Array]:
     """Which of RULES each pixel needs, or 7 as plain_rules(); 0 where the light is below.
 
     Away from its peak a lobe changes no faster than its distance from there lets it: GGX is
     (alpha^2 + t^2)^-2 in the tangent t between normal and microfacet, whose nearest singularity
-    is that far off the light's range of t.
+    is that far off the light's range of t. Where the light sets what it gives has an edge, which
+    no rule of few points meets: there it is plain_rules().
+
+    Returns:
+        The numbers, and where the light sets.
 
     Args:
         light: the light.
@@ -136,15 +159,14 @@ def rules(
     # The microfacet turns half as far as the light, and a little more at grazing views.
     clear = np.tan(np.clip(away - angle * np.float32(_TURN), np.float32(0.0), np.float32(1.5)))
     sharp = np.sqrt(alpha * alpha + clear * clear)
-    # Where the light sets behind the normal, or the surface, what it gives has an edge.
+    # Where the light sets behind the normal, or the surface.
     sine = np.sin(np.minimum(angle, np.float32(math.pi / 2.0)))
     lowest = np.minimum(n_dot_l, to_light[2])
-    edge = lowest < sine
+    sets = lowest < sine
     needed = 2.0 + np.float32(_RATE) * angle / sharp + np.float32(_SPREAD) * angle
-    needed += np.float32(_EDGE) * edge
     plain = plain_rules(light, distance, alpha)
-    number = np.where(plain > len(RULES), plain, np.minimum(_number(needed), len(RULES)))
-    return np.where(lowest < -sine, 0, number)
+    number = np.where(sets | (plain > len(RULES)), plain, np.minimum(_number(needed), plain))
+    return np.where(lowest < -sine, 0, number), sets
 
 
 def lowest(light: AreaLight, distance: Array, to_light: Vec) -> Array:
@@ -159,14 +181,12 @@ def _half(light: AreaLight) -> float:
     return light.radius if isinstance(light, SphereLight) else math.hypot(*light.size) / 2.0
 
 
-def nodes(
-    light: AreaLight, point: Vec, frame: Frame | None, order: int, *, parts: bool = False
-) -> Iterator[Node]:
+@lru_cache(maxsize=64)
+def rule(light: AreaLight, order: int, *, parts: bool = False) -> Rule:
     """The points of a rule of some order.
 
     Args:
         light: the light.
-        point, frame: of a block.
         order: points along a side.
         parts: make each of the 16 parts of which shadows are known weigh what it measures; the
             order is then a multiple of 4.
@@ -175,22 +195,43 @@ def nodes(
     x, weights = np.polynomial.legendre.leggauss(order // pieces)
     x = ((x + 1.0) / 2.0 + np.arange(pieces)[:, None]).ravel() / pieces
     weights = np.tile(weights / (2.0 * pieces), pieces)
-    if isinstance(light, RectangleLight):
-        yield from _rectangle(light, point, frame, x, weights)
-    else:
-        yield from _sphere(light, point, frame, x, weights)
+    if isinstance(light, SphereLight):
+        turns = 2 * len(x)
+        i, turn = (grid.ravel() for grid in np.mgrid[: len(x), :turns])
+        angle = 2.0 * math.pi * (turn + 0.5 * (i % 2)) / turns
+        places = x[i], np.cos(angle), np.sin(angle)
+        return Rule(places, 2.0 * math.pi * weights[i] / turns, _cells(x[i], turn / turns, 2, 8))
+    across, along, _ = _axes(light)
+    a, b = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
+    one, two = (a - 0.5) * light.size[0], (b - 0.5) * light.size[1]
+    px, py, pz = (light.position[k] + across[k] * one + along[k] * two for k in range(3))
+    return Rule((px, py, pz), np.outer(weights, weights).ravel(), _cells(a, b, 4, 4))
+
+
+def _cells(first: Array, second: Array, rows: int, columns: int) -> Array:
+    """Which of the light's parts points of [0, 1] x [0, 1] belong to."""
+    row = np.minimum((first * rows).astype(np.intp), rows - 1)
+    cell: Array = row * columns + np.minimum((second * columns).astype(np.intp), columns - 1)
+    return cell
+
+
+def nodes(light: AreaLight, rule: Rule, point: Vec, frame: Frame | None) -> Iterator[Node]:
+    """The points of a rule, seen from the pixels of a block."""
+    seen = _sphere if isinstance(light, SphereLight) else _rectangle
+    yield from seen(light, rule, point, frame)  # type: ignore[arg-type]
 
 
 def centre(light: AreaLight, point: Vec, frame: Frame | None) -> Node:
     """The light as a point in its middle."""
     if isinstance(light, RectangleLight):
-        one = np.array([0.5]), np.array([1.0])
-        return next(_rectangle(light, point, frame, *one))
+        x, y, z = (np.array([c]) for c in light.position)
+        one = Rule((x, y, z), np.ones(1), np.zeros(1, dtype=np.intp))
+        return next(_rectangle(light, one, point, frame))
     offset = subtract(vec(light.position), point)
     squared = dot(offset, offset)
     inverse = 1.0 / np.sqrt(squared)
     received = np.float32(math.pi * light.radius**2) / squared
-    return Node(to_frame(scale(offset, inverse), frame), received, 1.0 / inverse, (0.5, 0.5))
+    return Node(to_frame(scale(offset, inverse), frame), received, 1.0 / inverse, 0)
 
 
 def seen_along(light: AreaLight, point: Vec, direction: Vec) -> tuple[Array, tuple[Array, Array]]:
@@ -224,37 +265,20 @@ def _axes(
 
 
 def _rectangle(
-    light: RectangleLight,
-    point: Vec,
-    frame: Frame | None,
-    x: Array,
-    weights: Array,
+    light: RectangleLight, rule: Rule, point: Vec, frame: Frame | None
 ) -> Iterator[Node]:
-    across, along, normal = _axes(light)
+    _, _, normal = _axes(light)
     area = light.size[0] * light.size[1]
-    for i, a in enumerate(x):
-        for j, b in enumerate(x):
-            place = (
-                np.asarray(light.position)
-                + across * ((a - 0.5) * light.size[0])
-                + along * ((b - 0.5) * light.size[1])
-            )
-            offset = subtract(vec(tuple(place)), point)
-            squared = dot(offset, offset)
-            inverse = 1.0 / np.sqrt(squared)
-            facing = np.maximum(-dot(offset, vec(tuple(normal))) * inverse, np.float32(0.0))
-            received = facing * np.float32(area * weights[i] * weights[j]) / squared
-            to_light = to_frame(scale(offset, inverse), frame)
-            yield Node(to_light, received, 1.0 / inverse, (float(a), float(b)))
+    for *place, weight, cell in zip(*rule.places, rule.weights, rule.cell, strict=True):
+        offset = subtract(vec((place[0], place[1], place[2])), point)
+        squared = dot(offset, offset)
+        inverse = 1.0 / np.sqrt(squared)
+        facing = np.maximum(-dot(offset, vec(tuple(normal))) * inverse, np.float32(0.0))
+        received = facing * np.float32(area * weight) / squared
+        yield Node(to_frame(scale(offset, inverse), frame), received, 1.0 / inverse, int(cell))
 
 
-def _sphere(
-    light: SphereLight,
-    point: Vec,
-    frame: Frame | None,
-    x: Array,
-    weights: Array,
-) -> Iterator[Node]:
+def _sphere(light: SphereLight, rule: Rule, point: Vec, frame: Frame | None) -> Iterator[Node]:
     offset = subtract(vec(light.position), point)
     squared = dot(offset, offset)
     inverse = 1.0 / np.sqrt(squared)
@@ -264,14 +288,10 @@ def _sphere(
     # 1 - cos of the cone's half angle, without cancellation for small lights.
     opening = sine_squared / (1.0 + np.sqrt(1.0 - sine_squared))
     distance = np.maximum(1.0 / inverse - np.float32(light.radius), np.float32(0.0))
-    turns = 2 * len(x)
-    for i, u in enumerate(x):
+    for u, c, s, weight, cell in zip(*rule.places, rule.weights, rule.cell, strict=True):
         drop = opening * np.float32(u)
         cosine = 1.0 - drop
         sine = np.sqrt(drop * (1.0 + cosine))
-        received = opening * np.float32(2.0 * math.pi * weights[i] / turns)
-        for turn in range(turns):
-            angle = 2.0 * math.pi * (turn + 0.5 * (i % 2)) / turns
-            rim = add(scale(side, math.cos(angle)), scale(other, math.sin(angle)))
-            to_light = add(scale(axis, cosine), scale(rim, sine))
-            yield Node(to_light, received, distance, (float(u), turn / turns))
+        received = opening * np.float32(weight)
+        rim = add(scale(side, float(c)), scale(other, float(s)))
+        yield Node(add(scale(axis, cosine), scale(rim, sine)), received, distance, int(cell))

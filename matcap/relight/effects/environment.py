@@ -19,11 +19,12 @@ surroundings are the same everywhere.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
+from matcap.relight import compiled
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
+from matcap.relight.effects.visibility import HorizonTest
 from matcap.relight.environment_map import Environment, Sun
 from matcap.relight.facts import WHOLE, Facts
 from matcap.relight.lobes import ggx_smith, schlick_weight
@@ -38,8 +39,6 @@ _MOST = 4181
 # How much of a direction's solid angle its lookup averages over, a side: all of it blunts smooth
 # lights, none of it misses small ones.
 _BLUR = np.float32(0.5)
-# Whether directions in the frame are clear of the relief, at all pixels of a block or at some.
-Horizon = Callable[[Vec, Array | None], Array]
 
 
 def samples_for(tolerance: float) -> int:
@@ -104,7 +103,7 @@ def specular(
     hits: Hits,
     n_dot_v: Array,
     samples: int,
-    horizon: Horizon | None = None,
+    horizon: HorizonTest | None = None,
     highest: Array | None = None,
 ) -> tuple[Array, Array]:
     """(3, ...) mirrored light, split as Schlick has it: times F0, and on its own.
@@ -115,8 +114,7 @@ def specular(
         hits: the block.
         n_dot_v: cosines of the view.
         samples: how many directions.
-        horizon: a function from directions in the frame, and pixels of the block, to whether they
-            are clear of the relief; None where nothing stands in the way.
+        horizon: of the relief; None where nothing stands in the way.
         highest: see hidden().
     """
     lobe = lobe_of(sample, hits.to_view, n_dot_v)
@@ -150,7 +148,7 @@ def specular(
 
 
 def _sunlight(
-    sun: Sun, sample: SurfaceSample, hits: Hits, n_dot_v: Array, horizon: Horizon | None
+    sun: Sun, sample: SurfaceSample, hits: Hits, n_dot_v: Array, horizon: HorizonTest | None
 ) -> tuple[Array, Array]:
     """The lobe times n.l towards a sun, and Schlick's weight."""
     to_light = to_frame(vec(sun.direction), hits.frame)
@@ -164,7 +162,7 @@ def _sunlight(
 
 
 def hidden(
-    lobe: Lobe, samples: int, horizon: Horizon | None, highest: Array | None = None
+    lobe: Lobe, samples: int, horizon: HorizonTest | None, highest: Array | None = None
 ) -> tuple[Array, Array]:
     """Share of even surroundings that surface and relief hide: times F0, and on its own.
 
@@ -176,6 +174,9 @@ def hidden(
         horizon: see specular().
         highest: sines of the highest elevations that horizons reach; directions above are clear.
     """
+    if highest is not None and compiled.kernel() is not None:
+        tangents, texel = (None, None) if horizon is None else (horizon.tangents, horizon.texel)
+        return compiled.hidden(lobe, samples, tangents, texel, highest)
     scale, bias = (np.zeros(lobe.middle[2].shape, dtype=np.float32) for _ in range(2))
     for point in lattice(samples):
         if highest is not None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from matcap.relight import compiled
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
 from matcap.relight.relief import Relief
@@ -31,7 +32,7 @@ def bound(facts: Facts) -> Bound:
 
 
 def shift(
-    relief: Relief, place: tuple[Array, Array], to_view: Vec
+    relief: Relief, place: tuple[Array, Array], to_view: Vec, *, quick: bool = False
 ) -> tuple[tuple[Array, Array], Array]:
     """Where rays through `place` on the undisplaced surface meet the displaced one.
 
@@ -39,6 +40,7 @@ def shift(
         relief: the height field.
         place: (u, v) in plane units.
         to_view: unit vectors to the camera in the material's frame.
+        quick: by the compiled loop, where there is one.
 
     Returns:
         (u, v) there and the height there, float32 arrays of the block's shape.
@@ -48,13 +50,13 @@ def shift(
     # Per unit of height, how far the ray moves on the surface.
     steep = 1.0 / np.maximum(z, np.float32(0.05))
     du, dv = x * steep, y * steep
-    height = _met(relief, *(a.ravel() for a in (u, v, du, dv))).reshape(shape)
+    height = _met(relief, *(a.ravel() for a in (u, v, du, dv)), quick=quick).reshape(shape)
     u, v = u + du * height, v + dv * height
     # The secant ends near the surface; shadows must start on it.
     return (u, v), relief.at(u, v)
 
 
-def _met(relief: Relief, u: Array, v: Array, du: Array, dv: Array) -> Array:
+def _met(relief: Relief, u: Array, v: Array, du: Array, dv: Array, *, quick: bool) -> Array:
     """The heights at which rays meet the surface.
 
     Each takes as many steps as it needs itself, wherever in the picture it is, and leaves out
@@ -67,6 +69,8 @@ def _met(relief: Relief, u: Array, v: Array, du: Array, dv: Array) -> Array:
     step = span / count.astype(np.float64)
     # So many steps stay where the highest texel is known.
     near = np.maximum(np.floor((_AROUND - 2) * count / np.maximum(pace, 1e-6)), 1.0)
+    if quick and compiled.kernel() is not None:
+        return compiled.met(relief, _AROUND, (u, v), (du, dv), count, near)
     peaks = relief.peaks(_AROUND)
     rays: Array = np.arange(u.size)
     index: Array = np.zeros(u.size)

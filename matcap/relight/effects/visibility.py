@@ -11,7 +11,7 @@ once; two lookups a mirrored direction.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,23 +31,24 @@ def bound(facts: Facts) -> Bound:
     return Bound(facts.surroundings, f"horizons of up to {slope:.3g} degrees")
 
 
-def horizon_test(tangents: Array, texel: Array) -> Callable[[Vec, Array | None], Array]:
+@dataclass(frozen=True)
+class HorizonTest:
     """Whether directions in the material's frame are above the horizon of texels.
 
-    Args:
+    Attributes:
         tangents: (H W, AZIMUTHS) of the material's horizons.
         texel: index of each pixel's nearest texel.
-
-    Returns:
-        A function of directions and of which pixels they belong to, counted row by row; None is
-        all of them.
     """
-    flat = tangents.ravel()
-    base = (texel * AZIMUTHS).ravel()
 
-    def clear(direction: Vec, some: Array | None) -> Array:
+    tangents: Array
+    texel: Array
+
+    def __call__(self, direction: Vec, some: Array | None) -> Array:
+        """Of directions, and of which pixels they belong to, counted row by row; None is all."""
+        flat = self.tangents.ravel()
         x, y, z = direction
-        start = base.reshape(z.shape) if some is None else np.take(base, some)
+        texel = self.texel.reshape(z.shape) if some is None else np.take(self.texel, some)
+        start = texel * AZIMUTHS
         turn = np.arctan2(y, x) * np.float32(AZIMUTHS / (2.0 * math.pi))
         low = np.floor(turn)
         share = turn - low
@@ -57,5 +58,3 @@ def horizon_test(tangents: Array, texel: Array) -> Callable[[Vec, Array | None],
         tangent: Array = t0 + share * (flat[start + second] - t0)
         above: Array = z > tangent * np.sqrt(x * x + y * y)
         return above
-
-    return clear
