@@ -29,6 +29,7 @@ from torch import Tensor, nn
 from matcap.brdf.maps import MapSet
 from matcap.model.random_field import RandomField
 from matcap.model.regular_order import WAVE_CHANNELS
+from matcap.model.wrap import wrap
 
 CODE_SIZE = 64  # numbers; the paper's
 OUTPUTS = 6  # diffuse (3), specular, roughness, height
@@ -145,7 +146,7 @@ class ConvolutionLayer(nn.Module):
         if kernel == 1:
             return F.conv2d(features, self.convolution.weight)
         if periodic:
-            features = F.pad(features, (1, 1, 1, 1), mode="circular")
+            features = wrap(features)
             return F.conv2d(features, self.convolution.weight)
         return F.conv2d(features, self.convolution.weight, padding=1)
 
@@ -313,7 +314,7 @@ def upsample(features: Tensor, periodic: bool) -> Tensor:
     """Twice the size, bilinear; as a torus where periodic."""
     if not periodic:
         return F.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)
-    padded = F.pad(features, (1, 1, 1, 1), mode="circular")
+    padded = wrap(features)
     doubled = F.interpolate(padded, scale_factor=2, mode="bilinear", align_corners=False)
     return doubled[..., 2:-2, 2:-2]
 

@@ -1,0 +1,36 @@
+"""A border of one texel from the opposite side: convolutions and upsampling on a torus.
+
+The same numbers as torch.nn.functional.pad(mode="circular"), whose way back copies the whole
+gradient once for every side.
+"""
+
+from __future__ import annotations
+
+import torch.nn.functional as F
+from torch import Tensor
+from torch.autograd.function import Function, FunctionCtx, once_differentiable
+
+
+def wrap(features: Tensor) -> Tensor:
+    """(B, C, H + 2, W + 2) of a torus (B, C, H, W)."""
+    # torch leaves apply untyped.
+    wrapped: Tensor = _Wrap.apply(features)  # type: ignore[no-untyped-call]
+    return wrapped
+
+
+class _Wrap(Function):
+    @staticmethod
+    def forward(ctx: FunctionCtx, features: Tensor) -> Tensor:
+        return F.pad(features, (1, 1, 1, 1), mode="circular")
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: FunctionCtx, gradient: Tensor) -> Tensor:
+        """What a border texel is told goes to the texel it is a copy of."""
+        rows = gradient[..., 1:-1, :].clone()
+        rows[..., 0, :] += gradient[..., -1, :]
+        rows[..., -1, :] += gradient[..., 0, :]
+        texels = rows[..., 1:-1]
+        texels[..., 0] += rows[..., -1]
+        texels[..., -1] += rows[..., 0]
+        return texels
