@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.brdf.maps import MapSet
 from matcap.capture.coarse import fit_coarse
 from matcap.capture.start import log_contrast
 from matcap.errors import MatcapError
@@ -34,6 +35,7 @@ LONG_SIDE = 1024  # of the pack's pictures
 _MOST_TILT = math.radians(15.0)
 _KIND_SHARE = 0.6  # of the simulated photographs, as in the inverse network's training
 _PACK_TILT = math.radians(4.0)  # deviation, of photographs meant to be taken from straight above
+_SIMULATED = "simulated_"  # names of simulated photographs begin so, and end with their seed
 
 
 @dataclass(frozen=True)
@@ -104,14 +106,45 @@ def read(path: Path) -> Entry:
 def simulate(seed: int, *, deviation: float = _PACK_TILT) -> Entry:
     """Pack one simulated photograph; a seed is a material and a shot of it."""
     code, camera, setup = simulated_code(seed, deviation=deviation)
-    name = f"simulated_{seed}"
+    name = f"{_SIMULATED}{seed}"
     return entry(name, name, code, camera.fov, tilt=setup.tilt)
+
+
+def true_piece(entry: Entry, side: int) -> MapSet | None:
+    """Maps of `side` texels of what a simulated photograph of the pack shows, at WAVE_DETAIL.
+
+    None for a real photograph. They are a piece of the same material as the pack's picture, which
+    is all that statistics ask for, not texel for texel what it shows.
+
+    Raises:
+        MatcapError: the pack was built by another version, whose seeds were other materials.
+    """
+    if not entry.simulated:
+        return None
+    seed = entry.name.removeprefix(_SIMULATED)
+    scene = scene_of(int(seed)) if seed.isdecimal() else None
+    if scene is None or scene[2].tilt != entry.tilt:
+        raise MatcapError(
+            "this simulated photograph is of another version, and its true maps are not known",
+            where=entry.name,
+            remedy="build the pack again with `matcap prior corpus`, or train with relit = 0",
+        )
+    return scene[0].realise(side, side, int(seed), 2.0 / WAVE_DETAIL)
 
 
 def simulated_code(
     seed: int, *, deviation: float = _PACK_TILT
 ) -> tuple[NDArray[np.uint8], PhoneCamera, FlashSetup]:
     """A simulated photograph (H, W, 3) uint8 BGR, the camera and the flash; see simulate."""
+    material, camera, setup = scene_of(seed, deviation)
+    shot = take(lambda w, h, texel: material.realise(w, h, seed, texel), camera, setup)
+    return srgb_bytes(expose(shot, seed)), camera, setup
+
+
+def scene_of(
+    seed: int, deviation: float = _PACK_TILT
+) -> tuple[RandomMaterial | RandomKind, PhoneCamera, FlashSetup]:
+    """What is photographed, with which camera, and how it is held."""
     rng = np.random.default_rng([20212, seed])
     material = material_of(seed, rng)
     camera = PhoneCamera(
@@ -124,9 +157,7 @@ def simulated_code(
         brightness=float(rng.uniform(0.15, 0.32)),
         clipped=float(rng.uniform(0.0, 0.04)),
     )
-    setup = random_setup(rng, deviation)
-    shot = take(lambda w, h, texel: material.realise(w, h, seed, texel), camera, setup)
-    return srgb_bytes(expose(shot, seed)), camera, setup
+    return material, camera, random_setup(rng, deviation)
 
 
 def material_of(seed: int, rng: np.random.Generator) -> RandomMaterial | RandomKind:

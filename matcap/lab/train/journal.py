@@ -17,12 +17,13 @@ from matcap.files.srgb import srgb_decode_tensor, srgb_picture
 from matcap.lab.train.pack import Entry, Pack
 from matcap.lab.train.precision import mixed
 from matcap.lab.train.state import TrainConfig, TrainingState
-from matcap.lab.train.step import MARGIN, compare, fields, read_maps, targets
+from matcap.lab.train.step import compare, decode_windows, targets
 from matcap.lab.train.training_windows import PreparedPhotograph, TrainingSample, Turn, cut
 from matcap.statistics.compare import Descriptor
 from matcap.statistics.filterbank import FilterBank
 
-_COLUMNS = ("step", "seconds", "style", "kl", "slope", "held_out")
+_COLUMNS = ("step", "seconds", "style", "kl", "slope", "relit", "held_out")
+_NOTED = _COLUMNS[2:-1]  # parts of the loss
 _SHOWN = 6  # materials of each kind on the sheet
 _SEED = 77
 
@@ -67,19 +68,18 @@ class Journal:
             for sample in samples:
                 wanted = targets([sample], bank, device)
                 code = encode(state, sample, wanted[0], device)
-                found, _ = compare(
-                    state.average.decoder, code, [sample], wanted, _SEED, bank, device
-                )
+                maps = decode_windows(state.average.decoder, code, [sample], _SEED, device)
+                found, _ = compare(maps, [sample], wanted, bank, device)
                 losses.append(float(torch.log1p(found)))
             shown = samples[:_SHOWN]
             shown += [cut_plain(source(e), config.window, 1, rng) for e in seen]
             for sample in shown:
                 pictures.append(_pair(state, sample, bank, device))
-        row = {k: float(np.mean([n[k] for n in self._notes])) for k in self._notes[0]}
+        row = {k: _mean([n[k] for n in self._notes if k in n]) for k in _NOTED}
         row |= {
             "step": float(state.step),
             "seconds": self._before + time.monotonic() - self._started,
-            "held_out": float(np.mean(losses)) if losses else float("nan"),
+            "held_out": _mean(losses),
         }
         self._notes = []
         self._rows.append(row)
@@ -91,6 +91,10 @@ class Journal:
         cv2.imwrite(str(self._out / "curves.png"), plot(self._rows))
         if pictures:
             cv2.imwrite(str(self._out / "sheet.png"), np.hstack(pictures))
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")
 
 
 def first_of_each(entries: Sequence[Entry]) -> list[Entry]:
@@ -122,13 +126,9 @@ def _pair(
     state: TrainingState, sample: TrainingSample, bank: FilterBank, device: str
 ) -> np.ndarray:
     """A window of a photograph above what the prior makes of it."""
-    size = sample.linear.shape[-1]
     code = encode(state, sample, targets([sample], bank, device)[0], device)
     sample = sample.to(device)
-    field = fields(state.average.decoder.config, [sample.waves], size, 7, device)
-    output = state.average.decoder(field, code)
-    inner = output[..., MARGIN : MARGIN + size, MARGIN : MARGIN + size]
-    maps = read_maps(inner, sample.base, sample.texel_size)
+    (maps,) = decode_windows(state.average.decoder, code, [sample], 7, device)
     height = maps.height[0] / sample.texel_size
     rows = [
         sample.linear[0],

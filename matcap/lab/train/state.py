@@ -30,6 +30,7 @@ class TrainConfig:
         kl: weight of the KL term, per dimension of the code.
         kl_warmup: steps until it counts in full.
         slope: weight of the mean squared slope.
+        relit: weight of the second teacher (second_teacher.py); 0 leaves it out.
         average: decay of the running mean of the weights, which is what is shipped.
         seed: of everything random.
         checkpoint_minutes: between checkpoints.
@@ -49,6 +50,7 @@ class TrainConfig:
     kl: float = 0.03
     kl_warmup: int = 1000
     slope: float = 0.02
+    relit: float = 0.0
     average: float = 0.998
     seed: int = 1
     checkpoint_minutes: float = 4.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -12,6 +13,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.prior.base import Base
 from matcap.capture.prior.look import texture
 from matcap.lab.train.precision import mixed
+from matcap.lab.train.second_teacher import relief_distance, relit_distance, side_light
 from matcap.lab.train.state import TrainConfig, TrainingState
 from matcap.lab.train.training_windows import TrainingSample
 from matcap.model.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw
@@ -27,6 +29,7 @@ from matcap.statistics.lattice import Wave
 
 MARGIN = 16  # texels cut off each side of what is decoded: its border is not valid
 
+_RELIEF = 0.25  # of relief_distance beside the style of what is relit
 _MOST_SLOPE = 1.0  # of a surface, root mean square at a texel, before it is held back hard
 
 
@@ -53,12 +56,16 @@ def train_step(
     generator = torch.Generator().manual_seed(noise_seed)
     drawn = torch.randn(mean.shape, generator=generator).to(device)
     code = mean + torch.exp(0.5 * log_variance) * drawn
-    losses, slopes = compare(state.model.decoder, code, samples, wanted, noise_seed, bank, device)
+    maps = decode_windows(state.model.decoder, code, samples, noise_seed, device)
+    losses, slopes = compare(maps, samples, wanted, bank, device)
     kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()
     warm = min(1.0, state.step / max(1, config.kl_warmup))
     # The logarithm keeps one plain material, whose faint statistics are easily missed by a large
     # factor, from drowning the others.
     loss = torch.log1p(losses).mean() + config.kl * warm * kl + config.slope * slopes.mean()
+    relit = taught(maps, samples, noise_seed, bank, device) if config.relit else None
+    if relit is not None:
+        loss = loss + config.relit * relit.sum() / len(samples)
     state.optimiser.zero_grad(set_to_none=True)
     loss.backward()
     nn.utils.clip_grad_norm_(state.model.parameters(), 1.0)
@@ -69,6 +76,8 @@ def train_step(
         for kept, new in zip(state.average.parameters(), state.model.parameters(), strict=True):
             kept.lerp_(new, 1.0 - decay)
     parts = {"style": torch.log1p(losses).mean(), "kl": kl, "slope": slopes.mean()}
+    if relit is not None:
+        parts["relit"] = relit.mean()
     return {name: float(value.detach()) for name, value in parts.items()}
 
 
@@ -83,30 +92,55 @@ def targets(samples: Sequence[TrainingSample], bank: FilterBank, device: str) ->
         return [describe(s.linear.to(device), s.encoding, bank) for s in samples]
 
 
+def decode_windows(
+    decoder: Decoder, code: Tensor, samples: Sequence[TrainingSample], seed: int, device: str
+) -> list[MapSet]:
+    """Maps (1, C, S, S) that a decoder makes of codes (B, CODE_SIZE), in units of each base."""
+    size = samples[0].linear.shape[-1]
+    field = fields(decoder.config, [s.waves for s in samples], size, seed, device)
+    inside = slice(MARGIN, MARGIN + size)
+    maps = []
+    # One material after another: together they would be taken apart again by every AdaIN.
+    for index, sample in enumerate(samples):
+        one = RandomField(field.noise[index, None], tuple(w[index, None] for w in field.waves))
+        with mixed(device):
+            output = decoder(one, code[index])[..., inside, inside]
+        maps.append(read_maps(output, sample.to(device).base, sample.texel_size))
+    return maps
+
+
 def compare(
-    decoder: Decoder,
-    code: Tensor,
+    maps: Sequence[MapSet],
     samples: Sequence[TrainingSample],
     wanted: Sequence[Descriptor],
-    seed: int,
     bank: FilterBank,
     device: str,
 ) -> tuple[Tensor, Tensor]:
     """(B,) style distances of decoded materials from their windows, and (B,) slope penalties."""
-    size = samples[0].linear.shape[-1]
-    field = fields(decoder.config, [s.waves for s in samples], size, seed, device)
-    with mixed(device):
-        output = decoder(field, code)
-    inner = output[..., MARGIN : MARGIN + size, MARGIN : MARGIN + size]
-    losses, slopes = [], []
-    for index, sample in enumerate(samples):
-        sample = sample.to(device)
-        maps = read_maps(inner[index : index + 1], sample.base, sample.texel_size)
+    losses = []
+    for one, sample, target in zip(maps, samples, wanted, strict=True):
         with mixed(device):
-            found = describe(sample.render(maps), sample.encoding, bank)
-        losses.append(distance(found, wanted[index], Weights()).mean())
-        slopes.append(slope_penalty(maps))
-    return torch.stack(losses), torch.stack(slopes)
+            found = describe(sample.to(device).render(one), sample.encoding, bank)
+        losses.append(distance(found, target, Weights()).mean())
+    return torch.stack(losses), torch.stack([slope_penalty(one) for one in maps])
+
+
+def taught(
+    maps: Sequence[MapSet],
+    samples: Sequence[TrainingSample],
+    seed: int,
+    bank: FilterBank,
+    device: str,
+) -> Tensor | None:
+    """(N,) losses beside the true maps of the samples that have them; None where none has."""
+    rng = np.random.default_rng([seed, 1])
+    losses = []
+    for one, sample in zip(maps, samples, strict=True):
+        light, truth = side_light(rng), sample.to(device).truth
+        if truth is not None:
+            relit = relit_distance(one, truth, light, sample.encoding, bank, device)
+            losses.append((torch.log1p(relit) + _RELIEF * relief_distance(one, truth))[0])
+    return torch.stack(losses) if losses else None
 
 
 def read_maps(output: Tensor, base: Base, texel_size: float) -> MapSet:

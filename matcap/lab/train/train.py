@@ -22,12 +22,15 @@ import numpy as np
 from matcap.capture.prior.look import FEATURES
 from matcap.capture.prior.store import Prior
 from matcap.lab.train.checkpoint import load_checkpoint, save_checkpoint
+from matcap.lab.train.corpus import true_piece
 from matcap.lab.train.journal import Journal
 from matcap.lab.train.pack import Entry, Pack
 from matcap.lab.train.state import TrainConfig, TrainingState, start, start_from
 from matcap.lab.train.step import train_step
 from matcap.lab.train.training_windows import PreparedPhotograph, Turn, cut, prepare
 from matcap.statistics.filterbank import FilterBank
+
+_PIECE = 512  # texels a side of the true maps that windows are cut from
 
 
 def train(
@@ -56,7 +59,8 @@ def train(
 
     def source(entry: Entry) -> PreparedPhotograph:
         if entry.name not in sources:
-            sources[entry.name] = prepare(entry, config.encoder.width)
+            truth = true_piece(entry, _PIECE) if config.relit else None
+            sources[entry.name] = prepare(entry, config.encoder.width, truth)
         return sources[entry.name]
 
     bank = FilterBank(FEATURES)

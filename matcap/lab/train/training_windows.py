@@ -64,6 +64,7 @@ class PreparedPhotograph:
         picture: (5, h, w) what the encoder sees.
         encoding: the photograph's.
         entry: what the pack says.
+        truth: maps of the same material where it was simulated, or None.
     """
 
     linear: Tensor
@@ -71,14 +72,18 @@ class PreparedPhotograph:
     picture: Tensor
     encoding: Encoding
     entry: Entry
+    truth: MapSet | None = None
 
 
-def prepare(entry: Entry, encoder_width: int) -> PreparedPhotograph:
-    """Decode and rectify a photograph of the pack."""
+def prepare(entry: Entry, encoder_width: int, truth: MapSet | None = None) -> PreparedPhotograph:
+    """Decode and rectify a photograph of the pack; keep the maps of its material, if known."""
     photo = entry.photo()
     plane = read_plane(photo, entry.coarse.setup, WAVE_DETAIL)
     shown = picture(photo, encoder_width)
-    return PreparedPhotograph(plane.linear.half(), plane.valid, shown, plane.encoding, entry)
+    return PreparedPhotograph(
+        plane.linear.half(), plane.valid, shown, plane.encoding, entry,
+        None if truth is None else truth.map(Tensor.float),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -95,6 +100,7 @@ class TrainingSample:
         camera, light, intensity: (3,) each, plane frame.
         encoding: of the photograph, its colours permuted like the windows'.
         texel_size: in plane units.
+        truth: (1, C, S, S) maps of another piece of the same material, or None.
     """
 
     picture: Tensor
@@ -109,6 +115,7 @@ class TrainingSample:
     intensity: Tensor
     encoding: Encoding
     texel_size: float
+    truth: MapSet | None = None
 
     def to(self, device: str) -> TrainingSample:
         """The same sample on a device."""
@@ -121,6 +128,7 @@ class TrainingSample:
             camera=self.camera.to(device),
             light=self.light.to(device),
             intensity=self.intensity.to(device),
+            truth=None if self.truth is None else self.truth.map(lambda m: m.to(device)),
         )
 
     def render(self, maps: MapSet) -> Tensor:
@@ -189,7 +197,29 @@ def cut(
         intensity=torch.tensor(setup.intensity),
         encoding=Encoding(source.encoding.median, source.encoding.matrix[:, order]),
         texel_size=2.0 * coarser / width,
+        truth=_true_window(source.truth, size, coarser, turn, rng, order, gain),
     )
+
+
+def _true_window(
+    truth: MapSet | None,
+    size: int,
+    coarser: int,
+    turn: Turn,
+    rng: np.random.Generator,
+    order: Tensor,
+    gain: Tensor,
+) -> MapSet | None:
+    """A window of true maps, moved and coloured like the photograph's windows."""
+    if truth is None:
+        return None
+    span = size * coarser
+    x, y = (int(rng.integers(0, side - span + 1)) for side in truth.size)
+    maps = truth.stacked()[None, :, y : y + span, x : x + span]
+    maps = turn.image(F.avg_pool2d(maps, coarser) if coarser > 1 else maps)
+    diffuse = (maps[:, order] * gain[:, None, None]).clamp_max(1.0)
+    stacked = torch.cat([diffuse, maps[:, 3:]], dim=1)
+    return MapSet.from_stacked(stacked, truth.texel_size * coarser)
 
 
 def _turned_numbers(told: Tensor, turn: Turn) -> tuple[Tensor, Tensor]:

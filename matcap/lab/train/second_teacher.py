@@ -1,0 +1,89 @@
+"""The second teacher: true maps of simulated materials, lit from where no flash is.
+
+A flash beside the lens shows relief so faintly that, where a decoder cannot place it right, none
+costs it less than some. Under a light from the side relief is most of the picture; and how strong
+it is, octave by octave, is asked for outright, in logarithms, which are steepest where there is
+none.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.flash.render import shade
+from matcap.lab.train.precision import mixed
+from matcap.statistics.compare import Weights, describe, distance
+from matcap.statistics.encoding import Encoding
+from matcap.statistics.filterbank import FilterBank
+
+_LOWEST, _HIGHEST = math.radians(30.0), math.radians(70.0)  # of the light, from the normal
+_OCTAVES = 5  # in which relief is compared, the finest one texel's
+_UNSEEN = 0.02  # root-mean-square slope below which a surface is flat to the eye
+_FAR = 100.0  # plane units: camera and light, so far that their rays are parallel
+
+
+def side_light(rng: np.random.Generator) -> Tensor:
+    """(3,) place of a far light, from any side, between 30 and 70 degrees off the normal."""
+    azimuth, angle = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(_LOWEST, _HIGHEST)
+    direction = (
+        math.sin(angle) * math.cos(azimuth),
+        math.sin(angle) * math.sin(azimuth),
+        math.cos(angle),
+    )
+    return _FAR * torch.tensor(direction)
+
+
+def relit_distance(
+    found: MapSet, truth: MapSet, light: Tensor, encoding: Encoding, bank: FilterBank, device: str
+) -> Tensor:
+    """(B,) style distance of maps (B, C, H, W) from true ones, seen from above under a far light.
+
+    Each is exposed for itself, to the photograph's middle: how bright a surface is and how bright
+    the flash was cannot be told apart in a photograph, and are not asked for here.
+    """
+    with torch.no_grad(), mixed(device):
+        wanted = describe(_exposed(truth, light, encoding), encoding, bank)
+    with mixed(device):
+        seen = describe(_exposed(found, light, encoding), encoding, bank)
+    return distance(seen, wanted, Weights())
+
+
+def relief_distance(found: MapSet, truth: MapSet) -> Tensor:
+    """(B,) mean over octaves of how far apart slopes are, in logarithms of their variance."""
+    apart = [
+        ((ours + _UNSEEN**2) / (theirs + _UNSEEN**2)).log().abs()
+        for ours, theirs in zip(_slopes(found), _slopes(truth), strict=True)
+    ]
+    return torch.stack(apart).mean(0)
+
+
+def _slopes(maps: MapSet) -> list[Tensor]:
+    """(B,) mean squared slope of a height that is made coarser octave by octave."""
+    height = maps.height / maps.texel_size
+    found = []
+    for octave in range(_OCTAVES):
+        step = 2.0**octave
+        across, down = height.diff(dim=-1) / step, height.diff(dim=-2) / step
+        found.append(across.square().mean((-3, -2, -1)) + down.square().mean((-3, -2, -1)))
+        height = F.avg_pool2d(height, 2)
+    return found
+
+
+def _exposed(maps: MapSet, light: Tensor, encoding: Encoding) -> Tensor:
+    """(B, 3, H, W) a view whose median is what counts as the photograph's middle grey."""
+    view = _lit(maps, light)
+    return view * (encoding.median / view.detach().mean(1).median().clamp_min(1e-6))
+
+
+def _lit(maps: MapSet, light: Tensor) -> Tensor:
+    """(B, 3, H, W) radiance of maps under a far light, seen from straight above."""
+    points = torch.zeros_like(maps.diffuse)
+    camera = torch.tensor([0.0, 0.0, _FAR]).to(points)
+    intensity = torch.full((3,), _FAR**2).to(points)
+    return shade(maps, points, camera, light.to(points), intensity)
