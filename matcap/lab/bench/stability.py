@@ -119,7 +119,7 @@ def markdown(rows: Sequence[Row], command: str) -> str:
         "",
         f"    {command}",
         "",
-        "| case | draws | non-finite values | gradients, or steps taken back | worst error | where |",
+        "| case | draws | non-finite values | gradients, or steps back | worst error | where |",
         "|---|---:|---:|---:|---|---|",
     ]
     lines += [

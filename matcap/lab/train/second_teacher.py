@@ -58,21 +58,40 @@ def relief_distance(found: MapSet, truth: MapSet) -> Tensor:
     """(B,) mean over octaves of how far apart slopes are, in logarithms of their variance."""
     apart = [
         ((ours + _UNSEEN**2) / (theirs + _UNSEEN**2)).log().abs()
-        for ours, theirs in zip(_slopes(found), _slopes(truth), strict=True)
+        for ours, theirs in zip(_octaves(found), _octaves(truth), strict=True)
     ]
     return torch.stack(apart).mean(0)
 
 
-def _slopes(maps: MapSet) -> list[Tensor]:
-    """(B,) mean squared slope of a height that is made coarser octave by octave."""
+def comb(maps: MapSet) -> Tensor:
+    """(B,) share of slopes that lies beyond what normals show, where that is more than half.
+
+    Normals are central differences, which do not see a height that goes up and down with every
+    texel: nothing but this keeps it from doing so. Above 0 where most of the slopes' variance is
+    finer than four texels, 1 for such a comb.
+    """
+    between, shown = _between(maps.height / maps.texel_size), _shown(maps)
+    return torch.relu(between - 2.0 * shown) / (between + _UNSEEN**2)
+
+
+def _octaves(maps: MapSet) -> list[Tensor]:
+    """(B,) mean squared slopes: as normals show them, between texels, and octave by octave."""
     height = maps.height / maps.texel_size
-    found = []
+    found = [_shown(maps)]
     for octave in range(_OCTAVES):
-        step = 2.0**octave
-        across, down = height.diff(dim=-1) / step, height.diff(dim=-2) / step
-        found.append(across.square().mean((-3, -2, -1)) + down.square().mean((-3, -2, -1)))
+        found.append(_between(height) / 4.0**octave)
         height = F.avg_pool2d(height, 2)
     return found
+
+
+def _shown(maps: MapSet) -> Tensor:
+    normal = maps.normal
+    return (normal[..., :2, :, :] / normal[..., 2:, :, :]).square().sum(-3).mean((-2, -1))
+
+
+def _between(height: Tensor) -> Tensor:
+    across, down = height.diff(dim=-1), height.diff(dim=-2)
+    return across.square().mean((-3, -2, -1)) + down.square().mean((-3, -2, -1))
 
 
 def _exposed(maps: MapSet, light: Tensor, encoding: Encoding) -> Tensor:

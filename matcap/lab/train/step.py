@@ -13,7 +13,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.prior.base import Base
 from matcap.capture.prior.look import texture
 from matcap.lab.train.precision import mixed
-from matcap.lab.train.second_teacher import relief_distance, relit_distance, side_light
+from matcap.lab.train.second_teacher import comb, relief_distance, relit_distance, side_light
 from matcap.lab.train.state import TrainConfig, TrainingState
 from matcap.lab.train.training_windows import TrainingSample
 from matcap.model.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw
@@ -149,11 +149,11 @@ def read_maps(output: Tensor, base: Base, texel_size: float) -> MapSet:
 
 
 def slope_penalty(maps: MapSet) -> Tensor:
-    """Mean squared slope, and much more where slopes exceed what a flash can show."""
+    """Mean squared slope, and much more for slopes steeper or finer than a picture can show."""
     normal = maps.normal
     squared = (normal[..., :2, :, :] / normal[..., 2:, :, :]).square().sum(-3)
     steep = torch.relu((squared + 1e-6).sqrt() - _MOST_SLOPE).square().mean()
-    return squared.mean() + 15.0 * steep
+    return squared.mean() + 15.0 * steep + 25.0 * comb(maps).mean()
 
 
 def fields(

@@ -11,7 +11,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.prior.look import FEATURES
 from matcap.errors import MatcapError
 from matcap.lab.train.corpus import simulate, true_piece
-from matcap.lab.train.second_teacher import relief_distance, relit_distance, side_light
+from matcap.lab.train.second_teacher import comb, relief_distance, relit_distance, side_light
 from matcap.lab.train.state import TrainConfig
 from matcap.lab.train.train import train
 from matcap.lab.train.training_windows import Turn, cut, prepare
@@ -73,6 +73,16 @@ def test_relief_is_compared_octave_by_octave():
     squared = (truth.height / truth.texel_size).diff(dim=-1).square().mean()
     rough = replace(fine, height=(squared / 2.0).sqrt() * fine.texel_size * noise)
     assert float(relief_distance(rough, truth)) > 0.4  # as steep at its finest, not beyond
+
+
+def test_a_comb_is_seen_though_no_normal_shows_it():
+    truth = bumps(1, 4.0)
+    assert float(comb(truth)) == 0.0  # five texels wide
+    columns = torch.arange(truth.height.shape[-1]) % 2
+    combed = replace(truth, height=truth.height + 2.0 * truth.texel_size * columns)
+    assert float((combed.normal - truth.normal).abs()[..., 1:-1].max()) < 1e-5
+    assert float(comb(combed)) > 0.8
+    assert float(relief_distance(combed, truth)) > 0.2
 
 
 def test_relief_is_told_which_way_to_go():
