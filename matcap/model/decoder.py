@@ -86,7 +86,7 @@ class AdaIN(nn.Module):
         self.affine.bias.data[channels:] = 1.0
 
     def target(self, code: Tensor) -> Moments:
-        """Mean and deviation that a code (CODE_SIZE,) or (B, CODE_SIZE) asks for."""
+        """Mean and deviation that a code (CODE_SIZE,) asks for."""
         mean, deviation = self.affine(code).chunk(2, dim=-1)
         return mean, deviation
 
@@ -100,14 +100,10 @@ class AdaIN(nn.Module):
     def forward(self, features: Tensor, code: Tensor, moments: Moments | None) -> Tensor:
         """Move (B, C, H, W) to the code's mean and deviation.
 
-        A code (CODE_SIZE,) is one material, whose batch shares its statistics; a code
-        (B, CODE_SIZE) is B materials, each with its own. Without `moments` they are those of the
-        features themselves. PyTorch's fused batch normalisation is the same arithmetic, eight
+        The batch is one material and shares its statistics; without `moments` they are those of
+        the features themselves. PyTorch's fused batch normalisation is the same arithmetic, eight
         times as fast as its separate steps.
         """
-        if code.ndim == 2:
-            samples = zip(features.split(1), code, strict=True)
-            return torch.cat([self(sample, one, moments) for sample, one in samples])
         exact = torch.promote_types(features.dtype, torch.float32)
         mean, deviation = (target.to(exact) for target in self.target(code))
         own = variance = None
@@ -201,7 +197,7 @@ class Decoder(nn.Module):
 
         Args:
             field: noise (B, config.inputs, H, W) and order, H and W multiples of ALIGNMENT.
-            code: (CODE_SIZE,) for one material or (B, CODE_SIZE) for one a sample.
+            code: (CODE_SIZE,), of one material.
             moments: frozen statistics, one a layer; None measures them on this very field.
             periodic: wrap around the borders; otherwise the outermost texels are not valid.
         """

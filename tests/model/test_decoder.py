@@ -40,14 +40,6 @@ def test_adain_with_measured_moments_is_adain(adain, features):
     assert torch.allclose(adain(features, code, moments), adain(features, code, None), atol=1e-5)
 
 
-def test_every_code_of_a_batch_has_its_own_statistics(adain, features):
-    codes = torch.randn(2, CODE_SIZE)
-    both = adain(features, codes, None)
-    for index in range(2):
-        alone = adain(features[index : index + 1], codes[index], None)
-        assert torch.equal(both[index : index + 1], alone)
-
-
 def test_measured_moments_are_mean_and_deviation(adain, features):
     _, (mean, deviation) = adain.measured(features, torch.randn(CODE_SIZE))
     assert torch.allclose(mean, features.mean((0, 2, 3)), atol=1e-5)
