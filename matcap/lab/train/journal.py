@@ -37,7 +37,7 @@ class Journal:
         self._rows: list[dict[str, float]] = []
         if step and self._path.is_file():
             with self._path.open() as file:
-                self._rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+                self._rows = [_row(row) for row in csv.DictReader(file)]
             self._rows = [row for row in self._rows if row["step"] <= step]
         self._before = self._rows[-1]["seconds"] if self._rows else 0.0
         self._started = time.monotonic()
@@ -62,7 +62,11 @@ class Journal:
         seen = first_of_each(pack.training)[:_SHOWN]
         reserved = first_of_each(pack.reporting)
         rng = np.random.default_rng(_SEED)
-        samples = [cut_plain(source(e), config.window, config.places, rng) for e in reserved]
+
+        def window(entry: Entry, places: int) -> TrainingSample:
+            return cut_plain(source(entry), config.window, places, rng).to(device)
+
+        samples = [window(entry, config.places) for entry in reserved]
         losses, pictures = [], []
         with torch.no_grad():
             for sample in samples:
@@ -72,7 +76,7 @@ class Journal:
                 found, _ = compare(maps, [sample], wanted, bank, device)
                 losses.append(float(torch.log1p(found)))
             shown = samples[:_SHOWN]
-            shown += [cut_plain(source(e), config.window, 1, rng) for e in seen]
+            shown += [window(entry, 1) for entry in seen]
             for sample in shown:
                 pictures.append(_pair(state, sample, bank, device))
         row = {k: _mean([n[k] for n in self._notes if k in n]) for k in _NOTED}
@@ -91,6 +95,11 @@ class Journal:
         cv2.imwrite(str(self._out / "curves.png"), plot(self._rows))
         if pictures:
             cv2.imwrite(str(self._out / "sheet.png"), np.hstack(pictures))
+
+
+def _row(written: dict[str, str]) -> dict[str, float]:
+    """A row of curves; what an older version did not write is unknown."""
+    return {name: float(written.get(name, "nan")) for name in _COLUMNS}
 
 
 def _mean(values: Sequence[float]) -> float:
@@ -127,7 +136,6 @@ def _pair(
 ) -> np.ndarray:
     """A window of a photograph above what the prior makes of it."""
     code = encode(state, sample, targets([sample], bank, device)[0], device)
-    sample = sample.to(device)
     (maps,) = decode_windows(state.average.decoder, code, [sample], 7, device)
     height = maps.height[0] / sample.texel_size
     rows = [

@@ -30,6 +30,7 @@ from matcap.statistics.lattice import Wave
 MARGIN = 16  # texels cut off each side of what is decoded: its border is not valid
 
 _RELIEF = 0.25  # of relief_distance beside the style of what is relit
+_STEEP, _COMB = 15.0, 25.0  # of what is too steep and too fine, beside the mean squared slope
 _MOST_SLOPE = 1.0  # of a surface, root mean square at a texel, before it is held back hard
 
 
@@ -46,6 +47,7 @@ def train_step(
         state.optimiser.param_groups, (config.encoder_rate, config.rate), strict=True
     ):
         group["lr"] = rate * factor
+    samples = [s.to(device) for s in samples]
     pictures = torch.stack([s.picture for s in samples]).to(device)
     numbers = torch.stack([s.numbers for s in samples]).to(device)
     wanted = targets(samples, bank, device)
@@ -87,15 +89,15 @@ def schedule(step: int, steps: int) -> float:
 
 
 def targets(samples: Sequence[TrainingSample], bank: FilterBank, device: str) -> list[Descriptor]:
-    """What the windows of each sample look like."""
+    """What the windows of each sample, on the device, look like."""
     with torch.no_grad(), mixed(device):
-        return [describe(s.linear.to(device), s.encoding, bank) for s in samples]
+        return [describe(s.linear, s.encoding, bank) for s in samples]
 
 
 def decode_windows(
     decoder: Decoder, code: Tensor, samples: Sequence[TrainingSample], seed: int, device: str
 ) -> list[MapSet]:
-    """Maps (1, C, S, S) that a decoder makes of codes (B, CODE_SIZE), in units of each base."""
+    """Maps (1, C, S, S) that a decoder makes of codes (B, CODE_SIZE) for samples on the device."""
     size = samples[0].linear.shape[-1]
     field = fields(decoder.config, [s.waves for s in samples], size, seed, device)
     inside = slice(MARGIN, MARGIN + size)
@@ -105,7 +107,7 @@ def decode_windows(
         one = RandomField(field.noise[index, None], tuple(w[index, None] for w in field.waves))
         with mixed(device):
             output = decoder(one, code[index])[..., inside, inside]
-        maps.append(read_maps(output, sample.to(device).base, sample.texel_size))
+        maps.append(read_maps(output, sample.base, sample.texel_size))
     return maps
 
 
@@ -120,7 +122,7 @@ def compare(
     losses = []
     for one, sample, target in zip(maps, samples, wanted, strict=True):
         with mixed(device):
-            found = describe(sample.to(device).render(one), sample.encoding, bank)
+            found = describe(sample.render(one), sample.encoding, bank)
         losses.append(distance(found, target, Weights()).mean())
     return torch.stack(losses), torch.stack([slope_penalty(one) for one in maps])
 
@@ -136,10 +138,11 @@ def taught(
     rng = np.random.default_rng([seed, 1])
     losses = []
     for one, sample in zip(maps, samples, strict=True):
-        light, truth = side_light(rng), sample.to(device).truth
-        if truth is not None:
-            relit = relit_distance(one, truth, light, sample.encoding, bank, device)
-            losses.append((torch.log1p(relit) + _RELIEF * relief_distance(one, truth))[0])
+        light = side_light(rng)
+        if sample.truth is not None:
+            relit = relit_distance(one, sample.truth, light, sample.encoding, bank, device)
+            relief = relief_distance(one, sample.truth)
+            losses.append((torch.log1p(relit) + _RELIEF * relief)[0])
     return torch.stack(losses) if losses else None
 
 
@@ -153,7 +156,7 @@ def slope_penalty(maps: MapSet) -> Tensor:
     normal = maps.normal
     squared = (normal[..., :2, :, :] / normal[..., 2:, :, :]).square().sum(-3)
     steep = torch.relu((squared + 1e-6).sqrt() - _MOST_SLOPE).square().mean()
-    return squared.mean() + 15.0 * steep + 25.0 * comb(maps).mean()
+    return squared.mean() + _STEEP * steep + _COMB * comb(maps).mean()
 
 
 def fields(

@@ -1,5 +1,6 @@
 """The second teacher: true maps of simulated materials, and what light from the side tells."""
 
+import csv
 from dataclasses import replace
 
 import numpy as np
@@ -128,8 +129,6 @@ def test_true_windows_turn_with_the_photographs(entry, quarters):
 
 def test_training_listens_to_it(small_pack, entry, tmp_path):
     """The same run with and without it ends elsewhere, and says how far the truth is."""
-    import csv
-
     real = tuple(e for e in small_pack.entries if not e.simulated)
     pack = replace(small_pack, entries=(*real, entry))
     config = TrainConfig(

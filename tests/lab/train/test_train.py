@@ -61,6 +61,20 @@ def test_a_resumed_run_ends_with_the_same_bits(small_pack, tmp_path):
     assert (tmp_path / "parts" / "curves.png").is_file()
 
 
+def test_curves_of_an_older_version_are_gone_on_with(small_pack, tmp_path):
+    """Before the second teacher they had a column less."""
+    train(small_pack, replace(TINY, steps=2), tmp_path)
+    rows = curves(tmp_path)
+    names = [name for name in rows[0] if name != "relit"]
+    with (tmp_path / "curves.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, names, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    train(small_pack, TINY, tmp_path, resume=True)
+    train(small_pack, replace(TINY, steps=6), tmp_path, resume=True)
+    assert [row["step"] for row in curves(tmp_path)] == [2, 4, 6]
+
+
 def test_a_leg_goes_on_from_a_priors_networks(small_pack, tmp_path):
     """What is shipped can be trained on: the first step begins where it stands."""
     config = replace(TrainConfig(), steps=1, materials=1, places=1, window=64, rate=1e-5)
