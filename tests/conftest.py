@@ -9,19 +9,24 @@ from hypothesis import HealthCheck, settings
 settings.register_profile("matcap", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("matcap")
 
-# Tests here compute little at a time: threads would only wait for each other.
-_ON_ONE_THREAD = ("bench", "capture", "flash", "stability", "statistics")
-
 
 @pytest.fixture(autouse=True, scope="module")
-def one_thread(request):
-    if request.path.parent.name not in _ON_ONE_THREAD:
-        yield
-        return
+def one_thread():
+    """Tests compute little at a time: threads wait for each other, and for what runs beside."""
+    yield from _threads(1)
+
+
+@pytest.fixture
+def two_threads():
+    """For tests of what threads do."""
+    yield from _threads(2)
+
+
+def _threads(count):
     import torch
 
     before = torch.get_num_threads()
-    torch.set_num_threads(1)
+    torch.set_num_threads(count)
     yield
     torch.set_num_threads(before)
 

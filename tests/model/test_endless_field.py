@@ -59,6 +59,7 @@ def test_a_field_can_repeat_along_one_axis(material, period):
     assert not torch.equal(maps, maps.roll((96, 160), (1, 2)))
 
 
+@pytest.mark.usefixtures("two_threads")
 def test_reading_works_in_inference_mode_and_leaves_the_thread_count(material):
     outside = Field(material, 2).read(0, 0, 40, 40, workers=2)
     threads = torch.get_num_threads()
@@ -69,7 +70,7 @@ def test_reading_works_in_inference_mode_and_leaves_the_thread_count(material):
     watcher.start()
     watcher.join()
     assert torch.equal(inside.stacked(), outside.stacked())
-    assert torch.get_num_threads() == threads and seen == [threads]
+    assert torch.get_num_threads() == threads == 2 and seen == [threads]
 
 
 def test_seeds_differ_and_processes_agree(material, tmp_path):

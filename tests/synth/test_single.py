@@ -5,13 +5,7 @@ import torch
 
 from matcap.model.single import single_threaded
 
-
-@pytest.fixture(autouse=True)
-def two_threads():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("two_threads")
 
 
 def threads_after_an_operator() -> int:

@@ -38,12 +38,12 @@ def test_the_papers_form_is_the_decoder_but_for_the_blur(material, monkeypatch):
     assert float((found - expected)[inner].abs().mean()) < 0.3 * float(expected.std())
 
 
+@pytest.mark.usefixtures("two_threads")
 def test_a_short_run_fills_the_tables():
     settings = Settings((64, 32), ("shipped",), ("64x32",), (1,), 1, (120, 96))
     said = []
-    threads = torch.get_num_threads()
     report = synth.run_synth(settings, said.append)
-    assert torch.get_num_threads() == threads
+    assert torch.get_num_threads() == 2
     precisions = len(report.efficiencies)
     assert {row.allocator for row in report.rows} == {"as it comes", "kept"}
     assert len(report.rows) == 2 * precisions and len(said) == 3 * precisions

@@ -54,8 +54,6 @@ def served():
 
     @contextmanager
     def run(subject, beside=None):
-        threads = torch.get_num_threads()
-        torch.set_num_threads(1)
         listening = listen(0)
         address = new_address(listening.getsockname()[1])
         opened = []
@@ -79,7 +77,6 @@ def served():
             for pages in opened:
                 pages.close()
             listening.close()
-            torch.set_num_threads(threads)
 
     return run
 

@@ -104,7 +104,6 @@ def test_the_played_device_tells_strangers_apart() -> None:
 
 
 def test_a_step_stays_on_its_device() -> None:
-    torch.set_num_threads(1)
     sample = draw_sample(2, 64, 64)
     inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
     expected = train_step(State(TINY, "cpu"), [(inputs, sample)], TrainSettings())

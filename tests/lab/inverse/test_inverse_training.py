@@ -61,7 +61,6 @@ def test_the_truth_has_no_loss_but_doubt() -> None:
 
 
 def test_legs_continue_exactly(tmp_path: Path) -> None:
-    torch.set_num_threads(1)
     whole = train(tmp_path / "whole", TrainSettings(**{**vars(SMALL), "steps": 4}), TINY, _quiet)
     train(tmp_path / "legs", TrainSettings(**{**vars(SMALL), "steps": 2}), TINY, _quiet)
     resumed = train(tmp_path / "legs", TrainSettings(**{**vars(SMALL), "steps": 4}), TINY, _quiet)
@@ -79,7 +78,6 @@ def test_the_rate_warms_up_stays_and_falls_to_nothing() -> None:
 
 
 def test_a_few_steps_on_one_picture_lower_its_loss() -> None:
-    torch.set_num_threads(1)
     torch.manual_seed(0)
     from matcap.model.inverse.network import Inverse
 
