@@ -35,8 +35,9 @@ from matcap.statistics.compare import Features, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.lattice import Wave
 
-# Of learning: a decoder that knows textures already is only to be moved a little.
-RATE_FROM_NOTHING, RATE_FROM_PRIOR = 2e-2, 1e-2
+# Of learning: a decoder that knows textures already is only to be moved a little; faster, and 100
+# steps lose colours that it had (docs/notes/prior.md).
+RATE_FROM_NOTHING, RATE_FROM_PRIOR = 2e-2, 2.5e-3
 
 _SEEDS_APART = 1_000_003  # runs of different seeds share no noise
 
