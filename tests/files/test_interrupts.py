@@ -12,6 +12,14 @@ from matcap.files.interrupts import postponed, starting_children
 BOTH = [signal.SIGINT, signal.SIGTERM]
 
 
+@pytest.fixture(autouse=True)
+def ctrl_c_is_heard():
+    """What starts the tests may ignore it, as xdist's workers do."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize("number", BOTH)
 def test_a_postponed_signal_is_told_and_handlers_come_back(number):
     before = [signal.getsignal(which) for which in BOTH]
