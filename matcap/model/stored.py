@@ -50,7 +50,9 @@ class StoredTensors:
             raise self._fault(f"the tensor {name} is missing") from error
         if found != shape:
             raise self._fault(f"the tensor {name} has shape {found}, expected {shape}")
-        value: Tensor = self.file.get_tensor(name).to(torch.float32)
+        # A copy, because the file's own lie wherever the file has them, and products of matrices
+        # round as their operands are aligned: what was saved would differ from itself by a bit.
+        value: Tensor = self.file.get_tensor(name).to(torch.float32, copy=True)
         if not bool(torch.isfinite(value).all()):
             raise self._fault(f"the tensor {name} holds NaN or infinity")
         return value
