@@ -155,8 +155,10 @@ def run() -> None:
     came = end_alike()
     code = main(interrupted=came)
     ignore_both()
-    # At its end Python looks for garbage among all there is, torch too: a third of a second.
-    gc.freeze()
+    # At its end Python looks for garbage among all there is, torch too: a third of a second. What
+    # it does not look for, OpenImageIO takes for leaks, and tells of one by one.
+    if "OpenImageIO" not in sys.modules:
+        gc.freeze()
     sys.exit(_flushed(code))
 
 

@@ -45,6 +45,13 @@ def test_the_same_request_in_two_processes_gives_the_same_files(folder):
         assert filecmp.cmp(folder / "first" / name, folder / "second" / name, shallow=False)
 
 
+def test_a_command_that_read_pictures_ends_without_a_word_of_leaks(folder):
+    """Python is not to skip at its end what OpenImageIO then would miss."""
+    assert run(folder, "synth", "noise.matcap", "--size", "32x32", "-o", "small").returncode == 0
+    said = run(folder, "relight", "small", "--quiet", "-o", "small.png")
+    assert (said.returncode, said.stderr) == (0, "")
+
+
 def test_a_lone_rectangle_is_cut_from_the_same_field(matcap, folder):
     for region, out in [("-20,-30,80,70", "whole"), ("10,-10,16,24", "part")]:
         said = matcap("synth", folder / "noise.matcap", "--region", region, "-o", folder / out)
