@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
     from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
     from matcap.brdf.maps import MapSet
-    from matcap.model.field import Field
-    from matcap.model.material import Material
+    from matcap.field.field import Field
+    from matcap.field.material import Material
     from matcap.photo.load import load_photo
     from matcap.relight.render import MapSource
     from matcap.relight.scene import Scene
 
 # Each name that is imported when first used, and the module it is defined in.
 _HOMES = {
-    "Field": "matcap.model.field",
+    "Field": "matcap.field.field",
     "MapSet": "matcap.brdf.maps",
     "MapSetInfo": "matcap.brdf.folder",
-    "Material": "matcap.model.material",
+    "Material": "matcap.field.material",
     "load_photo": "matcap.photo.load",
     "read_mapset": "matcap.brdf.folder",
     "write_mapset": "matcap.brdf.folder",

@@ -3,10 +3,10 @@
 import pytest
 import torch
 
+from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.model.freeze import freeze
-from matcap.model.material import Material
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.freeze import freeze
 from matcap.statistics.lattice import Wave
 
 TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 import torch
 
-from matcap.capture.coarse import CoarseFit
-from matcap.capture.prior.anchors import Habits
-from matcap.capture.prior.base import VARYING, start_head
-from matcap.capture.prior.store import Prior
+from matcap.flash.coarse import CoarseFit
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.train.corpus import srgb_bytes
 from matcap.lab.train.pack import Entry, Pack
-from matcap.model.alignment import Alignment
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.model.encoder import Encoder, EncoderConfig
+from matcap.space.alignment import Alignment
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.encoder import Encoder, EncoderConfig
+from matcap.space.prior.anchors import Habits
+from matcap.space.prior.base import VARYING, start_head
+from matcap.space.prior.store import Prior
 from matcap.statistics.lattice import Wave
 
 SMALL = DecoderConfig(noise_channels=4, widths=(8, 8, 8, 8, 8), convolutions=(1, 1))

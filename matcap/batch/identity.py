@@ -62,7 +62,7 @@ def prior_hash(prior: str) -> str:
     """Of a prior as the settings name it: "auto", "none" or a file."""
     if prior == "none":
         return "none"
-    from matcap.capture.prior.store import SHIPPED
+    from matcap.space.prior.store import SHIPPED
 
     return file_hash(SHIPPED if prior == "auto" else Path(prior))
 

@@ -17,10 +17,12 @@ from matcap.batch.entries import BatchEntry
 from matcap.batch.index_page import PAGE
 from matcap.batch.record import read_record
 from matcap.files.staging import staged
+from matcap.files.values import spoken_duration
 
 _COLUMNS = (
-    "name", "state", "photographs", "verdict", "severity", "relative_error", "tilt_x", "tilt_y",
-    "clipped", "doubtful", "seconds", "detail", "warnings", "reason",
+    "name", "state", "photographs", "verdict", "severity", "piece_error",
+    "field_error", "tilt_x", "tilt_y", "clipped", "doubtful", "seconds", "detail", "warnings",
+    "reason",
 )  # fmt: skip
 _STATES = {
     "made": "done", "kept": "done", "failed": "failed", "left": "not begun", "todo": "not begun",
@@ -58,7 +60,7 @@ def page(rows: Sequence[dict[str, Any]], pictures: Sequence[dict[str, str]]) -> 
     )
     seconds = sum(row["seconds"] or 0.0 for row in rows)
     counts = [f"{done} of {len(rows)} done", f"{doubtful} doubtful", f"{failed} failed"]
-    counts.append(f"{_time(seconds)} of work")
+    counts.append(f"{spoken_duration(seconds)} of work")
     body = "\n".join(_row(row, shown) for row, shown in zip(rows, pictures, strict=True))
     return PAGE.replace("@SUMMARY@", html.escape(" · ".join(counts))).replace("@ROWS@", body)
 
@@ -89,13 +91,15 @@ def _stated(entry: BatchEntry) -> dict[str, Any]:
 def _told(record: dict[str, Any], state: str, name: str) -> dict[str, Any]:
     tilt = record.get("tilt_degrees") or (None, None)
     verdict = record.get("verdict") or {}
+    error = record.get("error") or {}
     return {
         "name": name,
         "state": state,
         "photographs": record.get("photographs", []),
         "verdict": verdict.get("rating"),
         "severity": verdict.get("severity"),
-        "relative_error": record.get("relative_error"),
+        "piece_error": error.get("piece"),
+        "field_error": error.get("field"),
         "tilt_x": tilt[0],
         "tilt_y": tilt[1],
         "clipped": record.get("clipped"),
@@ -149,7 +153,7 @@ def _row(row: dict[str, Any], pictures: dict[str, str]) -> str:
             _verdict_cell(row),
             _number("Tilt", tilt, "{:.1f}°"),
             _number("Clipped", row["clipped"], "{:.1%}"),
-            _number("Time", row["seconds"], "", _time),
+            _number("Time", row["seconds"], "", spoken_duration),
             f'<td data-label="Remarks" data-key="{len(remarks)}"><ul>{listed}</ul></td>',
             "</tr>",
         ]
@@ -210,11 +214,3 @@ def _number(label: str, value: float | None, form: str, say: Any = None) -> str:
         return f'<td data-label="{label}" data-key="" class=number>&ndash;</td>'
     text = say(value) if say else form.format(value)
     return f'<td data-label="{label}" data-key="{value}" class=number>{text}</td>'
-
-
-def _time(seconds: float) -> str:
-    if seconds < 60:
-        return f"{seconds:.0f} s"
-    if seconds < 3600:
-        return f"{seconds / 60:.1f} min"
-    return f"{seconds / 3600:.1f} h"

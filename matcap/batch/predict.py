@@ -15,10 +15,12 @@ from matcap.batch.record import FILE, read_record
 from matcap.batch.settings import BatchSettings
 from matcap.batch.whole import Prepared
 from matcap.batch.work import settle_threads
+from matcap.capture.progress import CaptureProgress
 from matcap.capture.settings import resolve
 from matcap.errors import MatcapError
+from matcap.files.values import spoken_duration
 
-_TRIAL_STEPS = 12  # of fine-tuning
+_TRIAL_STEPS = 12  # of the longest stage
 _SETTLED = 4  # steps of a trial that say nothing of the pace
 _TRIED = 3  # photographs tried, if the first ones cannot be used
 
@@ -58,7 +60,8 @@ class Prediction:
             return "Nothing is to be done."
         pace = "at an unknown speed"
         if self.seconds is not None and self.seconds_each is not None:
-            pace = f"in about {_time(self.seconds)}, {_time(self.seconds_each)} each"
+            each = spoken_duration(self.seconds_each)
+            pace = f"in about {spoken_duration(self.seconds)}, {each} each"
         room = "" if self.bytes_each * self.todo < self.free_bytes else ", more than is free"
         return (
             f"{self.todo} to be made by {self.workers} at once {pace} ({self.measured}); "
@@ -123,12 +126,13 @@ def predict(prepared: Prepared) -> Prediction:
 
 def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
     found = []
-    steps = resolve(prepared.settings.capture).steps
+    capture = prepared.settings.capture
+    steps = resolve(capture).work(capture.generator)
     for file in sorted(prepared.out.glob(f"*/{FILE}")):
         record = read_record(file.parent)
         if record and (record.get("steps"), record.get("detail")) == (
             steps,
-            prepared.settings.capture.most_detail,
+            capture.most_detail,
         ):
             found.append((float(record["seconds"]), sum(record["files"].values())))
     if not found:
@@ -138,34 +142,38 @@ def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
 
 
 def _trial(photo: Path, settings: BatchSettings) -> tuple[float, int]:
-    """Seconds and bytes that the whole will take, from a few steps of one photograph."""
+    """Seconds and bytes that the whole will take, from a few steps of one photograph.
+
+    What is tried is what will be run: the same stages, but with fewer steps of the longest one.
+    """
     from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_file
 
     settle_threads()
     began = time.perf_counter()
-    short = replace(settings.capture, steps=_TRIAL_STEPS, time_limit=None, target=None)
-    result = capture_file(photo, short)
+    wanted = settings.capture
+    work = resolve(wanted).work(wanted.generator)
+    steps = min(work, _TRIAL_STEPS)
+    ticks: list[float] = []  # when each step of the longest stage was done
+
+    def told(now: CaptureProgress) -> None:
+        if now.stage in ("adapt", "fine-tuning"):
+            ticks.append(now.seconds)
+
+    short = replace(wanted, steps=steps, time_limit=None, target=None)
+    result = capture_file(photo, short, told)
     with tempfile.TemporaryDirectory(prefix="matcap-") as folder:
         write_outputs(result, Path(folder) / "trial", settings.outputs)
         size = sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())
     spent = time.perf_counter() - began
-    history = result.history
-    pace = (history[-1][0] - history[_SETTLED][0]) / (len(history) - 1 - _SETTLED)
-    rest = spent - pace * _TRIAL_STEPS
-    tuning = pace * resolve(settings.capture).steps
-    if settings.capture.time_limit is not None:
-        tuning = min(tuning, settings.capture.time_limit)
-    return rest + tuning, size
+    steady = ticks[_SETTLED:-1]  # the last one is the stage's end
+    pace = (steady[-1] - steady[0]) / (len(steady) - 1) if len(steady) > 1 else 0.0
+    seconds = spent + pace * (work - steps)
+    limit = wanted.time_limit
+    return seconds if limit is None else min(seconds, max(limit, spent)), size
 
 
 def _existing(folder: Path) -> Path:
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     return folder
-
-
-def _time(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

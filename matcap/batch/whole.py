@@ -58,7 +58,7 @@ def prepare(
         MatcapError: no such folder, no photographs in it, no such prior, an unwritable output.
     """
     if settings.capture.prior not in ("auto", "none"):
-        from matcap.capture.prior.store import load_prior
+        from matcap.space.prior.store import load_prior
 
         # One that is broken would fail for every photograph.
         load_prior(Path(settings.capture.prior))

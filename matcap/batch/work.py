@@ -20,23 +20,14 @@ from matcap.files.staging import write_error
 from matcap.photo.calibrate import Calibration, calibrated
 
 if TYPE_CHECKING:
-    from matcap.capture.pipeline import CaptureResult
     from matcap.capture.progress import CaptureProgress
+    from matcap.capture.result import CaptureResult
     from matcap.capture.settings import CaptureSettings
     from matcap.photo.inspect import Inspection
 
 Tell = Callable[[str, float], None]  # stage, share of the whole
 Fault = Literal["photograph", "memory", "disk", "crash"]
 _THUMBNAIL = 192  # pixels along the long side
-# What part of a job each stage takes, about; for the progress bar alone.
-_SHARES = {
-    "coarse fit": (0.02, 0.08),
-    "statistics": (0.08, 0.1),
-    "start": (0.1, 0.12),
-    "fine-tuning": (0.12, 0.90),
-    "matching": (0.90, 0.92),
-    "rendering": (0.92, 0.95),
-}
 _DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 
 
@@ -110,9 +101,9 @@ def _fault(error: MatcapError) -> Fault:
 
 
 def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
-    from matcap.capture.coarse import fit_coarse
     from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_photo, read_photograph
+    from matcap.flash.coarse import fit_coarse
     from matcap.photo.inspect import inspect_photo
 
     started = time.perf_counter()
@@ -127,8 +118,7 @@ def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
         photos.append(photo if job.card is None else calibrated(photo, path, job.card))
 
     def progress(now: CaptureProgress) -> None:
-        low, high = _SHARES.get(now.stage, (0.0, 0.0))
-        tell(now.stage, low + (high - low) * now.fraction)
+        tell(now.stage, now.fraction)
 
     result = capture_photo(photos[0], chosen, progress, others=photos[1:])
     tell("writing", 0.95)
@@ -154,7 +144,8 @@ def measured(settings: CaptureSettings, card: Calibration | None) -> CaptureSett
 
 def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult) -> dict[str, Any]:
     """What the index tells of a material."""
-    from matcap.capture.report import relative_error, warnings
+    from matcap.capture.report import warnings
+    from matcap.capture.settings import resolve
 
     verdict = result.verdict
     said = [*([] if verdict.rating.value == "good" else [f"Verdict {verdict.sentence()}"])]
@@ -172,7 +163,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "photographs": [str(path) for path in job.photos],
         "detail": round(2.0 / result.material.texel_size),
         "verdict": {"rating": verdict.rating.value, "severity": round(verdict.severity, 3)},
-        "relative_error": relative_error(result),
+        "error": result.errors,
         "tilt_degrees": [round(angle * 57.29577951, 3) for angle in tilt],
         "clipped": round(result.photo.clipped_share, 5),
         "doubtful": not verdict.fit or any(found.doubtful for found in looked_at),
@@ -181,7 +172,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "albedo": "absolute" if result.photo.flash_intensity is not None else "relative",
         "card": job.card.document() if job.card else None,
         "stage_seconds": {name: round(s, 3) for name, s in result.stage_seconds.items()},
-        "steps": result.history[-1][1] if result.history else 0,
+        "steps": resolve(result.settings).work(result.settings.generator),
     }
 
 

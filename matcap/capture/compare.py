@@ -14,11 +14,11 @@ from PIL import Image
 
 from matcap.capture.outputs import REPORT
 from matcap.capture.preview import Panel, block, each_map, relit, stacked, titled
+from matcap.field.material import Material
+from matcap.field.opened import open_material
 from matcap.files.srgb import srgb_picture
 from matcap.flash.rectify import rectify
 from matcap.flash.render import render_rectified
-from matcap.model.material import Material
-from matcap.model.opened import open_material
 from matcap.photo.photo import Photo
 
 

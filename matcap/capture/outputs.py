@@ -18,19 +18,19 @@ from matcap.brdf.folder import (
     write_mapset,
 )
 from matcap.errors import UsageError
+from matcap.example.exemplar import CHANNELS
 from matcap.export.targets import check_targets, export_bytes, export_mapset
 from matcap.files.exr import write_exr_channels
 from matcap.files.staging import staged
-from matcap.model.decoder import ALIGNMENT
-from matcap.model.exemplar import CHANNELS
 
 if TYPE_CHECKING:
-    from matcap.capture.exemplar.find import FoundExemplar
-    from matcap.capture.pipeline import CaptureResult
+    from matcap.capture.piece.find import FoundPiece
+    from matcap.capture.result import CaptureResult
     from matcap.flash.geometry import FlashSetup
 
 PREVIEW, REPORT = "preview.png", "report.json"
 
+_STEP = 16  # texels: the least alignment that a material has
 _BESIDES = 50_000_000  # material, preview and report, generously
 
 
@@ -43,7 +43,7 @@ class OutputSettings:
         seed: its realisation.
         png: 16-bit PNGs beside the EXR files.
         normal: "gl" or "dx".
-        tile: the map set repeats without a seam; both sides are multiples of ALIGNMENT then. None
+        tile: the map set repeats without a seam; both sides are multiples of 16 then. None
             for wherever they are, as repeats() tells.
         targets: what else the map set is written for, each into a folder of its name.
 
@@ -60,11 +60,11 @@ class OutputSettings:
 
     def __post_init__(self) -> None:
         width, height = self.size
-        if self.tile and (width % ALIGNMENT or height % ALIGNMENT):
+        if self.tile and (width % _STEP or height % _STEP):
             raise UsageError(
                 f"{width}x{height} cannot tile",
                 where="size",
-                remedy=f"give sides that are multiples of {ALIGNMENT}",
+                remedy=f"give sides that are multiples of {_STEP}",
             )
 
     def repeats(self, alignment: int) -> bool:
@@ -152,10 +152,10 @@ def output_files(name: str) -> list[str]:
 
 
 def _write_piece(
-    found: FoundExemplar, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
+    found: FoundPiece, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
 ) -> None:
     """Maps of the photographed piece, and how far each is trusted."""
-    from matcap.capture.exemplar.find import piece_maps
+    from matcap.capture.piece.find import piece_maps
 
     exemplar = found.exemplar
     about = {"of": "the photographed piece", "error": found.error, SETUP: asdict(setup)}

@@ -23,8 +23,8 @@ from matcap.files.staging import staged_file
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
-    from matcap.capture.exemplar.find import FoundExemplar
-    from matcap.capture.pipeline import CaptureResult
+    from matcap.capture.piece.find import FoundPiece
+    from matcap.capture.result import CaptureResult
     from matcap.capture.verdict.judge import CaptureVerdict
     from matcap.flash.geometry import FlashSetup
 
@@ -70,7 +70,8 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
     """The sheet as an RGB picture."""
     blocks = [block(list(panels(result)))]
     if result.found is not None:
-        generator = "by example" if result.material.example is not None else "by the decoder"
+        made = result.material.generators
+        generator = "by example" if "example" in made else "by the decoder"
         piece = block(list(piece_panels(result, result.found)))
         blocks = [
             titled(blocks[0], f"The material, {generator}"),
@@ -110,14 +111,14 @@ def panels(result: CaptureResult) -> Iterable[Panel]:
     yield Panel("normal", 0.5 + 0.5 * _picture(result.maps, "normal"))
 
 
-def piece_panels(result: CaptureResult, found: FoundExemplar) -> Iterable[Panel]:
+def piece_panels(result: CaptureResult, found: FoundPiece) -> Iterable[Panel]:
     """The photographed piece beside its photograph, lit from two sides, and its maps.
 
     Without normals, which are the height's and show in the light.
     """
     import torch
 
-    from matcap.capture.exemplar.find import piece_maps
+    from matcap.capture.piece.find import piece_maps
     from matcap.flash.render import render_rectified
 
     maps, setup = piece_maps(found.exemplar), result.material.setup

@@ -1,17 +1,41 @@
-"""How far a capture is: its stages, and what fine-tuning may still bring."""
+"""How far a capture is: its stages, each with its share of the time."""
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
-from matcap.capture.anytime import forecast
-
-_FORECAST_EVERY = 20  # steps
-_MINUTE = 60.0  # seconds
+# Stages of a capture in their order, and the share of the time that each takes of a `standard` one
+# of 12 megapixels (report.json's stage_seconds).
+PIECE_STAGES: Mapping[str, float] = MappingProxyType(
+    {
+        "read": 0.10,
+        "coarse fit": 0.10,
+        "piece": 0.08,
+        "strengths": 0.02,
+        "refine": 0.08,
+        "adapt": 0.36,
+        "lend": 0.05,
+        "index": 0.06,
+        "verdict": 0.07,
+        "write": 0.08,
+    }
+)
+DECODER_STAGES: Mapping[str, float] = MappingProxyType(
+    {
+        "read": 0.04,
+        "coarse fit": 0.04,
+        "statistics": 0.05,
+        "start": 0.02,
+        "fine-tuning": 0.72,
+        "matching": 0.05,
+        "verdict": 0.04,
+        "write": 0.04,
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -20,20 +44,22 @@ class CaptureProgress:
 
     Attributes:
         stage: its name.
-        fraction: of the stage, in [0, 1].
-        error: running error of fine-tuning in multiples of what the photograph's own windows
-            differ by, or None.
+        fraction: of the whole capture, in [0, 1].
         seconds: since the start.
-        seconds_left: expected, or None.
-        in_a_minute: error to be expected if it went on for another minute, or None.
+        seconds_left: expected, or None where it is too early to say.
+        error: of fine-tuning a decoder, in multiples of what the photograph's own windows differ
+            by; else None.
+        in_a_minute: that error after another minute, or None.
+        interrupted: what there is is being finished.
     """
 
     stage: str
     fraction: float
-    error: float | None
     seconds: float
     seconds_left: float | None
+    error: float | None = None
     in_a_minute: float | None = None
+    interrupted: bool = False
 
 
 class CaptureClock:
@@ -41,45 +67,80 @@ class CaptureClock:
 
     Attributes:
         seconds: of each stage that is over.
-        scale: what errors are told in: what the photograph's own windows differ by, once that is
-            known.
+        interrupted: whether Ctrl-C was pressed, and what there is is being finished.
     """
 
-    def __init__(self, tell: Callable[[CaptureProgress], None] | None) -> None:
+    def __init__(
+        self,
+        tell: Callable[[CaptureProgress], None] | None,
+        stages: Mapping[str, float] = PIECE_STAGES,
+        limit: float | None = None,
+    ) -> None:
+        """Start the clock.
+
+        Args:
+            tell: called as the work goes on.
+            stages: what there is to do, with shares of the time.
+            limit: seconds for the whole command, or None.
+        """
         self.seconds: dict[str, float] = {}
-        self.scale = math.nan
+        self.interrupted = False
         self._tell = tell or _nobody
+        self._stages, self._limit = stages, limit
         self._started = time.monotonic()
-        self._history: list[tuple[float, int, float]] = []
-        self._ahead: float | None = None
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the start."""
+        return time.monotonic() - self._started
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """A stage, while the block runs."""
         began = time.monotonic()
-        self._tell(CaptureProgress(name, 0.0, None, began - self._started, None))
-        yield
-        self.seconds[name] = time.monotonic() - began
-        self._tell(CaptureProgress(name, 1.0, None, time.monotonic() - self._started, None))
+        self._tell(self._now(name, 0.0))
+        try:
+            yield
+        except KeyboardInterrupt:
+            self.interrupted = True
+            raise
+        finally:
+            self.seconds[name] = time.monotonic() - began
+        self._tell(self._now(name, 1.0))
 
-    def tuning(self, share: float, error: float, seconds: float) -> None:
-        """A step of fine-tuning is done: share of all, running error, seconds of it so far."""
-        left = seconds * (1.0 - share) / share if share > 0.01 else None
-        elapsed = time.monotonic() - self._started
-        self._history.append((seconds, len(self._history) + 1, error))
-        if len(self._history) % _FORECAST_EVERY == 0:
-            self._ahead = forecast(self._history, _MINUTE)
-        told, ahead = self._scaled(error), self._scaled(self._ahead)
-        self._tell(CaptureProgress("fine-tuning", share, told, elapsed, left, ahead))
+    def within(self, name: str, share: float) -> None:
+        """So large a share of a stage is done."""
+        self._tell(self._now(name, share))
 
-    def finding(self, share: float) -> None:
-        """A step of the exemplar is done: share of all."""
-        elapsed = time.monotonic() - self._started
-        self._tell(CaptureProgress("exemplar", share, None, elapsed, None))
+    def tuning(self, share: float, error: float | None, in_a_minute: float | None) -> None:
+        """A step of fine-tuning is done."""
+        now = self._now("fine-tuning", share)
+        self._tell(replace(now, error=error, in_a_minute=in_a_minute))
 
-    def _scaled(self, error: float | None) -> float | None:
-        """An error that means something; None where there is nothing to compare it with."""
-        return error / self.scale if error is not None and self.scale > 0.0 else None
+    def left_for(self, name: str) -> float:
+        """Seconds that a stage may take under the limit, so that what comes after it ends in time.
+
+        What comes after takes as long, by its shares, as what went before let expect.
+        """
+        if self._limit is None:
+            return float("inf")
+        before, after = self._shares(name)
+        rest = self.elapsed * after / max(before, 1e-6)
+        return max(0.0, self._limit - self.elapsed - rest)
+
+    def _shares(self, name: str) -> tuple[float, float]:
+        """Shares of what comes before a stage and of what comes after it."""
+        names = list(self._stages)
+        at = names.index(name)
+        shares = [self._stages[each] for each in names]
+        return sum(shares[:at]), sum(shares[at + 1 :])
+
+    def _now(self, name: str, share: float) -> CaptureProgress:
+        before, _ = self._shares(name)
+        fraction = min(1.0, before + share * self._stages[name])
+        elapsed = self.elapsed
+        left = elapsed * (1.0 - fraction) / fraction if fraction > 0.15 else None
+        return CaptureProgress(name, fraction, elapsed, left, interrupted=self.interrupted)
 
 
 def _nobody(progress: CaptureProgress) -> None:

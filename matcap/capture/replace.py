@@ -13,7 +13,6 @@ from matcap.errors import MatcapError
 
 # Settings that say how long, and not what: the effort that follows from them is compared instead.
 _HOW_LONG = ("preset", "steps", "time_limit", "target")
-_WORK = ("steps", "adapted")  # of an effort
 
 
 def refuse_to_replace_capture(
@@ -61,8 +60,9 @@ def _refuse(folder: Path, differences: Sequence[str]) -> None:
 
 def _longer(old: dict[str, Any], settings: CaptureSettings) -> list[str]:
     """That an earlier capture came to its end and was of more work."""
-    effort, spent = resolve(settings), old.get("effort", {})
-    if old.get("interrupted") or all(spent.get(k, 0) <= getattr(effort, k) for k in _WORK):
+    work = "steps" if settings.generator == "decoder" else "adapted"
+    spent = old.get("effort", {})
+    if old.get("interrupted") or spent.get(work, 0) <= getattr(resolve(settings), work):
         return []
     return [f"a longer one, of preset {spent.get('preset')}"]
 

@@ -7,12 +7,9 @@ Keys:
     verdict: `rating` (good, usable, doubtful or failed), `fit` (good or usable), `severity` (up to
         1 is good, 2 usable, 3 doubtful), `sentence`, and all `checks`: each its rating, severity,
         finding, likely cause and remedy.
-    error: of fine-tuning, the last one; only beside `self_difference` does it say much. Null where
-        nothing was tuned.
-    self_difference: what the photograph's own windows differ by, in the same measure.
-    relative_error: `error` in multiples of `self_difference`: at 1 the tuned network differs from
-        the photograph as the photograph's parts do from each other; null where either is.
-    error_after_another_minute: the error to be expected after another minute of the same work.
+    error: `piece`, median difference of log radiance between the photograph and the re-rendered
+        piece; `field`, difference of texture between the photograph and the endless material in
+        multiples of what the photograph's own parts differ by; null where there is none.
     warnings: what may have hurt, a sentence each.
     notes: what was noticed about the file, a sentence each.
     photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share.
@@ -20,15 +17,19 @@ Keys:
         intensity, vignetting.
     texel_size: plane units.
     settings: that were asked for.
-    effort: what they came to: preset, steps, windows a step, matched or not.
+    effort: what they came to: preset, steps of adaptation (`adapted`) and of a decoder (`steps`),
+        windows a step, matched or not.
     seconds: that the work took.
     stage_seconds: that each stage took.
-    error_over_time: seconds, step and error, as the work went on.
+    tuning: of a decoder, or null: `error` (the last one), `self_difference` (what the photograph's
+        own windows differ by, in the same measure), `relative_error` (the one in multiples of the
+        other), `error_after_another_minute` (to be expected of the same work) and
+        `error_over_time` (seconds, step and error).
     exemplar: of the maps of the photographed piece, or null: `error` (median difference of log
         radiance between photograph and re-rendering), `slow` (its slow part, not the
         material's), `left_out` (share that matches nothing else in it, and is not rearranged),
         `strengths` (root-mean-square slope and log albedo that the photograph tells outright, by
-        band; see capture/exemplar/strengths.py; or null), `confidence` (mean, by map).
+        band; see capture/piece/strengths.py; or null), `confidence` (mean, by map).
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.
 """
@@ -44,17 +45,15 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcap.capture.anytime import forecast
-from matcap.capture.curve import draw_history
 from matcap.capture.detail import DETAIL
 from matcap.capture.settings import CaptureSettings, resolve
+from matcap.example.exemplar import CHANNELS
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
-from matcap.model.exemplar import CHANNELS
 
 if TYPE_CHECKING:
-    from matcap.capture.exemplar.find import FoundExemplar
-    from matcap.capture.pipeline import CaptureResult
+    from matcap.capture.piece.find import FoundPiece
+    from matcap.capture.result import CaptureResult, Tuning
 
 CURVE = "error.png"
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
@@ -63,7 +62,7 @@ _MUCH_CLIPPED, _MUCH_TILT = 0.05, 10.0
 
 
 def write_report(result: CaptureResult, path: Path) -> None:
-    """Write the report of a capture, and beside it error.png, its error over time.
+    """Write the report of a capture, and beside it error.png of a decoder, its error over time.
 
     Raises:
         MatcapError: the file cannot be written.
@@ -71,7 +70,11 @@ def write_report(result: CaptureResult, path: Path) -> None:
     text = json.dumps(_finite(report(result)), indent=2, default=str, allow_nan=False)
     with staged(path.parent) as stage:
         (stage / path.name).write_text(text + "\n")
-        draw_history(result.history, result.self_difference).save(stage / CURVE)
+        if result.tuning is not None:
+            from matcap.space.tuning.curve import draw_history
+
+            tuning = result.tuning
+            draw_history(tuning.history, tuning.self_difference).save(stage / CURVE)
 
 
 def report(result: CaptureResult) -> dict[str, Any]:
@@ -82,10 +85,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "name": result.material.name,
         "interrupted": result.interrupted,
         "verdict": result.verdict.document(),
-        "error": result.history[-1][2] if result.history else None,
-        "self_difference": result.self_difference,
-        "relative_error": relative_error(result),
-        "error_after_another_minute": forecast(result.history, 60.0),
+        "error": result.errors,
         "warnings": list(warnings(result)),
         "notes": [*photo.notes, *_rules(result.settings)],
         "photograph": {
@@ -113,10 +113,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "effort": asdict(resolve(result.settings)),
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
-        "error_over_time": [
-            {"seconds": seconds, "step": step, "error": error}
-            for seconds, step, error in result.history
-        ],
+        "tuning": _tuning(result.tuning),
         "exemplar": _exemplar(result.found),
         "provenance": result.material.provenance,
         "versions": {
@@ -128,14 +125,24 @@ def report(result: CaptureResult) -> dict[str, Any]:
     }
 
 
-def relative_error(result: CaptureResult) -> float | None:
-    """The last error of fine-tuning in multiples of what the photograph's own windows differ by."""
-    if not result.history or not result.self_difference > 0.0:
+def _tuning(tuning: Tuning | None) -> dict[str, Any] | None:
+    if tuning is None:
         return None
-    return result.history[-1][2] / result.self_difference
+    from matcap.space.tuning.anytime import forecast
+
+    history = tuning.history
+    return {
+        "error": history[-1][2] if history else None,
+        "self_difference": tuning.self_difference,
+        "relative_error": tuning.relative_error,
+        "error_after_another_minute": forecast(history, 60.0),
+        "error_over_time": [
+            {"seconds": seconds, "step": step, "error": error} for seconds, step, error in history
+        ],
+    }
 
 
-def _exemplar(found: FoundExemplar | None) -> dict[str, Any] | None:
+def _exemplar(found: FoundPiece | None) -> dict[str, Any] | None:
     if found is None:
         return None
     means = found.exemplar.confidence.mean((1, 2)).tolist()
@@ -177,7 +184,8 @@ def _rules(settings: CaptureSettings) -> Iterable[str]:
     if effort.preset != settings.preset:
         yield (
             "A time limit or a target decided when to stop, so the preset was "
-            f"{effort.preset}: at most {effort.steps} steps. Give --steps for another number."
+            f"{effort.preset}: at most {effort.work(settings.generator)} steps. "
+            "Give --steps for another number."
         )
     if settings.width_cm is None:
         yield (

@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from matcap.capture.detail import DETAIL
 from matcap.errors import UsageError
-from matcap.model.decoder import DecoderConfig
-from matcap.model.source import Generator
+from matcap.field.source import Generator
 from matcap.statistics.filterbank import FilterBankConfig
+
+if TYPE_CHECKING:
+    from matcap.space.decoder import DecoderConfig
 
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 
@@ -23,20 +25,21 @@ class Effort:
 
     Attributes:
         preset: whose effort it is, a key of PRESETS.
-        steps: of fine-tuning.
-        beside: of fine-tuning where the decoder stands beside the exemplar, which the material is
-            read by: then it is for the space alone, and for blends and walks through it.
-        places: windows a step; all see the same maps, so one more costs a fifth more.
-        matched: mean and contrast moved to the photograph's at the end (match.py).
-        adapted: steps by which the exemplar is held to the photograph (exemplar/adapt.py).
+        adapted: steps by which the piece is held to the photograph (piece/adapt.py).
+        steps: of fine-tuning, where a decoder is asked for.
+        places: windows a step of it; all see the same maps, so one more costs a fifth more.
+        matched: mean and contrast moved to the photograph's at the end (space/tuning/match.py).
     """
 
     preset: str
+    adapted: int
     steps: int
-    beside: int
     places: int = 2
     matched: bool = True
-    adapted: int = 80
+
+    def work(self, generator: Generator) -> int:
+        """Steps of what makes a generator."""
+        return self.steps if generator == "decoder" else self.adapted
 
 
 # docs/notes/capture.md has what each costs and buys.
@@ -44,11 +47,11 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
     {
         effort.preset: effort
         for effort in (
-            Effort("instant", 0, 0, adapted=0),
-            Effort("draft", 32, 0, matched=False, adapted=16),
-            Effort("standard", 160, 40, places=3),
-            Effort("high", 320, 120, places=3, adapted=160),
-            Effort("reference", 800, 400, adapted=320),
+            Effort("instant", 0, 0),
+            Effort("draft", 16, 32, matched=False),
+            Effort("standard", 80, 160, places=3),
+            Effort("high", 160, 320, places=3),
+            Effort("reference", 320, 800),
         )
     }
 )
@@ -95,9 +98,10 @@ class CaptureSettings:
 
     Attributes:
         preset: a key of PRESETS.
-        steps: of fine-tuning, instead of the preset's; no more of adapting the exemplar.
-        time_limit: of fine-tuning in seconds, or None.
-        target: error to end at, as a multiple of what the photograph's own windows differ by.
+        steps: instead of the preset's: of adapting the piece, or of fine-tuning a decoder.
+        time_limit: for the whole work in seconds, or None.
+        target: error of a decoder to end at, as a multiple of what the photograph's own windows
+            differ by.
         detail: texels across the photograph's long side; by default DETAIL, or half of it where
             the texture is coarse (detail.py).
         fov: field of view across the long side in degrees, instead of the photograph's.
@@ -105,7 +109,7 @@ class CaptureSettings:
         prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
         statistics: that textures are compared by.
         generator: that the material is read by: "example" (the photographed piece, rearranged) or
-            "decoder" (the fine-tuned network, and no piece is looked for).
+            "decoder" (the paper's network, fine-tuned).
         aligned: the maps of the photographed piece itself are found, too.
         width_cm: what the photograph's long side spans, in centimetres; None where nobody measured
             it.
@@ -148,11 +152,6 @@ class CaptureSettings:
         return None if self.width_cm is None else 10.0 * self.width_cm / 2.0
 
     @property
-    def finds_exemplar(self) -> bool:
-        """Whether the photographed piece's own maps are wanted."""
-        return self.aligned or self.generator == "example"
-
-    @property
     def most_detail(self) -> int:
         """Texels along the long side that a photograph has to be read with."""
         return self.detail or DETAIL
@@ -165,7 +164,7 @@ class Method:
     Attributes:
         window: texels a side of what is compared; many cheap steps beat few exact ones.
         features: that textures are compared by.
-        decoder: shape of the decoder, where there is no prior to say it.
+        decoder: shape of the decoder, where there is no prior to say it, or None.
         half_precision: bfloat16 inside the network and the features, where the processor computes
             with it.
         places: windows a step, instead of the preset's.
@@ -175,7 +174,7 @@ class Method:
 
     window: int = 160
     features: FilterBankConfig = FEATURES
-    decoder: DecoderConfig = DecoderConfig()
+    decoder: DecoderConfig | None = None
     half_precision: bool = True
     places: int | None = None
     matched: bool | None = None
@@ -192,17 +191,17 @@ def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
         raise UsageError(
             f"there is no preset {settings.preset!r}", remedy=f"choose one of {', '.join(PRESETS)}"
         )
-    limited = settings.time_limit is not None or settings.target is not None
-    wanted = PRESETS[settings.preset]
-    effort = wanted
-    if settings.generator == "example":
-        effort = replace(wanted, steps=wanted.beside)
+    if settings.target is not None and settings.generator != "decoder":
+        raise UsageError(
+            "a target is an error of the decoder",
+            where="--target",
+            remedy="give --generator decoder with it, or --time in its place",
+        )
+    effort = PRESETS[settings.preset]
     if settings.steps is not None:
-        effort = replace(wanted, steps=settings.steps, adapted=min(wanted.adapted, settings.steps))
-    elif limited:
-        # A target is the decoder's; a time limit is shared by both.
-        most = wanted if settings.time_limit is None else PRESETS[UNLIMITED]
-        effort = replace(PRESETS[UNLIMITED], adapted=most.adapted)
+        effort = replace(effort, steps=settings.steps, adapted=settings.steps)
+    elif settings.time_limit is not None or settings.target is not None:
+        effort = PRESETS[UNLIMITED]
     if method is not None and method.places is not None:
         effort = replace(effort, places=method.places)
     if method is not None and method.matched is not None:

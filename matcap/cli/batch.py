@@ -198,7 +198,7 @@ def _document(entry: BatchEntry, out: Path) -> dict[str, Any]:
         "folder": str(out / entry.sample.name),
         "doubtful": bool(entry.record.get("doubtful")),
         "verdict": (entry.record.get("verdict") or {}).get("rating"),
-        "relative_error": entry.record.get("relative_error"),
+        "error": entry.record.get("error"),
         "seconds": entry.record.get("seconds"),
         "reason": entry.reason or None,
     }

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
+from matcap.files.values import spoken_duration
+
 if TYPE_CHECKING:
     from matcap.batch.entries import BatchEntry
 
@@ -90,7 +92,7 @@ class BatchDisplay:
         if self._began is None or done < 0.1:
             return ""
         to_do = self._total - self._ended - sum(self._shares.values())
-        return f"{_duration((time.monotonic() - self._began) / done * max(0.0, to_do))} left"
+        return f"{spoken_duration((time.monotonic() - self._began) / done * max(0.0, to_do))} left"
 
     def _say(self, line: str) -> None:
         # Paths and sentences are no markup, and one sentence stays one line.
@@ -113,10 +115,3 @@ def batch_display(*, quiet: bool) -> Iterator[BatchDisplay]:
     )
     with Progress(*columns, console=console, transient=True) as bars:
         yield BatchDisplay(console, bars, quiet=quiet)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    minutes = seconds / 60.0
-    return f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60.0:.1f} h"

@@ -60,10 +60,10 @@ def blend(
 
     Codes and network weights are interpolated alike; the ends are A and B themselves.
     """
+    from matcap.field.material import Material
     from matcap.files.picture import write_picture
     from matcap.files.staging import check_writable, staged
-    from matcap.model import between
-    from matcap.model.material import Material
+    from matcap.space import between
 
     ends = Material.load(first), Material.load(second)
     check_writable(out, 4_000_000 * len(share.values))

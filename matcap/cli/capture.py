@@ -30,7 +30,7 @@ from matcap.files.interrupts import postponed
 
 if TYPE_CHECKING:
     from matcap.capture.outputs import OutputSettings
-    from matcap.capture.pipeline import CaptureResult
+    from matcap.capture.result import CaptureResult
     from matcap.capture.settings import CaptureSettings
     from matcap.cli.capture_display import Display
 
@@ -223,14 +223,10 @@ def _attempt(
 def _capture(
     job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
 ) -> dict[str, Any]:
-    from matcap.capture.pipeline import capture_file, capture_photo, read_photograph
+    from matcap.capture.pipeline import capture_file
 
     shown.started(job.photo)
-    if job.others:
-        first, *others = (read_photograph(path, settings) for path in (job.photo, *job.others))
-        result = capture_photo(first, settings, shown.progress, others=others)
-    else:
-        result = capture_file(job.photo, settings, shown.progress)
+    result = capture_file(job.photo, settings, shown.progress, job.others)
     with postponed() as stopped:
         written = _written(result, job, outputs, shown)
     return {**written, "status": "interrupted"} if stopped() else written
@@ -241,7 +237,6 @@ def _written(
 ) -> dict[str, Any]:
     """Write a capture, and what is told of it."""
     from matcap.capture.outputs import no_repeat, write_outputs
-    from matcap.capture.report import relative_error
 
     if not outputs.repeats(result.material.alignment):
         shown.note(no_repeat(outputs.size, result.material.alignment))
@@ -252,7 +247,7 @@ def _written(
         "folder": str(job.folder),
         "material": str(material),
         "verdict": result.verdict.document(),
-        "relative_error": relative_error(result),
+        "error": result.errors,
     }
 
 

@@ -28,11 +28,11 @@ class Display:
         self._bars = bars
         self._quiet = quiet
         self._task: TaskID | None = None
-        self._stage = ""
+        self._stage, self._interrupted = "", False
 
     def started(self, photo: Path) -> None:
         """A photograph is about to be read."""
-        self._stage = ""
+        self._stage, self._interrupted = "", False
         if self._bars is not None:
             self._task = self._bars.add_task(
                 photo.name, total=1.0, stage="reading", error="", left=""
@@ -52,7 +52,10 @@ class Display:
             )
         elif not self._quiet and now.stage != self._stage:
             self._say(f"  {now.seconds:6.1f} s  {now.stage}  {error}".rstrip())
-        self._stage = now.stage
+        if now.interrupted and not self._interrupted and not self._quiet:
+            left = "" if now.seconds_left is None else f", in about {now.seconds_left:.0f} s"
+            self._say(f"  interrupted: the best so far is being finished{left}")
+        self._stage, self._interrupted = now.stage, now.interrupted
 
     def finished(self, photo: Path, done: dict[str, Any]) -> None:
         """A photograph's outputs stand in their folder."""

@@ -14,8 +14,8 @@ from time import perf_counter
 from typing import Any
 
 from matcap.errors import MatcapError
+from matcap.example.compiled import kernel
 from matcap.files.maker import MAKER_VERSION
-from matcap.model.example.compiled import kernel
 from matcap.relight import compiled as relighting
 
 _PLACE = Path(__file__).parents[1]  # the installed package
@@ -223,11 +223,11 @@ def _prior() -> int | None:
 
 def _self_test() -> tuple[Check, ...]:
     """From the prior that comes along to a picture and back from disk."""
-    from matcap.capture.prior.store import load_prior
     from matcap.export.targets import export_mapset
-    from matcap.model.opened import open_maps
-    from matcap.model.plane import Rectangle
+    from matcap.field.opened import open_maps
+    from matcap.field.plane import Rectangle
     from matcap.relight.render import relight
+    from matcap.space.prior.store import load_prior
     from matcap.synth.synthesise import SynthRequest, synthesise
 
     found: dict[str, Any] = {}

@@ -23,7 +23,7 @@ from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.export.targets import Exported
-    from matcap.model.source import Generator
+    from matcap.field.source import Generator
 
 
 def export(
@@ -152,8 +152,8 @@ def export(
     )
     from matcap.export.textures import ExportJob, Workflow, known_scale
     from matcap.export.udim import open_set
+    from matcap.field.opened import OpenedMaps, open_tile
     from matcap.files.staging import check_writable
-    from matcap.model.opened import OpenedMaps, open_tile
 
     if to is not None and to in PRESETS and to not in DOCUMENTS:  # all of them are targets
         to, preset = None, to
@@ -221,8 +221,8 @@ def export(
 
 def _export_onnx(path: Path, folder: Path, *, as_json: bool, quiet: bool) -> None:
     from matcap.export.onnx import write_onnx
+    from matcap.field.material import Material
     from matcap.files.staging import check_writable
-    from matcap.model.material import Material
 
     material = Material.load(path)
     check_writable(folder, path.stat().st_size)

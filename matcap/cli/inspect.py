@@ -65,8 +65,8 @@ def inspect(
 
 def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], str]:
     """What is found, for JSON and as text."""
-    from matcap.capture.coarse import fit_coarse
-    from matcap.capture.exemplar.told import photographed_strengths
+    from matcap.capture.piece.told import photographed_strengths
+    from matcap.flash.coarse import fit_coarse
     from matcap.photo.inspect import inspect_photo
     from matcap.photo.load import load_photo
 
@@ -82,8 +82,8 @@ def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], 
 
 def _material(path: Path) -> tuple[dict[str, Any], str]:
     """What a material holds, for JSON and as text."""
-    from matcap.model.example.summary import summary
-    from matcap.model.header import read_exemplified
+    from matcap.example.stored import read_exemplified
+    from matcap.example.summary import summary
 
     held = read_exemplified(path)
     if held is None:

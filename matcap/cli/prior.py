@@ -64,9 +64,9 @@ def train(
     quiet: QuietOption = False,
 ) -> None:
     """Train encoder and decoder on a pack; a killed run goes on with --resume."""
-    from matcap.capture.prior.store import load_prior
     from matcap.lab.train.pack import Pack
     from matcap.lab.train.train import train as run
+    from matcap.space.prior.store import load_prior
 
     run(
         Pack.load(pack),
@@ -95,12 +95,12 @@ def finish(
     quiet: QuietOption = False,
 ) -> None:
     """Make a prior of a finished training, its alignment branch included."""
-    from matcap.capture.prior.store import load_prior
     from matcap.lab.train.align import make, train_alignment
     from matcap.lab.train.checkpoint import load_checkpoint
     from matcap.lab.train.finish import finish as run
     from matcap.lab.train.pack import Pack
     from matcap.lab.train.state import start
+    from matcap.space.prior.store import load_prior
 
     state = start(_config(config), "cpu")
     load_checkpoint(training / "checkpoint.safetensors", state)
@@ -126,9 +126,9 @@ def anchors(
 
     `prior finish` does so by itself.
     """
-    from matcap.capture.prior.store import load_prior
     from matcap.lab.train.finish import with_anchors
     from matcap.lab.train.pack import Pack
+    from matcap.space.prior.store import load_prior
 
     with_anchors(load_prior(prior), Pack.load(pack).training).save(out)
     if not quiet:
@@ -157,9 +157,9 @@ def evaluate(
     import shlex
     import sys
 
-    from matcap.capture.prior.store import load_prior
     from matcap.lab.train.evaluate import EvaluateSettings, run_evaluation
     from matcap.lab.train.pack import Pack
+    from matcap.space.prior.store import load_prior
 
     settings = EvaluateSettings(steps, longer, materials)
     command = shlex.join(["matcap", *sys.argv[1:]])
@@ -188,9 +188,9 @@ def ablate(
     import shlex
     import sys
 
-    from matcap.capture.prior.store import load_prior
     from matcap.lab.train.ablate import run_ablation
     from matcap.lab.train.pack import Pack
+    from matcap.space.prior.store import load_prior
 
     command = shlex.join(["matcap", *sys.argv[1:]])
     table = run_ablation(
@@ -219,10 +219,10 @@ def variety(
     import shlex
     import sys
 
-    from matcap.capture.prior.store import load_prior
     from matcap.files.staging import check_writable
     from matcap.lab.train.draws import VarietySettings, run_variety
     from matcap.lab.train.pack import Pack
+    from matcap.space.prior.store import load_prior
 
     check_writable(out, 2_000_000)
     command = shlex.join(["matcap", *sys.argv[1:]])

@@ -199,7 +199,7 @@ def _scene(name: str | None, light: str | None, size: values.Size | None) -> Sce
 
 def _photographed(path: Path, size: values.Size | None) -> Scene | None:
     """The photograph's own scene, where a material tells it."""
-    from matcap.model.opened import open_photographed
+    from matcap.field.opened import open_photographed
     from matcap.relight.photographed import photographed_scene
     from matcap.relight.scene import Film
 
@@ -221,7 +221,7 @@ def _renderer(
     *,
     quiet: bool,
 ) -> Renderer:
-    from matcap.model.opened import open_source
+    from matcap.field.opened import open_source
     from matcap.relight.foreign import read_foreign
     from matcap.relight.render import Renderer
 

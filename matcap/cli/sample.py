@@ -12,7 +12,7 @@ from matcap.cli.options import LikeOption, QuietOption, SpreadOption
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from matcap.model.material import Material
+    from matcap.field.material import Material
 
 
 def sample(
@@ -38,9 +38,9 @@ def sample(
     with --like. They are materials like any other: synth, relight, export, view and blend take
     them.
     """
-    from matcap.capture.prior.sample import sample_sheet
     from matcap.files.picture import check_picture_path, write_picture
     from matcap.files.staging import check_writable, staged
+    from matcap.space.prior.sample import sample_sheet
 
     check_picture_path(out)
     draw = drawing(prior, like, spread)
@@ -65,9 +65,9 @@ def drawing(
     """Materials by their seed, near a photograph where one is given."""
     from functools import partial
 
-    from matcap.capture.prior.anchors import SPREAD
-    from matcap.capture.prior.store import DETAIL, load_prior
     from matcap.photo.load import load_photo
+    from matcap.space.prior.anchors import SPREAD
+    from matcap.space.prior.store import DETAIL, load_prior
 
     space = load_prior(prior)
     share = SPREAD if spread is None else spread

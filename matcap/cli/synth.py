@@ -29,8 +29,8 @@ from matcap.errors import ExitCode, UsageError
 from matcap.files import values
 
 if TYPE_CHECKING:
-    from matcap.model.material import Material
-    from matcap.model.plane import Rectangle
+    from matcap.field.material import Material
+    from matcap.field.plane import Rectangle
     from matcap.synth.precision import ChosenPrecision
     from matcap.synth.request import Progress as SynthProgress
     from matcap.synth.synthesise import Axes, Growth, SynthRequest
@@ -174,7 +174,7 @@ def synth(
     import os
 
     from matcap.brdf.adjust import parse_adjustments
-    from matcap.model.plane import check_seed
+    from matcap.field.plane import check_seed
     from matcap.synth.request import Files, Work
     from matcap.synth.synthesise import SynthRequest, synthesise
     from matcap.synth.unfinished import unfinished_bytes
@@ -290,7 +290,7 @@ def _growth(blend: Path | None, mask: Path | None, over: values.Region | None) -
 
 
 def _rectangle(region: values.Region) -> Rectangle:
-    from matcap.model.plane import Rectangle
+    from matcap.field.plane import Rectangle
 
     return Rectangle(region.x, region.y, region.width, region.height)
 
@@ -326,14 +326,8 @@ def _progress(*, quiet: bool) -> Iterator[Callable[[SynthProgress], None]]:
 def _rate(now: SynthProgress) -> str:
     """Texels a second, and how long there is to go."""
     left = now.seconds_left
-    time_left = "" if left is None else f", {_duration(left)} left"
+    time_left = "" if left is None else f", {values.spoken_duration(left)} left"
     return f"{now.rate / 1e6:.2f} million texels/s{time_left}"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def bench(
@@ -367,7 +361,7 @@ def bench(
 
     from matcap.files.staging import check_writable
     from matcap.lab.bench.synth import BLOCKS, NETWORKS, Settings, markdown, run_synth, write_report
-    from matcap.model.decoder import ALIGNMENT
+    from matcap.space.decoder import ALIGNMENT
 
     for name in network or ():
         if name not in NETWORKS:

@@ -19,17 +19,19 @@ from torch import Tensor
 
 from matcap.brdf.maps import CHANNELS
 from matcap.errors import MatcapError
+from matcap.field.material import lacking
+from matcap.field.plane import Rectangle
 from matcap.files.staging import staged_file
-from matcap.model.decoder import DEPTH, OUTPUTS, maps_from_raw
-from matcap.model.freeze import FoldedDecoder, FoldedLayer
-from matcap.model.patch import Patch
-from matcap.model.plane import Rectangle
-from matcap.model.random_field import RandomField, random_field
-from matcap.model.regular_order import WAVE_CHANNELS
-from matcap.model.spans import Span, spans_of
+from matcap.space.decoder import DEPTH, OUTPUTS, maps_from_raw
+from matcap.space.freeze import FoldedDecoder, FoldedLayer
+from matcap.space.patch import Patch
+from matcap.space.random_field import RandomField, random_field
+from matcap.space.regular_order import WAVE_CHANNELS
+from matcap.space.spans import Span, spans_of
+from matcap.space.tuned import TunedDecoder
 
 if TYPE_CHECKING:
-    from matcap.model.material import Material
+    from matcap.field.material import Material
 
 _OPSET = 17
 _IR_VERSION = 8  # what onnxruntime has read since 2022
@@ -45,13 +47,17 @@ def write_onnx(material: Material, path: str | Path) -> float:
     `roughness` and `height` (1, C, H, W), as in a MapSet.
 
     Raises:
+        UsageError: the material has no decoder.
         MatcapError: the extra is missing, the file cannot be written, or onnxruntime's maps
             differ by more than 1e-4.
     """
     onnx, runtime = _need("onnx"), _need("onnxruntime")
     path = Path(path)
-    model = _model(onnx, material).SerializeToString()
-    error = _difference(runtime, model, material)
+    tuned = material.part(TunedDecoder)
+    if tuned is None:
+        raise lacking("decoder")
+    model = _model(onnx, material.name, tuned).SerializeToString()
+    error = _difference(runtime, model, tuned)
     if not error <= _TOLERANCE:
         raise MatcapError(f"onnxruntime's maps differ by {error:g}", where=str(path))
     with staged_file(path) as file:
@@ -99,7 +105,7 @@ class _Graph:
         return self.add("Relu", features) if layer.activate else features
 
 
-def _model(onnx: Any, material: Material) -> Any:  # noqa: ANN401
+def _model(onnx: Any, name: str, material: TunedDecoder) -> Any:  # noqa: ANN401
     graph, decoder = _Graph(onnx), material.folded()
     raw = _network(graph, decoder)
     sizes = graph.constant(torch.tensor(list(CHANNELS.values())))
@@ -119,15 +125,15 @@ def _model(onnx: Any, material: Material) -> Any:  # noqa: ANN401
         }
     real = onnx.TensorProto.FLOAT
 
-    def described(name: str, channels: int, level: int) -> Any:  # noqa: ANN401
+    def described(of: str, channels: int, level: int) -> Any:  # noqa: ANN401
         shape = [1, channels, f"height_{level}", f"width_{level}"]
-        return graph.helper.make_tensor_value_info(name, real, shape)
+        return graph.helper.make_tensor_value_info(of, real, shape)
 
     model = graph.helper.make_model(
         graph.helper.make_graph(
             graph.nodes,
-            material.name,
-            [described(name, *shape) for name, shape in inputs.items()],
+            name,
+            [described(of, *shape) for of, shape in inputs.items()],
             [described(kind, channels, 0) for kind, channels in CHANNELS.items()],
             graph.weights,
         ),
@@ -168,7 +174,7 @@ def _halo(decoder: FoldedDecoder) -> int:
     return -spans_of(Span(0, 16), decoder.convolutions).down[0].start
 
 
-def _difference(runtime: Any, model: bytes, material: Material) -> float:  # noqa: ANN401
+def _difference(runtime: Any, model: bytes, material: TunedDecoder) -> float:  # noqa: ANN401
     """Largest difference between onnxruntime's and torch's maps of one field."""
     decoder = material.folded()
     field = random_field(

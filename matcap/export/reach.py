@@ -23,15 +23,16 @@ def material_reach(path: Path, name: str) -> float | None:
     Returns:
         None where there is no material with an exemplar: the maps themselves must tell.
     """
-    from matcap.model.material import Material
+    from matcap.example.example import Example
+    from matcap.field.material import Material
 
     folder = path if path.is_dir() else path.parent
     file = path if path.suffix.lower() == ".matcap" else folder / f"{name}.matcap"
-    exemplar = None
+    example = None
     if file.is_file():
         # What is exported was read; a material beside it that is broken only has no say.
         with suppress(MatcapError):
-            exemplar = Material.load(file).exemplar
-    if exemplar is None:
+            example = Material.load(file).part(Example)
+    if example is None:
         return None
-    return roomy(float(np.abs(exemplar.height).max(initial=0.0)))
+    return roomy(float(np.abs(example.exemplar.height).max(initial=0.0)))

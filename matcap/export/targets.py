@@ -146,7 +146,7 @@ def export_mapset(folder: Path, target: str) -> Exported:
         UsageError: no such target.
         MatcapError: no map set, a full disk, an unwritable folder.
     """
-    from matcap.model.opened import open_tile
+    from matcap.field.opened import open_tile
 
     found = open_tile(folder)
     place = folder if folder.is_dir() else folder.parent

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 from matcap.errors import UsageError
 from matcap.export.occlusion import settings
-from matcap.model.opened import open_material
+from matcap.field.opened import open_material
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.export.textures import ExportJob
-    from matcap.model.material import Material
-    from matcap.model.source import Generator
+    from matcap.field.material import Material
+    from matcap.field.source import Generator
 
 FIRST = 1001
 MOST_COLUMNS, MOST_ROWS = 10, 900

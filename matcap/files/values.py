@@ -77,3 +77,10 @@ def duration(text: str | float) -> float:
     if not 0 < seconds < math.inf:
         raise ValueError(f"'{text}' is not a time such as 90s or 1.5m")
     return seconds
+
+
+def spoken_duration(seconds: float) -> str:
+    """Seconds as people say them: 42 s, 12 min, 1.5 h."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -30,6 +30,10 @@ class Uniform:
     roughness: float
     setup: FlashSetup
 
+    def logits(self) -> Tensor:
+        """(5,) of diffuse albedo, F0 and roughness."""
+        return torch.logit(torch.tensor([*self.diffuse, self.specular, self.roughness]), eps=1e-4)
+
 
 def uniform_radiance(
     uniform: Uniform, points: Tensor, slope: tuple[float, float] = (0.0, 0.0), duller: float = 0.0

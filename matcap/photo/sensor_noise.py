@@ -7,7 +7,7 @@ So the finest structure, that of a checkerboard of single photosites, is nearly 
 the picture is plainest it is nothing else.
 
 A capture needs it because noise looks like texture: renderings get the same noise before they are
-compared, and the material need not imitate it (capture/finetune.py).
+compared, and the material need not imitate it (space/tuning/finetune.py).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Finds the regular order of a texture: the plane waves a weave, knit, tile or stripe is made of.
 
 The averaged power spectrum of a regular texture has sharp peaks on a lattice. The two shortest
-waves that generate all of them are what the decoder needs to be told (model/regular_order.py);
+waves that generate all of them are what the decoder needs to be told (space/regular_order.py);
 everything else about the pattern it learns.
 """
 

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from matcap.brdf.adjust import Adjustments, adjusted_planes
 from matcap.brdf.folder import NormalStyle
-from matcap.model.blocks import Grid
-from matcap.model.plane import Period, Rectangle
+from matcap.field.blocks import Grid
+from matcap.field.plane import Period, Rectangle
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from matcap.model.source import Source
+    from matcap.field.source import Source
 
 
 @dataclass(frozen=True)

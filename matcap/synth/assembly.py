@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.model.blocks import Piece
+from matcap.field.blocks import Piece
 from matcap.synth.exr_tiles import Tile, TileFile, encode_tile
 from matcap.synth.pictures import Fragment, Picture, Rendered, tiles_of
 

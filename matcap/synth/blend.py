@@ -8,12 +8,13 @@ lose their contrast where both are half there.
 The share is a function of the texel alone: blocks, order and workers change no bit. Where it is 0
 or 1 the texels are those of the one material.
 
-Not here: model/between.py, which makes one material between two others.
+Not here: space/between.py, which makes one material between two others.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -21,12 +22,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.folder import NormalStyle
-from matcap.model.blocks import RING, Grid
-from matcap.model.example.source import ExampleSource
-from matcap.model.material import Material
-from matcap.model.plane import Period, Rectangle
-from matcap.model.source import Generator, MaterialSource, field_source, planes_of
-from matcap.model.spans import Span
+from matcap.field.blocks import RING, Grid
+from matcap.field.material import Material
+from matcap.field.plane import Period, Rectangle
+from matcap.field.source import Generator, Network, Source, planes_of
+from matcap.space.spans import Span
 from matcap.synth.mask import Mask
 
 _HEIGHT = 5  # among the stacked maps
@@ -48,8 +48,8 @@ class BlendSource:
         mask: the second one's share of every texel.
     """
 
-    first: MaterialSource | ExampleSource
-    second: MaterialSource | ExampleSource
+    first: Source
+    second: Source
     means: tuple[float, float]
     deviation: float
     mask: Mask
@@ -72,7 +72,7 @@ class BlendSource:
     @property
     def device(self) -> torch.device:
         """Where it is computed."""
-        return self.first.device if isinstance(self.first, MaterialSource) else _CPU
+        return self.first.device if isinstance(self.first, Network) else _CPU
 
     @property
     def device_type(self) -> str:
@@ -82,7 +82,7 @@ class BlendSource:
     def lowered(self, finest: int) -> BlendSource:
         """The same in bfloat16 from level `finest` on to the coarser ones."""
         first, second = (
-            source.lowered(finest) if isinstance(source, MaterialSource) else source
+            source.lowered(finest) if isinstance(source, Network) else source
             for source in (self.first, self.second)
         )
         return replace(self, first=first, second=second)
@@ -134,15 +134,22 @@ def blend_source(
     Raises:
         UsageError: a seed or period out of range, or generator of which a material has none.
     """
-    if generator is None and (first.example is None or second.example is None):
+    if generator is None and not all("example" in m.generators for m in (first, second)):
         generator = "decoder"
     start, end = (
-        field_source(material, seed, period, device, generator) for material in (first, second)
+        material.by(generator).generator.source(seed, period, device)
+        for material in (first, second)
     )
-    end = replace(end, texel_size=start.texel_size, grid=start.grid)
+    end = _changed(end, texel_size=start.texel_size, grid=start.grid)
     heights = [
-        replace(source, seed=0, period=None).maps(_SAMPLE)[_HEIGHT] for source in (start, end)
+        _changed(source, seed=0, period=None).maps(_SAMPLE)[_HEIGHT] for source in (start, end)
     ]
     means = (float(heights[0].mean()), float(heights[1].mean()))
     deviation = max(sum(float(height.std()) for height in heights), 1e-9 * start.texel_size)
     return BlendSource(start, end, means, deviation, mask)
+
+
+def _changed(source: Source, **fields: Any) -> Source:  # noqa: ANN401
+    """A source with other fields: all of them are frozen dataclasses."""
+    changed: Source = replace(cast(Any, source), **fields)
+    return changed

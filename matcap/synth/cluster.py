@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from matcap.errors import MatcapError
-from matcap.model.single import single_threaded
+from matcap.field.single import single_threaded
 from matcap.synth.jobs import Crew, Future, Job, WorkerLost, render_packed
 from matcap.synth.pictures import Rendered
 from matcap.synth.scheduler import connect

@@ -10,14 +10,13 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcap.model.example.source import example_source
-from matcap.model.header import read_exemplified
+from matcap.example.stored import read_exemplified
 
 if TYPE_CHECKING:
-    from matcap.model.device import DeviceName
-    from matcap.model.material import Material
-    from matcap.model.plane import Period, Rectangle
-    from matcap.model.source import Generator, Source
+    from matcap.field.device import DeviceName
+    from matcap.field.material import Material
+    from matcap.field.plane import Period, Rectangle
+    from matcap.field.source import Generator, Source
     from matcap.synth.precision import ChosenPrecision, Precision
 
 
@@ -72,17 +71,18 @@ def open_field(material: Path | Material, wanted: Wanted) -> OpenedField:
     if isinstance(material, Path) and wanted.generator != "decoder":
         held = read_exemplified(material)
         if held is not None:
-            source = example_source(held.example, wanted.seed, wanted.period)
+            source = held.example.source(wanted.seed, wanted.period)
             return OpenedField(source, held.name, held.provenance)
-    from matcap.model.device import find_device
-    from matcap.model.source import MaterialSource, field_source
+    from matcap.field.field import Field
+    from matcap.field.source import Network
     from matcap.synth.precision import choose
 
     subject = _loaded(material)
-    place = find_device(wanted.device)
-    field = field_source(subject, wanted.seed, wanted.period, place, wanted.generator)
+    field = Field(
+        subject, wanted.seed, wanted.period, device=wanted.device, generator=wanted.generator
+    ).source
     provenance = dict(subject.provenance)
-    if not isinstance(field, MaterialSource):
+    if not isinstance(field, Network):
         return OpenedField(field, subject.name, provenance)
     choice = choose(field, wanted.precision)
     return OpenedField(choice.source, subject.name, provenance, choice)
@@ -103,7 +103,7 @@ def open_blend(
     Raises:
         MatcapError, UsageError: as open_field; or the mask is no picture.
     """
-    from matcap.model.device import find_device
+    from matcap.field.device import find_device
     from matcap.synth.blend import blend_source
     from matcap.synth.mask import read_mask
     from matcap.synth.precision import choose
@@ -119,6 +119,6 @@ def open_blend(
 
 
 def _loaded(material: Path | Material) -> Material:
-    from matcap.model.material import Material
+    from matcap.field.material import Material
 
     return Material.load(material) if isinstance(material, Path) else material

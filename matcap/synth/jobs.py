@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from matcap.brdf.folder import NormalStyle
 from matcap.errors import MatcapError
-from matcap.model.blocks import Piece
+from matcap.field.blocks import Piece
 from matcap.synth.pictures import Picture, Rendered, render
 
 if TYPE_CHECKING:
-    from matcap.model.source import Source
+    from matcap.field.source import Source
 
 T_co = TypeVar("T_co", covariant=True)
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.errors import MatcapError, UsageError
-from matcap.model.blocks import check_rectangle
-from matcap.model.plane import Period, Rectangle
-from matcap.model.spans import Span
+from matcap.field.blocks import check_rectangle
+from matcap.field.plane import Period, Rectangle
+from matcap.space.spans import Span
 
 
 @dataclass(frozen=True)

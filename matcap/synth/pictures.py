@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from matcap.brdf.folder import NormalStyle
 from matcap.brdf.heights import check_heights
-from matcap.model.blocks import Piece
+from matcap.field.blocks import Piece
 from matcap.synth.exr_tiles import TILE, Channel, Layout, Tile, encode_tile, stored
 
 if TYPE_CHECKING:
-    from matcap.model.source import Source
+    from matcap.field.source import Source
 
 # Every stored map's channels, as they are called in a file of their own and in one of all maps.
 _OWN = {"diffuse": "RGB", "specular": "Y", "roughness": "Y", "height": "Y", "normal": "RGB"}

@@ -15,10 +15,10 @@ import torch
 from torch import Tensor
 
 from matcap.errors import MatcapError
+from matcap.field.plane import Rectangle
+from matcap.field.single import single_threaded
+from matcap.field.source import Network, Source
 from matcap.files.srgb import srgb_picture
-from matcap.model.plane import Rectangle
-from matcap.model.single import single_threaded
-from matcap.model.source import Network, Source
 from matcap.synth.pictures import KIND_PLANES
 
 Precision = Literal["fp32", "bf16", "auto"]

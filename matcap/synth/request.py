@@ -22,13 +22,13 @@ from matcap.brdf.folder import (
     plain_name,
 )
 from matcap.errors import UsageError
+from matcap.field.blocks import Piece, check_rectangle, pieces_of
+from matcap.field.plane import Rectangle
 from matcap.files.maker import MAKER_VERSION
-from matcap.model.blocks import Piece, check_rectangle, pieces_of
-from matcap.model.plane import Rectangle
 from matcap.synth.pictures import Picture, channels_of, pictures_of
 
 if TYPE_CHECKING:
-    from matcap.model.source import Source
+    from matcap.field.source import Source
 
 _UDIM_COLUMNS = 10
 _UDIM_ROWS = 900

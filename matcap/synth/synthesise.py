@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Literal
 
 from matcap.brdf.adjust import KEY, NONE, Adjustments
 from matcap.brdf.folder import MapSetInfo
-from matcap.model.plane import Period, Rectangle, check_seed
+from matcap.field.plane import Period, Rectangle, check_seed
 from matcap.synth.adjusted import adjusted_source
 from matcap.synth.fields import Wanted, open_blend, open_field
 from matcap.synth.request import Files, Request, Work
 from matcap.synth.stream import write_field
 
 if TYPE_CHECKING:
-    from matcap.model.device import DeviceName
-    from matcap.model.material import Material
-    from matcap.model.source import Generator
+    from matcap.field.device import DeviceName
+    from matcap.field.material import Material
+    from matcap.field.source import Generator
     from matcap.synth.precision import ChosenPrecision, Precision
 
 Axes = Literal["both", "x", "y"]

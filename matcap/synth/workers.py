@@ -1,6 +1,6 @@
 """Who computes the blocks: threads, processes, or a cluster.
 
-Read next: model/single.py (why one thread a block), stream.py (what becomes of the results).
+Read next: field/single.py (why one thread a block), stream.py (what becomes of the results).
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any
 
+from matcap.field.single import compute_alone, single_threaded
 from matcap.files.interrupts import settle_child, starting_children
-from matcap.model.single import compute_alone, single_threaded
 from matcap.synth.cluster import cluster
 from matcap.synth.jobs import Crew, Future, Job, pack, unpacked
 from matcap.synth.pictures import Rendered, render
 
 if TYPE_CHECKING:
-    from matcap.model.source import Source
+    from matcap.field.source import Source
 
 _AHEAD = 2  # blocks in flight for each worker: one computed, one waiting
 _FEW = 24  # blocks that are done before processes have started

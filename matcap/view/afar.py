@@ -15,15 +15,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.model.plane import Rectangle
+from matcap.field.field import Field
+from matcap.field.plane import Rectangle
 from matcap.view.moments import PLANES, RING, Planes, edged, halved, moments_of, wrapped
 
 if TYPE_CHECKING:
-    from matcap.model.example.example import Example
-    from matcap.model.example.plain import Places
-    from matcap.model.exemplar import Exemplar
-    from matcap.model.material import Material
-    from matcap.model.source import MaterialSource
+    from matcap.example.example import Example
+    from matcap.example.exemplar import Exemplar
+    from matcap.example.plain import Places
+    from matcap.field.material import Material
+    from matcap.field.source import Source
 
 _NEAR = 1  # levels that are means of texels: four a texel take as long as anybody waits
 _PIECE = 7  # squares of 2^7 texels and more lie in pieces of their own, and are independent
@@ -64,8 +65,8 @@ class ExampleFromAfar:
 
     def read(self, level: int, area: Rectangle) -> Planes:
         """Moments of an area, in texels of a level."""
-        from matcap.model.example.coarse import places_from_afar
-        from matcap.model.example.example import detail_bits
+        from matcap.example.coarse import places_from_afar
+        from matcap.example.example import detail_bits
 
         if level <= max(_NEAR, detail_bits(self.example.exemplar)):
             stacked = self.example.maps(self.seed, _finest(level, area).grown(RING), None)
@@ -118,8 +119,9 @@ class SmallerForms:
 class NetworkFromAfar:
     """The field that a material's network makes of a seed."""
 
-    source: MaterialSource
+    source: Source
     material: Material
+    seed: int
 
     @staticmethod
     def of(material: Material, seed: int) -> NetworkFromAfar:
@@ -128,9 +130,7 @@ class NetworkFromAfar:
         Raises:
             UsageError: the seed is out of range.
         """
-        from matcap.model.source import material_source
-
-        return NetworkFromAfar(material_source(material, seed), material)
+        return NetworkFromAfar(Field(material, seed).source, material, seed)
 
     @property
     def texel_size(self) -> float:
@@ -142,8 +142,9 @@ class NetworkFromAfar:
         if level > _NEAR:
             return self._mixed(level, area)
         wanted = _finest(level, area)
-        stacked = self._decoded(_aligned(wanted))
-        x, y = wanted.x - _aligned(wanted).x, wanted.y - _aligned(wanted).y
+        block = _aligned(wanted, self.material.alignment)
+        stacked = self._decoded(block)
+        x, y = wanted.x - block.x, wanted.y - block.y
         cut = stacked[:, y : y + wanted.height + 2 * RING, x : x + wanted.width + 2 * RING]
         return _coarser(moments_of(cut, self.texel_size), level)
 
@@ -154,9 +155,7 @@ class NetworkFromAfar:
     @cached_property
     def _tile(self) -> Pyramid:
         """A piece that repeats, of as much contrast as the field."""
-        from matcap.model.source import material_source
-
-        source = material_source(self.material, self.source.seed, (_TILE, _TILE))
+        source = Field(self.material, self.seed, (_TILE, _TILE)).source
         stacked = source.maps(Rectangle(0, 0, _TILE, _TILE)).numpy()
         return Pyramid(moments_of(stacked, self.texel_size))
 
@@ -169,7 +168,7 @@ class NetworkFromAfar:
         """Four pieces at random shifts, mixed so that mean and variance stay (Heitz and Neyret
         2018, without their histogram).
         """
-        from matcap.model.example.hashing import draw, hash_places
+        from matcap.example.hashing import draw, hash_places
 
         # The coarsest form that still is a picture.
         seen = min(level, _TILE.bit_length() - 4)
@@ -186,9 +185,7 @@ class NetworkFromAfar:
                 weight = (along_y if below else 1 - along_y)[:, None] * (
                     along_x if right else 1 - along_x
                 )
-                hashes = hash_places(
-                    self.source.seed, level, columns + right, (rows + below)[:, None]
-                )
+                hashes = hash_places(self.seed, level, columns + right, (rows + below)[:, None])
                 shift_x, shift_y = draw(hashes, 0, size), draw(hashes, 1, size)
                 piece = whole[:, (y[:, None] + shift_y) % size, (x + shift_x) % size]
                 total += weight.astype(np.float32) * (piece - mean)
@@ -217,13 +214,11 @@ def _finest(level: int, area: Rectangle) -> Rectangle:
     return Rectangle(area.x << level, area.y << level, area.width << level, area.height << level)
 
 
-def _aligned(area: Rectangle) -> Rectangle:
-    """A little more, on the network's coarsest grid."""
-    from matcap.model.decoder import ALIGNMENT
-
-    x, y = area.x // ALIGNMENT * ALIGNMENT, area.y // ALIGNMENT * ALIGNMENT
-    right = -(-(area.x + area.width) // ALIGNMENT) * ALIGNMENT
-    below = -(-(area.y + area.height) // ALIGNMENT) * ALIGNMENT
+def _aligned(area: Rectangle, step: int) -> Rectangle:
+    """A little more, on the network's coarsest grid, of so many texels."""
+    x, y = area.x // step * step, area.y // step * step
+    right = -(-(area.x + area.width) // step) * step
+    below = -(-(area.y + area.height) // step) * step
     return Rectangle(x, y, right - x, below - y)
 
 

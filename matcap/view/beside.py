@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from matcap.example.example import Example
+
 if TYPE_CHECKING:
+    from matcap.example.exemplar import Exemplar
+    from matcap.field.material import Material
     from matcap.flash.geometry import FlashSetup
-    from matcap.model.exemplar import Exemplar
-    from matcap.model.material import Material
 
 _LONG_SIDE = 1024
 _PHOTOGRAPHS = (".dng", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".cr2", ".nef", ".arw")
@@ -64,11 +66,11 @@ def find_beside(
         MatcapError: the photograph is none that matcap reads.
     """
     file = photo or find_photograph(path, name)
-    exemplar = material.exemplar if material else None
-    setup = material.setup if material and exemplar else None
+    example = material.part(Example) if material else None
+    setup = material.setup if material and example else None
     return Beside(
         browser_picture(file, setup) if file else None,
-        doubt_picture(exemplar) if exemplar else None,
+        doubt_picture(example.exemplar) if example else None,
         read_verdict(path if path.is_dir() else path.parent),
     )
 

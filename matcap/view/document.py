@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import UsageError
+from matcap.example.example import Example
 from matcap.view.beside import Beside, EncodedPicture
 from matcap.view.enclosed import packed_piece, packed_tile
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH
@@ -117,11 +118,11 @@ def sealed_page(
         "targets": [],
     }
     text = _document(facts.name, head, scripts, about)
-    exemplar = subject.first.exemplar if isinstance(subject, Materials) else None
-    if exemplar is None:
+    example = subject.first.part(Example) if isinstance(subject, Materials) else None
+    if example is None:
         return text
     for side in _PIECE_SIDES:
-        piece = packed_piece(exemplar, side)
+        piece = packed_piece(example.exemplar, side)
         enclosed = about | {"enclosed": piece, "piece_level": piece["level"]}
         text = _document(facts.name, head, scripts, enclosed)
         if len(text) <= _LONGEST or size > DEFAULT_TILE:

@@ -37,7 +37,7 @@ from matcap.view.moments import ALPHA2, HEIGHT, SQUARES, Planes, edged, halved, 
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
-    from matcap.model.exemplar import Exemplar
+    from matcap.example.exemplar import Exemplar
 
 _QUALITY = 90  # of its diffuse albedo's JPEG
 _SPARED = 2  # bits of a half float's ten that albedos do without

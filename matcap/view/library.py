@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 from matcap.brdf.adjust import NONE, Adjustments
 from matcap.brdf.folder import find_mapsets
 from matcap.errors import MatcapError
-from matcap.model.plane import Rectangle
+from matcap.field.plane import Rectangle
 from matcap.view.beside import Beside, find_beside, read_verdict
 from matcap.view.pages import APRON, Page, packed
 from matcap.view.subject import Materials
 
 if TYPE_CHECKING:
-    from matcap.model.source import Generator
+    from matcap.field.source import Generator
 
 SIDE, LEVEL = 240, 2
 _OPENED = 8  # materials kept: some 50 MB each
@@ -99,7 +99,7 @@ class Library:
         return packed(moments, texel_size)
 
     def _open(self, first: int, second: int | None) -> Materials:
-        from matcap.model.material import Material
+        from matcap.field.material import Material
 
         def load(index: int) -> Material:
             return Material.load(self.files[index]).by(self._generator)

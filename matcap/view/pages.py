@@ -20,7 +20,7 @@ from threading import Lock
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.model.plane import COORDINATE_LIMIT, Rectangle
+from matcap.field.plane import COORDINATE_LIMIT, Rectangle
 from matcap.view.moments import ALPHA2, HEIGHT, SLOPE_X, SLOPE_Y, SQUARES, Planes, halved
 from matcap.view.subject import Viewable
 

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from matcap.errors import UsageError
-from matcap.model.plane import Rectangle
+from matcap.example.example import Example
+from matcap.field.plane import Rectangle
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+    from matcap.field.material import Material
+    from matcap.field.source import Generator
     from matcap.flash.geometry import FlashSetup
-    from matcap.model.example.example import Example
-    from matcap.model.material import Material
-    from matcap.model.source import Generator
     from matcap.view.afar import ExampleFromAfar, NetworkFromAfar, Pyramid, SmallerForms
     from matcap.view.moments import Planes
 
@@ -121,10 +121,10 @@ class Materials:
         """See Viewable."""
         second = self.second.name if self.second else ""
         size = self.first.texel_size
-        exemplar = self.first.exemplar
+        piece = self.first.generator.piece_size
         return ViewFacts(
             self.first.name, second, size, None, self.seed, self._mean,
-            exemplar.size if exemplar else None, _flashed(self.first.setup) if exemplar else None,
+            piece, _flashed(self.first.setup) if piece else None,
             _millimetres(self.first.provenance),
         )  # fmt: skip
 
@@ -134,7 +134,7 @@ class Materials:
         Raises:
             UsageError: there is no second one.
         """
-        from matcap.model.between import blend
+        from matcap.space.between import blend
 
         if self.second is not None:
             return blend(self.first, self.second, share)
@@ -149,9 +149,10 @@ class Materials:
         from matcap.view.afar import Pyramid
         from matcap.view.moments import edged, moments_of
 
-        exemplar = self.first.exemplar
-        if exemplar is None:
+        example = self.first.part(Example)
+        if example is None:
             raise _no_piece()
+        exemplar = example.exemplar
         return Pyramid(moments_of(edged(exemplar.stacked()), exemplar.texel_size))
 
     @cached_property
@@ -159,9 +160,10 @@ class Materials:
         from matcap.view.afar import NetworkFromAfar
         from matcap.view.moments import mean_of
 
-        if self.first.exemplar is None:
+        piece = self.first.generator.piece_size
+        if piece is None:
             return mean_of(NetworkFromAfar.of(self.first, self.seed).mean)
-        return mean_of(self._piece.read(0, Rectangle(0, 0, *self.first.exemplar.size)))
+        return mean_of(self._piece.read(0, Rectangle(0, 0, *piece)))
 
     def moments(
         self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
@@ -173,14 +175,15 @@ class Materials:
         return field.read(level, area), field.texel_size
 
     def _open(self, seed: int, share: float) -> ExampleFromAfar | NetworkFromAfar:
-        from matcap.model.plane import check_seed
+        from matcap.field.plane import check_seed
         from matcap.view.afar import ExampleFromAfar, NetworkFromAfar
 
         check_seed(seed)
         material = self.at(share)
-        if material.example is None:
+        example = material.part(Example)
+        if example is None:
             return NetworkFromAfar.of(material, seed)
-        return ExampleFromAfar(material.example, seed, self._forms(material.example))
+        return ExampleFromAfar(example, seed, self._forms(example))
 
     def _forms(self, example: Example) -> Callable[[], SmallerForms]:
         """Made when they are asked for, and once."""
@@ -272,7 +275,7 @@ def open_subject(
             be blended.
         UsageError: a map set was to be blended, or to have another seed.
     """
-    from matcap.model.material import Material
+    from matcap.field.material import Material
 
     file = _material_in(path)
     if file is not None:

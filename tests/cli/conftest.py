@@ -11,8 +11,8 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture import pipeline as capturing
-from matcap.capture.pipeline import CaptureResult
 from matcap.capture.progress import CaptureProgress
+from matcap.capture.result import CaptureResult
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup

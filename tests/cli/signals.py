@@ -90,7 +90,7 @@ def _captured(folder: Path, struck: Struck) -> list[str]:
 def _whole(folder: Path, *, needed: bool) -> list[str]:
     """A captured material's folder: all of it or none."""
     from matcap.brdf.folder import read_mapset
-    from matcap.model.material import Material
+    from matcap.field.material import Material
 
     if not folder.exists():
         return ["nothing was written"] if needed else []

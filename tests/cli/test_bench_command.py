@@ -56,7 +56,7 @@ def test_a_failed_capture_is_3(matcap, monkeypatch, tmp_path):
 
 def test_bench_highlight_tells_what_was_kept_and_where_things_were(monkeypatch, matcap):
     """Only what is plain to see counts; nothing is fitted here."""
-    from matcap.capture.highlight import Highlight
+    from matcap.flash.highlight import Highlight
     from matcap.lab.bench import highlight as bench
     from matcap.lab.bench.place_floor import PlaceFloor
 

@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 # What git tracks in the package and setuptools would leave out unless told.
-DATA = ("matcap/py.typed", "matcap/capture/prior/weights/prior.safetensors")
+DATA = ("matcap/py.typed", "matcap/space/prior/weights/prior.safetensors")
 
 BUILD = """
 import sys

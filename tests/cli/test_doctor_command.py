@@ -5,8 +5,8 @@ from importlib.metadata import PackageNotFoundError, version
 
 import pytest
 
-from matcap.capture.prior import store
 from matcap.errors import MatcapError
+from matcap.space.prior import store
 
 
 def test_a_sound_installation(matcap):

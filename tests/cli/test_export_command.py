@@ -8,10 +8,10 @@ import torch
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
+from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.model.freeze import freeze
-from matcap.model.material import Material
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.freeze import freeze
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_real_lengths(matcap, folder):
 
 
 def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
-    from matcap.model.opened import open_tile
+    from matcap.field.opened import open_tile
 
     said = matcap("export", material, "--to", "gltf", "--size", "48x32", "--seed", 3)
     assert said.code == 0

@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from matcap.brdf.folder import read_mapset
+from matcap.field.material import Material
 from matcap.files.exr import read_exr
 from matcap.flash.geometry import FlashSetup
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.model.freeze import freeze
-from matcap.model.material import Material
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.freeze import freeze
 
 
 def run(folder, *arguments):

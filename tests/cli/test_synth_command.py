@@ -10,12 +10,12 @@ import pytest
 import torch
 
 from matcap.brdf.folder import read_mapset
+from matcap.field.blocks import BLOCK
+from matcap.field.field import Field
+from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
-from matcap.model.blocks import BLOCK
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.model.field import Field
-from matcap.model.freeze import freeze
-from matcap.model.material import Material
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.freeze import freeze
 
 TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))
 

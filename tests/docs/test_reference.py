@@ -15,8 +15,8 @@ from safetensors import safe_open
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import app, main
 from matcap.errors import ExitCode
-from matcap.model.example.example import Example
-from matcap.model.exemplar import CHANNELS, Exemplar
+from matcap.example.example import Example
+from matcap.example.exemplar import CHANNELS, Exemplar
 from matcap.relight import scenefile
 from matcap.relight.scene import Camera, Film, Surface
 
@@ -87,8 +87,8 @@ def test_a_material_holds_what_is_told(small, tmp_path):
     replace(small, example=Example.of(piece)).save(tmp_path / "leather.matcap")
     with safe_open(tmp_path / "leather.matcap", framework="pt") as file:
         about, tensors = json.loads(file.metadata()["matcap"]), list(file.keys())
-    assert set(about) == formats.keys("matcap.model.material", "Metadata")
-    told = [key.replace("*", r"[\w.]+") for key in formats.keys("matcap.model.material", "Tensors")]
+    assert set(about) == formats.keys("matcap.field.material", "Metadata")
+    told = [key.replace("*", r"[\w.]+") for key in formats.keys("matcap.field.material", "Tensors")]
     assert all(any(re.fullmatch(key, name) for key in told) for name in tensors)
     assert all(any(re.fullmatch(key, name) for name in tensors) for key in told)
 

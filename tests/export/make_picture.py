@@ -19,8 +19,8 @@ from round_trips import blender_picture, lit, mitsuba_picture, top_light
 
 from matcap.export.targets import write_export
 from matcap.export.textures import ExportJob
+from matcap.field.opened import open_tile
 from matcap.files.srgb import srgb_picture
-from matcap.model.opened import open_tile
 from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
 
 SIDE = 256

@@ -64,7 +64,7 @@ def test_a_known_size_goes_into_every_export(tmp_path, made):
 def test_a_material_fixes_the_range_of_its_heights(tmp_path, made, monkeypatch):
     height = made["leather"].height.numpy()
     there = SimpleNamespace(exemplar=SimpleNamespace(height=height))
-    monkeypatch.setattr("matcap.model.material.Material.load", lambda _: there)
+    monkeypatch.setattr("matcap.field.material.Material.load", lambda _: there)
     (tmp_path / "tiny.matcap").touch()
     reach = material_reach(tmp_path / "tiny.matcap", "anything")
     assert 1.2 * abs(height).max() < reach < 1.6 * abs(height).max()

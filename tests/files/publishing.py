@@ -34,15 +34,15 @@ from matcap.batch.workspace import open_run
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
 from matcap.capture.outputs import OutputSettings, write_outputs
-from matcap.capture.pipeline import CaptureResult
+from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.cli.main import main as matcap
 from matcap.errors import MatcapError
 from matcap.export.targets import write_export
 from matcap.export.textures import ExportJob
+from matcap.field.plane import Rectangle
 from matcap.files.publish import recover
 from matcap.files.staging import staged
-from matcap.model.plane import Rectangle
 from matcap.photo.photo import Photo
 from matcap.synth.request import Files, Work
 from matcap.synth.synthesise import SynthRequest, synthesise

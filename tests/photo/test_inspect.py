@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.coarse import fit_coarse
 from matcap.cli.main import main
+from matcap.flash.coarse import fit_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take

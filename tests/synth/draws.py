@@ -10,11 +10,11 @@ from pathlib import Path
 
 import torch
 
-from matcap.model.blocks import Grid, pieces_of
-from matcap.model.field import inner, read_source
-from matcap.model.plane import Rectangle
-from matcap.model.single import single_threaded
-from matcap.model.source import material_source
+from matcap.field.blocks import Grid, pieces_of
+from matcap.field.field import inner, read_source
+from matcap.field.plane import Rectangle
+from matcap.field.single import single_threaded
+from matcap.field.source import material_source
 
 PLACES = (0, 2**31, 2**40)
 

@@ -10,9 +10,9 @@ import sys
 
 import numpy as np
 
-from matcap.model.field import Field
-from matcap.model.material import Material
-from matcap.model.spans import Span, spans_of
+from matcap.field.field import Field
+from matcap.field.material import Material
+from matcap.space.spans import Span, spans_of
 
 
 def reach(material):

@@ -7,10 +7,10 @@ import torch
 from test_stream import ODD, contents, request
 
 from matcap.errors import MatcapError, UsageError
-from matcap.model.device import find_device, repeatable
-from matcap.model.field import Field
-from matcap.model.plane import Rectangle
-from matcap.model.source import MaterialSource, material_source
+from matcap.field.device import find_device, repeatable
+from matcap.field.field import Field
+from matcap.field.plane import Rectangle
+from matcap.field.source import MaterialSource, material_source
 from matcap.synth.request import Work
 from matcap.synth.stream import write_field
 

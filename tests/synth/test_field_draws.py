@@ -6,12 +6,12 @@ import torch
 from draws import run
 from repetition import correlations
 
-from matcap.model.blocks import BLOCK
-from matcap.model.field import Field, read_source
-from matcap.model.noise import noise_field
-from matcap.model.patch import Patch
-from matcap.model.plane import Rectangle
-from matcap.model.source import material_source
+from matcap.field.blocks import BLOCK
+from matcap.field.field import Field, read_source
+from matcap.field.plane import Rectangle
+from matcap.field.source import material_source
+from matcap.space.noise import noise_field
+from matcap.space.patch import Patch
 from matcap.synth.blend import blend_source
 from matcap.synth.mask import Mask
 
@@ -95,7 +95,7 @@ def test_a_periodic_blend_repeats(material, wavy):
 
 
 def test_masks_are_stretched_and_go_on_beyond_their_border():
-    from matcap.model.spans import Span
+    from matcap.space.spans import Span
 
     mask = Mask(np.array([[0, 255]], np.uint8), Rectangle(10, 0, 8, 4))
     shares = mask.shares(6, 0, Span(0, 16), Span(0, 16))[0]

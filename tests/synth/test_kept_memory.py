@@ -9,10 +9,10 @@ import pytest
 PROGRAM = """
 import resource, sys
 from matcap.lab.bench.synth import material
-from matcap.model.decoder import DecoderConfig
-from matcap.model.patch import Rectangle
-from matcap.model.single import single_threaded
-from matcap.model.source import material_source
+from matcap.space.decoder import DecoderConfig
+from matcap.space.patch import Rectangle
+from matcap.field.single import single_threaded
+from matcap.field.source import material_source
 from matcap.synth.workers import keep_memory
 
 if sys.argv[1] == "kept":

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from matcap.model.plane import Rectangle
-from matcap.model.spans import Span
+from matcap.field.plane import Rectangle
+from matcap.space.spans import Span
 from matcap.synth.blend import BlendSource
 from matcap.synth.mask import Mask
 

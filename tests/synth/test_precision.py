@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from matcap.errors import MatcapError
-from matcap.model.plane import Rectangle
-from matcap.model.source import material_source
+from matcap.field.plane import Rectangle
+from matcap.field.source import material_source
 from matcap.synth import precision
 from matcap.synth.precision import choose
 
@@ -45,7 +45,7 @@ def test_without_bfloat16_auto_is_fp32_and_bf16_an_error(material, monkeypatch):
 
 
 def test_the_fused_steps_are_the_plain_ones(wavy, monkeypatch):
-    from matcap.model import convolve
+    from matcap.space import convolve
 
     source = material_source(wavy, 1)
     fused = source.maps(BLOCK)

@@ -20,9 +20,9 @@ import torch
 from safetensors import safe_open
 
 from matcap.cli.main import main
+from matcap.field.field import Field
+from matcap.field.material import Material
 from matcap.files.exr import read_exr
-from matcap.model.field import Field
-from matcap.model.material import Material
 
 BEFORE = Path(__file__).with_name("before")
 MATERIAL = BEFORE / "before.matcap"

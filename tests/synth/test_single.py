@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from matcap.model.single import single_threaded
+from matcap.field.single import single_threaded
 
 pytestmark = pytest.mark.usefixtures("two_threads")
 

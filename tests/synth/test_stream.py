@@ -17,10 +17,10 @@ import torch
 
 from matcap.brdf.folder import MapSetInfo, read_mapset
 from matcap.errors import MatcapError
-from matcap.model.blocks import Grid
-from matcap.model.field import Field, read_source
-from matcap.model.plane import Rectangle
-from matcap.model.source import material_source
+from matcap.field.blocks import Grid
+from matcap.field.field import Field, read_source
+from matcap.field.plane import Rectangle
+from matcap.field.source import material_source
 from matcap.synth.request import Files, Request, Work
 from matcap.synth.stream import write_field
 

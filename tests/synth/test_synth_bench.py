@@ -6,12 +6,12 @@ import io
 import pytest
 import torch
 
+from matcap.field.plane import Rectangle
 from matcap.lab.bench import synth
 from matcap.lab.bench.synth import Settings, comma_separated, efficiency, markdown, paper_form
-from matcap.model.decoder import PAPER_CONFIG, Decoder
-from matcap.model.noise import noise_field
-from matcap.model.patch import Patch
-from matcap.model.plane import Rectangle
+from matcap.space.decoder import PAPER_CONFIG, Decoder
+from matcap.space.noise import noise_field
+from matcap.space.patch import Patch
 
 
 def test_the_papers_network_has_its_size():
@@ -27,7 +27,7 @@ def test_the_papers_network_has_its_size():
 def test_the_papers_form_is_the_decoder_but_for_the_blur(material, monkeypatch):
     monkeypatch.setattr(synth, "_blurred", lambda features: features)
     noise = noise_field(Patch(1, Rectangle(0, 0, 96, 64)), 2)[None]
-    from matcap.model.random_field import random_field
+    from matcap.space.random_field import random_field
 
     field = random_field(Patch(1, Rectangle(0, 0, 96, 64), period=(96, 64)), 2, (), levels=4)
     with torch.no_grad():
@@ -57,8 +57,8 @@ def test_a_short_run_fills_the_tables():
 
 def test_counted_multiplications_are_those_of_the_network(material):
     """By hand: one level-0 convolution of the head, 2 channels to 6, on the block and its ring."""
-    from matcap.model.plane import Rectangle
-    from matcap.model.source import material_source, spans_of_block
+    from matcap.field.plane import Rectangle
+    from matcap.field.source import material_source, spans_of_block
 
     decoder = material_source(material, 0).decoder
     found = list(synth._convolutions(decoder, spans_of_block(Rectangle(0, 0, 64, 32), (1, 1))))

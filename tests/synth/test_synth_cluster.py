@@ -9,9 +9,9 @@ import pytest
 
 from matcap.brdf.folder import MapSetInfo
 from matcap.errors import MatcapError
-from matcap.model.blocks import Grid
-from matcap.model.plane import Rectangle
-from matcap.model.source import material_source
+from matcap.field.blocks import Grid
+from matcap.field.plane import Rectangle
+from matcap.field.source import material_source
 from matcap.synth.request import Request, Work
 from matcap.synth.stream import write_field
 

@@ -8,8 +8,8 @@ import torch
 
 from matcap.brdf.folder import read_mapset
 from matcap.errors import UsageError
+from matcap.field.plane import Rectangle
 from matcap.files.png import write_png
-from matcap.model.plane import Rectangle
 from matcap.synth.request import Files
 from matcap.synth.synthesise import Growth, SynthRequest, synthesise
 

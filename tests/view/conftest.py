@@ -8,10 +8,10 @@ from contextlib import contextmanager
 import pytest
 import torch
 
+from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.model.freeze import freeze
-from matcap.model.material import Material
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.freeze import freeze
 from matcap.view.library import Library
 from matcap.view.pages import Pages
 from matcap.view.subject import Materials

@@ -13,21 +13,21 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from example.exemplars import an_example
 from materials import a_material
-from model.example.exemplars import an_example
 from PIL import Image
 
 from matcap.brdf.adjust import adjusted, parse_adjustments
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
-from matcap.capture.exemplar.find import piece_maps
+from matcap.capture.piece.find import piece_maps
 from matcap.files.exr import write_exr
 from matcap.files.srgb import srgb_decode, srgb_picture
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified
-from matcap.model.between import blend
 from matcap.relight.output import encode
 from matcap.relight.render import relight
 from matcap.relight.scene import Camera, EnvironmentLight, Film, PointLight, Scene, Surface
+from matcap.space.between import blend
 from matcap.view.beside import Beside, EncodedPicture, doubt_picture
 from matcap.view.document import sealed_page
 from matcap.view.subject import Maps, Materials

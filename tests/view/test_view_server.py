@@ -11,15 +11,15 @@ from threading import Event
 import numpy as np
 import pytest
 import torch
+from example.exemplars import an_example
 from materials import a_material
-from model.example.exemplars import an_example
 from PIL import Image
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.brdf.maps import MapSet
+from matcap.field.field import Field
+from matcap.field.plane import Rectangle
 from matcap.files.exr import write_exr
-from matcap.model.field import Field
-from matcap.model.plane import Rectangle
 from matcap.view.afar import ExampleFromAfar, NetworkFromAfar, SmallerForms
 from matcap.view.beside import Beside, EncodedPicture, doubt_picture, read_verdict
 from matcap.view.document import SCRIPTS, STYLE
@@ -194,7 +194,7 @@ def test_neighbours_share_what_lies_between_them(client):
 
 
 def test_share_blends(client, subject):
-    from matcap.model.between import blend
+    from matcap.space.between import blend
 
     found = levels_of(get(client, "page", level=0, column=1, row=1, share=0.25).content)[0]
     between = blend(subject.first, subject.second, 0.25)

@@ -55,7 +55,7 @@ _TABLES = (
 )
 # Heading, the module that owns the format, and the sections of its docstring that list keys.
 _OWNED = (
-    ("Material: `.matcap`", "matcap.model.material", ("Tensors", "Metadata")),
+    ("Material: `.matcap`", "matcap.field.material", ("Tensors", "Metadata")),
     ("Map set: a folder", "matcap.brdf.folder", ("Keys",)),
     ("Export: `NAME_TARGET.json`", "matcap.export.targets", ("Keys",)),
     ("Report: `report.json`", "matcap.capture.report", ("Keys",)),

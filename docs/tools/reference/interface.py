@@ -32,8 +32,8 @@ MODULES = {
     ),
     "matcap.relight.render": ("Renderer",),
     "matcap.relight.named": ("light_orbit",),
-    "matcap.model.between": ("blend",),
-    "matcap.capture.prior.store": ("Prior", "load_prior"),
+    "matcap.space.between": ("blend",),
+    "matcap.space.prior.store": ("Prior", "load_prior"),
     "matcap.view.document": ("sealed_page",),
     "matcap.view.subject": ("Materials",),
 }  # fmt: skip

@@ -11,9 +11,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from matcap.capture.highlight import Highlight
 from matcap.capture.verdict.evidence import Evidence
 from matcap.capture.verdict.rating import Rating
+from matcap.flash.highlight import Highlight
 
 # Where severities 1, 2 and 3 are reached.
 Limits = tuple[float, float, float]

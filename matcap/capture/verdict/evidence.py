@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -16,18 +15,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.highlight import Highlight, find_highlight, light_of
 from matcap.capture.settings import FEATURES
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.rectify import rectify
-from matcap.model.exemplar import CHANNELS
 from matcap.photo.inspect import hot_spot, unevenness
+from matcap.photo.photo import Photo
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.lattice import Wave, likeness_after_a_period
-
-if TYPE_CHECKING:
-    from matcap.capture.pipeline import CaptureResult
 
 Picture = NDArray[np.float32]
 
@@ -81,16 +78,30 @@ class Evidence:
     piece: Mapping[str, float] | None = None
 
 
-def evidence(result: CaptureResult) -> Evidence:
-    """Measure a capture, in about a second."""
-    photo, setup = result.photo, result.material.setup
+def evidence(
+    photo: Photo,
+    setup: FlashSetup,
+    rectified: Picture,
+    rerendered: Picture,
+    waves: tuple[Wave, ...] = (),
+    piece: Mapping[str, float] | None = None,
+) -> Evidence:
+    """Measure a capture, in about a second.
+
+    Args:
+        photo: the photograph.
+        setup: its camera and flash, as fitted.
+        rectified: (H, W, 3) the photograph on the plane's grid, linear.
+        rerendered: (H, W, 3) the material under that flash, linear.
+        waves: the plane waves of its regular order, cycles a texel.
+        piece: of the photographed piece's own maps; see Evidence.
+    """
     # What the camera would have seen of the re-rendering: clipped where the photograph is.
-    seen, again = np.minimum(result.rectified, 1.0), np.minimum(result.rerendered, 1.0)
+    seen, again = np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0)
     place, ratio = hot_spot(photo)
     colour, light = smooth_difference(seen, again)
     valid = rectify(photo, setup, seen.shape[1])[1]
     plane, rendering = plane_of(_planes(seen), valid), _planes(again)
-    waves = tuple(getattr(result.material, "waves", ()))
     return Evidence(
         highlights=(find_highlight(light_of(seen)), find_highlight(light_of(again))),
         flash_ratio=ratio,
@@ -104,7 +115,7 @@ def evidence(result: CaptureResult) -> Evidence:
         tilt=math.degrees(math.hypot(*setup.tilt)),
         offset=math.hypot(*setup.offset[:2]),
         clipped=photo.clipped_share,
-        piece=_piece(result),
+        piece=piece,
     )
 
 
@@ -222,14 +233,3 @@ def _order(plane: Plane, rendering: Tensor, waves: tuple[Wave, ...]) -> tuple[fl
         likeness_after_a_period(plane.encoded(), plane.valid, waves),
         likeness_after_a_period(plane.encoding(rendering[None])[0], plane.valid, waves),
     )
-
-
-def _piece(result: CaptureResult) -> dict[str, float] | None:
-    if result.found is None:
-        return None
-    means = result.found.exemplar.confidence.mean((1, 2)).tolist()
-    return {
-        "error": result.found.error,
-        "slow": result.found.slow,
-        **dict(zip(CHANNELS, means, strict=True)),
-    }

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from matcap.capture.verdict.checks import QualityCheck, all_checks
-from matcap.capture.verdict.evidence import Evidence, evidence
+from matcap.capture.verdict.evidence import Evidence
 from matcap.capture.verdict.rating import Rating
-
-if TYPE_CHECKING:
-    from matcap.capture.pipeline import CaptureResult
 
 # Severities are joined by this norm: the worst counts most, several small ones a little more than
 # one (three of 1.8 are one of 2.2).
@@ -80,8 +77,3 @@ class CaptureVerdict:
 def judge(seen: Evidence) -> CaptureVerdict:
     """The verdict on what was measured."""
     return CaptureVerdict(tuple(all_checks(seen)))
-
-
-def verdict_on(result: CaptureResult) -> CaptureVerdict:
-    """The verdict on a capture, in about a second."""
-    return judge(evidence(result))

@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.coarse import CoarseFit, fit_coarse
 from matcap.errors import UsageError
 from matcap.files.srgb import srgb_decode_tensor
+from matcap.flash.coarse import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
 from matcap.lab.bench.baselines import photo_as_albedo
 from matcap.lab.bench.drift import drift

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import CHANNELS
+from matcap.example import compiled
+from matcap.example.example import Example
+from matcap.example.exemplar import Exemplar
+from matcap.field.field import read_source
+from matcap.field.plane import Rectangle
 from matcap.lab.simulate.materials import realise
-from matcap.model.example import compiled
-from matcap.model.example.example import Example
-from matcap.model.example.source import example_source
-from matcap.model.exemplar import Exemplar
-from matcap.model.field import read_source
-from matcap.model.plane import Rectangle
 
 _MATERIAL = "leather"  # without order: the dearer kind
 _SEED = 11
@@ -70,10 +69,10 @@ def example_costs(
 
     def ready() -> None:
         made.append(Example.read(about, tensors.__getitem__))
-        example_source(made[-1], 0).maps(Rectangle(0, 0, 16, 16))
+        made[-1].source(0).maps(Rectangle(0, 0, 16, 16))
 
     yield _timed("unpack and prepare", ready, repeats)
-    source = example_source(made[-1], 1)
+    source = made[-1].source(1)
     side = round((size[0] * size[1]) ** 0.5)
     for width, height in (size, (side, side), (4 * side, 4 * side)):
         wanted = Rectangle(0, 0, width, height)

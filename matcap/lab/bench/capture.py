@@ -28,6 +28,8 @@ import torch
 
 from matcap.capture.settings import FEATURES, PRESETS, CaptureSettings, Method
 from matcap.errors import UsageError
+from matcap.field.material import Material
+from matcap.field.plane import Rectangle
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.quality import QualitySettings, Yardstick
 from matcap.lab.bench.relit import BenchLight, BenchScene, relight_all
@@ -37,10 +39,8 @@ from matcap.lab.simulate.examples import EXAMPLES, realisation
 from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take
 from matcap.lab.simulate.write_dng import Sensor, write_dng
-from matcap.model.decoder import PAPER_CONFIG, DecoderConfig
-from matcap.model.material import Material
-from matcap.model.patch import Patch
-from matcap.model.plane import Rectangle
+from matcap.space.decoder import PAPER_CONFIG, DecoderConfig
+from matcap.space.patch import Patch
 from matcap.statistics.filterbank import FilterBankConfig
 
 _BASE_STEPS, _BASE_PLACES = 160, 2  # of every point that does not vary them
@@ -337,12 +337,12 @@ def step_seconds(way: str, *, steps: int = 3) -> tuple[float, float]:
     from matcap.brdf.maps import MapSet
     from matcap.flash.geometry import plane_points
     from matcap.flash.render import render_flash
-    from matcap.model.convolve import computes_bfloat16
-    from matcap.model.decoder import CODE_SIZE, DEPTH, Decoder, maps_from_raw
-    from matcap.model.random_field import random_field
+    from matcap.space.decoder import CODE_SIZE, DEPTH, Decoder, maps_from_raw
+    from matcap.space.random_field import random_field
     from matcap.statistics.compare import Weights, describe, distance
     from matcap.statistics.encoding import fit_encoding
     from matcap.statistics.filterbank import FilterBank
+    from matcap.statistics.precision import computes_bfloat16
 
     width, height, method = 512, 384, WAYS[way].method
     half = method.half_precision and computes_bfloat16()
@@ -351,14 +351,15 @@ def step_seconds(way: str, *, steps: int = 3) -> tuple[float, float]:
     encoding = fit_encoding(photo, torch.ones(height, width, dtype=torch.bool))
     bank = FilterBank(method.features)
     target = describe(photo[None], encoding, bank)
-    decoder = Decoder(method.decoder)
+    shape = method.decoder or DecoderConfig()
+    decoder = Decoder(shape)
     optimiser = torch.optim.Adam(decoder.parameters(), fused=True)
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)[None]
     code, setup = torch.zeros(CODE_SIZE), FlashSetup(intensity=(10.0,) * 3)
     least = math.inf
     for seed in range(steps + 1):
         began = time.perf_counter()
-        channels = method.decoder.noise_channels
+        channels = shape.noise_channels
         noise = random_field(
             Patch(seed, Rectangle(0, 0, width, height), period=(width, height)),
             channels,

@@ -1,7 +1,7 @@
 """Whether the coarse fit keeps a photograph's highlight, and finds flash and tilt where they were.
 
 Real photographs have no truth but themselves: the highlight is measured alike in photograph and
-re-rendering (capture/highlight.py). Simulated ones tell offset and tilt.
+re-rendering (flash/highlight.py). Simulated ones tell offset and tilt.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.coarse import CoarseFit, fit_coarse, render_coarse
-from matcap.capture.highlight import CELLS, Highlight, find_highlight, light_of
 from matcap.files.picture import write_picture
+from matcap.flash.coarse import CoarseFit, fit_coarse, render_coarse
 from matcap.flash.geometry import FlashSetup
+from matcap.flash.highlight import CELLS, Highlight, find_highlight, light_of
 from matcap.lab.bench.place_floor import PlaceFloor, place_floors
 from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.materials.kinds import random_kind

@@ -11,13 +11,13 @@ from pathlib import Path
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.find import FoundExemplar, piece_maps
+from matcap.capture.piece.find import FoundPiece, piece_maps
 from matcap.capture.pipeline import capture_photo, read_photograph
 from matcap.capture.settings import PRESETS, CaptureSettings, Method
+from matcap.example.example import Example
+from matcap.field.plane import Rectangle
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.baselines import Fixed
-from matcap.model.example.example import Example
-from matcap.model.plane import Rectangle
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Rearranged:
         return MapSet.from_stacked(stacked, self.texel_size)
 
 
-def found_piece(path: Path, detail: int) -> tuple[FoundExemplar, FlashSetup]:
+def found_piece(path: Path, detail: int) -> tuple[FoundPiece, FlashSetup]:
     """The exemplar of a photograph's file, and its setup as fitted."""
     settings = CaptureSettings(steps=0, detail=detail, aligned=True)  # no decoder is asked for
     method = Method(adapted=PRESETS["standard"].adapted)

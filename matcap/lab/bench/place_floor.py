@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.coarse import CoarseFit, render_coarse
+from matcap.flash.coarse import CoarseFit, render_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.photo import Photo
 

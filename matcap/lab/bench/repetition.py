@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import CHANNELS
 from matcap.errors import MatcapError
+from matcap.example.example import Example
+from matcap.example.stored import read_exemplified
+from matcap.field.header import REMEDY
+from matcap.field.plane import Rectangle
 from matcap.lab.bench.by_example import true_exemplar
-from matcap.model.example.example import Example
-from matcap.model.header import REMEDY, read_exemplified
-from matcap.model.plane import Rectangle
 from matcap.statistics.lattice import find_lattice
 
 NEAR = 128  # texels: twice what a piece is begun with

@@ -18,10 +18,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.capture.exemplar.find import FoundExemplar
-from matcap.capture.pipeline import CaptureResult, capture_photo
+from matcap.capture.piece.find import FoundPiece
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings, Method
 from matcap.errors import MatcapError
+from matcap.field.plane import Rectangle
 from matcap.lab.bench.stability_photographs import FOV, HARD_PHOTOGRAPHS
 from matcap.lab.bench.stability_reflectance import (
     CASES,
@@ -30,8 +32,8 @@ from matcap.lab.bench.stability_reflectance import (
     measure,
     measure_shading,
 )
-from matcap.model.plane import Rectangle
 from matcap.photo.load import photo_from_array
+from matcap.space.tuned import TunedDecoder
 
 _MAPS = ("diffuse", "specular", "roughness", "height", "normal")
 _ASPECT = 0.75
@@ -150,8 +152,10 @@ def finite(result: CaptureResult) -> bool:
     """
     material = result.material
     tensors = [getattr(result.maps, name) for name in _MAPS]
-    tensors += [moment for pair in material.moments for moment in pair]
-    tensors += list(material.decoder.state_dict().values())
+    tuned = material.part(TunedDecoder)
+    if tuned is not None:
+        tensors += [moment for pair in tuned.moments for moment in pair]
+        tensors += list(tuned.decoder.state_dict().values())
     numbers = [*material.setup.offset, *material.setup.tilt, *material.setup.intensity]
     if result.found is not None:
         tensors += _piece(result.found, result.settings.seed)
@@ -163,7 +167,7 @@ def finite(result: CaptureResult) -> bool:
     )
 
 
-def within_ranges(found: FoundExemplar, seed: int) -> bool:
+def within_ranges(found: FoundPiece, seed: int) -> bool:
     """Whether albedo, F0 and roughness of the piece and of a field made of it are in [0, 1]."""
     return all(
         bool((maps[:5] >= 0.0).all() and (maps[:5] <= 1.0).all())
@@ -171,7 +175,7 @@ def within_ranges(found: FoundExemplar, seed: int) -> bool:
     )
 
 
-def _piece(found: FoundExemplar, seed: int) -> list[torch.Tensor]:
+def _piece(found: FoundPiece, seed: int) -> list[torch.Tensor]:
     """The piece's maps, a small field that rearranges them, and what the photograph told."""
     field = found.example.maps(seed, Rectangle(0, 0, _FIELD, _FIELD), None)
     told = found.strengths
@@ -213,6 +217,7 @@ def _photograph_row(name: str, count: int, settings: StabilitySettings) -> Row:
             detail=detail,
             seed=settings.seed + index,
             prior="none" if index % 2 else "auto",
+            generator="decoder",
             aligned=True,
         )
         try:
@@ -225,12 +230,13 @@ def _photograph_row(name: str, count: int, settings: StabilitySettings) -> Row:
             what = f"{type(error).__name__}: {error}".splitlines()[0]
             row = replace(row, values=row.values + 1, where=what)
             continue
-        taken_back = settings.steps - len(result.history)
+        history = result.tuning.history if result.tuning else ()
+        taken_back = settings.steps - len(history)
         row = replace(row, gradients=row.gradients + taken_back)
         assert result.found is not None
         if not (finite(result) and within_ranges(result.found, asked.seed)):
             row = replace(row, values=row.values + 1, where=f"seed {asked.seed}, {asked.prior}")
-        worst = max([worst, *(error for _, _, error in result.history[-1:])])
+        worst = max([worst, *(error for _, _, error in history[-1:])])
         of_piece = max(of_piece, result.found.error)
     return replace(row, worst=f"style {worst:.2g}, piece {of_piece:.2g}" if worst else "")
 

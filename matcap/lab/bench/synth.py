@@ -30,11 +30,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from matcap.field.blocks import Grid
+from matcap.field.field import read_source
+from matcap.field.plane import Rectangle
+from matcap.field.single import single_threaded
 from matcap.files.staging import staged
-from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.by_example import ExampleCost, example_costs, example_table
-from matcap.model.blocks import Grid
-from matcap.model.decoder import (
+from matcap.space.decoder import (
     CODE_SIZE,
     DEPTH,
     PAPER_CONFIG,
@@ -42,16 +44,13 @@ from matcap.model.decoder import (
     Decoder,
     DecoderConfig,
 )
-from matcap.model.field import read_source
-from matcap.model.freeze import FoldedDecoder, FoldedLayer, freeze
-from matcap.model.material import Material
-from matcap.model.patch import Patch
-from matcap.model.plane import Rectangle
-from matcap.model.random_field import noise_of
-from matcap.model.regular_order import WAVE_CHANNELS
-from matcap.model.single import single_threaded
-from matcap.model.source import BlockSpans, MaterialSource, material_source, spans_of_block
-from matcap.model.spans import Span
+from matcap.space.freeze import FoldedDecoder, FoldedLayer, freeze
+from matcap.space.patch import Patch
+from matcap.space.random_field import noise_of
+from matcap.space.regular_order import WAVE_CHANNELS
+from matcap.space.source import BlockSpans, DecoderSource, spans_of_block
+from matcap.space.spans import Span
+from matcap.space.tuned import TunedDecoder
 from matcap.synth.precision import multiplies_bfloat16
 from matcap.synth.workers import keep_memory
 
@@ -196,14 +195,14 @@ def _measure(settings: Settings, allocator: str) -> Report:
     return Report(rows, efficiencies, peak / (1e6 if sys.platform == "darwin" else 1e3), examples)
 
 
-def material(config: DecoderConfig) -> Material:
-    """A material of random weights: what it costs does not depend on them."""
+def material(config: DecoderConfig) -> TunedDecoder:
+    """A decoder of random weights: what it costs does not depend on them."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         decoder = Decoder(config).eval().requires_grad_(False)
     code = torch.zeros(CODE_SIZE)
     moments = tuple(freeze(decoder, code, ()))
-    return Material("bench", decoder, code, moments, (), 2 / 1024, FlashSetup())
+    return TunedDecoder(decoder, code, moments, (), 2 / 1024)
 
 
 def paper_form(decoder: Decoder, code: Tensor, noise: Tensor) -> Tensor:
@@ -235,7 +234,7 @@ def paper_form(decoder: Decoder, code: Tensor, noise: Tensor) -> Tensor:
     return step(decoder.head, features, decoder.head.convolution.weight.contiguous())
 
 
-def efficiency(name: str, subject: Material, precision: str, repeats: int) -> Efficiency:
+def efficiency(name: str, subject: TunedDecoder, precision: str, repeats: int) -> Efficiency:
     """Multiply-adds a second of one block and of its convolutions alone, on one thread."""
     source = _source(subject, Grid(), precision)
     block = Rectangle(0, 0, source.grid.width, source.grid.height)
@@ -311,7 +310,7 @@ def comma_separated(report: Report) -> str:
     return text.getvalue()
 
 
-def _rows(name: str, subject: Material, allocator: str, settings: Settings) -> Iterator[Timing]:
+def _rows(name: str, subject: TunedDecoder, allocator: str, settings: Settings) -> Iterator[Timing]:
     width, height = settings.size
     config = subject.decoder.config
     noise = noise_of(Patch(1, Rectangle(0, 0, width, height)), config.noise_channels, config.grains)
@@ -322,7 +321,7 @@ def _rows(name: str, subject: Material, allocator: str, settings: Settings) -> I
             for precision in _precisions():
                 source = _source(subject, _grid(block), precision)
 
-                def ours(source: MaterialSource = source, workers: int = workers) -> None:
+                def ours(source: DecoderSource = source, workers: int = workers) -> None:
                     read_source(source, Rectangle(0, 0, width, height), workers)
 
                 def theirs(workers: int = workers) -> None:
@@ -373,8 +372,8 @@ def _processor(call: Callable[[], object]) -> float:
     return time.thread_time() - start
 
 
-def _source(subject: Material, grid: Grid, precision: str) -> MaterialSource:
-    source = replace(material_source(subject, 1), grid=grid)
+def _source(subject: TunedDecoder, grid: Grid, precision: str) -> DecoderSource:
+    source = replace(subject.source(1), grid=grid)
     return source if precision == "fp32" else source.lowered(0)
 
 

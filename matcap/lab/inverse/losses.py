@@ -18,9 +18,9 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import Angles, dot, normalize, single_lobe
 from matcap.brdf.maps import MapSet
+from matcap.capture.piece.network.inputs import read_outputs, true_outputs
+from matcap.capture.piece.network.network import OUTPUTS
 from matcap.lab.inverse.samples import Sample
-from matcap.model.inverse.inputs import read_outputs, true_outputs
-from matcap.model.inverse.network import OUTPUTS
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
 from matcap.statistics.gram import gram
 

@@ -21,13 +21,13 @@ import torch
 from safetensors import safe_open
 from torch import Tensor
 
-from matcap.capture.exemplar.store import save_inverse
+from matcap.capture.piece.network.inputs import network_inputs
+from matcap.capture.piece.network.network import Inverse, InverseConfig
+from matcap.capture.piece.network.store import save_inverse
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 from matcap.lab.inverse.losses import loss_parts, total
 from matcap.lab.inverse.samples import HELD_OUT, HELD_OUT_PATTERNS, Sample, draw_sample
-from matcap.model.inverse.inputs import network_inputs
-from matcap.model.inverse.network import Inverse, InverseConfig
 
 _AHEAD = 4  # samples made before they are wanted
 _STATE = "state.safetensors"

@@ -17,15 +17,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.capture.prior.look import picture
 from matcap.lab.simulate.materials.varied import random_material
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.train.corpus import QUALITY, random_setup, srgb_bytes
 from matcap.lab.train.pack import decode
 from matcap.lab.train.precision import mixed
-from matcap.model.alignment import WIDTH, Alignment
-from matcap.model.encoder import PICTURE_CHANNELS
 from matcap.photo.photo import Photo
+from matcap.space.alignment import WIDTH, Alignment
+from matcap.space.encoder import PICTURE_CHANNELS
+from matcap.space.prior.look import picture
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def make(seeds: range, width: int = WIDTH) -> Tilted:
     pictures, fov, tilts = [], [], []
     for seed in seeds:
         photo, tilt = tilted_photo(seed, width)
-        pictures.append(picture(photo, WIDTH).half())
+        pictures.append(picture(photo.pixels, WIDTH).half())
         fov.append(photo.fov)
         tilts.append(tilt)
     return Tilted(torch.stack(pictures), torch.tensor(fov), torch.tensor(tilts).float())

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.coarse import fit_coarse
-from matcap.capture.start import log_contrast
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_encode
+from matcap.flash.coarse import fit_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import read_plane
 from matcap.lab.simulate.materials.kinds import RandomKind, random_kind
@@ -27,6 +26,7 @@ from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.train.pack import WAVE_DETAIL, Entry, Pack, decode, read_code
 from matcap.photo.photo import DEFAULT_FOV, Photo
+from matcap.space.tuning.start import log_contrast
 from matcap.statistics.lattice import find_lattice
 
 PICTURES = (".jpg", ".jpeg", ".png")

@@ -2,7 +2,7 @@
 
 The way up and the head are the shipped decoder's. What reaches them from the way down is here a
 1 x 1 convolution of white noise, at every level its own: nothing looks at its neighbours before
-the way up does. It is no network that is shipped: it cannot be folded (model/freeze.py) or saved
+the way up does. It is no network that is shipped: it cannot be folded (space/freeze.py) or saved
 as a material, so its pictures are read from it as it is (`Unfolded`).
 """
 
@@ -15,7 +15,8 @@ import torch
 from torch import Tensor, nn
 
 from matcap.brdf.maps import MapSet
-from matcap.model.decoder import (
+from matcap.field.plane import Rectangle
+from matcap.space.decoder import (
     ALIGNMENT,
     DEPTH,
     ConvolutionLayer,
@@ -25,9 +26,8 @@ from matcap.model.decoder import (
     Step,
     maps_from_raw,
 )
-from matcap.model.patch import Patch
-from matcap.model.plane import Rectangle
-from matcap.model.random_field import random_field
+from matcap.space.patch import Patch
+from matcap.space.random_field import random_field
 from matcap.statistics.lattice import Wave
 
 HALO = 4 * ALIGNMENT  # texels of true noise around what is read; the way up reaches 61 of them

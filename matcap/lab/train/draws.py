@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from matcap.capture.prior.store import Prior
 from matcap.lab.bench.variety import Variety, describe_pictures, joined, variety
 from matcap.lab.train.evaluate import UNSEEN
 from matcap.lab.train.journal import first_of_each
@@ -19,6 +18,7 @@ from matcap.lab.train.middles import Middle, middles
 from matcap.lab.train.pack import Pack
 from matcap.lab.train.pages import table
 from matcap.lab.train.pictures import lit, middle, simulated_middle, write_grid
+from matcap.space.prior.store import Prior
 
 _SHEET, _COLUMNS = 64, 8  # draws that are shown, and how many side by side
 _FARTHER = 1.3  # than the ends of a blend, at most, may its middle be from photographs

@@ -15,9 +15,6 @@ from pathlib import Path
 
 from torch import Tensor, zeros
 
-from matcap.capture.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR
-from matcap.capture.prior.store import Prior
-from matcap.capture.start import log_contrast, untrained
 from matcap.lab.bench.baselines import PerTexelSettings
 from matcap.lab.train.align import evaluate_alignment, make
 from matcap.lab.train.journal import first_of_each
@@ -26,7 +23,10 @@ from matcap.lab.train.measure import Made, Photographed, Result, capture, judge,
 from matcap.lab.train.pack import Entry, Pack
 from matcap.lab.train.pages import COLUMNS, median, names, table, write_sheet
 from matcap.lab.train.rivals import albedo, per_texel_maps, quilts
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.prior.store import Prior
+from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR
+from matcap.space.tuning.start import log_contrast, untrained
 
 UNSEEN = 1_000_000  # seeds from here on show simulated materials that training never draws
 ALBEDO, QUILTING, PER_TEXEL = "photograph as albedo", "image quilting", "per texel"
@@ -156,7 +156,7 @@ Begin = Callable[[Photographed], tuple[Decoder, Tensor]]
 
 def from_prior(prior: Prior, shown: Photographed) -> tuple[Decoder, Tensor]:
     """Decoder and code as the prior has them for a photograph."""
-    return prior.start(shown.photo, shown.entry.coarse, shown.plane)
+    return prior.start(shown.photo.pixels, shown.entry.coarse, shown.plane)
 
 
 def from_nothing(shown: Photographed, kind: type[Decoder] = Decoder) -> tuple[Decoder, Tensor]:

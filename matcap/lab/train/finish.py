@@ -15,15 +15,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from matcap.capture.prior.anchors import Anchor, Anchors, Habits, anchors_of
-from matcap.capture.prior.base import VARYING, base_of, varying
-from matcap.capture.prior.look import describe_windows, numbers, picture, texture
-from matcap.capture.prior.store import Prior
 from matcap.flash.rectify import rectify
 from matcap.lab.train.pack import WAVE_DETAIL, Entry
-from matcap.model.alignment import Alignment
-from matcap.model.decoder import CODE_SIZE, Decoder
-from matcap.model.encoder import Encoder
+from matcap.space.alignment import Alignment
+from matcap.space.decoder import CODE_SIZE, Decoder
+from matcap.space.encoder import Encoder
+from matcap.space.prior.anchors import Anchor, Anchors, Habits, anchors_of
+from matcap.space.prior.base import VARYING, base_of, varying
+from matcap.space.prior.look import describe_windows, numbers, picture, texture
+from matcap.space.prior.store import Prior
 
 _RIDGE = 10.0  # photographs' worth of belief that bases do not go with codes
 DEAD = 0.05  # variance of the codes' means below which a dimension tells nothing
@@ -56,7 +56,7 @@ def codes_of(encoder: Encoder, entries: Sequence[Entry]) -> Codes:
         linear, valid = rectify(photo, entry.coarse.setup, WAVE_DETAIL)
         with torch.inference_mode():
             mean, log_variance = encoder(
-                picture(photo, encoder.config.width)[None],
+                picture(photo.pixels, encoder.config.width)[None],
                 numbers(entry.coarse, entry.contrast, WAVE_DETAIL)[None],
                 texture(describe_windows(linear, valid))[None],
             )

@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.capture.prior.look import texture
 from matcap.files.srgb import srgb_decode_tensor, srgb_picture
 from matcap.lab.train.pack import Entry, Pack
 from matcap.lab.train.precision import mixed
 from matcap.lab.train.state import TrainConfig, TrainingState
 from matcap.lab.train.step import compare, decode_windows, targets
 from matcap.lab.train.training_windows import PreparedPhotograph, TrainingSample, Turn, cut
+from matcap.space.prior.look import texture
 from matcap.statistics.compare import Descriptor
 from matcap.statistics.filterbank import FilterBank
 

@@ -17,11 +17,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.capture.prior.store import Prior
 from matcap.errors import MatcapError
 from matcap.files.png import write_png
 from matcap.lab.train.measure import Result
 from matcap.lab.train.pack import Entry, read_code
+from matcap.space.prior.store import Prior
 
 _NUMBERS = tuple(f.name for f in fields(Result) if f.name != "picture")
 

@@ -15,21 +15,23 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.finetune import RATE_FROM_NOTHING, TuneScene, TuneSettings, finetune
-from matcap.capture.prior.look import FEATURES
-from matcap.capture.windows import cut_windows
+from matcap.field.material import Material
 from matcap.files.srgb import srgb_encode_tensor
 from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.render import render_flash
+from matcap.flash.windows import cut_windows
 from matcap.lab.bench.diversity import diversity
 from matcap.lab.bench.style import RandomFilters, difference
 from matcap.lab.bench.xyz import xyz_difference
 from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap.lab.train.pack import Entry
-from matcap.model.decoder import Decoder
-from matcap.model.material import Material
 from matcap.photo.photo import Photo
+from matcap.space.decoder import Decoder
+from matcap.space.prior.look import FEATURES
+from matcap.space.tuned import TunedDecoder
+from matcap.space.tuning.finetune import RATE_FROM_NOTHING, TuneSettings, finetune
 from matcap.statistics.filterbank import FilterBank
 
 SIZE = 384  # texels a side of the pictures compared
@@ -52,7 +54,7 @@ class Photographed:
     entry: Entry
     photo: Photo
     plane: Plane
-    scene: TuneScene
+    scene: PhotographTarget
 
     @property
     def middle(self) -> tuple[int, int]:
@@ -86,7 +88,7 @@ def photographed(entry: Entry) -> Photographed:
     photo, setup = entry.photo(), entry.coarse.setup
     plane, bank = read_plane(photo, setup, DETAIL), FilterBank(FEATURES)
     windows = cut_windows(plane, bank, _WINDOW)
-    scene = TuneScene(windows, setup, plane.encoding, bank, entry.waves, plane.texel_size)
+    scene = PhotographTarget(windows, setup, plane.encoding, bank, entry.waves, plane.texel_size)
     return Photographed(entry, photo, plane, scene)
 
 
@@ -161,7 +163,8 @@ def capture(
     if isinstance(decoder, DecoderOnly):
         material = Unfolded(*frozen)
     else:
-        material = Material("", *frozen, scene.setup)
+        made = TunedDecoder(*frozen)
+        material = Material("", {"decoder": made}, scene.texel_size, scene.setup)
     pictures = [tuned.lit(material.maps(SIZE, SIZE, seed=seed)) for seed in seeds(realisations)]
     return Made(torch.stack(pictures), seconds)
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from matcap.capture.prior.store import Prior
 from matcap.lab.bench.style import Statistics
 from matcap.lab.bench.variety import describe_pictures, style_distances
 from matcap.lab.train.pack import Entry
 from matcap.lab.train.pictures import lit
-from matcap.model.between import blend
+from matcap.space.between import blend
+from matcap.space.prior.store import Prior
 
 PAIRS = 10
 _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)

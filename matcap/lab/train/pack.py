@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from matcap.capture.coarse import CoarseFit
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode
 from matcap.files.tensors import write_tensors
+from matcap.flash.coarse import CoarseFit
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
@@ -47,7 +47,7 @@ class Entry:
         simulated: made by matcap.lab.simulate.
         jpeg: the encoded picture.
         coarse: its coarse fit.
-        contrast: (3,) log contrast (capture/prior/base.py).
+        contrast: (3,) log contrast (space/prior/base.py).
         waves: of its lattice, at WAVE_DETAIL texels across.
         tilt: the true (tilt_x, tilt_y) in radians, or None where unknown.
     """

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from matcap.field.material import Material
 from matcap.files.srgb import srgb_encode_tensor
 from matcap.files.staging import staged_file
 from matcap.flash.geometry import plane_points
 from matcap.flash.render import render_flash
 from matcap.lab.train.corpus import LONG_SIDE, simulated_code
 from matcap.lab.train.pack import Entry, linear_of
-from matcap.model.material import Material
 
 _SIZE = 256  # texels a side of what is compared
 _MEAN = 0.25  # radiance that every picture is brought to

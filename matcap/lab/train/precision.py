@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from matcap.model.convolve import computes_bfloat16
+from matcap.statistics.precision import computes_bfloat16
 
 
 def mixed(device: str) -> torch.autocast:

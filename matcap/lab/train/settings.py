@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 from matcap.errors import UsageError
 from matcap.lab.train.state import TrainConfig
 from matcap.lab.train.step import fits
-from matcap.model.decoder import DecoderConfig
-from matcap.model.encoder import BACKBONES, EncoderConfig
+from matcap.space.decoder import DecoderConfig
+from matcap.space.encoder import BACKBONES, EncoderConfig
 
 _Table = TypeVar("_Table", TrainConfig, EncoderConfig, DecoderConfig)
 

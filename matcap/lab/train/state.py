@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
-from matcap.capture.prior.base import start_head
-from matcap.capture.prior.store import Prior
 from matcap.errors import UsageError
-from matcap.model.decoder import Decoder, DecoderConfig
-from matcap.model.encoder import Encoder, EncoderConfig
+from matcap.space.decoder import Decoder, DecoderConfig
+from matcap.space.encoder import Encoder, EncoderConfig
+from matcap.space.prior.base import start_head
+from matcap.space.prior.store import Prior
 
 
 @dataclass(frozen=True)

@@ -10,19 +10,19 @@ import torch
 from torch import Tensor, nn
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.prior.base import Base
-from matcap.capture.prior.look import texture
+from matcap.field.plane import Rectangle
 from matcap.lab.train.precision import mixed
 from matcap.lab.train.second_teacher import comb, relief_distance, relit_distance, side_light
 from matcap.lab.train.state import TrainConfig, TrainingState
 from matcap.lab.train.training_windows import TrainingSample
-from matcap.model.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw
-from matcap.model.grains import grain_field
-from matcap.model.noise import noise_field
-from matcap.model.patch import Patch
-from matcap.model.plane import Rectangle
-from matcap.model.random_field import RandomField
-from matcap.model.regular_order import WAVE_CHANNELS, wave_field
+from matcap.space.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw
+from matcap.space.grains import grain_field
+from matcap.space.noise import noise_field
+from matcap.space.patch import Patch
+from matcap.space.prior.base import Base
+from matcap.space.prior.look import texture
+from matcap.space.random_field import RandomField
+from matcap.space.regular_order import WAVE_CHANNELS, wave_field
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.lattice import Wave

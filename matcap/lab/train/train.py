@@ -19,8 +19,6 @@ from pathlib import Path
 
 import numpy as np
 
-from matcap.capture.prior.look import FEATURES
-from matcap.capture.prior.store import Prior
 from matcap.lab.train.checkpoint import load_checkpoint, save_checkpoint
 from matcap.lab.train.corpus import true_piece
 from matcap.lab.train.journal import Journal
@@ -28,6 +26,8 @@ from matcap.lab.train.pack import Entry, Pack
 from matcap.lab.train.state import TrainConfig, TrainingState, start, start_from
 from matcap.lab.train.step import train_step
 from matcap.lab.train.training_windows import PreparedPhotograph, Turn, cut, prepare
+from matcap.space.prior.look import FEATURES
+from matcap.space.prior.store import Prior
 from matcap.statistics.filterbank import FilterBank
 
 _PIECE = 512  # texels a side of the true maps that windows are cut from

@@ -15,12 +15,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.prior.base import Base, base_of
-from matcap.capture.prior.look import numbers, picture
 from matcap.flash.geometry import camera_in_plane, plane_points
 from matcap.flash.plane import read_plane
 from matcap.flash.render import shade, vignette
 from matcap.lab.train.pack import WAVE_DETAIL, Entry
+from matcap.space.prior.base import Base, base_of
+from matcap.space.prior.look import numbers, picture
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.lattice import Wave
 
@@ -79,7 +79,7 @@ def prepare(entry: Entry, encoder_width: int, truth: MapSet | None = None) -> Pr
     """Decode and rectify a photograph of the pack; keep the maps of its material, if known."""
     photo = entry.photo()
     plane = read_plane(photo, entry.coarse.setup, WAVE_DETAIL)
-    shown = picture(photo, encoder_width)
+    shown = picture(photo.pixels, encoder_width)
     return PreparedPhotograph(
         plane.linear.half(), plane.valid, shown, plane.encoding, entry,
         None if truth is None else truth.map(Tensor.float),

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import simulated_shots as shots
 
-from matcap.capture.highlight import Highlight
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.verdict.checks import all_checks, severity
 from matcap.capture.verdict.evidence import Evidence, evidence
 from matcap.capture.verdict.judge import judge
 from matcap.capture.verdict.rating import Rating
+from matcap.flash.highlight import Highlight
 from matcap.flash.render import render_rectified
 
 SPOT = Highlight((0.0, 0.0), 0.1, 0.9, 0.1)

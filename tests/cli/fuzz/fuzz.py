@@ -87,7 +87,7 @@ def prepare() -> None:
     import cv2
     import torch
 
-    import matcap.model.material
+    import matcap.field.material
     import matcap.photo.load
     import matcap.relight.scenefile  # noqa: F401
 
@@ -121,7 +121,7 @@ def _picture(path: Path) -> None:
 
 
 def _material(path: Path) -> None:
-    from matcap.model.material import Material
+    from matcap.field.material import Material
 
     material = Material.load(path)
     assert Path(material.name).name == material.name and len(material.name) < 200

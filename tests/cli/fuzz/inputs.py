@@ -16,14 +16,14 @@ from PIL import Image, ImageCms
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
+from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.model.freeze import freeze
-from matcap.model.material import Material
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.freeze import freeze
 from matcap.statistics.lattice import Wave
 
 SCENE = """

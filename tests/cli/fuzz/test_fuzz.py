@@ -8,7 +8,7 @@ from fuzz import fuzz
 from inputs import write_material
 
 from matcap.errors import MatcapError
-from matcap.model.material import Material
+from matcap.field.material import Material
 
 
 def test_no_spoilt_file_is_more_than_an_error_message(tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from uniform import a_setup, photograph
 
-from matcap.capture.coarse import fit_coarse
+from matcap.flash.coarse import fit_coarse
 from matcap.lab.bench.place_floor import place_floors
 
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")

@@ -36,8 +36,8 @@ def test_copies_are_counted_by_their_texels():
 
 def test_a_small_field_is_measured(monkeypatch):
     monkeypatch.setattr("matcap.lab.bench.repetition._COPIED", 256)
+    from matcap.example.example import Example
     from matcap.lab.bench.by_example import true_exemplar
-    from matcap.model.example.example import Example
 
     found = measure("leather", Example.of(true_exemplar("leather", 192, 160)), 512)
     assert found.own < found.other + 0.15 and 0.8 < found.diversity < 1.2

@@ -15,10 +15,10 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_iter, tree_map
 
+from matcap.capture.piece.network.inputs import network_inputs
+from matcap.capture.piece.network.network import InverseConfig
 from matcap.lab.inverse.samples import draw_sample
 from matcap.lab.inverse.train import State, TrainSettings, train_step
-from matcap.model.inverse.inputs import network_inputs
-from matcap.model.inverse.network import InverseConfig
 
 AWAY = "meta"
 TINY = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)

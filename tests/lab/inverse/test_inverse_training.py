@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
+from matcap.capture.piece.network.inputs import network_inputs, true_outputs
+from matcap.capture.piece.network.network import ERRORS, InverseConfig
 from matcap.lab.inverse.losses import loss_parts, total
 from matcap.lab.inverse.samples import draw_sample, is_held_out, training_material
 from matcap.lab.inverse.train import TrainSettings, train
 from matcap.lab.simulate.materials import random_material
-from matcap.model.inverse.inputs import network_inputs, true_outputs
-from matcap.model.inverse.network import ERRORS, InverseConfig
 
 TINY = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)
 SMALL = TrainSettings(width=64, height=64, workers=0, save_every=1000)
@@ -79,7 +79,7 @@ def test_the_rate_warms_up_stays_and_falls_to_nothing() -> None:
 
 def test_a_few_steps_on_one_picture_lower_its_loss() -> None:
     torch.manual_seed(0)
-    from matcap.model.inverse.network import Inverse
+    from matcap.capture.piece.network.network import Inverse
 
     network = Inverse(TINY)
     sample = draw_sample(1, 64, 64)

@@ -3,8 +3,11 @@
 import pytest
 import torch
 
+from matcap.field.field import BLOCK, Field
+from matcap.field.material import Material
+from matcap.field.plane import COORDINATE_LIMIT, Rectangle
 from matcap.flash.geometry import FlashSetup
-from matcap.model.decoder import (
+from matcap.space.decoder import (
     ALIGNMENT,
     CODE_SIZE,
     DEPTH,
@@ -12,13 +15,10 @@ from matcap.model.decoder import (
     DecoderConfig,
     maps_from_raw,
 )
-from matcap.model.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE, Encoder, EncoderConfig
-from matcap.model.field import BLOCK, Field
-from matcap.model.freeze import fold, freeze, reference_field
-from matcap.model.material import Material
-from matcap.model.patch import Patch
-from matcap.model.plane import COORDINATE_LIMIT, Rectangle
-from matcap.model.random_field import random_field
+from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE, Encoder, EncoderConfig
+from matcap.space.freeze import fold, freeze, reference_field
+from matcap.space.patch import Patch
+from matcap.space.random_field import random_field
 from matcap.statistics.lattice import Wave
 
 CONFIG = DecoderConfig(noise_channels=4, widths=(8, 8, 8, 8, 8))

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from matcap.capture.coarse import fit_coarse
 from matcap.capture.settings import CaptureSettings
-from matcap.capture.windows import cut_windows
 from matcap.errors import MatcapError
+from matcap.flash.coarse import fit_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import read_plane
 from matcap.flash.rectify import rectify
+from matcap.flash.windows import cut_windows
 from matcap.lab.bench.stability import capture_array, finite, within_ranges
 from matcap.lab.bench.stability_photographs import HARD_PHOTOGRAPHS, textured
 from matcap.photo.load import photo_from_array

@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from matcap.capture.start import log_contrast
-from matcap.model.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
+from matcap.space.tuning.start import log_contrast
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import Encoding, fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig

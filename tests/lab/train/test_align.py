@@ -5,8 +5,8 @@ import torch
 
 from matcap.flash.geometry import FlashSetup, setup_rotation
 from matcap.lab.train.align import Tilted, evaluate_alignment, mirror, train_alignment
-from matcap.model.alignment import Alignment
-from matcap.model.encoder import PICTURE_CHANNELS
+from matcap.space.alignment import Alignment
+from matcap.space.encoder import PICTURE_CHANNELS
 
 
 @pytest.mark.parametrize("along_x, along_y", [(True, False), (False, True), (True, True)])

@@ -6,17 +6,18 @@ import pytest
 import torch
 from small import SMALL, coarse, entry
 
-from matcap.capture.finetune import TuneScene, TuneSettings, finetune
-from matcap.capture.start import untrained
-from matcap.capture.windows import cut_windows
+from matcap.field.material import Material
+from matcap.field.plane import Rectangle
+from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import read_plane
+from matcap.flash.windows import cut_windows
 from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
-from matcap.model.decoder import CODE_SIZE, DEPTH, OUTPUTS, Decoder
-from matcap.model.freeze import freeze
-from matcap.model.material import Material
-from matcap.model.patch import Patch
-from matcap.model.plane import Rectangle
-from matcap.model.random_field import random_field
+from matcap.space.decoder import CODE_SIZE, DEPTH, OUTPUTS, Decoder
+from matcap.space.freeze import freeze
+from matcap.space.patch import Patch
+from matcap.space.random_field import random_field
+from matcap.space.tuning.finetune import TuneSettings, finetune
+from matcap.space.tuning.start import untrained
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 from matcap.statistics.lattice import Wave
 
@@ -87,7 +88,9 @@ def test_it_tunes_with_a_finite_loss():
     plane = read_plane(photographed.photo(), photographed.coarse.setup, 192)
     bank = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
     windows = cut_windows(plane, bank, 64)
-    scene = TuneScene(windows, photographed.coarse.setup, plane.encoding, bank, WAVES, 2.0 / 192)
+    scene = PhotographTarget(
+        windows, photographed.coarse.setup, plane.encoding, bank, WAVES, 2.0 / 192
+    )
     before = decoder().state_dict()
     tuned = finetune(decoder(), CODE, scene, TuneSettings(steps=2), lambda *_: None)
     assert [step for _, step, _ in tuned.history] == [1, 2]

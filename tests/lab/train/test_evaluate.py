@@ -6,12 +6,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from matcap.capture.finetune import RATE_FROM_NOTHING, Tuned
 from matcap.lab.bench.baselines import PerTexelSettings
 from matcap.lab.train import ablate, evaluate, measure
 from matcap.lab.train.decoder_only import DecoderOnly
 from matcap.lab.train.measure import SIZE, Made, Result, capture, judge, photographed
 from matcap.lab.train.rivals import albedo, quilts
+from matcap.space.tuning.finetune import RATE_FROM_NOTHING, Tuned
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,9 @@
 import torch
 from small import SMALL
 
-from matcap.capture.prior.base import base_of
 from matcap.lab.train.finish import codes_of, finish, standardise, with_anchors
 from matcap.lab.train.step import fields
+from matcap.space.prior.base import base_of
 
 
 def test_standardising_changes_codes_and_no_picture(prior, pack):

@@ -9,13 +9,13 @@ import torch
 import torch.nn.functional as F
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.prior.look import FEATURES
 from matcap.errors import MatcapError
 from matcap.lab.train.corpus import simulate, true_piece
 from matcap.lab.train.second_teacher import comb, relief_distance, relit_distance, side_light
 from matcap.lab.train.state import TrainConfig
 from matcap.lab.train.train import train
 from matcap.lab.train.training_windows import Turn, cut, prepare
+from matcap.space.prior.look import FEATURES
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.filterbank import FilterBank
 

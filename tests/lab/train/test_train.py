@@ -8,14 +8,14 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from matcap.capture.prior.store import load_prior
 from matcap.errors import MatcapError, UsageError
 from matcap.lab.train.settings import read_config
 from matcap.lab.train.state import TrainConfig
 from matcap.lab.train.step import schedule
 from matcap.lab.train.train import draw, train
-from matcap.model.decoder import DecoderConfig
-from matcap.model.encoder import Encoder, EncoderConfig
+from matcap.space.decoder import DecoderConfig
+from matcap.space.encoder import Encoder, EncoderConfig
+from matcap.space.prior.store import load_prior
 
 TINY = TrainConfig(
     steps=4,
@@ -165,7 +165,7 @@ def test_a_configuration_is_read(tmp_path):
 
 
 def test_both_backbones_have_one_interface():
-    from matcap.model.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE
+    from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE
 
     for backbone, least in (("small", 1e6), ("resnet50", 2e7)):
         encoder = Encoder(EncoderConfig(backbone))
@@ -181,7 +181,7 @@ def test_both_backbones_have_one_interface():
 
 def test_the_papers_backbone_learns():
     """One step of Adam on a small picture moves every weight, and none of them to NaN."""
-    from matcap.model.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE
+    from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE
 
     torch.manual_seed(0)
     encoder = Encoder(EncoderConfig("resnet50", width=64))

@@ -6,8 +6,8 @@ import torch
 from small import SMALL
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.prior.base import base_of, fold, start_head
 from matcap.lab.train.training_windows import Turn, cut, prepare
+from matcap.space.prior.base import base_of, fold, start_head
 from matcap.statistics.lattice import Wave
 
 TURNS = [Turn(mirrored, quarters) for mirrored in (False, True) for quarters in range(4)]

@@ -1,0 +1,151 @@
+"""A photograph to the paper's generator: a decoder, tuned and frozen (paper, 4.6).
+
+statistics, start, fine-tuning, matching, verdict; and beside them the stages from piece to index
+where the photographed piece's own maps are asked for, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from matcap.capture.ending import judged, provenance
+from matcap.capture.piece.find import FoundPiece, find_piece
+from matcap.capture.piece.network.store import load_inverse
+from matcap.capture.progress import CaptureClock
+from matcap.capture.result import CaptureResult, Tuning
+from matcap.capture.settings import CaptureSettings, Effort, Method
+from matcap.capture.target import photograph_target
+from matcap.errors import MatcapError
+from matcap.field.material import Material
+from matcap.files.interrupts import postponed
+from matcap.flash.coarse import CoarseFit
+from matcap.flash.likeness import PhotographTarget
+from matcap.flash.plane import Plane
+from matcap.photo.photo import Photo
+from matcap.space.decoder import DecoderConfig
+from matcap.space.tuned import TunedDecoder
+from matcap.space.tuning.anytime import Forecaster, self_difference
+from matcap.space.tuning.audition import begin
+from matcap.space.tuning.finetune import TuneSettings, finetune
+from matcap.space.tuning.match import match_photograph
+from matcap.statistics.lattice import Wave
+
+
+def capture_by_decoder(
+    photo: Photo,
+    coarse: CoarseFit,
+    plane: Plane,
+    waves: tuple[Wave, ...],
+    window: int,
+    settings: CaptureSettings,
+    effort: Effort,
+    method: Method,
+    others: Sequence[Photo],
+    clock: CaptureClock,
+) -> CaptureResult:
+    """A photograph to a tuned decoder.
+
+    Args:
+        photo: the photograph, as it is.
+        coarse: its coarse fit.
+        plane: the photograph on its plane.
+        waves: of its regular order.
+        window: texels a side of what is compared.
+        settings: what the user decides.
+        effort: what it comes to.
+        method: how it is done.
+        others: more photographs of the same sample.
+        clock: of the capture.
+
+    Raises:
+        MatcapError: the prior cannot be read, or the picture is too small for a target.
+    """
+    with clock.stage("statistics"):
+        most = None if effort.steps or (settings.aligned and effort.adapted) else 1
+        target, joined = photograph_target(
+            plane, coarse, waves, settings, method, window, others, most
+        )
+        own = self_difference(target.windows, target.weights)
+
+    limit = clock.left_for("fine-tuning")
+    tune = TuneSettings(
+        steps=effort.steps,
+        seconds=limit if math.isfinite(limit) else None,
+        target=_target(settings, own, photo.name),
+        places=effort.places,
+        half_precision=method.half_precision,
+        seed=settings.seed,
+    )
+    with clock.stage("start"):
+        shape = method.decoder or DecoderConfig()
+        start = begin(photo.pixels, coarse, plane, target, tune, settings.prior, shape)
+
+    ahead = Forecaster(own)
+
+    def told(share: float, error: float, seconds: float) -> None:
+        clock.tuning(share, *ahead.after(error, seconds))
+
+    with clock.stage("fine-tuning"):
+        tuned = finetune(
+            start.decoder, start.code, target, replace(tune, learning_rate=start.rate), told
+        )
+    clock.interrupted |= tuned.interrupted
+
+    decoder = TunedDecoder(
+        decoder=tuned.decoder.eval().requires_grad_(False),
+        code=start.code,
+        moments=tuned.moments,
+        waves=waves,
+        texel_size=plane.texel_size,
+    )
+    material = Material(
+        name=photo.name.rsplit(".", 1)[0] or photo.name,
+        generators={"decoder": decoder},
+        texel_size=plane.texel_size,
+        setup=coarse.setup,
+        provenance=provenance(photo, settings, coarse, effort, joined),
+    )
+    if tuned.history and effort.matched:
+        # To the first photograph, if there are others.
+        with clock.stage("matching"), postponed() as stopped:
+            material = match_photograph(material, plane, settings.seed)
+        clock.interrupted |= stopped()
+
+    found = _piece(coarse, plane, target, settings, effort, clock) if settings.aligned else None
+    went = Tuning(tuned.history, own)
+    return judged(photo, material, plane, waves, settings, clock, found, went)
+
+
+def _piece(
+    coarse: CoarseFit,
+    plane: Plane,
+    target: PhotographTarget,
+    settings: CaptureSettings,
+    effort: Effort,
+    clock: CaptureClock,
+) -> FoundPiece:
+    """The photographed piece's own maps, beside the decoder's; in a hurry after an interrupt."""
+    with postponed() as stopped:
+        found = find_piece(
+            plane,
+            coarse,
+            load_inverse(),
+            target.waves,
+            target=lambda: target,
+            steps=0 if clock.interrupted else effort.adapted,
+            seed=settings.seed,
+        )
+    return replace(found, interrupted=stopped())
+
+
+def _target(settings: CaptureSettings, own: float, name: str) -> float | None:
+    """The error to end at, beside the photograph's own."""
+    if settings.target is not None and math.isnan(own):
+        raise MatcapError(
+            "the picture is too small to be compared with itself",
+            where=name,
+            remedy="raise --detail, or give --steps or --time in place of --target",
+        )
+    return None if settings.target is None else settings.target * own

@@ -1,0 +1,104 @@
+"""How every capture ends: its material seen beside the photograph, and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.capture.piece.find import FoundPiece
+from matcap.capture.progress import CaptureClock
+from matcap.capture.result import CaptureResult, Tuning
+from matcap.capture.settings import CaptureSettings, Effort
+from matcap.capture.verdict.evidence import evidence
+from matcap.capture.verdict.judge import judge
+from matcap.example.exemplar import CHANNELS
+from matcap.field.material import Material
+from matcap.files.interrupts import postponed
+from matcap.flash.coarse import CoarseFit
+from matcap.flash.plane import Plane
+from matcap.flash.render import render_rectified
+from matcap.photo.photo import Photo
+from matcap.statistics.lattice import Wave
+
+
+def judged(
+    photo: Photo,
+    material: Material,
+    plane: Plane,
+    waves: tuple[Wave, ...],
+    settings: CaptureSettings,
+    clock: CaptureClock,
+    found: FoundPiece | None = None,
+    tuning: Tuning | None = None,
+) -> CaptureResult:
+    """The material beside its photograph, and the verdict on it; the last stage but writing."""
+    interrupted = clock.interrupted or (found is not None and found.interrupted)
+    with clock.stage("verdict"), postponed() as stopped:
+        maps = material.maps(*plane.size, seed=settings.seed)
+        with torch.inference_mode():
+            rerendered = _picture(render_rectified(maps, material.setup))
+        rectified = _picture(plane.linear)
+        seen = evidence(
+            photo,
+            material.setup,
+            rectified,
+            rerendered,
+            waves,
+            None if found is None else _piece_evidence(found),
+        )
+        verdict = judge(seen)
+    return CaptureResult(
+        photo=photo,
+        material=material,
+        rectified=rectified,
+        rerendered=rerendered,
+        maps=maps,
+        evidence=seen,
+        verdict=verdict,
+        stage_seconds=clock.seconds,
+        settings=settings,
+        interrupted=interrupted or stopped(),
+        found=found,
+        tuning=tuning,
+    )
+
+
+def provenance(
+    photo: Photo,
+    settings: CaptureSettings,
+    coarse: CoarseFit,
+    effort: Effort,
+    joined: list[dict[str, Any]],
+) -> dict[str, Any]:
+    """How a material was made; JSON."""
+    told: dict[str, Any] = {
+        "photograph": photo.name,
+        "settings": settings.named(),
+        "millimetres_per_unit": settings.millimetres_per_unit,
+        "steps": effort.work(settings.generator),
+        "coarse": {
+            "diffuse": list(coarse.diffuse),
+            "specular": coarse.specular,
+            "roughness": coarse.roughness,
+            "residual": coarse.residual,
+            "lobes": [list(lobe) for lobe in coarse.lobes],
+        },
+    }
+    return told | ({"others": joined} if joined else {})
+
+
+def _piece_evidence(found: FoundPiece) -> Mapping[str, float]:
+    """What the verdict is told of a piece."""
+    means = found.exemplar.confidence.mean((1, 2)).tolist()
+    trusted = dict(zip(CHANNELS, means, strict=True))
+    return {"error": found.error, "slow": found.slow, **trusted}
+
+
+def _picture(linear: Tensor) -> NDArray[np.float32]:
+    picture: NDArray[np.float32] = linear.permute(1, 2, 0).contiguous().numpy()
+    return picture

@@ -1,0 +1,40 @@
+"""Evenness of albedo: its contrast is the same in every neighbourhood of a stationary sample.
+
+Where a highlight lies over it, albedo hardly shows, and the network's answer fades. What is left of
+every band is given the contrast that the band has where albedo is seen.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.capture.piece.smooth import smoothed, split
+
+Array = NDArray[np.float32]
+
+_AROUND = 64.0  # texels: deviation of a neighbourhood
+_GAINS = (0.5, 3.0)  # contrast is not lowered or raised more than this
+_LEAST = 1e-4  # of log albedo
+_LEAST_SEEN = 0.05  # of the weight of a place, for what is there
+
+
+def even_contrast(albedo: Array, weight: Array) -> Array:
+    """Log albedo (3, H, W) whose bands vary as much everywhere as where they are seen.
+
+    Args:
+        albedo: as the network gives it.
+        weight: (H, W) how far it is seen, in [0, 1].
+    """
+    local = weight + np.float32(_LEAST_SEEN)
+    under = smoothed(local, _AROUND)
+    grey = split(albedo.mean(0))
+    channels = [split(channel) for channel in albedo]
+    even = np.stack([bands[-1] for bands in channels])
+    for index, band in enumerate(grey[:-1]):
+        squared = np.square(band)
+        wanted = np.sqrt((squared * weight).sum() / max(float(weight.sum()), 1e-9))
+        here = np.sqrt(smoothed(squared * local, _AROUND) / under)
+        gain = (wanted / np.maximum(here, _LEAST)).clip(*_GAINS)
+        even += gain * np.stack([bands[index] for bands in channels])
+    return even

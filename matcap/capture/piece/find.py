@@ -1,0 +1,330 @@
+"""From a photograph on its plane to the photographed piece: named stages, from values to values.
+
+The network reads the whole picture; what the photograph says outright of relief's strength holds
+its answer to the truth; levels and texels are then moved until the maps re-render to the
+photograph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.adapt import adapt
+from matcap.capture.piece.contrast import even_contrast
+from matcap.capture.piece.equalise import equalise
+from matcap.capture.piece.network.inputs import network_inputs, true_outputs
+from matcap.capture.piece.network.network import GLOSS, OUTPUTS, Inverse
+from matcap.capture.piece.refine import Light, flatten, level, refine, remaining
+from matcap.capture.piece.smooth import smoothed
+from matcap.capture.piece.strengths import Strengths
+from matcap.capture.piece.told import noise_level, plane_strengths
+from matcap.capture.piece.transport import transport
+from matcap.example.example import Example
+from matcap.example.exemplar import Exemplar
+from matcap.flash.coarse import CoarseFit
+from matcap.flash.geometry import plane_points
+from matcap.flash.likeness import PhotographTarget
+from matcap.flash.plane import Plane
+from matcap.flash.rectify import inside
+from matcap.statistics.lattice import Wave
+
+# Expected errors at which confidence has fallen to 1/e: log albedo, log F0, logit roughness, slope.
+_DOUBTED = (0.3, 0.6, 0.6, 0.15)
+_LEAST_NOISE = 0.01  # of log radiance: what is not explained, where the sensor's is less
+# Legs of adaptation and how far each reaches; in between, what relief no longer explains goes back
+# to albedo. Short steps at the end: long ones stray by a tenth of relief's strength.
+_LEGS = (1.0, 0.35)
+_TRIED, _TRIED_AT_ONCE = 250, 40  # blocks for a place under glare: adapted, or at once
+_AROUND = 12.0  # the long side over the deviation of a neighbourhood's confidence
+# Where a neighbourhood (deviation in texels) has less light than this, of 1 at clipping, a
+# photograph of 8 bits has its last codes, and a RAW the sensor's noise.
+_UNLIT, _UNLIT_AROUND = 1e-3, 8.0
+
+
+Stage = Callable[[str], AbstractContextManager[None]]
+
+
+@dataclass(frozen=True)
+class FoundPiece:
+    """The photographed piece and how it was found.
+
+    Attributes:
+        example: its maps, indexed to be rearranged.
+        strengths: what the photograph says of relief and albedo outright, or None.
+        error: median difference of log radiance between photograph and re-rendering, of texels
+            seen and not clipped.
+        slow: mean size of its part that varies slowly, which is not the material's.
+        interrupted: ended by Ctrl-C.
+    """
+
+    example: Example
+    strengths: Strengths | None
+    error: float
+    slow: float
+    interrupted: bool = False
+
+    @property
+    def exemplar(self) -> Exemplar:
+        """The maps."""
+        return self.example.exemplar
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A photograph of a piece, and its light.
+
+    Attributes:
+        plane: the photograph; valid where it tells anything.
+        coarse: its coarse fit.
+        shown: (H, W) bool: seen and lit, or beyond the photograph.
+        inputs: (INPUTS, H, W) what the network is told.
+        light: the photograph's, at every texel.
+        glare: (H, W) share of the uniform material's radiance that is mirrored.
+        noise: of log radiance, the sensor's.
+    """
+
+    plane: Plane
+    coarse: CoarseFit
+    shown: Tensor
+    inputs: Tensor
+    light: Light
+    glare: NDArray[np.float32]
+    noise: float
+
+    @staticmethod
+    def of(plane: Plane, coarse: CoarseFit) -> Sight:
+        """Work out what every stage looks at."""
+        width, height = plane.size
+        points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+        # What lies beyond the photograph is its mirror, not glare.
+        beyond = torch.from_numpy(~inside((height, width), coarse.setup))
+        shown = plane.valid | beyond
+        inputs = network_inputs(plane.linear, shown, coarse, points)
+        bright = lit(plane.linear)
+        plane = replace(plane, valid=plane.valid & bright)
+        glare = inputs[GLOSS].clamp(0.0, 1.0).numpy()
+        light = Light(coarse, points)
+        return Sight(plane, coarse, shown & bright, inputs, light, glare, noise_level(plane))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Maps of the piece on their way.
+
+    Attributes:
+        outputs: (OUTPUTS, H, W) departures from the coarse fit (network/inputs.py).
+        errors: (ERRORS, H, W) log of what the network expects to be off by.
+        trusted: (4, H, W) confidence of diffuse, specular, roughness and height, in [0, 1].
+    """
+
+    outputs: Tensor
+    errors: Tensor
+    trusted: NDArray[np.float32]
+
+
+@torch.no_grad()
+def find_piece(
+    plane: Plane,
+    coarse: CoarseFit,
+    network: Inverse,
+    waves: tuple[Wave, ...] = (),
+    *,
+    target: Callable[[], PhotographTarget] | None = None,
+    steps: int = 0,
+    seconds: Callable[[], float] | None = None,
+    seed: int = 0,
+    stage: Stage = lambda name: nullcontext(),
+    tell: Callable[[float], None] | None = None,
+) -> FoundPiece:
+    """Maps of the photographed piece, stage by stage.
+
+    An interrupt while it is refined or adapted ends with the best so far; one before that goes on.
+
+    Args:
+        plane: the photograph.
+        coarse: its coarse fit.
+        network: reads it (network/store.py).
+        waves: the plane waves of its regular order.
+        target: gives the photograph's statistics; without them the piece is not adapted.
+        steps: of adaptation.
+        seconds: of adaptation at most, asked when it begins.
+        seed: of adaptation.
+        stage: entered with the name of each stage.
+        tell: called as adaptation goes on with the share that is done.
+    """
+    with stage("piece"):
+        sight = Sight.of(plane, coarse)
+        reading = read_piece(sight, network)
+    with stage("strengths"):
+        strengths = tell_strengths(sight, reading)
+        reading = strengthened(reading, strengths)
+    interrupted = False
+    try:
+        with stage("refine"):
+            reading = levelled(sight, reading)
+        if target is not None and steps:
+            with stage("adapt"):
+                wanted, limit = target(), seconds() if seconds else None
+                for leg, reach in enumerate(_LEGS):
+                    reading, interrupted = adapted(
+                        sight,
+                        reading,
+                        wanted,
+                        -(-steps // len(_LEGS)),
+                        reach=reach,
+                        seconds=None if limit is None else limit / len(_LEGS),
+                        seed=seed * len(_LEGS) + leg,
+                        tell=tell and _shared(tell, leg),
+                    )
+                    if interrupted:
+                        raise KeyboardInterrupt  # with what was reached
+    except KeyboardInterrupt:
+        interrupted = True
+    with stage("lend"):
+        exemplar = lent(sight, reading, _TRIED if steps and not interrupted else _TRIED_AT_ONCE)
+    with stage("index"):
+        example = Example.of(exemplar, tuple((wave.fx, wave.fy) for wave in waves))
+    left = remaining(reading.outputs, sight.plane.linear, sight.plane.valid, sight.light)
+    seen = left.residual[:, sight.plane.valid]
+    return FoundPiece(
+        example=example,
+        strengths=strengths,
+        error=float(seen.abs().median()) if seen.numel() else 0.0,
+        slow=float(left.slow.abs().mean()),
+        interrupted=interrupted,
+    )
+
+
+def read_piece(sight: Sight, network: Inverse) -> Reading:
+    """What the network reads."""
+    answer = _read(network, sight.inputs)
+    trusted = confidence(answer[OUTPUTS:], sight.plane.valid)
+    trusted[0] *= 1.0 - sight.glare
+    return Reading(answer[:OUTPUTS].clone(), answer[OUTPUTS:], trusted)
+
+
+def tell_strengths(sight: Sight, reading: Reading) -> Strengths | None:
+    """What the photograph says outright of relief and albedo; None where it says too little."""
+    shown = sight.light.shows_relief(sight.light.maps(reading.outputs))
+    return plane_strengths(sight.plane, sight.inputs, shown)
+
+
+def strengthened(reading: Reading, strengths: Strengths | None) -> Reading:
+    """Relief as strong as the photograph says."""
+    outputs = reading.outputs.clone()
+    outputs[5] = torch.from_numpy(equalise(outputs[5].numpy(), strengths))
+    return replace(reading, outputs=outputs)
+
+
+def levelled(sight: Sight, reading: Reading) -> Reading:
+    """Levels of the whole, then albedo and gloss of every texel, as the photograph has them."""
+    flat = _even(sight, reading, reading.outputs)
+    plane = sight.plane
+    return _explained(sight, reading, level(flat, plane.linear, sight.shown, sight.light))
+
+
+def adapted(
+    sight: Sight,
+    reading: Reading,
+    target: PhotographTarget,
+    steps: int,
+    *,
+    reach: float,
+    seconds: float | None,
+    seed: int,
+    tell: Callable[[float], None] | None,
+) -> tuple[Reading, bool]:
+    """A leg of adaptation; arguments as of adapt. And whether it was interrupted."""
+    plane = sight.plane
+    albedo = even_contrast(reading.outputs[:3].numpy(), np.square(reading.trusted[0]))
+    outputs = torch.cat([torch.from_numpy(albedo), reading.outputs[3:]])
+    found = adapt(
+        sight.light.maps(outputs, plane.texel_size),
+        plane.valid.numpy(),
+        target,
+        steps,
+        reach=reach,
+        seconds=seconds,
+        seed=seed,
+        tell=tell,
+    )
+    back = true_outputs(found.maps, sight.coarse)
+    return _explained(sight, reading, back), found.interrupted
+
+
+def lent(sight: Sight, reading: Reading, tried: int) -> Exemplar:
+    """The exemplar, what glare hides lent from elsewhere in it; `tried` blocks for a place."""
+    plane = sight.plane
+    maps = sight.light.maps(reading.outputs, plane.texel_size)
+    exemplar = Exemplar(
+        diffuse=maps.diffuse.numpy(),
+        specular=maps.specular.numpy(),
+        roughness=maps.roughness.numpy(),
+        height=maps.height.numpy(),
+        confidence=reading.trusted,
+        texel_size=plane.texel_size,
+    )
+    return transport(exemplar, plane.linear, plane.valid, sight.light, tried=tried)
+
+
+def _even(sight: Sight, reading: Reading, outputs: Tensor) -> Tensor:
+    return flatten(outputs, torch.from_numpy(reading.trusted), sight.glare)
+
+
+def _explained(sight: Sight, reading: Reading, outputs: Tensor) -> Reading:
+    """Albedo and gloss moved until they re-render to the photograph."""
+    least = max(sight.noise, _LEAST_NOISE)
+    linear = sight.plane.linear
+    refined = refine(outputs, reading.errors, linear, sight.shown, sight.light, noise=least)
+    return replace(reading, outputs=_even(sight, reading, refined.outputs))
+
+
+def _shared(tell: Callable[[float], None], leg: int) -> Callable[[float], None]:
+    """Tells of one leg's share as part of all."""
+    return lambda share: tell((leg + share) / len(_LEGS))
+
+
+def piece_maps(exemplar: Exemplar) -> MapSet:
+    """The photographed piece as a map set."""
+    stacked = torch.from_numpy(exemplar.stacked())
+    return MapSet.from_stacked(stacked, exemplar.texel_size)
+
+
+def confidence(errors: Tensor, valid: Tensor) -> NDArray[np.float32]:
+    """(4, H, W) in [0, 1] of expected errors (4, H, W), logarithms; 0 where nothing was seen.
+
+    Of neighbourhoods: confidence is about where the light shows a map, not about which of the
+    material's features are easily read, or only its plain places would be believed.
+    """
+    doubt = errors.clamp(-8.0, 4.0).exp().numpy() / np.array(_DOUBTED, np.float32)[:, None, None]
+    around = max(valid.shape) / _AROUND
+    believed = np.stack([np.exp(-smoothed(plane, around)) for plane in doubt])
+    # What a clipped texel's neighbours hold is partly its own.
+    seen = cv2.erode(valid.numpy().astype(np.uint8), np.ones((5, 5), np.uint8))
+    return np.ascontiguousarray(believed * seen, dtype=np.float32)
+
+
+def lit(linear: Tensor) -> Tensor:
+    """(H, W) bool: where radiance (3, H, W) tells anything, and is not black all around."""
+    return torch.from_numpy(smoothed(linear.mean(0).numpy(), _UNLIT_AROUND) > _UNLIT)
+
+
+def _read(network: Inverse, inputs: Tensor) -> Tensor:
+    """(OUTPUTS + ERRORS, H, W) of a picture of any size."""
+    height, width = inputs.shape[-2:]
+    multiple = network.config.multiple
+    pad = (0, -width % multiple, 0, -height % multiple)
+    mode = "reflect" if max(pad[1], pad[3]) < min(height, width) else "replicate"
+    whole = F.pad(inputs[None], pad, mode=mode) if any(pad) else inputs[None]
+    answer: Tensor = network(whole.contiguous(memory_format=torch.channels_last))
+    return answer[0, :, :height, :width]

@@ -1,0 +1,83 @@
+"""The inverse network's weights as they come with matcap: half floats, and a card."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+
+from matcap.capture.piece.network.network import Inverse, InverseConfig
+from matcap.errors import MatcapError
+from matcap.files.tensors import write_tensors
+
+FORMAT = "matcap-inverse"
+VERSION = 1  # of the file
+SHIPPED = Path(__file__).parent / "weights" / "inverse.safetensors"
+_WIDEST, _DEEPEST = 512, 8
+_REMEDY = "install matcap again, or give another file"
+
+
+def save_inverse(network: Inverse, path: Path, card: Mapping[str, Any]) -> None:
+    """Write weights in half precision, whole or not at all.
+
+    Args:
+        network: the network.
+        path: of the file.
+        card: how it was trained; JSON.
+
+    Raises:
+        MatcapError: the folder cannot be written.
+    """
+    tensors = {name: value.half() for name, value in network.state_dict().items()}
+    about = {
+        "format": FORMAT,
+        "version": VERSION,
+        "widths": network.config.widths,
+        "context": network.config.context,
+        "card": dict(card),
+    }
+    write_tensors(path, tensors, {"matcap": json.dumps(about)})
+
+
+def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
+    """A network and its card.
+
+    Raises:
+        MatcapError: missing, of another kind or version, damaged.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            about = json.loads((file.metadata() or {})["matcap"])
+            if about["format"] != FORMAT or about["version"] != VERSION:
+                raise ValueError(f"it holds {about['format']} of version {about['version']}")
+            widths = tuple(int(width) for width in about["widths"])
+            sizes = (*widths, int(about["context"]))
+            if not (2 <= len(widths) <= _DEEPEST and all(4 <= s <= _WIDEST for s in sizes)):
+                raise ValueError(f"a network of widths {sizes}")
+            network = Inverse(InverseConfig(widths, int(about["context"])))
+            state = {}
+            for name, expected in network.state_dict().items():
+                value = file.get_tensor(name).float()
+                if value.shape != expected.shape or not bool(torch.isfinite(value).all()):
+                    raise ValueError(f"the tensor {name} is not as it should be")
+                state[name] = value
+            network.load_state_dict(state)
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise MatcapError(
+            f"this is no inverse network, or it is damaged ({error})",
+            where=str(path),
+            remedy=_REMEDY,
+        ) from error
+    network = network.eval().requires_grad_(False)
+    return network, dict(about["card"])
+
+
+@cache
+def load_inverse() -> Inverse:
+    """The network that comes with matcap."""
+    return read_inverse(SHIPPED)[0]

@@ -1,0 +1,58 @@
+"""Bands of a plane, and wide blurs on fewer texels, which of what is smooth say as much."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.capture.piece.strengths import BANDS
+
+Plane = NDArray[np.float32]
+
+_COARSER = 8  # texels a side that are one
+_SOFT = 0.25  # octaves: half of what bands share at their borders
+
+
+def smoothed(plane: Plane, deviation: float) -> Plane:
+    """A plane (H, W) blurred by a Gaussian of many texels."""
+    return enlarged(coarse_smoothed(plane, deviation), plane.shape)
+
+
+def coarse_smoothed(plane: Plane, deviation: float) -> Plane:
+    """The same on a coarser grid."""
+    rows, columns = plane.shape
+    size = (max(1, columns // _COARSER), max(1, rows // _COARSER))
+    thin = cv2.resize(plane, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.GaussianBlur(thin, (0, 0), deviation / _COARSER), np.float32)
+
+
+def enlarged(plane: Plane, shape: tuple[int, ...]) -> Plane:
+    """A coarser plane at every texel of a finer one's (H, W)."""
+    size = (shape[1], shape[0])
+    return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def split(plane: Plane) -> list[Plane]:
+    """Bands of a plane (H, W) by the length of waves, strengths.BANDS, and the rest.
+
+    Longest first; what is longer than all bands comes last. They add up to the plane.
+    """
+    height, width = plane.shape
+    # cv2.dct wants even sides.
+    whole = np.pad(plane, [(0, side % 2) for side in plane.shape], mode="edge")
+    waves = cv2.dct(whole.astype(np.float32))
+    rows, columns = (np.arange(side) / (2.0 * side) for side in whole.shape)
+    octave = np.log2(np.maximum(np.hypot(rows[:, None], columns), 1e-9)).astype(np.float32)
+    passed = [_ramp(octave + np.float32(np.log2(longest))) for longest, _ in BANDS]
+    below = [*passed[1:], np.zeros_like(octave)]
+    shares = [above - finer for above, finer in zip(passed, below, strict=True)]
+    return [
+        np.ascontiguousarray(cv2.idct(waves * share)[:height, :width])
+        for share in (*shares, 1.0 - passed[0])
+    ]
+
+
+def _ramp(octave: Plane) -> Plane:
+    """0 below a border between bands and 1 above it, octaves counted from there."""
+    return np.asarray(0.5 + 0.5 * np.sin(np.pi / 2 * (octave / _SOFT).clip(-1.0, 1.0)), np.float32)

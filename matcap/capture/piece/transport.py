@@ -1,0 +1,260 @@
+"""What glare hides, lent by places that look like it (reflectance transport, Aittala et al. 2015).
+
+Near the flash's foot a highlight lies over albedo, and where it clips nothing is seen at all. The
+material is the same all over the piece, so blocks of maps from where it is well seen are laid
+there. Of many blocks the one is taken that continues its neighbours and, lit here,
+would draw what the photograph shows here (texture transfer, Efros and Freeman 2001). Drawings are
+compared by correlation: what a block's radiance is off by on the whole is the highlight's fit, and
+blocks chosen by it are all pale ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.refine import Light
+from matcap.example.exemplar import Exemplar
+
+Array = NDArray[np.float32]
+Places = NDArray[np.int64]
+
+_BLOCK = 48  # texels a side: long enough for pieces of a drawing, short enough to be found
+_OVERLAP = 12  # texels that neighbours share
+_SHARPNESS = 8.0  # of the border between two: the nearer block's texels, hardly mixed
+_TRUSTED = 0.93  # confidence of albedo, as a share of the well seen places', that lends
+_WELL_SEEN = 0.75  # quantile of confidence that counts as well seen
+_MOST_HIDDEN = 0.2  # share of the picture: more than this no flash hides
+_WHOLE = 0.95  # share of a block that must be trusted
+_WANTED = 0.25  # share of a place that is not, for a block to be laid there
+_LEAST = 2e-4  # share of all texels below which nothing is worth lending
+_LIKENESS = 0.7  # what a drawing's correlation counts beside the overlap's continuity
+_UNLIKE = 0.35  # one less the correlation, beyond which a place keeps what is there ...
+_SHOWN = 0.5  # ... if so large a share of it shows at all
+_THINNED = 4  # texels a side of which one is lit; overlaps are compared on every second
+_FARTHEST = 4.0  # squared, in deviations: differences beyond it are edges that do not meet
+_EDGE = 4.0  # texels: deviation of the soft edge towards what is kept
+_DARKEST = 1e-4  # linear radiance
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """What blocks are compared and laid by.
+
+    Attributes:
+        stacked: (6, H, W) maps, whole.
+        laid: (6, H, W) the same without slow relief, which stays where it is.
+        seen: (H, W, 3) log albedo and slopes in deviations.
+    """
+
+    stacked: Array
+    laid: Array
+    seen: Array
+
+
+@torch.no_grad()
+def transport(
+    exemplar: Exemplar, linear: Tensor, valid: Tensor, light: Light, *, tried: int
+) -> Exemplar:
+    """The exemplar with maps lent to where glare hides them.
+
+    Args:
+        exemplar: as found; its confidence stays as it is.
+        linear: (3, H, W) the photograph on its plane.
+        valid: (H, W) bool, seen and not clipped.
+        light: the photograph's, at every texel.
+        tried: blocks for a place.
+
+    Returns:
+        The same object if nothing is hidden, or nothing well enough seen to be lent.
+    """
+    trusted = exemplar.confidence[0] / max(
+        float(np.quantile(exemplar.confidence[0], _WELL_SEEN)), 1e-6
+    )
+    hidden = trusted < min(_TRUSTED, float(np.quantile(trusted, _MOST_HIDDEN)) + 1e-6)
+    lenders = _lenders(~hidden)
+    if hidden.mean() < _LEAST or not len(lenders):
+        return exemplar
+    drawn = _drawn(exemplar, ~hidden)
+    places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED]
+    # From well seen surroundings inwards, so that drawings go on.
+    places.sort(key=lambda p: -float(trusted[_block(p)].mean()))
+    photograph = _Photograph(exemplar, linear, valid, light)
+    chosen = _choose(places, lenders, drawn, ~hidden, photograph, tried)
+    laid, share = _laid(chosen, drawn.laid, hidden)
+    maps = drawn.stacked + share * (laid - drawn.laid)
+    return replace(
+        exemplar,
+        diffuse=maps[:3].clip(0.0, 1.0),
+        specular=maps[3:4].clip(0.0, 1.0),
+        roughness=maps[4:5].clip(0.0, 1.0),
+        height=maps[5:6],
+    )
+
+
+class _Photograph:
+    """What blocks must look like in place."""
+
+    def __init__(self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: Light) -> None:
+        self._log = linear.clamp_min(_DARKEST).log()
+        self._valid = valid
+        self._light = light
+        maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
+        whole = torch.cat([maps.diffuse, maps.specular, maps.roughness, maps.normal])
+        self._maps = whole.movedim(0, -1).numpy().copy()  # a texel's numbers lie together
+        # What the mean material would show is the light's doing, and in every block alike.
+        mean = whole.mean((1, 2), keepdim=True).expand_as(whole)
+        upright = torch.zeros_like(maps.normal)
+        upright[2] = 1.0
+        even = MapSet(mean[:3], mean[3:4], mean[4:5], maps.height, 1.0)
+        self._even = light.logs(even, light.angles(upright))[0]
+
+    def unlikeness(self, place: tuple[int, int], blocks: Places) -> Array:
+        """(N,) one less the correlation of log radiance, of blocks as if they lay at a place.
+
+        0 where nothing of the place was seen.
+        """
+        inner = np.arange(0, _BLOCK, _THINNED)
+        rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
+        lent = torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1)
+        here = tuple(slice(start, start + _BLOCK, _THINNED) for start in place)
+        maps = MapSet(lent[:, :3], lent[:, 3:4], lent[:, 4:5], lent[:, :1], 1.0)
+        light = self._light.cut(*here)
+        log = light.logs(maps, light.angles(lent[:, 5:8]))[0]
+        seen = self._valid[here].to(log)
+        if not seen.any():
+            return np.zeros(len(blocks), np.float32)
+        even, shown = (x[(slice(None), *here)][None] for x in (self._even, self._log))
+        a, b = (_centred(x - even, seen) for x in (log, shown))
+        both = (a * b).sum((1, 2, 3))
+        own = (a.square().sum((1, 2, 3)) * b.square().sum((1, 2, 3))).sqrt()
+        return np.asarray(1.0 - both / (own + 1e-6), np.float32)
+
+    def share(self, place: tuple[int, int]) -> float:
+        """Share of a place that was seen and not clipped."""
+        return float(self._valid[_block(place)].float().mean())
+
+
+def _centred(log: Tensor, seen: Tensor) -> Tensor:
+    """Log radiance less its mean over what is seen; 0 elsewhere."""
+    mean = (log * seen).sum((1, 2, 3), keepdim=True) / (3.0 * seen.sum())
+    return (log - mean) * seen
+
+
+def _choose(
+    places: list[tuple[int, int]],
+    lenders: Places,
+    drawn: _Drawn,
+    known: NDArray[np.bool_],
+    photograph: _Photograph,
+    tried: int,
+) -> dict[tuple[int, int], tuple[int, int]]:
+    """The lending block of every place."""
+    rng = np.random.default_rng(0)
+    known, seen = known.copy(), drawn.seen.copy()
+    allowed = set(map(tuple, lenders.tolist()))
+    chosen: dict[tuple[int, int], tuple[int, int]] = {}
+    for place in places:
+        blocks = lenders[rng.integers(len(lenders), size=tried)]
+        follow = [s for s in _continued(place, chosen) if s in allowed]
+        if follow:
+            blocks = np.concatenate([blocks, np.array(follow)])
+        unlike = photograph.unlikeness(place, blocks)
+        share = photograph.share(place)
+        cost = _discontinuity(place, blocks, drawn.seen, seen, known) + _LIKENESS * share * unlike
+        best = int(cost.argmin())
+        source = (int(blocks[best][0]), int(blocks[best][1]))
+        if share > _SHOWN and unlike[best] > _UNLIKE:
+            source = place  # nothing looks like it: a scratch stays, be it ever so bright
+        else:
+            chosen[place] = source
+        here = _block(place)
+        seen[here] = np.where(known[here][..., None], seen[here], drawn.seen[_block(source)])
+        known[here] = True
+    return chosen
+
+
+def _continued(
+    place: tuple[int, int], chosen: dict[tuple[int, int], tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """Where the blocks laid around a place would go on."""
+    step = _BLOCK - _OVERLAP
+    around = [(dy, dx) for dy in (-step, 0, step) for dx in (-step, 0, step) if dy or dx]
+    found = []
+    for dy, dx in around:
+        source = chosen.get((place[0] + dy, place[1] + dx))
+        if source is not None:
+            found.append((source[0] - dy, source[1] - dx))
+    return found
+
+
+def _discontinuity(
+    place: tuple[int, int], blocks: Places, lent: Array, seen: Array, known: NDArray[np.bool_]
+) -> Array:
+    """(N,) mean squared difference from what is known at a place, in deviations."""
+    here = tuple(slice(start, start + _BLOCK, 2) for start in place)
+    rows, columns = 2 * np.array(np.nonzero(known[here]))
+    if not rows.size:
+        return np.zeros(len(blocks), np.float32)
+    there = lent[blocks[:, :1] + rows, blocks[:, 1:] + columns]
+    difference = np.square(there - seen[place[0] + rows, place[1] + columns])
+    return np.asarray(difference.clip(0.0, _FARTHEST).mean((1, 2)), np.float32)
+
+
+def _laid(
+    chosen: dict[tuple[int, int], tuple[int, int]], maps: Array, hidden: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """(6, H, W) blocks side by side, and (H, W) the share of them in the result."""
+    inside = np.minimum(np.arange(_BLOCK) + 1, _BLOCK - np.arange(_BLOCK)) / _OVERLAP
+    ramp = np.minimum(inside, 1.0)
+    weight = (np.outer(ramp, ramp) ** _SHARPNESS + 1e-6).astype(np.float32)
+    total, weights = np.zeros_like(maps), np.zeros(maps.shape[-2:], np.float32)
+    for place, source in chosen.items():
+        total[:, *_block(place)] += weight * maps[:, *_block(source)]
+        weights[_block(place)] += weight
+    covered = weights > 0.0
+    share = cv2.GaussianBlur((hidden & covered).astype(np.float32), (0, 0), _EDGE) * covered
+    laid = total / np.maximum(weights, np.float32(1e-9))
+    return np.asarray(laid, np.float32), np.asarray(share, np.float32)
+
+
+def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
+    stacked = exemplar.stacked().astype(np.float32)
+    height = stacked[5] / exemplar.texel_size
+    fine = height - cv2.GaussianBlur(height, (0, 0), _BLOCK / 1.5)
+    laid = stacked.copy()
+    laid[5] = fine * exemplar.texel_size
+    down, across = np.gradient(fine)
+    lightness = np.log(stacked[:3].clip(1e-3)).mean(0)
+    steep = np.sqrt(np.mean(np.square(down) + np.square(across))) + 1e-6
+    lightness /= lightness[known].std() + 1e-3
+    seen = np.stack([lightness, across / steep, down / steep], axis=-1)
+    return _Drawn(stacked, laid, seen.astype(np.float32))
+
+
+def _lenders(trusted: NDArray[np.bool_]) -> Places:
+    """(N, 2) corners of blocks that are trusted nearly all over."""
+    rows, columns = trusted.shape
+    if min(rows, columns) <= _BLOCK:
+        return np.zeros((0, 2), np.int64)
+    sums = cv2.integral(trusted.astype(np.uint8)).astype(np.int64)
+    n = _BLOCK
+    count = sums[n:, n:] - sums[:-n, n:] - sums[n:, :-n] + sums[:-n, :-n]
+    return np.argwhere(count >= _WHOLE * n * n)
+
+
+def _grid(shape: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Corners of blocks that overlap and reach the border."""
+    step = _BLOCK - _OVERLAP
+    rows, columns = ([*range(0, side - _BLOCK, step), side - _BLOCK] for side in shape)
+    return [(row, column) for row in rows for column in columns]
+
+
+def _block(corner: tuple[int, int]) -> tuple[slice, slice]:
+    return slice(corner[0], corner[0] + _BLOCK), slice(corner[1], corner[1] + _BLOCK)

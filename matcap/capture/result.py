@@ -1,0 +1,83 @@
+"""What a capture hands on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.find import FoundPiece
+from matcap.capture.settings import CaptureSettings
+from matcap.capture.verdict.evidence import Evidence
+from matcap.capture.verdict.judge import CaptureVerdict
+from matcap.field.material import Material
+from matcap.photo.photo import Photo
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """How fine-tuning of the paper's decoder went.
+
+    Attributes:
+        history: (seconds, step, error) of fine-tuning.
+        self_difference: error between neighbouring windows of the photograph; NaN if it has none.
+    """
+
+    history: tuple[tuple[float, int, float], ...]
+    self_difference: float = math.nan
+
+    @property
+    def relative_error(self) -> float | None:
+        """The last error in multiples of what the photograph's own windows differ by."""
+        if not self.history or not self.self_difference > 0.0:
+            return None
+        return self.history[-1][2] / self.self_difference
+
+
+@dataclass(frozen=True)
+class CaptureResult:
+    """A material and how it came about.
+
+    Attributes:
+        photo: what was captured; the first one of several.
+        material: endless.
+        rectified: (H, W, 3) the photograph on the plane's grid, linear.
+        rerendered: (H, W, 3) the material under the photograph's own flash, linear.
+        maps: of that same rectangle.
+        evidence: what a person would compare in photograph and re-rendering, as numbers.
+        verdict: how good it is, in words.
+        stage_seconds: per stage.
+        settings: as given.
+        interrupted: ended by Ctrl-C, with the best so far.
+        found: the photographed piece; None where only a decoder was asked for.
+        tuning: of the decoder, where one was asked for.
+    """
+
+    photo: Photo
+    material: Material
+    rectified: NDArray[np.float32]
+    rerendered: NDArray[np.float32]
+    maps: MapSet
+    evidence: Evidence
+    verdict: CaptureVerdict
+    stage_seconds: Mapping[str, float]
+    settings: CaptureSettings
+    interrupted: bool
+    found: FoundPiece | None = None
+    tuning: Tuning | None = None
+
+    @property
+    def errors(self) -> dict[str, float | None]:
+        """`piece`: median difference of log radiance between photograph and re-rendered piece;
+        `field`: difference of texture between photograph and the endless material, in multiples
+        of what the photograph's own parts differ by. None where there is none.
+        """
+        field = self.evidence.likeness
+        return {
+            "piece": None if self.found is None else self.found.error,
+            "field": field if math.isfinite(field) else None,
+        }

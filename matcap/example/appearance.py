@@ -1,0 +1,106 @@
+"""Appearance vectors: what a texel and its surroundings look like, in a few integers.
+
+Neighbourhoods of 5 x 5 features, weighted towards the middle, projected on their principal
+components (Lefebvre and Hoppe 2006). Basis and features are integers of 7 bits, so that every sum
+is an integer below 2^24: exact in float32, in whatever order it is added.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.features import LIMIT, PLANES, Features
+
+DIMENSIONS = 8
+# Of an appearance: three times a difference of two fits 16 bits, and the sum of its squares over
+# four neighbours of eight dimensions 30 bits, and so twice that: (3 * 2 * 700)^2 * 32 = 5.6e8.
+LARGEST = 700
+_RADIUS = 2
+TAPS = (2 * _RADIUS + 1) ** 2 * PLANES  # 200 * 127 * 127 < 2^24
+_FALL_OFF = 8.0  # of the weights, in squared steps of the neighbourhood
+_SAMPLES = 20_000  # neighbourhoods that the components are taken from
+_CLIPPED = 0.002  # share of the largest component that may exceed LARGEST
+_ROWS = 32  # projected at a time: they stay in the cache
+
+Appearance = NDArray[np.int16]
+
+
+@dataclass(frozen=True)
+class Basis:
+    """A projection.
+
+    Attributes:
+        weights: (DIMENSIONS, TAPS) int8, at most LIMIT; taps are rows, columns, planes.
+        shift: what sums are shifted right by.
+        step: of the neighbourhood, in texels of its grid.
+    """
+
+    weights: NDArray[np.int8]
+    shift: int
+    step: int
+
+
+def choose_basis(features: Features, step: int) -> Basis:
+    """Principal components of the neighbourhoods of (PLANES, H, W) features."""
+    taps = _taps(features, step)
+    places = features.shape[1] * features.shape[2]
+    chosen = np.arange(0, places, max(1, places // _SAMPLES))
+    rows, columns = np.divmod(chosen, features.shape[2])
+    found = np.concatenate([tap[:, rows, columns] for tap in taps]).astype(np.float64)
+    weight = np.repeat(_tap_weights(), PLANES)
+    centred = (found - found.mean(axis=1, keepdims=True)) * weight[:, None]
+    _, components = np.linalg.eigh(centred @ centred.T)
+    components = components[:, : -DIMENSIONS - 1 : -1].T * weight
+    weights = np.rint(components * (LIMIT / np.abs(components).max())).astype(np.int8)
+    sums = np.abs(weights[0].astype(np.float64) @ found)
+    large = max(float(np.quantile(sums, 1.0 - _CLIPPED)), 1.0)
+    return Basis(weights, max(0, math.ceil(math.log2(large / LARGEST))), step)
+
+
+def project(features: Features, basis: Basis) -> Appearance:
+    """(H, W, DIMENSIONS) of (PLANES, H, W) features, which continue mirrored at the borders."""
+    rows, columns = features.shape[1:]
+    around = padded(features, basis).astype(np.float32)
+    weights = basis.weights.astype(np.float32).reshape(DIMENSIONS, -1, PLANES)
+    found = np.empty((rows, columns, DIMENSIONS), np.int16)
+    for top in range(0, rows, _ROWS):
+        some = min(_ROWS, rows - top)
+        sums = np.zeros((DIMENSIONS, some * columns), np.float32)
+        for index, (y, x) in enumerate(_offsets(basis.step)):
+            part = around[:, top + y : top + y + some, x : x + columns]
+            sums += weights[:, index] @ part.reshape(PLANES, -1)
+        shifted = sums.astype(np.int32) >> basis.shift
+        np.clip(shifted, -LARGEST, LARGEST, out=shifted)
+        found[top : top + some] = shifted.T.reshape(some, columns, DIMENSIONS)
+    return found
+
+
+def padded(features: Features, basis: Basis) -> Features:
+    """Features with what their neighbourhoods reach beyond the borders."""
+    return _padded(features, _RADIUS * basis.step)
+
+
+def _offsets(step: int) -> list[tuple[int, int]]:
+    """(y, x) of every tap from the left top one."""
+    side = range(0, (2 * _RADIUS + 1) * step, step)
+    return [(y, x) for y in side for x in side]
+
+
+def _taps(features: Features, step: int) -> list[Features]:
+    rows, columns = features.shape[1:]
+    around = _padded(features, _RADIUS * step)
+    return [around[:, y : y + rows, x : x + columns] for y, x in _offsets(step)]
+
+
+def _padded(features: Features, reach: int) -> Features:
+    return np.pad(features, ((0, 0), (reach, reach), (reach, reach)), mode="symmetric")
+
+
+def _tap_weights() -> NDArray[np.float64]:
+    side = np.arange(-_RADIUS, _RADIUS + 1)
+    squares = side[:, None] ** 2 + side[None, :] ** 2
+    return np.exp(-squares / _FALL_OFF).ravel()

@@ -1,0 +1,40 @@
+"""The field from afar: which place of the exemplar each square of 2^level texels shows.
+
+Places are found coarse to fine, so a level from afar is where finding them stops. Beyond the
+coarsest level each square shows the piece it begins with; neighbouring squares are independent
+then. What is seen is near the mean of the finest texels, not that mean: seams that the finer levels
+would move stay where they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcap.example.coordinates import begin, coordinates_down_to
+from matcap.example.example import Example, detail_bits, loops
+from matcap.example.plain import Places
+from matcap.field.plane import Rectangle
+
+
+def places_from_afar(example: Example, seed: int, level: int, area: Rectangle) -> Places:
+    """(height, width, 2) int16: x, y of the exemplar's texel where each square begins.
+
+    Args:
+        example: the exemplar, indexed.
+        seed: in [-2^63, 2^63).
+        level: squares are 2^level texels wide.
+        area: in squares.
+    """
+    bits, lookup = detail_bits(example.exemplar), example.lookup
+    coarsest = len(lookup.levels) - 1
+    depth = max(level - bits, 0)
+    if level < bits:
+        raise ValueError(f"level {level} is finer than the grid of places ({bits})")
+    if depth <= coarsest:
+        found = coordinates_down_to(lookup, seed, area, depth, None, loops()[1])
+    else:
+        step = depth - coarsest
+        columns = np.arange(area.x, area.x + area.width) << step
+        rows = np.arange(area.y, area.y + area.height) << step
+        found = begin(lookup, seed, columns, rows, None)
+    return found << np.int16(bits)

@@ -1,0 +1,203 @@
+"""Which place of the exemplar every texel of the endless field shows.
+
+Coarse to fine: the coarsest level begins with pieces of the exemplar at random; each finer one
+takes over, and corrects (plain.py). What is random is a hash of seed and place, and a correction
+looks a fixed number of places around itself: so a rectangle needs some more places around it at
+every level, and then is a part of the endless whole, to the bit.
+
+Lefebvre and Hoppe (2005) also move places at random on every level. That breaks up what is longer
+than some ten texels, and repetition is not what it mends (docs/notes/by-example.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.grids import PRICE_BITS, Frame
+from matcap.example.hashing import Hashes, draw, hash_places
+from matcap.example.lookup import Level, Lookup, two_phases
+from matcap.example.order import Cells, Integers, Order, Phases, cells_of
+from matcap.example.plain import Places, margin
+from matcap.field.plane import Period, Rectangle
+
+Correct = Callable[
+    [Places, Level, NDArray[np.bool_], NDArray[np.bool_], int, Phases | None], Places
+]
+
+# Texels along a side of the pieces that the coarsest level begins with, and of the exemplar's
+# shorter side the part that they are at most.
+_PIECE, _PART = 128, 2
+_DRAWS = 4  # pieces that each is the cheapest of
+_PASSES = (1, 2)  # of correction at the finest level, and at every coarser one
+
+
+def coordinates(
+    lookup: Lookup,
+    seed: int,
+    area: Rectangle,
+    period: Period | None,
+    correct: Correct,
+) -> Places:
+    """(height, width, 2) int16 places of an area of the field.
+
+    Args:
+        lookup: of the exemplar.
+        seed: in [-2^63, 2^63).
+        area: in texels.
+        period: that the field repeats in, multiples of 2^(levels - 1).
+        correct: plain.correct, or the compiled one.
+    """
+    return coordinates_down_to(lookup, seed, area, 0, period, correct)
+
+
+def coordinates_down_to(
+    lookup: Lookup,
+    seed: int,
+    area: Rectangle,
+    finest: int,
+    period: Period | None,
+    correct: Correct,
+) -> Places:
+    """Places of a level, found no finer; the area is in steps of that level, 2^finest texels."""
+    areas = {finest: area.grown(margin(_passes(finest)))}
+    for depth in range(finest + 1, len(lookup.levels)):
+        areas[depth] = areas[depth - 1].halved().grown(margin(_passes(depth)))
+    places: Places | None = None
+    for depth in reversed(range(finest, len(lookup.levels))):
+        level, wanted = lookup.levels[depth], areas[depth]
+        columns, rows = _wrapped(wanted, depth, period)
+        if places is None:
+            places = begin(lookup, seed, columns, rows, period)
+        else:
+            places = _refine(places, level, wanted)
+        phases = _wanted(lookup, seed, depth, columns, rows, period)
+        odd_columns, odd_rows = columns % 2 == 1, rows % 2 == 1
+        places = correct(places, level, odd_columns, odd_rows, _passes(depth), phases)
+    assert places is not None
+    return places
+
+
+def _passes(depth: int) -> int:
+    return _PASSES[min(depth, 1)]
+
+
+def _wrapped(area: Rectangle, depth: int, period: Period | None) -> tuple[Integers, Integers]:
+    """Columns and rows of an area within the first period."""
+    columns = np.arange(area.x, area.x + area.width)
+    rows = np.arange(area.y, area.y + area.height)
+    along_x, along_y = period or (None, None)
+    return (
+        columns if along_x is None else columns % (along_x >> depth),
+        rows if along_y is None else rows % (along_y >> depth),
+    )
+
+
+def begin(
+    lookup: Lookup, seed: int, columns: Integers, rows: Integers, period: Period | None
+) -> Places:
+    """Pieces of the exemplar at random places, for columns and rows of the coarsest level.
+
+    In phase with the order there is. Every place stands for itself: columns and rows need not be
+    neighbours.
+    """
+    depth, level = len(lookup.levels) - 1, lookup.levels[-1]
+    x, y = columns << depth, rows << depth
+    if lookup.order is None:
+        bits = _piece_bits(level.frame)
+        side = 1 << bits
+        # Middles of pieces, from which places are counted.
+        apart_x, apart_y = x % side - side // 2, (y % side - side // 2)[:, None]
+        hashes = hash_places(seed, depth, x >> bits, (y >> bits)[:, None])
+    else:
+        side = round(lookup.order.piece)
+        cells = cells_of(lookup.order, seed, x, y, period or (None, None))
+        apart_x, apart_y = x - cells.middle_x, y[:, None] - cells.middle_y
+        hashes = hash_places(seed, depth, cells.column, cells.row)
+    # As much around the middle of a piece as it is wide.
+    frame = _inset(level.frame, side // 2)
+    best_x, best_y = _drawn(hashes, 0, frame)
+    best = _price(level, best_x, best_y)
+    for attempt in range(1, _DRAWS):
+        x_drawn, y_drawn = _drawn(hashes, attempt, frame)
+        cost = _price(level, x_drawn, y_drawn)
+        better = cost < best
+        best_x, best_y = np.where(better, x_drawn, best_x), np.where(better, y_drawn, best_y)
+        best = np.where(better, cost, best)
+    if lookup.order is not None:
+        best_x, best_y = _in_phase(lookup.order, seed, best_x, best_y, cells, period)
+    places = np.stack(np.broadcast_arrays(best_x + apart_x, best_y + apart_y), axis=-1)
+    return _clamped(places, level.frame)
+
+
+def _piece_bits(frame: Frame) -> int:
+    """Pieces are squares of 2^bits texels."""
+    shorter = min(frame.right - frame.left, frame.bottom - frame.top)
+    return min(_PIECE, shorter // _PART).bit_length() - 1
+
+
+def _drawn(hashes: Hashes, attempt: int, frame: Frame) -> tuple[Integers, Integers]:
+    """A random place within a frame for every hash."""
+    return (
+        frame.left + draw(hashes, 2 * attempt, frame.right - frame.left + 1),
+        frame.top + draw(hashes, 2 * attempt + 1, frame.bottom - frame.top + 1),
+    )
+
+
+def _price(level: Level, x: Integers, y: Integers) -> NDArray[np.int32]:
+    return level.price[y >> PRICE_BITS, x >> PRICE_BITS]
+
+
+def _in_phase(
+    order: Order, seed: int, x: Integers, y: Integers, cells: Cells, period: Period | None
+) -> tuple[Integers, Integers]:
+    """Places of the exemplar moved by less than a period, in phase with the middles of cells."""
+    wanted = order.wanted(seed, cells.middle_x, cells.middle_y, period or (None, None))
+    turns = order.periods()
+    for _ in range(2):  # the second time for what the lattice bends on the way
+        apart = (wanted - order.phases(x, y)).astype(np.int64)
+        x = x + ((apart @ turns[0] + (1 << 23)) >> 24)
+        y = y + ((apart @ turns[1] + (1 << 23)) >> 24)
+    return x, y
+
+
+def _inset(frame: Frame, by: int) -> Frame:
+    """A frame with less room on every side, but with some."""
+    by = min(by, (frame.right - frame.left) // 2, (frame.bottom - frame.top) // 2)
+    return Frame(frame.left + by, frame.top + by, frame.right - by, frame.bottom - by)
+
+
+def _wanted(
+    lookup: Lookup,
+    seed: int,
+    depth: int,
+    columns: Integers,
+    rows: Integers,
+    period: Period | None,
+) -> Phases | None:
+    """(rows, columns, 2) phases that places of a level are to have."""
+    if lookup.order is None or lookup.levels[depth].phases is None:
+        return None
+    found = lookup.order.wanted(
+        seed, (columns << depth)[None, :], (rows << depth)[:, None], period or (None, None)
+    )
+    return two_phases(found)
+
+
+def _refine(coarse: Places, level: Level, area: Rectangle) -> Places:
+    """Each place's four finer ones."""
+    first_x, first_y = area.x & 1, area.y & 1
+    fine = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)
+    fine = fine[first_y : first_y + area.height, first_x : first_x + area.width].copy()
+    step = level.spacing
+    fine[:, (1 - first_x) :: 2, 0] += np.int16(step)
+    fine[(1 - first_y) :: 2, :, 1] += np.int16(step)
+    return _clamped(fine, level.frame)
+
+
+def _clamped(places: NDArray[np.integer], frame: Frame) -> Places:
+    least = np.array([frame.left, frame.top], places.dtype)
+    most = np.array([frame.right, frame.bottom], places.dtype)
+    return places.clip(least, most).astype(np.int16, copy=False)

@@ -1,0 +1,297 @@
+"""An exemplar ready to be rearranged: its index, and what is looked up in both.
+
+Places are found on a grid of at most some 1500 texels; an exemplar of more detail is read at 2, 4
+or 8 times that grid's resolution, so that a finer photograph costs no more to rearrange.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from threading import Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.brdf.folder import NormalStyle
+from matcap.example import appearance, compiled, plain, relief
+from matcap.example.coordinates import Correct, coordinates
+from matcap.example.exemplar import Exemplar, Floats
+from matcap.example.grids import level_count
+from matcap.example.index import Index, Project, build_index
+from matcap.example.lookup import Lookup, prepare
+from matcap.example.order import Wave
+from matcap.example.plain import Places
+from matcap.field.blocks import RING, Grid
+from matcap.field.plane import Period, Rectangle, check_period, check_seed
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+PREFIX = "example."  # what the names of its tensors in a file begin with
+_GRID = 1536  # texels of the longer side of the grid at most
+# Wider than a decoder's: places around a block are most of what a small one costs.
+_BLOCKS = Grid(1024, 256)
+
+
+@dataclass(frozen=True)
+class _Ready:
+    """What is made again whenever an example is read, and looked up from then on.
+
+    Attributes:
+        lookup: for the places.
+        planes: of the maps but the height, flat.
+        bands: of the height.
+    """
+
+    lookup: Lookup
+    planes: tuple[Floats, ...]
+    bands: relief.Heights
+
+
+_PREPARING = Lock()
+
+
+@dataclass(frozen=True)
+class Example:
+    """An exemplar and its index; picklable.
+
+    Attributes:
+        exemplar: as a file gives it back (Exemplar.rounded).
+        index: of the exemplar on its grid.
+    """
+
+    exemplar: Exemplar
+    index: Index
+
+    @staticmethod
+    def of(exemplar: Exemplar, waves: tuple[Wave, ...] = ()) -> Example:
+        """Index an exemplar.
+
+        Args:
+            exemplar: of at least 14 texels a side.
+            waves: about where those of its regular order are, in cycles per texel of it.
+
+        Raises:
+            ValueError: it is too small.
+        """
+        exemplar = exemplar.rounded()
+        bits = detail_bits(exemplar)
+        coarse = coarsened(exemplar, bits)
+        if not level_count(*coarse.size):
+            raise ValueError(f"an exemplar of {exemplar.size} texels")
+        scaled = tuple((fx * 2**bits, fy * 2**bits) for fx, fy in waves)
+        return Example(exemplar, build_index(coarse, scaled, loops()[0]))
+
+    @property
+    def alignment(self) -> int:
+        """What periods are multiples of, in texels."""
+        return 1 << (detail_bits(self.exemplar) + len(self.index.bases) - 1)
+
+    @property
+    def piece_size(self) -> tuple[int, int]:
+        """(width, height) in texels of the photographed piece."""
+        return self.exemplar.size
+
+    @property
+    def version(self) -> int:
+        """Of a file that holds it alone."""
+        return 3
+
+    def source(
+        self, seed: int, period: Period | None = None, device: torch.device | None = None
+    ) -> ExampleSource:
+        """The source of its field: the same on every device, always computed on the processor.
+
+        Raises:
+            UsageError: a seed or period out of range.
+        """
+        check_seed(seed)
+        check_period(period, self.alignment)
+        return ExampleSource(self, seed, period, self.exemplar.texel_size)
+
+    def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
+        """Tensors and a description for JSON, from which read() makes it again."""
+        maps, about = self.exemplar.stored()
+        chosen, about_index = self.index.stored()
+        tensors = {f"exemplar.{name}": data for name, data in maps.items()}
+        tensors |= {f"index.{name}": data for name, data in chosen.items()}
+        return tensors, {"exemplar": about, "index": about_index}
+
+    def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors and an entry of a material's description (stored.py reads them)."""
+        import torch
+
+        found, about = self.stored()
+        tensors = {PREFIX + name: torch.from_numpy(data.copy()) for name, data in found.items()}
+        return tensors, {"example": about}
+
+    @staticmethod
+    def read(about: Mapping[str, Any], tensor: Callable[[str], NDArray[np.uint8]]) -> Example:
+        """An example from what stored() gave.
+
+        Raises:
+            ValueError, KeyError, TypeError: it is not as it should be.
+        """
+        exemplar = Exemplar.read(about["exemplar"], lambda name: tensor(f"exemplar.{name}"))
+        bits = detail_bits(exemplar)
+        width, height = exemplar.size
+        index = Index.read(
+            about["index"], lambda name: tensor(f"index.{name}"), (width >> bits, height >> bits)
+        )
+        return Example(exemplar, index)
+
+    def maps(self, seed: int, area: Rectangle, period: Period | None) -> Floats:
+        """(6, height, width) stacked maps of an area of the field, a pure function of texels.
+
+        Args:
+            seed: in [-2^63, 2^63).
+            area: in texels.
+            period: that the field repeats in, multiples of `alignment`.
+        """
+        reach = relief.REACH
+        ready = self._ready
+        places = self.places(seed, area.grown(reach), period)
+        x, y = places[..., 0].astype(np.intp), places[..., 1].astype(np.intp)
+        flat = y * self.exemplar.size[0] + x
+        unit, low = self.exemplar.height_coding()
+        bands = ready.bands.reshape(relief.BANDS, -1)
+        heights = relief.joined(np.stack([band.take(flat) for band in bands]))
+        found = np.empty((6, area.height, area.width), np.float32)
+        inner = np.ascontiguousarray(flat[reach:-reach, reach:-reach])
+        for plane, values in zip(found, ready.planes, strict=False):
+            np.take(values, inner, out=plane)
+        np.multiply(heights, np.float32(unit / 2**relief.FRACTION), out=found[5], casting="unsafe")
+        found[5] += np.float32(low * unit)
+        return found
+
+    def places(self, seed: int, area: Rectangle, period: Period | None) -> Places:
+        """(height, width, 2) int16: x, y of the exemplar that every texel of an area shows."""
+        bits = detail_bits(self.exemplar)
+        x, y = area.x >> bits, area.y >> bits
+        right, bottom = -(-(area.x + area.width) >> bits), -(-(area.y + area.height) >> bits)
+        coarse = Rectangle(x, y, right - x, bottom - y)
+        repeat = None
+        if period is not None:
+            repeat = (period[0] and period[0] >> bits, period[1] and period[1] >> bits)
+        found = coordinates(self._ready.lookup, seed, coarse, repeat, loops()[1])
+        if not bits:
+            return found
+        side = 1 << bits
+        found = (found.repeat(side, axis=0).repeat(side, axis=1)) << np.int16(bits)
+        within = np.arange(side, dtype=np.int16)
+        found[..., 0] += np.tile(within, coarse.width)
+        found[..., 1] += np.tile(within, coarse.height)[:, None]
+        left, top = area.x - (x << bits), area.y - (y << bits)
+        return found[top : top + area.height, left : left + area.width]
+
+    @property
+    def lookup(self) -> Lookup:
+        """What places are found with."""
+        return self._ready.lookup
+
+    @property
+    def _ready(self) -> _Ready:
+        with _PREPARING:  # threads that ask at once wait for the first one
+            return self._prepared
+
+    @cached_property
+    def _prepared(self) -> _Ready:
+        exemplar = self.exemplar
+        with ThreadPoolExecutor() as pool:
+            bands = pool.submit(lambda: relief.bands_of(exemplar.height_codes()))
+            coarse = coarsened(exemplar, detail_bits(exemplar))
+            lookup = prepare(coarse, self.index, loops()[0])
+            maps = (exemplar.diffuse, exemplar.specular, exemplar.roughness)
+            planes = tuple(plane.ravel() for planes in maps for plane in planes)
+            return _Ready(lookup, planes, bands.result())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what can be made again."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def loops() -> tuple[Project, Correct]:
+    """The inner loops: compiled where they were built."""
+    if compiled.kernel() is None:
+        return appearance.project, plain.correct
+    return compiled.project, compiled.correct
+
+
+@dataclass(frozen=True)
+class ExampleSource:
+    """The by-example field of one exemplar and seed: all a worker needs; picklable.
+
+    Attributes:
+        example: the exemplar, indexed.
+        seed: which realisation.
+        period: what repeats, in multiples of the example's alignment.
+        texel_size: in plane units.
+        grid: the blocks that the plane is cut into.
+    """
+
+    example: Example
+    seed: int
+    period: Period | None
+    texel_size: float
+    grid: Grid = _BLOCKS
+
+    @property
+    def device_type(self) -> str:
+        """Where it is computed: places are integers, and the same everywhere."""
+        return "cpu"
+
+    def maps(self, block: Rectangle) -> Tensor:
+        """Stacked maps (MAP_CHANNELS, height + 2 RING, width + 2 RING) of a block and its ring."""
+        import torch
+
+        return torch.from_numpy(self._stacked(block))
+
+    def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
+        """(9, height, width) of a block: the six maps and the normal."""
+        maps = self._stacked(block)
+        height, size = maps[5], np.float32(2.0 * self.texel_size)
+        across = (height[RING:-RING, 2 * RING :] - height[RING:-RING, : -2 * RING]) / size
+        up = (height[: -2 * RING, RING:-RING] - height[2 * RING :, RING:-RING]) / size
+        upright = np.float32(1.0) / np.sqrt(np.float32(1.0) + across * across + up * up)
+        found = np.empty((9, block.height, block.width), np.float32)
+        found[:6] = maps[:, RING:-RING, RING:-RING]
+        np.multiply(across, -upright, out=found[6])
+        np.multiply(up, upright if normal == "dx" else -upright, out=found[7])
+        found[8] = upright
+        return found
+
+    def _stacked(self, block: Rectangle) -> NDArray[np.float32]:
+        return self.example.maps(self.seed, block.grown(RING), self.period)
+
+
+def detail_bits(exemplar: Exemplar) -> int:
+    """How often an exemplar is halved to the grid that places are found on."""
+    bits = 0
+    while max(exemplar.size) >> bits > _GRID:
+        bits += 1
+    return bits
+
+
+def coarsened(exemplar: Exemplar, bits: int) -> Exemplar:
+    """An exemplar of texels 2^bits as large: means, in a fixed order."""
+    for _ in range(bits):
+        exemplar = replace(
+            exemplar,
+            **{
+                name: _halved(getattr(exemplar, name))
+                for name in ("diffuse", "specular", "roughness", "height", "confidence")
+            },
+            texel_size=2.0 * exemplar.texel_size,
+        )
+    return exemplar
+
+
+def _halved(planes: Floats) -> Floats:
+    rows, columns = planes.shape[1] // 2 * 2, planes.shape[2] // 2 * 2
+    pairs = planes[:, 0:rows:2, :columns] + planes[:, 1:rows:2, :columns]
+    return (pairs[:, :, 0::2] + pairs[:, :, 1::2]) * np.float32(0.25)

@@ -1,0 +1,194 @@
+"""Exemplar: maps of the photographed piece itself, texel by texel, and how far each is trusted.
+
+NumPy alone: what reads an exemplar, the field by example first of all, starts without PyTorch.
+
+In a file every map is 16-bit numbers, packed (packed.py): half floats; height as multiples of a
+power of two, for slopes are differences of heights, and half floats would step. A stranger may
+have written the file, so that sizes are bounded before anything is unpacked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.packed import pack, unpack
+
+Floats = NDArray[np.float32]
+
+CHANNELS: dict[str, int] = {"diffuse": 3, "specular": 1, "roughness": 1, "height": 1}
+_LARGEST_SIDE = 8192  # texels: more than a photograph of 50 megapixels has
+_LARGEST_HEIGHT = 1e6  # plane units
+_HEIGHT_STEPS = 2**16 - 1
+_CONFIDENCE_STEPS = 15  # a weight; finer steps would be stored noise
+
+
+@dataclass(frozen=True)
+class Exemplar:
+    """Maps of the photographed piece, row 0 at the top, float32.
+
+    Attributes:
+        diffuse: (3, H, W) diffuse albedo, linear Rec.709, in [0, 1].
+        specular: (1, H, W) specular albedo F0, in [0, 1].
+        roughness: (1, H, W) perceptual roughness in [0, 1]; alpha is its square.
+        height: (1, H, W) in plane units (half the photograph's long side).
+        confidence: (4, H, W) in [0, 1] of diffuse, specular, roughness and height: 0 where
+            the photograph says nothing of it.
+        texel_size: a texel's side in plane units.
+
+    Raises:
+        ValueError: a map of another shape, an empty or too large one, or values out of range.
+    """
+
+    diffuse: Floats
+    specular: Floats
+    roughness: Floats
+    height: Floats
+    confidence: Floats
+    texel_size: float
+
+    def __post_init__(self) -> None:
+        rows, columns = self.height.shape[-2:]
+        _check_size(columns, rows)
+        for name, channels in (*CHANNELS.items(), ("confidence", len(CHANNELS))):
+            values = getattr(self, name)
+            if values.shape != (channels, rows, columns) or values.dtype != np.float32:
+                raise ValueError(
+                    f"{name} is {values.dtype} of shape {values.shape}; expected float32 of "
+                    f"({channels}, {rows}, {columns})"
+                )
+            most = _LARGEST_HEIGHT if name == "height" else 1.0
+            least = -most if name == "height" else 0.0
+            # Comparisons with NaN are false.
+            if not (least <= float(values.min()) and float(values.max()) <= most):
+                raise ValueError(f"{name} is not within [{least:g}, {most:g}]")
+        if not 1e-9 <= self.texel_size <= 1e3:
+            raise ValueError(f"a texel size of {self.texel_size}")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in texels."""
+        return self.height.shape[-1], self.height.shape[-2]
+
+    def stacked(self) -> Floats:
+        """(6, H, W): diffuse, specular, roughness, height."""
+        return np.concatenate([getattr(self, name) for name in CHANNELS])
+
+    def height_coding(self) -> tuple[float, int]:
+        """(unit, low): a power of two, and how many of it the least height is."""
+        return _height_coding(self.height)
+
+    def height_codes(self) -> NDArray[np.uint16]:
+        """(H, W) heights above the least one, in units."""
+        return _height_codes(self.height, *self.height_coding())[0]
+
+    def rounded(self) -> Exemplar:
+        """What a file gives back: the same for an exemplar that was rounded before."""
+        unit, low = _height_coding(self.height)
+        return replace(
+            self,
+            diffuse=_half(self.diffuse).astype(np.float32),
+            specular=_half(self.specular).astype(np.float32),
+            roughness=_half(self.roughness).astype(np.float32),
+            height=_height(_height_codes(self.height, unit, low), unit, low),
+            confidence=_confidence(_confidence_codes(self.confidence)),
+        )
+
+    def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
+        """Tensors (bytes, by map) and a description for JSON, from which read() makes it again."""
+        unit, low = _height_coding(self.height)
+        tensors = {
+            name: pack(_half(getattr(self, name)).view(np.uint16))
+            for name in CHANNELS
+            if name != "height"
+        }
+        tensors["height"] = pack(_height_codes(self.height, unit, low))
+        tensors["confidence"] = pack(_confidence_codes(self.confidence))
+        about = {
+            "size": list(self.size),
+            "texel_size": self.texel_size,
+            "height_unit": math.frexp(unit)[1],
+            "height_low": low,
+        }
+        return tensors, about
+
+    @staticmethod
+    def read(about: Mapping[str, Any], tensor: Callable[[str], NDArray[np.uint8]]) -> Exemplar:
+        """An exemplar from what stored() gave.
+
+        Args:
+            about: the description.
+            tensor: gives the bytes of a map, by its name.
+
+        Raises:
+            ValueError, KeyError, TypeError: the description or a map is not as it should be.
+        """
+        columns, rows = (int(side) for side in about["size"])
+        _check_size(columns, rows)
+        exponent, low = int(about["height_unit"]), int(about["height_low"])
+        if not (-60 <= exponent <= 20 and abs(low) < 2**23):
+            raise ValueError(f"heights of {low} and more 2^{exponent}")
+
+        def halves(name: str) -> Floats:
+            shape = (CHANNELS[name], rows, columns)
+            return unpack(tensor(name), shape, np.uint16).view(np.float16).astype(np.float32)
+
+        def heights() -> Floats:
+            codes = unpack(tensor("height"), (1, rows, columns), np.uint16)
+            return _height(codes, math.ldexp(0.5, exponent), low)
+
+        with ThreadPoolExecutor() as pool:
+            diffuse, specular, roughness = (
+                pool.submit(halves, name) for name in ("diffuse", "specular", "roughness")
+            )
+            height = pool.submit(heights)
+            trusted = unpack(tensor("confidence"), (len(CHANNELS), rows, columns), np.uint8)
+            return Exemplar(
+                diffuse=diffuse.result(),
+                specular=specular.result(),
+                roughness=roughness.result(),
+                height=height.result(),
+                confidence=_confidence(trusted),
+                texel_size=float(about["texel_size"]),
+            )
+
+
+def _check_size(width: int, height: int) -> None:
+    if not (1 <= width <= _LARGEST_SIDE and 1 <= height <= _LARGEST_SIDE):
+        raise ValueError(f"an exemplar of {width} x {height} texels")
+
+
+def _half(values: Floats) -> NDArray[np.float16]:
+    return values.astype(np.float16)
+
+
+def _height_coding(height: Floats) -> tuple[float, int]:
+    """(unit, low): a power of two, and how many of it the least height is."""
+    low, high = float(height.min()), float(height.max())
+    # Coarse enough for the range in 16 bits (one step is lost to rounding at either end), and for
+    # the least height to be a float32's multiple of it.
+    least = max((high - low) / (_HEIGHT_STEPS - 2), max(abs(low), abs(high)) / 2**22, 2.0**-50)
+    unit = 2.0 ** math.ceil(math.log2(least))
+    return unit, round(low / unit)
+
+
+def _height_codes(height: Floats, unit: float, low: int) -> NDArray[np.uint16]:
+    return (np.rint(height.astype(np.float64) / unit) - low).astype(np.uint16)
+
+
+def _height(codes: NDArray[np.uint16], unit: float, low: int) -> Floats:
+    return ((codes.astype(np.int64) + low) * unit).astype(np.float32)
+
+
+def _confidence_codes(confidence: Floats) -> NDArray[np.uint8]:
+    return np.rint(confidence * _CONFIDENCE_STEPS).astype(np.uint8)
+
+
+def _confidence(codes: NDArray[np.uint8]) -> Floats:
+    return codes.astype(np.float32) / np.float32(_CONFIDENCE_STEPS)

@@ -1,0 +1,95 @@
+"""What of an exemplar is compared: its maps as small integers, at every level.
+
+Every step but the choice of `Scale` is exact arithmetic, elementwise, so that an exemplar and a
+scale have the same features on every machine.
+
+Eight planes: square roots of the diffuse albedo's three channels and of F0 (steps that look alike
+are numbers alike), roughness, both slopes of the height, and the height itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.exemplar import Exemplar
+
+Features = NDArray[np.int16]
+
+PLANES = 8
+LIMIT = 127  # of a feature
+_UNIT = 32.0  # features to a standard deviation: four of them fit
+# What is fainter than this is not seen, and must not be amplified: in each plane's own numbers.
+# Slopes show from about a degree on; height only as their sum over some ten texels.
+_UNSEEN = (0.01, 0.01, 0.01, 0.02, 0.02, 0.02, 0.02, 0.2)
+# Height is seen by its slopes alone; it counts so that what is joined lies equally high.
+_WEIGHTS = (1.0, 1.0, 1.0, 0.7, 1.0, 1.0, 1.0, 0.5)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How planes become features: (value - offset) * factor, rounded.
+
+    Attributes:
+        offsets, factors: (PLANES,) float32.
+    """
+
+    offsets: NDArray[np.float32]
+    factors: NDArray[np.float32]
+
+
+def planes_of(exemplar: Exemplar) -> NDArray[np.float32]:
+    """(PLANES, H, W): what features are made of. Height is in texels."""
+    planes = np.empty((PLANES, *exemplar.height.shape[1:]), np.float32)
+    np.sqrt(exemplar.diffuse, out=planes[:3])
+    np.sqrt(exemplar.specular[0], out=planes[3])
+    planes[4] = exemplar.roughness[0]
+    height = np.divide(exemplar.height[0], np.float32(exemplar.texel_size), out=planes[7])
+    _difference(height, planes[5])
+    _difference(height.T, planes[6].T)
+    return planes
+
+
+def choose_scale(planes: NDArray[np.float32]) -> Scale:
+    """The scale that makes the planes of an exemplar comparable with each other."""
+    flat = planes.reshape(PLANES, -1)
+    spread = np.maximum(flat.std(axis=1), _UNSEEN)
+    # Colours keep their proportions, and so do slopes.
+    spread[:3] = spread[:3].max()
+    spread[5:7] = spread[5:7].max()
+    factors = _UNIT * np.array(_WEIGHTS) / spread
+    return Scale(flat.mean(axis=1).astype(np.float32), factors.astype(np.float32))
+
+
+def features_of(planes: NDArray[np.float32], scale: Scale) -> Features:
+    """(PLANES, H, W) integers of at most LIMIT."""
+    values = planes - scale.offsets[:, None, None]
+    values *= scale.factors[:, None, None]
+    np.clip(np.rint(values, out=values), -LIMIT, LIMIT, out=values)
+    return values.astype(np.int16)
+
+
+def halved(features: Features) -> Features:
+    """(PLANES, H // 2, W // 2): means of two by two, rounded down."""
+    rows, columns = features.shape[1] // 2 * 2, features.shape[2] // 2 * 2
+    even, odd = features[:, 0:rows:2, :columns], features[:, 1:rows:2, :columns]
+    pairs = even + odd
+    return (pairs[:, :, 0::2] + pairs[:, :, 1::2] + np.int16(2)) >> np.int16(2)
+
+
+def smoothed(features: Features) -> Features:
+    """The same through a filter of 1/4, 1/2, 1/4 along both axes, the border repeated."""
+    wide = np.pad(features, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    down = (wide[:, :-2] + wide[:, 2:] + np.int16(2) * wide[:, 1:-1] + np.int16(2)) >> np.int16(2)
+    return (
+        down[:, :, :-2] + down[:, :, 2:] + np.int16(2) * down[:, :, 1:-1] + np.int16(2)
+    ) >> np.int16(2)
+
+
+def _difference(values: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    """Central differences along the last axis, one-sided at its ends."""
+    out[:, 1:-1] = (values[:, 2:] - values[:, :-2]) * np.float32(0.5)
+    out[:, 0] = values[:, 1] - values[:, 0]
+    out[:, -1] = values[:, -1] - values[:, -2]

@@ -1,0 +1,100 @@
+"""All that synthesis looks up, level by level: made from an exemplar and its index.
+
+A level is a grid of output places 2^level texels apart. Neighbouring places are compared by the
+appearance of the exemplar smoothed to that spacing, at places known to half a step.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.appearance import Appearance
+from matcap.example.exemplar import Exemplar
+from matcap.example.features import features_of, planes_of
+from matcap.example.grids import Frame, frame_of, grid_bits, grids_of, similar_bits
+from matcap.example.index import Index, Project
+from matcap.example.order import Order, Phases
+
+_ORDERED = 1  # levels from this one on keep to the order
+# Bits: a place of full reluctance costs 255^2 * 2^11 = 1.3e8, more than any seam; a place that is
+# a little less trusted than most, 14 of 255, 4e5, as a common seam.
+_DEAR = 11
+
+
+@dataclass(frozen=True)
+class Level:
+    """What one level looks up.
+
+    Attributes:
+        spacing: texels between places of the output.
+        frame: of the places.
+        bits: the appearance's grid is 2^bits texels wide.
+        appearance: (H, W, DIMENSIONS) int16.
+        similar_bits: the grid of similar places is 2^similar_bits texels wide.
+        similar: (H, W, 2) int16 x, y in texels.
+        price: (H, W) int32 of a place in squares of 2^PRICE_BITS texels, beside how well it fits.
+        phases: (H, W, 2) of the appearance's grid, where there is order to keep.
+    """
+
+    spacing: int
+    frame: Frame
+    bits: int
+    appearance: Appearance
+    similar_bits: int
+    similar: NDArray[np.int16]
+    price: NDArray[np.int32]
+    phases: Phases | None
+
+
+@dataclass(frozen=True)
+class Lookup:
+    """Levels, the finest first, and the order they keep."""
+
+    levels: tuple[Level, ...]
+    order: Order | None
+
+
+def prepare(exemplar: Exemplar, index: Index, project: Project) -> Lookup:
+    """What an exemplar and its index are looked up in.
+
+    Args:
+        exemplar: that the index is of.
+        index: of it.
+        project: appearance.project, or the compiled one.
+    """
+    width, height = exemplar.size
+    features = features_of(planes_of(exemplar), index.scale)
+    grids = grids_of(features, len(index.bases))
+    with ThreadPoolExecutor() as pool:
+        appearances = list(pool.map(project, grids, index.bases))
+    price = np.square(index.reluctance, dtype=np.int32) << _DEAR
+    levels = tuple(
+        Level(
+            spacing=1 << level,
+            frame=frame_of(level, width, height),
+            bits=grid_bits(level),
+            appearance=appearance,
+            similar_bits=similar_bits(level),
+            similar=similar,
+            price=price,
+            phases=_phases(index.order, level, appearance),
+        )
+        for level, (appearance, similar) in enumerate(zip(appearances, index.similar, strict=True))
+    )
+    return Lookup(levels, index.order)
+
+
+def _phases(order: Order | None, level: int, appearance: Appearance) -> Phases | None:
+    if order is None or level < _ORDERED:
+        return None
+    rows, columns = (np.arange(n) << grid_bits(level) for n in appearance.shape[:2])
+    return two_phases(order.phases(columns[None, :], rows[:, None]))
+
+
+def two_phases(phases: Phases) -> Phases:
+    """(..., 2): the second of one wave is always nought."""
+    return np.pad(phases, ((0, 0), (0, 0), (0, 2 - phases.shape[-1])))

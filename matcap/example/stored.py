@@ -1,0 +1,65 @@
+"""The exemplar in a `.matcap` file; without PyTorch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.example import PREFIX, Example
+from matcap.field.header import opened, plain_name
+
+
+@dataclass(frozen=True)
+class Exemplified:
+    """A material's exemplar with what is told of it.
+
+    Attributes:
+        name: of the material.
+        provenance: how it was made; JSON.
+        example: its exemplar, indexed.
+    """
+
+    name: str
+    provenance: dict[str, Any]
+    example: Example
+
+
+def read_exemplified(path: Path) -> Exemplified | None:
+    """The exemplar of a `.matcap` file, or None where it has none.
+
+    Raises:
+        MatcapError: missing, not a material, of another version, or damaged.
+    """
+    with opened(path, "np") as (file, about):
+        example = read(about, file, path)
+        if example is None:
+            return None
+        return Exemplified(plain_name(str(about["name"])), dict(about["provenance"]), example)
+
+
+def read(about: Mapping[str, Any], file: Any, path: Path) -> Example | None:  # noqa: ANN401
+    """The exemplar that a material's file holds, or None.
+
+    Args:
+        about: the material's description.
+        file: open, for NumPy or for PyTorch.
+        path: of the file.
+
+    Raises:
+        SafetensorError, and what header.DAMAGED names: it is not as it should be.
+    """
+    if "example" not in about:
+        return None
+
+    def data(name: str) -> NDArray[np.uint8]:
+        found = np.asarray(file.get_tensor(PREFIX + name))
+        if found.dtype != np.uint8 or found.ndim != 1:
+            raise ValueError(f"{name} is no bytes")
+        return found
+
+    return Example.read(about["example"], data)

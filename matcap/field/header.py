@@ -1,0 +1,113 @@
+"""What a `.matcap` file says of itself; without PyTorch.
+
+Read next: material.py, and the generators' own readers (GENERATORS there).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+
+from matcap.errors import MatcapError
+from matcap.files.digest import is_whole
+
+FORMAT = "matcap-material"
+# Of the file: with a decoder, with one that reads structured noise, and without any.
+VERSIONS = (1, 2, 3)
+REMEDY = "capture the photograph again, or fetch the file again"
+# What reading JSON raises that is not as it should be.
+DAMAGED = (
+    KeyError,
+    IndexError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
+_NAMED = re.compile(r"[^\w .,()+-]+")
+
+
+@contextmanager
+def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """A material's file and its description; what is wrong with either becomes a MatcapError.
+
+    Args:
+        path: of the file.
+        framework: what tensors are read for: "pt" or "np".
+
+    Raises:
+        MatcapError: missing, not a material, of another version, or damaged.
+    """
+    if not path.is_file():
+        what = "this is a folder" if path.is_dir() else "there is no such file"
+        raise MatcapError(what, where=str(path), remedy="give a .matcap file")
+    try:
+        with safe_open(path, framework=framework) as file:
+            about = _about(file.metadata(), path)
+            if not is_whole(path, file.metadata()):
+                raise MatcapError(
+                    "the file is damaged: its digest is another than when it was written",
+                    where=str(path),
+                    remedy=REMEDY,
+                )
+            yield file, about
+    except (SafetensorError, OSError) as error:
+        raise MatcapError(
+            f"this is not a material, or it is damaged ({error})",
+            where=str(path),
+            remedy=REMEDY,
+        ) from error
+    except DAMAGED as error:
+        raise MatcapError(
+            f"the material's description is damaged ({error})",
+            where=str(path),
+            remedy=REMEDY,
+        ) from error
+
+
+def plain_name(name: str) -> str:
+    """The name as one that may be a file's: nothing of it leads to another folder."""
+    return _NAMED.sub("_", name)[:100].strip(" .") or "material"
+
+
+def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
+    if not metadata or "matcap" not in metadata:
+        raise MatcapError(
+            "this safetensors file is not a matcap material",
+            where=str(path),
+            remedy="give a .matcap file written by matcap capture",
+        )
+    about: dict[str, Any] = json.loads(metadata["matcap"])
+    if about["format"] != FORMAT:
+        raise MatcapError(
+            f"this holds a {about['format']}, not a material",
+            where=str(path),
+            remedy="give a .matcap file written by matcap capture",
+        )
+    if about["version"] not in VERSIONS:
+        raise MatcapError(
+            f"this material is of version {about['version']}; "
+            f"this matcap reads {VERSIONS[0]} to {VERSIONS[-1]}",
+            where=str(path),
+            remedy="install the matcap that wrote it, or capture the photograph again",
+        )
+    return about
+
+
+def bounded(value: Any, name: str, least: float, most: float) -> float:  # noqa: ANN401
+    """A stated number within limits; NaN is in none.
+
+    Raises:
+        TypeError, ValueError: it is none, or outside.
+    """
+    number = float(value)
+    if not least <= number <= most:
+        raise ValueError(f"{name} is {number:g}")
+    return number

@@ -1,0 +1,219 @@
+"""Maps from whatever a user points at: a material, a map set, or a folder with either.
+
+A folder means its one material, of which there is more than the map set beside it; without one, or
+with several, its map set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from matcap.brdf.adjust import KEY, NONE, Adjustments, adjusted
+from matcap.brdf.folder import SETUP, find_mapsets, read_mapset
+from matcap.errors import MatcapError, UsageError
+
+if TYPE_CHECKING:
+    from matcap.brdf.maps import MapSet
+    from matcap.field.material import Material
+    from matcap.field.source import Generator
+    from matcap.flash.geometry import FlashSetup
+
+
+@dataclass(frozen=True)
+class OpenedMaps:
+    """Maps with what is known of them.
+
+    Attributes:
+        maps: without batch dimensions.
+        name: of the map set or the material.
+        provenance: how the material was made; any JSON.
+    """
+
+    maps: MapSet
+    name: str
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+def open_maps(
+    path: Path,
+    *,
+    size: tuple[int, int] = (1024, 1024),
+    seed: int = 0,
+    generator: Generator | None = None,
+) -> MapSet:
+    """Maps of a material file, a map set's JSON file, or a folder.
+
+    Args:
+        path: what to open.
+        size: (width, height) in texels, and
+        seed: the realisation, and
+        generator: "example" or "decoder"; all for a material only, since a map set has its own.
+
+    Raises:
+        MatcapError: nothing to open, more than one thing, or a broken file.
+    """
+    path = _resolved(path)
+    if path.suffix.lower() == ".matcap":
+        return _material(path).maps(*size, seed=seed, generator=generator)
+    return read_mapset(path)[0]
+
+
+def open_tile(
+    path: Path,
+    *,
+    size: tuple[int, int] | None = None,
+    seed: int | None = None,
+    generator: Generator | None = None,
+    adjust: Adjustments = NONE,
+) -> OpenedMaps:
+    """As open_maps, but a material's maps repeat without a seam where their size allows it.
+
+    They do when both sides are multiples of the material's alignment, 16 for most.
+
+    Args:
+        path: what to open.
+        size: (width, height) in texels of a material's maps, 1024 x 1024 by default.
+        seed: the realisation of a material, 0 by default.
+        generator: of a material.
+        adjust: what is changed of the maps; the provenance tells it.
+
+    Raises:
+        UsageError: a size, seed or generator is asked of a map set, which has its own.
+        MatcapError: as open_maps.
+    """
+    path = _resolved(path)
+    if path.suffix.lower() == ".matcap":
+        size, seed = size or (1024, 1024), seed or 0
+        material = _material(path).by(generator)
+        repeat = material.alignment
+        period = None if size[0] % repeat or size[1] % repeat else size
+        maps = material.maps(*size, seed=seed, period=period)
+        return _told(maps, path.stem, dict(material.provenance), adjust)
+    for option, asked in (("--size", size), ("--seed", seed), ("--generator", generator)):
+        if asked is not None:
+            raise UsageError(
+                f"this is a map set ({path}), which has its own",
+                where=option,
+                remedy="give the material (.matcap), or leave it out",
+            )
+    maps, document = read_mapset(path)
+    name = str(document.get("name") or path.stem)
+    return _told(maps, name, dict(document.get("provenance") or {}), adjust)
+
+
+def _told(maps: MapSet, name: str, provenance: dict[str, Any], adjust: Adjustments) -> OpenedMaps:
+    if adjust.changes:
+        before = provenance.get(KEY)
+        provenance[KEY] = f"{before}; {adjust.text}" if before else adjust.text
+    return OpenedMaps(adjusted(maps, adjust), name, provenance)
+
+
+@dataclass(frozen=True)
+class PhotographedAs:
+    """How a material was photographed.
+
+    Attributes:
+        setup: camera and flash.
+        size: (width, height) in texels of the photographed piece, whose sides are the
+            photograph's; None where a material has no piece.
+        endless: there is material beyond the piece.
+    """
+
+    setup: FlashSetup
+    size: tuple[int, int] | None
+    endless: bool
+
+
+def open_photographed(path: Path) -> PhotographedAs | None:
+    """How what open_source opens was photographed; None where nothing says so.
+
+    A material says so, and the map set of the photographed piece itself.
+
+    Raises:
+        MatcapError: as open_source.
+    """
+    from matcap.field.material import stated_setup
+
+    path = _resolved(path)
+    if path.suffix.lower() == ".matcap":
+        material = _material(path)
+        return PhotographedAs(material.setup, material.generator.piece_size, endless=True)
+    maps, document = read_mapset(path)
+    try:
+        return PhotographedAs(stated_setup(document["provenance"][SETUP]), maps.size, endless=False)
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def open_material(path: Path) -> tuple[Path, Material]:
+    """A material, from its file or the folder that holds it, with the file's path.
+
+    Raises:
+        MatcapError: no material there, several, or a broken one.
+    """
+    path = _resolved(path)
+    return path, _material(path)
+
+
+@dataclass(frozen=True)
+class AdjustedMaterial:
+    """A material whose maps are adjusted as they are read."""
+
+    material: Material
+    adjust: Adjustments
+
+    @property
+    def texel_size(self) -> float:
+        """In plane units."""
+        return self.material.texel_size
+
+    def maps(self, width: int, height: int, *, seed: int = 0, x: int = 0, y: int = 0) -> MapSet:
+        """See Material.maps."""
+        return adjusted(self.material.maps(width, height, seed=seed, x=x, y=y), self.adjust)
+
+
+def open_source(
+    path: Path, generator: Generator | None = None, adjust: Adjustments = NONE
+) -> MapSet | Material | AdjustedMaterial:
+    """A map set's maps, or a material itself, to be read where it is seen; by one generator alone
+    where one is named, and adjusted.
+
+    Raises:
+        MatcapError: nothing to open, more than one thing, or a broken file.
+    """
+    path = _resolved(path)
+    if path.suffix.lower() != ".matcap":
+        return adjusted(read_mapset(path)[0], adjust)
+    material = _material(path).by(generator)
+    return AdjustedMaterial(material, adjust) if adjust.changes else material
+
+
+def _resolved(path: Path) -> Path:
+    """The path itself, or the one material of a folder; its map set where that is not enough."""
+    if not path.is_dir():
+        return path
+    materials = sorted(path.glob("*.matcap"))
+    if len(materials) == 1:
+        return materials[0]
+    if find_mapsets(path):
+        return path
+    if materials:
+        names = ", ".join(file.name for file in materials)
+        raise MatcapError(
+            f"there are {len(materials)} materials in this folder ({names})",
+            where=str(path),
+            remedy="name one of them",
+        )
+    raise MatcapError(
+        "there is no map set and no material in this folder",
+        where=str(path),
+        remedy="give a folder that matcap capture or matcap synth wrote",
+    )
+
+
+def _material(path: Path) -> Material:
+    from matcap.field.material import Material
+
+    return Material.load(path)

@@ -1,0 +1,89 @@
+"""What blocks of a field are read from, whoever makes them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.brdf.folder import NormalStyle
+from matcap.field.blocks import RING, Grid
+from matcap.field.plane import Period, Rectangle
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+# How a field is made: by rearranging the photographed piece, or by the paper's network.
+Generator = Literal["example", "decoder"]
+MAP_CHANNELS = 6  # diffuse (3), specular, roughness, height
+
+
+class Source(Protocol):
+    """Anything that blocks can be read from; picklable."""
+
+    @property
+    def texel_size(self) -> float:
+        """A texel's side in plane units."""
+        ...
+
+    @property
+    def grid(self) -> Grid:
+        """The blocks that the plane is cut into."""
+        ...
+
+    @property
+    def period(self) -> Period | None:
+        """What repeats."""
+        ...
+
+    @property
+    def device_type(self) -> str:
+        """Where it is computed: "cpu" or "cuda"."""
+        ...
+
+    def maps(self, block: Rectangle) -> Tensor:
+        """Stacked maps (MAP_CHANNELS, height + 2 RING, width + 2 RING) of a block and its ring."""
+        ...
+
+    def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
+        """(9, height, width) of a block: the six maps and the normal."""
+        ...
+
+
+@runtime_checkable
+class Network(Source, Protocol):
+    """A source that a network computes, in a precision that can be chosen."""
+
+    @property
+    def device(self) -> torch.device:
+        """Where it is computed."""
+        ...
+
+    def lowered(self, finest: int) -> Network:
+        """The same in bfloat16 from level `finest` on to the coarser ones."""
+        ...
+
+
+def planes_of(source: Source, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
+    """(9, height, width) of a block, on the processor: the six maps and the normal."""
+    import torch
+
+    from matcap.brdf.normals import normals_from_slopes
+
+    with torch.inference_mode():
+        maps = source.maps(block)
+        height, size = maps[5:], 2 * source.texel_size
+        below, above = height[:, 2 * RING :, RING:-RING], height[:, : -2 * RING, RING:-RING]
+        right, left = height[:, RING:-RING, 2 * RING :], height[:, RING:-RING, : -2 * RING]
+        normals = normals_from_slopes((right - left) / size, (above - below) / size)
+        if normal == "dx":
+            normals[1].neg_()
+        found: NDArray[np.float32] = torch.cat([inner(maps), normals]).cpu().numpy()
+        return found
+
+
+def inner(maps: Tensor) -> Tensor:
+    """A block's maps without their ring."""
+    return maps[..., RING:-RING, RING:-RING]

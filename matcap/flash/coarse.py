@@ -1,0 +1,585 @@
+"""The coarse fit: a handful of numbers for a photograph's smooth part.
+
+How far it is off is measured in docs/notes/coarse-fit.md.
+
+A flat, uniform material under a flash is fitted to the blurred photograph by robust least squares
+on the logarithm of radiance: albedo, F0, roughness, flash intensity and offset, tilt, vignetting.
+The whole picture is seen in coarse cells, and the highlight, which may be smaller than one of
+them, in a patch of cells of its own scale. Clipped cells are lower bounds. Weak priors decide what
+one photograph cannot: how much of the brightness is flash and how much is albedo, or a little tilt
+from a little offset. The highlight's own centre is evidence of both: there the plane mirrors the
+flash into the lens. Several starting points, because highlights have local minima.
+
+What it leaves out: texture. A bumpy surface spreads its highlight, so the roughness found here is
+an upper estimate; fine-tuning brings it down as bumps appear.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.cook_torrance import dot, normalize, specular_lobe
+from matcap.flash.geometry import FlashSetup, rotation
+from matcap.flash.highlight import SURROUNDINGS, Highlight, find_highlight, light_of
+from matcap.flash.uniform import Uniform
+from matcap.photo.photo import Photo
+
+# Cells across the long side, enough for what is smooth; first all starts are tried on the former.
+_CELLS = (24, 32)
+# Cells across the highlight's patch, which reaches this many of its half widths from its centre.
+_PATCH_CELLS, _PATCH_REACH = (10, 16), 2.0
+# What the patch weighs beside the whole picture, however small it is.
+_PATCH_WEIGHT = 0.5
+# A developed picture compresses its brightest tones before it clips them; above this share of the
+# clip level its cells are lower bounds. RAW is linear up to the clip level itself.
+_KNEE_DEVELOPED, _KNEE_RADIOMETRIC = 0.6, 0.95
+_CLIPPING = 0.95  # a clipped pixel's channels above this did it
+_HUBER = 0.1  # in log radiance: beyond 10 % a residual counts linearly
+_ITERATIONS = (6, 30)  # of Levenberg-Marquardt, at most: of every start, and of those worth it
+_KEPT = 2  # starts that are worth finishing
+_STEP = 1e-5  # of a parameter, all of which are of order 1
+# A developed picture's tone curve deepens the falloff; a RAW's numbers are the light's own, and
+# only what a lens profile left undone remains.
+_VIGNETTING_RADIOMETRIC = (0.0, 0.05)
+# Nor does a tone curve of its own pass for a tilt.
+_TILT_RADIOMETRIC = 0.1
+_BRIGHTEST = 0.8  # mean albedo or F0 of the brightest material believed in
+_MOST_ALBEDO = 0.98  # or F0, under a known flash: no surface gives back all
+# One prior deviation weighs like residuals of _HUBER in this share of the cells where a picture
+# was developed: what the model lacks there (tone mapping) is smooth. In a RAW it weighs like
+# the residuals themselves in so many cells, found by trial: about as many as there are, for their
+# whitened channels are independent, and a blotch fills several.
+_PRIOR_SHARE_DEVELOPED, _CELLS_THAT_COUNT = 0.15, 600.0
+# Deviation of a found highlight's centre from where the plane mirrors the flash: plane units, and
+# share of its half width.
+_CENTRE_DEVIATION = (0.006, 0.1)
+_MIDDLE_DEVIATION = (0.004, 0.03)  # likewise of the middle of its half-way ring
+# What one deviation of the highlight's own measures weighs, likewise: a tone curve bends what is
+# around it, while in a RAW they only show the way.
+_EVIDENCE_DEVELOPED, _EVIDENCE_RADIOMETRIC = 1.0, 0.005
+_LEVEL_DEVIATION = 0.1  # log radiance, of the highlight's peak, half-way level and surroundings
+_DIRECTIONS = 12  # points of a ring
+# Log radiance: no two channels are believed to agree better; larger residuals count as this large.
+_COLOUR_NOISE, _TEXTURE_AT_MOST = 0.01, 0.5
+_CELLS_THAT_TELL_COLOUR = 30  # at least, for nine numbers
+# Between knee and clip level a developed picture is darker than light, but not by any amount: a
+# model above it is blamed this much.
+_ABOVE_KNEE = 0.25
+
+
+@dataclass(frozen=True)
+class CoarseFit(Uniform):
+    """The uniform material that comes nearest to a photograph.
+
+    Attributes:
+        residual: root-mean-square of the log residual over unclipped cells.
+        lobes: (share, roughness) of the two lobes that the highlight is best made of, the narrow
+            one first; `roughness` is the one lobe that comes nearest.
+    """
+
+    residual: float
+    lobes: tuple[tuple[float, float], ...] = ()
+
+
+# The unknowns, in the unit each is solved in: log red, green, blue albedo, log F0, logit roughness,
+# log intensity, offset x and y, tilt x and y, vignetting; prior means and deviations.
+_PRIOR_MEAN = torch.tensor(
+    [math.log(0.25)] * 3 + [math.log(0.04), 0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.4], dtype=torch.float64
+)
+_PRIOR_DEVIATION = torch.tensor(
+    [0.8, 0.8, 0.8, 0.4, 1.5, 5.0, 0.12, 0.12, 0.05, 0.05, 0.6], dtype=torch.float64
+)
+# Of two lobes: logit of the narrow one's share, log of how much further the other's logit is.
+_PARTED_MEAN = torch.tensor([0.0, 0.0], dtype=torch.float64)
+_PARTED_DEVIATION = torch.tensor([1.5, 0.7], dtype=torch.float64)
+# (log F0, logit roughness, offset of the log albedo): matt, satin, glossy, mirror-like, metal.
+_STARTS = (
+    (math.log(0.04), 0.8, 0.0),
+    (math.log(0.04), -0.4, 0.0),
+    (math.log(0.05), -1.4, -0.5),
+    (math.log(0.04), -2.2, 0.0),
+    (math.log(0.5), -0.4, -2.0),
+)
+# Where a highlight tells its width, multiples of the roughness that it means: clipping widens it.
+_GLOSSES = ((math.log(0.04), 1.0, 0.0), (math.log(0.04), 0.6, 0.0), (math.log(0.3), 0.9, -1.5))
+# GGX is half its peak where the half vector's tangent is this many alpha.
+_HALF_GGX = 0.644
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """What of a photograph is fitted to.
+
+    Attributes:
+        image: (2, n) image coordinates of the cells.
+        observed: (3, n) log radiance.
+        above: (3, n) what a model brighter than the cell is blamed: 1, or less for lower bounds.
+        weight: (n,) of each cell; sums to what the picture weighs.
+    """
+
+    image: Tensor
+    observed: Tensor
+    above: Tensor
+    weight: Tensor
+
+
+def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> CoarseFit:
+    """Fit a uniform material and its setup to a photograph, in about a second.
+
+    Args:
+        photo: any size; only its blurred form is looked at.
+        tilt: (tilt_x, tilt_y) in radians when something better knows them (the alignment branch);
+            held fixed then.
+    """
+    distance = FlashSetup(fov=photo.fov).distance
+    highlight = find_highlight(light_of(photo.pixels))
+    deviation = _PRIOR_DEVIATION.clone()
+    centre = _PRIOR_MEAN.clone()
+    if photo.radiometric:
+        centre[10], deviation[10] = _VIGNETTING_RADIOMETRIC
+        deviation[8:10] = _TILT_RADIOMETRIC
+    if tilt is not None:
+        centre[8], centre[9] = tilt
+        deviation[8:10] = 1e-4
+    precision = _PRIOR_SHARE_DEVELOPED * _HUBER**2 / deviation.square()
+
+    def problem(level: int) -> _Problem:
+        cells = _see(photo, highlight, level)
+        evidence = _EVIDENCE_RADIOMETRIC if photo.radiometric else _EVIDENCE_DEVELOPED
+        return _Problem(cells, distance, highlight, evidence, _rings(highlight), centre, precision)
+
+    first, last = problem(0), problem(1)
+    starts = _starts(first.cells.observed, centre, highlight, distance, held=tilt is not None)
+    tried = [_levenberg_marquardt(first, start, _ITERATIONS[0]) for start in starts]
+    tried.sort(key=lambda found: found[0])
+    if photo.radiometric:
+        last = last.whitened(tried[0][1]).trusting(tried[0][1])
+    single = min(
+        (_levenberg_marquardt(last, start, _ITERATIONS[1]) for _, start in tried[:_KEPT]),
+        key=lambda found: found[0],
+    )[1]
+    # Two lobes tell the place better; then one lobe does what it can there.
+    both = _levenberg_marquardt(last.with_two_lobes(), _parted(single), _ITERATIONS[1])[1]
+    start = torch.cat([single[:6], both[6:11]])
+    best = _levenberg_marquardt(last.at(both[6:10]), start, _ITERATIONS[1])[1]
+    difference = _log_radiance(best, last.cells.image, distance) - last.cells.observed
+    rest = difference[last.cells.above == 1.0]
+    values = best.tolist()
+    # Only ratios are seen: albedos brighter than paper mean a brighter flash.
+    excess = max(0.0, max(values[:4]) - math.log(_BRIGHTEST))
+    diffuse = [math.exp(value - excess) for value in values[:3]]
+    return CoarseFit(
+        diffuse=(diffuse[0], diffuse[1], diffuse[2]),
+        specular=math.exp(values[3] - excess),
+        roughness=1.0 / (1.0 + math.exp(-values[4])),
+        setup=FlashSetup(
+            fov=photo.fov,
+            offset=(values[6], values[7], 0.0),
+            tilt=(values[8], values[9]),
+            intensity=(math.exp(values[5] + excess),) * 3,
+            vignetting=values[10],
+        ),
+        residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
+        lobes=_lobes(both),
+    )
+
+
+def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
+    """The same picture under a flash of known intensity: albedo becomes absolute.
+
+    Args:
+        coarse: the fit, whose intensity was believed.
+        intensity: that a calibration card told, in the units of the photograph's pixels; None
+            leaves the fit as it is.
+    """
+    if intensity is None:
+        return coarse
+    dimmer = coarse.setup.intensity[1] / intensity
+    red, green, blue = (min(value * dimmer, _MOST_ALBEDO) for value in coarse.diffuse)
+    return replace(
+        coarse,
+        diffuse=(red, green, blue),
+        specular=min(coarse.specular * dimmer, _MOST_ALBEDO),
+        setup=coarse.setup.with_intensity((intensity,) * 3),
+    )
+
+
+def render_coarse(fit: CoarseFit, width: int, height: int) -> NDArray[np.float64]:
+    """(height, width, 3) linear picture of a coarse fit as its photograph's camera sees it."""
+    logit = math.log(fit.roughness / (1.0 - fit.roughness))
+    parameters = torch.tensor(
+        [
+            *(math.log(channel) for channel in fit.diffuse),
+            math.log(fit.specular),
+            logit,
+            math.log(fit.setup.intensity[0]),
+            *fit.setup.offset[:2],
+            *fit.setup.tilt,
+            fit.setup.vignetting,
+        ],
+        dtype=torch.float64,
+    )
+    image = _image_grid(width, height).flatten(1)
+    light = _log_radiance(parameters, image, fit.setup.distance).exp()
+    return np.ascontiguousarray(light.reshape(3, height, width).permute(1, 2, 0).numpy())
+
+
+def _see(photo: Photo, highlight: Highlight | None, level: int) -> _Cells:
+    """The whole photograph in coarse cells, and its highlight in fine ones instead of those."""
+    rows, columns = photo.pixels.shape[:2]
+    pixel = 2.0 / columns
+    across = min(_CELLS[level], columns)
+    whole = _cells(photo, (0, 0, columns, rows), (across, max(4, round(across * rows / columns))))
+    if highlight is None:
+        return whole
+    reach = _PATCH_REACH * highlight.width
+    u, v = highlight.centre
+    left, right = (round((u + side + 1.0) / pixel) for side in (-reach, reach))
+    top, bottom = (round((rows / columns - v + side) / pixel) for side in (-reach, reach))
+    left, top, right, bottom = max(0, left), max(0, top), min(columns, right), min(rows, bottom)
+    if right - left < 4 or bottom - top < 4:
+        return whole
+    fine = _PATCH_CELLS[level] / (2.0 * reach / pixel)
+    size = (
+        min(right - left, max(4, round(fine * (right - left)))),
+        min(bottom - top, max(4, round(fine * (bottom - top)))),
+    )
+    patch = _cells(photo, (left, top, right, bottom), size)
+    outside = (whole.image[0] < left * pixel - 1.0) | (whole.image[0] > right * pixel - 1.0)
+    outside |= (whole.image[1] > rows / columns - top * pixel) | (
+        whole.image[1] < rows / columns - bottom * pixel
+    )
+    if not outside.any():
+        return patch
+    share = float(outside.double().mean())
+    return _Cells(
+        torch.cat([whole.image[:, outside], patch.image], dim=1),
+        torch.cat([whole.observed[:, outside], patch.observed], dim=1),
+        torch.cat([whole.above[:, outside], patch.above], dim=1),
+        torch.cat(
+            [whole.weight[outside], patch.weight * max(1.0 - share, _PATCH_WEIGHT)],
+        ),
+    )
+
+
+def _cells(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) -> _Cells:
+    """A rectangle (left, top, right, bottom) of a photograph, blurred to (width, height) cells."""
+    left, top, right, bottom = box
+    rows, columns = photo.pixels.shape[:2]
+    pixels = photo.pixels[top:bottom, left:right]
+    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float64)
+    full = photo.clipped[top:bottom, left:right, None] & (pixels > _CLIPPING)
+    clipped = cv2.resize(full.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.02
+    knee = _KNEE_RADIOMETRIC if photo.radiometric else _KNEE_DEVELOPED
+    above = np.where(clipped, 0.0, np.where(small > knee, _ABOVE_KNEE, 1.0))
+    if photo.radiometric:
+        above = np.where(above < 1.0, 0.0, 1.0)
+    floor = 1e-3 * float(np.median(photo.pixels[::8, ::8])) + 1e-9
+    u = (left + (np.arange(size[0]) + 0.5) * (right - left) / size[0]) * 2.0 / columns - 1.0
+    v = (rows - 2.0 * (top + (np.arange(size[1]) + 0.5) * (bottom - top) / size[1])) / columns
+    image = np.stack(np.broadcast_arrays(u[None, :], v[:, None])).reshape(2, -1)
+    count = size[0] * size[1]
+
+    def flat(field: NDArray[np.float64]) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(field.reshape(count, 3).T))
+
+    return _Cells(
+        torch.from_numpy(image),
+        flat(np.log(np.maximum(small, floor))),
+        flat(above),
+        torch.full((count,), 1.0 / (3.0 * count), dtype=torch.float64),
+    )
+
+
+def _circle() -> Tensor:
+    """(2, directions) unit vectors all around."""
+    turn = torch.arange(_DIRECTIONS, dtype=torch.float64) * (2.0 * math.pi / _DIRECTIONS)
+    return torch.stack([turn.cos(), turn.sin()])
+
+
+def _rings(highlight: Highlight | None) -> Tensor:
+    """(2, 3 * directions) image coordinates of a highlight's middle, half width, surroundings."""
+    if highlight is None:
+        return torch.zeros(2, 0, dtype=torch.float64)
+    circle = _circle()
+    radii = (0.0, highlight.width, 0.5 * sum(SURROUNDINGS))
+    centre = torch.tensor(highlight.centre, dtype=torch.float64)[:, None]
+    return torch.cat([centre + radius * circle for radius in radii], dim=1)
+
+
+def _mirror(parameters: Tensor, distance: float) -> Tensor:
+    """(2,) image coordinates where the plane mirrors the flash into the lens."""
+    normal = rotation(parameters[8], parameters[9])[:, 2]
+    camera = torch.zeros(3, dtype=parameters.dtype)
+    camera[2] = distance
+    light = camera + torch.cat([parameters[6:8], torch.zeros(1, dtype=parameters.dtype)])
+    height_camera, height_light = (normal * camera).sum(), (normal * light).sum()
+    foot_camera, foot_light = camera - height_camera * normal, light - height_light * normal
+    point = (foot_camera * height_light + foot_light * height_camera) / (
+        height_camera + height_light
+    )
+    return point[:2] * (distance / (distance - point[2]))
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What is minimised: the Huber cost of weighted residuals, and a Gaussian prior's.
+
+    Attributes:
+        cells: what is seen.
+        distance: of the camera.
+        highlight: whose centre is evidence, or None.
+        evidence: its weight, as share of the picture's.
+        rings: (2, 3 * directions) image coordinates: its middle, half width and surroundings.
+        prior, precision: (11,) the prior's mean and inverse variance.
+        whitening: (3, 3) of the channels of cells that no bound concerns; None for as they are.
+    """
+
+    cells: _Cells
+    distance: float
+    highlight: Highlight | None
+    evidence: float
+    rings: Tensor
+    prior: Tensor
+    precision: Tensor
+    whitening: Tensor | None = None
+
+    def whitened(self, parameters: Tensor) -> _Problem:
+        """The same with channels compared as the texture left at some parameters calls for.
+
+        Light is common to all channels and a texture's colours are not: what channels differ by
+        says how much of a brightness is texture.
+        """
+        cells = self.cells
+        whole = (cells.above == 1.0).all(0)
+        if int(whole.sum()) < _CELLS_THAT_TELL_COLOUR:
+            return self
+        rest = _log_radiance(parameters, cells.image, self.distance) - cells.observed
+        return replace(self, whitening=_whitening(rest[:, whole], cells.weight[whole]))
+
+    def trusting(self, parameters: Tensor) -> _Problem:
+        """The same with a prior that weighs what the residuals at some parameters call for."""
+        count = self.cells.observed.numel()
+        rest = self.residuals(parameters)[:count].clamp(-0.5, 0.5)
+        variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
+        now = _PRIOR_SHARE_DEVELOPED * _HUBER**2
+        return replace(self, precision=self.precision * (variance / _CELLS_THAT_COUNT / now))
+
+    def with_two_lobes(self) -> _Problem:
+        """The same with the share of the narrow lobe, and how much wider the other is."""
+        prior = torch.cat([self.prior, _PARTED_MEAN])
+        scale = self.precision[0] * _PRIOR_DEVIATION[0].square()
+        precision = torch.cat([self.precision, scale / _PARTED_DEVIATION.square()])
+        return replace(self, prior=prior, precision=precision)
+
+    def at(self, place: Tensor) -> _Problem:
+        """The same with offset and tilt (4,) held."""
+        prior, precision = self.prior.clone(), self.precision.clone()
+        prior[6:10], precision[6:10] = place, 1e6
+        return replace(self, prior=prior, precision=precision)
+
+    @property
+    def weight(self) -> Tensor:
+        """(residuals,) what each counts."""
+        each = self.cells.weight.repeat(3)
+        if self.highlight is None:
+            return each
+        return torch.cat([each, torch.full((7,), self.evidence, dtype=each.dtype)])
+
+    def _evidence(self, parameters: Tensor, highlight: Highlight) -> Tensor:
+        """(7,) deviations of the highlight's place, its middle, and peak, ring, surroundings.
+
+        Its place shows twice: where the plane mirrors the flash, which holds from afar but is a
+        wide highlight's middle only about; and by the ring being as bright on all sides.
+        """
+        centre = torch.tensor(highlight.centre, dtype=parameters.dtype)
+        deviation = _CENTRE_DEVIATION[0] + _CENTRE_DEVIATION[1] * highlight.width
+        away = (_mirror(parameters, self.distance) - centre) / deviation
+        radiance = _log_radiance(parameters, self.rings, self.distance).exp()
+        light = radiance.clamp_max(max(1.0, highlight.peak)).mean(0).log()  # as the camera clips
+        rings = light.unflatten(0, (3, _DIRECTIONS))
+        circle = _circle()
+        slope = math.log(highlight.contrast) / (2.0 * highlight.width)
+        middle_away = 2.0 * (rings[1] * circle).mean(1) / slope
+        levels = rings.mean(1)
+        middle = 0.5 * (highlight.peak + highlight.surroundings)
+        expected = torch.tensor([highlight.peak, middle, highlight.surroundings]).double().log()
+        difference = (levels - expected) / _LEVEL_DEVIATION
+        aside = middle_away / (_MIDDLE_DEVIATION[0] + _MIDDLE_DEVIATION[1] * highlight.width)
+        return torch.cat([away, aside, difference])
+
+    def residuals(self, parameters: Tensor) -> Tensor:
+        """(residuals,) of the parameters (11,), in log radiance."""
+        cells = self.cells
+        difference = _log_radiance(parameters, cells.image, self.distance) - cells.observed
+        # A lower bound only complains when the model stays below it.
+        bounded = torch.where(difference > 0.0, difference * cells.above, difference)
+        if self.whitening is not None:
+            whole = (cells.above == 1.0).all(0)
+            bounded = torch.where(whole, self.whitening @ difference, bounded)
+        difference = bounded.flatten()
+        if self.highlight is None:
+            return difference
+        return torch.cat([difference, _HUBER * self._evidence(parameters, self.highlight)])
+
+    def cost(self, parameters: Tensor) -> float:
+        """To be minimised."""
+        r = self.residuals(parameters).abs()
+        huber = torch.where(r < _HUBER, 0.5 * r.square(), _HUBER * (r - 0.5 * _HUBER))
+        prior = 0.5 * ((parameters - self.prior).square() * self.precision).sum()
+        return float((self.weight * huber).sum() + prior)
+
+
+def _whitening(residuals: Tensor, weight: Tensor) -> Tensor:
+    """(3, 3) that makes residuals (3, n) alike and independent, as large as they are on the whole.
+
+    What all channels have in common keeps its direction but for its scale, so that a light which
+    is not fitted yet does no harm.
+    """
+    share = weight / weight.sum()
+    kept = residuals.clamp(-_TEXTURE_AT_MOST, _TEXTURE_AT_MOST)
+    kept = kept - (kept * share).sum(1, keepdim=True)
+    covariance = (kept * share) @ kept.T
+    covariance = covariance + _COLOUR_NOISE**2 * torch.eye(3, dtype=covariance.dtype)
+    values, vectors = torch.linalg.eigh(covariance)
+    scale = (covariance.trace() / 3.0).sqrt()
+    return scale * (vectors * values.rsqrt()) @ vectors.T
+
+
+def _image_grid(width: int, height: int) -> Tensor:
+    """(2, h, w) image coordinates of cell centres, long side in [-1, 1]."""
+    u = (torch.arange(width, dtype=torch.float64) + 0.5) / width * 2.0 - 1.0
+    v = (1.0 - (torch.arange(height, dtype=torch.float64) + 0.5) / height * 2.0) * height / width
+    return torch.stack([u.expand(height, width), v[:, None].expand(height, width)])
+
+
+def _log_radiance(parameters: Tensor, image: Tensor, distance: float) -> Tensor:
+    """(3, n) log radiance of the uniform material at image coordinates (2, n)."""
+    albedo, f0 = parameters[:3].exp(), parameters[3].exp()
+    intensity = parameters[5].exp()
+    turn = rotation(parameters[8], parameters[9])
+    # In the camera frame: points where the rays meet the tilted plane.
+    normal = turn[:, 2]
+    camera = torch.zeros(3, dtype=image.dtype)
+    camera[2] = distance
+    light = camera + torch.cat([parameters[6:8], torch.zeros(1, dtype=image.dtype)])
+    image = image[:, None]
+    ray = torch.cat([image, torch.full_like(image[:1], -distance)])
+    along = -(normal[2] * distance) / torch.tensordot(normal, ray, dims=1)
+    points = camera[:, None, None] + along * ray
+    to_light = light[:, None, None] - points
+    squared = dot(to_light, to_light)
+    to_light, to_view = normalize(to_light), normalize(camera[:, None, None] - points)
+    plane_normal = normal[:, None, None].expand_as(points)
+    one = torch.ones_like(squared)
+    reflectance = albedo[:, None, None] / math.pi
+    for share, roughness in _lobes_of(parameters):
+        lobe = specular_lobe(f0 * one, roughness * one, plane_normal, to_light, to_view)
+        reflectance = reflectance + share * lobe
+    falloff = dot(plane_normal, to_light).clamp_min(1e-3) / squared
+    vignette = -parameters[10] * image.square().sum(0) / 1.25**2
+    return (torch.log(reflectance * falloff * intensity + 1e-12) + vignette).flatten(1)
+
+
+def _lobes_of(parameters: Tensor) -> list[tuple[Tensor | float, Tensor]]:
+    """(share, roughness) of one lobe or, with 13 parameters, of two."""
+    narrow = torch.sigmoid(parameters[4])
+    if len(parameters) == len(_PRIOR_MEAN):
+        return [(1.0, narrow)]
+    share = torch.sigmoid(parameters[11])
+    return [(share, narrow), (1.0 - share, torch.sigmoid(parameters[4] + parameters[12].exp()))]
+
+
+def _parted(single: Tensor) -> Tensor:
+    """Parameters of two lobes, a little narrower and wider than one."""
+    both = torch.cat([single, _PARTED_MEAN])
+    both[4] -= 0.4
+    return both
+
+
+def _lobes(parameters: Tensor) -> tuple[tuple[float, float], ...]:
+    return tuple((float(share), float(roughness)) for share, roughness in _lobes_of(parameters))
+
+
+def _starts(
+    observed: Tensor,
+    centre: Tensor,
+    highlight: Highlight | None,
+    distance: float,
+    *,
+    held: bool,
+) -> Iterable[Tensor]:
+    """Starting points whose brightness and hue already fit the photograph's median."""
+    median = observed.median(dim=1).values
+    hue = median - median.mean()
+    glosses: tuple[tuple[float, float, float], ...] = _STARTS
+    places = [centre[6:10]]
+    if highlight is not None:
+        alpha = min(highlight.width / (_HALF_GGX * distance), 0.6)
+        means = math.sqrt(alpha)
+        glosses = tuple(
+            (f0, math.log(share * means / (1.0 - share * means)), darker)
+            for f0, share, darker in _GLOSSES
+        )
+        glosses = (_STARTS[0], *glosses)
+        u, v = highlight.centre
+        # The centre lies where it does because the flash is beside the lens, or the plane tilted.
+        beside = centre[6:10].clone()
+        beside[0], beside[1] = 2.0 * u, 2.0 * v
+        turned = centre[6:10].clone()
+        turned[2], turned[3] = v / distance, -u / distance
+        places = [beside] if held else [beside, turned]
+    for place in places:
+        for log_f0, logit_roughness, darker in glosses:
+            start = centre.clone()
+            start[6:10] = place
+            start[:3] = centre[:3] + darker + hue
+            start[3], start[4] = log_f0, logit_roughness
+            # radiance = albedo / pi * intensity / distance^2, about; the prior splits it.
+            start[5] = median.mean() - centre[0] - darker + math.log(math.pi) + 2.0
+            yield start
+
+
+def _levenberg_marquardt(problem: _Problem, start: Tensor, iterations: int) -> tuple[float, Tensor]:
+    """Minimise a problem's cost; returns (cost, parameters)."""
+    parameters, damping = start.clone(), 1e-2
+    cost = problem.cost(parameters)
+    prior, precision, each = problem.prior, problem.precision, problem.weight
+    for _ in range(iterations):
+        r = problem.residuals(parameters)
+        jacobian = _jacobian(problem.residuals, parameters, r)
+        weight = each * _HUBER / r.abs().clamp_min(_HUBER)
+        normal = (jacobian * weight[:, None]).T @ jacobian + torch.diag(precision)
+        gradient = jacobian.T @ (weight * r) + precision * (parameters - prior)
+        candidate, new = parameters, math.inf
+        while not new < cost and damping < 1e6:
+            damped = normal + damping * torch.diag(normal.diagonal())
+            candidate = parameters - torch.linalg.solve(damped, gradient).clamp(-1.0, 1.0)
+            new = problem.cost(candidate)
+            damping *= 4.0
+        if not new < cost:
+            break
+        converged = cost - new < 1e-5 * cost
+        parameters, cost, damping = candidate, new, max(damping / 16.0, 1e-6)
+        if converged:
+            break
+    return cost, parameters
+
+
+def _jacobian(residuals: Callable[[Tensor], Tensor], parameters: Tensor, here: Tensor) -> Tensor:
+    """(residuals, parameters) derivatives by differences from what residuals are here.
+
+    Right to 1e-5 in float64, as it has to be for steps whose cost is what counts. Much faster than
+    `torch.func.jacfwd` for so few parameters, and spares the two seconds in which that imports
+    PyTorch's compiler.
+    """
+    steps = _STEP * torch.eye(len(parameters), dtype=parameters.dtype)
+    return (torch.vmap(residuals)(parameters + steps) - here).T / _STEP

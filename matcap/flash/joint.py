@@ -1,0 +1,88 @@
+"""Several photographs of one sample: one decoder is tuned to the windows of all of them.
+
+Every photograph keeps its own tilt, flash offset and vignetting, as its coarse fit finds them. Its
+gain is its own, too: it is brought to the first one's, so that both are of the same albedo. The
+first photograph gives code, encoding and regular order.
+
+What it takes for granted: the same sample from about the same distance, so that a texel has one
+size. Which windows lie on the same spot is not asked; style needs no correspondence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from matcap.errors import MatcapError
+from matcap.flash.coarse import CoarseFit, fit_coarse
+from matcap.flash.likeness import PhotographTarget
+from matcap.flash.plane import read_plane
+from matcap.flash.windows import Windows, cut_windows
+from matcap.photo.photo import Photo
+from matcap.statistics.compare import Descriptor
+
+
+def join(
+    scene: PhotographTarget, coarse: CoarseFit, others: Sequence[Photo], detail: int
+) -> tuple[PhotographTarget, list[dict[str, Any]]]:
+    """A scene that holds the windows of other photographs, too, and what was found of each.
+
+    Args:
+        scene: of the first photograph.
+        coarse: its fit.
+        others: more photographs of the same sample.
+        detail: texels across each.
+
+    Raises:
+        MatcapError: a photograph is too narrow to hold a window.
+    """
+    windows, setups, told = [scene.windows], [], []
+    for photo in others:
+        fit = fit_coarse(photo)
+        plane = read_plane(photo, fit.setup, detail)
+        if min(plane.size) < scene.windows.size:
+            raise MatcapError(
+                f"at {plane.size[0]} x {plane.size[1]} texels it is too narrow",
+                where=photo.name,
+                remedy="raise --detail, or take it out of the group",
+            )
+        gain = _brightness(coarse) / _brightness(fit)
+        compared = replace(plane.brightened(gain), encoding=scene.encoding)
+        windows.append(cut_windows(compared, scene.bank, scene.windows.size))
+        setups.append(fit.setup.with_intensity(scene.setup.intensity))
+        told.append(
+            {
+                "photograph": photo.name,
+                "tilt_degrees": [math.degrees(angle) for angle in fit.setup.tilt],
+                "flash_offset": list(fit.setup.offset),
+                "vignetting": fit.setup.vignetting,
+                "gain": gain,
+            }
+        )
+    joined = Windows(
+        scene.windows.size,
+        torch.cat([each.points for each in windows]),
+        Descriptor.joined([each.target for each in windows]),
+        _joined_noise(windows),
+        torch.cat([torch.full((each.count,), n) for n, each in enumerate(windows)]),
+    )
+    return replace(scene, windows=joined, others=tuple(setups)), told
+
+
+def _joined_noise(windows: Sequence[Windows]) -> Tensor | None:
+    """Of all; none where it is unknown."""
+    if all(each.noise is None for each in windows):
+        return None
+    return torch.cat(
+        [torch.zeros_like(each.points) if each.noise is None else each.noise for each in windows]
+    )
+
+
+def _brightness(fit: CoarseFit) -> float:
+    """What albedo and flash come to together: all that a photograph tells of either."""
+    return sum(fit.diffuse) / 3.0 * fit.setup.intensity[1]

@@ -1,0 +1,94 @@
+"""How like a photograph a material looks: its windows under the photograph's light, compared.
+
+What a material is fitted by, whoever made it: the decoder (space/tuning) and the photographed
+piece (capture/piece/adapt.py) alike (paper, 4.3 and 4.6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.render import render_flash
+from matcap.flash.windows import Windows, shot_deviation
+from matcap.statistics.compare import Features, Weights, describe, distance
+from matcap.statistics.encoding import Encoding
+from matcap.statistics.lattice import Wave
+from matcap.statistics.precision import computes_bfloat16
+
+
+@dataclass(frozen=True)
+class PhotographTarget:
+    """What a material is to look like: one photograph, or several of one sample.
+
+    Attributes:
+        windows: places and targets.
+        setup: camera and flash.
+        encoding: of its colours.
+        bank: features.
+        waves: of its regular order.
+        texel_size: in plane units.
+        weights: of the statistics.
+        expected: (5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None.
+        others: camera and flash of further photographs, the second one's first.
+    """
+
+    windows: Windows
+    setup: FlashSetup
+    encoding: Encoding
+    bank: Features
+    waves: tuple[Wave, ...]
+    texel_size: float
+    weights: Weights = Weights()
+    expected: Tensor | None = None
+    others: tuple[FlashSetup, ...] = ()
+
+
+def shuffled(count: int, seed: int) -> Iterator[int]:
+    """Every number under `count` once in a random order, for ever."""
+    generator = torch.Generator().manual_seed(seed)
+    while True:
+        yield from torch.randperm(count, generator=generator).tolist()
+
+
+def render_windows(maps: MapSet, target: PhotographTarget, places: Tensor, step: int) -> Tensor:
+    """(B, 3, size, size) a window's maps, lit and seen as at some places, noise included."""
+    windows = target.windows
+    points = windows.points[places]
+    if windows.photographs is None:
+        rendered = render_flash(maps, target.setup, points)
+    else:
+        setups = (target.setup, *target.others)
+        which = windows.photographs[places].tolist()
+        rendered = torch.cat(
+            [
+                render_flash(maps, setups[number], each[None])
+                for number, each in zip(which, points, strict=True)
+            ]
+        )
+    return rendered if windows.noise is None else with_noise(rendered, windows.noise[places], step)
+
+
+def compare_windows(
+    rendered: Tensor, target: PhotographTarget, places: Tensor, *, half_precision: bool
+) -> Tensor:
+    """Mean distance of renderings from the photograph at the same places; a number."""
+    with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
+        found = describe(rendered, target.encoding, target.bank)
+    return distance(found, target.windows.target.select(places), target.weights).mean()
+
+
+def with_noise(rendered: Tensor, noise: Tensor, step: int) -> Tensor:
+    """Renderings (B, 3, size, size) as the sensor saw them.
+
+    The noise (Windows.noise) is another one at every step: moved around, and its sign drawn.
+    """
+    generator = torch.Generator().manual_seed(step)
+    down, across, sign = torch.randint(noise.shape[-1], (3,), generator=generator).tolist()
+    moved = noise.roll((down, across), dims=(-2, -1)) * (1.0 if sign % 2 else -1.0)
+    return rendered + moved * shot_deviation(rendered.detach())

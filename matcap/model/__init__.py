@@ -1,1 +1,0 @@
-"""The network and what it makes: noise, decoder, freezing; blocks of its field; the material."""

@@ -1,0 +1,168 @@
+"""The encoder: a whole flash photograph to the mean and log-variance of its 64-D code.
+
+It sees the photograph's logarithm, where in the picture every texel lies (a highlight's place and
+width mean different things), and the numbers of the coarse fit, which are known beforehand anyway.
+Two backbones share the interface: "small", the shipped one, and "resnet50" (He et al. 2016), the
+paper's. Both are normalised by groups, not by batches: a batch holds a handful of materials.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from matcap.errors import UsageError
+from matcap.space.decoder import CODE_SIZE
+
+PICTURE_CHANNELS = 5  # log colour, and the two image coordinates
+NUMBERS = 16  # what space/prior/look.py tells of the coarse fit
+TEXTURE = 231  # what it tells of the texture at full detail
+BACKBONES = ("small", "resnet50")
+
+_GROUP = 16  # channels normalised together
+_LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0  # of a code's number
+
+
+@dataclass(frozen=True)
+class EncoderConfig:
+    """What shape an encoder has.
+
+    Attributes:
+        backbone: one of BACKBONES.
+        width: picture columns it is shown; the rows follow from the photograph (512 in the paper).
+    """
+
+    backbone: str = "small"
+    width: int = 256
+
+
+class ResidualBlock(nn.Module):
+    """Two 3 x 3 convolutions beside a shortcut."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
+        super().__init__()
+        self.body = nn.Sequential(
+            nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False),
+            _norm(outputs),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False),
+            _norm(outputs),
+        )
+        self.shortcut = _shortcut(inputs, outputs, stride)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(B, inputs, h, w) to (B, outputs, h / stride, w / stride)."""
+        return F.relu(self.body(features) + self.shortcut(features))
+
+
+class Bottleneck(nn.Module):
+    """ResNet-50's block: 1 x 1, 3 x 3, 1 x 1 convolutions beside a shortcut."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
+        super().__init__()
+        inner = outputs // 4
+        self.body = nn.Sequential(
+            nn.Conv2d(inputs, inner, 1, bias=False),
+            _norm(inner),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(inner, inner, 3, stride, 1, bias=False),
+            _norm(inner),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(inner, outputs, 1, bias=False),
+            _norm(outputs),
+        )
+        self.shortcut = _shortcut(inputs, outputs, stride)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(B, inputs, h, w) to (B, outputs, h / stride, w / stride)."""
+        return F.relu(self.body(features) + self.shortcut(features))
+
+
+class Encoder(nn.Module):
+    """A photograph and its coarse numbers to a code's mean and log-variance."""
+
+    def __init__(self, config: EncoderConfig) -> None:
+        super().__init__()
+        if config.backbone not in BACKBONES:
+            raise UsageError(
+                f"there is no backbone '{config.backbone}'",
+                where="encoder",
+                remedy=f"choose from {', '.join(BACKBONES)}",
+            )
+        self.config = config
+        if config.backbone == "small":
+            self.features, channels = _small()
+        else:
+            self.features, channels = _resnet50()
+        hidden = 256
+        self.numbers = nn.Sequential(nn.Linear(NUMBERS + TEXTURE, 192), nn.ReLU())
+        self.hidden = nn.Sequential(nn.Linear(2 * channels + 192, hidden), nn.ReLU())
+        self.head = nn.Linear(hidden, 2 * CODE_SIZE)
+        # Starts with codes that differ between photographs and are certain enough for the decoder
+        # to learn what they mean.
+        nn.init.normal_(self.head.weight[:CODE_SIZE], std=0.1)
+        nn.init.zeros_(self.head.weight[CODE_SIZE:])
+        nn.init.zeros_(self.head.bias)
+        self.head.bias.data[CODE_SIZE:] = -3.0
+
+    def forward(self, picture: Tensor, numbers: Tensor, texture: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log-variance, (B, CODE_SIZE) each.
+
+        Args:
+            picture: (B, PICTURE_CHANNELS, h, w) as space/prior/look.py shows it.
+            numbers: (B, NUMBERS) likewise.
+            texture: (B, TEXTURE) likewise.
+        """
+        features = self.features(picture.contiguous(memory_format=torch.channels_last))
+        pooled = pool(features)
+        told = self.numbers(torch.cat([numbers, texture], dim=1)).float()
+        hidden = self.hidden(torch.cat([pooled, told], dim=1))
+        mean, log_variance = self.head(hidden).float().chunk(2, dim=1)
+        return mean, log_variance.clamp(_LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE)
+
+
+def pool(features: Tensor) -> Tensor:
+    """(B, 2 C) mean and deviation over the texels of (B, C, h, w), in float32."""
+    variance, mean = torch.var_mean(features.float(), dim=(2, 3), correction=0)
+    return torch.cat([mean, torch.sqrt(variance + 1e-5)], dim=1)
+
+
+def _small() -> tuple[nn.Module, int]:
+    widths = (32, 64, 96, 128, 192)
+    layers: list[nn.Module] = [
+        nn.Conv2d(PICTURE_CHANNELS, widths[0], 5, 2, 2, bias=False),
+        _norm(widths[0]),
+        nn.ReLU(inplace=True),
+    ]
+    for inputs, outputs in zip(widths[:-1], widths[1:], strict=True):
+        layers.append(ResidualBlock(inputs, outputs, 2))
+    layers.append(ResidualBlock(widths[-1], widths[-1], 1))
+    return nn.Sequential(*layers), widths[-1]
+
+
+def _resnet50() -> tuple[nn.Module, int]:
+    layers: list[nn.Module] = [
+        nn.Conv2d(PICTURE_CHANNELS, 64, 7, 2, 3, bias=False),
+        _norm(64),
+        nn.ReLU(inplace=True),
+        nn.MaxPool2d(3, 2, 1),
+    ]
+    channels = 64
+    for blocks, outputs, stride in ((3, 256, 1), (4, 512, 2), (6, 1024, 2), (3, 2048, 2)):
+        for index in range(blocks):
+            layers.append(Bottleneck(channels, outputs, stride if index == 0 else 1))
+            channels = outputs
+    return nn.Sequential(*layers), channels
+
+
+def _norm(channels: int) -> nn.GroupNorm:
+    return nn.GroupNorm(channels // _GROUP, channels)
+
+
+def _shortcut(inputs: int, outputs: int, stride: int) -> nn.Module:
+    if inputs == outputs and stride == 1:
+        return nn.Identity()
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), _norm(outputs))

@@ -1,0 +1,57 @@
+"""A rectangle of one realisation of the endless field: what noise and order are drawn for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from matcap.field.plane import Period, Rectangle
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Which numbers are wanted.
+
+    Attributes:
+        seed: the realisation, any integer in [-2^63, 2^63).
+        area: in texels of the level.
+        level: texels are 2^level times as large.
+        period: repeat in texels of level 0; None is endless.
+        device: where to compute; the numbers are the same everywhere.
+    """
+
+    seed: int
+    area: Rectangle
+    level: int = 0
+    period: Period | None = None
+    device: torch.device | str = "cpu"
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        return self.area.height, self.area.width
+
+    @property
+    def along(self) -> Period:
+        """The repeat along x and along y, in texels of level 0."""
+        return (None, None) if self.period is None else self.period
+
+    def at_level(self, level: int) -> Patch:
+        """The same place, of which this is level 0, at a coarser level; sides are multiples."""
+        x, y = self.area.x >> level, self.area.y >> level
+        width, height = self.area.width >> level, self.area.height >> level
+        return replace(self, area=Rectangle(x, y, width, height), level=level)
+
+    def places(self, device: torch.device | str | None = None) -> tuple[Tensor, Tensor]:
+        """Columns (width,) and rows (height,), within the first period, as int64."""
+        area = self.area
+        where = self.device if device is None else device
+        columns = torch.arange(area.x, area.x + area.width, dtype=torch.int64, device=where)
+        rows = torch.arange(area.y, area.y + area.height, dtype=torch.int64, device=where)
+        columns, rows = (
+            line if length is None else line.remainder(length >> self.level)
+            for line, length in zip((columns, rows), self.along, strict=True)
+        )
+        return columns, rows

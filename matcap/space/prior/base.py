@@ -1,0 +1,83 @@
+"""The base: what the coarse fit already says about a material's maps.
+
+The decoder's outputs are read in units of the base: raw = mean + deviation * output. The network
+then only learns how a material departs from its coarse fit. Both numbers fold exactly into the
+affine of the decoder's head (`fold`), so a captured material needs no base of its own.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.flash.coarse import CoarseFit
+from matcap.flash.geometry import FlashSetup
+from matcap.space.decoder import OUTPUTS, Decoder
+from matcap.space.tuning.start import head_start
+
+VARYING = 8  # of the base's numbers differ between materials: 5 means, 3 colour deviations
+
+_CONTRASTS = (0.02, 1.5)  # of log colour: a plain material may still be corrected a little
+# Units of F0 and roughness beside the deviations a capture starts with: means in these units must
+# be able to move far.
+_UNIT = (1.0, 1.0, 1.0, 3.0, 3.0, 1.0)
+_START = (1.0, 1.0, 1.0, 0.33, 0.33, 0.33)  # deviations an untrained head begins with
+
+# The deviations of F0, roughness and height are the same for every photograph.
+_ANY = CoarseFit((0.5, 0.5, 0.5), 0.04, 0.5, FlashSetup(), 0.0)
+
+
+@dataclass(frozen=True)
+class Base:
+    """Offset and unit of each raw output, (OUTPUTS,) or (B, OUTPUTS) each."""
+
+    mean: Tensor
+    deviation: Tensor
+
+    def apply(self, output: Tensor) -> Tensor:
+        """(B, OUTPUTS, H, W) raw outputs of what the decoder said in units of the base."""
+        return self.mean[..., None, None] + self.deviation[..., None, None] * output
+
+
+def base_of(coarse: CoarseFit, contrast: Tensor) -> Base:
+    """The base of a photograph; `contrast` is (3,), see capture.start.log_contrast."""
+    mean, deviation = head_start(coarse, contrast.float().clamp(*_CONTRASTS))
+    return Base(mean, deviation * torch.tensor(_UNIT))
+
+
+def varying(base: Base) -> Tensor:
+    """(VARYING,) what differs between bases, each about normally distributed."""
+    return torch.cat([base.mean[:5], base.deviation[:3].log()])
+
+
+def base_from(numbers: Tensor) -> Base:
+    """The inverse of varying()."""
+    rest = head_start(_ANY, torch.zeros(3))[1][3:] * torch.tensor(_UNIT[3:])
+    low, high = _CONTRASTS
+    return Base(
+        torch.cat([numbers[:5], torch.zeros(1)]),
+        torch.cat([numbers[5:].exp().clamp(low, 1.2 * high), rest]),
+    )
+
+
+def start_head(decoder: Decoder) -> None:
+    """Let an untrained head state the base itself, plus moderate variation of every output."""
+    with torch.no_grad():
+        affine = decoder.head.adain.affine
+        affine.weight.mul_(0.2)
+        affine.bias.copy_(torch.cat([torch.zeros(OUTPUTS), torch.tensor(_START)]))
+
+
+def fold(decoder: Decoder, base: Base) -> Decoder:
+    """A copy of a decoder whose head speaks raw outputs itself, no longer units of the base."""
+    folded = copy.deepcopy(decoder).requires_grad_(True)
+    scale = torch.cat([base.deviation, base.deviation])
+    shift = torch.cat([base.mean, torch.zeros_like(base.mean)])
+    with torch.no_grad():
+        affine = folded.head.adain.affine
+        affine.weight.mul_(scale[:, None])
+        affine.bias.mul_(scale).add_(shift)
+    return folded

@@ -1,0 +1,116 @@
+"""What the encoder is shown of a photograph: a small picture, the coarse fit, and its texture.
+
+The small picture shows the highlight and large patterns; fine texture is lost in it, so statistics
+of windows at full detail go with it (autocorrelation, contrast and distribution, per level).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.flash.coarse import CoarseFit
+from matcap.space.encoder import NUMBERS
+from matcap.statistics.compare import Descriptor, describe
+from matcap.statistics.encoding import fit_encoding
+from matcap.statistics.filterbank import FilterBank, FilterBankConfig
+
+FEATURES = FilterBankConfig(sizes=(5,), filters=64)  # that windows are compared by in training
+# The encoder is told spectra and distributions; Gram matrices, which it is not, can be small.
+_TOLD = FilterBankConfig(sizes=(5,), filters=1, crossed=False)
+WINDOW = 96  # texels a side of the windows whose texture is told
+_PLACES_ACROSS, _PLACES_DOWN = (0.1, 0.37, 0.63, 0.9), (0.15, 0.5, 0.85)
+_LEVELS = 3  # of the pyramid; what a window of 64 texels has
+_LAGS_DOWN = (0, 1, 2, 4, 7, 11)  # texels of a level, as are those across
+_LAGS_ACROSS = (-11, -7, -4, -2, -1, 0, 1, 2, 4, 7, 11)
+_QUANTILES = (1, 5, 12, 24, 39, 51, 58, 62)  # of 64
+_STRONGEST = 2  # the encoding's channel of most variance
+_TOE = 0.03  # of the median: bounds the logarithm in the dark
+
+
+def picture(pixels: NDArray[np.float32], width: int) -> Tensor:
+    """(5, h, width) of (H, W, 3) linear pixels: log colour about its median, coordinates u, v.
+
+    Image coordinates, u to the right and v up.
+    """
+    height = round(width * pixels.shape[0] / pixels.shape[1])
+    small = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
+    linear = torch.from_numpy(np.ascontiguousarray(small.transpose(2, 0, 1)))
+    return torch.cat([log_colour(linear), _coordinates(width, height)])
+
+
+def log_colour(linear: Tensor) -> Tensor:
+    """(3, h, w) logarithm of radiance, its median at 0: the exposure does not show."""
+    median = linear.mean(0).median().clamp_min(1e-6)
+    return torch.log(linear.clamp(0.0, 1.0) / median + _TOE)
+
+
+def numbers(coarse: CoarseFit, contrast: Tensor, detail: int) -> Tensor:
+    """(NUMBERS,) the coarse fit, the photograph's contrast and detail, each about unit size."""
+    setup = coarse.setup
+    values = [
+        *(math.log(value) + 1.5 for value in coarse.diffuse),
+        math.log(coarse.specular) + 3.0,
+        4.0 * (coarse.roughness - 0.5),
+        *(math.log(max(float(value), 1e-3)) + 2.0 for value in contrast),
+        (setup.fov - 60.0) / 15.0,
+        10.0 * setup.offset[0],
+        10.0 * setup.offset[1],
+        10.0 * setup.tilt[0],
+        10.0 * setup.tilt[1],
+        2.0 * setup.vignetting,
+        10.0 * coarse.residual,
+        math.log2(detail / 1024.0),
+    ]
+    assert len(values) == NUMBERS
+    return torch.tensor(values, dtype=torch.float32)
+
+
+def _coordinates(width: int, height: int) -> Tensor:
+    u = (torch.arange(width) + 0.5) / width * 2.0 - 1.0
+    v = (1.0 - (torch.arange(height) + 0.5) / height * 2.0) * height / width
+    return torch.stack([u.expand(height, width), v[:, None].expand(height, width)])
+
+
+def texture(windows: Descriptor) -> Tensor:
+    """(TEXTURE,) the texture of windows of WINDOW texels, averaged over them."""
+    parts = []
+    levels = zip(windows.spectra, windows.quantiles, strict=True)
+    for spectra, quantiles in itertools.islice(levels, _LEVELS):
+        reach = spectra.shape[-1] // 2
+        variance = spectra[:, :, 0, reach].clamp_min(1e-4)
+        rows = spectra[:, _STRONGEST][:, [min(lag, reach) for lag in _LAGS_DOWN]]
+        columns = [reach + max(-reach, min(lag, reach)) for lag in _LAGS_ACROSS]
+        strongest = variance[:, _STRONGEST]
+        parts.append((rows[:, :, columns] / strongest[:, None, None]).flatten(1))
+        parts.append(0.5 * variance.log())
+        parts.append(quantiles[:, _STRONGEST][:, list(_QUANTILES)] / strongest.sqrt()[:, None])
+    return torch.cat(parts, dim=1).float().mean(0).clamp(-4.0, 4.0)
+
+
+def describe_windows(linear: Tensor, valid: Tensor) -> Descriptor:
+    """Descriptor of windows on a grid over a rectified photograph (3, H, W).
+
+    They are of WINDOW texels, or as large as a smaller photograph allows.
+    """
+    height, width = linear.shape[-2:]
+    side = min(WINDOW, height, width)
+    corners = [
+        (round(x * (width - side)), round(y * (height - side)))
+        for y in _PLACES_DOWN
+        for x in _PLACES_ACROSS
+    ]
+    shares = [float(valid[y : y + side, x : x + side].float().mean()) for x, y in corners]
+    least = min(0.5, max(shares))
+    windows = [
+        linear[:, y : y + side, x : x + side]
+        for (x, y), share in zip(corners, shares, strict=True)
+        if share >= least
+    ]
+    return describe(torch.stack(windows), fit_encoding(linear, valid), FilterBank(_TOLD))

@@ -1,0 +1,34 @@
+"""A sheet of materials drawn from the prior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from matcap.field.material import Material
+from matcap.flash.render import render_rectified
+
+_COLUMNS = 4  # materials side by side
+_BRIGHTNESS = 0.25  # mean radiance every picture is exposed to
+
+
+def sample_sheet(materials: Sequence[Material], seed: int, size: int = 256) -> NDArray[np.float32]:
+    """(rows * size, columns * size, 3) linear picture of pieces seed, seed + 1, ... by flash."""
+    count = len(materials)
+    tiles = []
+    for index, material in enumerate(materials):
+        maps = material.maps(size, size, seed=seed + index)
+        with torch.inference_mode():
+            picture = render_rectified(maps, material.setup)
+        exposed = picture * (_BRIGHTNESS / picture.mean().clamp_min(1e-6))
+        tiles.append(exposed.clamp(0.0, 1.0).permute(1, 2, 0).numpy())
+    columns = min(_COLUMNS, count)
+    blank = np.zeros_like(tiles[0])
+    rows = [
+        np.concatenate([*row, *([blank] * (columns - len(row)))], axis=1)
+        for row in (tiles[i : i + columns] for i in range(0, count, columns))
+    ]
+    return np.concatenate(rows, axis=0)

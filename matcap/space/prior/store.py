@@ -1,0 +1,274 @@
+"""Prior: the trained space of materials and its file.
+
+One safetensors file: encoder, decoder and alignment branch in half precision, what is needed to
+draw materials from nothing, and JSON metadata as strings. Nothing in it is executed; every shape
+is checked against the stated configuration, and an error names the tensor.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from torch import Tensor, nn
+
+from matcap.errors import MatcapError, UsageError
+from matcap.field.header import DAMAGED
+from matcap.field.material import Material
+from matcap.files.tensors import write_tensors
+from matcap.flash.coarse import CoarseFit, fit_coarse
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.plane import Plane, read_plane
+from matcap.photo.photo import Photo
+from matcap.space.alignment import WIDTH, Alignment
+from matcap.space.decoder import CODE_SIZE, Decoder
+from matcap.space.encoder import BACKBONES, Encoder, EncoderConfig
+from matcap.space.freeze import freeze
+from matcap.space.prior.anchors import SPREAD, Anchor, Anchors, Habits, nowhere
+from matcap.space.prior.base import VARYING, base_of, fold
+from matcap.space.prior.look import describe_windows, numbers, picture, texture
+from matcap.space.stored import StoredTensors, decoder_config, described, empty_decoder
+from matcap.space.tuned import TunedDecoder
+from matcap.space.tuning.start import log_contrast
+from matcap.statistics.lattice import find_lattice
+
+FORMAT = "matcap-prior"
+VERSIONS = (1, 2)  # of the file: without, and with structured noise
+SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
+
+_MOST_ANCHORS = 1_000_000  # a stranger's file cannot ask for more memory than this allows
+DETAIL = 1024  # texels across the photograph a drawn material is meant for
+_REMEDY = "install matcap again, or train a prior with `matcap prior train`"
+
+
+@dataclass(frozen=True)
+class Prior:
+    """The space of materials.
+
+    Attributes:
+        encoder: photograph to code.
+        decoder: code and noise to maps, in units of the base.
+        alignment: photograph to tilt.
+        habits: how bases go with codes.
+        about: how it was trained; JSON.
+        anchors: where the training photographs lie; without them draws may lie anywhere.
+    """
+
+    encoder: Encoder
+    decoder: Decoder
+    alignment: Alignment
+    habits: Habits
+    about: Mapping[str, Any] = field(default_factory=dict)
+    anchors: Anchors | None = None
+
+    def tilt(self, photo: Photo) -> tuple[float, float]:
+        """(tilt_x, tilt_y) of a photograph in radians."""
+        with torch.inference_mode():
+            shown = picture(photo.pixels, WIDTH)[None]
+            found = self.alignment(shown, torch.tensor([photo.fov]))[0].tolist()
+        return found[0], found[1]
+
+    def code(self, pixels: NDArray[np.float32], coarse: CoarseFit, plane: Plane) -> Tensor:
+        """(CODE_SIZE,) mean code of a photograph.
+
+        Args:
+            pixels: (H, W, 3) of the photograph, linear.
+            coarse: its coarse fit.
+            plane: the photograph at the detail of the capture.
+        """
+        with torch.no_grad():
+            shown = picture(pixels, self.encoder.config.width)[None]
+            contrast = log_contrast(plane.linear, plane.valid)
+            told = numbers(coarse, contrast, plane.size[0])[None]
+            seen = texture(describe_windows(plane.linear, plane.valid))[None]
+            mean, _ = self.encoder(shown, told, seen)
+        return mean[0]
+
+    def start(
+        self, pixels: NDArray[np.float32], coarse: CoarseFit, plane: Plane
+    ) -> tuple[Decoder, Tensor]:
+        """Decoder and code from which a capture starts; arguments as for code().
+
+        The decoder speaks raw outputs itself: the base is folded into its head.
+        """
+        contrast = log_contrast(plane.linear, plane.valid)
+        return fold(self.decoder, base_of(coarse, contrast)), self.code(pixels, coarse, plane)
+
+    def place(self, photo: Photo) -> Anchor:
+        """Where a photograph lies in the space, at the fineness of drawn materials."""
+        coarse = fit_coarse(photo)
+        plane = read_plane(photo, coarse.setup, DETAIL)
+        code = self.code(photo.pixels, coarse, plane)
+        base = base_of(coarse, log_contrast(plane.linear, plane.valid))
+        waves = find_lattice(plane.encoded(), plane.valid).waves
+        return Anchor(code, self.habits.rest(code, base), waves)
+
+    def draw(
+        self,
+        seed: int,
+        *,
+        near: Anchor | None = None,
+        spread: float = SPREAD,
+        name: str = "drawn",
+    ) -> Material:
+        """A material out of nothing, another for every seed.
+
+        Args:
+            seed: any integer of 64 bits.
+            near: where to draw; by default near a random one of the training photographs.
+            spread: how far from there, from 0 (there) to 1 (anywhere).
+            name: of the material, to which the seed is added.
+
+        Raises:
+            UsageError: a spread outside [0, 1].
+        """
+        if not 0.0 <= spread <= 1.0:
+            raise UsageError(f"the spread {spread:g} is not between 0 and 1", where="-t")
+        generator = torch.Generator().manual_seed(seed)
+        if near is not None:
+            anchor = near.near(spread, generator)
+        elif self.anchors is not None:
+            anchor = self.anchors.draw(spread, generator)
+        else:
+            anchor = nowhere().near(1.0, generator)
+        return self.material(f"{name}_{seed}", anchor, {"drawn": seed, "spread": spread})
+
+    def material(self, name: str, anchor: Anchor, provenance: Mapping[str, Any]) -> Material:
+        """A frozen material of one place in the space."""
+        decoder = fold(self.decoder, self.habits.base(anchor.code, anchor.rest))
+        return Material(
+            name=name,
+            generators={
+                "decoder": TunedDecoder(
+                    decoder=decoder.eval().requires_grad_(False),
+                    code=anchor.code,
+                    moments=tuple(freeze(decoder, anchor.code, anchor.waves)),
+                    waves=anchor.waves,
+                    texel_size=2.0 / DETAIL,
+                )
+            },
+            texel_size=2.0 / DETAIL,
+            setup=FlashSetup(intensity=(math.pi * 4.0,) * 3),
+            provenance=provenance,
+        )
+
+    def save(self, path: Path) -> None:
+        """Write the file, in half precision; whole or not at all."""
+        tensors = {
+            f"{part}.{name}": tensor.half()
+            for part, module in self._modules().items()
+            for name, tensor in module.state_dict().items()
+        }
+        for name, tensor in vars(self.habits).items():
+            tensors[f"habits.{name}"] = tensor.float()
+        if self.anchors is not None:
+            tensors |= {f"anchors.{name}": tensor for name, tensor in vars(self.anchors).items()}
+        about = {
+            "format": FORMAT,
+            "version": VERSIONS[bool(self.decoder.config.grains)],
+            "encoder": asdict(self.encoder.config),
+            "decoder": described(self.decoder.config),
+            "anchors": 0 if self.anchors is None else len(self.anchors),
+            "about": dict(self.about),
+        }
+        write_tensors(path, tensors, {"matcap": json.dumps(about)})
+
+    def _modules(self) -> dict[str, nn.Module]:
+        return {"encoder": self.encoder, "decoder": self.decoder, "alignment": self.alignment}
+
+
+def load_prior(path: Path | None = None) -> Prior:
+    """Read a prior; None reads the one that comes with matcap.
+
+    Raises:
+        MatcapError: missing, no prior, of another version, or damaged; names the tensor.
+    """
+    path = SHIPPED if path is None else path
+    if not path.is_file():
+        what = "this is a folder" if path.is_dir() else "there is no such prior"
+        raise MatcapError(what, where=str(path), remedy=_REMEDY)
+    try:
+        with safe_open(path, framework="pt") as file:
+            about = _about(file.metadata(), path)
+            stored = StoredTensors(file, path, _REMEDY)
+            encoder = Encoder(_encoder_config(about["encoder"]))
+            prior = Prior(
+                encoder=encoder,
+                decoder=empty_decoder(decoder_config(about["decoder"])),
+                alignment=Alignment(),
+                habits=Habits(
+                    *(
+                        stored.tensor(f"habits.{name}", shape)
+                        for name, shape in (
+                            ("matrix", (VARYING, CODE_SIZE)),
+                            ("offset", (VARYING,)),
+                            ("spread", (VARYING, VARYING)),
+                        )
+                    )
+                ),
+                about=about["about"],
+                anchors=_anchors(stored, int(about.get("anchors", 0))),
+            )
+            for part, module in prior._modules().items():
+                module.load_state_dict(
+                    {
+                        name: stored.tensor(f"{part}.{name}", tuple(value.shape))
+                        for name, value in module.state_dict().items()
+                    },
+                    assign=True,
+                )
+                module.eval().requires_grad_(False)
+            return prior
+    except (SafetensorError, OSError) as error:
+        raise MatcapError(
+            f"this is not a prior, or it is damaged ({error})", where=str(path), remedy=_REMEDY
+        ) from error
+    except DAMAGED as error:
+        raise MatcapError(
+            f"the prior's description is damaged ({error})", where=str(path), remedy=_REMEDY
+        ) from error
+
+
+def _anchors(stored: StoredTensors, count: int) -> Anchors | None:
+    """So many anchors; the first priors had none."""
+    if not count:
+        return None
+    if not 0 < count <= _MOST_ANCHORS:
+        raise ValueError(f"{count} anchors")
+    shapes = {"codes": (count, CODE_SIZE), "rests": (count, VARYING), "waves": (count, 2, 2)}
+    return Anchors(**{name: stored.tensor(f"anchors.{name}", s) for name, s in shapes.items()})
+
+
+def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
+    if not metadata or "matcap" not in metadata:
+        raise MatcapError(
+            "this safetensors file is not a matcap prior", where=str(path), remedy=_REMEDY
+        )
+    about: dict[str, Any] = json.loads(metadata["matcap"])
+    if about["format"] != FORMAT:
+        raise MatcapError(
+            f"this holds a {about['format']}, not a prior", where=str(path), remedy=_REMEDY
+        )
+    if about["version"] not in VERSIONS:
+        raise MatcapError(
+            f"this prior is of version {about['version']}; this matcap reads {VERSIONS[0]} to "
+            f"{VERSIONS[-1]}",
+            where=str(path),
+            remedy=_REMEDY,
+        )
+    return about
+
+
+def _encoder_config(stated: Mapping[str, Any]) -> EncoderConfig:
+    config = EncoderConfig(backbone=str(stated["backbone"]), width=int(stated["width"]))
+    if config.backbone not in BACKBONES or not 32 <= config.width <= 2048:
+        raise ValueError(f"encoder {config}")
+    return config

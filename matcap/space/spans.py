@@ -1,0 +1,74 @@
+"""What a block of output needs: how far every level of the decoder must be computed.
+
+Followed from the output back to the noise, so that nothing is computed twice as wide as needed
+and nothing at all is padded. Spans are along one axis, in texels of their level, counted from the
+block's first texel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from matcap.space.decoder import DEPTH
+
+
+@dataclass(frozen=True)
+class Span:
+    """Texels start to stop."""
+
+    start: int
+    stop: int
+
+    def grown(self, margin: int) -> Span:
+        """With `margin` texels more at both ends."""
+        return Span(self.start - margin, self.stop + margin)
+
+    def doubled(self) -> Span:
+        """The same texels of the next finer level."""
+        return Span(2 * self.start, 2 * self.stop)
+
+    @property
+    def size(self) -> int:
+        """How many texels."""
+        return self.stop - self.start
+
+    def within(self, outer: Span) -> slice:
+        """Where this span lies in an array that covers `outer`."""
+        return slice(self.start - outer.start, self.stop - outer.start)
+
+
+@dataclass(frozen=True)
+class Spans:
+    """Of every level along one axis, full resolution first.
+
+    Attributes:
+        output: what is wanted.
+        joined: what enters a level's block on the way up (skip, waves, and the level below
+            doubled), for levels 0 to DEPTH - 1. Its outermost texel is not valid.
+        risen: what a level hands up to be doubled, for levels 1 to DEPTH; entry 0 is the output.
+        down: what enters a level's block on the way down; entry 0 is the noise.
+        skips: what leaves it.
+    """
+
+    output: Span
+    joined: tuple[Span, ...]
+    risen: tuple[Span, ...]
+    down: tuple[Span, ...]
+    skips: tuple[Span, ...]
+
+
+def spans_of(output: Span, convolutions: tuple[int, int]) -> Spans:
+    """Spans for an output, with so many 3 x 3 convolutions a block on the way down and up."""
+    down_count, up_count = convolutions
+    risen, joined = [output], []
+    for _ in range(DEPTH):
+        valid = risen[-1].grown(up_count)
+        # Texel i of the doubled level lies between texels (i - 1) // 2 and (i + 1) // 2 below.
+        risen.append(Span((valid.start - 1) // 2, valid.stop // 2 + 1))
+        joined.append(risen[-1].doubled())
+    skips = [risen[-1]]
+    down = [skips[-1].grown(down_count)]
+    for _ in range(DEPTH):
+        skips.append(down[-1].doubled())
+        down.append(skips[-1].grown(down_count))
+    return Spans(output, tuple(joined), tuple(risen), tuple(down[::-1]), tuple(skips[::-1]))

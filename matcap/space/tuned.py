@@ -1,0 +1,130 @@
+"""A decoder tuned at a code: the paper's generator of a material, and how a file holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import safe_open
+from torch import Tensor
+
+from matcap.field.header import REMEDY, bounded
+from matcap.field.plane import Period, check_period, check_seed
+from matcap.space.decoder import ALIGNMENT, CODE_SIZE, Decoder, Moments
+from matcap.space.freeze import FoldedDecoder, fold
+from matcap.space.source import DecoderSource
+from matcap.space.stored import StoredTensors, decoder_config, described, empty_decoder
+from matcap.statistics.lattice import Wave
+
+_CPU = torch.device("cpu")
+
+
+@dataclass(frozen=True)
+class TunedDecoder:
+    """The decoder of one material.
+
+    Attributes:
+        decoder: fine-tuned weights.
+        code: (CODE_SIZE,) where it was tuned.
+        moments: frozen AdaIN statistics, one pair a layer.
+        waves: the plane waves of the material's regular order; none for most materials.
+        texel_size: in plane units.
+    """
+
+    decoder: Decoder
+    code: Tensor
+    moments: tuple[Moments, ...]
+    waves: tuple[Wave, ...]
+    texel_size: float
+
+    @property
+    def alignment(self) -> int:
+        """What periods of its field are multiples of, in texels."""
+        return ALIGNMENT
+
+    @property
+    def piece_size(self) -> None:
+        """It shows no piece of anything photographed."""
+        return None
+
+    @property
+    def version(self) -> int:
+        """Of a file that holds it: 2 where the decoder reads structured noise, else 1."""
+        return 2 if self.decoder.config.grains else 1
+
+    @cached_property
+    def _folded(self) -> FoldedDecoder:
+        return fold(self.decoder, self.code, self.moments, has_waves=bool(self.waves))
+
+    def folded(self) -> FoldedDecoder:
+        """The frozen network: plain convolutions on noise."""
+        return self._folded
+
+    def source(
+        self, seed: int, period: Period | None = None, device: torch.device = _CPU
+    ) -> DecoderSource:
+        """The source of its field, computed on a device.
+
+        Raises:
+            UsageError: a seed or period out of range.
+        """
+        check_seed(seed)
+        check_period(period, ALIGNMENT)
+        decoder = self.folded().to(device)
+        return DecoderSource(decoder, self.waves, self.texel_size, seed, period)
+
+    def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors by name and entries of a material's description, from which read() makes it."""
+        tensors = {f"decoder.{k}": v for k, v in self.decoder.state_dict().items()}
+        tensors["code"] = self.code
+        for index, (mean, deviation) in enumerate(self.moments):
+            tensors[f"moments.{index}.mean"] = mean
+            tensors[f"moments.{index}.deviation"] = deviation
+        about = {
+            "decoder": described(self.decoder.config),
+            "waves": [asdict(wave) for wave in self.waves],
+        }
+        return tensors, about
+
+
+def read(about: Mapping[str, Any], file: safe_open, path: Path) -> TunedDecoder | None:
+    """The decoder that a material's file holds, or None.
+
+    Args:
+        about: the material's description.
+        file: open, for PyTorch.
+        path: of the file.
+
+    Raises:
+        MatcapError: a tensor is missing or not as it should be; and what header.DAMAGED names.
+    """
+    if "decoder" not in about:
+        return None
+    stored = StoredTensors(file, path, REMEDY)
+    decoder = empty_decoder(decoder_config(about["decoder"]))
+    state = {
+        name: stored.tensor(f"decoder.{name}", tuple(value.shape))
+        for name, value in decoder.state_dict().items()
+    }
+    decoder.load_state_dict(state, assign=True)
+    code = stored.tensor("code", (CODE_SIZE,))
+    moments = []
+    for index, layer in enumerate(decoder.layers()):
+        shape = (layer.convolution.weight.shape[0],)
+        mean = stored.tensor(f"moments.{index}.mean", shape)
+        deviation = stored.tensor(f"moments.{index}.deviation", shape)
+        moments.append((mean, deviation))
+    return TunedDecoder(
+        decoder=decoder.eval().requires_grad_(False),
+        code=code,
+        moments=tuple(moments),
+        waves=tuple(
+            Wave(bounded(w["fx"], "fx", -1.0, 1.0), bounded(w["fy"], "fy", -1.0, 1.0))
+            for w in about["waves"][:2]
+        ),
+        texel_size=bounded(about["texel_size"], "texel_size", 1e-9, 1e3),
+    )

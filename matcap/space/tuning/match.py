@@ -1,0 +1,184 @@
+"""Matching: mean and contrast of a tuned material moved to the photograph's.
+
+Fine-tuning compares statistics window by window, whose best compromise is a little too faint where
+the structure is not met, and may be off in mean (docs/notes/capture.md). The last AdaIN states mean
+and deviation of every map outright, so both can be set right without another step: the material is
+rendered as the whole photograph, compared, and moved, a few times over. Diffuse albedo and relief
+take one common gain, for the picture tells their contrast only together; F0 and roughness stay.
+
+Contrast is told twice, by the mean over the picture and by the median block's, and only as far as
+both agree is it moved: a few scratches or clouds raise the one and leave the other, and no gain
+of everything makes them.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.field.material import Material, lacking
+from matcap.flash.geometry import plane_points
+from matcap.flash.plane import Plane
+from matcap.flash.render import render_flash
+from matcap.flash.windows import shot_deviation
+from matcap.space.decoder import OUTPUTS
+from matcap.space.tuned import TunedDecoder
+from matcap.statistics.encoding import shading
+
+_ROUNDS = 3  # of comparing and moving
+_BLOCK = 32  # texels a side over which light is averaged before means are compared
+_CLIPPED = 0.97  # of the clip level: brighter than this may be cut off
+_LEAST_SEEN = 0.05  # share of the texels; of fewer nothing is concluded
+# Of a shift, beside a squared share of diffuse light: where most light is mirrored, what is
+# missing of it says little about the diffuse albedo.
+_DAMPING = 0.1
+# One round's bounds and those of all together: more is another material's doing.
+_GAIN_STEP, _GAIN = (0.7, 1.4), (0.6, 1.7)
+_SHIFT = 1.0  # logits of diffuse albedo
+_LOGIT_EPSILON = 1e-5  # of albedo: bounds the logit at 0 and 1
+_DIFFUSE, _HEIGHT = slice(0, 3), slice(5, 6)  # of the raw outputs
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What was moved.
+
+    Attributes:
+        gain: of diffuse albedo's (in logits) and the relief's deviations.
+        shift: (3,) of diffuse albedo's mean, in logits.
+    """
+
+    gain: float
+    shift: Tensor
+
+
+def match_photograph(material: Material, plane: Plane, seed: int = 0) -> Material:
+    """The material with its mean and contrast moved to the photograph's.
+
+    Args:
+        material: tuned to it.
+        plane: the photograph; its noise is contrast that the material need not have.
+        seed: of the realisation that is compared.
+    """
+    found = correction(material, plane, seed)
+    tuned = _tuned(material)
+    decoder = copy.deepcopy(tuned.decoder)
+    affine = decoder.head.adain.affine
+    with torch.no_grad():
+        mean, deviation = affine.bias.split(OUTPUTS)
+        _, slope = affine.weight.split(OUTPUTS)
+        mean[_DIFFUSE] += found.shift
+        for rows in (_DIFFUSE, _HEIGHT):
+            deviation[rows] *= found.gain
+            slope[rows] *= found.gain
+    return replace(material, generators={"decoder": replace(tuned, decoder=decoder)})
+
+
+def correction(material: Material, plane: Plane, seed: int) -> Correction:
+    """What `match_photograph`, of the same arguments, moves.
+
+    Nothing where hardly anything of the photograph can be compared.
+    """
+    width, height = plane.size
+    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    true = plane.encoding.log(plane.linear[None])
+    contrast = _contrast(true)
+    hiss = None if plane.noise is None else plane.noise / shot_deviation(plane.linear)
+    with torch.inference_mode():
+        tuned = _tuned(material)
+        middle, _ = tuned.decoder.head.adain.target(tuned.code)
+        maps = material.maps(width, height, seed=seed)
+        logit = torch.logit(maps.diffuse, eps=_LOGIT_EPSILON)
+        moved, share = Correction(1.0, torch.zeros(3)), None
+        for _ in range(_ROUNDS):
+            now = _moved(maps, logit, middle[_DIFFUSE], moved)
+            clean = render_flash(now, material.setup, points)
+            if share is None:
+                share = _diffuse_share(now, clean, material, points)
+            seen = clean if hiss is None else clean + hiss * shot_deviation(clean)
+            unclipped = (plane.linear.amax(0) < _CLIPPED) & (seen.amax(0) < _CLIPPED)
+            compared = plane.valid & unclipped
+            if float(compared.float().mean()) < _LEAST_SEEN:
+                break
+            log = plane.encoding.log(seen[None])
+            blocks = _Blocks(compared)
+            moved = Correction(
+                _bounded(moved.gain * _gain(contrast, _contrast(log), blocks), _GAIN),
+                _shift((true - log)[0], share, moved.shift, blocks).clamp(-_SHIFT, _SHIFT),
+            )
+    return moved
+
+
+def _tuned(material: Material) -> TunedDecoder:
+    tuned = material.part(TunedDecoder)
+    if tuned is None:
+        raise lacking("decoder")
+    return tuned
+
+
+class _Blocks:
+    """Means over blocks of what is compared."""
+
+    def __init__(self, compared: Tensor) -> None:
+        self._compared = compared
+        self._size = min(_BLOCK, *compared.shape)
+        self.weight = F.avg_pool2d(compared.float()[None], self._size)
+
+    def __call__(self, values: Tensor) -> Tensor:
+        """(C, H, W) to (C, rows, columns)."""
+        seen = torch.where(self._compared, values, 0.0)
+        return F.avg_pool2d(seen, self._size) / self.weight.clamp_min(1e-3)
+
+
+def _moved(maps: MapSet, logit: Tensor, middle: Tensor, by: Correction) -> MapSet:
+    """The maps that a corrected material would have in place of `maps`."""
+    middle, shift = middle[:, None, None], by.shift[:, None, None]
+    diffuse = torch.sigmoid(middle + shift + by.gain * (logit - middle))
+    return replace(maps, diffuse=diffuse, height=by.gain * maps.height)
+
+
+def _contrast(log: Tensor) -> Tensor:
+    """(3, H, W) squared deviation of log radiance (1, 3, H, W) from its shading."""
+    return (log - shading(log))[0].square()
+
+
+def _diffuse_share(maps: MapSet, rendered: Tensor, material: Material, points: Tensor) -> Tensor:
+    """(3, H, W) change of log radiance with the logit of diffuse albedo, in [0, 1]."""
+    black = replace(maps, diffuse=torch.zeros_like(maps.diffuse))
+    glossy = render_flash(black, material.setup, points)
+    share = (rendered - glossy) / rendered.clamp_min(1e-6)
+    return share.clamp(0.0, 1.0) * (1.0 - maps.diffuse)
+
+
+def _gain(wanted: Tensor, found: Tensor, blocks: _Blocks) -> float:
+    """Ratio of two contrasts, as far as mean and median agree; 1 where they do not."""
+    whole = blocks.weight[0] > 0.5
+    if not whole.any():
+        return 1.0
+    wanted, found = (blocks(contrast).mean(dim=0)[whole] for contrast in (wanted, found))
+    ratios = [
+        float((measure(wanted) / measure(found).clamp_min(1e-12)).sqrt())
+        for measure in (torch.mean, torch.median)
+    ]
+    least, most = min(ratios), max(ratios)
+    return _bounded(_bounded(1.0, (least, most)), _GAIN_STEP)
+
+
+def _bounded(value: float, limits: tuple[float, float]) -> float:
+    return min(max(value, limits[0]), limits[1])
+
+
+def _shift(apart: Tensor, share: Tensor, already: Tensor, blocks: _Blocks) -> Tensor:
+    """(3,) shift of the logits that best explains differences of log radiance (3, H, W).
+
+    Least squares over blocks, each by its share of diffuse light: a highlight that is not met is
+    no reason to change the diffuse albedo. Damped as a whole, with what is moved `already` (3,).
+    """
+    apart, share, weight = blocks(apart), blocks(share), blocks.weight
+    explained = weight * share * (apart + share * already[:, None, None])
+    return explained.sum((1, 2)) / (weight * (share.square() + _DAMPING)).sum((1, 2))

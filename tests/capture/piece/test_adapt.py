@@ -1,0 +1,136 @@
+"""Adaptation: levels and strengths found from windows at other places."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from photographed import photographed
+
+from matcap.capture.piece.adapt import adapt, corners
+from matcap.capture.settings import FEATURES
+from matcap.flash.likeness import PhotographTarget
+from matcap.flash.plane import plane_of
+from matcap.flash.render import render_flash
+from matcap.flash.windows import cut_windows
+from matcap.statistics.filterbank import FilterBank
+
+SEEN = np.ones((384, 512), bool)
+
+
+@pytest.fixture(scope="module")
+def shot():
+    return photographed(0.3, 0.15)
+
+
+@pytest.fixture(scope="module")
+def scene(shot):
+    plane = plane_of(shot.linear, shot.linear.amax(0) < 0.98)
+    bank = FilterBank(FEATURES)
+    windows = cut_windows(plane, bank, 96)
+    return PhotographTarget(
+        windows, shot.uniform.setup, plane.encoding, bank, (), shot.maps.texel_size
+    )
+
+
+def _slope(maps) -> float:
+    normal = maps.normal
+    return float((normal[:2] / normal[2:]).square().mean().sqrt())
+
+
+def test_relief_and_albedo_that_are_off_come_back(shot, scene) -> None:
+    true = shot.maps
+    off = replace(true, diffuse=true.diffuse * 0.8, height=true.height * 0.6)
+    found = adapt(off, SEEN, scene, 30).maps
+    assert _slope(off) < 0.7 * _slope(true)
+    assert _slope(found) == pytest.approx(_slope(true), rel=0.2)
+    assert float(found.diffuse.mean()) == pytest.approx(float(true.diffuse.mean()), rel=0.08)
+    drawn = torch.stack([found.height.flatten(), true.height.flatten()])
+    assert float(torch.corrcoef(drawn)[0, 1]) > 0.97
+
+
+def test_no_steps_change_nothing_and_the_same_seed_gives_the_same_maps(shot, scene) -> None:
+    assert adapt(shot.maps, SEEN, scene, 0).maps is shot.maps
+    first, again = (adapt(shot.maps, SEEN, scene, 2, seed=3).maps.stacked() for _ in range(2))
+    assert torch.equal(first, again)
+
+
+def test_windows_lie_where_the_piece_was_seen() -> None:
+    seen = SEEN.copy()
+    seen[:, :256] = False
+    found = corners(seen, 96)
+    assert len(found) > 100
+    assert found[:, 1].min() >= 256 - 0.05 * 96
+    assert found.min() >= 0 and (found.max(0) + 96 == seen.shape).all()
+    assert len(corners(np.zeros_like(seen), 96))  # there is always somewhere to look
+
+
+def test_an_interrupt_keeps_what_was_found(shot, scene) -> None:
+    def interrupt(share: float) -> None:
+        if share > 0.1:
+            raise KeyboardInterrupt
+
+    found = adapt(shot.maps, SEEN, scene, 12, tell=interrupt)
+    assert found.interrupted
+    assert bool(torch.isfinite(found.maps.stacked()).all())
+
+
+def test_time_ends_it(shot, scene) -> None:
+    shares: list[float] = []
+    adapt(shot.maps, SEEN, scene, 10_000, seconds=0.2, tell=shares.append)
+    assert 1 <= len(shares) < 100
+
+
+def test_windows_of_several_photographs_are_lit_by_their_own_flash(shot, scene) -> None:
+    def found(flash) -> torch.Tensor:
+        both = replace(scene.windows, photographs=torch.arange(scene.windows.count) % 2)
+        joint = replace(scene, windows=both, others=(flash,))
+        return adapt(shot.maps, SEEN, joint, 3).maps.stacked()
+
+    alone = adapt(shot.maps, SEEN, scene, 3).maps.stacked()
+    assert torch.equal(found(scene.setup), alone)
+    assert not torch.equal(found(scene.setup.with_intensity((1.0,) * 3)), alone)
+
+
+def test_gloss_that_goes_with_relief_is_found(shot, scene) -> None:
+    """Told nothing of roughness but its mean, grooves come out rougher where they are."""
+    band = shot.maps.height - shot.maps.height.mean()
+    tied = torch.sigmoid(torch.logit(shot.maps.roughness) - 0.8 * band / band.std())
+    true = replace(shot.maps, roughness=tied.clamp(0.1, 0.9))
+    linear = render_flash(true, shot.uniform.setup, shot.points)
+    plane = plane_of(linear, linear.amax(0) < 0.98)
+    windows = cut_windows(plane, scene.bank, 96)
+    lit = replace(scene, windows=windows, encoding=plane.encoding)
+    even = torch.full_like(true.roughness, float(true.roughness.mean()))
+    found = adapt(replace(true, roughness=even), SEEN, lit, 40).maps
+    both = torch.stack([found.roughness.flatten(), true.roughness.flatten()])
+    assert float(torch.corrcoef(both)[0, 1]) > 0.4
+
+
+def test_gloss_that_goes_with_colour_is_found(shot, scene) -> None:
+    """Grey is metal and orange is rust: told one F0 for both, metal comes out as the glossier."""
+    relief = shot.maps.height[0]
+    metal = (relief > relief.median()).float()
+    colours = torch.tensor([[0.16, 0.08, 0.04], [0.05, 0.05, 0.05]])
+    true = replace(
+        shot.maps,
+        diffuse=(colours[0, :, None, None] * (1.0 - metal) + colours[1, :, None, None] * metal),
+        specular=(0.04 + 0.46 * metal)[None],
+        roughness=(0.8 - 0.4 * metal)[None],
+        height=0.0 * shot.maps.height,
+    )
+    linear = render_flash(true, shot.uniform.setup, shot.points)
+    linear = linear / linear.quantile(0.99)
+    plane = plane_of(linear, linear.amax(0) < 0.98)
+    windows = cut_windows(plane, scene.bank, 96)
+    lit = replace(scene, windows=windows, encoding=plane.encoding)
+    even = replace(
+        true,
+        specular=torch.full_like(true.specular, 0.1),
+        roughness=torch.full_like(true.roughness, 0.6),
+    )
+    found = adapt(even, SEEN, lit, 40).maps
+    parted = [float(found.specular[0][metal == kind].mean()) for kind in (0.0, 1.0)]
+    assert parted[1] > 1.5 * parted[0]

@@ -1,0 +1,124 @@
+"""Relief of one strength everywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from photographed import photographed
+
+from matcap.capture.piece.equalise import equalise, slopes
+from matcap.capture.piece.smooth import split
+from matcap.capture.piece.strengths import BANDS, Strengths, slope_strengths
+
+
+def _bumps() -> np.ndarray:
+    shot = photographed(0.2, 0.0, width=768, height=512)
+    return (shot.maps.height / shot.maps.texel_size)[0].numpy()
+
+
+def _strength(height: np.ndarray, where: tuple[slice, slice]) -> tuple[float, float]:
+    x, y = slopes(height)
+    return float(np.sqrt(np.square(x[where]).mean())), float(np.sqrt(np.square(y[where]).mean()))
+
+
+def test_bands_add_up() -> None:
+    height = _bumps()
+    assert np.allclose(sum(split(height)), height, atol=1e-4)
+
+
+@pytest.mark.parametrize("band", range(len(BANDS)))
+def test_a_wave_is_in_its_own_band(band: int) -> None:
+    longest, shortest = BANDS[band]
+    length = (longest * shortest) ** 0.5
+    x = np.arange(512, dtype=np.float32)
+    wave = np.tile(np.sin(2.0 * np.pi * x / length), (256, 1)).astype(np.float32)
+    energies = [float(np.square(b[64:-64, 64:-64]).mean()) for b in split(wave)]
+    assert energies[band] > 0.9 * sum(energies)
+
+
+def test_relief_gets_the_strength_that_is_told_in_every_band() -> None:
+    """Also of the finest waves, of which networks draw a tenth."""
+    height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
+    height = height.astype(np.float32)
+    true = slope_strengths(height)
+    shrunk = [
+        share * band
+        for share, band in zip((0.5, 0.5, 0.5, 0.4, 0.2, 0.1, 1), split(height), strict=True)
+    ]
+    told = Strengths(albedo=np.zeros_like(true), slope=true, trust=np.ones_like(true))
+    found = slope_strengths(equalise(sum(shrunk).astype(np.float32), told))
+    assert np.allclose(np.sqrt(np.square(found).sum(1)), np.sqrt(np.square(true).sum(1)), rtol=0.1)
+
+
+def test_what_is_told_of_some_bands_holds_of_those_nothing_is_told_of() -> None:
+    height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
+    true = slope_strengths(height.astype(np.float32))
+    trust = np.ones_like(true)
+    slope = true.copy()
+    trust[:2], slope[:2] = 0.0, 0.0
+    told = Strengths(albedo=np.zeros_like(true), slope=slope, trust=trust)
+    found = slope_strengths(equalise(np.asarray(0.3 * height, np.float32), told))
+    ratio = np.sqrt(np.square(found[:2]).sum(1) / np.square(true[:2]).sum(1))
+    assert (ratio > 0.6).all() and (ratio < 1.3).all()
+
+
+def test_even_relief_is_left_as_it_is() -> None:
+    height = _bumps()
+    even = equalise(height, None)
+    before, after = (np.stack(slopes(h)) for h in (height, even))
+    correlation = (before * after).sum() / np.sqrt(np.square(before).sum() * np.square(after).sum())
+    assert correlation > 0.95
+
+
+def test_a_bulls_eye_is_evened_out() -> None:
+    """Relief that fades in the middle, and there shows one slope only, comes out as elsewhere."""
+    height = _bumps()
+    y, x = np.mgrid[-1 : 1 : height.shape[0] * 1j, -1.5 : 1.5 : height.shape[1] * 1j]
+    fading = np.clip(np.hypot(x, y), 0.25, 1.0)
+    faint = (height * fading).astype(np.float32)
+    middle, rim = (slice(200, 312), slice(320, 448)), (slice(0, 112), slice(0, 128))
+    even = equalise(faint, None)
+    before = _strength(faint, middle)[0] / _strength(faint, rim)[0]
+    after = _strength(even, middle)[0] / _strength(even, rim)[0]
+    assert before < 0.4
+    assert 0.55 < after < 1.3
+    assert 0.55 < _strength(even, middle)[1] / _strength(even, rim)[1] < 1.3
+
+
+def _waves(fx: float, fy: float, size: int = 256) -> np.ndarray:
+    y, x = np.mgrid[0:size, 0:size].astype(np.float32)
+    return np.sin(2.0 * np.pi * (fx * x + fy * y)).astype(np.float32)
+
+
+@pytest.mark.parametrize("way", [(0.04, 0.04), (0.04, -0.04)])
+def test_waves_of_any_direction_are_left_as_they_are(way) -> None:
+    """Eigenvectors of their slopes' covariance turn as the waves do."""
+    crossing = (1.1 * way[0], -0.9 * way[1])  # in the same band
+    height = _waves(*way) + 0.2 * _waves(*crossing)
+    even = equalise(height, None)
+    before, after = (np.stack(slopes(h))[:, 32:-32, 32:-32] for h in (height, even))
+    assert np.abs(after - before).mean() < 0.1 * np.abs(before).mean()
+
+
+@pytest.mark.parametrize(
+    ("told", "trust", "expected"),
+    [(2.0, 1.0, 2.0), (0.5, 1.0, 0.5), (2.0, 0.0, 1.0), (2.0, 0.5, 2.0**0.875)],
+)
+def test_relief_becomes_as_strong_as_the_photograph_says_so_far_as_it_is_trusted(
+    told, trust, expected
+) -> None:
+    height = _bumps() + 0.02 * np.random.default_rng(0).standard_normal((512, 768))
+    height = height.astype(np.float32)
+    found = slope_strengths(height)
+    strengths = Strengths(found, told * found, np.full_like(found, trust))
+    own = _strength(equalise(height, None), (slice(None), slice(None)))[0]
+    now = _strength(equalise(height, strengths), (slice(None), slice(None)))[0]
+    assert now / own == pytest.approx(expected, rel=0.06)
+
+
+def test_a_bowl_is_no_relief() -> None:
+    height = _bumps()
+    y, x = np.mgrid[-1 : 1 : height.shape[0] * 1j, -1.5 : 1.5 : height.shape[1] * 1j]
+    bowl = (60.0 * (x**2 + y**2)).astype(np.float32)
+    left = equalise(height + bowl, None) - equalise(height, None)
+    assert left.std() < 0.25 * bowl.std()

@@ -1,0 +1,130 @@
+"""From a photograph's plane to the exemplar."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from photographed import photographed
+
+from matcap.capture.piece.find import confidence, find_piece, lit, piece_maps
+from matcap.capture.piece.network.network import Inverse, InverseConfig
+from matcap.capture.piece.network.store import load_inverse, read_inverse, save_inverse
+from matcap.errors import MatcapError
+from matcap.flash.coarse import CoarseFit
+from matcap.flash.plane import plane_of
+from matcap.flash.rectify import inside
+
+
+def _plane(clip: float = 1e9):
+    shot = photographed(0.15, 0.15, width=256, height=192)
+    uniform = shot.uniform
+    coarse = CoarseFit(
+        uniform.diffuse, uniform.specular, uniform.roughness, uniform.setup, residual=0.0
+    )
+    clipped = shot.linear.clamp_max(clip)
+    return plane_of(clipped, (clipped < clip).all(0)), coarse, shot
+
+
+def test_the_piece_re_renders_to_its_photograph() -> None:
+    plane, coarse, shot = _plane()
+    found = find_piece(plane, coarse, load_inverse())
+    assert found.error < 0.05
+    maps = piece_maps(found.exemplar)
+    assert maps.size == plane.size
+    assert bool(torch.isfinite(maps.stacked()).all())
+    # Brightness is the truth's, whatever the network has learnt yet.
+    ratio = maps.diffuse.mean((1, 2)) / shot.maps.diffuse.mean((1, 2))
+    assert float((ratio.log()).abs().max()) < 0.25
+
+
+def test_even_an_untaught_network_gives_maps_within_their_ranges() -> None:
+    plane, coarse, _ = _plane()
+    torch.manual_seed(1)
+    network = Inverse(InverseConfig(widths=(8, 8, 12), context=8)).eval().requires_grad_(False)
+    exemplar = find_piece(plane, coarse, network).exemplar  # checks ranges when it is made
+    assert float(np.abs(exemplar.height).max()) < 1.0
+
+
+def test_nothing_is_trusted_where_nothing_was_seen() -> None:
+    plane, coarse, shot = _plane(clip=float(photographed(0.15, 0.15, width=256, height=192)
+                                            .linear.quantile(0.98)))  # fmt: skip
+    found = find_piece(plane, coarse, load_inverse())
+    unseen = ~plane.valid.numpy()
+    assert unseen.any()
+    assert float(found.exemplar.confidence[:, unseen].max()) == 0.0
+    assert float(found.exemplar.confidence[:, ~unseen].mean()) > 0.2
+
+
+def test_what_is_crushed_to_black_is_not_read_as_black() -> None:
+    """A corner of no light says nothing: its albedo is the others', and nobody trusts it."""
+    plane, coarse, _ = _plane()
+    crushed = plane.linear.clone()
+    crushed[:, :80, :80] = 2e-4
+    found = find_piece(replace(plane, linear=crushed), coarse, load_inverse()).exemplar
+    corner = (slice(None), slice(8, 56), slice(8, 56))
+    assert float(found.confidence[corner].max()) == 0.0
+    assert float(found.diffuse[corner].mean()) > 0.5 * float(found.diffuse[:, 100:].mean())
+
+
+def test_what_the_photograph_does_not_reach_is_not_taken_for_glare() -> None:
+    plane, coarse, _ = _plane()
+    setup = replace(coarse.setup, tilt=(0.08, -0.08))
+    height, width = plane.valid.shape
+    seen = torch.from_numpy(inside((height, width), setup))
+    assert 0 < int((~seen).sum()) < height * width // 10
+    reached = replace(plane, valid=plane.valid & seen)
+    found = find_piece(reached, replace(coarse, setup=setup), load_inverse()).exemplar
+    beyond = ~seen.numpy()
+    ratio = found.diffuse[:, beyond].mean() / found.diffuse[:, ~beyond].mean()
+    assert 0.85 < float(ratio) < 1.15  # 1.35 where the network is told of glare there
+    assert float(found.confidence[:, beyond].max()) == 0.0
+
+
+def test_dark_grains_in_the_light_are_seen() -> None:
+    radiance = torch.full((3, 64, 64), 0.05)
+    radiance[:, ::9, ::9] = 1e-5
+    assert bool(lit(radiance).all())
+    assert not lit(0.01 * radiance).any()
+
+
+def test_confidence_falls_with_the_error_to_be_expected() -> None:
+    valid = torch.ones(64, 96, dtype=torch.bool)
+    sure, unsure = (confidence(torch.full((4, 64, 96), e), valid) for e in (-4.0, 0.0))
+    assert (sure > unsure).all()
+    assert sure.max() <= 1.0 and unsure.min() >= 0.0
+
+
+def test_nothing_is_trusted_in_a_hole_or_beside_it() -> None:
+    valid = torch.ones(64, 96, dtype=torch.bool)
+    valid[20:30, 40:60] = False
+    found = confidence(torch.full((4, 64, 96), -4.0), valid)
+    assert found[:, 18:32, 38:62].max() == 0.0  # what glare and interpolation touch, too
+    assert found[:, :17].min() > 0.5 and found[:, 33:].min() > 0.5
+
+
+def test_confidence_counts_every_error_in_its_own_units() -> None:
+    """Slope's are the smallest that count, then log albedo's; F0's and roughness's are alike."""
+    valid = torch.ones(64, 96, dtype=torch.bool)
+    albedo, f0, roughness, slope = confidence(torch.full((4, 64, 96), -1.5), valid).mean((1, 2))
+    assert slope < 0.7 * albedo and albedo < 0.8 * f0
+    assert f0 == roughness
+
+
+def test_weights_survive_storing_and_are_refused_when_damaged(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = Inverse(InverseConfig(widths=(8, 8, 12), context=8))
+    path = tmp_path / "inverse.safetensors"
+    save_inverse(network, path, {"steps": 3})
+    again, card = read_inverse(path)
+    assert card == {"steps": 3}
+    for a, b in zip(network.parameters(), again.parameters(), strict=True):
+        assert torch.allclose(a, b, atol=1e-3)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(MatcapError, match="damaged"):
+        read_inverse(path)
+    with pytest.raises(MatcapError, match="damaged"):
+        read_inverse(tmp_path / "missing")

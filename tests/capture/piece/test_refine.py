@@ -1,0 +1,129 @@
+"""Refinement by re-rendering."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from photographed import photographed
+
+from matcap.capture.piece.network.inputs import true_outputs
+from matcap.capture.piece.refine import Light, flatten, level, refine
+
+ERRORS = torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None]
+
+
+def _setting(slope: float = 0.1, contrast: float = 0.1):
+    shot = photographed(slope, contrast, width=192, height=144)
+    valid = torch.ones(144, 192, dtype=torch.bool)
+    return shot, valid, true_outputs(shot.maps, shot.uniform), ERRORS.expand(4, 144, 192)
+
+
+def test_the_truth_is_left_alone() -> None:
+    shot, valid, truth, errors = _setting()
+    refined = refine(truth, errors, shot.linear, valid, Light(shot.uniform, shot.points))
+    assert float(refined.residual.abs().median()) < 1e-3
+    assert float((refined.outputs - truth).abs().max()) < 0.05
+
+
+def test_a_flat_guess_is_moved_until_it_re_renders() -> None:
+    shot, valid, truth, errors = _setting()
+    guess = torch.zeros_like(truth)
+    refined = refine(guess, errors, shot.linear, valid, Light(shot.uniform, shot.points))
+    texture = refined.residual - refined.slow
+    assert float(texture.abs().median()) < 0.01
+
+
+def test_slow_drift_is_not_the_materials() -> None:
+    shot, valid, truth, errors = _setting()
+    drift = torch.linspace(-0.15, 0.15, 192).exp()
+    refined = refine(truth, errors, shot.linear * drift, valid, Light(shot.uniform, shot.points))
+    assert float((refined.outputs - truth)[:3].mean((0, 1)).diff().abs().mean()) < 1e-3
+    assert float(refined.slow.abs().mean()) > 0.04
+
+
+def test_clipped_texels_are_lower_bounds() -> None:
+    """Brighter than the clip level is as good as at it; darker is not."""
+    shot, valid, truth, errors = _setting()
+    clip = float(shot.linear.quantile(0.7))
+    clipped = shot.linear.clamp_max(clip)
+    unclipped = (shot.linear < clip).all(0)
+    refined = refine(truth, errors, clipped, unclipped, Light(shot.uniform, shot.points))
+    assert float((refined.outputs - truth).abs().max()) < 0.05
+
+
+def test_levels_are_found_again() -> None:
+    shot, valid, truth, _ = _setting()
+    off = truth.clone()
+    off[:3] -= 0.3
+    found = level(off, shot.linear, valid, Light(shot.uniform, shot.points))
+    assert float((found - truth)[:3].mean().abs()) < 0.06
+
+
+def test_relief_is_not_touched() -> None:
+    shot, valid, truth, errors = _setting()
+    guess = torch.zeros_like(truth)
+    refined = refine(guess, errors, shot.linear, valid, Light(shot.uniform, shot.points))
+    assert float(refined.outputs[5].abs().max()) == 0.0
+
+
+def _log_radiance(outputs, light):
+    maps = light.maps(outputs)
+    return light.logs(maps, light.angles(maps.normal))[0]
+
+
+def test_what_is_clipped_must_be_as_bright_as_the_clip_level() -> None:
+    shot, _, truth, errors = _setting()
+    light = Light(shot.uniform, shot.points)
+    clip = float(shot.linear.quantile(0.7))
+    valid = (shot.linear < clip).all(0)
+    guess = truth.clone()
+    guess[:3] -= 0.6 * (~valid)
+    refined = refine(guess, errors, shot.linear.clamp_max(clip), valid, light)
+    too_dark = [
+        (shot.linear.clamp_max(clip).log() - _log_radiance(o, light)).clamp_min(0.0)[:, ~valid]
+        for o in (guess, refined.outputs)
+    ]
+    assert float(too_dark[1].mean()) < 0.4 * float(too_dark[0].mean())
+
+
+def test_levels_of_what_is_clipped_are_raised_and_never_lowered() -> None:
+    shot, valid, truth, _ = _setting()
+    light, nothing = Light(shot.uniform, shot.points), torch.zeros_like(valid)
+    dark = truth.clone()
+    dark[:3] -= 0.6
+    raised = level(dark, shot.linear, nothing, light)
+    assert float((raised - dark)[:3].mean()) > 0.3
+    kept = level(truth, 0.4 * shot.linear, nothing, light)
+    assert float((kept - truth)[:3].abs().max()) < 0.05
+
+
+def _flattened(outputs, confidence=None, glare=None):
+    shape = outputs.shape[-2:]
+    trusted = torch.ones(4, *shape) if confidence is None else confidence
+    return flatten(outputs, trusted, np.zeros(shape, np.float32) if glare is None else glare)
+
+
+def test_every_maps_mean_is_the_one_where_that_map_is_trusted() -> None:
+    halves = torch.zeros(6, 96, 128)
+    halves[:5, :, 64:] = 1.0
+    trusted = torch.zeros(4, 96, 128)
+    trusted[0, :, :64] = 1.0  # albedo on the left
+    trusted[1, :, 64:] = 1.0  # F0 on the right
+    trusted[2, :, :64] = 1.0
+    found = _flattened(halves, trusted).mean((1, 2))
+    assert found[:3].abs().max() < 0.1
+    assert abs(float(found[3]) - 1.0) < 0.1
+    assert abs(float(found[4])) < 0.1
+
+
+def test_nothing_of_a_stationary_sample_follows_the_highlight_or_drifts() -> None:
+    y, x = np.mgrid[-1.0:1.0:96j, -1.33:1.33:128j]
+    glare = np.exp(-(x**2 + y**2) / 0.02).astype(np.float32)
+    spot = torch.zeros(6, 96, 128)
+    spot[:5] = torch.from_numpy(glare)
+    assert float(_flattened(spot, glare=glare)[:5].std()) < 0.2 * float(spot[:5].std())
+    ramp = torch.from_numpy(x.astype(np.float32)).expand(6, 96, 128).contiguous()
+    assert float(_flattened(ramp)[:5, 24:-24, 32:-32].std()) < 0.35 * float(
+        ramp[:5, 24:-24, 32:-32].std()
+    )
+    assert torch.equal(_flattened(ramp)[5], ramp[5])  # relief is left to equalise.py

@@ -1,0 +1,93 @@
+"""Relief's and albedo's strength in closed form, against simulated truth."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from photographed import photographed
+
+from matcap.capture.piece.network.inputs import network_inputs
+from matcap.capture.piece.strengths import BANDS, measure_strengths, slope_strengths
+
+
+def _measured(slope: float, contrast: float, **kwargs: int):
+    shot = photographed(slope, contrast, width=1024, height=768, **kwargs)
+    valid = torch.ones(shot.linear.shape[-2:], dtype=torch.bool)
+    inputs = network_inputs(shot.linear, valid, shot.uniform, shot.points).numpy()
+    found = measure_strengths(inputs[:3].mean(0), inputs[6:8], valid.numpy())
+    assert found is not None
+    true = slope_strengths((shot.maps.height / shot.maps.texel_size)[0].numpy())
+    return found, true
+
+
+@pytest.mark.parametrize("slope", [0.1, 0.3])
+def test_slopes_are_found_as_strong_as_they_are(slope: float) -> None:
+    found, true = _measured(slope, 0.03)
+    whole = np.sqrt(np.square(true).sum())
+    assert found.relief == pytest.approx(whole, rel=0.2)
+    # And in the band that holds most of them.
+    band = int(np.square(true).sum(1).argmax())
+    here = np.sqrt(np.square(found.slope[band]).sum() / np.square(true[band]).sum())
+    assert 0.8 < here < 1.25
+    assert found.trust[band].mean() > 0.8
+    told = found.document()
+    assert sum(b["slope"] ** 2 for b in told["bands"]) == pytest.approx(told["relief"] ** 2)
+    assert [tuple(b["waves"]) for b in told["bands"]] == list(BANDS)
+    assert f"slope {found.relief:.2f}" in dict(found.lines())["relief"]
+
+
+def test_albedo_alone_is_not_taken_for_relief() -> None:
+    found, _ = _measured(1e-4, 0.3)
+    assert np.sqrt(np.square(found.albedo).sum()) == pytest.approx(0.3, rel=0.35)
+    relief = float(np.sqrt((found.trust * np.square(found.slope)).sum()))
+    assert relief < 0.3  # 0.3 of log albedo would be slopes of 1 where the light slants by 0.3
+
+
+def test_one_band_of_energy_stays_in_its_band() -> None:
+    x = np.arange(512)
+    wave = np.sin(2.0 * np.pi * x / 12.0)[None].repeat(384, 0).astype(np.float32)
+    strengths = np.square(slope_strengths(wave)).sum(1)
+    band = next(i for i, (longest, shortest) in enumerate(BANDS) if shortest < 12.0 <= longest)
+    assert strengths[band] > 0.95 * strengths.sum()
+
+
+def test_too_little_to_look_at_says_nothing() -> None:
+    nothing = np.zeros((256, 256), np.float32)
+    shows = np.zeros((2, 256, 256), np.float32)
+    assert measure_strengths(nothing, shows, np.zeros((256, 256), bool)) is None
+    assert measure_strengths(nothing[:64], shows[:, :64], np.ones((64, 256), bool)) is None
+
+
+def _slopes(seed: int = 3) -> np.ndarray:
+    """Slopes along x of isotropic bumps, 0.1 on average."""
+    noise = np.random.default_rng(seed).standard_normal((384, 640)).astype(np.float32)
+    slopes = np.gradient(cv2.GaussianBlur(noise, (0, 0), 3.0), axis=1)
+    return (0.1 * slopes / slopes.std()).astype(np.float32)
+
+
+def _along_x(found) -> tuple[float, float]:
+    """Slope and albedo of waves along x, all bands together."""
+    return tuple(float(np.sqrt(np.square(a[:, 0]).sum())) for a in (found.slope, found.albedo))
+
+
+def test_albedo_that_goes_with_the_slope_is_told_from_it() -> None:
+    """Cracks that are dark on one side: E(s) = A + 2 C s + S s^2, and light that slants one way."""
+    slopes = _slopes()
+    shows = np.zeros((2, *slopes.shape), np.float32)
+    shows[0] = np.linspace(0.0, 1.1, slopes.shape[1])
+    seen = np.ones(slopes.shape, bool)
+    alone = _along_x(measure_strengths(shows[0] * slopes, shows, seen))[0]
+    slope, albedo = _along_x(measure_strengths((shows[0] + 0.5) * slopes, shows, seen))
+    # Energies of the same few windows scatter together: a fourth; without C it would be a half.
+    assert slope == pytest.approx(alone, rel=0.27)
+    assert albedo == pytest.approx(0.5 * alone, rel=0.4)
+
+
+def test_the_sensors_noise_is_no_albedo() -> None:
+    noise = np.random.default_rng(1).standard_normal((384, 640)).astype(np.float32)
+    shows, seen = np.zeros((2, *noise.shape), np.float32), np.ones(noise.shape, bool)
+    known = measure_strengths(0.1 * noise, shows, seen, noise=0.1)
+    unknown = measure_strengths(0.1 * noise, shows, seen)
+    assert np.square(known.albedo).sum() < 0.1 * np.square(unknown.albedo).sum()

@@ -1,0 +1,122 @@
+"""What glare hides is lent by places that look like it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from photographed import SETUP, Photographed, photographed
+
+from matcap.capture.piece.refine import Light
+from matcap.capture.piece.transport import transport
+from matcap.example.exemplar import Exemplar
+from matcap.flash.render import render_flash
+
+HOLE = (slice(100, 220), slice(180, 330))
+
+
+def _hidden(shot: Photographed, confidence: float = 0.0) -> Exemplar:
+    """Maps whose albedo is told nothing of inside the hole: flat and pale there."""
+    maps = shot.maps
+    trusted = np.ones((4, *maps.height.shape[-2:]), np.float32)
+    trusted[:, *HOLE] = confidence
+    albedo = maps.diffuse.clamp(0.0, 0.95).numpy().copy()
+    albedo[:, *HOLE] = 0.8
+    return Exemplar(
+        albedo, maps.specular.numpy(), maps.roughness.numpy(), maps.height.numpy(), trusted,
+        maps.texel_size,
+    )  # fmt: skip
+
+
+def _lent(shot: Photographed, exemplar: Exemplar, valid: torch.Tensor, tried: int) -> Exemplar:
+    light = Light(shot.uniform, shot.points)
+    return transport(exemplar, shot.linear, valid, light, tried=tried)
+
+
+def _likeness(found: Exemplar, shot: Photographed) -> float:
+    """Correlation of log albedo with the truth inside the hole."""
+    truth = shot.maps.diffuse.log().numpy()[:, *HOLE]
+    drawn = np.log(found.diffuse.clip(1e-3))[:, *HOLE]
+    return float(np.corrcoef(truth.ravel(), drawn.ravel())[0, 1])
+
+
+@pytest.fixture(scope="module")
+def shot() -> Photographed:
+    """A material of spots, some of them in every block."""
+    shot = photographed(0.1, 0.0)
+    y, x = np.mgrid[0:384, 0:512]
+    spots = np.sin(x * 2 * np.pi / 21) * np.sin(y * 2 * np.pi / 21)
+    tone = torch.from_numpy(0.5 * spots.astype(np.float32))
+    maps = replace(shot.maps, diffuse=shot.maps.diffuse * tone.exp())
+    return replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
+
+
+def test_a_hole_looks_like_the_rest(shot: Photographed) -> None:
+    exemplar = _hidden(shot)
+    valid = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
+    valid[HOLE] = False
+    whole = _lent(shot, exemplar, valid, 100)
+    hole = np.log(whole.diffuse)[:, *HOLE]
+    truth = shot.maps.diffuse.log().numpy()[:, *HOLE]
+    assert np.abs(hole.mean((1, 2)) - truth.mean((1, 2))).max() < 0.2
+    assert hole.std() == pytest.approx(truth.std(), rel=0.2)
+    # Slow relief stays, and what is lent has slopes like the rest.
+    steep = [np.gradient(e.height[0][HOLE], axis=1).std() for e in (exemplar, whole)]
+    assert steep[1] == pytest.approx(steep[0], rel=0.2)
+    assert np.array_equal(whole.confidence, exemplar.confidence)
+
+
+def test_what_is_far_from_the_hole_is_untouched(shot: Photographed) -> None:
+    exemplar = _hidden(shot)
+    whole = _lent(shot, exemplar, torch.ones(exemplar.height.shape[-2:], dtype=torch.bool), 20)
+    for name in ("diffuse", "specular", "roughness", "height"):
+        before, after = getattr(exemplar, name), getattr(whole, name)
+        assert np.array_equal(before[:, :70], after[:, :70]), name
+
+
+def test_the_drawing_is_what_the_photograph_shows_there(shot: Photographed) -> None:
+    """With the picture to go by, the truth's own drawing comes back; by chance it does not."""
+    exemplar = _hidden(shot)
+    seen = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
+    assert _likeness(_lent(shot, exemplar, seen, 250), shot) > 0.45
+    assert _likeness(_lent(shot, exemplar, seen, 1), shot) < 0.25
+
+
+def test_what_nothing_looks_like_stays(shot: Photographed) -> None:
+    """A scratch through the glare is the photographed piece's own."""
+    albedo = shot.maps.diffuse.clone()
+    albedo[:, 100:220, 250:262] *= 4.0
+    maps = replace(shot.maps, diffuse=albedo)
+    scratched = replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
+    exemplar = replace(_hidden(scratched), diffuse=albedo.clamp(0.0, 0.95).numpy())
+    seen = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
+    whole = _lent(scratched, exemplar, seen, 100)
+    inside = (slice(None), slice(120, 200), slice(250, 262))
+    assert whole.diffuse[inside].mean() == pytest.approx(exemplar.diffuse[inside].mean(), rel=0.05)
+
+
+def test_it_is_the_same_every_time(shot: Photographed) -> None:
+    exemplar = _hidden(shot)
+    seen = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
+    first, again = (_lent(shot, exemplar, seen, 20) for _ in range(2))
+    assert np.array_equal(first.stacked(), again.stacked())
+
+
+def test_nothing_is_lent_where_nothing_hides_or_nobody_can(shot: Photographed) -> None:
+    exemplar = _hidden(shot)
+    seen = torch.ones(exemplar.height.shape[-2:], dtype=torch.bool)
+    trusted = replace(exemplar, confidence=np.ones_like(exemplar.confidence))
+    assert _lent(shot, trusted, seen, 5) is trusted
+    specks = exemplar.confidence.copy()
+    specks[:, ::4, ::4] = 0.0
+    scattered = replace(exemplar, confidence=specks)
+    assert _lent(shot, scattered, seen, 5) is scattered
+    small = photographed(0.1, 0.5, width=40, height=30)
+    tiny = Exemplar(
+        small.maps.diffuse.clamp(0.0, 0.95).numpy(), small.maps.specular.numpy(),
+        small.maps.roughness.numpy(), small.maps.height.numpy(),
+        np.eye(30, 40, dtype=np.float32)[None].repeat(4, 0), small.maps.texel_size,
+    )  # fmt: skip
+    assert _lent(small, tiny, torch.ones(30, 40, dtype=torch.bool), 5) is tiny

@@ -1,0 +1,112 @@
+"""The index survives its file, and the compiled loops are the plain ones."""
+
+import json
+
+import numpy as np
+import pytest
+from exemplars import an_example, blobs, ordered
+
+from matcap.example import compiled, plain
+from matcap.example.appearance import choose_basis, project
+from matcap.example.example import Example
+from matcap.example.features import choose_scale, features_of, planes_of
+from matcap.example.lookup import prepare
+from matcap.example.similar import find_similar
+from matcap.field.plane import Rectangle
+
+needs_kernel = pytest.mark.skipif(compiled.kernel() is None, reason="the kernel was not built")
+
+
+def features():
+    planes = planes_of(blobs())
+    return features_of(planes, choose_scale(planes))
+
+
+@pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])
+def test_a_file_gives_back_the_same_field(example):
+    tensors, about = example.stored()
+    again = Example.read(json.loads(json.dumps(about)), tensors.__getitem__)
+    area = Rectangle(5, -9, 70, 50)
+    assert np.array_equal(again.maps(3, area, None), example.maps(3, area, None))
+    assert again.index.left_out == example.index.left_out
+
+
+def test_damaged_indices_are_refused():
+    tensors, about = ordered().stored()
+
+    def read(tensors=tensors, **index):
+        return Example.read(about | {"index": about["index"] | index}, tensors.__getitem__)
+
+    read()
+    for bad in (
+        {"shifts": []},
+        {"shifts": [3] * 40},
+        {"shifts": [99, 3]},
+        {"offsets": [0.0]},
+        {"factors": [float("nan")] * 8},
+        {"waves": [[0.1, 0.0], [0.2, 0.0]]},
+        {"waves": [[0.0, 0.0]]},
+    ):
+        with pytest.raises(ValueError):
+            read(**bad)
+    with pytest.raises(ValueError, match="bytes"):
+        read(tensors | {"index.bends": tensors["index.reluctance"]})
+    beyond = np.full_like(ordered().index.similar[0].transpose(2, 0, 1), 5000)
+    from matcap.example.packed import pack
+
+    with pytest.raises(ValueError, match="beyond"):
+        read(tensors | {"index.similar.0": pack(beyond)})
+
+
+def test_too_small_an_exemplar_is_refused():
+    with pytest.raises(ValueError, match="exemplar of"):
+        Example.of(blobs(13, 40))
+
+
+@needs_kernel
+@pytest.mark.parametrize("step", [1, 2])
+def test_the_compiled_projection_is_the_plain_one(step):
+    found = features()
+    basis = choose_basis(found, step)
+    assert np.array_equal(compiled.project(found, basis), project(found, basis))
+
+
+@needs_kernel
+@pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])
+def test_the_compiled_correction_is_the_plain_one_from_any_beginning(example):
+    random = np.random.default_rng(4)
+    for level in prepare(example.exemplar, example.index, project).levels:
+        frame = level.frame
+        places = np.stack(
+            [
+                random.integers(frame.left, frame.right + 1, (40, 52)),
+                random.integers(frame.top, frame.bottom + 1, (40, 52)),
+            ],
+            axis=-1,
+        ).astype(np.int16)
+        odd_columns, odd_rows = random.random(52) < 0.5, random.random(40) < 0.5
+        phases = None
+        if level.phases is not None:
+            phases = random.integers(-(2**15), 2**15, (40, 52, 2)).astype(np.int16)
+        found, expected = (
+            form.correct(places, level, odd_columns, odd_rows, 2, phases)
+            for form in (compiled, plain)
+        )
+        assert np.array_equal(found, expected)
+        assert (found != places[16:-16, 16:-16]).any()
+
+
+def test_similar_places_are_among_the_most_similar_there_are():
+    found = project(features(), choose_basis(features(), 1))[::2, ::2]
+    similar = find_similar(found, 4, (slice(2, 70), slice(2, 86)))
+    rows, columns = np.mgrid[0 : found.shape[0], 0 : found.shape[1]]
+    away = np.maximum(np.abs(similar.rows - rows), np.abs(similar.columns - columns))
+    assert away.min() >= 4
+    flat = found[2:70, 2:86].reshape(-1, 8).astype(float)
+    some = np.random.default_rng(1).integers(0, rows.size, 60)
+    ratios = []
+    for row, column in zip(rows.ravel()[some], columns.ravel()[some], strict=True):
+        distance = ((flat - found[row, column]) ** 2).sum(1).reshape(68, 84)
+        distance[max(row - 5, 0) : max(row + 2, 0), max(column - 5, 0) : max(column + 2, 0)] = 1e18
+        ratios.append(similar.distances[row, column] / max(distance.min(), 1.0))
+    assert np.median(ratios) < 3.5

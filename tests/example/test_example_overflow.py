@@ -1,0 +1,108 @@
+"""No integer of the field by example can overflow: by bounds, and at them, in a million draws.
+
+Every reference is in int64, where nothing of this could.
+"""
+
+import numpy as np
+import pytest
+
+from matcap.example import compiled, plain
+from matcap.example.appearance import DIMENSIONS, LARGEST, TAPS, Basis, project
+from matcap.example.features import LIMIT, PLANES
+from matcap.example.grids import PRICE_BITS, Frame
+from matcap.example.lookup import _DEAR, Level
+from matcap.example.plain import _DIAGONALS, PHASE_SHIFT, SIMILAR_TIMES
+from matcap.example.relief import BANDS, FRACTION, REACH, bands_of, joined
+
+INT16, INT32 = 2**15 - 1, 2**31 - 1
+SIDE = 1024  # places of a draw: a million of them
+MOST_PRICE = 255**2 << _DEAR
+MOST_TURN = 2**15 >> PHASE_SHIFT
+KERNEL = pytest.param(
+    compiled, marks=pytest.mark.skipif(compiled.kernel() is None, reason="the kernel was not built")
+)
+
+
+def test_the_largest_sums_fit() -> None:
+    difference = 3 * 2 * LARGEST
+    assert difference <= INT16
+    seams = SIMILAR_TIMES * len(_DIAGONALS) * DIMENSIONS * difference**2
+    assert seams + 2 * MOST_TURN**2 + MOST_PRICE < INT32
+    assert TAPS * LIMIT * LIMIT < 2**24  # exact in float32, too
+    # Four taps of a filter, of a band that is a difference of two.
+    assert 4 * 2 * (2**17 << FRACTION) * BANDS < INT32
+
+
+def extreme(draw: np.random.Generator) -> Level:
+    """A level whose every number is as large as it may be, in one direction or the other."""
+    ends = np.array([-LARGEST, LARGEST], np.int16)
+    return Level(
+        spacing=2,
+        frame=Frame(8, 8, SIDE - 9, SIDE - 9),
+        bits=0,
+        appearance=draw.choice(ends, (SIDE, SIDE, DIMENSIONS)),
+        similar_bits=1,
+        similar=draw.integers(8, SIDE - 10, (SIDE // 2, SIDE // 2, 2)).astype(np.int16),
+        price=np.full((SIDE >> PRICE_BITS, SIDE >> PRICE_BITS), MOST_PRICE, np.int32),
+        phases=draw.choice(np.array([0, -(2**15)], np.int16), (SIDE, SIDE, 2)),
+    )
+
+
+def test_a_million_costs_are_those_of_wider_integers() -> None:
+    draw = np.random.default_rng(0)
+    level = extreme(draw)
+    places = draw.integers(8, SIDE - 9, (SIDE, SIDE, 2)).astype(np.int32)
+    wanted = [
+        draw.choice(np.array([-3, 3], np.int32) * LARGEST, (SIDE, SIDE, DIMENSIONS))
+        for _ in _DIAGONALS
+    ]
+    ordered = draw.choice(np.array([0, -(2**15)], np.int16), (SIDE, SIDE, 2))
+    found = plain._cost(level, places, wanted, ordered, similar=True)
+    x, y = places[..., 0], places[..., 1]
+    expected = np.full((SIDE, SIDE), MOST_PRICE, np.int64)
+    for (down, across), target in zip(_DIAGONALS, wanted, strict=True):
+        there = level.appearance[y + 2 * down, x + 2 * across].astype(np.int64)
+        expected += SIMILAR_TIMES * np.square(3 * there - target).sum(-1)
+    assert level.phases is not None
+    half = level.phases[y, x] != ordered
+    expected += MOST_TURN**2 * half.sum(-1)
+    assert np.array_equal(found, expected)
+    assert 0.5 * INT32 < expected.max() < INT32  # draws come near the bound
+
+
+@pytest.mark.parametrize("form", [plain, KERNEL])
+def test_correction_at_the_bounds_stays_where_places_may_lie(form) -> None:
+    draw = np.random.default_rng(1)
+    level = extreme(draw)
+    places = draw.integers(8, SIDE - 9, (96, 96, 2)).astype(np.int16)
+    odd = np.arange(96) % 2 == 1
+    phases = draw.choice(np.array([0, -(2**15)], np.int16), (96, 96, 2))
+    found = form.correct(places, level, odd, odd, 1, phases)
+    assert np.array_equal(found, plain.correct(places, level, odd, odd, 1, phases))
+    frame = level.frame
+    assert frame.left <= found[..., 0].min() and found[..., 0].max() <= frame.right
+    assert frame.top <= found[..., 1].min() and found[..., 1].max() <= frame.bottom
+
+
+@pytest.mark.parametrize("project", [project, pytest.param(compiled.project, marks=KERNEL.marks)])
+def test_the_largest_features_are_projected_exactly(project) -> None:
+    draw = np.random.default_rng(2)
+    basis = Basis(np.full((DIMENSIONS, TAPS), LIMIT, np.int8), 0, 1)
+    features = np.full((PLANES, 32, 48), LIMIT, np.int16)
+    assert np.all(project(features, basis) == LARGEST)
+    signs = draw.choice(np.array([-1, 1], np.int16), (PLANES, 32, 48))
+    # All sums are multiples of 127^2, and shifted down so far that none is clipped.
+    found = project(features * signs, Basis(basis.weights, 13, 1))
+    around = np.pad((features * signs).astype(np.int64), ((0, 0), (2, 2), (2, 2)), mode="symmetric")
+    sums = sum(around[:, y : y + 32, x : x + 48].sum(0) for y in range(5) for x in range(5))
+    assert np.array_equal(found[..., 0], (LIMIT * sums) >> 13)
+
+
+def test_the_highest_heights_join_without_wrapping() -> None:
+    draw = np.random.default_rng(3)
+    codes = draw.choice(np.array([-(2**17), 2**17], np.int64), (SIDE // 4, SIDE))
+    bands = bands_of(codes)
+    height = joined(bands)
+    inner = (slice(REACH, -REACH), slice(REACH, -REACH))
+    # A piece that was not rearranged has its own heights again but for the filters' rounding.
+    assert np.abs(height - (codes[inner] << FRACTION)).max() < 1 << (FRACTION - 1)

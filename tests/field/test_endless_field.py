@@ -1,0 +1,197 @@
+"""The field is one function of texel and seed, however it is read."""
+
+import random
+import subprocess
+import sys
+import threading
+
+import pytest
+import torch
+from torus import WAVES, a_material, both
+
+from matcap.errors import MatcapError, UsageError
+from matcap.field.field import Field
+from matcap.field.material import Material
+from matcap.field.plane import Rectangle
+from matcap.space.decoder import CODE_SIZE
+from matcap.space.freeze import reference_field
+from matcap.space.noise import noise_field
+from matcap.space.patch import Patch
+from matcap.space.regular_order import wave_field
+from matcap.statistics.lattice import Wave
+
+
+@pytest.fixture(scope="module", params=[(), WAVES], ids=["noise", "waves"])
+def material(request):
+    return a_material(request.param)
+
+
+@pytest.mark.parametrize("origin", [0, 2**31 - 300, 2**40 - 900])
+def test_whole_pieces_and_lone_rectangle_are_the_same_bits(material, origin):
+    field = Field(material, seed=7)
+    x, y = origin, -origin + 100
+    whole = field.read(x, y, 600, 560, workers=2).stacked()
+    cuts = [(0, 0, 64, 64), (500, 490, 64, 64), (130, 3, 470, 557), (599, 0, 1, 560)]
+    random.Random(1).shuffle(cuts)
+    for left, top, width, height in cuts:
+        part = field.read(x + left, y + top, width, height, workers=1).stacked()
+        assert torch.equal(part, whole[:, top : top + height, left : left + width])
+
+
+def test_blocks_are_the_network_that_was_tuned_on_the_whole_torus(material):
+    """Against the decoder that is trained: circular padding, batch normalisation, no blocks."""
+    found, expected = both(material)
+    assert torch.allclose(found, expected, atol=2e-5)
+    assert not torch.allclose(found, expected.roll(1, -1), atol=1e-2)
+
+
+def test_periodic_field_repeats_exactly(material):
+    maps = Field(material, 5, period=(160, 96)).read(-40, 7, 320, 192).stacked()
+    assert torch.equal(maps, maps.roll((96, 160), (1, 2)))
+    assert not torch.equal(maps, maps.roll((48, 80), (1, 2)))
+
+
+@pytest.mark.parametrize("period", [(160, None), (None, 96)])
+def test_a_field_can_repeat_along_one_axis(material, period):
+    maps = Field(material, 5, period).read(-40, 7, 320, 192).stacked()
+    shifts = (96 if period[1] else 0, 160 if period[0] else 0)
+    assert torch.equal(maps, maps.roll(shifts, (1, 2)))
+    assert not torch.equal(maps, maps.roll((96, 160), (1, 2)))
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_reading_works_in_inference_mode_and_leaves_the_thread_count(material):
+    outside = Field(material, 2).read(0, 0, 40, 40, workers=2)
+    threads = torch.get_num_threads()
+    seen = []
+    watcher = threading.Thread(target=lambda: seen.append(torch.get_num_threads()))
+    with torch.inference_mode():
+        inside = Field(material, 2).read(0, 0, 40, 40, workers=2)
+    watcher.start()
+    watcher.join()
+    assert torch.equal(inside.stacked(), outside.stacked())
+    assert torch.get_num_threads() == threads == 2 and seen == [threads]
+
+
+def test_seeds_differ_and_processes_agree(material, tmp_path):
+    material.save(tmp_path / "m.matcap")
+    program = (
+        "import sys, hashlib, matcap; m = matcap.Material.load(sys.argv[1]);"
+        "print(hashlib.sha256(m.maps(70, 50, seed=9).stacked().numpy().tobytes()).hexdigest())"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path / "m.matcap")]
+    first, second = (subprocess.run(command, capture_output=True, check=True) for _ in "ab")
+    assert first.stdout == second.stdout and first.stdout.strip()
+    a, b = (material.maps(64, 64, seed=s).diffuse for s in (1, 2))
+    assert (a - b).abs().max() > 0.01
+
+
+def test_frozen_and_folded_are_the_network_that_was_tuned(material):
+    decoder, code = material.decoder, material.code
+    field = reference_field(material.decoder.config, material.waves)
+    with torch.no_grad():
+        own = decoder(field, code)
+        frozen = decoder(field, code, material.moments)
+        folded = material.folded()(field)
+    assert torch.allclose(own, frozen, atol=1e-4)
+    inner = (..., slice(96, -96), slice(96, -96))
+    assert torch.allclose(folded[inner], frozen[inner], atol=1e-4)
+
+
+def test_saved_material_is_the_same_material(material, tmp_path):
+    material.save(tmp_path / "m.matcap")
+    loaded = Material.load(tmp_path / "m.matcap")
+    assert torch.equal(loaded.maps(40, 30).stacked(), material.maps(40, 30).stacked())
+    assert loaded.waves == material.waves and loaded.setup == material.setup
+
+
+def test_what_is_loaded_lies_in_memory_as_what_was_saved(material, tmp_path):
+    """Products of matrices round as their operands are aligned: bits would differ otherwise."""
+    material.save(tmp_path / "m.matcap")
+    loaded = Material.load(tmp_path / "m.matcap")
+    read = (loaded.code, *loaded.decoder.parameters(), *(v for m in loaded.moments for v in m))
+    assert all(tensor.data_ptr() % 64 == 0 for tensor in read)
+
+
+def test_damaged_materials_are_refused_by_name(tmp_path):
+    from safetensors.torch import load_file, save_file
+
+    path = tmp_path / "m.matcap"
+    a_material().save(path)
+    good = path.read_bytes()
+    bad = tmp_path / "bad.matcap"
+    for data in (b"", good[:100], good[: len(good) // 2], b"not a material at all" * 50):
+        bad.write_bytes(data)
+        with pytest.raises(MatcapError, match="bad.matcap"):
+            Material.load(bad)
+    tensors = load_file(path)
+    save_file(tensors, bad)
+    with pytest.raises(MatcapError, match="not a matcap material"):
+        Material.load(bad)
+    from safetensors import safe_open
+
+    with safe_open(path, framework="pt") as file:
+        metadata = {"matcap": file.metadata()["matcap"]}  # as files before there was a digest
+    for change, told in (
+        ({"code": torch.zeros(3)}, "code has shape"),
+        ({"code": torch.full((CODE_SIZE,), float("nan"))}, "code holds NaN"),
+    ):
+        save_file({**tensors, **change}, bad, metadata=metadata)
+        with pytest.raises(MatcapError, match=told):
+            Material.load(bad)
+    save_file({k: v for k, v in tensors.items() if k != "code"}, bad, metadata=metadata)
+    with pytest.raises(MatcapError, match="code is missing"):
+        Material.load(bad)
+    newer = {"matcap": metadata["matcap"].replace('"version": 1', '"version": 99')}
+    save_file(tensors, bad, metadata=newer)
+    with pytest.raises(MatcapError, match="version 99"):
+        Material.load(bad)
+
+
+@pytest.mark.parametrize(
+    ("seed", "period", "rectangle"),
+    [
+        (2**63, None, (0, 0, 8, 8)),
+        (0, (10, 16), (0, 0, 8, 8)),
+        (0, None, (0, 0, 0, 8)),
+        (0, None, (0, 0, 8, -1)),
+        (0, None, (2**40, 0, 8, 8)),
+    ],
+)
+def test_what_is_out_of_range_is_refused(seed, period, rectangle):
+    with pytest.raises(UsageError):
+        Field(a_material(), seed, period).read(*rectangle)
+
+
+def test_noise_is_uniform_and_independent():
+    a = noise_field(Patch(11, Rectangle(-50, 2**40 - 300, 300, 300)), 6)
+    assert a.abs().max() <= 3**0.5
+    assert a.mean(dim=(1, 2)).abs().max() < 0.02
+    assert (a.std(dim=(1, 2)) - 1).abs().max() < 0.01
+    histogram = torch.histc(a[0], bins=16) / a[0].numel()
+    assert (histogram - 1 / 16).abs().max() < 0.004
+    others = [
+        a[1],
+        a[5],
+        a[0].roll(1, 0),
+        a[0].roll(1, 1),
+        noise_field(Patch(12, Rectangle(-50, 0, 300, 300)), 1)[0],
+    ]
+    for other in others:
+        assert abs(float((a[0] * other).mean())) < 0.015
+
+
+def test_far_noise_and_waves_are_exact():
+    far = 2**40 - 64
+    wide = noise_field(Patch(1, Rectangle(far, -far, 64, 32)), 4)
+    assert torch.equal(
+        wide[:, 5:, 9:], noise_field(Patch(1, Rectangle(far + 9, -far + 5, 55, 27)), 4)
+    )
+    wave = (Wave(0.1234567, 0.0),)
+    near, distant = (
+        wave_field(Patch(4, Rectangle(x, 0, 8, 1)), wave)[:2, 0].double() for x in (0, far)
+    )
+    step = round(wave[0].fx * 2**64)
+    turn = 2 * torch.pi * ((step * far) % 2**64) / 2**64
+    cosine, sine = torch.cos(torch.tensor(turn)), torch.sin(torch.tensor(turn))
+    assert torch.allclose(distant[0], near[0] * cosine - near[1] * sine, atol=2e-6)

@@ -1,0 +1,89 @@
+"""The coarse fit finds what a uniform photograph was made of.
+
+Stated tolerances, on RAW: hue 2 %, brightness 5 %, F0 beside albedo 30 %, roughness 0.05, the
+flash's offset 0.05 of half the long side, tilt 1.5 degrees. (A broad highlight
+hides a tilt behind an offset, which the priors then split: only glossy ones are tilted here.)
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from uniform import a_setup, photograph
+
+from matcap.flash.coarse import fit_coarse
+
+# torch's forward-mode derivatives warn once, when first used.
+pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
+
+CASES = {
+    "satin": dict(roughness=0.4),
+    "matt": dict(roughness=0.75, diffuse=(0.2, 0.4, 0.3)),
+    "glossy, tilted": dict(roughness=0.25, tilt=(0.06, -0.04)),
+    "dark": dict(diffuse=(0.05, 0.04, 0.03), intensity=20.0, offset=(-0.08, 0.1, 0.0)),
+    "noisy": dict(noise=0.03),
+}
+
+
+def made(*, offset=(0.1, 0.05, 0.0), tilt=(0.0, 0.0), intensity=10.0, **material):
+    setup = a_setup(offset=offset, tilt=tilt, intensity=intensity)
+    return setup, photograph(setup, **material)
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_a_uniform_material_is_recovered(case):
+    setup, photo = made(**case)
+    fit = fit_coarse(photo)
+    diffuse = np.array(case.get("diffuse", (0.3, 0.25, 0.2)))
+    found = np.array(fit.diffuse)
+    assert found / found.sum() == pytest.approx(diffuse / diffuse.sum(), rel=0.02)
+    # One photograph knows albedo times flash, not each.
+    brightness = diffuse * setup.intensity[0]
+    assert found * fit.setup.intensity[0] == pytest.approx(brightness, rel=0.05)
+    expected = case.get("specular", 0.04) / diffuse.mean()
+    assert fit.specular / found.mean() == pytest.approx(expected, rel=0.3)
+    assert fit.roughness == pytest.approx(case.get("roughness", 0.4), abs=0.05)
+    assert fit.setup.tilt == pytest.approx(case.get("tilt", (0.0, 0.0)), abs=math.radians(1.5))
+    offset = case.get("offset", (0.1, 0.05, 0.0))
+    assert fit.setup.offset[:2] == pytest.approx(offset[:2], abs=0.05)
+    assert fit.residual < 0.02 + case.get("noise", 0.0)
+
+
+def test_a_clipped_highlight_is_a_lower_bound_and_not_a_plateau():
+    setup, photo = made(roughness=0.3, intensity=25.0)
+    assert 0.003 < photo.clipped_share < 0.2
+    fit = fit_coarse(photo)
+    assert fit.roughness == pytest.approx(0.3, abs=0.07)
+    assert np.array(fit.diffuse) * fit.setup.intensity[0] == pytest.approx(
+        np.array((0.3, 0.25, 0.2)) * 25.0, rel=0.08
+    )
+
+
+@pytest.mark.parametrize("known", [(0.06, -0.04), (0.13, 0.03)])
+def test_a_known_tilt_is_held(known):
+    """Also where the photograph alone would tell another one."""
+    _, photo = made(tilt=(0.06, -0.04))
+    assert fit_coarse(photo, tilt=known).setup.tilt == pytest.approx(known, abs=1e-3)
+
+
+def test_half_the_exposure_is_half_the_flash_and_the_same_material():
+    _, photo = made(intensity=8.0)
+    _, half = made(intensity=4.0)
+    full_fit, half_fit = fit_coarse(photo), fit_coarse(half)
+    assert half_fit.diffuse == pytest.approx(full_fit.diffuse, rel=0.02)
+    assert half_fit.roughness == pytest.approx(full_fit.roughness, abs=0.01)
+    ratio = half_fit.setup.intensity[0] / full_fit.setup.intensity[0]
+    assert ratio == pytest.approx(0.5, rel=0.02)
+
+
+def test_a_trend_of_colour_is_not_taken_for_the_light():
+    """Redder to the right and otherwise the same: red alone would put the flash 0.2 units off."""
+    setup, photo = made()
+    height, width = photo.pixels.shape[:2]
+    u = (np.arange(width) + 0.5) / width * 2.0 - 1.0
+    pixels = photo.pixels.copy()
+    pixels[..., 0] *= np.exp(0.3 * u)
+    fit = fit_coarse(replace(photo, pixels=pixels.astype(np.float32)))
+    assert fit.setup.offset[:2] == pytest.approx(setup.offset[:2], abs=0.06)
+    assert fit.setup.tilt == pytest.approx((0.0, 0.0), abs=math.radians(1.5))

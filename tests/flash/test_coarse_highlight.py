@@ -1,0 +1,109 @@
+"""Highlights are found where the plane mirrors the flash, and coarse fits keep them."""
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from uniform import a_setup, photograph
+
+from matcap.flash.coarse import fit_coarse, render_coarse
+from matcap.flash.highlight import find_highlight, light_of
+
+# torch's forward-mode derivatives warn once, when first used.
+pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
+
+
+def polished(*, roughness, intensity=10.0, offset=(0.1, 0.05, 0.0), tilt=(0.0, 0.0), **material):
+    setup = a_setup(offset=offset, tilt=tilt, intensity=intensity)
+    return photograph(setup, roughness=roughness, size=(256, 192), **material)
+
+
+def both(photo, fit):
+    """Highlights of the photograph and of the fit's re-rendering, clipped as the camera clips."""
+    again = np.minimum(render_coarse(fit, 256, 192), 1.0).mean(axis=2)
+    return find_highlight(light_of(photo.pixels)), find_highlight(again)
+
+
+def assert_kept(photo, fit):
+    there, again = both(photo, fit)
+    assert there is not None and again is not None
+    assert math.dist(there.centre, again.centre) < 0.03
+    assert again.width == pytest.approx(there.width, rel=0.2)
+    assert again.contrast == pytest.approx(there.contrast, rel=0.2)
+
+
+@pytest.mark.parametrize("offset", [(0.2, 0.0, 0.0), (-0.1, 0.16, 0.0)])
+def test_a_highlight_is_half_way_to_the_flash(offset):
+    found = find_highlight(light_of(polished(roughness=0.2, offset=offset).pixels))
+    assert found.centre == pytest.approx((offset[0] / 2, offset[1] / 2), abs=0.012)
+
+
+def test_clipping_does_not_move_it():
+    dim = find_highlight(light_of(polished(roughness=0.25, intensity=2.0).pixels))
+    bright = find_highlight(light_of(polished(roughness=0.25, intensity=20.0).pixels))
+    assert bright.peak < 1.01 < dim.contrast
+    assert bright.centre == pytest.approx(dim.centre, abs=0.015)
+    assert bright.contrast < dim.contrast
+
+
+def test_rougher_is_wider():
+    widths = [
+        find_highlight(light_of(polished(roughness=r, intensity=0.1).pixels)).width
+        for r in (0.2, 0.3, 0.4)
+    ]
+    assert widths[0] < 0.85 * widths[1] < 0.72 * widths[2]
+
+
+def test_patches_of_metal_make_one_highlight_together():
+    """Between rust every patch is as bright as a highlight is, and far smaller than this one."""
+    setup = a_setup(offset=(0.1, 0.05, 0.0), intensity=10.0)
+    metal = photograph(setup, roughness=0.3, size=(256, 192), specular=0.5, diffuse=(0.02,) * 3)
+    rust = photograph(setup, roughness=0.9, size=(256, 192), diffuse=(0.1, 0.05, 0.02))
+    noise = np.random.default_rng(0).standard_normal((192, 256)).astype(np.float32)
+    patches = cv2.GaussianBlur(noise, (0, 0), 3.0)
+    bare = (patches > 0.5 * patches.std())[..., None]
+    pixels = np.where(bare, metal.pixels, rust.pixels).astype(np.float32)
+    alone, found = (find_highlight(light_of(p)) for p in (metal.pixels, pixels))
+    assert math.dist(found.centre, alone.centre) < 0.08
+    assert found.width == pytest.approx(alone.width, rel=0.2)
+
+
+def test_matt_and_plaid_have_none():
+    assert find_highlight(light_of(polished(roughness=0.9).pixels)) is None
+    white = np.kron(np.indices((12, 16)).sum(0) % 2, np.ones((16, 16)))
+    assert find_highlight(0.1 + 0.8 * white) is None
+
+
+@pytest.mark.parametrize("radiometric", [True, False], ids=["raw", "developed"])
+def test_a_sharp_clipped_spot_on_black_stone_is_kept(radiometric):
+    photo = polished(
+        roughness=0.15, diffuse=(0.02,) * 3, intensity=12.0, radiometric=radiometric, noise=0.05
+    )
+    assert 0.0002 < photo.clipped_share < 0.03
+    fit = fit_coarse(photo)
+    assert_kept(photo, fit)
+    assert fit.roughness < 0.25
+    # Of a developed picture the priors say how much is flash beside the lens, how much tilt.
+    assert math.dist(fit.setup.offset[:2], (0.1, 0.05)) < (0.05 if radiometric else 0.08)
+
+
+def test_a_spike_in_a_haze_is_kept_and_told_apart():
+    spike = polished(roughness=0.16, specular=0.02, diffuse=(0.05,) * 3)
+    haze = polished(roughness=0.5, specular=0.04, diffuse=(0.05,) * 3)
+    pixels = np.minimum(0.5 * (spike.pixels + haze.pixels), 1.0)
+    photo = replace(spike, pixels=pixels, clipped=(pixels >= 1.0).any(axis=2), radiometric=False)
+    fit = fit_coarse(photo)
+    assert_kept(photo, fit)
+    (narrow_share, narrow), (wide_share, wide) = fit.lobes
+    assert narrow_share + wide_share == pytest.approx(1.0)
+    assert wide > narrow + 0.1
+
+
+@pytest.mark.parametrize("tilt", [(0.17, 0.05), (-0.1, 0.2)])
+def test_a_tilted_plane_is_not_taken_for_a_flash_far_off(tilt):
+    photo = polished(roughness=0.35, tilt=tilt, noise=0.03)
+    setup = fit_coarse(photo).setup
+    assert math.dist(setup.offset[:2], (0.1, 0.05)) < 0.03
+    assert math.degrees(math.dist(setup.tilt, tilt)) < 1.5

@@ -1,0 +1,207 @@
+"""Fine-tuning: what it promises of error, time, determinism and going wrong."""
+
+import math
+import time
+
+import pytest
+import torch
+from tuning import CODE, CONFIG, WINDOW, scene, start, tune
+
+from matcap.brdf.maps import MapSet
+from matcap.field.plane import Rectangle
+from matcap.flash.penalty import Penalties, price
+from matcap.flash.render import render_flash
+from matcap.space.decoder import DEPTH, maps_from_raw
+from matcap.space.freeze import fold
+from matcap.space.patch import Patch
+from matcap.space.random_field import random_field
+from matcap.space.tuning.guard import Guard
+from matcap.statistics.compare import Weights, describe, distance
+
+
+def error_of(decoder, moments=None, seeds=range(100, 108)):
+    """Distance to the photograph over every window, with noise that tuning never saw."""
+    seen, total = scene(), 0.0
+    with torch.no_grad():
+        for seed in seeds:
+            field = random_field(
+                Patch(seed, Rectangle(0, 0, WINDOW, WINDOW), period=(WINDOW, WINDOW)),
+                CONFIG.noise_channels,
+                (),
+                levels=DEPTH,
+            )
+            maps = maps_from_raw(decoder(field, CODE, moments), seen.texel_size, periodic=True)
+            rendered = render_flash(maps, seen.setup, seen.windows.points)
+            found = describe(rendered, seen.encoding, seen.bank)
+            total += float(distance(found, seen.windows.target, Weights()).mean())
+    return total / len(seeds)
+
+
+def state_of(tuned):
+    return tuned.decoder.state_dict()
+
+
+def test_the_error_falls_on_noise_it_has_never_seen():
+    before = error_of(start())
+    tuned = tune(steps=80)
+    assert error_of(tuned.decoder, list(tuned.moments)) < 0.8 * before
+
+
+def test_what_it_hands_back_is_what_it_optimised():
+    """Frozen statistics belong to the decoder: folded, it is the same network."""
+    tuned = tune(steps=80)
+    folded = fold(tuned.decoder, CODE, tuned.moments, has_waves=False)
+    field = random_field(
+        Patch(7, Rectangle(0, 0, 256, 256)), CONFIG.noise_channels, (), levels=DEPTH
+    )
+    with torch.no_grad():
+        one = folded(field)[..., 96:-96, 96:-96]
+        other = tuned.decoder(field, CODE, list(tuned.moments), periodic=False)[..., 96:-96, 96:-96]
+    assert torch.allclose(one, other, atol=1e-4)
+    # And its frozen error is no worse than with statistics of the window at hand.
+    assert error_of(tuned.decoder, list(tuned.moments)) < 1.15 * error_of(tuned.decoder)
+
+
+@pytest.mark.parametrize("steps", [0, 1, 7])
+def test_the_number_of_steps_is_kept(steps):
+    told = []
+    tuned = tune(lambda *now: told.append(now), steps=steps)
+    assert len(tuned.history) == len(told) == steps
+    assert [step for _, step, _ in tuned.history] == list(range(1, steps + 1))
+    assert len(tuned.moments) == len(tuned.decoder.layers())
+    assert not tuned.interrupted
+
+
+def test_the_time_limit_is_kept(monkeypatch):
+    """By a clock that moves a hundredth of a second whenever it is looked at."""
+    ticks = iter(range(10**6))
+    monkeypatch.setattr(time, "monotonic", lambda: next(ticks) / 100.0)
+    tuned = tune(steps=10**6, seconds=0.5)
+    seconds = [second for second, _, _ in tuned.history]
+    assert seconds == sorted(seconds)
+    assert 0.4 < seconds[-1] <= 0.52
+    assert 10 <= len(seconds) <= 50
+    assert len(tuned.moments) == len(tuned.decoder.layers())
+
+
+def test_the_same_seed_is_the_same_bits_and_another_is_not():
+    first, again, other = tune(steps=12), tune(steps=12), tune(steps=12, seed=1)
+    for name, value in state_of(first).items():
+        assert torch.equal(value, state_of(again)[name])
+    assert any(not torch.equal(v, state_of(other)[n]) for n, v in state_of(first).items())
+
+
+def test_ctrl_c_ends_it_with_the_best_so_far():
+    def interrupt(share, error, seconds):
+        if share >= 0.5:
+            raise KeyboardInterrupt
+
+    tuned = tune(interrupt, steps=40)
+    assert tuned.interrupted
+    assert 15 <= len(tuned.history) <= 25
+    assert error_of(tuned.decoder, list(tuned.moments)) < error_of(start())
+
+
+class Sabotage:
+    """Makes chosen steps go wrong: `how` gets the loss and the decoder."""
+
+    def __init__(self, monkeypatch, steps, how):
+        self.calls = 0
+        true_take = Guard.take
+
+        def take(guard, value, penalty, pace):
+            self.calls += 1
+            if self.calls - 1 in steps:
+                value, penalty = how(value, penalty, guard.decoder)
+            return true_take(guard, value, penalty, pace)
+
+        monkeypatch.setattr(Guard, "take", take)
+
+
+def poisoned_gradient(value, penalty, decoder):
+    """A finite loss whose gradient is NaN: sqrt at 0, times 0."""
+    zero = 0.0 * next(decoder.parameters()).sum()
+    return value + zero.square().sqrt(), penalty
+
+
+def nan_penalty(value, penalty, decoder):
+    return value, penalty * math.nan
+
+
+def infinite_loss(value, penalty, decoder):
+    return value * math.inf, penalty
+
+
+def explosion(value, penalty, decoder):
+    return value * 1e6, penalty
+
+
+WAYS = [poisoned_gradient, nan_penalty, infinite_loss, explosion]
+
+
+@pytest.mark.parametrize("how", WAYS)
+@pytest.mark.parametrize("steps", [{0}, {10, 11, 30, 39}], ids=str)
+def test_a_step_that_goes_wrong_is_taken_back(monkeypatch, how, steps):
+    Sabotage(monkeypatch, steps, how)
+    tuned = tune(steps=40)
+    assert all(bool(torch.isfinite(value).all()) for value in state_of(tuned).values())
+    assert all(bool(torch.isfinite(v).all()) for pair in tuned.moments for v in pair)
+    assert error_of(tuned.decoder, list(tuned.moments)) < 1.05 * error_of(start())
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_when_every_step_goes_wrong_the_start_is_handed_back(monkeypatch, how):
+    Sabotage(monkeypatch, range(1000), how)
+    tuned = tune(steps=12)
+    before = start().state_dict()
+    if how is not explosion:  # whose error has nothing to be compared with
+        for name, value in state_of(tuned).items():
+            assert torch.equal(value, before[name])
+    assert all(bool(torch.isfinite(value).all()) for value in state_of(tuned).values())
+
+
+def test_a_rate_that_diverges_is_lowered_until_it_does_not():
+    tuned = tune(steps=80, learning_rate=30.0)
+    assert all(bool(torch.isfinite(value).all()) for value in state_of(tuned).values())
+    assert math.isfinite(tuned.history[-1][2])
+    assert error_of(tuned.decoder, list(tuned.moments)) < 4.0 * error_of(start())
+
+
+def test_gloss_that_varies_for_nothing_is_paid_for():
+    even = torch.full((1, 1, 16, 16), 0.3)
+    uneven = even + 0.1 * torch.rand((1, 1, 16, 16), generator=torch.Generator().manual_seed(1))
+    diffuse = torch.full((1, 3, 16, 16), 0.3)
+    expected = torch.logit(torch.tensor([0.3] * 5))
+
+    def paid(specular, roughness, wanted=None):
+        maps = MapSet(diffuse, specular, roughness, 0.0 * even, 0.01)
+        return float(price(maps, wanted, Penalties(), 0.0))
+
+    flat = paid(even, even)
+    assert paid(uneven, even) > flat and paid(even, uneven) > flat
+    assert paid(even, even, expected) == pytest.approx(flat, abs=1e-7)
+    assert paid(even + 0.2, even, expected) > paid(even + 0.1, even, expected) > flat
+
+
+def test_specks_are_paid_for_in_the_second_half_and_patches_never():
+    weights = Penalties(specular=0.0)
+    row = torch.arange(64)
+    everywhere = torch.full((1, 3, 64, 64), 0.3)
+
+    def paid(metal, share):
+        """Where there is metal; its gradient too, which must be finite on even maps."""
+        specular = torch.where(metal, 0.7, 0.04)[None, None].requires_grad_(True)
+        flat = torch.full((1, 1, 64, 64), 0.3)
+        maps = MapSet(everywhere, specular, flat, 0.0 * flat, 0.01)
+        penalty = price(maps, None, weights, share)
+        (gradient,) = torch.autograd.grad(penalty, specular, allow_unused=True)
+        assert gradient is None or torch.isfinite(gradient).all()
+        return float(penalty.detach())
+
+    none = torch.zeros(64, 64, dtype=torch.bool)
+    patches = (row[:, None] // 16 + row // 16) % 3 == 0
+    specks = (row[:, None] % 16 == 3) & (row % 16 == 5)
+    assert (
+        paid(specks, 0.4) == paid(none, 0.4) == paid(none, 0.6) == pytest.approx(paid(patches, 0.6))
+    )
+    assert paid(specks, 0.6) > paid(none, 0.6) + 0.01

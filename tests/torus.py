@@ -1,0 +1,68 @@
+"""The field read in blocks beside the network that was tuned, on a whole torus.
+
+    python tests/space/torus.py [material.matcap]...
+
+prints the largest difference of any map; without a file, of two small random materials.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from matcap.field.blocks import BLOCK, BLOCK_HEIGHT
+from matcap.field.field import Field
+from matcap.field.material import Material
+from matcap.field.plane import Rectangle
+from matcap.flash.geometry import FlashSetup
+from matcap.space.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, maps_from_raw
+from matcap.space.freeze import freeze
+from matcap.space.patch import Patch
+from matcap.space.random_field import random_field
+from matcap.statistics.lattice import Wave
+
+SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
+WAVES = (Wave(1 / 16.7, 0.003), Wave(0.002, 1 / 9.3))
+PERIOD = (BLOCK + 64, BLOCK_HEIGHT + 96)
+
+
+def a_material(waves: tuple[Wave, ...] = ()) -> Material:
+    """Random weights."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(3)
+        decoder = Decoder(replace(SMALL, cells=3 if waves else 0))
+        for layer in decoder.layers():
+            layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
+    code = torch.zeros(CODE_SIZE)
+    moments = tuple(freeze(decoder, code, waves))
+    return Material("test", decoder, code, moments, waves, 2 / 1024, FlashSetup())
+
+
+def both(material: Material) -> tuple[torch.Tensor, torch.Tensor]:
+    """Stacked maps in blocks, and of the decoder that is trained.
+
+    That has circular padding, batch normalisation, and no blocks.
+    """
+    found = Field(material, 5, PERIOD, generator="decoder").read(0, 0, *PERIOD).stacked()
+    config = material.decoder.config
+    field = random_field(
+        Patch(5, Rectangle(0, 0, *PERIOD), period=PERIOD), config.noise_channels, material.waves,
+        levels=DEPTH, cells=config.cells,
+    )  # fmt: skip
+    with torch.no_grad():
+        raw = material.decoder(field, material.code, material.moments)[0]
+    return found, maps_from_raw(raw, material.texel_size).stacked()
+
+
+def main() -> None:
+    named = {path: Material.load(Path(path)) for path in sys.argv[1:]}
+    for name, material in (named or {"noise": a_material(), "waves": a_material(WAVES)}).items():
+        found, expected = both(material)
+        print(f"{name}: {float((found - expected).abs().max()):.1e} on {PERIOD[0]} x {PERIOD[1]}")
+
+
+if __name__ == "__main__":
+    main()
