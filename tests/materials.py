@@ -7,6 +7,7 @@ from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
+from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
 
 TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))
@@ -21,7 +22,8 @@ def a_material(name="tiny", seed=3, config=TINY, waves=()):
             layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
     code = torch.zeros(CODE_SIZE)
     moments = tuple(freeze(decoder, code, waves))
-    return Material(name, decoder, code, moments, waves, 2 / 1024, FlashSetup())
+    tuned = TunedDecoder(decoder, code, moments, waves, 2 / 1024)
+    return Material(name, {"decoder": tuned}, 2 / 1024, FlashSetup())
 
 
 @pytest.fixture(scope="session")
