@@ -13,8 +13,8 @@ from matcap.statistics.lattice import Wave
 TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))
 
 
-def a_material(name="tiny", seed=3, config=TINY, waves=()):
-    """Random weights; codes of different seeds look different."""
+def a_material(name="tiny", seed=3, config=TINY, waves=(), example=None):
+    """Random weights; codes of different seeds look different. Perhaps an exemplar beside them."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         decoder = Decoder(config).eval().requires_grad_(False)
@@ -23,7 +23,8 @@ def a_material(name="tiny", seed=3, config=TINY, waves=()):
     code = torch.zeros(CODE_SIZE)
     moments = tuple(freeze(decoder, code, waves))
     tuned = TunedDecoder(decoder, code, moments, waves, 2 / 1024)
-    return Material(name, {"decoder": tuned}, 2 / 1024, FlashSetup())
+    made = {"decoder": tuned} if example is None else {"example": example, "decoder": tuned}
+    return Material(name, made, 2 / 1024, FlashSetup())
 
 
 @pytest.fixture(scope="session")

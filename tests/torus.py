@@ -1,6 +1,6 @@
 """The field read in blocks beside the network that was tuned, on a whole torus.
 
-    python tests/space/torus.py [material.matcap]...
+    python tests/torus.py [material.matcap]...
 
 prints the largest difference of any map; without a file, of two small random materials.
 """
@@ -22,6 +22,7 @@ from matcap.space.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, maps_
 from matcap.space.freeze import freeze
 from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
+from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
 
 SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
@@ -38,7 +39,7 @@ def a_material(waves: tuple[Wave, ...] = ()) -> Material:
             layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
     code = torch.zeros(CODE_SIZE)
     moments = tuple(freeze(decoder, code, waves))
-    return Material("test", decoder, code, moments, waves, 2 / 1024, FlashSetup())
+    return TunedDecoder(decoder, code, moments, waves, 2 / 1024).material("test", FlashSetup())
 
 
 def both(material: Material) -> tuple[torch.Tensor, torch.Tensor]:
@@ -47,13 +48,15 @@ def both(material: Material) -> tuple[torch.Tensor, torch.Tensor]:
     That has circular padding, batch normalisation, and no blocks.
     """
     found = Field(material, 5, PERIOD, generator="decoder").read(0, 0, *PERIOD).stacked()
-    config = material.decoder.config
+    tuned = material.part(TunedDecoder)
+    assert tuned is not None
+    config = tuned.decoder.config
     field = random_field(
-        Patch(5, Rectangle(0, 0, *PERIOD), period=PERIOD), config.noise_channels, material.waves,
+        Patch(5, Rectangle(0, 0, *PERIOD), period=PERIOD), config.noise_channels, tuned.waves,
         levels=DEPTH, cells=config.cells,
     )  # fmt: skip
     with torch.no_grad():
-        raw = material.decoder(field, material.code, material.moments)[0]
+        raw = tuned.decoder(field, tuned.code, tuned.moments)[0]
     return found, maps_from_raw(raw, material.texel_size).stacked()
 
 

@@ -18,7 +18,6 @@ from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, Effort, Method
 from matcap.capture.target import photograph_target
 from matcap.errors import MatcapError
-from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.likeness import PhotographTarget
@@ -100,13 +99,9 @@ def capture_by_decoder(
         waves=waves,
         texel_size=plane.texel_size,
     )
-    material = Material(
-        name=photo.name.rsplit(".", 1)[0] or photo.name,
-        generators={"decoder": decoder},
-        texel_size=plane.texel_size,
-        setup=coarse.setup,
-        provenance=provenance(photo, settings, coarse, effort, joined),
-    )
+    name = photo.name.rsplit(".", 1)[0] or photo.name
+    told_of = provenance(photo, settings, coarse, effort, joined)
+    material = decoder.material(name, coarse.setup, told_of)
     if tuned.history and effort.matched:
         # To the first photograph, if there are others.
         with clock.stage("matching"), postponed() as stopped:

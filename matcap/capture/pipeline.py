@@ -1,6 +1,6 @@
 """The whole way from a photograph to a material. This file reads as its data flow.
 
-read, coarse fit, piece, strengths, refine, adapt, lend, index, verdict; and write (outputs.py).
+read, coarse fit, piece, strengths, refine, adapt, lend, index, verdict, write.
 The stages from piece to index are in piece/find.py. The paper's network goes another way
 (by_decoder.py), where it is asked for.
 """
@@ -8,11 +8,13 @@ The stages from piece to index are in piece/find.py. The paper's network goes an
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from matcap.capture.detail import plane_in_detail
 from matcap.capture.ending import judged, provenance
+from matcap.capture.outputs import OutputSettings, write_outputs
 from matcap.capture.piece.find import find_piece
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import DECODER_STAGES, PIECE_STAGES, CaptureClock, CaptureProgress
@@ -21,6 +23,7 @@ from matcap.capture.settings import CaptureSettings, Method, resolve
 from matcap.capture.target import photograph_target
 from matcap.errors import MatcapError
 from matcap.field.material import Material
+from matcap.files.interrupts import postponed
 from matcap.flash.coarse import fit_coarse, under_flash
 from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import Plane
@@ -57,10 +60,41 @@ def capture_file(
 
     Args, Raises: as of read_photograph and capture_photo.
     """
+    return _read_and_captured([path, *others], settings, clock_of(settings, progress))
+
+
+def capture_into(
+    folder: Path,
+    paths: Sequence[str | Path],
+    settings: CaptureSettings,
+    outputs: OutputSettings,
+    progress: Tell | None = None,
+) -> CaptureResult:
+    """The whole way: photographs of one sample to a folder with everything that is left of it.
+
+    Args:
+        folder: to be made; the material is called as it is.
+        paths: of the photograph, and of more of the same sample.
+        settings: what the user decides.
+        outputs: what is written.
+        progress: called as the work goes on.
+
+    Raises:
+        UsageError, MatcapError: as capture_photo; a full disk, an unwritable folder.
+    """
     clock = clock_of(settings, progress)
+    result = _read_and_captured(paths, settings, clock)
+    with clock.stage("write"), postponed() as stopped:
+        write_outputs(result, folder, outputs)
+    return replace(result, interrupted=result.interrupted or stopped())
+
+
+def _read_and_captured(
+    paths: Sequence[str | Path], settings: CaptureSettings, clock: CaptureClock
+) -> CaptureResult:
     with clock.stage("read"):
-        photo, *more = (read_photograph(each, settings) for each in (path, *others))
-    return _captured(photo, settings, clock, Method(), more)
+        photo, *more = (read_photograph(path, settings) for path in paths)
+    return capture_under(photo, settings, clock, Method(), more)
 
 
 def capture_photo(
@@ -83,7 +117,7 @@ def capture_photo(
         UsageError: an unknown preset.
         MatcapError: a photograph nothing can be made of, or a prior that cannot be read.
     """
-    return _captured(photo, settings, clock_of(settings, progress), method or Method(), others)
+    return capture_under(photo, settings, clock_of(settings, progress), method or Method(), others)
 
 
 def clock_of(settings: CaptureSettings, progress: Tell | None) -> CaptureClock:
@@ -92,13 +126,14 @@ def clock_of(settings: CaptureSettings, progress: Tell | None) -> CaptureClock:
     return CaptureClock(progress, stages, settings.time_limit)
 
 
-def _captured(
+def capture_under(
     photo: Photo,
     settings: CaptureSettings,
     clock: CaptureClock,
     method: Method,
     others: Sequence[Photo],
 ) -> CaptureResult:
+    """The stages between reading and writing; see capture_photo."""
     effort = resolve(settings, method)
     with clock.stage("coarse fit"):
         coarse = under_flash(fit_coarse(photo), photo.flash_intensity)

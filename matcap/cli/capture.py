@@ -26,11 +26,9 @@ from matcap.cli.options import (
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.files import values
-from matcap.files.interrupts import postponed
 
 if TYPE_CHECKING:
     from matcap.capture.outputs import OutputSettings
-    from matcap.capture.result import CaptureResult
     from matcap.capture.settings import CaptureSettings
     from matcap.cli.capture_display import Display
 
@@ -53,7 +51,12 @@ def capture(
         str, typer.Option(help="How much work: instant, draft, standard, high or reference.")
     ] = "standard",
     steps: Annotated[
-        int | None, typer.Option(min=0, help="Fine-tuning steps, instead of the preset's.")
+        int | None,
+        typer.Option(
+            min=0,
+            help="Steps instead of the preset's: of adapting the piece, or of fine-tuning a "
+            "decoder.",
+        ),
     ] = None,
     time_limit: Annotated[
         float | None,
@@ -61,7 +64,8 @@ def capture(
             "--time",
             parser=typed(values.duration),
             metavar="TIME",
-            help="Stop by then: 90s, 2m; without --steps the preset is reference then.",
+            help="Have the whole command end by then: 90s, 2m; without --steps the preset is "
+            "reference then.",
         ),
     ] = None,
     target: Annotated[
@@ -69,8 +73,8 @@ def capture(
         typer.Option(
             min=0.01,
             metavar="TIMES",
-            help="Stop at this error, in multiples of what the photograph's own windows differ by; "
-            "without --steps the preset is reference then.",
+            help="With --generator decoder: stop at this error, in multiples of what the "
+            "photograph's own windows differ by; without --steps the preset is reference then.",
         ),
     ] = None,
     detail: Annotated[
@@ -118,8 +122,8 @@ def capture(
     generator: Annotated[
         GeneratorName,
         typer.Option(
-            help="What the material is read by: the photographed piece rearranged (example), or "
-            "the fine-tuned network alone (decoder)."
+            help="What the material is made by: the photographed piece, rearranged (example), or "
+            "the paper's network, fine-tuned (decoder)."
         ),
     ] = GeneratorName.example,
     together: Annotated[
@@ -223,29 +227,20 @@ def _attempt(
 def _capture(
     job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
 ) -> dict[str, Any]:
-    from matcap.capture.pipeline import capture_file
+    from matcap.capture.outputs import no_repeat
+    from matcap.capture.pipeline import capture_into
 
     shown.started(job.photo)
-    result = capture_file(job.photo, settings, shown.progress, job.others)
-    with postponed() as stopped:
-        written = _written(result, job, outputs, shown)
-    return {**written, "status": "interrupted"} if stopped() else written
-
-
-def _written(
-    result: CaptureResult, job: _Job, outputs: OutputSettings, shown: Display
-) -> dict[str, Any]:
-    """Write a capture, and what is told of it."""
-    from matcap.capture.outputs import no_repeat, write_outputs
-
-    if not outputs.repeats(result.material.alignment):
-        shown.note(no_repeat(outputs.size, result.material.alignment))
-    material = write_outputs(result, job.folder, outputs)
+    photos = (job.photo, *job.others)
+    result = capture_into(job.folder, photos, settings, outputs, shown.progress)
+    alignment = result.material.alignment
+    if not outputs.repeats(alignment):
+        shown.note(no_repeat(outputs.size, alignment))
     return {
         "photo": str(job.photo),
         "status": "interrupted" if result.interrupted else "done",
         "folder": str(job.folder),
-        "material": str(material),
+        "material": str(job.folder / f"{job.folder.name}.matcap"),
         "verdict": result.verdict.document(),
         "error": result.errors,
     }

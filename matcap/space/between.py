@@ -54,20 +54,17 @@ def blend(first: Material, second: Material, share: float) -> Material:
             weight.lerp_(towards[name], share)
     code = torch.lerp(ends[0].code, ends[1].code, share)
     waves = blend_waves(ends[0].waves, ends[1].waves, share)
-    texel_size = _between(first.texel_size, second.texel_size, share)
     tuned = TunedDecoder(
         decoder=decoder.eval().requires_grad_(False),
         code=code,
         moments=tuple(freeze(decoder, code, waves)),
         waves=waves,
-        texel_size=texel_size,
+        texel_size=_between(first.texel_size, second.texel_size, share),
     )
-    return Material(
-        name=f"{first.name}_{second.name}_{share:g}",
-        generators={"decoder": tuned},
-        texel_size=texel_size,
-        setup=_blend_setups(first.setup, second.setup, share),
-        provenance={"blend": [first.name, second.name], "share": share},
+    return tuned.material(
+        f"{first.name}_{second.name}_{share:g}",
+        _blend_setups(first.setup, second.setup, share),
+        {"blend": [first.name, second.name], "share": share},
     )
 
 

@@ -13,7 +13,9 @@ from safetensors import safe_open
 from torch import Tensor
 
 from matcap.field.header import REMEDY, bounded
+from matcap.field.material import Material
 from matcap.field.plane import Period, check_period, check_seed
+from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import ALIGNMENT, CODE_SIZE, Decoder, Moments
 from matcap.space.freeze import FoldedDecoder, fold
 from matcap.space.source import DecoderSource
@@ -55,6 +57,12 @@ class TunedDecoder:
     def version(self) -> int:
         """Of a file that holds it: 2 where the decoder reads structured noise, else 1."""
         return 2 if self.decoder.config.grains else 1
+
+    def material(
+        self, name: str, setup: FlashSetup, provenance: Mapping[str, Any] | None = None
+    ) -> Material:
+        """A material that this decoder alone makes; arguments as in Material."""
+        return Material(name, {"decoder": self}, self.texel_size, setup, provenance or {})
 
     @cached_property
     def _folded(self) -> FoldedDecoder:

@@ -51,7 +51,7 @@ def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[P
                     yield stage
                     _publish(stage, folder, name)
                     keep = False
-                except (MatcapError, Exception) as error:
+                except Exception as error:
                     keep = isinstance(error, (OSError, WorkerLost))
                     raise
                 finally:

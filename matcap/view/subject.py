@@ -134,9 +134,9 @@ class Materials:
         Raises:
             UsageError: there is no second one.
         """
-        from matcap.space.between import blend
-
         if self.second is not None:
+            from matcap.space.between import blend
+
             return blend(self.first, self.second, share)
         if share != 0.0:
             raise UsageError(

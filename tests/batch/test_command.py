@@ -3,7 +3,6 @@
 import io
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from kills import make_shoot
@@ -15,6 +14,7 @@ from matcap.batch.predict import _trial
 from matcap.batch.settings import BatchSettings
 from matcap.batch.shoot import ShotSample
 from matcap.capture import outputs, pipeline
+from matcap.capture.progress import CaptureProgress
 from matcap.cli.batch_display import BatchDisplay
 from matcap.cli.main import main
 from matcap.errors import MatcapError
@@ -50,26 +50,33 @@ def test_a_trial_that_cannot_be_made_leaves_the_speed_unknown(shoot, tmp_path, c
 
 
 @pytest.mark.parametrize(
-    ("chosen", "tuning"),
+    ("chosen", "steps", "seconds"),
     [
-        ({"preset": "draft"}, 32.0),
-        ({"preset": "draft", "target": 1.3}, 800.0),  # at most as many as reference has
-        ({"preset": "draft", "target": 1.3, "steps": 50}, 50.0),
-        ({"preset": "draft", "time": 90.0}, 90.0),
+        ({"preset": "standard"}, 80, 80.0),
+        ({"preset": "instant"}, 0, 0.0),
+        ({"preset": "draft", "generator": "decoder"}, 32, 32.0),
+        # At most as many as reference has.
+        ({"preset": "draft", "generator": "decoder", "target": 1.3}, 800, 800.0),
+        ({"preset": "draft", "steps": 50}, 50, 50.0),
+        ({"preset": "draft", "time": 90.0}, 320, 90.0),
     ],
 )
-def test_the_steps_predicted_are_those_a_capture_takes(chosen, tuning, monkeypatch):
-    """A trial of twelve steps, a second each, that takes no time besides."""
+def test_what_is_predicted_is_what_a_capture_takes(chosen, steps, seconds, monkeypatch):
+    """A trial of twelve steps at most, a second each, that takes no time besides."""
     asked = []
 
-    def trial(path, settings):
+    def trial(path, settings, told):
         asked.append(settings)
-        return SimpleNamespace(history=[(float(i), i, 1.0) for i in range(settings.steps)])
+        stage = "fine-tuning" if settings.generator == "decoder" else "adapt"
+        for step in range(settings.steps + 2):
+            told(CaptureProgress(stage, 0.5, float(min(step, settings.steps)), None))
 
     monkeypatch.setattr(pipeline, "capture_file", trial)
     monkeypatch.setattr(outputs, "write_outputs", lambda *_: None)
-    seconds, _ = _trial(Path("a.jpg"), BatchSettings.of({"generator": "decoder"} | chosen))
-    assert seconds + 12.0 == pytest.approx(tuning, abs=0.5)
+    found, _ = _trial(Path("a.jpg"), BatchSettings.of(chosen))
+    tried = min(steps, 12)
+    assert asked[0].steps == tried
+    assert found == pytest.approx(min(seconds, steps - tried), abs=0.5)
     assert (asked[0].time_limit, asked[0].target) == (None, None)
 
 

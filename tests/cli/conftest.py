@@ -11,8 +11,9 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture import pipeline as capturing
-from matcap.capture.progress import CaptureProgress
-from matcap.capture.result import CaptureResult
+from matcap.capture.result import CaptureResult, Tuning
+from matcap.capture.verdict.evidence import evidence
+from matcap.capture.verdict.judge import judge
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
@@ -39,6 +40,7 @@ class FakeMaterial:
     provenance: dict = field(default_factory=lambda: {"made": "up"})
 
     alignment: int = 16
+    generators: tuple = ("example",)
 
     def maps(self, width, height, *, seed=0, x=0, y=0, period=None):
         return replace(random_maps(width, height, seed), periodic=period is not None)
@@ -70,29 +72,30 @@ class FakePipeline:
         self.calls.append(SimpleNamespace(path=Path(path), long_side=long_side, fov=fov))
         return fake_photo(Path(path))
 
-    def capture_photo(self, photo, settings, progress=None, *, others=()):
+    def capture_under(self, photo, settings, clock, method, others):
         if self.failure is not None:
             raise self.failure
         self.calls[-1].settings = settings
         self.calls[-1].others = [other.name for other in others]
-        for fraction in (0.0, 0.5, 1.0):
-            if progress is not None:
-                progress(
-                    CaptureProgress(
-                        "fine-tuning", fraction, 1.0 - fraction / 2, fraction, 1 - fraction
-                    )
-                )
+        longest = "fine-tuning" if settings.generator == "decoder" else "adapt"
+        with clock.stage(longest):
+            clock.within(longest, 0.5)
+        material = FakeMaterial(Path(photo.name).stem)
+        again = photo.pixels * 0.9
+        seen = evidence(photo, material.setup, photo.pixels, again)
+        tuned = Tuning(((0.5, 1, 0.9), (1.0, 2, 0.5)), self_difference=0.25)
         return CaptureResult(
             photo=photo,
-            material=FakeMaterial(Path(photo.name).stem),
+            material=material,
             rectified=photo.pixels,
-            rerendered=photo.pixels * 0.9,
+            rerendered=again,
             maps=random_maps(64, 48, 0),
-            history=((0.5, 1, 0.9), (1.0, 2, 0.5)),
-            stage_seconds={"coarse": 0.5, "fine-tuning": 0.5},
+            evidence=seen,
+            verdict=judge(seen),
+            stage_seconds={"coarse fit": 0.5, longest: 0.5},
             settings=settings,
             interrupted=self.interrupt,
-            self_difference=0.25,
+            tuning=tuned if settings.generator == "decoder" else None,
         )
 
 
@@ -101,7 +104,7 @@ def pipeline(monkeypatch) -> FakePipeline:
     """The capture pipeline replaced; the command line and all its files stay real."""
     fake = FakePipeline()
     monkeypatch.setattr(capturing, "load_photo", fake.load_photo)
-    monkeypatch.setattr(capturing, "capture_photo", fake.capture_photo)
+    monkeypatch.setattr(capturing, "capture_under", fake.capture_under)
     return fake
 
 
@@ -109,10 +112,10 @@ def pipeline(monkeypatch) -> FakePipeline:
 def never_captured(monkeypatch):
     """Photographs are really read; that one of them gets as far as a capture is a failure."""
 
-    def reached(photo, settings, progress=None):
+    def reached(photo, *rest):
         pytest.fail(f"{photo.name} was taken for a photograph")
 
-    monkeypatch.setattr(capturing, "capture_photo", reached)
+    monkeypatch.setattr(capturing, "capture_under", reached)
 
 
 @pytest.fixture

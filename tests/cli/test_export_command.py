@@ -8,10 +8,10 @@ import torch
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
-from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
+from matcap.space.tuned import TunedDecoder
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def material(tmp_path, monkeypatch):
     code = torch.randn(CODE_SIZE)
     moments = tuple(freeze(decoder, code, ()))
     path = tmp_path / "noise.matcap"
-    Material("noise", decoder, code, moments, (), 2 / 64, FlashSetup()).save(path)
+    TunedDecoder(decoder, code, moments, (), 2 / 64).material("noise", FlashSetup()).save(path)
     monkeypatch.chdir(tmp_path)
     return path
 

@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from matcap.brdf.folder import read_mapset
-from matcap.field.material import Material
 from matcap.files.exr import read_exr
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
+from matcap.space.tuned import TunedDecoder
 
 
 def run(folder, *arguments):
@@ -29,7 +29,7 @@ def folder(tmp_path_factory):
     decoder = decoder.eval().requires_grad_(False)
     code = torch.randn(CODE_SIZE)
     moments = tuple(freeze(decoder, code, ()))
-    Material("noise", decoder, code, moments, (), 2 / 512, FlashSetup()).save(
+    TunedDecoder(decoder, code, moments, (), 2 / 512).material("noise", FlashSetup()).save(
         folder / "noise.matcap"
     )
     return folder

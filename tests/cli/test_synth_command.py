@@ -16,6 +16,7 @@ from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
+from matcap.space.tuned import TunedDecoder
 
 TINY = DecoderConfig(noise_channels=2, widths=(2, 3, 3, 3, 3), convolutions=(1, 1))
 
@@ -26,7 +27,9 @@ def a_material(name, seed):
         decoder = Decoder(TINY).eval().requires_grad_(False)
     code = torch.zeros(CODE_SIZE)
     moments = tuple(freeze(decoder, code, ()))
-    return Material(name, decoder, code, moments, (), 2 / 512, FlashSetup(), {"made": "up"})
+    return TunedDecoder(decoder, code, moments, (), 2 / 512).material(
+        name, FlashSetup(), {"made": "up"}
+    )
 
 
 @pytest.fixture

@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
+from matcap.space.tuned import TunedDecoder
 
 SMALL = DecoderConfig(noise_channels=4, widths=(4, 6, 6, 6, 6))
 
@@ -19,4 +19,4 @@ def small():
         decoder = Decoder(SMALL)
     code = torch.zeros(CODE_SIZE)
     moments = tuple(freeze(decoder, code, ()))
-    return Material("leather", decoder, code, moments, (), 2 / 256, FlashSetup())
+    return TunedDecoder(decoder, code, moments, (), 2 / 256).material("leather", FlashSetup())

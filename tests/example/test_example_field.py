@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 from exemplars import PERIODS, an_example, blobs, ordered
-from matcap.example.source import example_source
 
 from matcap.errors import UsageError
 from matcap.example import plain
@@ -27,7 +26,7 @@ EXAMPLES = pytest.mark.parametrize("example", [an_example(), ordered()], ids=["b
 @EXAMPLES
 @pytest.mark.parametrize("place", [0, 2**31, 2**40 - 300])
 def test_any_rectangle_order_and_count_of_workers_gives_the_same_bits(example, place):
-    source = replace(example_source(example, 5), grid=Grid(96, 64))
+    source = replace(example.source(5), grid=Grid(96, 64))
     area = Rectangle(place - 40, -place + 30, 260, 170)
     whole = read_source(source, area, 1).stacked()
     draws = random.Random(place)
@@ -43,7 +42,7 @@ def test_any_rectangle_order_and_count_of_workers_gives_the_same_bits(example, p
 def test_other_blocks_are_the_same_field(example):
     area = Rectangle(-30, 20, 150, 90)
     one, other = (
-        read_source(replace(example_source(example, 5), grid=grid), area, 2).stacked()
+        read_source(replace(example.source(5), grid=grid), area, 2).stacked()
         for grid in (Grid(64, 32), Grid(512, 256))
     )
     assert torch.equal(one, other)
@@ -70,9 +69,9 @@ def test_a_field_repeats_exactly_where_it_is_asked_to(example, period):
 
 def test_periods_and_seeds_out_of_range_are_refused():
     with pytest.raises(UsageError, match="multiple of"):
-        example_source(an_example(), 0, (an_example().alignment + 1, None))
+        an_example().source(0, (an_example().alignment + 1, None))
     with pytest.raises(UsageError, match="seed"):
-        example_source(an_example(), 2**63)
+        an_example().source(2**63)
 
 
 def test_every_texel_is_one_of_the_exemplars():

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 import torch
 from exemplars import an_example, blobs, ordered
-from matcap.example.source import ExampleSource, example_source
 from materials import a_material
 
 from matcap.brdf.folder import read_mapset
 from matcap.cli.main import main
 from matcap.errors import UsageError
-from matcap.example.example import Example
+from matcap.example.example import Example, ExampleSource
 from matcap.field.field import read_source
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
@@ -29,17 +28,17 @@ BEFORE = Path(__file__).parents[2] / "synth" / "before" / "before.matcap"
 
 @pytest.fixture(scope="module")
 def first():
-    return replace(a_material("first"), example=an_example())
+    return a_material("first", example=an_example())
 
 
 @pytest.fixture(scope="module")
 def second():
-    return replace(a_material("second", seed=4), example=Example.of(blobs(seed=7)))
+    return a_material("second", seed=4, example=Example.of(blobs(seed=7)))
 
 
 def test_a_material_of_before_is_its_decoder():
     material = Material.load(BEFORE)
-    assert material.example is None and material.exemplar is None
+    assert set(material.generators) == {"decoder"}
     assert material.maps(24, 16).height.equal(material.maps(24, 16, generator="decoder").height)
     with pytest.raises(UsageError, match="no exemplar"):
         material.maps(24, 16, generator="example")
@@ -59,7 +58,7 @@ def test_an_inspection_tells_what_is_left_out(tmp_path, capsys):
     marked.diffuse[:, 60:84, 60:84] = 0.0
     marked.roughness[:, 60:84, 60:84] = 1.0
     for name, example in (("marked", Example.of(marked)), ("bricks", ordered())):
-        replace(a_material(name), example=example).save(tmp_path / f"{name}.matcap")
+        a_material(name, example=example).save(tmp_path / f"{name}.matcap")
     files = [str(tmp_path / "marked.matcap"), str(tmp_path / "bricks.matcap")]
     assert main(["inspect", *files, "--json"]) == 0
     one, other = json.loads(capsys.readouterr().out)["materials"]
@@ -74,12 +73,12 @@ def test_an_inspection_tells_what_is_left_out(tmp_path, capsys):
 
 
 def test_a_worker_that_was_sent_the_source_computes_the_same(first):
-    source = example_source(first.example, 5, (96, None))
+    source = first.part(Example).source(5, (96, None))
     block = Rectangle(-64, 32, 80, 48)
     again = pickle.loads(pickle.dumps(source))
     assert np.array_equal(again.planes(block, "gl"), source.planes(block, "gl"))
     # What it can make again is not sent along.
-    assert len(pickle.dumps(source)) < 1.1 * len(pickle.dumps(replace(first.example)))
+    assert len(pickle.dumps(source)) < 1.1 * len(pickle.dumps(replace(first.part(Example))))
 
 
 def test_files_are_the_same_whoever_writes_them(first, tmp_path):
@@ -101,11 +100,11 @@ def test_one_field_by_example_grows_into_another(first, second):
     area = Rectangle(0, 0, 600, 64)
     maps = read_source(source, area, 1).stacked()
     for end, columns in ((first, slice(0, 200)), (second, slice(400, 600))):
-        alone = read_source(example_source(end.example, 4), area, 1).stacked()
+        alone = read_source(end.part(Example).source(4), area, 1).stacked()
         assert torch.allclose(maps[..., columns], alone[..., columns], atol=1e-6)
     # Between, each texel lies between the two, and the border is no step in height.
     between = slice(240, 360)
-    ends = [read_source(example_source(m.example, 4), area, 1).stacked() for m in (first, second)]
+    ends = [read_source(m.part(Example).source(4), area, 1).stacked() for m in (first, second)]
     low, high = torch.minimum(*ends)[:5, :, between], torch.maximum(*ends)[:5, :, between]
     assert bool((maps[:5, :, between] >= low - 1e-6).all())
     assert bool((maps[:5, :, between] <= high + 1e-6).all())

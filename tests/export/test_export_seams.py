@@ -1,7 +1,6 @@
 """Six materials repeat without a seam: as a capture's first map set, and in every export."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ def by_example(name):
     }
     sure = np.ones((4, HEIGHT, WIDTH), np.float32)
     exemplar = Exemplar(**piece, confidence=sure, texel_size=2.0 / WIDTH)
-    return replace(a_material(name), example=Example.of(exemplar))
+    return a_material(name, example=Example.of(exemplar))
 
 
 @pytest.mark.parametrize("name", MATERIALS)

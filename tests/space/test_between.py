@@ -12,6 +12,7 @@ from matcap.space.between import blend, blend_waves
 from matcap.space.decoder import Decoder, DecoderConfig
 from matcap.space.freeze import freeze
 from matcap.space.regular_order import CELL_CHANNELS
+from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.start import reading_cells
 from matcap.statistics.lattice import Wave
 
@@ -36,8 +37,8 @@ def test_near_an_end_it_looks_like_that_end(prior):
 
 
 def test_the_middle_has_the_mean_weights_and_its_own_moments(prior):
-    a, b = prior.draw(1), prior.draw(2)
-    middle = blend(a, b, 0.5)
+    ends = prior.draw(1), prior.draw(2)
+    a, b, middle = (m.part(TunedDecoder) for m in (*ends, blend(*ends, 0.5)))
     name = "head.adain.affine.bias"
     wanted = (a.decoder.state_dict()[name] + b.decoder.state_dict()[name]) / 2
     torch.testing.assert_close(middle.decoder.state_dict()[name], wanted)
@@ -56,14 +57,16 @@ def test_stripes_told_backwards_are_the_same_stripes():
 
 def test_a_material_without_order_blends_with_one_that_has_cells(prior):
     a, b = prior.draw(1), prior.draw(2)
-    decoder, waves = reading_cells(b.decoder, 0), (Wave(1 / 20, 0.0),)
-    ordered = replace(
-        b, decoder=decoder, waves=waves, moments=tuple(freeze(decoder, b.code, waves))
-    )
+    tuned = b.part(TunedDecoder)
+    decoder, waves = reading_cells(tuned.decoder, 0), (Wave(1 / 20, 0.0),)
+    moments = tuple(freeze(decoder, tuned.code, waves))
+    ordered = replace(tuned, decoder=decoder, waves=waves, moments=moments)
+    ordered = ordered.material("ordered", b.setup)
     for first, second in ((a, ordered), (ordered, a)):
         mostly_ordered = blend(first, second, 0.9 if second is ordered else 0.1)
-        assert mostly_ordered.waves == waves
-        assert mostly_ordered.decoder.config.cells == CELL_CHANNELS
+        made = mostly_ordered.part(TunedDecoder)
+        assert made.waves == waves
+        assert made.decoder.config.cells == CELL_CHANNELS
         assert torch.isfinite(mostly_ordered.maps(64, 64).stacked()).all()
 
 
@@ -72,7 +75,8 @@ def test_what_cannot_be_blended_is_refused(prior):
     with pytest.raises(UsageError, match="not between 0 and 1"):
         blend(a, a, 1.5)
     wider = Decoder(DecoderConfig(4, (8, 8, 8, 8, 16), (1, 1)))
-    b = Material("b", wider, a.code, a.moments, (), a.texel_size, a.setup)
+    tuned = replace(a.part(TunedDecoder), decoder=wider, waves=())
+    b = tuned.material("b", a.setup)
     with pytest.raises(MatcapError, match="different shapes"):
         blend(a, b, 0.5)
 

@@ -14,6 +14,7 @@ from matcap.space.grains import GRAIN_CHANNELS, grain_field
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
 from matcap.space.random_field import noise_of
+from matcap.space.tuned import TunedDecoder
 
 CONFIG = DecoderConfig(noise_channels=2, widths=(4, 4, 4, 4, 4), grains=GRAIN_CHANNELS)
 
@@ -26,7 +27,7 @@ def material():
     from matcap.flash.geometry import FlashSetup
 
     moments = tuple(freeze(decoder, code, ()))
-    return Material("grained", decoder, code, moments, (), 1 / 512, FlashSetup())
+    return TunedDecoder(decoder, code, moments, (), 1 / 512).material("grained", FlashSetup())
 
 
 @pytest.mark.parametrize("corner", [(0, 0), (-70, 2**31 - 40), (2**40 - 200, -(2**40) + 3)])

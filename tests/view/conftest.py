@@ -12,6 +12,7 @@ from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
+from matcap.space.tuned import TunedDecoder
 from matcap.view.library import Library
 from matcap.view.pages import Pages
 from matcap.view.subject import Materials
@@ -32,7 +33,7 @@ def small_material(seed: int = 3, name: str = "test") -> Material:
             layer.adain.affine.bias.data += 0.2 * torch.randn_like(layer.adain.affine.bias)
     code = torch.zeros(CODE_SIZE)
     moments = tuple(freeze(decoder, code, ()))
-    return Material(name, decoder, code, moments, (), 2 / 1024, FlashSetup())
+    return TunedDecoder(decoder, code, moments, (), 2 / 1024).material(name, FlashSetup())
 
 
 @pytest.fixture(scope="session")

@@ -20,6 +20,7 @@ from PIL import Image
 from matcap.brdf.adjust import adjusted, parse_adjustments
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.capture.piece.find import piece_maps
+from matcap.example.example import Example
 from matcap.files.exr import write_exr
 from matcap.files.srgb import srgb_decode, srgb_picture
 from matcap.flash.geometry import FlashSetup
@@ -615,8 +616,8 @@ SETUP = FlashSetup(60.0, (0.1, 0.05, 0.0), (0.03, -0.04), (5.0, 4.5, 4.0), 0.3)
 
 def photographed():
     """A material that knows its piece, and what lies beside it."""
-    material = replace(a_material(), example=an_example(), setup=SETUP)
-    shade = doubt_picture(material.exemplar)
+    material = replace(a_material(example=an_example()), setup=SETUP)
+    shade = doubt_picture(material.part(Example).exemplar)
     told = Beside(EncodedPicture(jpeg(), "image/jpeg"), shade, ("usable", "Look at it."))
     return material, told
 
@@ -630,7 +631,7 @@ def of_the_piece(shown, exemplar):
 
 def test_the_wipe_between_photograph_own_flash_relit_piece_and_field(tab, served):
     material, told = photographed()
-    exemplar = material.exemplar
+    exemplar = material.part(Example).exemplar
     with served(Materials(material), told) as address:
         page = tab(address.url)
         page.loaded()
@@ -729,7 +730,7 @@ def test_enclosed_page_plays_as_well(tab, tmp_path):
     page.until("matcap.view.state.light === 'own'")
     page.loaded()
     assert page.shown() == []
-    exemplar = material.exemplar
+    exemplar = material.part(Example).exemplar
     flash = render_rectified(piece_maps(exemplar), SETUP).movedim(0, -1).numpy()
     half = exemplar.size[0] // 2
     off = np.abs(of_the_piece(shown, exemplar) - encode(flash, Film()))[2:-2, half:-2]

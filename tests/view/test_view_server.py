@@ -376,7 +376,7 @@ def test_an_export_that_cannot_be_is_one_sentence(client, change):
 
 def test_the_photographed_piece_is_the_exemplar(tmp_path):
     example = an_example()
-    subject = Materials(replace(a_material(), example=example))
+    subject = Materials(a_material(example=example))
     assert subject.facts.piece == example.exemplar.size
     wide, tall = example.exemplar.size
     found, _ = subject.moments(0, Rectangle(0, 0, wide, tall), seed=9, share=0.0, piece=True)

@@ -163,8 +163,7 @@ def capture(
     if isinstance(decoder, DecoderOnly):
         material = Unfolded(*frozen)
     else:
-        made = TunedDecoder(*frozen)
-        material = Material("", {"decoder": made}, scene.texel_size, scene.setup)
+        material = TunedDecoder(*frozen).material("", scene.setup)
     pictures = [tuned.lit(material.maps(SIZE, SIZE, seed=seed)) for seed in seeds(realisations)]
     return Made(torch.stack(pictures), seconds)
 

@@ -144,21 +144,14 @@ class Prior:
     def material(self, name: str, anchor: Anchor, provenance: Mapping[str, Any]) -> Material:
         """A frozen material of one place in the space."""
         decoder = fold(self.decoder, self.habits.base(anchor.code, anchor.rest))
-        return Material(
-            name=name,
-            generators={
-                "decoder": TunedDecoder(
-                    decoder=decoder.eval().requires_grad_(False),
-                    code=anchor.code,
-                    moments=tuple(freeze(decoder, anchor.code, anchor.waves)),
-                    waves=anchor.waves,
-                    texel_size=2.0 / DETAIL,
-                )
-            },
+        tuned = TunedDecoder(
+            decoder=decoder.eval().requires_grad_(False),
+            code=anchor.code,
+            moments=tuple(freeze(decoder, anchor.code, anchor.waves)),
+            waves=anchor.waves,
             texel_size=2.0 / DETAIL,
-            setup=FlashSetup(intensity=(math.pi * 4.0,) * 3),
-            provenance=provenance,
         )
+        return tuned.material(name, FlashSetup(intensity=(math.pi * 4.0,) * 3), provenance)
 
     def save(self, path: Path) -> None:
         """Write the file, in half precision; whole or not at all."""

@@ -14,9 +14,12 @@ from typer.testing import CliRunner
 
 from matcap.brdf.folder import find_mapsets, read_mapset
 from matcap.cli.main import app
+from matcap.errors import UsageError
 from matcap.field.material import Material
 from matcap.files.exr import read_exr
 from matcap.files.srgb import srgb_encode
+from matcap.space.between import blend
+from matcap.space.prior.store import load_prior
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +54,20 @@ def test_the_piece_is_written_beside_the_material(folder: Path) -> None:
 
 def test_the_material_holds_the_piece_and_is_read_by_it(folder: Path) -> None:
     material = Material.load(folder / f"{folder.name}.matcap")
-    assert material.exemplar is not None
-    by_example = material.maps(48, 48, seed=2)
-    decoded = material.maps(48, 48, seed=2, generator="decoder")
-    assert not by_example.diffuse.equal(decoded.diffuse)
+    assert set(material.generators) == {"example"}
+    assert material.maps(48, 48, seed=2).size == (48, 48)
+    with pytest.raises(UsageError, match="no decoder of its own"):
+        material.maps(48, 48, generator="decoder")
+
+
+def test_a_material_without_a_decoder_has_a_place_in_the_papers_space(folder: Path) -> None:
+    material = Material.load(folder / f"{folder.name}.matcap")
+    assert material.code.shape == (64,) and bool(material.code.isfinite().all())
+    drawn = load_prior().draw(3)
+    between = blend(material, drawn, 0.5)
+    assert set(between.generators) == {"decoder"}
+    assert bool(between.maps(48, 48).diffuse.isfinite().all())
+    assert blend(material, drawn, 0.0) is material
 
 
 def test_the_preview_shows_the_piece_beside_the_photograph(folder: Path) -> None:

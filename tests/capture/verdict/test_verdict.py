@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -119,14 +118,11 @@ def test_the_document_is_json_and_holds_every_check():
     assert set(document["checks"]) == set(named(FINE)) and document["fit"] is True
 
 
-def _result(photo, seen, again):
-    """What evidence() looks at of a capture."""
-    material = SimpleNamespace(setup=shots.shot("leather").setup, waves=())
+def _seen(photo, seen, again):
+    """What is measured of a capture."""
     picture = seen.movedim(0, -1).contiguous().numpy()
     rendering = again.movedim(0, -1).contiguous().numpy()
-    return SimpleNamespace(
-        photo=photo, material=material, rectified=picture, rerendered=rendering, found=None
-    )
+    return evidence(photo, shots.shot("leather").setup, picture, rendering)
 
 
 @pytest.fixture(scope="module")
@@ -139,21 +135,21 @@ def leather():
 def test_another_piece_of_the_same_material_under_the_same_flash_is_good(leather):
     photo, setup, seen = leather
     again = render_rectified(shots.maps("leather", seed=4), setup)
-    assert judge(evidence(_result(photo, seen, again))).fit
+    assert judge(_seen(photo, seen, again)).fit
 
 
 def test_the_light_at_a_wrong_place_is_no_good(leather):
     photo, setup, seen = leather
     moved = replace(setup, offset=(0.7, -0.4, 0.0))
     again = render_rectified(shots.maps("leather", seed=4), moved)
-    verdict = judge(evidence(_result(photo, seen, again)))
+    verdict = judge(_seen(photo, seen, again))
     assert not verdict.fit
     assert {"highlight", "light"} & {fault.name for fault in verdict.faults}
 
 
 def test_another_material_is_no_good(leather):
     photo, setup, seen = leather
-    verdict = judge(evidence(_result(photo, seen, render_rectified(shots.maps("cloth"), setup))))
+    verdict = judge(_seen(photo, seen, render_rectified(shots.maps("cloth"), setup)))
     assert not verdict.fit
 
 

@@ -16,7 +16,6 @@ from PIL import Image, ImageCms
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
-from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
@@ -24,6 +23,7 @@ from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
+from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
 
 SCENE = """
@@ -125,7 +125,8 @@ def write_material(path: Path) -> None:
     decoder = Decoder(shape)
     code, waves = torch.zeros(CODE_SIZE), (Wave(0.1, 0.02),)
     moments = tuple(freeze(decoder, code, waves))
-    Material("small", decoder.eval(), code, moments, waves, 0.002, FlashSetup()).save(path)
+    tuned = TunedDecoder(decoder.eval(), code, moments, waves, 0.002)
+    tuned.material("small", FlashSetup()).save(path)
 
 
 def spoil(data: bytes, kind: str, others: list[bytes], chance: random.Random) -> bytes:

@@ -4,7 +4,6 @@ import pytest
 import torch
 
 from matcap.field.field import BLOCK, Field
-from matcap.field.material import Material
 from matcap.field.plane import COORDINATE_LIMIT, Rectangle
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import (
@@ -19,6 +18,7 @@ from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE, Encoder, En
 from matcap.space.freeze import fold, freeze, reference_field
 from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
+from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
 
 CONFIG = DecoderConfig(noise_channels=4, widths=(8, 8, 8, 8, 8))
@@ -44,7 +44,7 @@ def a_field(size=64, seed=0, x=0, y=0):
 
 def a_material(decoder):
     moments = tuple(freeze(decoder, CODE, WAVES))
-    return Material("test", decoder, CODE, moments, WAVES, 2 / 1024, FlashSetup())
+    return TunedDecoder(decoder, CODE, moments, WAVES, 2 / 1024).material("test", FlashSetup())
 
 
 def finite(*tensors):

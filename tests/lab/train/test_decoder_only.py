@@ -6,7 +6,6 @@ import pytest
 import torch
 from small import SMALL, coarse, entry
 
-from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import read_plane
@@ -16,6 +15,7 @@ from matcap.space.decoder import CODE_SIZE, DEPTH, OUTPUTS, Decoder
 from matcap.space.freeze import freeze
 from matcap.space.patch import Patch
 from matcap.space.random_field import random_field
+from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.finetune import TuneSettings, finetune
 from matcap.space.tuning.start import untrained
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
@@ -79,7 +79,8 @@ def test_unfolded_reads_a_shipped_decoder_as_a_material_does():
     made = decoder(Decoder).eval().requires_grad_(False)
     moments = tuple(freeze(made, CODE, WAVES))
     plain = Unfolded(made, CODE, moments, WAVES, 0.01).maps(64, 64, seed=5).stacked()
-    folded = Material("m", made, CODE, moments, WAVES, 0.01, coarse().setup).maps(64, 64, seed=5)
+    tuned = TunedDecoder(made, CODE, moments, WAVES, 0.01)
+    folded = tuned.material("m", coarse().setup).maps(64, 64, seed=5)
     torch.testing.assert_close(plain, folded.stacked(), rtol=1e-3, atol=1e-4)
 
 

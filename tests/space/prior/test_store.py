@@ -99,7 +99,7 @@ def test_a_start_states_the_photographs_base(prior, pack):
     photo = entry.photo()
     plane = read_plane(photo, entry.coarse.setup, 256)
     prior.decoder.head.adain.affine.weight.data.zero_()
-    decoder, code = prior.start(photo, entry.coarse, plane)
+    decoder, code = prior.start(photo.pixels, entry.coarse, plane)
     assert code.shape == (CODE_SIZE,)
     mean, deviation = decoder.head.adain.target(code)
     base = base_of(entry.coarse, log_contrast(plane.linear, plane.valid))

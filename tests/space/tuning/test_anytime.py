@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tuning import scene, tune
 
-from matcap.capture.pipeline import _target
+from matcap.capture.by_decoder import _target
 from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError
 from matcap.space.tuning.anytime import forecast, self_difference

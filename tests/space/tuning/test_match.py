@@ -9,13 +9,13 @@ from tuning import CODE, SETUP, start
 
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
-from matcap.field.material import Material
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.render import render_rectified
 from matcap.flash.windows import shot_deviation
 from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
 from matcap.space.freeze import freeze
+from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.match import _Blocks, _gain, _shift, correction, match_photograph
 from matcap.statistics.encoding import fit_encoding, shading
 
@@ -29,7 +29,11 @@ def truth():
     """A material that is photographed."""
     decoder = start().requires_grad_(False)
     moments = tuple(freeze(decoder, CODE, ()))
-    return Material("truth", decoder, CODE, moments, (), 2.0 / WIDTH, SETUP)
+    return TunedDecoder(decoder, CODE, moments, (), 2.0 / WIDTH).material("truth", SETUP)
+
+
+def network(material):
+    return material.part(TunedDecoder).decoder
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +43,12 @@ def photo(truth):
 
 def spoilt(material, gain, shift):
     """The material with another contrast and another mean colour."""
-    decoder = copy.deepcopy(material.decoder)
+    decoder = copy.deepcopy(network(material))
     bias = decoder.head.adain.affine.bias.data
     bias[:3] += torch.tensor(shift)
     bias[[6, 7, 8, 11]] *= gain
-    return replace(material, decoder=decoder)
+    tuned = replace(material.part(TunedDecoder), decoder=decoder)
+    return tuned.material(material.name, material.setup)
 
 
 def found(material, photo, valid=VALID, noise=None):
@@ -86,9 +91,9 @@ def test_the_matched_material_looks_like_the_photograph(truth, photo):
 
 def test_gloss_and_the_material_given_are_left_alone(truth, photo):
     wrong = spoilt(truth, 0.7, SHIFT.tolist())
-    before = copy.deepcopy(wrong.decoder.state_dict())
+    before = copy.deepcopy(network(wrong).state_dict())
     matched = match_photograph(wrong, plane_of(photo, VALID))
-    assert all(torch.equal(v, before[k]) for k, v in wrong.decoder.state_dict().items())
+    assert all(torch.equal(v, before[k]) for k, v in network(wrong).state_dict().items())
     old, new = (m.maps(64, 64) for m in (wrong, matched))
     assert torch.equal(old.specular, new.specular)
     assert torch.equal(old.roughness, new.roughness)
@@ -100,7 +105,7 @@ def test_what_is_compared_is_what_is_made(truth, photo):
     moved = found(wrong, photo)
     old = wrong.maps(64, 64)
     new = match_photograph(wrong, plane_of(photo, VALID)).maps(64, 64)
-    middle = wrong.decoder.head.adain.target(CODE)[0][:3, None, None]
+    middle = network(wrong).head.adain.target(CODE)[0][:3, None, None]
     logit = middle + moved.gain * (old.diffuse.logit() - middle) + moved.shift[:, None, None]
     torch.testing.assert_close(new.diffuse, torch.sigmoid(logit), atol=1e-4, rtol=0.0)
     # The relief's mean, which nothing shows, may move.

@@ -1,0 +1,82 @@
+"""The capture is one chain of named stages, and the paper's network is no part of it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from matcap.capture.outputs import OutputSettings
+from matcap.capture.pipeline import capture_into
+from matcap.capture.progress import DECODER_STAGES, PIECE_STAGES, CaptureClock
+from matcap.capture.settings import CaptureSettings
+
+PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
+
+
+@pytest.mark.parametrize(
+    ("generator", "stages", "longest"),
+    [("example", PIECE_STAGES, "adapt"), ("decoder", DECODER_STAGES, "fine-tuning")],
+)
+@pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
+def test_every_stage_has_its_share_and_is_told_in_its_order(tmp_path, generator, stages, longest):
+    assert sum(stages.values()) == pytest.approx(1.0)
+    told = []
+    settings = CaptureSettings(preset="draft", steps=2, detail=160, generator=generator)
+    if generator == "decoder":
+        settings = CaptureSettings(preset="standard", steps=2, detail=160, generator=generator)
+    result = capture_into(
+        tmp_path / "tile", [PHOTO], settings, OutputSettings((32, 32)), told.append
+    )
+    assert list(dict.fromkeys(now.stage for now in told)) == list(stages)
+    assert list(result.stage_seconds) == list(stages)
+    fractions = [now.fraction for now in told]
+    assert fractions == sorted(fractions) and fractions[-1] == pytest.approx(1.0)
+    within = [now for now in told if now.stage == longest]
+    assert len(within) >= 4  # begun, every step, done
+    report = json.loads((tmp_path / "tile" / "report.json").read_text())
+    assert list(report["stage_seconds"]) == list(stages)[:-1]
+    assert (report["tuning"] is None) == (generator == "example")
+
+
+def test_a_time_limit_leaves_room_for_what_comes_after():
+    stages = {"before": 0.2, "long": 0.6, "after": 0.2}
+    clock = CaptureClock(None, stages, limit=1000.0)
+    with clock.stage("before"):
+        while clock.elapsed < 0.02:
+            pass
+    left = clock.left_for("long")
+    assert 1000.0 - 4.0 * clock.elapsed < left < 1000.0 - 1.5 * 0.02
+    assert CaptureClock(None, stages).left_for("long") == float("inf")
+    assert CaptureClock(None, stages, limit=0.0).left_for("long") == 0.0
+
+
+def test_a_stage_without_a_share_is_a_bug():
+    with pytest.raises(ValueError), CaptureClock(None).stage("fine-tuning"):
+        pass
+
+
+def test_nothing_of_a_default_material_loads_the_papers_network(tmp_path):
+    """Capture, synth, relight, export and view, in a process of its own."""
+    program = """
+import sys
+from matcap.cli.main import main
+photo, out = sys.argv[1:]
+work = [
+    ["capture", photo, "-o", out, "--preset", "draft", "--steps", "1", "--detail", "160",
+     "--size", "64", "-q"],
+    ["synth", f"{out}/tile/tile.matcap", "--size", "64x32", "-o", f"{out}/set", "-q"],
+    ["relight", f"{out}/tile", "--light", "left", "-o", f"{out}/left.png", "-q"],
+    ["export", f"{out}/tile", "--to", "gltf", "--size", "64", "-o", f"{out}/gltf", "-q"],
+    ["view", f"{out}/tile", "--html", f"{out}/tile.html", "-q"],
+]
+for words in work:
+    code = main(words)
+    assert code == 0, (words, code)
+print(sorted(name for name in sys.modules if name.startswith(("matcap.space", "matcap.lab"))))
+"""
+    command = [sys.executable, "-c", program, str(PHOTO), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip().splitlines()[-1] == "[]"
