@@ -5,12 +5,13 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from matcap.capture.choices import CHOICES, Choice
 from matcap.capture.outputs import OutputSettings
-from matcap.capture.settings import PRESETS, CaptureSettings, Statistics
+from matcap.capture.settings import CaptureSettings, Statistics
 from matcap.errors import MatcapError, UsageError
 from matcap.files import values
 
@@ -61,45 +62,25 @@ class BatchSettings:
         """All settings by the names of options; BatchSettings.of() of them is these again."""
         values = asdict(self) | asdict(self.outputs) | self.capture.named()
         del values["outputs"], values["capture"]
-        back = {field: name for name, field in _RENAMED.items()}
-        return {back.get(name, name): value for name, value in values.items()}
-
-
-@dataclass(frozen=True)
-class _Rule:
-    """What a key takes: one of some words, or a number within limits."""
-
-    kinds: tuple[type, ...]
-    least: float = 0.0
-    most: float = float("inf")
-    words: tuple[str, ...] = field(default=())
+        return {_BACK.get(name, name): value for name, value in values.items()}
 
 
 _KINDS = {
     str: "a text", int: "a whole number", float: "a number", bool: "true or false", list: "a list",
 }  # fmt: skip
-_RULES: Mapping[str, _Rule] = {
-    "preset": _Rule((str,), words=tuple(PRESETS)),
-    "steps": _Rule((int,), 0, 10_000_000),
-    "time": _Rule((str, int, float)),
-    "target": _Rule((int, float), 0.01, 1e6),
-    "detail": _Rule((int,), 64, 8192),
-    "fov": _Rule((int, float), 1.0, 170.0),
-    "width_cm": _Rule((int, float), 0.01, 1e5),
-    "seed": _Rule((int,), 0, 2**63 - 1),
-    "prior": _Rule((str,)),
-    "statistics": _Rule((str,)),
-    "generator": _Rule((str,), words=("decoder", "example")),
-    "aligned": _Rule((bool,)),
-    "size": _Rule((str, int)),
-    "tile": _Rule((bool,)),
-    "png": _Rule((bool,)),
-    "normal": _Rule((str,), words=("gl", "dx")),
-    "export": _Rule((str, list, tuple)),
-    "group": _Rule((str,), words=_GROUPS),
-    "gap": _Rule((int, float), 0.0, 1e9),
-    "jobs": _Rule((int,), 1, 1024),
-    "card": _Rule((str,)),
+_BACK = {field: name for name, field in _RENAMED.items()}
+_RULES: Mapping[str, Choice] = {
+    **{_BACK.get(name, name): choice for name, choice in CHOICES.items()},
+    "time": Choice((str, int, float), "Of each sample."),
+    "size": Choice((str, int), "Of the first map sets."),
+    "tile": Choice((bool,), "Map sets that repeat without a seam."),
+    "png": Choice((bool,), "16-bit PNGs beside the EXR files."),
+    "normal": Choice((str,), "Which way green points.", words=("gl", "dx")),
+    "export": Choice((str, list, tuple), "Also for these renderers or engines."),
+    "group": Choice((str,), "Which photographs show one sample.", words=_GROUPS),
+    "gap": Choice((int, float), "Seconds between two shots, with group time.", 0.0, 1e9),
+    "jobs": Choice((int,), "Workers.", 1, 1024),
+    "card": Choice((str,), "Photograph of a calibration card."),
 }
 
 
@@ -179,7 +160,7 @@ def _value(name: str, value: Any, where: str) -> Any:  # noqa: ANN401
         raise UsageError(
             f"there is no {name} {_short(value)}", where=where, remedy=_nearest(value, rule.words)
         )
-    if number and not rule.least <= value <= rule.most:
+    if number and not rule.fits(value):
         raise UsageError(
             f"{name} is {value:g}, out of range",
             where=where,

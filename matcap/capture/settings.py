@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from matcap.capture.choices import CHOICES, check
 from matcap.capture.detail import DETAIL
 from matcap.errors import UsageError
 from matcap.field.source import Generator
@@ -116,6 +117,9 @@ class CaptureSettings:
 
     With a time limit or a target, and without steps, the preset is "reference": the limit alone
     decides when to stop.
+
+    Raises:
+        UsageError: a number outside the limits of its setting (choices.py).
     """
 
     preset: str = "standard"
@@ -130,6 +134,10 @@ class CaptureSettings:
     generator: Generator = "example"
     aligned: bool = False
     width_cm: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in CHOICES:
+            check(name, getattr(self, name))
 
     @staticmethod
     def of(named: Mapping[str, Any]) -> CaptureSettings:

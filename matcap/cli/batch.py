@@ -10,13 +10,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from matcap.cli.options import (
+    AlignedOption,
+    CaptureSeedOption,
+    DetailOption,
     ExportOption,
-    GeneratorName,
+    FovOption,
     JsonOption,
+    MadeByOption,
     Normal,
     OverwriteOption,
+    PresetOption,
+    PriorOption,
     QuietOption,
+    StatisticsOption,
+    StepsOption,
     StrictOption,
+    TargetOption,
+    TimeOption,
     WidthOption,
     typed,
 )
@@ -37,34 +47,14 @@ def batch(
         int | None,
         typer.Option("-j", "--jobs", min=1, help="Workers; by default as cores and memory allow."),
     ] = None,
-    preset: Annotated[
-        str | None, typer.Option(help="instant, draft, standard (default), high or reference.")
-    ] = None,
-    steps: Annotated[
-        int | None, typer.Option(min=0, help="Fine-tuning steps, instead of the preset's.")
-    ] = None,
-    time_limit: Annotated[
-        float | None,
-        typer.Option(
-            "--time",
-            parser=typed(values.duration),
-            metavar="TIME",
-            help="For each sample: 90s, 2m; without --steps the preset is reference then.",
-        ),
-    ] = None,
-    target: Annotated[
-        float | None,
-        typer.Option(min=0.01, metavar="TIMES", help="Stop at this error, as in capture."),
-    ] = None,
-    detail: Annotated[
-        int | None, typer.Option(min=64, max=8192, help="Texels along the photograph's long side.")
-    ] = None,
-    fov: Annotated[
-        float | None,
-        typer.Option(min=1.0, max=170.0, help="Field of view along the long side, degrees."),
-    ] = None,
+    preset: PresetOption = None,
+    steps: StepsOption = None,
+    time_limit: TimeOption = None,
+    target: TargetOption = None,
+    detail: DetailOption = None,
+    fov: FovOption = None,
     width_cm: WidthOption = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of the work and the map sets.")] = None,
+    seed: CaptureSeedOption = None,
     size: Annotated[
         values.Size | None,
         typer.Option(parser=typed(values.size), metavar="WxH", help="Size of the first map sets."),
@@ -79,21 +69,10 @@ def batch(
         Normal | None, typer.Option(help="Normals with +Y up (gl) or down (dx).")
     ] = None,
     export: ExportOption = None,
-    prior: Annotated[
-        str | None, typer.Option(metavar="auto|none|PATH", help="Trained prior to start from.")
-    ] = None,
-    statistics: Annotated[
-        str | None,
-        typer.Option(metavar="filterbank|vgg19=FILE", help="What textures are compared by."),
-    ] = None,
-    generator: Annotated[
-        GeneratorName | None,
-        typer.Option(help="What materials are read by: decoder, or the piece rearranged, example."),
-    ] = None,
-    aligned: Annotated[
-        bool | None,
-        typer.Option("--aligned/--no-aligned", help="Also the maps of the photographed pieces."),
-    ] = None,
+    prior: PriorOption = None,
+    statistics: StatisticsOption = None,
+    generator: MadeByOption = None,
+    aligned: AlignedOption = None,
     group: Annotated[
         str | None,
         typer.Option(metavar="none|dir|time", help="Which photographs show one sample."),

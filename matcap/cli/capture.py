@@ -12,15 +12,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from matcap.cli.options import (
+    AlignedOption,
+    CaptureSeedOption,
+    DetailOption,
     ExportOption,
-    GeneratorName,
+    FovOption,
     JsonOption,
+    MadeByOption,
     Normal,
     NormalOption,
     OverwriteOption,
     PngOption,
+    PresetOption,
+    PriorOption,
     QuietOption,
+    StatisticsOption,
+    StepsOption,
     StrictOption,
+    TargetOption,
+    TimeOption,
     WidthOption,
     typed,
 )
@@ -47,51 +57,14 @@ def capture(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Each photograph gets a folder of its name here.")
     ] = Path("out"),
-    preset: Annotated[
-        str, typer.Option(help="How much work: instant, draft, standard, high or reference.")
-    ] = "standard",
-    steps: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            help="Steps instead of the preset's: of adapting the piece, or of fine-tuning a "
-            "decoder.",
-        ),
-    ] = None,
-    time_limit: Annotated[
-        float | None,
-        typer.Option(
-            "--time",
-            parser=typed(values.duration),
-            metavar="TIME",
-            help="Have the whole command end by then: 90s, 2m; without --steps the preset is "
-            "reference then.",
-        ),
-    ] = None,
-    target: Annotated[
-        float | None,
-        typer.Option(
-            min=0.01,
-            metavar="TIMES",
-            help="With --generator decoder: stop at this error, in multiples of what the "
-            "photograph's own windows differ by; without --steps the preset is reference then.",
-        ),
-    ] = None,
-    detail: Annotated[
-        int | None,
-        typer.Option(
-            min=64,
-            max=8192,
-            help="Texels along the photograph's long side. By default 1024, or 512 where the "
-            "texture is so coarse that this comes out better.",
-        ),
-    ] = None,
-    fov: Annotated[
-        float | None,
-        typer.Option(min=1.0, max=170.0, help="Field of view along the long side, degrees."),
-    ] = None,
+    preset: PresetOption = None,
+    steps: StepsOption = None,
+    time_limit: TimeOption = None,
+    target: TargetOption = None,
+    detail: DetailOption = None,
+    fov: FovOption = None,
     width_cm: WidthOption = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the work and of the map set.")] = 0,
+    seed: CaptureSeedOption = None,
     size: Annotated[
         values.Size,
         typer.Option(
@@ -112,20 +85,9 @@ def capture(
     png: PngOption = False,
     normal: NormalOption = Normal.gl,
     export: ExportOption = None,
-    prior: Annotated[
-        str, typer.Option(metavar="auto|none|PATH", help="Trained prior to start from.")
-    ] = "auto",
-    statistics: Annotated[
-        str,
-        typer.Option(metavar="filterbank|vgg19=FILE", help="What textures are compared by."),
-    ] = "filterbank",
-    generator: Annotated[
-        GeneratorName,
-        typer.Option(
-            help="What the material is made by: the photographed piece, rearranged (example), or "
-            "the paper's network, fine-tuned (decoder)."
-        ),
-    ] = GeneratorName.example,
+    prior: PriorOption = None,
+    statistics: StatisticsOption = None,
+    generator: MadeByOption = None,
     together: Annotated[
         bool,
         typer.Option(
@@ -133,13 +95,7 @@ def capture(
             help="All photographs show one sample: one material, called as the first of them.",
         ),
     ] = False,
-    aligned: Annotated[
-        bool,
-        typer.Option(
-            "--aligned",
-            help="Also the maps of the photographed piece itself, NAME_photo, with confidence.",
-        ),
-    ] = False,
+    aligned: AlignedOption = None,
     overwrite: OverwriteOption = False,
     strict: StrictOption = False,
     as_json: JsonOption = False,
@@ -152,18 +108,20 @@ def capture(
     the likely cause and what to do. Ctrl-C ends with the best so far, saved.
     """
     from matcap.capture.outputs import OutputSettings
-    from matcap.capture.settings import CaptureSettings, Statistics
+    from matcap.capture.settings import CaptureSettings
     from matcap.cli.capture_display import display
     from matcap.files.staging import check_writable
 
-    settings = CaptureSettings(
-        preset=preset, steps=steps, time_limit=time_limit, target=target, detail=detail, fov=fov,
-        seed=seed, prior=prior, statistics=Statistics.parse(statistics), generator=generator.value,
-        aligned=aligned, width_cm=width_cm,
-    )  # fmt: skip
+    given = {
+        "preset": preset, "steps": steps, "time_limit": time_limit, "target": target,
+        "detail": detail, "fov": fov, "seed": seed, "prior": prior, "statistics": statistics,
+        "generator": generator.value if generator else None, "aligned": aligned,
+        "width_cm": width_cm,
+    }  # fmt: skip
+    settings = CaptureSettings.of({k: value for k, value in given.items() if value is not None})
     targets = OutputSettings.known_targets(export or [])
     side = (size.width, size.height)
-    outputs = OutputSettings(side, seed, png, normal.value, tile, targets)
+    outputs = OutputSettings(side, settings.seed, png, normal.value, tile, targets)
     jobs = _jobs(photos, out)
     if together:
         jobs = [replace(jobs[0], others=tuple(photos[1:]))]

@@ -50,7 +50,8 @@ class Display:
             self._bars.update(
                 self._task, completed=now.fraction, stage=now.stage, error=error, left=left
             )
-        elif not self._quiet and now.stage != self._stage:
+        elif not self._quiet and now.stage not in (self._stage, "read"):
+            # What cannot be read has a sentence of its own, and nothing before it.
             self._say(f"  {now.seconds:6.1f} s  {now.stage}  {error}".rstrip())
         if now.interrupted and not self._interrupted and not self._quiet:
             left = "" if now.seconds_left is None else f", in about {now.seconds_left:.0f} s"

@@ -10,6 +10,9 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
+from matcap.capture.choices import CHOICES
+from matcap.files import values
+
 T = TypeVar("T")
 
 
@@ -91,15 +94,6 @@ AdjustOption = Annotated[
         "(.json) that tells it.",
     ),
 ]
-WidthOption = Annotated[
-    float | None,
-    typer.Option(
-        "--width-cm",
-        min=0.01,
-        max=1e5,
-        help="What the photograph's long side spans, in centimetres: exports are true to scale.",
-    ),
-]
 NormalOption = Annotated[Normal, typer.Option(help="Normals with +Y up (gl) or down (dx).")]
 PngOption = Annotated[bool, typer.Option("--png", help="16-bit PNGs beside the EXR files.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]
@@ -140,3 +134,35 @@ SpreadOption = Annotated[
         help="How far from there to draw: 0 is the photograph's own place, 1 anywhere.",
     ),
 ]
+
+
+def _setting(name: str, flag: str | None = None, **more: Any) -> Any:  # noqa: ANN401
+    """The option of a capture's setting (capture/choices.py)."""
+    choice = CHOICES[name]
+    limits: dict[str, Any] = {}
+    if "parser" not in more and {int, float} & set(choice.kinds):
+        kind = float if float in choice.kinds else int
+        limits = {"min": kind(choice.least), "max": kind(choice.most)}
+    if choice.metavar:
+        limits["metavar"] = choice.metavar
+    option: Any = typer.Option
+    return option(*([flag] if flag else []), help=choice.help, **limits, **more)
+
+
+# Settings of a capture, for `capture` and `batch` alike; None is as by default.
+PresetOption = Annotated[str | None, _setting("preset", show_default="standard")]
+StepsOption = Annotated[int | None, _setting("steps")]
+TimeOption = Annotated[
+    float | None, _setting("time_limit", "--time", parser=typed(values.duration))
+]
+TargetOption = Annotated[float | None, _setting("target")]
+DetailOption = Annotated[int | None, _setting("detail")]
+FovOption = Annotated[float | None, _setting("fov")]
+WidthOption = Annotated[float | None, _setting("width_cm", "--width-cm")]
+CaptureSeedOption = Annotated[int | None, _setting("seed", show_default="0")]
+PriorOption = Annotated[str | None, _setting("prior", show_default="auto")]
+StatisticsOption = Annotated[str | None, _setting("statistics", show_default="filterbank")]
+MadeByOption = Annotated[
+    GeneratorName | None, _setting("generator", "--generator", show_default="example")
+]
+AlignedOption = Annotated[bool | None, _setting("aligned", "--aligned/--no-aligned")]

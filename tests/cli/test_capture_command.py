@@ -101,7 +101,7 @@ def test_progress_is_plain_lines_where_there_is_no_terminal(matcap, pipeline, ph
     said = matcap("capture", photo, "-o", out, "--size", 16)
     assert "adapt" in said.err
     assert "\x1b" not in said.err
-    assert len(said.err.splitlines()) == 5  # three stages, what was made, the verdict
+    assert len(said.err.splitlines()) == 4  # two stages, what was made, the verdict
 
 
 def test_photographs_of_the_same_stem_do_not_overwrite_each_other(matcap, pipeline, photo, out):

@@ -23,7 +23,7 @@ from matcap.field.plane import Rectangle
 from matcap.synth.blend import blend_source
 from matcap.synth.mask import Mask
 
-BEFORE = Path(__file__).parents[2] / "synth" / "before" / "before.matcap"
+BEFORE = Path(__file__).parents[1] / "synth" / "before" / "before.matcap"
 
 
 @pytest.fixture(scope="module")

@@ -106,5 +106,5 @@ def test_its_file_says_so_and_comes_back(material, tmp_path):
     with safe_open(path, "pt") as file:
         assert json.loads(file.metadata()["matcap"])["version"] == 2
     again = Material.load(path)
-    assert again.decoder.config == CONFIG
+    assert again.part(TunedDecoder).decoder.config == CONFIG
     assert torch.equal(again.maps(48, 32).stacked(), material.maps(48, 32).stacked())
