@@ -7,7 +7,7 @@ where the photographed piece's own maps are asked for, too.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from matcap.capture.ending import judged, provenance
@@ -67,41 +67,40 @@ def capture_by_decoder(
             plane, coarse, waves, settings, method, window, others, most
         )
         own = self_difference(target.windows, target.weights)
+        tune = _tune(settings, effort, method, own, photo.name)
 
-    limit = clock.left_for("fine-tuning")
-    tune = TuneSettings(
-        steps=effort.steps,
-        seconds=limit if math.isfinite(limit) else None,
-        target=_target(settings, own, photo.name),
-        places=effort.places,
-        half_precision=method.half_precision,
-        seed=settings.seed,
-    )
     with clock.stage("start"):
         shape = method.decoder or DecoderConfig()
-        start = begin(photo.pixels, coarse, plane, target, tune, settings.prior, shape)
-
-    ahead = Forecaster(own)
-
-    def told(share: float, error: float, seconds: float) -> None:
-        clock.tuning(share, *ahead.after(error, seconds))
+        start = begin(
+            photo.pixels,
+            coarse,
+            plane,
+            target,
+            tune,
+            settings.prior,
+            shape,
+            hurried=settings.time_limit is not None,
+        )
 
     with clock.stage("fine-tuning"):
-        tuned = finetune(
-            start.decoder, start.code, target, replace(tune, learning_rate=start.rate), told
+        limit = clock.left_for("fine-tuning")
+        tune = replace(
+            tune,
+            seconds=limit if math.isfinite(limit) else None,
+            learning_rate=start.rate,
         )
+        tuned = finetune(start.decoder, start.code, target, tune, _told(clock, own))
     clock.interrupted |= tuned.interrupted
 
     decoder = TunedDecoder(
-        decoder=tuned.decoder.eval().requires_grad_(False),
-        code=start.code,
-        moments=tuned.moments,
-        waves=waves,
-        texel_size=plane.texel_size,
+        tuned.decoder.eval().requires_grad_(False),
+        start.code,
+        tuned.moments,
+        waves,
+        plane.texel_size,
     )
-    name = photo.name.rsplit(".", 1)[0] or photo.name
-    told_of = provenance(photo, settings, coarse, effort, joined)
-    material = decoder.material(name, coarse.setup, told_of)
+    told = provenance(photo, settings, coarse, effort, joined)
+    material = decoder.material(photo.stem, coarse.setup, told)
     if tuned.history and effort.matched:
         # To the first photograph, if there are others.
         with clock.stage("matching"), postponed() as stopped:
@@ -111,6 +110,25 @@ def capture_by_decoder(
     found = _piece(coarse, plane, target, settings, effort, clock) if settings.aligned else None
     went = Tuning(tuned.history, own)
     return judged(photo, material, plane, waves, settings, clock, found, went)
+
+
+def _tune(
+    settings: CaptureSettings, effort: Effort, method: Method, own: float, name: str
+) -> TuneSettings:
+    """How the decoder is tuned, but for how fast and how long."""
+    return TuneSettings(
+        steps=effort.steps,
+        target=_target(settings, own, name),
+        places=effort.places,
+        half_precision=method.half_precision,
+        seed=settings.seed,
+    )
+
+
+def _told(clock: CaptureClock, own: float) -> Callable[[float, float, float], None]:
+    """What tells a step of fine-tuning."""
+    ahead = Forecaster(own)
+    return lambda share, error, seconds: clock.tuning(share, *ahead.after(error, seconds))
 
 
 def _piece(

@@ -168,7 +168,7 @@ def capture_under(
         tell=lambda share: clock.within("adapt", share),
     )
     material = Material(
-        name=photo.name.rsplit(".", 1)[0] or photo.name,
+        name=photo.stem,
         generators={"example": found.example},
         texel_size=plane.texel_size,
         setup=coarse.setup,

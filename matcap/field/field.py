@@ -10,7 +10,6 @@ Read next: source.py (one block), synth/stream.py (rectangles of any size, to fi
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
 
 import torch
 
@@ -19,10 +18,7 @@ from matcap.field.blocks import BLOCK, Piece, check_rectangle, pieces_of
 from matcap.field.device import DeviceName, find_device
 from matcap.field.plane import Period, Rectangle
 from matcap.field.single import single_threaded
-from matcap.field.source import MAP_CHANNELS, Generator, Source, inner
-
-if TYPE_CHECKING:
-    from matcap.field.material import Material
+from matcap.field.source import MAP_CHANNELS, Generated, Generator, Source, inner
 
 __all__ = ["BLOCK", "Field", "Rectangle"]
 
@@ -47,7 +43,7 @@ class Field:
 
     def __init__(
         self,
-        material: Material,
+        material: Generated,
         seed: int = 0,
         period: Period | None = None,
         *,

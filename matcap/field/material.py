@@ -36,17 +36,15 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
-import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.field.field import Field
 from matcap.field.header import FORMAT, bounded, opened, plain_name
-from matcap.field.plane import Period
-from matcap.field.source import Generator, Source
+from matcap.field.source import FieldGenerator, Generator
 from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
 
@@ -57,37 +55,6 @@ GENERATORS: Mapping[Generator, str] = {
     "decoder": "matcap.space.tuned",
 }
 _CODES = "matcap.space.code"  # who works out a code, imported when one is asked for
-
-
-class FieldGenerator(Protocol):
-    """What makes a material's endless maps."""
-
-    @property
-    def alignment(self) -> int:
-        """What periods of its field are multiples of, in texels."""
-        ...
-
-    @property
-    def piece_size(self) -> tuple[int, int] | None:
-        """(width, height) in texels of the photographed piece, where it holds that."""
-        ...
-
-    @property
-    def version(self) -> int:
-        """Of a file that holds it."""
-        ...
-
-    def source(self, seed: int, period: Period | None, device: torch.device) -> Source:
-        """Its field.
-
-        Raises:
-            UsageError: a seed or period out of range.
-        """
-        ...
-
-    def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors by name, and entries of the material's description."""
-        ...
 
 
 Kind = TypeVar("Kind")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,50 @@ class Network(Source, Protocol):
 
     def lowered(self, finest: int) -> Network:
         """The same in bfloat16 from level `finest` on to the coarser ones."""
+        ...
+
+
+class FieldGenerator(Protocol):
+    """What makes a material's endless maps."""
+
+    @property
+    def alignment(self) -> int:
+        """What periods of its field are multiples of, in texels."""
+        ...
+
+    @property
+    def piece_size(self) -> tuple[int, int] | None:
+        """(width, height) in texels of the photographed piece, where it holds that."""
+        ...
+
+    @property
+    def version(self) -> int:
+        """Of a file that holds it."""
+        ...
+
+    def source(self, seed: int, period: Period | None, device: torch.device) -> Source:
+        """Its field.
+
+        Raises:
+            UsageError: a seed or period out of range.
+        """
+        ...
+
+    def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors by name, and entries of the material's description."""
+        ...
+
+
+class Generated(Protocol):
+    """What a field is read from: a material (material.py)."""
+
+    def by(self, generator: Generator | None) -> Generated:
+        """The same with one generator alone; with all where none is named."""
+        ...
+
+    @property
+    def generator(self) -> FieldGenerator:
+        """The one that makes its maps."""
         ...
 
 

@@ -55,6 +55,11 @@ class Photo:
     noise: NDArray[np.float32] | None = None
 
     @property
+    def stem(self) -> str:
+        """The file's name without its ending."""
+        return self.name.rsplit(".", 1)[0] or self.name
+
+    @property
     def clipped_share(self) -> float:
         """Share of pixels at the clip level."""
         if self.stored_clipped_share is not None:

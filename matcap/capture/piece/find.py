@@ -175,19 +175,9 @@ def find_piece(
         if target is not None and steps:
             with stage("adapt"):
                 wanted, limit = target(), seconds() if seconds else None
-                for leg, reach in enumerate(_LEGS):
-                    reading, interrupted = adapted(
-                        sight,
-                        reading,
-                        wanted,
-                        -(-steps // len(_LEGS)),
-                        reach=reach,
-                        seconds=None if limit is None else limit / len(_LEGS),
-                        seed=seed * len(_LEGS) + leg,
-                        tell=tell and _shared(tell, leg),
-                    )
-                    if interrupted:
-                        raise KeyboardInterrupt  # with what was reached
+                reading, ended = adapted_in_legs(sight, reading, wanted, steps, limit, seed, tell)
+                if ended:
+                    raise KeyboardInterrupt  # with what was reached
     except KeyboardInterrupt:
         interrupted = True
     with stage("lend"):
@@ -231,6 +221,32 @@ def levelled(sight: Sight, reading: Reading) -> Reading:
     flat = _even(sight, reading, reading.outputs)
     plane = sight.plane
     return _explained(sight, reading, level(flat, plane.linear, sight.shown, sight.light))
+
+
+def adapted_in_legs(
+    sight: Sight,
+    reading: Reading,
+    target: PhotographTarget,
+    steps: int,
+    seconds: float | None,
+    seed: int,
+    tell: Callable[[float], None] | None,
+) -> tuple[Reading, bool]:
+    """All legs of adaptation; arguments as of find_piece. And whether it was interrupted."""
+    for leg, reach in enumerate(_LEGS):
+        reading, ended = adapted(
+            sight,
+            reading,
+            target,
+            -(-steps // len(_LEGS)),
+            reach=reach,
+            seconds=None if seconds is None else seconds / len(_LEGS),
+            seed=seed * len(_LEGS) + leg,
+            tell=tell and _shared(tell, leg),
+        )
+        if ended:
+            break
+    return reading, ended
 
 
 def adapted(

@@ -47,6 +47,8 @@ def begin(
     tune: TuneSettings,
     prior: str,
     shape: DecoderConfig,
+    *,
+    hurried: bool = False,
 ) -> Beginning:
     """Choose it.
 
@@ -58,12 +60,13 @@ def begin(
         tune: how.
         prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
         shape: of the decoder, where there is no prior to say it.
+        hurried: there is no time for auditions.
 
     Raises:
         MatcapError: the prior cannot be read.
     """
     if prior == "none":
-        decoder = _best_of_some(coarse, plane, target, tune, shape)
+        decoder = _best_of_some(coarse, plane, target, tune, shape, hurried)
         return Beginning(decoder, torch.zeros(CODE_SIZE), RATE_FROM_NOTHING)
     trained = load_prior(None if prior == "auto" else Path(prior))
     decoder, code = trained.start(pixels, coarse, plane)
@@ -78,6 +81,7 @@ def _best_of_some(
     target: PhotographTarget,
     tune: TuneSettings,
     shape: DecoderConfig,
+    hurried: bool,
 ) -> Decoder:
     """The most promising of a few random decoders, each tuned for a moment.
 
@@ -85,7 +89,7 @@ def _best_of_some(
     """
     shape = replace(shape, cells=CELL_CHANNELS if target.waves else 0)
     contrast = log_contrast(plane.linear, plane.valid)
-    if tune.steps < 4 * _AUDITIONS * _AUDITION_STEPS or tune.seconds is not None:
+    if tune.steps < 4 * _AUDITIONS * _AUDITION_STEPS or hurried:
         return untrained(shape, coarse, contrast, tune.seed)
     best, least = None, math.inf
     for seed in range(tune.seed, tune.seed + _AUDITIONS):
