@@ -45,6 +45,12 @@ def train(
         int, typer.Option(min=0, help="Processes that make photographs; 0 for none.")
     ] = 1,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    maps: Annotated[
+        Path | None, typer.Option(help="Real materials beside simulated ones (`inverse pack`).")
+    ] = None,
+    begin: Annotated[
+        Path | None, typer.Option("--from", help="A network's file that a first leg goes on from.")
+    ] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Train one leg on endless simulated photographs; legs continue one another exactly."""
@@ -53,9 +59,25 @@ def train(
 
     settings = TrainSettings(
         steps=steps, seconds=time_limit or float("inf"), rate=rate, cooling=cooling,
-        batch=batch, workers=workers, device=device,
+        batch=batch, workers=workers, device=device, maps=maps,
     )  # fmt: skip
-    run(folder, settings, tell=(lambda _line: None) if quiet else _tell)
+    run(folder, settings, tell=(lambda _line: None) if quiet else _tell, begin=begin)
+
+
+@app.command()
+def pack(
+    folder: Annotated[
+        Path, typer.Argument(help="Folders with basecolor, normal, roughness and metallic.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The file.")] = Path("maps.pack"),
+    quiet: QuietOption = False,
+) -> None:
+    """Write map sets of real materials as the one file that training reads."""
+    from matcap.lab.inverse.packed import pack as run
+
+    count = run(folder, out)
+    if not quiet:
+        typer.echo(f"wrote {out}: {count} materials", err=True)
 
 
 @app.command()

@@ -21,10 +21,11 @@ import torch
 from safetensors import safe_open
 from torch import Tensor
 
-from matcap.capture.exemplar.store import save_inverse
+from matcap.capture.exemplar.store import read_inverse, save_inverse
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 from matcap.lab.inverse.losses import loss_parts, total
+from matcap.lab.inverse.packed import training_sets
 from matcap.lab.inverse.samples import HELD_OUT, HELD_OUT_PATTERNS, Sample, draw_sample
 from matcap.model.inverse.inputs import network_inputs
 from matcap.model.inverse.network import Inverse, InverseConfig
@@ -49,6 +50,7 @@ class TrainSettings:
         save_every: steps.
         workers: processes that make samples.
         device: "cpu" or "cuda".
+        maps: packed real materials (packed.py), of which those not held out are shown; or none.
     """
 
     steps: int = 100_000
@@ -62,6 +64,7 @@ class TrainSettings:
     save_every: int = 250
     workers: int = 1
     device: str = "cpu"
+    maps: Path | None = None
 
     def rate_at(self, step: int) -> float:
         """Adam's rate at a step: a short warm-up, then flat, then down to nothing."""
@@ -70,11 +73,19 @@ class TrainSettings:
 
 
 class State:
-    """What training goes on from."""
+    """What training goes on from.
+
+    Attributes:
+        step: steps done.
+        origin: card of the shipped network that the first leg went on from, or nothing.
+        model, average: the network, and its weights' running average.
+        first, second: Adam's moments, a parameter each.
+    """
 
     def __init__(self, config: InverseConfig, device: str) -> None:
         torch.manual_seed(0)
         self.step = 0
+        self.origin: dict[str, Any] = {}
         self.model = Inverse(config).to(device)
         self.average = Inverse(config).to(device)
         self.average.load_state_dict(self.model.state_dict())
@@ -88,12 +99,23 @@ class State:
         tensors |= {f"average.{k}": v for k, v in self.average.state_dict().items()}
         for name, moments in (("first", self.first), ("second", self.second)):
             tensors |= {f"{name}.{i}": m for i, m in enumerate(moments)}
-        write_tensors(path, tensors, {"step": json.dumps(self.step)})
+        write_tensors(path, tensors, self._told())
+
+    def _told(self) -> dict[str, str]:
+        return {"step": json.dumps(self.step), "origin": json.dumps(self.origin)}
+
+    def begin(self, path: Path) -> None:
+        """Go on from a shipped network: its weights, no step done."""
+        network, self.origin = read_inverse(path)
+        for part in (self.model, self.average):
+            part.load_state_dict(network.state_dict())
 
     def load(self, path: Path) -> None:
         """Go on from a file."""
         with safe_open(path, framework="pt") as file:
-            self.step = json.loads(file.metadata()["step"])
+            told = file.metadata()
+            self.step = json.loads(told["step"])
+            self.origin = json.loads(told.get("origin", "{}"))
             for part, network in (("model", self.model), ("average", self.average)):
                 network.load_state_dict(
                     {k: file.get_tensor(f"{part}.{k}") for k in network.state_dict()}
@@ -108,6 +130,7 @@ def train(
     settings: TrainSettings,
     config: InverseConfig = InverseConfig(),  # noqa: B008
     tell: Callable[[str], None] = print,
+    begin: Path | None = None,
 ) -> State:
     """Train one leg, from the state in a folder if there is one.
 
@@ -116,12 +139,15 @@ def train(
         settings: of the leg.
         config: shape of the network.
         tell: called with a line every 50 steps.
+        begin: a shipped network that the first leg goes on from.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / _STATE
     state = State(config, settings.device)
     if path.exists():
         state.load(path)
+    elif begin:
+        state.begin(begin)
     began = time.monotonic()
     running: dict[str, float] = {}
     samples = _samples(state.step, settings)
@@ -209,7 +235,8 @@ def _samples(
 
 def _made(asked: tuple[int, TrainSettings]) -> tuple[Tensor, Sample]:
     number, settings = asked
-    sample = draw_sample(number, settings.width, settings.height)
+    sets = training_sets(settings.maps) if settings.maps else ()
+    sample = draw_sample(number, settings.width, settings.height, sets=sets)
     inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
     return inputs, sample
 
