@@ -41,6 +41,12 @@ def train(
         int, typer.Option(min=0, help="Steps before the last over which the rate falls to nothing.")
     ] = 0,
     batch: Annotated[int, typer.Option(min=1, help="Photographs a step.")] = 1,
+    size: Annotated[
+        tuple[int, int], typer.Option(help="Texels of a photograph across and down, by 32.")
+    ] = (224, 160),
+    compiled: Annotated[
+        bool, typer.Option(help="Compile the losses: minutes at first, quicker after.")
+    ] = False,
     workers: Annotated[
         int, typer.Option(min=0, help="Processes that make photographs; 0 for none.")
     ] = 1,
@@ -60,6 +66,7 @@ def train(
     settings = TrainSettings(
         steps=steps, seconds=time_limit or float("inf"), rate=rate, cooling=cooling,
         batch=batch, workers=workers, device=device, maps=maps,
+        width=size[0], height=size[1], compiled=compiled,
     )  # fmt: skip
     run(folder, settings, tell=(lambda _line: None) if quiet else _tell, begin=begin)
 

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from matcap.errors import MatcapError
@@ -148,7 +148,7 @@ def open_pack(path: Path) -> Mapping[str, PackedSet]:
                 return tuple(file.get_tensor(f"{name}/{i}/{what}") for i in range(LEVELS))
 
             return {n: PackedSet(n, levels(n, "surface"), levels(n, "height")) for n in names}
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise MatcapError(
             f"these are no packed maps ({error})",
             where=str(path),
@@ -178,7 +178,7 @@ def _read(folder: Path, name: str, channels: int) -> Picture:
             where=str(folder),
             remedy="give a folder of folders with basecolor, normal and roughness",
         )
-    scaled = np.asarray(picture, np.float32) / np.iinfo(picture.dtype).max
+    scaled = np.asarray(picture, np.float32) / (65535.0 if picture.dtype == np.uint16 else 255.0)
     if channels == 1:
         return np.ascontiguousarray(scaled[None])
     return np.ascontiguousarray(scaled[..., ::-1].transpose(2, 0, 1))

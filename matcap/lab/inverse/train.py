@@ -11,7 +11,7 @@ import json
 import multiprocessing
 import time
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.pool import AsyncResult
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from torch import Tensor
 from matcap.capture.exemplar.store import read_inverse, save_inverse
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
-from matcap.lab.inverse.losses import loss_parts, total
+from matcap.lab.inverse.losses import Compare, LossWeights, compared, loss_parts, total, wanted
 from matcap.lab.inverse.packed import training_sets
 from matcap.lab.inverse.samples import HELD_OUT, HELD_OUT_PATTERNS, Sample, draw_sample
 from matcap.model.inverse.inputs import network_inputs
@@ -50,6 +50,8 @@ class TrainSettings:
         save_every: steps.
         workers: processes that make samples.
         device: "cpu" or "cuda".
+        style_every: steps, in one of which statistics of relit pictures are compared.
+        compiled: losses are compiled, which takes minutes once and pays in a leg of an hour.
         maps: packed real materials (packed.py), of which those not held out are shown; or none.
     """
 
@@ -64,6 +66,8 @@ class TrainSettings:
     save_every: int = 250
     workers: int = 1
     device: str = "cpu"
+    style_every: int = 2
+    compiled: bool = False
     maps: Path | None = None
 
     def rate_at(self, step: int) -> float:
@@ -151,10 +155,11 @@ def train(
     began = time.monotonic()
     running: dict[str, float] = {}
     samples = _samples(state.step, settings)
+    compare: Compare = torch.compile(compared, dynamic=False) if settings.compiled else compared
     for batch in samples:
         if state.step >= settings.steps or time.monotonic() - began > settings.seconds:
             break
-        parts = train_step(state, batch, settings)
+        parts = train_step(state, batch, settings, compare)
         for name, value in parts.items():
             running[name] = 0.98 * running.get(name, value) + 0.02 * value
         if state.step % 50 == 0:
@@ -168,50 +173,56 @@ def train(
 
 
 def train_step(
-    state: State, samples: list[tuple[Tensor, Sample]], settings: TrainSettings
+    state: State,
+    samples: list[tuple[Tensor, Sample]],
+    settings: TrainSettings,
+    compare: Compare = compared,
 ) -> dict[str, float]:
-    """One step of Adam; returns the loss's parts."""
+    """One step of Adam; returns the loss's parts.
+
+    Args:
+        state: changed in place.
+        samples: inputs and truth, of one size.
+        settings: of the leg.
+        compare: `losses.compared`, or that compiled.
+    """
     device = settings.device
     inputs = torch.stack([x for x, _ in samples]).to(device)
+    rng = np.random.default_rng([state.step, 0, 5])
+    truth = wanted([sample.to(device) for _, sample in samples], rng)
     outputs = state.model(inputs.contiguous(memory_format=torch.channels_last))
-    losses, all_parts = [], []
-    for index, (_, sample) in enumerate(samples):
-        rng = np.random.default_rng([state.step, index, 5])
-        parts = loss_parts(outputs[index], sample.to(device), rng)
-        losses.append(total(parts))
-        all_parts.append(parts)
-    loss = torch.stack(losses).mean()
-    parameters = list(state.model.parameters())
+    # Statistics take as long as all else: in every so manieth step, and count as much more there.
+    styled = state.step % settings.style_every == 0
+    parts = loss_parts(outputs, truth, style=styled, compare=compare)
+    weights = LossWeights()
+    loss = total(parts, replace(weights, style=weights.style * settings.style_every))
+    parameters: list[Tensor] = list(state.model.parameters())
     gradients = torch.autograd.grad(loss, parameters)
     state.step += 1
     _adam(state, parameters, gradients, settings.rate_at(state.step))
     decay = min(settings.average, state.step / (state.step + 10.0))
     with torch.no_grad():
-        for kept, new in zip(state.average.parameters(), parameters, strict=True):
-            kept.lerp_(new, 1.0 - decay)
-    return {
-        name: sum(float(p[name].detach()) for p in all_parts) / len(all_parts)
-        for name in all_parts[0]
-    }
+        torch._foreach_lerp_(list(state.average.parameters()), parameters, 1.0 - decay)
+    return {name: float(part.detach()) for name, part in parts.items()}
 
 
 @torch.no_grad()
 def _adam(
-    state: State, parameters: Sequence[Tensor], gradients: Sequence[Tensor], rate: float
+    state: State, parameters: list[Tensor], gradients: tuple[Tensor, ...], rate: float
 ) -> None:
     """Adam with gradients of a norm of at most 1."""
-    norm = torch.stack([g.norm() for g in gradients]).norm()
+    norm = torch.stack(torch._foreach_norm(gradients)).norm()
     if not bool(torch.isfinite(norm)):
         return  # one unlucky picture is left out
-    factor = float(1.0 / norm.clamp_min(1.0))
+    clipped = torch._foreach_mul(gradients, float(1.0 / norm.clamp_min(1.0)))
     one, two = 0.9, 0.99
     correction = (1.0 - two**state.step) ** 0.5 / (1.0 - one**state.step)
-    for parameter, gradient, first, second in zip(
-        parameters, gradients, state.first, state.second, strict=True
-    ):
-        first.lerp_(gradient * factor, 1.0 - one)
-        second.lerp_((gradient * factor).square(), 1.0 - two)
-        parameter.sub_(rate * correction * first / (second.sqrt() + 1e-8))
+    torch._foreach_lerp_(state.first, clipped, 1.0 - one)
+    torch._foreach_mul_(state.second, two)
+    torch._foreach_addcmul_(state.second, clipped, clipped, 1.0 - two)
+    spread = torch._foreach_sqrt(state.second)
+    torch._foreach_add_(spread, 1e-8)
+    torch._foreach_addcdiv_(parameters, state.first, spread, -rate * correction)
 
 
 def _samples(
