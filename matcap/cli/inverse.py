@@ -88,6 +88,52 @@ def pack(
 
 
 @app.command()
+def evaluate(
+    networks: Annotated[
+        list[Path], typer.Argument(help="Networks' files, or folders of trainings.")
+    ],
+    maps: Annotated[Path, typer.Option(help="Real materials (`inverse pack`).")],
+) -> None:
+    """Judge networks by what none was trained on: real sets and simulated kinds held out."""
+    from matcap.lab.inverse import evaluate as judge
+    from matcap.lab.inverse.packed import held_out_sets
+    from matcap.lab.inverse.train import read_network
+
+    real, simulated = judge.real_samples(held_out_sets(maps)), judge.simulated_samples()
+    results = {}
+    for path in networks:
+        network = read_network(path)
+        results[f"{path.stem}, real"] = judge.evaluate(network, real)
+        results[f"{path.stem}, simulated"] = judge.evaluate(network, simulated)
+    typer.echo(judge.table(results))
+
+
+@app.command()
+def distributions(
+    maps: Annotated[Path, typer.Option(help="Real materials (`inverse pack`).")],
+    photographs: Annotated[Path, typer.Option(help="A folder of flash photographs, JPEGs.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The picture.")],
+    count: Annotated[int, typer.Option(min=2, help="Photographs drawn of each kind.")] = 300,
+    size: Annotated[
+        tuple[int, int], typer.Option(help="Texels of a photograph across and down.")
+    ] = (160, 128),
+) -> None:
+    """Plot what training draws against what real materials and photographs are like."""
+    from matcap.lab.inverse import distributions as of
+    from matcap.lab.inverse.packed import training_sets
+
+    sets = training_sets(maps)
+    measured = {
+        "drawn, real": of.drawn(count, sets, 1.0, size),
+        "drawn, simulated": of.drawn(count, sets, 0.0, size),
+        "real sets": of.of_sets(sets),
+        "photographs": of.of_photographs(photographs, size),
+    }
+    of.plot(measured, out)
+    typer.echo(of.table(measured))
+
+
+@app.command()
 def ship(
     folder: TrainingArgument,
     out: Annotated[Path, typer.Option("--out", "-o", help="The network's file.")] = Path(

@@ -197,7 +197,7 @@ def _blurred(radiance: Tensor, deviation: float) -> Tensor:
 
 def _exposed(radiance: Tensor, rng: np.random.Generator) -> tuple[Tensor, float]:
     """Exposure, noise, tone and clipping; and the gain between radiance and picture."""
-    clipped = rng.choice([0.0, 0.002, 0.02, 0.06], p=[0.3, 0.3, 0.25, 0.15])
+    clipped = rng.choice([0.0, 0.002, 0.01, 0.04], p=[0.4, 0.3, 0.2, 0.1])
     bright = float(torch.quantile(radiance.amax(0)[::2, ::2].flatten(), 1.0 - clipped))
     gain = min(rng.uniform(0.15, 0.4) / float(radiance.mean()), rng.uniform(0.7, 1.0) / bright)
     if clipped:

@@ -63,7 +63,7 @@ class TrainSettings:
     width: int = 224
     height: int = 160
     batch: int = 1
-    save_every: int = 250
+    save_every: int = 100
     workers: int = 1
     device: str = "cpu"
     style_every: int = 2
@@ -81,6 +81,7 @@ class State:
 
     Attributes:
         step: steps done.
+        shown: photographs seen by them.
         origin: card of the shipped network that the first leg went on from, or nothing.
         model, average: the network, and its weights' running average.
         first, second: Adam's moments, a parameter each.
@@ -89,6 +90,7 @@ class State:
     def __init__(self, config: InverseConfig, device: str) -> None:
         torch.manual_seed(0)
         self.step = 0
+        self.shown = 0
         self.origin: dict[str, Any] = {}
         self.model = Inverse(config).to(device)
         self.average = Inverse(config).to(device)
@@ -106,7 +108,8 @@ class State:
         write_tensors(path, tensors, self._told())
 
     def _told(self) -> dict[str, str]:
-        return {"step": json.dumps(self.step), "origin": json.dumps(self.origin)}
+        told = {"step": self.step, "shown": self.shown, "origin": self.origin}
+        return {name: json.dumps(value) for name, value in told.items()}
 
     def begin(self, path: Path) -> None:
         """Go on from a shipped network: its weights, no step done."""
@@ -119,6 +122,7 @@ class State:
         with safe_open(path, framework="pt") as file:
             told = file.metadata()
             self.step = json.loads(told["step"])
+            self.shown = json.loads(told.get("shown", told["step"]))
             self.origin = json.loads(told.get("origin", "{}"))
             for part, network in (("model", self.model), ("average", self.average)):
                 network.load_state_dict(
@@ -199,6 +203,7 @@ def train_step(
     parameters: list[Tensor] = list(state.model.parameters())
     gradients = torch.autograd.grad(loss, parameters)
     state.step += 1
+    state.shown += len(samples)
     _adam(state, parameters, gradients, settings.rate_at(state.step))
     decay = min(settings.average, state.step / (state.step + 10.0))
     with torch.no_grad():
@@ -252,12 +257,38 @@ def _made(asked: tuple[int, TrainSettings]) -> tuple[Tensor, Sample]:
     return inputs, sample
 
 
+def read_network(path: Path) -> Inverse:
+    """The network of a file, or the running average of a training's folder.
+
+    Raises:
+        MatcapError: it is neither.
+    """
+    return _trained(path).average if path.is_dir() else read_inverse(path)[0]
+
+
 def ship(folder: Path, out: Path) -> dict[str, Any]:
     """Write a training's running average as captures read it; returns its card.
 
     Raises:
         MatcapError: the folder holds no training.
     """
+    state = _trained(folder)
+    before = state.origin.get("photographs_seen", state.origin.get("steps", 0))
+    card = {
+        "steps": state.step,
+        "photographs_seen": before + state.shown,
+        "photographs": "of real map sets and simulated materials (matcap/lab/inverse/samples.py)",
+        "held_out": [
+            *HELD_OUT,
+            *(f"random materials of {name}" for name in HELD_OUT_PATTERNS),
+            "real sets by name (matcap/lab/inverse/packed.py, is_held_out)",
+        ],
+    }
+    save_inverse(state.average, out, card)
+    return card
+
+
+def _trained(folder: Path) -> State:
     path = folder / _STATE
     if not path.is_file():
         raise MatcapError(
@@ -267,10 +298,4 @@ def ship(folder: Path, out: Path) -> dict[str, Any]:
         )
     state = State(InverseConfig(), "cpu")
     state.load(path)
-    card = {
-        "steps": state.step,
-        "photographs": "simulated (matcap/lab/inverse/samples.py), another one every step",
-        "held_out": [*HELD_OUT, *(f"random materials of {name}" for name in HELD_OUT_PATTERNS)],
-    }
-    save_inverse(state.average, out, card)
-    return card
+    return state
