@@ -41,10 +41,22 @@ def train(
         int, typer.Option(min=0, help="Steps before the last over which the rate falls to nothing.")
     ] = 0,
     batch: Annotated[int, typer.Option(min=1, help="Photographs a step.")] = 1,
+    size: Annotated[
+        tuple[int, int], typer.Option(help="Texels of a photograph across and down, by 32.")
+    ] = (224, 160),
+    compiled: Annotated[
+        bool, typer.Option(help="Compile the losses: minutes at first, quicker after.")
+    ] = False,
     workers: Annotated[
         int, typer.Option(min=0, help="Processes that make photographs; 0 for none.")
     ] = 1,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
+    maps: Annotated[
+        Path | None, typer.Option(help="Real materials beside simulated ones (`inverse pack`).")
+    ] = None,
+    begin: Annotated[
+        Path | None, typer.Option("--from", help="A network's file that a first leg goes on from.")
+    ] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Train one leg on endless simulated photographs; legs continue one another exactly."""
@@ -53,9 +65,72 @@ def train(
 
     settings = TrainSettings(
         steps=steps, seconds=time_limit or float("inf"), rate=rate, cooling=cooling,
-        batch=batch, workers=workers, device=device,
+        batch=batch, workers=workers, device=device, maps=maps,
+        width=size[0], height=size[1], compiled=compiled,
     )  # fmt: skip
-    run(folder, settings, tell=(lambda _line: None) if quiet else _tell)
+    run(folder, settings, tell=(lambda _line: None) if quiet else _tell, begin=begin)
+
+
+@app.command()
+def pack(
+    folder: Annotated[
+        Path, typer.Argument(help="Folders with basecolor, normal, roughness and metallic.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The file.")] = Path("maps.pack"),
+    quiet: QuietOption = False,
+) -> None:
+    """Write map sets of real materials as the one file that training reads."""
+    from matcap.lab.inverse.packed import pack as run
+
+    count = run(folder, out)
+    if not quiet:
+        typer.echo(f"wrote {out}: {count} materials", err=True)
+
+
+@app.command()
+def evaluate(
+    networks: Annotated[
+        list[Path], typer.Argument(help="Networks' files, or folders of trainings.")
+    ],
+    maps: Annotated[Path, typer.Option(help="Real materials (`inverse pack`).")],
+) -> None:
+    """Judge networks by what none was trained on: real sets and simulated kinds held out."""
+    from matcap.lab.inverse import evaluate as judge
+    from matcap.lab.inverse.packed import held_out_sets
+    from matcap.lab.inverse.train import read_network
+
+    real, simulated = judge.real_samples(held_out_sets(maps)), judge.simulated_samples()
+    results = {}
+    for path in networks:
+        network = read_network(path)
+        results[f"{path.stem}, real"] = judge.evaluate(network, real)
+        results[f"{path.stem}, simulated"] = judge.evaluate(network, simulated)
+    typer.echo(judge.table(results))
+
+
+@app.command()
+def distributions(
+    maps: Annotated[Path, typer.Option(help="Real materials (`inverse pack`).")],
+    photographs: Annotated[Path, typer.Option(help="A folder of flash photographs, JPEGs.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The picture.")],
+    count: Annotated[int, typer.Option(min=2, help="Photographs drawn of each kind.")] = 300,
+    size: Annotated[
+        tuple[int, int], typer.Option(help="Texels of a photograph across and down.")
+    ] = (160, 128),
+) -> None:
+    """Plot what training draws against what real materials and photographs are like."""
+    from matcap.lab.inverse import distributions as of
+    from matcap.lab.inverse.packed import training_sets
+
+    sets = training_sets(maps)
+    measured = {
+        "drawn, real": of.drawn(count, sets, 1.0, size),
+        "drawn, simulated": of.drawn(count, sets, 0.0, size),
+        "real sets": of.of_sets(sets),
+        "photographs": of.of_photographs(photographs, size),
+    }
+    of.plot(measured, out)
+    typer.echo(of.table(measured))
 
 
 @app.command()

@@ -36,14 +36,17 @@ class Uniform:
 
 
 def uniform_radiance(
-    uniform: Uniform, points: Tensor, slope: tuple[float, float] = (0.0, 0.0), duller: float = 0.0
+    uniform: Uniform,
+    points: Tensor,
+    slope: tuple[float | Tensor, float | Tensor] = (0.0, 0.0),
+    duller: float = 0.0,
 ) -> tuple[Tensor, Tensor]:
     """Radiance (3, H, W) of the uniform material at plane points, and its diffuse part.
 
     Args:
         uniform: the material and its setup.
         points: (3, H, W).
-        slope: (dh/dx, dh/dy) of the whole plane.
+        slope: (dh/dx, dh/dy) of the whole plane, or of its places, as (H, W) spreads.
         duller: added to the logit of roughness.
     """
     setup = uniform.setup

@@ -3,12 +3,14 @@
 Beside the maps' own errors: renderings under lights it was not photographed by (Deschaintre et al.
 2018), which say how much an error shows; energies of slope and albedo per band and place, because
 L1 alone shrinks what is in doubt; statistics of the relit pictures, for the same reason; and the
-errors it expects of itself.
+errors it expects of itself. All pictures of a step at once, as tensors alone, so that what is
+between the network and the statistics can be compiled.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +19,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import Angles, dot, normalize, single_lobe
-from matcap.brdf.maps import MapSet
-from matcap.capture.piece.network.inputs import read_outputs, true_outputs
+from matcap.brdf.normals import normals_from_height
+from matcap.capture.piece.network.inputs import departures, true_outputs
 from matcap.capture.piece.network.network import OUTPUTS
 from matcap.lab.inverse.samples import Sample
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
@@ -30,10 +32,13 @@ _FLAT = 0.02  # root-mean-square slope, below which strength is not told apart
 _PLAIN = 0.02  # likewise of log albedo
 _BLACK = 0.02  # albedo: darker ones differ little to the eye
 _DARKEST = 0.01  # radiance, of a white plane's
-_LIGHTS = 2
+_THIN = 2  # every so manieth texel is lit from nearby: a highlight's place is random anyway
 # Of relit pictures; other filters than those a capture is tuned by or judged by.
 _BANK = FilterBank(FilterBankConfig(sizes=(5,), filters=20, levels=4, seed=91))
 _WHITE = 0.35  # radiance of a picture's mean, as its statistics are taken
+
+Parts = dict[str, Tensor]
+Compare = Callable[..., tuple[Parts, Tensor, Tensor]]  # `compared`, or that compiled
 
 
 @dataclass(frozen=True)
@@ -50,60 +55,159 @@ class LossWeights:
     doubt: float = 0.1
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """What a step's pictures truly are, stacked.
+
+    Attributes:
+        truth: (B, OUTPUTS, H, W) the answer the network should give.
+        base: (B, 5) logarithms of the coarse fit's albedo and F0, logit of its roughness.
+        points: (3, H, W) plane points, the same of all.
+        camera: (B, 3, 1, 1) places of the cameras.
+        near, far: (B, 3, 1, 1) places of two lights: mirrored somewhere in the picture, and afar.
+    """
+
+    truth: Tensor
+    base: Tensor
+    points: Tensor
+    camera: Tensor
+    near: Tensor
+    far: Tensor
+
+
+def wanted(samples: Sequence[Sample], rng: np.random.Generator) -> Wanted:
+    """The truth of samples of one size, and lights to compare under, drawn anew."""
+    points = samples[0].points
+    lights = [_lights(s, rng) for s in samples]
+    places = [(0.0, 0.0, s.uniform.setup.distance) for s in samples]
+
+    def column(vectors: Sequence[Sequence[float]]) -> Tensor:
+        return torch.tensor(vectors).to(points)[..., None, None]
+
+    return Wanted(
+        torch.stack([true_outputs(s.truth, s.uniform) for s in samples]),
+        torch.stack([departures(s.uniform) for s in samples]).to(points),
+        points,
+        column(places),
+        column([near for near, _ in lights]),
+        column([far for _, far in lights]),
+    )
+
+
 def loss_parts(
-    outputs: Tensor, sample: Sample, rng: np.random.Generator, lights: int = _LIGHTS
-) -> dict[str, Tensor]:
-    """Parts of the loss of one picture, scalars.
+    outputs: Tensor,
+    wanted: Wanted,
+    *,
+    style: bool = True,
+    compare: Compare | None = None,
+) -> Parts:
+    """Parts of the loss of a step's pictures, scalars: means over them.
 
     Args:
-        outputs: (OUTPUTS + ERRORS, H, W) of the network.
-        sample: what it was shown, and the truth.
-        rng: draws lights.
-        lights: rendered under.
+        outputs: (B, OUTPUTS + ERRORS, H, W) of the network.
+        wanted: the truth.
+        style: whether statistics of relit pictures are compared, which takes as long as the rest.
+        compare: `compared`, or that compiled.
     """
-    truth = true_outputs(sample.truth, sample.uniform)
-    found = outputs[:OUTPUTS]
-    maps = read_outputs(found, sample.uniform, sample.truth.texel_size)
-    # Of a metal's dark diffuse albedo nothing is seen but that it is dark.
-    albedo_found = (maps.diffuse + _BLACK).log()
-    albedo_true = (sample.truth.diffuse + _BLACK).log()
-    albedo_apart = (albedo_found - albedo_true).abs()
-    apart = (found - truth).abs()
-    slopes_found, slopes_true = _slopes(found[5:6]), _slopes(truth[5:6])
-    strength = slopes_true[0].square().mean().sqrt() + _FLAT
-    slope_apart = [(a - b).abs().mean() for a, b in zip(slopes_found, slopes_true, strict=True)]
-    fine = (slopes_found[0] - slopes_true[0]).abs().mean(0)
-    inner = (slice(1, -1), slice(1, -1))
-    errors = torch.stack([albedo_apart.mean(0)[inner], apart[3][inner], apart[4][inner], fine])
-    doubt = (outputs[OUTPUTS:, 1:-1, 1:-1] - (errors.detach() + 0.01).log()).abs().mean()
-    render, style = _rendered(maps, sample, rng, lights)
-    return {
-        "albedo": albedo_apart.mean(),
-        "specular": apart[3].mean(),
-        "roughness": apart[4].mean(),
-        "slope": torch.stack(slope_apart).sum() / strength,
-        "energy": _energies(slopes_found, slopes_true, albedo_found, albedo_true),
-        "render": render,
-        "style": style,
-        "doubt": doubt,
-    }
+    w = wanted
+    parts, found, true = (compare or compared)(
+        outputs, w.truth, w.base, w.points, w.camera, w.near, w.far
+    )
+    if style:
+        parts = {**parts, "style": _style(found, true)}
+    return parts
 
 
-def total(parts: dict[str, Tensor], weights: LossWeights = LossWeights()) -> Tensor:
+def total(parts: Parts, weights: LossWeights = LossWeights()) -> Tensor:
     """Weighted sum of the parts."""
     return torch.stack([getattr(weights, name) * part for name, part in parts.items()]).sum()
 
 
+def compared(
+    outputs: Tensor,
+    truth: Tensor,
+    base: Tensor,
+    points: Tensor,
+    camera: Tensor,
+    near: Tensor,
+    far: Tensor,
+) -> tuple[Parts, Tensor, Tensor]:
+    """All parts but the style, and (B, 3, H, W) pictures of found and true under the far light.
+
+    Args:
+        outputs: of the network; the others: as in Wanted.
+    """
+    found = outputs[:, :OUTPUTS]
+    size = 2.0 / points.shape[-1]
+    maps, true_maps = _surface(found, base), _surface(truth, base)
+    # Of a metal's dark diffuse albedo nothing is seen but that it is dark.
+    albedo_found, albedo_true = (maps[0] + _BLACK).log(), (true_maps[0] + _BLACK).log()
+    albedo_apart = (albedo_found - albedo_true).abs()
+    apart = (found[:, 3:5] - truth[:, 3:5]).abs()
+    slopes_found, slopes_true = _slopes(found[:, 5:6]), _slopes(truth[:, 5:6])
+    strength = slopes_true[0].square().mean((1, 2, 3)).sqrt() + _FLAT
+    slope_apart = [
+        (a - b).abs().mean((1, 2, 3)) for a, b in zip(slopes_found, slopes_true, strict=True)
+    ]
+    fine = (slopes_found[0] - slopes_true[0]).abs().mean(1, keepdim=True)
+    inner = (..., slice(1, -1), slice(1, -1))
+    errors = torch.cat([albedo_apart.mean(1, keepdim=True)[inner], apart[inner], fine], 1)
+    doubt = (outputs[:, OUTPUTS:, 1:-1, 1:-1] - (errors.detach() + 0.01).log()).abs().mean()
+    to_view = normalize(camera - points)
+    lit_maps = (*maps, normals_from_height(found[:, 5:6] * size, size))
+    lit_true = (*true_maps, normals_from_height(truth[:, 5:6] * size, size))
+    thin = (..., slice(None, None, _THIN), slice(None, None, _THIN))
+    near_found = _lit(tuple(m[thin] for m in lit_maps), points[thin], near, to_view[thin])
+    near_true = _lit(tuple(m[thin] for m in lit_true), points[thin], near, to_view[thin])
+    far_found = _lit(lit_maps, points, far, to_view)
+    far_true = _lit(lit_true, points, far, to_view)
+    gain = _WHITE / far_true.mean((1, 2, 3), keepdim=True)
+    parts = {
+        "albedo": albedo_apart.mean(),
+        "specular": apart[:, 0].mean(),
+        "roughness": apart[:, 1].mean(),
+        "slope": (torch.stack(slope_apart).sum(0) / strength).mean(),
+        "energy": _energies(slopes_found, slopes_true, albedo_found, albedo_true),
+        "render": 0.5 * (_log_apart(near_found, near_true) + _log_apart(far_found, far_true)),
+        "doubt": doubt,
+    }
+    return parts, far_found * gain, far_true * gain
+
+
+def _lights(sample: Sample, rng: np.random.Generator) -> tuple[list[float], list[float]]:
+    """Places of a light that shows a highlight in the picture, and of one afar."""
+    height, width = sample.points.shape[-2:]
+    x = float(sample.points[0, 0, int(rng.integers(width))])
+    y = float(sample.points[1, int(rng.integers(height)), 0])
+    up = rng.uniform(0.6, 2.5)
+    there = 1.0 + up / sample.uniform.setup.distance
+    polar, around = math.radians(rng.uniform(15.0, 68.0)), rng.uniform(0.0, 2.0 * math.pi)
+    away = rng.uniform(1.3, 3.0)
+    beside = away * math.sin(polar)
+    afar = [beside * math.cos(around), beside * math.sin(around), away * math.cos(polar)]
+    return [x * there, y * there, up], afar
+
+
+def _surface(outputs: Tensor, base: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Diffuse albedo, F0 and roughness of outputs, as read_outputs reads them."""
+    told = base[..., None, None] + outputs[:, :5]
+    return (
+        told[:, :3].exp().clamp(0.001, 0.99),
+        told[:, 3:4].exp().clamp(0.005, 0.99),
+        torch.sigmoid(told[:, 4:5].clamp(-7.0, 7.0)),
+    )
+
+
 def _slopes(height: Tensor) -> list[Tensor]:
-    """(2, h, w) slopes of heights (1, H, W) in texels, level by level of a pyramid."""
+    """(B, 2, h, w) slopes of heights (B, 1, H, W) in texels, level by level of a pyramid."""
     levels = []
     for level in range(_LEVELS):
         if level:
-            height = F.avg_pool2d(height[None], 2)[0]
+            height = F.avg_pool2d(height, 2)
         step = 2.0 * 2**level
-        across = (height[:, 1:-1, 2:] - height[:, 1:-1, :-2]) / step
-        down = (height[:, 2:, 1:-1] - height[:, :-2, 1:-1]) / step
-        levels.append(torch.cat([across, -down]))
+        across = (height[..., 1:-1, 2:] - height[..., 1:-1, :-2]) / step
+        down = (height[..., 2:, 1:-1] - height[..., :-2, 1:-1]) / step
+        levels.append(torch.cat([across, -down], 1))
     return levels
 
 
@@ -124,84 +228,51 @@ def _energies(
 
 
 def _strength(band: Tensor, cell: int, least: float) -> Tensor:
-    """Log root-mean-square of a band (C, h, w) in cells."""
-    squared = band.square().mean(0, keepdim=True)[None]
+    """Log root-mean-square of a band (B, C, h, w) in cells."""
+    squared = band.square().mean(1, keepdim=True)
     size = min(cell, *squared.shape[-2:])
     return 0.5 * (F.avg_pool2d(squared, size, stride=max(1, size // 2)) + least).log()
 
 
 def _bands(picture: Tensor) -> list[Tensor]:
-    """Differences between levels of a pyramid of a picture (C, H, W)."""
+    """Differences between levels of a pyramid of pictures (B, C, H, W)."""
     bands = []
     for _ in range(_LEVELS - 1):
-        coarse = F.avg_pool2d(picture[None], 2)
-        back = F.interpolate(coarse, scale_factor=2.0, mode="bilinear", align_corners=False)[0]
-        bands.append(picture[:, : back.shape[1], : back.shape[2]] - back)
-        picture = coarse[0]
+        coarse = F.avg_pool2d(picture, 2)
+        back = F.interpolate(coarse, scale_factor=2.0, mode="bilinear", align_corners=False)
+        bands.append(picture[..., : back.shape[-2], : back.shape[-1]] - back)
+        picture = coarse
     return bands
 
 
-def _rendered(
-    maps: MapSet, sample: Sample, rng: np.random.Generator, lights: int
-) -> tuple[Tensor, Tensor]:
-    """Mean difference of log radiance, and of style, under lights elsewhere."""
-    distance = sample.uniform.setup.distance
-    height, width = sample.points.shape[-2:]
-    camera = torch.tensor([0.0, 0.0, distance]).to(sample.points)[:, None, None]
-    to_view = normalize(camera - sample.points)
-    normals_found, normals_true = maps.normal, sample.truth.normal
-    differences: list[Tensor] = []
-    pairs: list[tuple[Tensor, Tensor]] = []
-    for index in range(lights):
-        if index == 0:  # a highlight somewhere in the picture
-            x = sample.points[0, 0, int(rng.integers(width))]
-            y = sample.points[1, int(rng.integers(height)), 0]
-            up = rng.uniform(0.6, 2.5)
-            there = torch.stack([x, y]) * (1.0 + up / distance)
-            light = torch.tensor([float(there[0]), float(there[1]), up])
-        else:
-            polar, around = math.radians(rng.uniform(15.0, 68.0)), rng.uniform(0.0, 2.0 * math.pi)
-            far = rng.uniform(1.3, 3.0)
-            light = far * torch.tensor(
-                [
-                    math.sin(polar) * math.cos(around),
-                    math.sin(polar) * math.sin(around),
-                    math.cos(polar),
-                ]
-            )
-        found = _lit(maps, normals_found, sample.points, light, to_view)
-        with torch.no_grad():
-            true = _lit(sample.truth, normals_true, sample.points, light, to_view)
-        differences.append(((found + _DARKEST).log() - (true + _DARKEST).log()).abs().mean())
-        if index:
-            gain = _WHITE / float(true.mean())
-            pairs.append(((found * gain), (true * gain)))
-    styles = [_style(a, b) for a, b in pairs]
-    return torch.stack(differences).mean(), torch.stack(styles).mean()
+def _log_apart(found: Tensor, true: Tensor) -> Tensor:
+    return ((found + _DARKEST).log() - (true + _DARKEST).log()).abs().mean()
 
 
 def _style(found: Tensor, true: Tensor) -> Tensor:
-    """Relative difference of Gram matrices of random filters of two pictures (3, H, W)."""
+    """Relative difference of Gram matrices of random filters of pictures (B, 3, H, W)."""
 
     def described(picture: Tensor) -> list[Tensor]:
-        toned = (picture.clamp(0.0, 1.5) + 1e-3).pow(1.0 / 2.2)[None]
+        toned = (picture.clamp(0.0, 1.5) + 1e-3).pow(1.0 / 2.2)
+        toned = toned.contiguous(memory_format=torch.channels_last)
         return [gram(_BANK.features(level)) for level in pyramid(toned, _BANK.levels)]
 
     with torch.no_grad():
-        wanted = described(true)
-    apart = [
-        (a - b).abs().mean() / (a.detach().abs().mean() + b.abs().mean() + 1e-6) * 2.0
-        for a, b in zip(described(found), wanted, strict=True)
-    ]
+        sought = described(true)
+    apart = []
+    for a, b in zip(described(found), sought, strict=True):
+        most = a.detach().abs().mean((1, 2)) + b.abs().mean((1, 2)) + 1e-6
+        apart.append(((a - b).abs().mean((1, 2)) / most * 2.0).mean())
     return torch.stack(apart).mean()
 
 
-def _lit(maps: MapSet, normal: Tensor, points: Tensor, light: Tensor, to_view: Tensor) -> Tensor:
-    """Radiance of maps by a light that makes a white plane's middle 1; float32 throughout."""
-    away = light.to(points)[:, None, None] - points
+def _lit(maps: tuple[Tensor, ...], points: Tensor, light: Tensor, to_view: Tensor) -> Tensor:
+    """Radiance of (diffuse, F0, roughness, normal) by lights that make a white plane's middle 1."""
+    diffuse, specular, roughness, normal = maps
+    away = light - points
     squared = dot(away, away)
     to_light = away * squared.rsqrt()
     angles = Angles.of(normal, to_light, to_view)
-    lobe = single_lobe(maps.specular, maps.roughness, angles)
-    strength = math.pi * float(light.square().sum()) ** 1.5 / float(light[2])
-    return (maps.diffuse / math.pi + lobe) * angles.n_dot_l / squared * strength
+    lobe = single_lobe(specular, roughness, angles)
+    strength = math.pi * dot(light, light) ** 1.5 / light[:, 2:]
+    return (diffuse / math.pi + lobe) * angles.n_dot_l / squared * strength

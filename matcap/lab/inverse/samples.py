@@ -9,7 +9,7 @@ what a developed picture's tone curve does, and a coarse fit that is off by what
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -22,6 +22,8 @@ from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import render_flash
 from matcap.flash.uniform import Uniform, uniform_radiance
+from matcap.lab.inverse.packed import PackedSet
+from matcap.lab.inverse.pieces import real_piece
 from matcap.lab.simulate.materials import realise
 from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
@@ -32,11 +34,13 @@ HELD_OUT_PATTERNS = ("creases", "woven")
 _NAMED = ("cloth", "rust", "plaster")
 _NAMED_SHARE, _KIND_SHARE = 0.05, 0.6
 _MARGIN = 2  # texels realised around, so that blur and normals see no border
-_TURNS, _VISITS = 16, 6  # pieces that take turns, photographs of each
+REAL_SHARE = 0.5  # of photographs, where real materials are at hand
+_TURNS, _VISITS = 16, 16  # pieces that take turns, photographs of each (real ones among them)
 _THIN = 4  # every fourth texel tells how bright a picture is
 # Logarithm of a coarse fit's F0 over the truth, mean and deviation: as far as it is off on the
 # examples, whose albedo takes some of a wide highlight.
 _SPECULAR_OFF = (-0.2, 0.4)
+_JPEGS = 0.25  # share of pictures that went through a JPEG at the scale they are read at
 _ROOM = 64  # texels by which a piece is larger than a picture
 
 Realise = Callable[[int, int, int, float], MapSet]
@@ -110,22 +114,31 @@ def draw_sample(
     width: int,
     height: int,
     material: Callable[[np.random.Generator], Realise] = training_material,
+    sets: Sequence[PackedSet] = (),
+    real: float = REAL_SHARE,
 ) -> Sample:
     """The sample of a number, `width` x `height` texels.
 
     Args:
         number: not negative.
         width, height: texels.
-        material: draws what is photographed.
+        material: draws what is photographed where it is simulated.
+        sets: real materials; without any all are simulated.
+        real: share of photographs of real ones.
     """
     rng = np.random.default_rng([number, 77])
-    maps, texel = _piece(number // (_TURNS * _VISITS) * _TURNS + number % _TURNS, width, material)
     pad = 2 * _MARGIN
-    realised = _cut(_turned(maps, rng), width + pad, height + pad, rng)
     # The picture spans x in [-1, 1]: the same slopes at the picture's own scale.
     size = 2.0 / width
-    maps = replace(realised, height=realised.height * (size / texel), texel_size=size)
-    maps = _strengthened(maps, rng)
+    if sets and rng.random() < real:
+        cut = real_piece(sets, rng, width + pad, height + pad)
+        maps = replace(cut, height=cut.height * size, texel_size=size)
+    else:
+        turn = number // (_TURNS * _VISITS) * _TURNS + number % _TURNS
+        whole, texel = _piece(turn, width, material)
+        cut = _cut(_turned(whole, rng), width + pad, height + pad, rng)
+        maps = replace(cut, height=cut.height * (size / texel), texel_size=size)
+        maps = _strengthened(maps, rng)
     setup = draw_setup(rng)
     around = plane_points(
         -_MARGIN, -_MARGIN, width + pad, height + pad, (width, height), dtype=torch.float32
@@ -184,7 +197,7 @@ def _blurred(radiance: Tensor, deviation: float) -> Tensor:
 
 def _exposed(radiance: Tensor, rng: np.random.Generator) -> tuple[Tensor, float]:
     """Exposure, noise, tone and clipping; and the gain between radiance and picture."""
-    clipped = rng.choice([0.0, 0.002, 0.02, 0.06], p=[0.3, 0.3, 0.25, 0.15])
+    clipped = rng.choice([0.0, 0.002, 0.01, 0.04], p=[0.4, 0.3, 0.2, 0.1])
     bright = float(torch.quantile(radiance.amax(0)[::2, ::2].flatten(), 1.0 - clipped))
     gain = min(rng.uniform(0.15, 0.4) / float(radiance.mean()), rng.uniform(0.7, 1.0) / bright)
     if clipped:
@@ -194,10 +207,28 @@ def _exposed(radiance: Tensor, rng: np.random.Generator) -> tuple[Tensor, float]
         middle = float(linear.median().clamp_min(1e-4))
         linear = middle * (linear / middle).clamp_min(1e-4) ** rng.uniform(0.8, 1.25)
         linear = linear * _drift(linear.shape[-2], linear.shape[-1], rng)
+        linear = _shouldered(linear, rng.uniform(0.0, 0.5))
     level = rng.uniform(0.0, 1.0) ** 2
     noise = torch.from_numpy(rng.standard_normal(tuple(linear.shape)).astype(np.float32))
     deviation = (linear.clamp_min(0.0) * (0.03 * level) ** 2 + (0.004 * level) ** 2).sqrt()
-    return (linear + deviation * noise).clamp(0.0, 1.0), gain
+    linear = (linear + deviation * noise).clamp(0.0, 1.0)
+    if rng.random() < _JPEGS:
+        linear = _compressed(linear, int(rng.integers(70, 97)))
+    return linear, gain
+
+
+def _shouldered(linear: Tensor, bend: float) -> Tensor:
+    """Highlights rolled off as phones do, 0 and 1 kept and what is beyond it still clipped."""
+    return torch.where(linear < 1.0, linear * (1.0 + bend) / (1.0 + bend * linear), linear)
+
+
+def _compressed(linear: Tensor, quality: int) -> Tensor:
+    """The picture (3, H, W) through a JPEG of its own size; what is clipped stays clipped."""
+    coded = linear.clamp_min(0.0).pow(1.0 / 2.2).mul(255.0).add(0.5).to(torch.uint8)
+    picture = np.ascontiguousarray(coded.flip(0).permute(1, 2, 0).numpy())
+    _, written = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    back = torch.from_numpy(cv2.imdecode(written, cv2.IMREAD_COLOR)).permute(2, 0, 1).flip(0)
+    return torch.where(linear >= 0.98, linear, (back.float() / 255.0).pow(2.2))
 
 
 def _drift(height: int, width: int, rng: np.random.Generator) -> Tensor:

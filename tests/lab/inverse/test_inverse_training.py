@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from matcap.capture.piece.network.inputs import network_inputs, true_outputs
-from matcap.capture.piece.network.network import ERRORS, InverseConfig
-from matcap.lab.inverse.losses import loss_parts, total
+from matcap.capture.piece.network.network import ERRORS, Inverse, InverseConfig
+from matcap.capture.piece.network.store import read_inverse, save_inverse
+from matcap.lab.inverse.losses import loss_parts, total, wanted
 from matcap.lab.inverse.samples import draw_sample, is_held_out, training_material
 from matcap.lab.inverse.train import TrainSettings, train
 from matcap.lab.simulate.materials import random_material
@@ -50,12 +51,13 @@ def test_the_truth_has_no_loss_but_doubt() -> None:
     sample = draw_sample(3, 96, 64)
     truth = true_outputs(sample.truth, sample.uniform)
     certain = torch.full((ERRORS, *truth.shape[-2:]), float(np.log(0.01)))
-    parts = loss_parts(torch.cat([truth, certain]), sample, np.random.default_rng(0))
+    true = wanted([sample], np.random.default_rng(0))
+    parts = loss_parts(torch.cat([truth, certain])[None], true)
     for name, part in parts.items():
         assert float(part) < 2e-3, name
     wrong = truth.clone()
     wrong[5] *= 0.3
-    shrunk = loss_parts(torch.cat([wrong, certain]), sample, np.random.default_rng(0))
+    shrunk = loss_parts(torch.cat([wrong, certain])[None], true)
     assert float(shrunk["energy"]) > 0.1
     assert float(shrunk["slope"]) > 0.1
 
@@ -69,6 +71,28 @@ def test_legs_continue_exactly(tmp_path: Path) -> None:
         assert torch.equal(a, b)
 
 
+def test_a_step_of_two_pictures_is_the_mean_of_theirs() -> None:
+    samples = [draw_sample(number, 64, 64) for number in (1, 2)]
+    outputs = 0.1 * torch.randn(2, 10, 64, 64, generator=torch.Generator().manual_seed(0))
+    rng = np.random.default_rng(0)
+    both = loss_parts(outputs, wanted(samples, rng))
+    rng = np.random.default_rng(0)  # which draws the lights of one after the other
+    each = [loss_parts(outputs[i : i + 1], wanted(samples[i : i + 1], rng)) for i in (0, 1)]
+    for name, part in both.items():
+        assert float(part) == pytest.approx(sum(float(e[name]) for e in each) / 2, rel=1e-4), name
+
+
+def test_a_first_leg_goes_on_from_a_shipped_network(tmp_path: Path) -> None:
+    torch.manual_seed(3)
+    save_inverse(Inverse(TINY), tmp_path / "before.safetensors", {"steps": 7})
+    before, _ = read_inverse(tmp_path / "before.safetensors")
+    none = TrainSettings(**{**vars(SMALL), "steps": 0})
+    state = train(tmp_path / "leg", none, TINY, _quiet, begin=tmp_path / "before.safetensors")
+    assert state.step == 0 and state.origin == {"steps": 7}
+    for a, b in zip(before.parameters(), state.average.parameters(), strict=True):
+        assert torch.equal(a, b)
+
+
 def test_the_rate_warms_up_stays_and_falls_to_nothing() -> None:
     cooled = TrainSettings(steps=10_000, rate=1e-3, cooling=4_000)
     rates = [cooled.rate_at(step) for step in (1, 200, 6_000, 8_000, 10_000, 10_001)]
@@ -79,15 +103,14 @@ def test_the_rate_warms_up_stays_and_falls_to_nothing() -> None:
 
 def test_a_few_steps_on_one_picture_lower_its_loss() -> None:
     torch.manual_seed(0)
-    from matcap.capture.piece.network.network import Inverse
-
     network = Inverse(TINY)
     sample = draw_sample(1, 64, 64)
     inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)[None]
+    true = wanted([sample], np.random.default_rng(0))
     optimiser = torch.optim.SGD(network.parameters(), lr=0.02)
     losses = []
     for _ in range(12):
-        loss = total(loss_parts(network(inputs)[0], sample, np.random.default_rng(0)))
+        loss = total(loss_parts(network(inputs), true))
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)

@@ -39,15 +39,7 @@ def network_inputs(linear: Tensor, valid: Tensor, uniform: Uniform, points: Tens
     # From the first texel to the last one, whose points lie on a grid.
     thin = _resized(points, size)
     flat, diffuse = uniform_radiance(uniform, thin)
-    middle = flat.mean(0, keepdim=True).log()
-
-    def change(slope: tuple[float, float] = (0.0, 0.0), duller: float = 0.0) -> Tensor:
-        moved = uniform_radiance(uniform, thin, slope, duller)[0]
-        return moved.mean(0, keepdim=True).log()
-
-    shows_x = (change((_STEP, 0.0)) - change((-_STEP, 0.0))) / (2.0 * _STEP)
-    shows_y = (change((0.0, _STEP)) - change((0.0, -_STEP))) / (2.0 * _STEP)
-    shows_roughness = (change(duller=_STEP) - middle) / _STEP
+    shows_x, shows_y, shows_roughness = _shown(uniform, thin, flat)
     gloss = 1.0 - diffuse.mean(0, keepdim=True) / flat.mean(0, keepdim=True)
     _, light = (v.to(points)[:, None, None] for v in camera_in_plane(uniform.setup))
     tangent = (light - thin)[:2] / (light - thin)[2:]
@@ -93,6 +85,12 @@ def read_outputs(outputs: Tensor, uniform: Uniform, texel_size: float) -> MapSet
     )
 
 
+def departures(uniform: Uniform) -> Tensor:
+    """(5,) what outputs depart from: logarithms of albedo and F0, logit of roughness."""
+    albedo = [math.log(value) for value in uniform.diffuse]
+    return torch.tensor([*albedo, math.log(uniform.specular), roughness_logit(uniform.roughness)])
+
+
 def true_outputs(maps: MapSet, uniform: Uniform) -> Tensor:
     """The inverse of read_outputs: (..., OUTPUTS, H, W) departures of true maps."""
     albedo = torch.tensor(uniform.diffuse).to(maps.diffuse).log()[:, None, None]
@@ -105,6 +103,29 @@ def true_outputs(maps: MapSet, uniform: Uniform) -> Tensor:
         ],
         dim=-3,
     )
+
+
+def _shown(uniform: Uniform, points: Tensor, flat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """What log radiance changes by with slope along x and y and with logit roughness, (1, h, w).
+
+    Args:
+        uniform: the coarse fit.
+        points: (3, h, w).
+        flat: (3, h, w) its radiance there.
+    """
+    # One picture above the other: small tensors cost by the call.
+    moves = ((_STEP, 0.0), (-_STEP, 0.0), (0.0, _STEP), (0.0, -_STEP))
+    height = points.shape[-2]
+    x, y = (
+        torch.tensor(v).to(points).repeat_interleave(height)[:, None]
+        for v in zip(*moves, strict=True)
+    )
+    moved = uniform_radiance(uniform, points.repeat(1, len(moves), 1), (x, y))[0]
+    right, left, up, down = moved.mean(0, keepdim=True).log().split(height, dim=-2)
+    duller = uniform_radiance(uniform, points, duller=_STEP)[0].mean(0, keepdim=True).log()
+    middle = flat.mean(0, keepdim=True).log()
+    step = 2.0 * _STEP
+    return (right - left) / step, (up - down) / step, (duller - middle) / _STEP
 
 
 def _resized(picture: Tensor, size: tuple[int, ...]) -> Tensor:

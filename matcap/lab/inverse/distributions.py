@@ -1,0 +1,170 @@
+"""What training shows against what there is: marginal distributions, drawn beside each other.
+
+Of maps: mean tilt, roughness, F0, albedo and its contrast, drawn real, drawn simulated and as the
+sets have them. Of pictures, which is all that a photograph tells: contrast that is not slow, and
+the share that is clipped, drawn and in real photographs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from matcap.brdf.maps import MapSet
+from matcap.errors import MatcapError
+from matcap.files.staging import staged_file
+from matcap.lab.inverse.packed import PackedSet
+from matcap.lab.inverse.samples import draw_sample
+
+# What is measured of maps, then of pictures, and whether it goes over decades.
+QUANTITIES: Mapping[str, bool] = {
+    "mean tilt, degrees": False,
+    "roughness": False,
+    "F0": True,
+    "albedo": True,
+    "contrast of albedo (log)": False,
+    "contrast of picture (log)": False,
+    "clipped share": True,
+}
+_SLOW = 12.0  # texels: deviation of the mean that a picture's contrast is taken from
+_LONG_SIDE = 640  # texels that photographs are read at
+_CLIPPED, _LEAST = 0.98, 1e-4
+_FIRST = 70_000_000  # numbers of samples, beyond training's and evaluation's
+
+Measured = dict[str, list[float]]
+Picture = NDArray[np.float32]
+
+
+def of_maps(maps: MapSet) -> dict[str, float]:
+    """What is measured of maps."""
+    tilt = maps.normal[..., 2, :, :].clamp(-1.0, 1.0).acos().mean()
+    return {
+        "mean tilt, degrees": math.degrees(float(tilt)),
+        "roughness": float(maps.roughness.mean()),
+        "F0": float(maps.specular.mean()),
+        "albedo": float(maps.diffuse.mean()),
+        "contrast of albedo (log)": float((maps.diffuse.mean(-3) + 1e-3).log().std()),
+    }
+
+
+def of_picture(linear: Picture) -> dict[str, float]:
+    """What is measured of a picture (H, W, 3), clipped at 1."""
+    log = np.log(linear.mean(-1) + 1e-3)
+    rest = log - cv2.GaussianBlur(log, (0, 0), _SLOW)
+    clipped = float((linear.max(-1) >= _CLIPPED).mean())
+    return {"contrast of picture (log)": float(rest.std()), "clipped share": max(clipped, _LEAST)}
+
+
+def drawn(count: int, sets: Sequence[PackedSet], real: float, size: tuple[int, int]) -> Measured:
+    """Of training's photographs: of real materials (`real` 1) or of simulated ones (0)."""
+    found: Measured = {name: [] for name in QUANTITIES}
+    for index in range(count):
+        # Simulated pieces are drawn for many numbers: each its own.
+        sample = draw_sample(_FIRST + 1000 * index, *size, sets=sets, real=real)
+        linear = np.ascontiguousarray(sample.linear.permute(1, 2, 0).numpy())
+        _add(found, {**of_maps(sample.truth), **of_picture(linear)})
+    return found
+
+
+def of_sets(sets: Sequence[PackedSet]) -> Measured:
+    """Of the sets as they are."""
+    found: Measured = {name: [] for name in QUANTITIES}
+    for packed in sets:
+        stacked = torch.cat([packed.surface[0].float(), packed.height[0]])
+        _add(found, of_maps(MapSet.from_stacked(stacked, 1.0, periodic=True)))
+    return found
+
+
+def of_photographs(folder: Path, size: tuple[int, int]) -> Measured:
+    """Of real photographs' middles, in windows of the size that training shows.
+
+    Raises:
+        MatcapError: there is none.
+    """
+    found: Measured = {name: [] for name in QUANTITIES}
+    for path in sorted(folder.glob("*.jpg")):
+        read = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if read is None:
+            continue
+        height, width = read.shape[:2]
+        scale = _LONG_SIDE / max(height, width)
+        small = cv2.resize(read, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        linear = (np.asarray(small, np.float32) / 255.0) ** 2.2
+        _add(found, _windows(linear, size))
+    if not found["clipped share"]:
+        raise MatcapError(
+            "there are no photographs in this folder",
+            where=str(folder),
+            remedy="give a folder of JPEGs",
+        )
+    return found
+
+
+def plot(measured: Mapping[str, Measured], path: Path) -> None:
+    """Cumulative shares of each quantity, a curve a kind, as a PNG.
+
+    Raises:
+        MatcapError: matplotlib is not installed, or the file cannot be written.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MatcapError(
+            "drawing the picture needs the package matplotlib",
+            remedy="install it with: pip install 'matcap[bench]'",
+        ) from error
+    figure = Figure(figsize=(14.0, 6.0))
+    FigureCanvasAgg(figure)
+    for place, (name, decades) in enumerate(QUANTITIES.items()):
+        axes = figure.add_subplot(2, 4, place + 1)
+        for kind, values in measured.items():
+            if values[name]:
+                ordered = np.sort(values[name])
+                axes.plot(ordered, np.linspace(0.0, 1.0, len(ordered)), label=kind, linewidth=1.2)
+        if decades:
+            axes.set_xscale("log")
+        axes.set_title(name, fontsize=9)
+        axes.grid(alpha=0.25)
+        axes.legend(fontsize=7)
+    figure.tight_layout()
+    with staged_file(path) as file:
+        figure.savefig(file, format="png", dpi=80, metadata={"Software": None})
+
+
+def table(measured: Mapping[str, Measured]) -> str:
+    """Markdown: 5, 25, 50, 75 and 95 % of each quantity, a column a kind."""
+    lines = ["| 5, 25, 50, 75, 95 % | " + " | ".join(measured) + " |"]
+    lines.append("|---|" + "---|" * len(measured))
+    for name in QUANTITIES:
+        cells = []
+        for values in measured.values():
+            shares = (0.05, 0.25, 0.5, 0.75, 0.95) if values[name] else ()
+            cells.append(" ".join(f"{np.quantile(values[name], s):.3g}" for s in shares))
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _windows(linear: Picture, size: tuple[int, int]) -> dict[str, float]:
+    """Mean of what is measured of a picture's windows, side by side."""
+    width, height = size
+    rows, columns = linear.shape[0] // height, linear.shape[1] // width
+    each = [
+        of_picture(
+            np.ascontiguousarray(linear[y * height : (y + 1) * height, x * width : (x + 1) * width])
+        )
+        for y in range(rows)
+        for x in range(columns)
+    ]
+    return {name: float(np.mean([e[name] for e in each])) for name in each[0]}
+
+
+def _add(found: Measured, measured: Mapping[str, float]) -> None:
+    for name, value in measured.items():
+        found[name].append(value)

@@ -1,0 +1,268 @@
+"""How right the inverse network is about materials that it was not trained on.
+
+Always the same photographs: of real sets held out by name, and of simulated materials held out by
+kind. Beside the loss's parts stands what the piece lives on: slopes that lie where they should and
+are as steep as they should be, albedo's contrast, the error of relit pictures against that of the
+photograph itself taken for albedo, and whether the errors it expects are those it makes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, fields
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from matcap.brdf.cook_torrance import cook_torrance, dot, normalize
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.network.inputs import network_inputs, read_outputs, true_outputs
+from matcap.capture.piece.network.network import ERRORS, OUTPUTS, Inverse
+from matcap.lab.inverse.losses import loss_parts, total, wanted
+from matcap.lab.inverse.packed import PackedSet
+from matcap.lab.inverse.samples import (
+    HELD_OUT,
+    Realise,
+    Sample,
+    draw_sample,
+    is_held_out,
+)
+from matcap.lab.simulate.materials import realise
+from matcap.lab.simulate.materials.varied import random_material
+
+DOUBTS = ("albedo", "F0", "roughness", "slope")
+_FIRST = 50_000_000  # numbers of samples, beyond training's
+_SIZE = (320, 224)
+_FLAT = 0.01  # tilt in radians, and deviation of log albedo: below it none is told apart
+_DARKEST = 0.01  # radiance, of a white plane's
+_BIT = 0.01  # error that the network's expectation is of, at least (losses.py)
+_SAMPLED = 4  # every so manieth texel, each way, tells of doubt
+# Polar angle and azimuth in degrees, and distance, of the lights that pictures are relit by.
+_LIGHTS = ((20.0, 40.0, 2.0), (40.0, 160.0, 2.0), (55.0, 280.0, 2.5), (68.0, 100.0, 2.5))
+
+
+@dataclass(frozen=True)
+class Score:
+    """Of one photograph, or the mean of several.
+
+    Attributes:
+        loss: all parts together.
+        albedo, specular, roughness: mean differences of logarithms and of the logit.
+        slope, energy, render, style, doubt: the loss's other parts.
+        correlation: of slopes with the true ones.
+        tilt: mean tilt found over the true one, as a logarithm.
+        tilt_off: its magnitude.
+        contrast: deviation of log albedo found over the true one, as a logarithm.
+        contrast_off: its magnitude.
+        roughness_off: mean difference of roughness.
+        relit: mean difference of log radiance under four lights.
+        photograph: likewise of the photograph taken for albedo.
+    """
+
+    loss: float
+    albedo: float
+    specular: float
+    roughness: float
+    slope: float
+    energy: float
+    render: float
+    style: float
+    doubt: float
+    correlation: float
+    tilt: float
+    tilt_off: float
+    contrast: float
+    contrast_off: float
+    roughness_off: float
+    relit: float
+    photograph: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a network reaches on one kind of photographs.
+
+    Attributes:
+        score: mean of all photographs.
+        calibration: (4, 10) of albedo, F0, roughness and slope, by tenths of what is expected:
+            the median error over the expected one, 1 where doubt is calibrated.
+        photographs: how many.
+    """
+
+    score: Score
+    calibration: Tensor
+    photographs: int
+
+
+def real_samples(sets: Sequence[PackedSet], each: int = 2) -> list[Sample]:
+    """Photographs of real materials, so many of each."""
+    return [
+        draw_sample(_FIRST + 100 * index + visit, *_SIZE, sets=(packed,), real=1.0)
+        for index, packed in enumerate(sets)
+        for visit in range(each)
+    ]
+
+
+def simulated_samples(count: int = 24) -> list[Sample]:
+    """Photographs of simulated materials of kinds that are held out."""
+    apart = 1_000_000  # so that each is of a piece of its own
+    return [
+        draw_sample(_FIRST + apart + 10_000 * i, *_SIZE, material=_left_out) for i in range(count)
+    ]
+
+
+def evaluate(network: Inverse, samples: Sequence[Sample]) -> Evaluation:
+    """Scores of a network on photographs."""
+    scores, expected, errors = [], [], []
+    for index, sample in enumerate(samples):
+        inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
+        with torch.no_grad():
+            outputs = network(inputs[None])[0]
+        scores.append(score(outputs, sample, np.random.default_rng([index, 6])))
+        told, made = doubts(outputs, sample)
+        expected.append(told)
+        errors.append(made)
+    mean = [sum(column) / len(scores) for column in zip(*map(astuple, scores), strict=True)]
+    ratios = calibration(torch.cat(expected, 1), torch.cat(errors, 1))
+    return Evaluation(Score(*mean), ratios, len(scores))
+
+
+@torch.no_grad()
+def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> Score:
+    """Of one answer (OUTPUTS + ERRORS, H, W)."""
+    parts = loss_parts(outputs[None], wanted([sample], rng))
+    truth = sample.truth
+    maps = read_outputs(outputs[:OUTPUTS], sample.uniform, truth.texel_size)
+    found, true = _slopes(maps.normal), _slopes(truth.normal)
+    tilt = _log_ratio(_tilt(maps.normal), _tilt(truth.normal))
+    contrast = _log_ratio(_contrast(maps.diffuse), _contrast(truth.diffuse))
+    told = {name: float(part) for name, part in parts.items()}
+    return Score(
+        loss=float(total(parts)),
+        **told,
+        correlation=_correlation(found, true),
+        tilt=tilt,
+        tilt_off=abs(tilt),
+        contrast=contrast,
+        contrast_off=abs(contrast),
+        roughness_off=float((maps.roughness - truth.roughness).abs().mean()),
+        relit=relit_error(maps, truth, sample),
+        photograph=relit_error(photograph_as_albedo(sample), truth, sample),
+    )
+
+
+def photograph_as_albedo(sample: Sample) -> MapSet:
+    """Flat maps whose albedo is the picture, as bright on the mean as the coarse fit's."""
+    picture = sample.linear
+    gain = torch.tensor(sample.uniform.diffuse)[:, None, None] / picture.mean((1, 2), keepdim=True)
+    one = torch.ones_like(picture[:1])
+    return MapSet(
+        (picture * gain).clamp(0.001, 0.99),
+        one * sample.uniform.specular,
+        one * sample.uniform.roughness,
+        0.0 * one,
+        sample.truth.texel_size,
+    )
+
+
+def relit_error(maps: MapSet, truth: MapSet, sample: Sample) -> float:
+    """Mean difference of log radiance under lights from elsewhere, each picture's level aside."""
+    points = sample.points
+    camera = torch.tensor([0.0, 0.0, sample.uniform.setup.distance])[:, None, None]
+    to_view = normalize(camera - points)
+    apart = []
+    for polar, around, far in _LIGHTS:
+        polar, around = math.radians(polar), math.radians(around)
+        beside = far * math.sin(polar)
+        place = [beside * math.cos(around), beside * math.sin(around), far * math.cos(polar)]
+        away = torch.tensor(place)[:, None, None] - points
+        strength = math.pi * far**3 / place[2] / dot(away, away)
+
+        def lit(m: MapSet, to_light: Tensor, strength: Tensor) -> Tensor:
+            normal = m.normal
+            f = cook_torrance(m.diffuse, m.specular, m.roughness, normal, to_light, to_view)
+            return (f * dot(normal, to_light).clamp_min(0.0) * strength + _DARKEST).log()
+
+        off = lit(maps, normalize(away), strength) - lit(truth, normalize(away), strength)
+        # What one photograph cannot tell, the gain between flash and albedo, cancels.
+        apart.append(float((off - off.median()).abs().mean()))
+    return sum(apart) / len(apart)
+
+
+def doubts(outputs: Tensor, sample: Sample) -> tuple[Tensor, Tensor]:
+    """(ERRORS, n) errors that are expected, and those that are made."""
+    truth = true_outputs(sample.truth, sample.uniform)
+    found = outputs[:OUTPUTS]
+    maps = read_outputs(found, sample.uniform, sample.truth.texel_size)
+    black = 0.02  # as the losses have it
+    albedo = ((maps.diffuse + black).log() - (sample.truth.diffuse + black).log()).abs().mean(0)
+    gloss = (found[3:5] - truth[3:5]).abs()
+    slope = (_slopes(maps.normal) - _slopes(sample.truth.normal)).abs().mean(0)
+    made = torch.stack([albedo, gloss[0], gloss[1], slope])
+    thin = (..., slice(1, -1, _SAMPLED), slice(1, -1, _SAMPLED))
+    expected = outputs[OUTPUTS:].exp() - _BIT
+    return expected[thin].reshape(ERRORS, -1), made[thin].reshape(ERRORS, -1)
+
+
+def calibration(expected: Tensor, made: Tensor, tenths: int = 10) -> Tensor:
+    """(C, tenths) median errors over expected ones, by what is expected, both (C, n)."""
+    order = expected.argsort(1)
+    rows = []
+    for told, errors in zip(expected.gather(1, order), made.gather(1, order), strict=True):
+        bins = zip(told.tensor_split(tenths), errors.tensor_split(tenths), strict=True)
+        rows.append(
+            torch.stack(
+                [(e.median() + _BIT) / (t.median() + _BIT).clamp_min(_BIT) for t, e in bins]
+            )
+        )
+    return torch.stack(rows)
+
+
+def table(results: dict[str, Evaluation]) -> str:
+    """Markdown: a row a number, a column a network and kind of photographs."""
+    lines = ["| | " + " | ".join(results) + " |", "|---|" + "---:|" * len(results)]
+    for field in fields(Score):
+        row = " | ".join(f"{getattr(r.score, field.name):.3f}" for r in results.values())
+        lines.append(f"| {field.name} | {row} |")
+    for index, name in enumerate(DOUBTS):
+        worst = [float((r.calibration[index].log()).abs().max().exp()) for r in results.values()]
+        lines.append(f"| doubt of {name}, worst tenth off by | " + " | ".join(
+            f"{w:.2f}" for w in worst
+        ) + " |")  # fmt: skip
+    return "\n".join(lines)
+
+
+def _left_out(rng: np.random.Generator) -> Realise:
+    """A material of a kind that is held out: half named ones, half patterns."""
+    if rng.random() < 0.5:
+        name = str(rng.choice(HELD_OUT))
+        return lambda width, height, seed, texel: realise(name, width, height, seed, texel)
+    while not is_held_out(material := random_material(rng)):
+        pass
+    made: Callable[[int, int, int, float], MapSet] = material.realise
+    return made
+
+
+def _slopes(normal: Tensor) -> Tensor:
+    return -normal[:2] / normal[2:].clamp_min(1e-3)
+
+
+def _tilt(normal: Tensor) -> float:
+    return float(normal[2].clamp(-1.0, 1.0).acos().mean())
+
+
+def _contrast(diffuse: Tensor) -> float:
+    return float((diffuse.mean(0) + 1e-3).log().std())
+
+
+def _log_ratio(found: float, true: float) -> float:
+    return math.log((found + _FLAT) / (true + _FLAT))
+
+
+def _correlation(found: Tensor, true: Tensor) -> float:
+    """Of two fields (2, H, W), their means aside."""
+    a = found - found.mean((1, 2), keepdim=True)
+    b = true - true.mean((1, 2), keepdim=True)
+    return float((a * b).sum() / (a.square().sum() * b.square().sum()).sqrt().clamp_min(1e-9))

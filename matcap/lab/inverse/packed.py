@@ -1,0 +1,211 @@
+"""Map sets of real materials in one file, as training reads them: in half precision, by level.
+
+A set's folder holds `basecolor`, `normal`, `roughness` and, where some of it is metal, `metallic`,
+as ../data/maps/README.md of the project tells. Relief is integrated from the normals, whose scale
+is told, where a height's is not. Every level halves the one before; slopes that are lost by it
+count as roughness, as they do to an eye further away.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+from matcap.errors import MatcapError
+from matcap.files.tensors import write_tensors
+
+LEVELS = 3  # full, half, quarter
+_EVERY, _LEFT_OUT = 5, 1  # of so many sets one is held out: the rest that has something of each
+_DIELECTRIC = 0.04  # F0 of what is no metal
+_LUMINANCE = (0.2126, 0.7152, 0.0722)
+_STEEPEST = math.tan(math.radians(75.0))  # a normal map's texels further down are no slopes
+_KEY = "matcap-maps"
+_VERSION = 1
+
+Picture = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class PackedSet:
+    """Maps of one material, tileable, level by level.
+
+    Attributes:
+        name: of its folder.
+        surface: level by level (5, H, W) float16: diffuse albedo (linear, 3), F0, roughness.
+        height: level by level (1, H, W) float32 in texels of that level, of mean 0.
+    """
+
+    name: str
+    surface: tuple[Tensor, ...]
+    height: tuple[Tensor, ...]
+
+
+def is_held_out(name: str) -> bool:
+    """Whether a set is left out of training: a fifth, by its name alone."""
+    return zlib.crc32(name.encode()) % _EVERY == _LEFT_OUT
+
+
+def pack(folder: Path, out: Path) -> int:
+    """Write all sets in a folder as one file; returns how many.
+
+    Raises:
+        MatcapError: there is none, or one of them cannot be read.
+    """
+    names = sorted(path.parent.name for path in folder.glob("*/normal.*"))
+    if not names:
+        raise MatcapError(
+            "there are no map sets in this folder",
+            where=str(folder),
+            remedy="give a folder of folders with basecolor, normal and roughness",
+        )
+    bare = _bare_metals(folder / "manifest.json")
+    tensors: dict[str, Tensor] = {}
+    for name in names:
+        surface, height = read_set(folder / name, bare_metal=name in bare)
+        for level in range(LEVELS):
+            if level:
+                surface, height = halved(surface, height)
+            tensors[f"{name}/{level}/surface"] = torch.from_numpy(surface).half()
+            tensors[f"{name}/{level}/height"] = torch.from_numpy(height)
+    write_tensors(out, tensors, {_KEY: json.dumps({"version": _VERSION, "names": names})})
+    return len(names)
+
+
+def read_set(folder: Path, *, bare_metal: bool = False) -> tuple[Picture, Picture]:
+    """(5, H, W) diffuse albedo, F0 and roughness, and (1, H, W) height in texels, of a folder.
+
+    Args:
+        folder: of one set; sides multiples of 2^(LEVELS - 1).
+        bare_metal: all of it is metal where nothing else is said.
+    """
+    colour = _linear(_read(folder, "basecolor", 3))
+    normal = _read(folder, "normal", 3) * 2.0 - 1.0
+    roughness = _read(folder, "roughness", 1)
+    plain = np.full_like(roughness, 1.0 if bare_metal else 0.0)
+    has_metal = any(folder.glob("metallic.*"))
+    metallic = _read(folder, "metallic", 1) if has_metal else plain
+    luminance = np.tensordot(np.asarray(_LUMINANCE, np.float32), colour, axes=1)[None]
+    specular = _DIELECTRIC * (1.0 - metallic) + luminance * metallic
+    surface = np.concatenate([colour * (1.0 - metallic), specular, roughness])
+    slopes = -normal[:2] / np.maximum(normal[2:], math.cos(math.atan(_STEEPEST)))
+    steepness = np.sqrt(np.square(slopes).sum(0, keepdims=True))
+    slopes = slopes * np.minimum(1.0, _STEEPEST / np.maximum(steepness, 1e-6))
+    return surface.astype(np.float32), integrated(slopes)
+
+
+def integrated(slopes: NDArray[np.floating]) -> Picture:
+    """(1, H, W) periodic height in texels whose central differences are nearest to slopes.
+
+    Args:
+        slopes: (2, H, W) dh/dx and dh/dy, y upwards; their means, which no tile has, are left out.
+    """
+    height, width = slopes.shape[-2:]
+    across = 1j * np.sin(2.0 * np.pi * np.fft.fftfreq(width))[None, :]
+    down = -1j * np.sin(2.0 * np.pi * np.fft.fftfreq(height))[:, None]
+    power = np.abs(across) ** 2 + np.abs(down) ** 2
+    spectrum = np.conj(across) * np.fft.fft2(slopes[0]) + np.conj(down) * np.fft.fft2(slopes[1])
+    # Central differences do not see the finest waves: those are not made up.
+    seen = power > 1e-9
+    spectrum = np.where(seen, spectrum / np.where(seen, power, 1.0), 0.0)
+    return np.real(np.fft.ifft2(spectrum)).astype(np.float32)[None]
+
+
+def halved(surface: Picture, height: Picture) -> tuple[Picture, Picture]:
+    """The same set at half its resolution: slopes that are lost widen the lobe."""
+    fine = np.square(_slopes(height)).sum(0, keepdims=True)
+    coarse_height = _mean(height) / 2.0
+    lost = np.maximum(_mean(fine) - np.square(_slopes(coarse_height)).sum(0, keepdims=True), 0.0)
+    # Mirrored light goes with F0, and of two lobes the mean is as wide as their alphas' squares.
+    coarse = _mean(np.concatenate([surface[:4], surface[4:] ** 4]))
+    coarse[4:] = np.minimum(coarse[4:] + lost, 1.0) ** 0.25
+    return coarse, coarse_height
+
+
+@cache
+def open_pack(path: Path) -> Mapping[str, PackedSet]:
+    """All sets of a file by name; read once a process.
+
+    Raises:
+        MatcapError: it is no such file.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            names: Sequence[str] = json.loads((file.metadata() or {})[_KEY])["names"]
+
+            def levels(name: str, what: str) -> tuple[Tensor, ...]:
+                return tuple(file.get_tensor(f"{name}/{i}/{what}") for i in range(LEVELS))
+
+            return {n: PackedSet(n, levels(n, "surface"), levels(n, "height")) for n in names}
+    except (OSError, SafetensorError, KeyError, ValueError) as error:
+        raise MatcapError(
+            f"these are no packed maps ({error})",
+            where=str(path),
+            remedy="make them with `matcap inverse pack`",
+        ) from error
+
+
+@cache
+def training_sets(path: Path) -> tuple[PackedSet, ...]:
+    """The sets of a file that may be trained on."""
+    return tuple(s for name, s in open_pack(path).items() if not is_held_out(name))
+
+
+def held_out_sets(path: Path) -> tuple[PackedSet, ...]:
+    """The sets of a file that are left out."""
+    return tuple(s for name, s in open_pack(path).items() if is_held_out(name))
+
+
+def _read(folder: Path, name: str, channels: int) -> Picture:
+    """(channels, H, W) in [0, 1] of a picture, whatever its kind."""
+    found = sorted(folder.glob(f"{name}.*"))
+    flag = cv2.IMREAD_COLOR if channels == 3 else cv2.IMREAD_GRAYSCALE
+    picture = cv2.imread(str(found[0]), flag | cv2.IMREAD_ANYDEPTH) if found else None
+    if picture is None:
+        raise MatcapError(
+            f"there is no {name} in this set, or it cannot be read",
+            where=str(folder),
+            remedy="give a folder of folders with basecolor, normal and roughness",
+        )
+    scaled = np.asarray(picture, np.float32) / (65535.0 if picture.dtype == np.uint16 else 255.0)
+    if channels == 1:
+        return np.ascontiguousarray(scaled[None])
+    return np.ascontiguousarray(scaled[..., ::-1].transpose(2, 0, 1))
+
+
+def _linear(colour: Picture) -> Picture:
+    low, high = colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4
+    return np.asarray(np.where(colour <= 0.04045, low, high), np.float32)
+
+
+def _bare_metals(manifest: Path) -> frozenset[str]:
+    """Sets that are metal though they have no map that says so."""
+    if not manifest.is_file():
+        return frozenset()
+    told = json.loads(manifest.read_text())
+    return frozenset(s["name"] for s in told if "bare metal" in s.get("remarks", ""))
+
+
+def _slopes(height: Picture) -> Picture:
+    """(2, H, W) central differences of a periodic height (1, H, W) in texels."""
+    across = (np.roll(height, -1, -1) - np.roll(height, 1, -1)) / 2.0
+    down = (np.roll(height, 1, -2) - np.roll(height, -1, -2)) / 2.0
+    return np.concatenate([across, down])
+
+
+def _mean(picture: Picture) -> Picture:
+    """Means of 2 x 2 texels of (C, H, W)."""
+    channels, height, width = picture.shape
+    cells = picture.reshape(channels, height // 2, 2, width // 2, 2)
+    return np.asarray(cells.mean((2, 4)), np.float32)

@@ -1,0 +1,149 @@
+"""Pieces of real materials as training shows them: cut, scaled, turned, mirrored, coloured anew.
+
+All is drawn within what real materials are like, so that a few dozen sets stand for many: the
+same bricks paler, wetter, further away, with half their relief.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from matcap.brdf.maps import MapSet
+from matcap.lab.inverse.packed import LEVELS, PackedSet
+
+_SCALES = (0.3, 2.0)  # texels of the picture to one of the set
+_STRENGTHS = (0.5, 2.0)  # of relief
+_STEEP = 0.9  # root-mean-square slope that relief is not strengthened beyond
+_LEVELLED = 1.0 / 3.0  # share of pieces at no quarter turn
+_MARGIN = 3  # texels around what is read, for cubic weights
+_DARKEST, _PALEST = 0.01, 0.92  # mean albedos of real materials lie within
+_METAL = 0.12  # F0 above which a texel is some metal's
+_MASKED = 0.12  # share of pieces of two materials
+
+Picture = NDArray[np.float32]
+
+
+def real_piece(
+    sets: Sequence[PackedSet], rng: np.random.Generator, width: int, height: int
+) -> MapSet:
+    """A piece of one of the sets, or of two across a mask; heights and texels in texels.
+
+    Args:
+        sets: to draw from.
+        rng: draws everything.
+        width, height: texels.
+    """
+    first = _piece(sets[int(rng.integers(len(sets)))], rng, width, height)
+    if rng.random() < _MASKED:
+        first = masked(first, _piece(sets[int(rng.integers(len(sets)))], rng, width, height), rng)
+    maps = MapSet.from_stacked(torch.from_numpy(first), 1.0)
+    return replace(maps, height=maps.height - maps.height.mean())
+
+
+def masked(below: Picture, above: Picture, rng: np.random.Generator) -> Picture:
+    """Two pieces (6, H, W) across a soft or hard border, one a little higher than the other."""
+    height, width = below.shape[-2:]
+    share = cloudy(rng, height, width)
+    level = np.quantile(share, rng.uniform(0.25, 0.75))
+    softness = math.exp(rng.uniform(math.log(0.01), math.log(0.4)))
+    share = np.clip(0.5 + (share - level) / softness, 0.0, 1.0).astype(np.float32)
+    mixed = below + (above - below) * share
+    mixed[5] += share[0] * rng.normal(0.0, 1.5)
+    return np.asarray(mixed, np.float32)
+
+
+def cloudy(rng: np.random.Generator, height: int, width: int) -> Picture:
+    """(1, H, W) smooth noise of deviation 1 or so, of a few octaves."""
+    total = np.zeros((height, width), np.float32)
+    cells = int(rng.integers(2, 6))
+    for octave in range(3):
+        side = cells * 2**octave
+        coarse = rng.standard_normal((side, side)).astype(np.float32) * 0.6**octave
+        total += cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    return total[None]
+
+
+def _piece(packed: PackedSet, rng: np.random.Generator, width: int, height: int) -> Picture:
+    """(6, H, W): diffuse, F0, roughness, height in texels."""
+    scale = math.exp(rng.uniform(math.log(_SCALES[0]), math.log(_SCALES[1])))
+    level = min(int(math.log2(1.0 / scale)), LEVELS - 1) if scale < 1.0 else 0
+    piece = cut(packed, level, scale * 2**level, rng, width, height)
+    piece[:5] = coloured(piece[:5], rng)
+    slopes = float(np.square(np.diff(piece[5], axis=0)).mean() * 2.0) ** 0.5
+    strength = math.exp(rng.uniform(*np.log(_STRENGTHS)))
+    piece[5] *= min(strength, max(1.0, _STEEP / max(slopes, 1e-6)))
+    return piece
+
+
+def cut(
+    packed: PackedSet,
+    level: int,
+    scale: float,
+    rng: np.random.Generator,
+    width: int,
+    height: int,
+) -> Picture:
+    """(6, height, width) of one level, anywhere, turned and mirrored, the set going round.
+
+    Args:
+        packed: the set.
+        level: read from.
+        scale: texels of the piece to one of that level.
+        rng: draws place, turn and mirror.
+        width, height: texels.
+    """
+    turn = float(rng.integers(4)) * math.pi / 2.0
+    if rng.random() < _LEVELLED:
+        turn = rng.uniform(0.0, 2.0 * math.pi)
+    mirror = -1.0 if rng.random() < 0.5 else 1.0
+    cosine, sine = math.cos(turn) / scale, math.sin(turn) / scale
+    # From a texel of the piece to one of the set.
+    matrix = np.array([[cosine * mirror, -sine, 0.0], [sine * mirror, cosine, 0.0]])
+    corners = matrix[:, :2] @ np.array([[0, width, 0, width], [0, 0, height, height]], float)
+    low, high = corners.min(1), corners.max(1)
+    matrix[:, 2] = _MARGIN - low + rng.random(2)
+    columns, rows = (math.ceil(high[i] - low[i]) + 2 * _MARGIN + 1 for i in (0, 1))
+    whole, relief = packed.surface[level], packed.height[level]
+    across = (np.arange(columns) + int(rng.integers(whole.shape[-1]))) % whole.shape[-1]
+    down = (np.arange(rows) + int(rng.integers(whole.shape[-2]))) % whole.shape[-2]
+    here = np.ix_(down, across)
+    layers = [*(layer[here].astype(np.float32) for layer in whole.numpy()), relief.numpy()[0][here]]
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    warped = [cv2.warpAffine(layer, matrix, (width, height), flags=flags) for layer in layers]
+    piece = np.stack(warped).astype(np.float32)
+    piece[5] *= scale
+    np.clip(piece[:5], 1e-3, 1.0, out=piece[:5])
+    return piece
+
+
+def coloured(surface: Picture, rng: np.random.Generator) -> Picture:
+    """(5, H, W) the same material paler or darker, of another hue, duller or glossier."""
+    albedo, specular, roughness = surface[:3], surface[3:4], surface[4:5]
+    mean = albedo.mean((1, 2), keepdims=True)
+    gain = math.exp(rng.normal(0.0, 0.35))
+    tint = np.exp(rng.normal(0.0, 0.12, (3, 1, 1)))
+    if rng.random() < 0.15:  # another hue altogether
+        order = rng.permutation(3)
+        albedo, mean = albedo[order], mean[order]
+    contrast = math.exp(rng.normal(0.0, 0.2))
+    level = np.clip(mean * gain * tint, _DARKEST, _PALEST)
+    # Of bare metal nothing is diffuse, and it stays so.
+    level = np.minimum(level, mean * 10.0)
+    albedo = level * (albedo / mean) ** contrast
+    metal = np.clip((specular - _METAL) / _METAL, 0.0, 1.0)
+    shift = rng.normal(0.0, (0.25, 0.3), 2)
+    specular = specular * np.exp(shift[0] * (1.0 - metal) + shift[1] * metal)
+    logit = np.log(roughness.clip(0.02, 0.98) / (1.0 - roughness.clip(0.02, 0.98)))
+    spread = math.exp(rng.normal(0.0, 0.2))
+    logit = logit.mean() + (logit - logit.mean()) * spread + rng.normal(0.0, 0.4)
+    parts = [
+        albedo.clip(1e-3, 0.95), specular.clip(0.015, 0.97), 1.0 / (1.0 + np.exp(-logit)),
+    ]  # fmt: skip
+    return np.concatenate(parts).astype(np.float32)
