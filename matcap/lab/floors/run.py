@@ -35,9 +35,8 @@ from matcap.lab.simulate.write_jpeg import write_jpeg
 
 ALBEDO, PIECE, FIELD = "photograph as albedo", "piece", "field"
 
-_TRUTH_SEEDS = (1001, 1002, 1003)
 _EVERY = 2  # of the bench's lights
-_FINER = 2  # true radiance is averaged over this many texels a side: it has detail below a pixel
+_FINER = 4  # true radiance is averaged over this many texels a side: it has detail below a pixel
 _DARK = 1e-3  # of albedo
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec.709
 
@@ -49,20 +48,20 @@ class FloorSettings:
     Attributes:
         captured: settings of the captures; their detail is what the piece is found in.
         detail: texels along the photograph's long side of the pictures compared.
-        size: texels a side of them, at least 256; of the middle of the plane.
+        size: texels a side of them, at least 128; of the middle of the plane.
         stops: that the photograph is exposed above what the camera would choose.
         jpeg: photographs are JPEGs, instead of RAW.
         camera: that takes them.
-        truths: pieces that the capture is compared with, 2 or 3.
+        truths: pieces that captures are compared with, at least 2.
     """
 
     captured: CaptureSettings = field(default_factory=CaptureSettings)
-    detail: int = 1024
-    size: int = 512
+    detail: int = 512
+    size: int = 256
     stops: float = 0.0
     jpeg: bool = False
     camera: PhoneCamera = field(default_factory=PhoneCamera)
-    truths: int = 2
+    truths: int = 3
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,7 @@ class Yardstick:
         self.scene = BenchScene(whole.distance, whole.lights[::_EVERY])
         self._settings, self._measure = settings, measure
         texel, pixels = 2.0 / (settings.detail * _FINER), settings.size * _FINER
-        seeds = _TRUTH_SEEDS[: settings.truths]
+        seeds = [subject.seed + 1 + number for number in range(settings.truths)]
         self._truths = [subject.piece(seed)(pixels, pixels, texel) for seed in seeds]
         blur = settings.camera.blur * settings.detail * _FINER / settings.camera.width
         relit = (

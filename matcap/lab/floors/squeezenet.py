@@ -72,9 +72,7 @@ class SqueezeNet(nn.Module):
 
     def forward(self, pictures: Tensor) -> list[Tensor]:
         """Nine rectified responses (B, C, h, w) of sRGB-encoded pictures (B, 3, H, W) in [0, 1]."""
-        mean, deviation = (
-            torch.tensor(v).to(pictures)[:, None, None] for v in (_MEAN, _DEVIATION)
-        )
+        mean, deviation = (torch.tensor(v).to(pictures)[:, None, None] for v in (_MEAN, _DEVIATION))
         features = F.relu(self.first((pictures - mean) / deviation))
         found = [features]
         for index, fire in enumerate(self.fires):

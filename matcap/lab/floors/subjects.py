@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -55,14 +55,16 @@ def subjects(names: Iterable[str], sets: Path | None = None) -> list[Subject]:
         MatcapError: a map set that cannot be read.
     """
     folders = {folder.name: folder for folder in map_set_folders(sets)} if sets else {}
-    chosen: Sequence[str] = list(names) or list(folders) or USUAL
+    chosen = list(names) or list(folders) or USUAL
     return [_subject(name, folders) for name in chosen]
 
 
 def _subject(name: str, folders: dict[str, Path]) -> Subject:
     if name in EXAMPLES:
         example = EXAMPLES[name]
-        return Subject(name, partial(realisation, name), example.seed, example.setup, example.sensor)
+        return Subject(
+            name, partial(realisation, name), example.seed, example.setup, example.sensor
+        )
     if name in folders:
         return Subject(name, read_map_set(folders[name]).piece)
     kind, _, number = name.partition(":")

@@ -19,7 +19,7 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode_tensor
 
-DETAIL = 1024  # texels of a set that lie along a photograph's long side, by default
+SPAN = 2.0  # plane units of a set's width, by default: as much as a photograph spans
 
 _DIELECTRIC = 0.04  # F0 of what is no metal
 _STEEPEST = 0.05  # least z of a normal: 8 bits tell no slope beyond 20
@@ -44,7 +44,7 @@ class MapSetMaterial:
     texel_size: float
 
     def piece(self, seed: int) -> Callable[[int, int, float], MapSet]:
-        """The material from another place on; seeds near each other begin far apart."""
+        """The material around another place; those of seeds near each other lie far apart."""
 
         def realise(width: int, height: int, texel_size: float) -> MapSet:
             return self.realise(width, height, seed, texel_size)
@@ -60,23 +60,21 @@ class MapSetMaterial:
         Args:
             width: texels.
             height: texels.
-            seed: not negative; says where on the tile the rectangle begins.
+            seed: says where on the tile the middle of the rectangle lies.
             texel_size: a texel's side in plane units.
         """
         tile = _shrunk(self.tile, texel_size / self.texel_size)
         rows, columns = tile.shape[1:]
         step = texel_size / self.texel_size * columns / self.tile.shape[2]
-        begin = [(seed * share) % 1.0 for share in _PLASTIC]
-        x = (begin[0] * columns + (np.arange(width) + 0.5) * step - 0.5) % columns
-        y = (begin[1] * rows + (np.arange(height) + 0.5) * step - 0.5) % rows
-        places = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
-        found = np.stack([_sampled(plane, *places) for plane in tile]).astype(np.float64)
+        x = seed * _PLASTIC[0] * columns + _from_middle(width) * step - 0.5
+        y = seed * _PLASTIC[1] * rows + _from_middle(height) * step - 0.5
+        found = _sampled(_sampled(tile, y, 1), x, 2).astype(np.float64)
         found[:5] = found[:5].clip(0.0, 1.0)
         found[5] *= self.texel_size
         return MapSet.from_stacked(torch.from_numpy(found), texel_size)
 
 
-def read_map_set(folder: Path, texel_size: float = 2.0 / DETAIL) -> MapSetMaterial:
+def read_map_set(folder: Path, span: float = SPAN) -> MapSetMaterial:
     """Read a folder.
 
     Diffuse albedo is basecolor (1 - metallic); F0 is 0.04 (1 - metallic) + the luminance of
@@ -84,7 +82,7 @@ def read_map_set(folder: Path, texel_size: float = 2.0 / DETAIL) -> MapSetMateri
 
     Args:
         folder: of one material.
-        texel_size: of its maps in plane units; by default 1024 texels span a photograph.
+        span: width of the tile, in plane units.
 
     Raises:
         MatcapError: a map is missing, cannot be read or has another size.
@@ -103,7 +101,7 @@ def read_map_set(folder: Path, texel_size: float = 2.0 / DETAIL) -> MapSetMateri
     luminance = np.tensordot(np.array(_LUMINANCE, np.float32), base, 1)
     specular = _DIELECTRIC * (1.0 - metal) + luminance * metal
     stacked = np.concatenate([base * (1.0 - metal), np.stack([specular, roughness, height])])
-    return MapSetMaterial(folder.name, stacked.astype(np.float32), texel_size)
+    return MapSetMaterial(folder.name, stacked.astype(np.float32), span / columns)
 
 
 def map_set_folders(folder: Path) -> list[Path]:
@@ -139,5 +137,28 @@ def _shrunk(tile: Field, step: float) -> Field:
     return np.stack([cv2.resize(plane, size, interpolation=cv2.INTER_AREA) for plane in tile])
 
 
-def _sampled(plane: Field, x: Field, y: Field) -> Field:
-    return cv2.remap(plane, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_WRAP)
+def _from_middle(count: int) -> NDArray[np.float64]:
+    """(count,) places of texels' centres."""
+    places: NDArray[np.float64] = np.arange(count, dtype=np.float64)
+    return places + (1.0 - count) / 2.0
+
+
+def _sampled(tile: Field, places: NDArray[np.float64], axis: int) -> Field:
+    """A repeating tile at places along an axis, by cubics through its texels that keep its slopes.
+
+    Catmull and Rom 1974; OpenCV's cubics are steeper by up to a half.
+    """
+    shape = tuple(-1 if a == axis else 1 for a in range(tile.ndim))
+    first = np.floor(places)
+    t = (places - first).astype(np.float32)
+    weights = (
+        ((-0.5 * t + 1.0) * t - 0.5) * t,
+        (1.5 * t - 2.5) * t * t + 1.0,
+        ((-1.5 * t + 2.0) * t + 0.5) * t,
+        (0.5 * t - 0.5) * t * t,
+    )
+    taps = (
+        weight.reshape(shape) * tile.take(first.astype(np.int64) + index, axis, mode="wrap")
+        for index, weight in enumerate(weights, start=-1)
+    )
+    return np.asarray(sum(taps), np.float32)
