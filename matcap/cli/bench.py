@@ -12,7 +12,6 @@ import typer
 from matcap.cli import bench_time, relight, synth
 from matcap.cli.laboratory import require_laboratory
 from matcap.cli.options import typed
-from matcap.errors import ExitCode
 from matcap.files import values
 
 app = typer.Typer(help="Measure matcap on this machine.", no_args_is_help=True)
@@ -210,60 +209,6 @@ def aligned(
     check_writable(out, 100_000_000)
     rows = run_aligned(out, material or EXAMPLES, tell=lambda line: typer.echo(line, err=True))
     typer.echo(aligned_markdown(rows))
-
-
-@app.command()
-def stability(
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Few draws, each photograph once.")
-    ] = False,
-    draws: Annotated[
-        int | None, typer.Option(min=0, help="Of the reflectance, of each case; 100,000.")
-    ] = None,
-    photographs: Annotated[
-        int | None, typer.Option(min=0, help="Hard photographs to capture; 500.")
-    ] = None,
-    relighting: Annotated[
-        int | None,
-        typer.Option(min=0, help="Draws of relighting and exporting, in all; 10,000,000."),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of all draws.")] = 0,
-) -> None:
-    """Whether anything ever comes out NaN or infinite, and how right float32 is.
-
-    Draws the reflectance from every corner of its domain, values and gradients, captures
-    photographs that go wrong in every way known, and compares relighting and exporting with
-    float64 and closed forms. Prints two tables; exits with 4 when anything in them was not finite.
-    """
-    from dataclasses import replace
-
-    from matcap.lab.bench.edges.table import edges_markdown, failures, run_edges
-    from matcap.lab.bench.stability import (
-        QUICK,
-        StabilitySettings,
-        markdown,
-        run_stability,
-        unstable,
-    )
-
-    settings = replace(QUICK if quick else StabilitySettings(), seed=seed)
-    settings = replace(
-        settings,
-        draws=settings.draws if draws is None else draws,
-        photographs=settings.photographs if photographs is None else photographs,
-        relighting=settings.relighting if relighting is None else relighting,
-    )
-
-    def tell(line: str) -> None:
-        typer.echo(line, err=True)
-
-    rows = run_stability(settings, tell) if settings.draws or settings.photographs else []
-    edges = run_edges(settings.relighting, settings.seed, tell) if settings.relighting else {}
-    typer.echo(markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
-    if edges:
-        typer.echo(edges_markdown(edges))
-    failed = unstable(rows) + failures(edges)
-    raise typer.Exit(ExitCode.SOME_FAILED if failed else ExitCode.DONE)
 
 
 @app.command()
