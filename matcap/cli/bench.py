@@ -10,8 +10,8 @@ from typing import Annotated
 import typer
 
 from matcap.cli import bench_time, relight, synth
+from matcap.cli.laboratory import require_laboratory
 from matcap.cli.options import typed
-from matcap.errors import ExitCode
 from matcap.files import values
 
 app = typer.Typer(help="Measure matcap on this machine.", no_args_is_help=True)
@@ -24,6 +24,7 @@ app.command("synth")(synth.bench)
 @app.callback()
 def _bench() -> None:
     """Measure matcap on this machine."""
+    require_laboratory()
 
 
 @app.command()
@@ -82,6 +83,68 @@ def quality(
     command = shlex.join(["matcap", *sys.argv[1:]])
     write_scores(scores, out, command)
     typer.echo(markdown(scores, command))
+
+
+@app.command()
+def floors(
+    material: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MATERIAL]...",
+            help="Simulated materials by name, kinds (weave, or weave:7 for another), map sets.",
+        ),
+    ] = None,
+    sets: Annotated[
+        Path | None,
+        typer.Option(help="Folder of artists' map sets; without names, all of them are taken."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for photographs and floors.csv.")
+    ] = Path("bench/floors"),
+    detail: Annotated[
+        int | None,
+        typer.Option(min=128, max=4096, help="Of the captures; their own choice by default."),
+    ] = None,
+    judged: Annotated[
+        int, typer.Option(min=256, max=4096, help="Texels along the long side that are compared.")
+    ] = 512,
+    stops: Annotated[
+        float, typer.Option(min=-8.0, max=8.0, help="Of exposure above what a camera chooses.")
+    ] = 0.0,
+    jpeg: Annotated[bool, typer.Option("--jpeg", help="Photographs are JPEGs, not RAW.")] = False,
+    preset: Annotated[str, typer.Option(help="Of the captures.")] = "standard",
+    weights: Annotated[
+        Path | None, typer.Option(help="SqueezeNet 1.1 by ncnn, instead of what comes along.")
+    ] = None,
+) -> None:
+    """How far captures are from the truth, by a measure that nothing is tuned by.
+
+    Photographs known materials, captures them, and compares photograph, piece and field with other
+    true pieces under new lights, by the style that SqueezeNet sees. Errors are multiples of what
+    true pieces differ by. Prints a table as it is measured, and what the maps tell for the truth.
+    """
+    from matcap.capture.settings import CaptureSettings
+    from matcap.files.staging import check_writable
+    from matcap.lab.floors.distance import Measure
+    from matcap.lab.floors.run import FloorSettings, floors_csv, floors_markdown, run_floors
+    from matcap.lab.floors.squeezenet import WEIGHTS, SqueezeNet
+    from matcap.lab.floors.subjects import subjects
+
+    check_writable(out, 200_000_000)
+    settings = FloorSettings(
+        CaptureSettings(preset, detail=detail), judged, judged // 2, stops=stops, jpeg=jpeg
+    )
+    measure = Measure(SqueezeNet.load(weights or WEIGHTS))
+    rows = run_floors(
+        subjects(material or (), sets),
+        out,
+        settings,
+        measure=measure,
+        tell=lambda line: typer.echo(line, err=True),
+    )
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "floors.csv").write_text(floors_csv(rows))
+    typer.echo(floors_markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
 
 
 @app.command()
@@ -146,60 +209,6 @@ def aligned(
     check_writable(out, 100_000_000)
     rows = run_aligned(out, material or EXAMPLES, tell=lambda line: typer.echo(line, err=True))
     typer.echo(aligned_markdown(rows))
-
-
-@app.command()
-def stability(
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Few draws, each photograph once.")
-    ] = False,
-    draws: Annotated[
-        int | None, typer.Option(min=0, help="Of the reflectance, of each case; 100,000.")
-    ] = None,
-    photographs: Annotated[
-        int | None, typer.Option(min=0, help="Hard photographs to capture; 500.")
-    ] = None,
-    relighting: Annotated[
-        int | None,
-        typer.Option(min=0, help="Draws of relighting and exporting, in all; 10,000,000."),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of all draws.")] = 0,
-) -> None:
-    """Whether anything ever comes out NaN or infinite, and how right float32 is.
-
-    Draws the reflectance from every corner of its domain, values and gradients, captures
-    photographs that go wrong in every way known, and compares relighting and exporting with
-    float64 and closed forms. Prints two tables; exits with 4 when anything in them was not finite.
-    """
-    from dataclasses import replace
-
-    from matcap.lab.bench.edges.table import edges_markdown, failures, run_edges
-    from matcap.lab.bench.stability import (
-        QUICK,
-        StabilitySettings,
-        markdown,
-        run_stability,
-        unstable,
-    )
-
-    settings = replace(QUICK if quick else StabilitySettings(), seed=seed)
-    settings = replace(
-        settings,
-        draws=settings.draws if draws is None else draws,
-        photographs=settings.photographs if photographs is None else photographs,
-        relighting=settings.relighting if relighting is None else relighting,
-    )
-
-    def tell(line: str) -> None:
-        typer.echo(line, err=True)
-
-    rows = run_stability(settings, tell) if settings.draws or settings.photographs else []
-    edges = run_edges(settings.relighting, settings.seed, tell) if settings.relighting else {}
-    typer.echo(markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
-    if edges:
-        typer.echo(edges_markdown(edges))
-    failed = unstable(rows) + failures(edges)
-    raise typer.Exit(ExitCode.SOME_FAILED if failed else ExitCode.DONE)
 
 
 @app.command()

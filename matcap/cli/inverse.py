@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from matcap.cli.laboratory import require_laboratory
 from matcap.cli.options import QuietOption, typed
 from matcap.files import values
 
@@ -22,6 +23,7 @@ TrainingArgument = Annotated[
 @app.callback()
 def _inverse() -> None:
     """Train the network that reads a photograph's own maps."""
+    require_laboratory()
 
 
 @app.command()

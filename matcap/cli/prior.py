@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from matcap.cli.laboratory import require_laboratory
 from matcap.cli.options import QuietOption
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ PriorOption = Annotated[
 @app.callback()
 def _prior() -> None:
     """Train and measure the space of materials."""
+    require_laboratory()
 
 
 @app.command()

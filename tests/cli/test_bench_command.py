@@ -43,6 +43,26 @@ def test_the_table_is_printed_and_written(matcap, measured, tmp_path, monkeypatc
     assert (captured.preset, captured.detail) == ("draft", 256)
 
 
+def test_floors_are_printed_and_written(matcap, monkeypatch, tmp_path):
+    from matcap.lab.floors.run import FloorRow, floors_csv
+
+    row = FloorRow("leather", "piece", 4.3, 7.0, 11.0, 0.6, 0.2, 0.5, 0.48, 20.0)
+    calls = []
+
+    def run(chosen, out, settings, **options):
+        calls.append((chosen, settings))
+        return [row]
+
+    monkeypatch.setattr("matcap.lab.floors.run.run_floors", run)
+    said = matcap("bench", "floors", "leather", "--stops", "-0.67", "-o", tmp_path / "f")
+    assert said.code == 0
+    assert "| leather | piece | 4.30 | 7.0 / 11.0 | 0.60 / 0.20 | 0.50 / 0.48 | 20 |" in said.out
+    assert (tmp_path / "f" / "floors.csv").read_text() == floors_csv([row])
+    ((chosen, settings),) = calls
+    assert [s.name for s in chosen] == ["leather"] and settings.stops == -0.67
+    assert "| mean | piece | 4.30 |" in said.out
+
+
 def test_a_failed_capture_is_3(matcap, monkeypatch, tmp_path):
     def fail(*args, **kwargs):
         raise MatcapError("plenoptic is not installed", remedy='pip install "matcap[bench]"')

@@ -1,4 +1,7 @@
-"""Wheel and sdist: what is in them, and that the wheel works away from the source tree."""
+"""Wheel and sdist: what is in them, and that the wheel works away from the source tree.
+
+The laboratory has a wheel of its own, and commands that need it say so where it is missing.
+"""
 
 import os
 import shutil
@@ -13,7 +16,13 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 # What git tracks in the package and setuptools would leave out unless told.
-DATA = ("matcap/py.typed", "matcap/space/prior/weights/prior.safetensors")
+DATA = (
+    "matcap/py.typed",
+    "matcap/space/prior/weights/prior.safetensors",
+    "matcap/capture/piece/network/weights/inverse.safetensors",
+    "matcap/view/page/view.js",
+)
+LAB_DATA = ("weights/squeezenet_v1.1.ncnn.bin", "weights/LICENSE", "weights/README.md")
 
 BUILD = """
 import sys
@@ -22,7 +31,19 @@ out = sys.argv[1]  # building changes the arguments
 build_meta.build_wheel(out)
 build_meta.build_sdist(out)
 """
+BUILD_LAB = """
+import sys
+from setuptools import build_meta
+build_meta.build_wheel(sys.argv[1])
+"""
 
+# An editable install would stand in for what the wheels lack.
+NO_EDITABLE = """
+import sys
+for finder in list(sys.meta_path):
+    if finder.__module__.startswith("__editable__"):
+        sys.meta_path.remove(finder)
+"""
 USE = """
 import sys
 from pathlib import Path
@@ -36,30 +57,86 @@ for words in (
 ):
     code = main(words)
     assert code == 0, (words, code)
+for words in (["bench", "quality"], ["prior", "corpus"], ["inverse", "train", "folder"]):
+    assert main(words) == 3, words
+assert not any(name.startswith("matcap.lab") for name in sys.modules)
+"""
+USE_LAB = """
+import sys
+from pathlib import Path
+from matcap.lab.floors.squeezenet import WEIGHTS, SqueezeNet
+import matcap.lab
+assert Path(matcap.lab.__file__).is_relative_to(sys.argv[1]), matcap.lab.__file__
+SqueezeNet.load()
+from matcap.cli.main import main
+assert main(["bench", "capture", "--list"]) == 0
 """
 
 
+def build(script: str, source: Path, out: Path) -> None:
+    """Build offline, where setuptools can."""
+    command = [sys.executable, "-c", script, str(out)]
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.fixture(scope="module")
-def dist(tmp_path_factory) -> Path:
-    """A folder with wheel and sdist, built offline from a copy of the sources."""
+def source(tmp_path_factory) -> Path:
+    """A copy of the sources."""
     setuptools = pytest.importorskip("setuptools")
     if int(setuptools.__version__.split(".")[0]) < 77:
         pytest.skip("building needs setuptools 77 or later")
-    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
+    source = tmp_path_factory.mktemp("source")
     for file in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / file, source)
-    ignore = shutil.ignore_patterns("__pycache__")
+    ignore = shutil.ignore_patterns("__pycache__", "build", "*.egg-info")
     shutil.copytree(ROOT / "matcap", source / "matcap", ignore=ignore)
-    command = [sys.executable, "-c", BUILD, str(out)]
-    done = subprocess.run(command, cwd=source, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    return source
+
+
+@pytest.fixture(scope="module")
+def dist(source, tmp_path_factory) -> Path:
+    """A folder with wheel and sdist."""
+    out = tmp_path_factory.mktemp("dist")
+    build(BUILD, source, out)
     return out
 
 
+@pytest.fixture(scope="module")
+def lab(source, tmp_path_factory) -> Path:
+    """The laboratory's wheel."""
+    out = tmp_path_factory.mktemp("lab")
+    build(BUILD_LAB, source / "matcap" / "lab", out)
+    (wheel,) = out.glob("matcap_lab-*.whl")
+    return wheel
+
+
 def packaged() -> set[str]:
-    """All files of the package, as they lie in the tree."""
+    """All files of the package but the laboratory's, as they lie in the tree."""
     files = (path for path in (ROOT / "matcap").rglob("*") if path.is_file())
-    return {str(f.relative_to(ROOT)) for f in files if "__pycache__" not in f.parts}
+    names = {str(f.relative_to(ROOT)) for f in files if "__pycache__" not in f.parts}
+    return {name for name in names if not name.startswith("matcap/lab/")}
+
+
+def unpacked(site: Path, *wheels: Path) -> Path:
+    """Wheels as pip lays them out, in one folder."""
+    for wheel in wheels:
+        with zipfile.ZipFile(wheel) as archive:
+            archive.extractall(site)
+    return site
+
+
+def python(script: str, site: Path, work: Path) -> subprocess.CompletedProcess[str]:
+    """Run a script in a folder, with what is unpacked in another."""
+    work.mkdir()
+    return subprocess.run(
+        [sys.executable, "-c", NO_EDITABLE + script, str(site)],
+        cwd=work,
+        env=os.environ | {"PYTHONPATH": str(site), "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def test_the_wheel_has_the_whole_package_and_nothing_else(dist):
@@ -84,15 +161,26 @@ def test_the_sdist_has_all_that_the_wheel_is_built_from(dist):
     assert sources | {"pyproject.toml", "README.md", "LICENSE"} <= names
 
 
-def test_the_wheel_works_away_from_the_source_tree(dist, tmp_path):
-    (wheel,) = dist.glob("*.whl")
-    site, work = tmp_path / "site", tmp_path / "work"
-    work.mkdir()
-    with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(site)
-    command = [sys.executable, "-c", USE, str(site)]
-    place = os.environ | {"PYTHONPATH": str(site), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(command, cwd=work, env=place, capture_output=True, text=True, check=False)
+def test_the_wheel_works_away_from_the_source_tree_and_without_the_laboratory(dist, tmp_path):
+    site, work = unpacked(tmp_path / "site", *dist.glob("*.whl")), tmp_path / "work"
+    done = python(USE, site, work)
     assert done.returncode == 0, done.stderr
     assert (work / "scene" / "matcap_bsdf.py").is_file()
     assert list((work / "script").glob("*_blender.py"))
+    assert done.stderr.splitlines()[-3:] == 3 * [
+        "matcap: this command measures or trains, and the laboratory is not installed; "
+        "install it from a clone of matcap with: pip install ./matcap/lab."
+    ]
+
+
+def test_the_laboratory_is_a_wheel_of_its_own_that_goes_beside(dist, lab, tmp_path):
+    with zipfile.ZipFile(lab) as archive:
+        names = {name for name in archive.namelist() if ".dist-info/" not in name}
+    code = {str(f.relative_to(ROOT)) for f in (ROOT / "matcap" / "lab").rglob("*.py")}
+    assert {name for name in names if name.endswith(".py")} == {
+        name for name in code if "/build/" not in name
+    }
+    assert names - code == {f"matcap/lab/floors/{name}" for name in LAB_DATA}
+    site = unpacked(tmp_path / "site", *dist.glob("*.whl"), lab)
+    done = python(USE_LAB, site, tmp_path / "work")
+    assert done.returncode == 0, done.stderr

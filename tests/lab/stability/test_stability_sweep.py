@@ -1,22 +1,22 @@
-"""`matcap bench stability` finds what it looks for, counts it and says so by its exit code."""
+"""`sweep.py` finds what it looks for, counts it and says so by its exit code."""
 
 import pytest
 import torch
+from stable import reflectance, sweeps
+from stable.edges.swept import Swept
+from stable.reflectance import CASES, measure
+from stable.sweeps import Row, StabilitySettings, markdown, run_stability, unstable
+from sweep import main
 
-from matcap.cli.main import main
 from matcap.errors import MatcapError
-from matcap.lab.bench import stability, stability_reflectance
-from matcap.lab.bench.edges.swept import Swept
-from matcap.lab.bench.stability import Row, StabilitySettings, markdown, run_stability, unstable
-from matcap.lab.bench.stability_reflectance import CASES, measure
 
 
 @pytest.fixture
 def few(monkeypatch):
     """Two cases of the reflectance, three photographs."""
-    monkeypatch.setattr(stability, "CASES", {"roughness 1": CASES["roughness 1"]})
+    monkeypatch.setattr(sweeps, "CASES", {"roughness 1": CASES["roughness 1"]})
     hard = {"a": lambda *_: "a", "b": lambda *_: "b"}
-    monkeypatch.setattr(stability, "HARD_PHOTOGRAPHS", hard)
+    monkeypatch.setattr(sweeps, "HARD_PHOTOGRAPHS", hard)
     return StabilitySettings(draws=50, photographs=3)
 
 
@@ -34,22 +34,22 @@ def test_a_formula_that_fails_is_found(monkeypatch):
             specular + roughness + normal[:1]
         )
 
-    monkeypatch.setattr(stability_reflectance, "cook_torrance", naive)
+    monkeypatch.setattr(reflectance, "cook_torrance", naive)
     found = measure(CASES["light opposed to view"], 100, seed=0)
     assert (found.draws, found.values, found.gradients) == (100, 100, 100)
 
 
 def test_a_bug_counts_and_a_refusal_does_not(monkeypatch, few):
-    monkeypatch.setattr(stability, "capture_array", outcome(IndexError("out of range")))
+    monkeypatch.setattr(sweeps, "capture_array", outcome(IndexError("out of range")))
     rows = run_stability(few)
     assert [row.draws for row in rows[2:]] == [2, 1]
     assert [row.values for row in rows[2:]] == [2, 1]
     assert unstable(rows) == 3
-    assert "IndexError: out of range" in markdown(rows, "matcap bench stability")
-    monkeypatch.setattr(stability, "capture_array", outcome(MatcapError("the picture is bad")))
+    assert "IndexError: out of range" in markdown(rows, "sweep.py")
+    monkeypatch.setattr(sweeps, "capture_array", outcome(MatcapError("the picture is bad")))
     rows = run_stability(few)
     assert unstable(rows) == 0
-    assert "refused: the picture is bad" in markdown(rows, "matcap bench stability")
+    assert "refused: the picture is bad" in markdown(rows, "sweep.py")
 
 
 @pytest.mark.parametrize(("values", "broken", "code"), [(0, 0, 0), (1, 0, 4), (0, 2, 4)])
@@ -66,9 +66,9 @@ def test_the_command_prints_the_tables_and_answers_with_its_exit_code(
     def edges(draws, seed, tell):
         return {"meshes": Swept(draws, broken, 1, 2e-7, "a corner", 0.5)}
 
-    monkeypatch.setattr("matcap.lab.bench.stability.run_stability", run)
-    monkeypatch.setattr("matcap.lab.bench.edges.table.run_edges", edges)
-    assert main(["bench", "stability", "--quick", "--photographs", "7"]) == code
+    monkeypatch.setattr("sweep.run_stability", run)
+    monkeypatch.setattr("stable.edges.table.run_edges", edges)
+    assert main(["--quick", "--photographs", "7"]) == code
     said = capsys.readouterr()
     assert said.err == "halfway\n"
     assert f"| a case | 5000 | {values} | 0 | 1e-7 | there |" in said.out
@@ -80,7 +80,7 @@ def test_each_sweep_is_left_out_where_nothing_of_it_is_asked_for(monkeypatch, ca
     def never(*_):
         raise AssertionError
 
-    monkeypatch.setattr("matcap.lab.bench.stability.run_stability", never)
-    monkeypatch.setattr("matcap.lab.bench.edges.table.run_edges", never)
+    monkeypatch.setattr("sweep.run_stability", never)
+    monkeypatch.setattr("stable.edges.table.run_edges", never)
     nothing = ["--draws", "0", "--photographs", "0", "--relighting", "0"]
-    assert main(["bench", "stability", *nothing]) == 0
+    assert main(nothing) == 0

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import torch
+from stable.photographs import HARD_PHOTOGRAPHS, textured
+from stable.sweeps import capture_array, finite, within_ranges
 
 from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError
@@ -11,8 +13,6 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import read_plane
 from matcap.flash.rectify import rectify
 from matcap.flash.windows import cut_windows
-from matcap.lab.bench.stability import capture_array, finite, within_ranges
-from matcap.lab.bench.stability_photographs import HARD_PHOTOGRAPHS, textured
 from matcap.photo.load import photo_from_array
 from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig

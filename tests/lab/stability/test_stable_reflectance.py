@@ -11,12 +11,12 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from stable.reflectance import CASES, measure, measure_shading
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS, cook_torrance, normalize
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
 from matcap.flash.render import shade
-from matcap.lab.bench.stability_reflectance import CASES, measure, measure_shading
 
 DRAWS = 4000
 

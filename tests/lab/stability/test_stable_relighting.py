@@ -1,17 +1,17 @@
 """The sweep of relighting and exporting, a call or two a domain, each within what is documented.
 
-`matcap bench stability` draws ten million; docs/notes/stability.md has what it found.
+`sweep.py` draws ten million; docs/notes/stability.md has what it found.
 """
 
 from functools import cache
 
 import numpy as np
 import pytest
+from stable.edges import table
+from stable.edges.swept import Swept, sweep
+from stable.edges.table import EDGES, Edge, edges_markdown, failures, run_edges
 
 from matcap.errors import MatcapError
-from matcap.lab.bench.edges import table
-from matcap.lab.bench.edges.swept import Swept, sweep
-from matcap.lab.bench.edges.table import EDGES, Edge, edges_markdown, failures, run_edges
 
 # Largest error of the few draws below; what it is relative to, EDGES says.
 WITHIN = {

@@ -1,4 +1,4 @@
-"""Photographs that go wrong: what `matcap bench stability` and tests/lab/stability capture.
+"""Photographs that go wrong: what `sweep.py` and tests/lab/stability capture.
 
 Each is made from the flash picture of a simple bumpy material, as an array in linear light.
 """

@@ -18,7 +18,7 @@ from matcap.export.texture_file import Container, Depth, TextureFile
 from matcap.export.textures import ExportJob
 from matcap.files.exr import LARGEST_HALF, read_exr
 from matcap.files.srgb import srgb_decode
-from matcap.lab.bench.edges.swept import Swept, compared, log_uniform
+from stable.edges.swept import Swept, compared, log_uniform
 
 _TEXELS = 10_000
 _CURVE = 3e-7  # of light: what 32-bit floats leave of the sRGB curve, there and back

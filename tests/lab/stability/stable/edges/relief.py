@@ -7,13 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.lab.bench.edges.swept import Swept, compared, log_uniform
 from matcap.relight.effects import parallax, shadows
 from matcap.relight.lobes import alpha_of
 from matcap.relight.relief import Relief
 from matcap.relight.sampling import Sampler
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Vec
+from stable.edges.swept import Swept, compared, log_uniform
 
 Values = NDArray[np.float64]
 _RAYS = 3000  # of a call

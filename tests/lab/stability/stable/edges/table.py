@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from matcap.lab.bench.edges import exporting, relief, scenes, shading
-from matcap.lab.bench.edges.swept import LONGEST, Domain, Swept, sweep
+from stable.edges import exporting, relief, scenes, shading
+from stable.edges.swept import LONGEST, Domain, Swept, sweep
 
 
 @dataclass(frozen=True)

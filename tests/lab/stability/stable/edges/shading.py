@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from matcap.brdf.cook_torrance import cook_torrance
 from matcap.files.exr import write_exr
-from matcap.lab.bench.edges.swept import Swept, compared, log_uniform
-from matcap.lab.bench.stability_reflectance import CASES, SMOOTH
 from matcap.relight.camera import view_of
 from matcap.relight.effects import multiscatter
 from matcap.relight.lobes import alpha_of, ggx_smith, schlick_weight
@@ -33,6 +31,8 @@ from matcap.relight.scene import (
 from matcap.relight.tables import albedo
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import dot
+from stable.edges.swept import Swept, compared, log_uniform
+from stable.reflectance import CASES, SMOOTH
 
 Values = NDArray[np.float64]
 _LOBES = 20_000  # draws of a call

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.files.exr import write_exr
-from matcap.lab.bench.edges.swept import Swept, compared, log_uniform
 from matcap.relight.camera import view_of
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
@@ -29,6 +28,7 @@ from matcap.relight.scene import (
     Vector,
 )
 from matcap.relight.surfaces.mesh import load_mesh
+from stable.edges.swept import Swept, compared, log_uniform
 
 Values = NDArray[np.float64]
 _FILM = Film(48, 36)

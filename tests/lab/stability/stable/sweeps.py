@@ -1,8 +1,8 @@
-"""`matcap bench stability`: does anything ever come out NaN or infinite, and how right is float32?
+"""`sweep.py`: does anything ever come out NaN or infinite, and how right is float32?
 
 Two sweeps, one table; relighting and exporting have another (edges/table.py). The reflectance:
-random draws from every corner of its domain, values and gradients (stability_reflectance.py).
-Photographs: pictures that go wrong in every way we know of (stability_photographs.py), captured
+random draws from every corner of its domain, values and gradients (reflectance.py).
+Photographs: pictures that go wrong in every way we know of (photographs.py), captured
 for a few steps, their piece's own maps found and rearranged; each must end in finite maps within
 their ranges or in one sentence that says why not.
 """
@@ -24,16 +24,16 @@ from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings, Method
 from matcap.errors import MatcapError
 from matcap.field.plane import Rectangle
-from matcap.lab.bench.stability_photographs import FOV, HARD_PHOTOGRAPHS
-from matcap.lab.bench.stability_reflectance import (
+from matcap.photo.load import photo_from_array
+from matcap.space.tuned import TunedDecoder
+from stable.photographs import FOV, HARD_PHOTOGRAPHS
+from stable.reflectance import (
     CASES,
     SMOOTH,
     CaseResult,
     measure,
     measure_shading,
 )
-from matcap.photo.load import photo_from_array
-from matcap.space.tuned import TunedDecoder
 
 _MAPS = ("diffuse", "specular", "roughness", "height", "normal")
 _ASPECT = 0.75

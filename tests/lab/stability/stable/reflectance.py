@@ -5,7 +5,7 @@ in the normal's own frame, where cosines are inputs; elsewhere float32 has alrea
 of a grazing cosine before the reflectance sees it, whatever the formula. One case turns the frame.
 The reference takes the same float32 numbers in float64, so an error is the formula's own.
 
-What it leaves out: photographs (stability_photographs.py). The table is made in stability.py.
+What it leaves out: photographs (photographs.py). The table is made in sweeps.py.
 """
 
 from __future__ import annotations

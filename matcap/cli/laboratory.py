@@ -1,0 +1,20 @@
+"""The laboratory, which measures and trains, is installed apart from what captures."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from matcap.errors import MatcapError
+
+
+def require_laboratory() -> None:
+    """Let a command of the laboratory go on.
+
+    Raises:
+        MatcapError: it is not installed.
+    """
+    if find_spec("matcap.lab") is None:
+        raise MatcapError(
+            "this command measures or trains, and the laboratory is not installed",
+            remedy="install it from a clone of matcap with: pip install ./matcap/lab",
+        )

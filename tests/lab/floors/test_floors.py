@@ -1,0 +1,78 @@
+"""Captures judged by floors, on a tiny photograph, and the command that does so."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.errors import UsageError
+from matcap.lab.bench.relit import relight_all
+from matcap.lab.floors.distance import Measure
+from matcap.lab.floors.run import (
+    FloorSettings,
+    MapNumbers,
+    Yardstick,
+    photograph,
+)
+from matcap.lab.floors.squeezenet import SqueezeNet
+from matcap.lab.floors.subjects import USUAL, subjects
+from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.photo.load import load_photo
+
+SMALL = FloorSettings(detail=256, size=128, camera=PhoneCamera(160, 120))
+
+
+@pytest.fixture(scope="module")
+def measure():
+    torch.manual_seed(0)
+    return Measure(SqueezeNet())
+
+
+def test_subjects_by_name_kind_and_folder():
+    assert [s.name for s in subjects(())] == list(USUAL)
+    first, second = subjects(["weave", "weave:7"])
+    texel = 2.0 / 256
+    assert first.piece(0)(32, 32, texel).height.shape == (1, 32, 32)
+    assert not torch.equal(
+        first.piece(0)(32, 32, texel).height, second.piece(0)(32, 32, texel).height
+    )
+    with pytest.raises(UsageError, match="no such material"):
+        subjects(["cheese"])
+
+
+def test_exposure_is_the_camera_s_times_the_stops(tmp_path):
+    (subject,) = subjects(["plaster"])
+    path, plain = photograph(subject, SMALL, tmp_path)
+    assert path.suffix == ".dng"
+    path, darker = photograph(subject, replace(SMALL, stops=-1.0, jpeg=True), tmp_path)
+    assert path.suffix == ".jpg" and load_photo(path).original_size == (160, 120)
+    assert darker.linear.mean() == pytest.approx(0.5 * plain.linear.mean())
+    assert darker.setup.intensity[0] == pytest.approx(0.5 * plain.setup.intensity[0])
+
+
+def test_true_maps_are_nearer_than_flat_ones_in_any_detail(measure):
+    (subject,) = subjects(["plaster"])
+    shot = photograph_setup()
+    yardstick = Yardstick(subject, shot, SMALL, measure)
+    true = subject.piece(77)(256, 256, 2.0 / 512)
+    flat = replace(true, height=0.0 * true.height, roughness=0.0 * true.roughness + 0.3)
+    near = yardstick.judge(true, shot.intensity)
+    assert yardstick.judge(flat, shot.intensity) > 1.2 * near
+    pictures = relight_all(flat.map(lambda m: m.float()), shot.intensity, yardstick.scene)
+    assert pictures.shape[-1] == 256  # compared with pictures of 128
+
+
+def photograph_setup():
+    from matcap.flash.geometry import FlashSetup
+
+    return FlashSetup(fov=65.0, intensity=(2.0, 2.0, 2.0))
+
+
+def test_numbers_tell_tilt_albedo_and_roughness():
+    ramp = 0.1 * torch.arange(16.0).expand(1, 16, 16)
+    albedo = torch.full((3, 16, 16), 0.5)
+    maps = MapSet(albedo, ramp * 0.0, ramp * 0.0 + 0.4, ramp, texel_size=0.1)
+    told = MapNumbers.of(maps)
+    assert told.tilt == pytest.approx(45.0, abs=0.01)
+    assert (told.albedo, told.roughness) == (pytest.approx(0.0, abs=1e-5), pytest.approx(0.4))
