@@ -12,8 +12,9 @@ import torch
 from safetensors import safe_open
 from torch import Tensor
 
-from matcap.field.header import REMEDY, bounded
+from matcap.field.header import REMEDY
 from matcap.field.plane import Period, check_period, check_seed
+from matcap.files.values import bounded
 from matcap.space.decoder import ALIGNMENT, CODE_SIZE, Decoder, Moments
 from matcap.space.freeze import FoldedDecoder, fold
 from matcap.space.source import DecoderSource

@@ -24,6 +24,7 @@ from matcap.lab.simulate.write_dng import Sensor, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
+from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
 
 SCENE = """
@@ -125,7 +126,8 @@ def write_material(path: Path) -> None:
     decoder = Decoder(shape)
     code, waves = torch.zeros(CODE_SIZE), (Wave(0.1, 0.02),)
     moments = tuple(freeze(decoder, code, waves))
-    Material("small", decoder.eval(), code, moments, waves, 0.002, FlashSetup()).save(path)
+    tuned = TunedDecoder(decoder.eval(), code, moments, waves, 0.002)
+    Material("small", {"decoder": tuned}, 0.002, FlashSetup()).save(path)
 
 
 def spoil(data: bytes, kind: str, others: list[bytes], chance: random.Random) -> bytes:
