@@ -27,7 +27,8 @@ def by_example(name):
     }
     sure = np.ones((4, HEIGHT, WIDTH), np.float32)
     exemplar = Exemplar(**piece, confidence=sure, texel_size=2.0 / WIDTH)
-    return replace(a_material(name), example=Example.of(exemplar))
+    parts = {"example": Example.of(exemplar)} | a_material(name).generators
+    return replace(a_material(name), generators=parts)
 
 
 @pytest.mark.parametrize("name", MATERIALS)
