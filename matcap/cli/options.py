@@ -29,6 +29,14 @@ def typed(parse: Callable[[Any], T]) -> Callable[[Any], T]:
     return parsed
 
 
+def in_range(least: float, most: float) -> Callable[[Any], float]:
+    """A parser for typer of finite numbers within limits, which metavar or help tells."""
+    return typed(values.number(least, most))
+
+
+seeded = typed(values.seed)  # a parser for typer of seeds
+
+
 class Normal(Enum):
     """Which way green points in a normal map."""
 
@@ -107,6 +115,10 @@ OverwriteOption = Annotated[
     bool,
     typer.Option("--overwrite", help="Replace what is there, even where it is something else."),
 ]
+ReplaceOption = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Replace a file that another program or command wrote."),
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but failures.")]
 ExportOption = Annotated[
     list[str] | None,
@@ -127,9 +139,8 @@ SpreadOption = Annotated[
     float | None,
     typer.Option(
         "-t",
-        min=0.0,
-        max=1.0,
-        metavar="T",
+        parser=in_range(0.0, 1.0),
+        metavar="0..1",
         show_default="0.3",
         help="How far from there to draw: 0 is the photograph's own place, 1 anywhere.",
     ),

@@ -15,16 +15,16 @@ from string import Formatter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from matcap.brdf.folder import plain_name
 from matcap.errors import UsageError
 from matcap.export.fit import told
+from matcap.export.formats import Depth, Picture
+from matcap.export.job import ExportJob, MapRows
 from matcap.export.metallic import FIRST_METAL, Metallic, to_metallic
 from matcap.export.names import known
 from matcap.export.shading import MATCAP, TargetShading
-from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Depth, TextureFile
+from matcap.export.surface import MadeSurface, Reader, TargetSurface
+from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BENT,
     CAVITY,
@@ -34,10 +34,6 @@ from matcap.export.textures import (
     OCCLUSION,
     SIGNED_NORMAL,
     Export,
-    ExportJob,
-    MadeSurface,
-    MapRows,
-    Reader,
     Workflow,
     coded_height,
     coded_normal,
@@ -47,6 +43,7 @@ from matcap.export.textures import (
     picture,
     signed,
 )
+from matcap.files.names import is_usual, plain_name, shown
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -54,7 +51,6 @@ if TYPE_CHECKING:
 Normals = Literal["gl", "dx", "both"]
 _FIELDS = ("stem", "map", "res", "format")
 _SHADED = ("occlusion", "cavity", "bent")
-Picture = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -278,7 +274,14 @@ def _names(
     names: dict[str, str] = {}
     for kind, (label, made) in packed.items():
         fields = {"stem": job.name, "map": label, "res": res, "format": made.container.upper()}
-        file = plain_name(pattern.format(**fields)) + made.suffix
+        name = plain_name(pattern.format(**fields), what="the file name", where="--name")
+        if not is_usual(name):
+            raise UsageError(
+                f"other programs may misread the file name {shown(name)}",
+                where="--name",
+                remedy="use letters, digits, spaces and _ . , ( ) + -",
+            )
+        file = name + made.suffix
         if file in names.values():
             raise UsageError(
                 f"two maps are called {file}", where="--name", remedy="put {map} into the name"
@@ -308,25 +311,27 @@ def _made(job: ExportJob, lit: Lit | None, texture: PresetTexture) -> TextureFil
     def make(piece: MapRows) -> Picture:
         return texture.make(PackedMaterial(piece, told_as))
 
-    return job.texture(make, texture.depth, texture.meaning, srgb=texture.srgb)
+    return TextureFile.of(job, make, texture.depth, texture.meaning, srgb=texture.srgb)
 
 
 def _height(job: ExportJob, texture: PresetTexture) -> TextureFile:
     """Whole numbers hold the coded height; floats the height itself."""
-    made = job.texture(coded_height, texture.depth, CODED_HEIGHT, lossy=False)
+    made = TextureFile.of(job, coded_height, texture.depth, CODED_HEIGHT, lossy=False)
     if made.whole:
         return made
-    return job.texture(picture("height"), texture.depth, HEIGHT, lossy=False)
+    return TextureFile.of(job, picture("height"), texture.depth, HEIGHT, lossy=False)
 
 
 def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> TextureFile:
     """Whole numbers hold 0.5 + 0.5 n, floats n itself."""
     up = "+Y down (DirectX)" if dx else "+Y up (OpenGL)"
     make = coded_normal_dx if dx else coded_normal
-    made = job.texture(make, depth, f"{NORMAL}, {up}")
+    made = TextureFile.of(job, make, depth, f"{NORMAL}, {up}")
     if made.whole:
         return made
-    return job.texture(lambda piece: 2.0 * make(piece) - 1.0, depth, f"{SIGNED_NORMAL}, {up}")
+    return TextureFile.of(
+        job, lambda piece: 2.0 * make(piece) - 1.0, depth, f"{SIGNED_NORMAL}, {up}"
+    )
 
 
 def _ways(normal: Normals) -> tuple[Literal["gl", "dx"], ...]:
@@ -381,11 +386,12 @@ def _seen_normal(textures: dict[str, TextureFile], seen: dict[str, Tensor]) -> T
 def _checked(pattern: str) -> str:
     """The pattern itself, every field of it known."""
     try:
-        fields = [field for _, field, _, _ in Formatter().parse(pattern) if field is not None]
-        for one in fields:
-            known(one, _FIELDS, "--name")
-        pattern.format(**dict.fromkeys(_FIELDS, ""))
-    except (ValueError, IndexError, KeyError, AttributeError) as error:
+        for _, field, width, conversion in Formatter().parse(pattern):
+            if field is not None:
+                known(field, _FIELDS, "--name")
+            if width or conversion:
+                raise ValueError(f"'{field}' is put in as it is, without a width or a conversion")
+    except ValueError as error:
         raise UsageError(
             f"'{pattern}' is no pattern ({error})",
             where="--name",
