@@ -38,7 +38,8 @@ from matcap.lab.bench.table import Measurement, append, machine, read
 from matcap.lab.simulate.examples import EXAMPLES, realisation
 from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take
-from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.specimen import Specimen
+from matcap.lab.simulate.write_dng import write_dng
 from matcap.space.decoder import PAPER_CONFIG, DecoderConfig
 from matcap.space.patch import Patch
 from matcap.statistics.filterbank import FilterBankConfig
@@ -155,26 +156,11 @@ class CaptureBench:
         return self.out / "capture.csv"
 
 
-@dataclass(frozen=True)
-class Specimen:
-    """A material that is photographed: all its pieces, and how.
-
-    Attributes:
-        pieces: by seed.
-        seed: of the piece that is photographed.
-        setup: geometry of the photograph.
-        sensor: what its DNG says.
-    """
-
-    pieces: Callable[[int], Realise]
-    seed: int
-    setup: FlashSetup
-    sensor: Sensor
-
-
 def _specimens() -> dict[str, Specimen]:
     known = {
-        name: Specimen(partial(realisation, name), example.seed, example.setup, example.sensor)
+        name: Specimen(
+            name, partial(realisation, name), example.seed, example.setup, example.sensor
+        )
         for name, example in EXAMPLES.items()
     }
     # Beside the named ones, some of the stream the prior never trains on by these seeds; and those
@@ -186,7 +172,8 @@ def _specimens() -> dict[str, Specimen]:
     for stream, seeds in streams.items():
         for index, seed in enumerate(seeds):
             setup = FlashSetup(offset=(0.1, -0.05, 0.0), tilt=(0.02 * (index % 4), -0.03))
-            known[f"{stream}-{index + 1}"] = Specimen(partial(_varied, seed), 21, setup, Sensor())
+            name = f"{stream}-{index + 1}"
+            known[name] = Specimen(name, partial(_varied, seed), 21, setup)
     return known
 
 

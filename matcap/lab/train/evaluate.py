@@ -1,8 +1,8 @@
 """What a prior is worth: measured on photographs and materials it never saw.
 
-Held-out photographs are captured with and without the prior, and compared as measure.py says, beside
-the photograph as albedo. Writes a Markdown table and a picture. Every result is kept as soon as it
-is there, and not made again by the next run into the same folder.
+Held-out photographs are captured with and without the prior, and compared as measure.py says,
+beside the photograph as albedo. Writes a Markdown table and a picture. Every result is kept as soon
+as it is there, and not made again by the next run into the same folder.
 """
 
 from __future__ import annotations

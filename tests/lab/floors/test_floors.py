@@ -9,12 +9,7 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.lab.bench.relit import relight_all
 from matcap.lab.floors.distance import Measure
-from matcap.lab.floors.run import (
-    FloorSettings,
-    MapNumbers,
-    Yardstick,
-    photograph,
-)
+from matcap.lab.floors.run import FloorSettings, Judge, MapNumbers, photograph
 from matcap.lab.floors.squeezenet import SqueezeNet
 from matcap.lab.floors.subjects import USUAL, subjects
 from matcap.lab.simulate.photograph import PhoneCamera
@@ -33,9 +28,9 @@ def test_subjects_by_name_kind_and_folder():
     assert [s.name for s in subjects(())] == list(USUAL)
     first, second = subjects(["weave", "weave:7"])
     texel = 2.0 / 256
-    assert first.piece(0)(32, 32, texel).height.shape == (1, 32, 32)
+    assert first.pieces(0)(32, 32, texel).height.shape == (1, 32, 32)
     assert not torch.equal(
-        first.piece(0)(32, 32, texel).height, second.piece(0)(32, 32, texel).height
+        first.pieces(0)(32, 32, texel).height, second.pieces(0)(32, 32, texel).height
     )
     with pytest.raises(UsageError, match="no such material"):
         subjects(["cheese"])
@@ -54,12 +49,12 @@ def test_exposure_is_the_camera_s_times_the_stops(tmp_path):
 def test_true_maps_are_nearer_than_flat_ones_in_any_detail(measure):
     (subject,) = subjects(["plaster"])
     shot = photograph_setup()
-    yardstick = Yardstick(subject, shot, SMALL, measure)
-    true = subject.piece(77)(256, 256, 2.0 / 512)
+    judge = Judge(subject, shot, SMALL, measure)
+    true = subject.pieces(77)(256, 256, 2.0 / 512)
     flat = replace(true, height=0.0 * true.height, roughness=0.0 * true.roughness + 0.3)
-    near = yardstick.judge(true, shot.intensity)
-    assert yardstick.judge(flat, shot.intensity) > 1.2 * near
-    pictures = relight_all(flat.map(lambda m: m.float()), shot.intensity, yardstick.scene)
+    near = judge.floors(true, shot.intensity)
+    assert judge.floors(flat, shot.intensity) > 1.2 * near
+    pictures = relight_all(flat.map(lambda m: m.float()), shot.intensity, judge.scene)
     assert pictures.shape[-1] == 256  # compared with pictures of 128
 
 
