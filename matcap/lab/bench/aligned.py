@@ -25,7 +25,7 @@ from matcap.lab.bench.piece import photographed_piece
 from matcap.lab.bench.relit import BenchScene, bench_scene, relight_all
 from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
-from matcap.lab.simulate.write_dng import write_dng
+from matcap.lab.simulate.specimen import named_specimen, photograph
 
 # Distances from the flash's foot in plane units that divide the picture.
 RINGS = (("foot", 0.0, 0.35), ("middle", 0.35, 0.75), ("rim", 0.75, math.inf), ("all", 0.0, 9.0))
@@ -175,10 +175,7 @@ def run_aligned(
                 remedy=f"choose from {', '.join(EXAMPLES)}",
             )
         example = EXAMPLES[name]
-        shot = example.take(camera)
-        out.mkdir(parents=True, exist_ok=True)
-        path = out / f"{name}.dng"
-        write_dng(path, shot, example.sensor, example.seed)
+        path, shot = photograph(named_specimen(name), camera, out)
         photo = as_photo(shot, example.seed, path.name)
         truth = _shrunk(example.truth(camera), detail)
         piece = photographed_piece(path, detail)

@@ -32,7 +32,7 @@ from matcap.lab.bench.relit import LIGHTS, BenchScene, bench_scene, relight_all
 from matcap.lab.bench.style import PortillaSimoncelli, RandomFilters, Style, difference
 from matcap.lab.simulate.examples import EXAMPLES, ExamplePhotograph, realisation
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, as_photo
-from matcap.lab.simulate.write_dng import write_dng
+from matcap.lab.simulate.specimen import named_specimen, photograph
 from matcap.photo.photo import Photo
 
 DECODER, ALBEDO = "decoder", "photo-as-albedo"
@@ -295,9 +295,7 @@ def _methods(
 
 
 def _photograph(example: ExamplePhotograph, out: Path, camera: PhoneCamera) -> Subject:
-    shot = example.take(camera)
-    path = out / f"{example.material}.dng"
-    write_dng(path, shot, example.sensor, example.seed)
+    path, shot = photograph(named_specimen(example.material), camera, out)
     return Subject(example, path, as_photo(shot, example.seed, path.name), shot)
 
 

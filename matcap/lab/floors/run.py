@@ -28,10 +28,8 @@ from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.baselines import photo_as_albedo
 from matcap.lab.bench.relit import BenchScene, bench_scene, relight_all
 from matcap.lab.floors.distance import Floor, Measure
-from matcap.lab.simulate.photograph import PhoneCamera, Shot, as_photo, take
-from matcap.lab.simulate.specimen import Specimen
-from matcap.lab.simulate.write_dng import write_dng
-from matcap.lab.simulate.write_jpeg import write_jpeg
+from matcap.lab.simulate.photograph import PhoneCamera, Shot, as_photo
+from matcap.lab.simulate.specimen import Specimen, photograph
 
 ALBEDO, PIECE, FIELD = "photograph as albedo", "piece", "field"
 
@@ -158,22 +156,6 @@ class Judge:
         return MapNumbers(**mean)
 
 
-def photograph(subject: Specimen, settings: FloorSettings, out: Path) -> tuple[Path, Shot]:
-    """Photograph a material into a folder; the file, and the truth."""
-    shot = take(subject.pieces(subject.seed), settings.camera, subject.setup)
-    gain = 2.0**settings.stops
-    intensity = tuple(gain * channel for channel in shot.setup.intensity)
-    red, green, blue = intensity
-    shot = Shot(shot.linear * gain, shot.setup.with_intensity((red, green, blue)), shot.camera)
-    path = out / f"{subject.name.replace(':', '-')}.{'jpg' if settings.jpeg else 'dng'}"
-    out.mkdir(parents=True, exist_ok=True)
-    if settings.jpeg:
-        write_jpeg(path, shot, subject.seed)
-    else:
-        write_dng(path, shot, subject.sensor, subject.seed)
-    return path, shot
-
-
 def judge_capture(
     subject: Specimen, shot: Shot, result: CaptureResult, settings: FloorSettings, measure: Measure
 ) -> list[FloorRow]:
@@ -235,7 +217,9 @@ def run_floors(
     settings, measure = settings or FloorSettings(), measure or Measure()
     rows = []
     for subject in chosen:
-        path, shot = photograph(subject, settings, out)
+        path, shot = photograph(
+            subject, settings.camera, out, stops=settings.stops, jpeg=settings.jpeg
+        )
         try:
             result = capture_file(path, settings.captured)
         except MatcapError as error:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from matcap.errors import UsageError
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.examples import EXAMPLES, realisation
+from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.map_sets import map_set_folders, read_map_set
 from matcap.lab.simulate.materials.kinds import KINDS, RandomKind, kind_of
 from matcap.lab.simulate.photograph import Realise
-from matcap.lab.simulate.specimen import Specimen
+from matcap.lab.simulate.specimen import Specimen, named_specimen
 
 # Of kinds of material, one each; no training has seen these numbers but by chance.
 NUMBER = 5001
@@ -41,10 +41,7 @@ def subjects(names: Iterable[str], sets: Path | None = None) -> list[Specimen]:
 
 def _subject(name: str, folders: dict[str, Path]) -> Specimen:
     if name in EXAMPLES:
-        example = EXAMPLES[name]
-        return Specimen(
-            name, partial(realisation, name), example.seed, example.setup, example.sensor
-        )
+        return named_specimen(name)
     if name in folders:
         return Specimen(name, read_map_set(folders[name]).piece, _PHOTOGRAPHED, _SETUP)
     kind, _, number = name.partition(":")

@@ -9,10 +9,11 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.lab.bench.relit import relight_all
 from matcap.lab.floors.distance import Measure
-from matcap.lab.floors.run import FloorSettings, Judge, MapNumbers, photograph
+from matcap.lab.floors.run import FloorSettings, Judge, MapNumbers
 from matcap.lab.floors.squeezenet import SqueezeNet
 from matcap.lab.floors.subjects import USUAL, subjects
 from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.lab.simulate.specimen import photograph
 from matcap.photo.load import load_photo
 
 SMALL = FloorSettings(detail=256, size=128, camera=PhoneCamera(160, 120))
@@ -38,9 +39,9 @@ def test_subjects_by_name_kind_and_folder():
 
 def test_exposure_is_the_camera_s_times_the_stops(tmp_path):
     (subject,) = subjects(["plaster"])
-    path, plain = photograph(subject, SMALL, tmp_path)
+    path, plain = photograph(subject, SMALL.camera, tmp_path)
     assert path.suffix == ".dng"
-    path, darker = photograph(subject, replace(SMALL, stops=-1.0, jpeg=True), tmp_path)
+    path, darker = photograph(subject, SMALL.camera, tmp_path, stops=-1.0, jpeg=True)
     assert path.suffix == ".jpg" and load_photo(path).original_size == (160, 120)
     assert darker.linear.mean() == pytest.approx(0.5 * plain.linear.mean())
     assert darker.setup.intensity[0] == pytest.approx(0.5 * plain.setup.intensity[0])
