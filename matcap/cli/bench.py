@@ -167,8 +167,7 @@ def highlight(
     """Whether the coarse fit keeps highlights, and finds flash and tilt where they were.
 
     Compares the highlight's centre, width and contrast in photographs and in re-renderings of
-    their coarse fits. Prints a line a photograph, and errors of offset and tilt on simulated ones,
-    beside the least that any fit could reach there (the Cramer-Rao bound).
+    their coarse fits. Prints a line a photograph, and errors of offset and tilt on simulated ones.
     """
     from matcap.lab.bench.highlight import keep, markdown, place, write_pair
     from matcap.lab.bench.highlight import simulated as make

@@ -78,7 +78,6 @@ def test_bench_highlight_tells_what_was_kept_and_where_things_were(monkeypatch, 
     """Only what is plain to see counts; nothing is fitted here."""
     from matcap.flash.highlight import Highlight
     from matcap.lab.bench import highlight as bench
-    from matcap.lab.bench.place_floor import PlaceFloor
 
     there = Highlight((0.0, 0.0), 0.2, 0.8, 0.1)
     again = Highlight((0.01, 0.0), 0.21, 0.8, 0.09)
@@ -86,13 +85,11 @@ def test_bench_highlight_tells_what_was_kept_and_where_things_were(monkeypatch, 
     monkeypatch.setattr(
         bench, "simulated", lambda count, seed, tells_fov: [("gravel", None, None)] * count
     )
-    floors = (PlaceFloor(0.06, 1.5), PlaceFloor(0.01, 0.5))
     monkeypatch.setattr(
-        bench, "place", lambda kind, photo, truth: bench.Placed(kind, True, 0.02, 1.25, floors)
+        bench, "place", lambda kind, photo, truth: bench.Placed(kind, True, 0.02, 1.25)
     )
     assert bench.Kept("leather", there, again, 1.0).whole and not lost.whole
     assert "| stone | inf | 0.00 | 0.00 | no |" in bench.markdown([lost], [], "matcap bench")
     said = matcap("bench", "highlight", "--simulated", 2)
     assert said.code == 0
     assert "| all | 2 | 0.020 | 0.020 | 1.25° | 1.25° | 0 |" in said.out
-    assert "| 0.060, 1.50° | 0.010, 0.50° |" in said.out

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+LAB = ROOT / "matcap" / "lab"
 # What git tracks in the package and setuptools would leave out unless told.
 DATA = (
     "matcap/py.typed",
@@ -173,10 +174,16 @@ def test_the_wheel_works_away_from_the_source_tree_and_without_the_laboratory(di
     ]
 
 
+def test_only_commands_that_measure_or_train_know_the_laboratory():
+    files = (f for f in (ROOT / "matcap").rglob("*.py") if not f.is_relative_to(LAB))
+    knowing = {f.stem for f in files if "from matcap.lab" in f.read_text(encoding="utf-8")}
+    assert knowing == {"bench", "bench_time", "inverse", "prior", "relight", "synth"}
+
+
 def test_the_laboratory_is_a_wheel_of_its_own_that_goes_beside(dist, lab, tmp_path):
     with zipfile.ZipFile(lab) as archive:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
-    code = {str(f.relative_to(ROOT)) for f in (ROOT / "matcap" / "lab").rglob("*.py")}
+    code = {str(f.relative_to(ROOT)) for f in LAB.rglob("*.py")}
     assert {name for name in names if name.endswith(".py")} == {
         name for name in code if "/build/" not in name
     }

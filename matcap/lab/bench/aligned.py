@@ -1,8 +1,7 @@
 """Maps of the photographed piece against its true ones, texel by texel.
 
 Where quality.py compares styles, so that nothing wins by pixel alignment, here truth is at hand:
-each map against its own, and relit pictures pixel by pixel, by distance from the flash's foot;
-and whether relit windows tell how far from there they are (drift.py).
+each map against its own, and relit pictures pixel by pixel, by distance from the flash's foot.
 What one photograph cannot tell, the gain between flash and albedo, cancels.
 """
 
@@ -22,12 +21,11 @@ from matcap.files.srgb import srgb_decode_tensor
 from matcap.flash.coarse import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
 from matcap.lab.bench.baselines import photo_as_albedo
-from matcap.lab.bench.drift import drift
 from matcap.lab.bench.piece import photographed_piece
 from matcap.lab.bench.relit import BenchScene, bench_scene, relight_all
 from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
-from matcap.lab.simulate.write_dng import write_dng
+from matcap.lab.simulate.specimen import named_specimen, photograph
 
 # Distances from the flash's foot in plane units that divide the picture.
 RINGS = (("foot", 0.0, 0.35), ("middle", 0.35, 0.75), ("rim", 0.75, math.inf), ("all", 0.0, 9.0))
@@ -64,14 +62,11 @@ class AlignedRow:
         material: its name.
         method: that found the maps.
         rings: errors by ring.
-        windows: style distance between relit windows near the flash's foot and near the rim, as a
-            multiple of the true maps'.
     """
 
     material: str
     method: str
     rings: dict[str, AlignedErrors]
-    windows: float
 
 
 def aligned_errors(
@@ -110,17 +105,16 @@ def aligned_errors(
 
 
 def aligned_markdown(rows: Sequence[AlignedRow]) -> str:
-    """A table of rows; what is of all rings is told once."""
+    """A table of rows."""
     names = [field.name for field in fields(AlignedErrors)]
     lines = [
-        "| material | method | ring | " + " | ".join(names) + " | windows |",
-        "|---|---|---|" + "---:|" * (len(names) + 1),
+        "| material | method | ring | " + " | ".join(names) + " |",
+        "|---|---|---|" + "---:|" * len(names),
     ]
     for row in rows:
         for ring, errors in row.rings.items():
             numbers = " | ".join(f"{value:.3g}" for value in astuple(errors))
-            windows = f"{row.windows:.2f}" if ring == "all" else ""
-            lines.append(f"| {row.material} | {row.method} | {ring} | {numbers} | {windows} |")
+            lines.append(f"| {row.material} | {row.method} | {ring} | {numbers} |")
     return "\n".join(lines) + "\n"
 
 
@@ -181,27 +175,21 @@ def run_aligned(
                 remedy=f"choose from {', '.join(EXAMPLES)}",
             )
         example = EXAMPLES[name]
-        shot = example.take(camera)
-        out.mkdir(parents=True, exist_ok=True)
-        path = out / f"{name}.dng"
-        write_dng(path, shot, example.sensor, example.seed)
+        path, shot = photograph(named_specimen(name), camera, out)
         photo = as_photo(shot, example.seed, path.name)
         truth = _shrunk(example.truth(camera), detail)
         piece = photographed_piece(path, detail)
         albedo = photo_as_albedo(photo, shot.setup, detail)
         coarse = fit_coarse(photo)
         scene = bench_scene(shot.setup)
-        distance = from_foot(truth, shot.setup)
-        true_drift = drift(truth, shot.setup.intensity, scene, distance)
         for method, maps, setup in (
             ("exemplar", piece.whole, piece.setup),
             ("photo-as-albedo", albedo.whole, albedo.setup),
             ("coarse fit", _uniform(coarse, truth), coarse.setup),
         ):
             found = aligned_errors(maps, setup, truth, shot.setup, scene)
-            windows = drift(maps, setup.intensity, scene, distance) / true_drift
-            rows.append(AlignedRow(name, method, found, windows))
-            tell(f"{name} {method}: relit {found['all'].relit:.3f}, windows {windows:.2f}")
+            rows.append(AlignedRow(name, method, found))
+            tell(f"{name} {method}: relit {found['all'].relit:.3f}")
     return rows
 
 

@@ -35,10 +35,10 @@ from matcap.lab.bench.quality import QualitySettings, Yardstick
 from matcap.lab.bench.relit import BenchLight, BenchScene, relight_all
 from matcap.lab.bench.style import PortillaSimoncelli, RandomFilters, Style
 from matcap.lab.bench.table import Measurement, append, machine, read
-from matcap.lab.simulate.examples import EXAMPLES, realisation
+from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.materials import random_material
-from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, take
-from matcap.lab.simulate.write_dng import Sensor, write_dng
+from matcap.lab.simulate.photograph import Realise
+from matcap.lab.simulate.specimen import Specimen, named_specimen, photograph
 from matcap.space.decoder import PAPER_CONFIG, DecoderConfig
 from matcap.space.patch import Patch
 from matcap.statistics.filterbank import FilterBankConfig
@@ -155,28 +155,8 @@ class CaptureBench:
         return self.out / "capture.csv"
 
 
-@dataclass(frozen=True)
-class Specimen:
-    """A material that is photographed: all its pieces, and how.
-
-    Attributes:
-        pieces: by seed.
-        seed: of the piece that is photographed.
-        setup: geometry of the photograph.
-        sensor: what its DNG says.
-    """
-
-    pieces: Callable[[int], Realise]
-    seed: int
-    setup: FlashSetup
-    sensor: Sensor
-
-
 def _specimens() -> dict[str, Specimen]:
-    known = {
-        name: Specimen(partial(realisation, name), example.seed, example.setup, example.sensor)
-        for name, example in EXAMPLES.items()
-    }
+    known = {name: named_specimen(name) for name in EXAMPLES}
     # Beside the named ones, some of the stream the prior never trains on by these seeds; and those
     # of them whose patterns the inverse network never trains on either (inverse/samples.py).
     streams = {
@@ -186,7 +166,8 @@ def _specimens() -> dict[str, Specimen]:
     for stream, seeds in streams.items():
         for index, seed in enumerate(seeds):
             setup = FlashSetup(offset=(0.1, -0.05, 0.0), tilt=(0.02 * (index % 4), -0.03))
-            known[f"{stream}-{index + 1}"] = Specimen(partial(_varied, seed), 21, setup, Sensor())
+            name = f"{stream}-{index + 1}"
+            known[name] = Specimen(name, partial(_varied, seed), 21, setup)
     return known
 
 
@@ -225,7 +206,7 @@ def run_capture_bench(
         ]
         if not todo:
             continue
-        path, shot = _photograph(subject, bench)
+        path, shot = photograph(SUBJECTS[subject], bench.quality.camera, bench.out)
         judges = cache(partial(_Judge, subject, shot.setup, bench.quality))
         for name, seed in todo:
             way = WAYS[name]
@@ -281,15 +262,6 @@ class _Judge:
         true, other = self._relit.pictures[:2]
         apart = float((first - second).abs().mean() / (true - other).abs().mean())
         return errors[0], errors[1], apart
-
-
-def _photograph(subject: str, bench: CaptureBench) -> tuple[Path, Shot]:
-    specimen = SUBJECTS[subject]
-    camera: PhoneCamera = bench.quality.camera
-    shot = take(specimen.pieces(specimen.seed), camera, specimen.setup)
-    path = bench.out / f"{subject}.dng"
-    write_dng(path, shot, specimen.sensor, specimen.seed)
-    return path, shot
 
 
 def _in_own_process(

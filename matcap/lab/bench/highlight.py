@@ -22,7 +22,6 @@ from matcap.files.picture import write_picture
 from matcap.flash.coarse import CoarseFit, fit_coarse, render_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import CELLS, Highlight, find_highlight, light_of
-from matcap.lab.bench.place_floor import PlaceFloor, place_floors
 from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
@@ -88,14 +87,12 @@ class Placed:
         kind: of the material.
         visible: whether its highlight is plain to see.
         offset, tilt: the errors.
-        floors: of both, the least median errors from brightness alone and from all channels.
     """
 
     kind: str
     visible: bool
     offset: float
     tilt: float
-    floors: tuple[PlaceFloor, PlaceFloor]
 
 
 def visible(highlight: Highlight | None) -> bool:
@@ -176,7 +173,6 @@ def place(kind: str, photo: Photo, truth: FlashSetup) -> Placed:
         visible(find_highlight(light_of(photo.pixels))),
         math.dist(found.offset[:2], truth.offset[:2]),
         math.degrees(math.dist(found.tilt, truth.tilt)),
-        place_floors(photo, fit, truth),
     )
 
 
@@ -217,11 +213,3 @@ def _placed_table(placed: Sequence[Placed]) -> Iterable[str]:
                 f"| {name} | {len(group)} | {statistics.median(offsets):.3f} | {max(offsets):.3f} "
                 f"| {statistics.median(tilts):.2f}° | {max(tilts):.2f}° | {beyond} |"
             )
-    yield "\n| no fit could, of brightness alone | of all channels |"
-    yield "| --- | --- |"
-    told = []
-    for index in range(2):
-        floors = [one.floors[index] for one in placed]
-        offset = statistics.median(floor.offset for floor in floors)
-        told.append(f"{offset:.3f}, {statistics.median(floor.tilt for floor in floors):.2f}°")
-    yield f"| {' | '.join(told)} |"

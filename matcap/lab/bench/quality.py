@@ -26,18 +26,18 @@ from matcap.files.picture import write_picture
 from matcap.files.srgb import srgb_decode_tensor
 from matcap.files.staging import staged
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.bench.baselines import PerTexelSettings, per_texel, photo_as_albedo
+from matcap.lab.bench.baselines import photo_as_albedo
 from matcap.lab.bench.piece import photographed_piece, rearranged_piece
 from matcap.lab.bench.relit import LIGHTS, BenchScene, bench_scene, relight_all
 from matcap.lab.bench.style import PortillaSimoncelli, RandomFilters, Style, difference
 from matcap.lab.simulate.examples import EXAMPLES, ExamplePhotograph, realisation
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, as_photo
-from matcap.lab.simulate.write_dng import write_dng
+from matcap.lab.simulate.specimen import named_specimen, photograph
 from matcap.photo.photo import Photo
 
-DECODER, ALBEDO, PER_TEXEL = "decoder", "photo-as-albedo", "per-texel"
+DECODER, ALBEDO = "decoder", "photo-as-albedo"
 EXEMPLAR, BY_EXAMPLE = "exemplar", "by-example"
-METHODS = (DECODER, EXEMPLAR, BY_EXAMPLE, ALBEDO, PER_TEXEL)
+METHODS = (DECODER, EXEMPLAR, BY_EXAMPLE, ALBEDO)
 _TRUTH_SEEDS = (1001, 1002, 1003)  # none of the examples'
 _FINER = 2  # true radiance is averaged over this many texels a side: it has detail below a pixel
 
@@ -88,13 +88,11 @@ class QualitySettings:
         detail: texels along the photograph's long side, of prediction and truth.
         size: texels a side of the pictures compared.
         camera: that takes the photographs.
-        per_texel: how long that baseline works.
     """
 
     detail: int = 1024
     size: int = 384
     camera: PhoneCamera = field(default_factory=PhoneCamera)
-    per_texel: PerTexelSettings = field(default_factory=PerTexelSettings)
 
 
 @dataclass(frozen=True)
@@ -282,9 +280,6 @@ def _methods(
     def albedo(subject: Subject) -> Captured:
         return photo_as_albedo(subject.photo, subject.shot.setup, settings.detail)
 
-    def texels(subject: Subject) -> Captured:
-        return per_texel(subject.photo, subject.shot.setup, settings.detail, settings.per_texel)
-
     def piece(subject: Subject) -> Captured:
         return photographed_piece(subject.path, settings.detail)
 
@@ -296,14 +291,11 @@ def _methods(
         EXEMPLAR: piece,
         BY_EXAMPLE: rearranged,
         ALBEDO: albedo,
-        PER_TEXEL: texels,
     }
 
 
 def _photograph(example: ExamplePhotograph, out: Path, camera: PhoneCamera) -> Subject:
-    shot = example.take(camera)
-    path = out / f"{example.material}.dng"
-    write_dng(path, shot, example.sensor, example.seed)
+    path, shot = photograph(named_specimen(example.material), camera, out)
     return Subject(example, path, as_photo(shot, example.seed, path.name), shot)
 
 

@@ -20,13 +20,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from matcap.lab.bench.style import Group, Statistics, difference
 from matcap.lab.floors.squeezenet import SqueezeNet
 from matcap.statistics.gram import gram
 
 SCALES = 2  # the second of half the size
 _SMALLEST = 64  # texels a side at the coarser scale
-
-Style = list[Tensor]  # Gram matrices (B, C, C), by scale and layer
 
 
 class Measure:
@@ -37,7 +36,7 @@ class Measure:
         self._network = network or SqueezeNet.load()
 
     @torch.no_grad()
-    def style(self, pictures: Tensor) -> Style:
+    def style(self, pictures: Tensor) -> Statistics:
         """Describe sRGB-encoded pictures (B, 3, H, W) in [0, 1], at least 128 texels a side.
 
         Raises:
@@ -45,15 +44,17 @@ class Measure:
         """
         if min(pictures.shape[-2:]) < _SMALLEST * 2 ** (SCALES - 1):
             raise ValueError(f"pictures of {tuple(pictures.shape)} are too small to be compared")
-        found = []
+        groups = {}
         for scale in range(SCALES):
             responses = self._network(F.avg_pool2d(pictures, 2**scale))
-            found += [gram(features)[:, :-1, :-1] for features in responses]
-        return found
+            for layer, features in enumerate(responses):
+                matrix = gram(features)[:, :-1, :-1]
+                groups[f"scale {scale}, layer {layer}"] = Group(matrix.flatten(1), 0.0)
+        return groups
 
     def style_distance(self, first: Tensor, second: Tensor) -> float:
         """Of sRGB-encoded pictures (B, 3, H, W) in [0, 1] under the same lights."""
-        return difference(self.style(first), self.style(second))
+        return _mean(difference(self.style(first), self.style(second)))
 
     def floors(self, found: Tensor, truths: Sequence[Tensor]) -> float:
         """Error of pictures (L, 3, H, W) in multiples of the floor; 1 is indistinguishable.
@@ -69,26 +70,18 @@ class Measure:
 class Floor:
     """True pieces of one material, and what they differ by."""
 
-    def __init__(self, truths: Sequence[Style]) -> None:
+    def __init__(self, truths: Sequence[Statistics]) -> None:
         """Take the styles of two or more."""
         self._truths = tuple(truths)
         pairs = list(itertools.combinations(self._truths, 2))
-        self.distance = sum(difference(a, b) for a, b in pairs) / len(pairs)
+        self.distance = sum(_mean(difference(a, b)) for a, b in pairs) / len(pairs)
 
-    def of(self, found: Style) -> float:
+    def of(self, found: Statistics) -> float:
         """Error in multiples of the floor."""
-        errors = [difference(found, truth) for truth in self._truths]
+        errors = [_mean(difference(found, truth)) for truth in self._truths]
         return sum(errors) / len(errors) / self.distance
 
 
-def difference(first: Style, second: Style) -> float:
-    """Mean relative difference of two descriptions of equally many pictures."""
-    apart = [_relative(a, b) for a, b in zip(first, second, strict=True)]
-    return float(torch.stack(apart).mean())
-
-
-def _relative(first: Tensor, second: Tensor) -> Tensor:
-    """() mean over pictures."""
-    apart = (first - second).abs().sum((1, 2))
-    size = (first.abs().sum((1, 2)) + second.abs().sum((1, 2))) / 2.0
-    return (apart / size.clamp_min(1e-12)).mean()
+def _mean(errors: Tensor) -> float:
+    """Over the lights."""
+    return float(errors.mean())

@@ -28,10 +28,8 @@ from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.baselines import photo_as_albedo
 from matcap.lab.bench.relit import BenchScene, bench_scene, relight_all
 from matcap.lab.floors.distance import Floor, Measure
-from matcap.lab.floors.subjects import Subject
-from matcap.lab.simulate.photograph import PhoneCamera, Shot, as_photo, take
-from matcap.lab.simulate.write_dng import write_dng
-from matcap.lab.simulate.write_jpeg import write_jpeg
+from matcap.lab.simulate.photograph import PhoneCamera, Shot, as_photo
+from matcap.lab.simulate.specimen import Specimen, photograph
 
 ALBEDO, PIECE, FIELD = "photograph as albedo", "piece", "field"
 
@@ -113,11 +111,11 @@ class FloorRow:
     seconds: float
 
 
-class Yardstick:
+class Judge:
     """True pieces of a material, relit and described."""
 
     def __init__(
-        self, subject: Subject, flash: FlashSetup, settings: FloorSettings, measure: Measure
+        self, subject: Specimen, flash: FlashSetup, settings: FloorSettings, measure: Measure
     ) -> None:
         """Relight true pieces, none of them the photographed one.
 
@@ -132,7 +130,7 @@ class Yardstick:
         self._settings, self._measure = settings, measure
         texel, pixels = 2.0 / (settings.detail * _FINER), settings.size * _FINER
         seeds = [subject.seed + 1 + number for number in range(settings.truths)]
-        self._truths = [subject.piece(seed)(pixels, pixels, texel) for seed in seeds]
+        self._truths = [subject.pieces(seed)(pixels, pixels, texel) for seed in seeds]
         blur = settings.camera.blur * settings.detail * _FINER / settings.camera.width
         relit = (
             relight_all(maps, flash.intensity, self.scene, finer=_FINER, blur=blur)
@@ -140,7 +138,7 @@ class Yardstick:
         )
         self.floor = Floor([measure.style(pictures) for pictures in relit])
 
-    def judge(self, maps: MapSet, intensity: tuple[float, float, float]) -> float:
+    def floors(self, maps: MapSet, intensity: tuple[float, float, float]) -> float:
         """Error of maps under the flash that goes with them, in floors."""
         pictures = relight_all(maps.map(lambda m: m.float()), intensity, self.scene)
         size = (self._settings.size, self._settings.size)
@@ -158,24 +156,8 @@ class Yardstick:
         return MapNumbers(**mean)
 
 
-def photograph(subject: Subject, settings: FloorSettings, out: Path) -> tuple[Path, Shot]:
-    """Photograph a material into a folder; the file, and the truth."""
-    shot = take(subject.piece(subject.seed), settings.camera, subject.setup)
-    gain = 2.0**settings.stops
-    intensity = tuple(gain * channel for channel in shot.setup.intensity)
-    red, green, blue = intensity
-    shot = Shot(shot.linear * gain, shot.setup.with_intensity((red, green, blue)), shot.camera)
-    path = out / f"{subject.name.replace(':', '-')}.{'jpg' if settings.jpeg else 'dng'}"
-    out.mkdir(parents=True, exist_ok=True)
-    if settings.jpeg:
-        write_jpeg(path, shot, subject.seed)
-    else:
-        write_dng(path, shot, subject.sensor, subject.seed)
-    return path, shot
-
-
 def judge_capture(
-    subject: Subject, shot: Shot, result: CaptureResult, settings: FloorSettings, measure: Measure
+    subject: Specimen, shot: Shot, result: CaptureResult, settings: FloorSettings, measure: Measure
 ) -> list[FloorRow]:
     """What a capture came to: the photograph as albedo, the piece, the field.
 
@@ -187,7 +169,7 @@ def judge_capture(
         measure: what by.
     """
     assert result.found is not None
-    yardstick = Yardstick(subject, shot.setup, settings, measure)
+    judge = Judge(subject, shot.setup, settings, measure)
     photo = as_photo(shot, subject.seed, subject.name)
     albedo = photo_as_albedo(photo, shot.setup, settings.detail)
     piece = piece_maps(result.found.exemplar)
@@ -198,9 +180,9 @@ def judge_capture(
 
     def row(method: str, maps: MapSet, intensity: tuple[float, float, float]) -> FloorRow:
         middle = _middle(maps, _side(maps.texel_size, settings))
-        told, true = MapNumbers.of(middle), yardstick.true_numbers(maps.texel_size)
+        told, true = MapNumbers.of(middle), judge.true_numbers(maps.texel_size)
         return FloorRow(
-            subject.name, method, yardstick.judge(middle, intensity),
+            subject.name, method, judge.floors(middle, intensity),
             told.tilt, true.tilt, told.albedo, true.albedo, told.roughness, true.roughness,
             seconds,
         )  # fmt: skip
@@ -213,7 +195,7 @@ def judge_capture(
 
 
 def run_floors(
-    chosen: Sequence[Subject],
+    chosen: Sequence[Specimen],
     out: Path,
     settings: FloorSettings | None = None,
     *,
@@ -235,7 +217,9 @@ def run_floors(
     settings, measure = settings or FloorSettings(), measure or Measure()
     rows = []
     for subject in chosen:
-        path, shot = photograph(subject, settings, out)
+        path, shot = photograph(
+            subject, settings.camera, out, stops=settings.stops, jpeg=settings.jpeg
+        )
         try:
             result = capture_file(path, settings.captured)
         except MatcapError as error:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
 from matcap.errors import UsageError
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.simulate.examples import EXAMPLES, realisation
+from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.map_sets import map_set_folders, read_map_set
 from matcap.lab.simulate.materials.kinds import KINDS, RandomKind, kind_of
 from matcap.lab.simulate.photograph import Realise
-from matcap.lab.simulate.write_dng import Sensor
+from matcap.lab.simulate.specimen import Specimen, named_specimen
 
 # Of kinds of material, one each; no training has seen these numbers but by chance.
 NUMBER = 5001
@@ -23,26 +22,7 @@ _PHOTOGRAPHED = 11  # seed of the piece that is photographed, where no example s
 _SETUP = FlashSetup(offset=(0.10, 0.05, 0.0), tilt=(0.02, -0.02))
 
 
-@dataclass(frozen=True)
-class Subject:
-    """A material whose truth is known.
-
-    Attributes:
-        name: of it.
-        piece: one realisation of it, by seed.
-        seed: of the one that is photographed.
-        setup: where the flash was, and the tilt.
-        sensor: what its DNG says of the camera's.
-    """
-
-    name: str
-    piece: Callable[[int], Realise]
-    seed: int = _PHOTOGRAPHED
-    setup: FlashSetup = _SETUP
-    sensor: Sensor = field(default_factory=Sensor)
-
-
-def subjects(names: Iterable[str], sets: Path | None = None) -> list[Subject]:
+def subjects(names: Iterable[str], sets: Path | None = None) -> list[Specimen]:
     """Subjects by name, and of every map set in a folder.
 
     Args:
@@ -59,17 +39,15 @@ def subjects(names: Iterable[str], sets: Path | None = None) -> list[Subject]:
     return [_subject(name, folders) for name in chosen]
 
 
-def _subject(name: str, folders: dict[str, Path]) -> Subject:
+def _subject(name: str, folders: dict[str, Path]) -> Specimen:
     if name in EXAMPLES:
-        example = EXAMPLES[name]
-        return Subject(
-            name, partial(realisation, name), example.seed, example.setup, example.sensor
-        )
+        return named_specimen(name)
     if name in folders:
-        return Subject(name, read_map_set(folders[name]).piece)
+        return Specimen(name, read_map_set(folders[name]).piece, _PHOTOGRAPHED, _SETUP)
     kind, _, number = name.partition(":")
     if kind in KINDS and (number.isdecimal() or not number):
-        return Subject(name, partial(_of_kind, kind_of(kind, int(number or NUMBER))))
+        pieces = partial(_of_kind, kind_of(kind, int(number or NUMBER)))
+        return Specimen(name, pieces, _PHOTOGRAPHED, _SETUP)
     known = ", ".join([*EXAMPLES, *KINDS, *folders])
     raise UsageError("there is no such material", where=name, remedy=f"choose from {known}")
 

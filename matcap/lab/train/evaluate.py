@@ -1,37 +1,44 @@
 """What a prior is worth: measured on photographs and materials it never saw.
 
-Held-out photographs are captured with and without the prior and by rivals that need none, and
-compared as measure.py says. Writes a Markdown table and a picture. Every result is kept as soon as
-it is there, and not made again by the next run into the same folder.
+Held-out photographs are captured with and without the prior, and compared as measure.py says,
+beside the photograph as albedo. Writes a Markdown table and a picture. Every result is kept as soon
+as it is there, and not made again by the next run into the same folder.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
 from torch import Tensor, zeros
 
-from matcap.lab.bench.baselines import PerTexelSettings
+from matcap.lab.bench.baselines import photo_as_albedo
 from matcap.lab.train.align import evaluate_alignment, make
 from matcap.lab.train.journal import first_of_each
 from matcap.lab.train.kept import key_of, once, photograph_key, prior_key
-from matcap.lab.train.measure import Made, Photographed, Result, capture, judge, photographed
+from matcap.lab.train.measure import (
+    DETAIL,
+    SIZE,
+    Made,
+    Photographed,
+    Result,
+    capture,
+    judge,
+    photographed,
+)
 from matcap.lab.train.pack import Entry, Pack
 from matcap.lab.train.pages import COLUMNS, median, names, table, write_sheet
-from matcap.lab.train.rivals import albedo, per_texel_maps, quilts
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.prior.store import Prior
 from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR
 from matcap.space.tuning.start import log_contrast, untrained
 
 UNSEEN = 1_000_000  # seeds from here on show simulated materials that training never draws
-ALBEDO, QUILTING, PER_TEXEL = "photograph as albedo", "image quilting", "per texel"
-# Pieces of the photographs themselves, which are not ours to publish: not on the sheet.
-_COPIES = (ALBEDO, QUILTING)
+ALBEDO = "photograph as albedo"  # which is not ours to publish: not on the sheet
 
 
 @dataclass(frozen=True)
@@ -44,7 +51,6 @@ class EvaluateSettings:
         materials: how many held-out ones.
         tilted: unseen simulated photographs for the tilt.
         realisations: of each material, that are compared with each other.
-        per_texel: how long that rival works.
     """
 
     steps: int = 100
@@ -52,7 +58,6 @@ class EvaluateSettings:
     materials: int = 12
     tilted: int = 100
     realisations: int = 3
-    per_texel: PerTexelSettings = field(default_factory=PerTexelSettings)
 
 
 @dataclass(frozen=True)
@@ -90,7 +95,7 @@ def run_evaluation(
     tell(f"tilt: {float(errors.mean()):.2f} degrees")
     page = markdown(results, errors, prior, command)
     (out / "prior-evaluation.md").write_text(page)
-    shown = [result for result in results if result.method not in _COPIES]
+    shown = [result for result in results if result.method != ALBEDO]
     write_sheet(shown, out / "prior-evaluation.jpg")
     return page
 
@@ -122,7 +127,7 @@ def _measure(way: EvaluatedMethod, shown: Callable[[], Photographed]) -> Result:
 
 
 def ways_of(prior: Prior, settings: EvaluateSettings) -> list[EvaluatedMethod]:
-    """From the prior, from nothing, and the rivals'."""
+    """From the prior, from nothing, and the photograph as albedo."""
     count, known = settings.realisations, prior_key(prior)
 
     def tuned(
@@ -142,13 +147,20 @@ def ways_of(prior: Prior, settings: EvaluateSettings) -> list[EvaluatedMethod]:
         EvaluatedMethod(f"nothing, {few} steps", tuned(from_nothing, few), (count,)),
         EvaluatedMethod(f"nothing, {many} steps", tuned(from_nothing, many), (count,)),
         EvaluatedMethod(ALBEDO, albedo),
-        EvaluatedMethod(
-            PER_TEXEL,
-            partial(per_texel_maps, realisations=count, settings=settings.per_texel),
-            (count, settings.per_texel),
-        ),
-        EvaluatedMethod(QUILTING, partial(quilts, realisations=count), (count,)),
     ]
+
+
+def albedo(shown: Photographed) -> Made:
+    """The photograph as diffuse albedo (bench/baselines.py): its corner, laid in its middle.
+
+    In its own place it would be compared with itself, lit a second time, and look right where no
+    other piece of it would. There is one picture of it, so its diversity is 0.
+    """
+    began = time.perf_counter()
+    fixed = photo_as_albedo(shown.photo, shown.scene.setup, DETAIL)
+    seconds = time.perf_counter() - began
+    corner = fixed.whole.crop(0, 0, SIZE, SIZE)
+    return Made(shown.lit(corner, fixed.setup)[None], seconds)
 
 
 Begin = Callable[[Photographed], tuple[Decoder, Tensor]]
@@ -192,10 +204,7 @@ def markdown(results: Sequence[Result], tilt_errors: Tensor, prior: Prior, comma
         COLUMNS,
         "",
         f"*{ALBEDO.capitalize()}* is the photograph's corner laid in its middle and lit once more;",
-        "in its own place it would be compared with itself. *Image quilting* (Efros and Freeman",
-        "2001) copies the very texels it is compared with; it has no maps, so nothing but these",
-        "columns can be measured of it. *Per texel* has one periodic patch, only moved from one",
-        "realisation to the next. How all of them but quilting look under other lights is",
+        "in its own place it would be compared with itself. How methods look under other lights is",
         "measured where the truth is known, by `matcap bench quality` (docs/notes/quality.md).",
         "",
         "Style error of each photograph:",

@@ -54,6 +54,4 @@ def test_what_is_wrong_at_the_rim_is_told_there() -> None:
     )
     assert found["foot"].roughness == 0.0
     assert found["rim"].roughness > 0.01
-    assert "| tile | exemplar | rim |" in aligned_markdown(
-        [AlignedRow("tile", "exemplar", found, windows=1.25)]
-    )
+    assert "| tile | exemplar | rim |" in aligned_markdown([AlignedRow("tile", "exemplar", found)])

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError, UsageError
 from matcap.lab.bench import quality
-from matcap.lab.bench.baselines import Fixed, PerTexelSettings, per_texel, photo_as_albedo
+from matcap.lab.bench.baselines import Fixed, photo_as_albedo
 from matcap.lab.bench.quality import Score, Yardstick, comma_separated, markdown, write_scores
 from matcap.lab.bench.relit import relight_all
 from matcap.lab.bench.style import PortillaSimoncelli, RandomFilters, difference
@@ -102,32 +102,6 @@ def test_photo_as_albedo_gives_the_photograph_back(shot, settings):
     assert float((maps.diffuse - middle).abs().mean()) < 0.05
     with pytest.raises(UsageError, match="512 x 384 texels"):
         captured.maps(600, 100)
-
-
-def test_per_texel_comes_closer_with_time(shot, settings):
-    photo = as_photo(shot, 1, "leather")
-    style = RandomFilters()
-    yardstick = Yardstick("leather", shot.setup, settings, [style])
-
-    def error(steps):
-        captured = per_texel(
-            photo, shot.setup, settings.detail, PerTexelSettings(tile=64, steps=steps, seconds=60)
-        )
-        maps = captured.maps(settings.size, settings.size, seed=0)
-        assert torch.isfinite(maps.stacked()).all()
-        pictures = relight_all(maps, captured.setup.intensity, yardstick.scene)
-        return yardstick.measure(pictures)[0]
-
-    assert error(60) < 0.8 * error(0)
-
-
-def test_tiled_maps_repeat_and_the_seed_moves_them(shot, settings):
-    photo = as_photo(shot, 1, "leather")
-    short = PerTexelSettings(tile=64, steps=0)
-    captured = per_texel(photo, shot.setup, settings.detail, short)
-    maps = captured.maps(160, 96, seed=1)
-    torch.testing.assert_close(maps.height[..., :96], maps.height[..., 64:160])
-    assert not torch.equal(maps.height, captured.maps(160, 96, seed=2).height)
 
 
 @needs_plenoptic

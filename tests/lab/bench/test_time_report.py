@@ -32,11 +32,11 @@ def captures(monkeypatch):
         asked.append((photo, settings, method))
         return float(len(asked)), 700.0
 
-    def shot(subject, bench):
-        return bench.out / f"{subject}.dng", type("Shot", (), {"setup": None})
+    def shot(specimen, camera, out):
+        return out / f"{specimen.name}.dng", type("Shot", (), {"setup": None})
 
     monkeypatch.setattr(capture, "_in_own_process", run)
-    monkeypatch.setattr(capture, "_photograph", shot)
+    monkeypatch.setattr(capture, "photograph", shot)
     monkeypatch.setattr(capture, "_Judge", FakeJudge)
     monkeypatch.setattr(capture.Material, "load", lambda path: None)
     return asked

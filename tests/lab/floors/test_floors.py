@@ -9,15 +9,11 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.lab.bench.relit import relight_all
 from matcap.lab.floors.distance import Measure
-from matcap.lab.floors.run import (
-    FloorSettings,
-    MapNumbers,
-    Yardstick,
-    photograph,
-)
+from matcap.lab.floors.run import FloorSettings, Judge, MapNumbers
 from matcap.lab.floors.squeezenet import SqueezeNet
 from matcap.lab.floors.subjects import USUAL, subjects
 from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.lab.simulate.specimen import photograph
 from matcap.photo.load import load_photo
 
 SMALL = FloorSettings(detail=256, size=128, camera=PhoneCamera(160, 120))
@@ -33,9 +29,9 @@ def test_subjects_by_name_kind_and_folder():
     assert [s.name for s in subjects(())] == list(USUAL)
     first, second = subjects(["weave", "weave:7"])
     texel = 2.0 / 256
-    assert first.piece(0)(32, 32, texel).height.shape == (1, 32, 32)
+    assert first.pieces(0)(32, 32, texel).height.shape == (1, 32, 32)
     assert not torch.equal(
-        first.piece(0)(32, 32, texel).height, second.piece(0)(32, 32, texel).height
+        first.pieces(0)(32, 32, texel).height, second.pieces(0)(32, 32, texel).height
     )
     with pytest.raises(UsageError, match="no such material"):
         subjects(["cheese"])
@@ -43,9 +39,9 @@ def test_subjects_by_name_kind_and_folder():
 
 def test_exposure_is_the_camera_s_times_the_stops(tmp_path):
     (subject,) = subjects(["plaster"])
-    path, plain = photograph(subject, SMALL, tmp_path)
+    path, plain = photograph(subject, SMALL.camera, tmp_path)
     assert path.suffix == ".dng"
-    path, darker = photograph(subject, replace(SMALL, stops=-1.0, jpeg=True), tmp_path)
+    path, darker = photograph(subject, SMALL.camera, tmp_path, stops=-1.0, jpeg=True)
     assert path.suffix == ".jpg" and load_photo(path).original_size == (160, 120)
     assert darker.linear.mean() == pytest.approx(0.5 * plain.linear.mean())
     assert darker.setup.intensity[0] == pytest.approx(0.5 * plain.setup.intensity[0])
@@ -54,12 +50,12 @@ def test_exposure_is_the_camera_s_times_the_stops(tmp_path):
 def test_true_maps_are_nearer_than_flat_ones_in_any_detail(measure):
     (subject,) = subjects(["plaster"])
     shot = photograph_setup()
-    yardstick = Yardstick(subject, shot, SMALL, measure)
-    true = subject.piece(77)(256, 256, 2.0 / 512)
+    judge = Judge(subject, shot, SMALL, measure)
+    true = subject.pieces(77)(256, 256, 2.0 / 512)
     flat = replace(true, height=0.0 * true.height, roughness=0.0 * true.roughness + 0.3)
-    near = yardstick.judge(true, shot.intensity)
-    assert yardstick.judge(flat, shot.intensity) > 1.2 * near
-    pictures = relight_all(flat.map(lambda m: m.float()), shot.intensity, yardstick.scene)
+    near = judge.floors(true, shot.intensity)
+    assert judge.floors(flat, shot.intensity) > 1.2 * near
+    pictures = relight_all(flat.map(lambda m: m.float()), shot.intensity, judge.scene)
     assert pictures.shape[-1] == 256  # compared with pictures of 128
 
 

@@ -6,11 +6,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from matcap.lab.bench.baselines import PerTexelSettings
 from matcap.lab.train import ablate, evaluate, measure
 from matcap.lab.train.decoder_only import DecoderOnly
 from matcap.lab.train.measure import SIZE, Made, Result, capture, judge, photographed
-from matcap.lab.train.rivals import albedo, quilts
 from matcap.space.tuning.finetune import RATE_FROM_NOTHING, Tuned
 
 
@@ -25,16 +23,8 @@ def test_the_photograph_itself_is_without_error(shown):
     assert result.material == shown.entry.material
 
 
-def test_a_quilt_has_its_photographs_look(shown):
-    made = quilts(shown, 1)
-    result = judge("quilt", made, shown)
-    darker = judge("darker", Made(0.5 * made.pictures, 0.0), shown)
-    assert 0.0 < result.style < darker.style
-    assert 0.0 < result.xyz < darker.xyz
-
-
 def test_the_photograph_as_albedo_is_one_picture_lit_twice(shown):
-    result = judge("albedo", albedo(shown), shown)
+    result = judge("albedo", evaluate.albedo(shown), shown)
     assert result.diversity == 0.0
     assert result.style > 0.01
     assert result.picture.shape == (3, SIZE, SIZE)
@@ -83,7 +73,7 @@ def test_an_evaluation_writes_its_page_and_a_picture_without_the_photographs(
         "ways_of",
         lambda prior, settings: [
             evaluate.EvaluatedMethod(name, made(calls, name))
-            for name in ("prior, not tuned", evaluate.ALBEDO, evaluate.QUILTING)
+            for name in ("prior, not tuned", evaluate.ALBEDO)
         ],
     )
     shown = []
@@ -98,13 +88,13 @@ def test_an_evaluation_writes_its_page_and_a_picture_without_the_photographs(
     assert (tmp_path / "prior-evaluation.md").read_text() == page
     assert (tmp_path / "prior-evaluation.jpg").is_file()
     assert "`matcap ...`" in page
-    assert "| image quilting |" in page
+    assert "| photograph as albedo |" in page
     assert "matcap bench quality" in page
     assert [result.method for result in shown] == ["prior, not tuned"]
 
 
 def test_only_what_starts_from_the_prior_depends_on_it(prior):
-    settings = evaluate.EvaluateSettings(per_texel=PerTexelSettings(steps=1))
+    settings = evaluate.EvaluateSettings()
     before = {way.name: way.follows for way in evaluate.ways_of(prior, settings)}
     ablated = {way.name: way.follows for way in ablate.variants(prior, 2)}
     with torch.no_grad():
