@@ -217,7 +217,7 @@ def _devices() -> tuple[str, ...]:
 
 
 def _prior() -> int | None:
-    file = _PLACE / "capture" / "prior" / "weights" / "prior.safetensors"
+    file = _PLACE / "space" / "prior" / "weights" / "prior.safetensors"
     return file.stat().st_size if file.is_file() else None
 
 

@@ -54,6 +54,10 @@ GENERATORS: Mapping[Generator, str] = {
     "example": "matcap.example.stored",
     "decoder": "matcap.space.tuned",
 }
+# The entries of a description in the order that files have had them in from the first.
+_TOLD = (
+    "format", "version", "name", "decoder", "waves", "texel_size", "setup", "provenance", "example",
+)  # fmt: skip
 _CODES = "matcap.space.code"  # who works out a code, imported when one is asked for
 
 
@@ -154,7 +158,8 @@ class Material:
             found, described = part.in_file()
             tensors |= found
             about |= described
-        write_tensors(Path(path), tensors, {"matcap": json.dumps(about)})
+        told = {key: about[key] for key in _TOLD if key in about}
+        write_tensors(Path(path), tensors, {"matcap": json.dumps(told)})
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Material:

@@ -8,15 +8,24 @@ import numpy as np
 import pytest
 from reference.formats import keys
 
+from matcap.capture.progress import DECODER_STAGES, PIECE_STAGES, CaptureClock
 from matcap.capture.report import report, warnings, write_report
-from matcap.capture.settings import CaptureSettings
+from matcap.capture.result import Tuning
+from matcap.capture.settings import CaptureSettings, Method
 from matcap.flash.geometry import FlashSetup
+
+STAGES = {**PIECE_STAGES, **DECODER_STAGES}
 
 
 @pytest.fixture
 def captured(pipeline, photo):
     """A result without anything to warn of."""
-    return pipeline.capture_photo(pipeline.load_photo(photo), CaptureSettings(detail=96))
+    return _captured(pipeline, photo, CaptureSettings(detail=96))
+
+
+def _captured(pipeline, photo, settings):
+    shown = pipeline.load_photo(photo)
+    return pipeline.capture_under(shown, settings, CaptureClock(None, STAGES), Method(), ())
 
 
 def test_a_good_capture_has_no_warnings(captured):
@@ -48,15 +57,16 @@ def test_angles_are_in_degrees(captured):
 
 
 def test_numbers_that_json_does_not_know_become_null(captured, tmp_path):
-    odd = replace(captured, history=((0.0, 1, float("inf")), (1.0, 2, float("nan"))))
+    went = Tuning(((0.0, 1, float("inf")), (1.0, 2, float("nan"))))
+    odd = replace(captured, tuning=went)
     write_report(odd, tmp_path / "report.json")
 
     def refuse(name: str) -> None:
         pytest.fail(f"{name} is not JSON")
 
     found = json.loads(Path(tmp_path / "report.json").read_text(), parse_constant=refuse)
-    assert found["error"] is None
-    assert found["error_over_time"][0] == {"seconds": 0.0, "step": 1, "error": None}
+    assert found["tuning"]["error"] is None
+    assert found["tuning"]["error_over_time"][0] == {"seconds": 0.0, "step": 1, "error": None}
 
 
 def test_a_limit_that_chooses_the_preset_is_told(captured):
@@ -64,8 +74,8 @@ def test_a_limit_that_chooses_the_preset_is_told(captured):
     assert not any("preset" in note for note in usual)
     limited = replace(captured, settings=CaptureSettings(preset="draft", time_limit=9.0))
     told = report(limited)
-    assert told["effort"]["preset"] == "reference" and told["effort"]["steps"] == 800
+    assert told["effort"]["preset"] == "reference" and told["effort"]["adapted"] == 320
     (note,) = (note for note in told["notes"] if note not in usual)
-    assert "the preset was reference: at most 800 steps" in note
+    assert "the preset was reference: at most 320 steps" in note
     counted = replace(captured, settings=CaptureSettings(steps=5, time_limit=9.0))
     assert report(counted)["notes"] == usual

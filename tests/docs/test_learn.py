@@ -107,7 +107,9 @@ def test_python_guide_runs_from_top_to_bottom(small, tmp_path, monkeypatch):
 
     from matcap.capture import pipeline
 
-    monkeypatch.setattr(pipeline, "capture_under", lambda *_: SimpleNamespace(material=small))
+    monkeypatch.setattr(
+        pipeline, "capture_under", lambda *_: SimpleNamespace(material=small, errors={})
+    )
     monkeypatch.chdir(tmp_path)
     shutil.copy(ROOT / "examples/photos/leather.dng", tmp_path)
     text = (ROOT / "docs/guide/python.md").read_text(encoding="utf-8")

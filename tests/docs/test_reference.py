@@ -84,7 +84,8 @@ def test_a_material_holds_what_is_told(small, tmp_path):
         confidence=np.ones((4, 96, 96), np.float32),
         texel_size=maps.texel_size,
     )
-    replace(small, example=Example.of(piece)).save(tmp_path / "leather.matcap")
+    both = {"example": Example.of(piece), **small.generators}
+    replace(small, generators=both).save(tmp_path / "leather.matcap")
     with safe_open(tmp_path / "leather.matcap", framework="pt") as file:
         about, tensors = json.loads(file.metadata()["matcap"]), list(file.keys())
     assert set(about) == formats.keys("matcap.field.material", "Metadata")

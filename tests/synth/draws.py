@@ -14,14 +14,13 @@ from matcap.field.blocks import Grid, pieces_of
 from matcap.field.field import inner, read_source
 from matcap.field.plane import Rectangle
 from matcap.field.single import single_threaded
-from matcap.field.source import material_source
 
 PLACES = (0, 2**31, 2**40)
 
 
 def wholes(material, seed=11):
     """A rectangle of some blocks near each place, and its maps."""
-    source = replace(material_source(material, seed), grid=Grid(128, 64))
+    source = replace(material.generator.source(seed), grid=Grid(128, 64))
     for place in PLACES:
         x, y = min(place - 61, 2**40 - 400), max(-place + 23, -(2**40))
         area = Rectangle(x, y, 400, 190)

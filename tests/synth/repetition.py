@@ -13,11 +13,16 @@ import numpy as np
 from matcap.field.field import Field
 from matcap.field.material import Material
 from matcap.space.spans import Span, spans_of
+from matcap.space.tuned import TunedDecoder
 
 
 def reach(material):
     """Texels that a texel's value depends on, to each side."""
-    return -spans_of(Span(0, 512), material.decoder.config.convolutions).down[0].start
+    return (
+        -spans_of(Span(0, 512), material.part(TunedDecoder).decoder.config.convolutions)
+        .down[0]
+        .start
+    )
 
 
 def correlations(material, size, seeds=(1, 2, 3)):

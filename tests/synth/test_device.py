@@ -10,7 +10,7 @@ from matcap.errors import MatcapError, UsageError
 from matcap.field.device import find_device, repeatable
 from matcap.field.field import Field
 from matcap.field.plane import Rectangle
-from matcap.field.source import MaterialSource, material_source
+from matcap.space.source import DecoderSource
 from matcap.synth.request import Work
 from matcap.synth.stream import write_field
 
@@ -18,7 +18,7 @@ CONVOLUTION = torch.backends.cudnn.conv
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
 
 
-class OnCuda(MaterialSource):
+class OnCuda(DecoderSource):
     """Says that it is on CUDA, for what only asks."""
 
     device = torch.device("cuda")
@@ -46,7 +46,7 @@ def test_cuda_that_is_not_there_is_refused(material, monkeypatch):
 
 
 def test_the_processor_again_is_the_same_bits(wavy):
-    source = material_source(wavy, 1)
+    source = wavy.generator.source(1)
     moved = replace(source, decoder=source.decoder.to(torch.device("cpu")))
     block = Rectangle(-512, 256, 64, 32)
     assert torch.equal(source.maps(block), moved.maps(block))
@@ -54,7 +54,7 @@ def test_the_processor_again_is_the_same_bits(wavy):
 
 def test_nothing_of_a_block_is_left_on_the_processor(wavy):
     """A device without memory stands for CUDA: it refuses operands that lie elsewhere."""
-    source = material_source(wavy, 1, device=torch.device("meta"))
+    source = wavy.generator.source(1, device=torch.device("meta"))
     for one in (source, source.lowered(0)):
         maps = one.maps(Rectangle(0, 0, 64, 32))
         assert (maps.device.type, maps.shape, maps.dtype) == ("meta", (6, 34, 66), torch.float32)

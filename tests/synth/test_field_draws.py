@@ -9,7 +9,6 @@ from repetition import correlations
 from matcap.field.blocks import BLOCK
 from matcap.field.field import Field, read_source
 from matcap.field.plane import Rectangle
-from matcap.field.source import material_source
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
 from matcap.synth.blend import blend_source
@@ -109,5 +108,5 @@ def test_where_one_material_is_alone_it_is_itself(material, wavy):
     source = blend_source(material, wavy, Mask(pixels, area), 4)
     maps = read_source(source, area, 1).stacked()
     for end, columns in ((material, slice(0, 200)), (wavy, slice(400, 600))):
-        alone = read_source(material_source(end, 4), area, 1).stacked()
+        alone = read_source(end.generator.source(4), area, 1).stacked()
         assert torch.allclose(maps[..., columns], alone[..., columns], atol=1e-6)

@@ -12,12 +12,11 @@ from matcap.lab.bench.synth import material
 from matcap.space.decoder import DecoderConfig
 from matcap.space.patch import Rectangle
 from matcap.field.single import single_threaded
-from matcap.field.source import material_source
 from matcap.synth.workers import keep_memory
 
 if sys.argv[1] == "kept":
     keep_memory()
-source = material_source(material(DecoderConfig(2, (32, 32, 32, 32, 32), (1, 1))), 0)
+source = material(DecoderConfig(2, (32, 32, 32, 32, 32), (1, 1))).source(0)
 faults = []
 with single_threaded(1) as pool:
     for _ in range(6):

@@ -4,6 +4,7 @@ import pytest
 
 from matcap.errors import MatcapError
 from matcap.export.onnx import write_onnx
+from matcap.space.tuned import TunedDecoder
 
 onnx = pytest.importorskip("onnx", reason="needs the extra `onnx`")
 pytest.importorskip("onnxruntime", reason="needs the extra `onnx`")
@@ -15,7 +16,10 @@ def test_onnxruntime_gives_the_same_maps(material, wavy, tmp_path):
         assert write_onnx(one, path) < 1e-5
         model = onnx.load(path)
         names = [given.name for given in model.graph.input]
-        assert names == ["noise", *([f"waves_{k}" for k in range(4)] if one.waves else [])]
+        assert names == [
+            "noise",
+            *([f"waves_{k}" for k in range(4)] if one.part(TunedDecoder).waves else []),
+        ]
         assert [out.name for out in model.graph.output] == [
             "diffuse", "specular", "roughness", "height",
         ]  # fmt: skip

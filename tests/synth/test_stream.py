@@ -20,7 +20,6 @@ from matcap.errors import MatcapError
 from matcap.field.blocks import Grid
 from matcap.field.field import Field, read_source
 from matcap.field.plane import Rectangle
-from matcap.field.source import material_source
 from matcap.synth.request import Files, Request, Work
 from matcap.synth.stream import write_field
 
@@ -31,7 +30,7 @@ ODD = Rectangle(512 - 70, -256 - 21, 200, 90)
 
 
 def request(material, area=ODD, files=None, seed=5, period=None):
-    source = replace(material_source(material, seed, period), grid=SMALL)
+    source = replace(material.generator.source(seed, period), grid=SMALL)
     return Request(source, area, MapSetInfo("m", seed, (area.x, area.y)), files or Files())
 
 
@@ -119,7 +118,7 @@ def test_two_runs_in_one_place_do_not_mix(material, tmp_path):
 
 
 def test_values_that_are_not_finite_are_refused_and_leave_nothing(material, tmp_path):
-    source = material_source(material, 0)
+    source = material.generator.source(0)
     broken = replace(source, texel_size=float("nan"))
     with pytest.raises(MatcapError, match="not finite"):
         write_field(Request(broken, ODD, MapSetInfo("m")), tmp_path / "out")

@@ -12,6 +12,7 @@ from matcap.lab.bench.synth import Settings, comma_separated, efficiency, markdo
 from matcap.space.decoder import PAPER_CONFIG, Decoder
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
+from matcap.space.tuned import TunedDecoder
 
 
 def test_the_papers_network_has_its_size():
@@ -31,8 +32,9 @@ def test_the_papers_form_is_the_decoder_but_for_the_blur(material, monkeypatch):
 
     field = random_field(Patch(1, Rectangle(0, 0, 96, 64), period=(96, 64)), 2, (), levels=4)
     with torch.no_grad():
-        found = paper_form(material.decoder, material.code, noise.contiguous())
-        expected = material.decoder(field, material.code)
+        tuned = material.part(TunedDecoder)
+        found = paper_form(tuned.decoder, tuned.code, noise.contiguous())
+        expected = tuned.decoder(field, tuned.code)
     # Its upsampling does not know that the field is periodic: only the inside is alike.
     inner = (..., slice(24, 40), slice(24, 72))
     assert float((found - expected)[inner].abs().mean()) < 0.3 * float(expected.std())
@@ -58,11 +60,12 @@ def test_a_short_run_fills_the_tables():
 def test_counted_multiplications_are_those_of_the_network(material):
     """By hand: one level-0 convolution of the head, 2 channels to 6, on the block and its ring."""
     from matcap.field.plane import Rectangle
-    from matcap.field.source import material_source, spans_of_block
+    from matcap.space.source import spans_of_block
 
-    decoder = material_source(material, 0).decoder
+    tuned = material.part(TunedDecoder)
+    decoder = tuned.source(0).decoder
     found = list(synth._convolutions(decoder, spans_of_block(Rectangle(0, 0, 64, 32), (1, 1))))
     assert [tuple(t.shape) for t in found[0]] == [(1, 2, 34, 66), (6, 2, 1, 1)]
     assert len(found) == 1 + 5 + 4 * 2
-    one = efficiency("tiny", material, "fp32", 1)
+    one = efficiency("tiny", tuned, "fp32", 1)
     assert one.field > 0 and one.share == one.field / one.plain

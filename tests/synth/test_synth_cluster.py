@@ -11,7 +11,6 @@ from matcap.brdf.folder import MapSetInfo
 from matcap.errors import MatcapError
 from matcap.field.blocks import Grid
 from matcap.field.plane import Rectangle
-from matcap.field.source import material_source
 from matcap.synth.request import Request, Work
 from matcap.synth.stream import write_field
 
@@ -35,7 +34,7 @@ def cluster():
 
 def test_a_worker_is_killed_half_way(material, tmp_path, cluster):
     area = Rectangle(0, 0, 5 * 128, 8 * 64)
-    source = replace(material_source(material, 2), grid=Grid(128, 64))
+    source = replace(material.generator.source(2), grid=Grid(128, 64))
     request = Request(source, area, MapSetInfo("m", 2))
     killed = []
 
@@ -57,7 +56,7 @@ def test_nobody_answers(material, tmp_path, monkeypatch):
     from matcap.synth import scheduler as module
 
     monkeypatch.setattr(module, "_PATIENCE", 0.5)
-    request = Request(material_source(material, 2), Rectangle(0, 0, 8, 8), MapSetInfo("m", 2))
+    request = Request(material.generator.source(2), Rectangle(0, 0, 8, 8), MapSetInfo("m", 2))
     with pytest.raises(MatcapError, match="no dask scheduler answers"):
         write_field(request, tmp_path / "out", Work(scheduler="tcp://127.0.0.1:9"))
     assert list(tmp_path.iterdir()) == []
