@@ -140,6 +140,7 @@ def export(
     """
     from matcap.brdf.adjust import parse_adjustments
     from matcap.errors import MatcapError, UsageError
+    from matcap.export.job import ExportJob, known_scale
     from matcap.export.presets import PresetOptions
     from matcap.export.reach import material_reach
     from matcap.export.targets import (
@@ -150,7 +151,7 @@ def export(
         write_export,
         write_preset,
     )
-    from matcap.export.textures import ExportJob, Workflow, known_scale
+    from matcap.export.textures import Workflow
     from matcap.export.udim import open_set
     from matcap.field.opened import OpenedMaps, open_tile
     from matcap.files.staging import check_writable

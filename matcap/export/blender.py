@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from importlib.resources import files as resources
 
-from matcap.export.textures import Export, ExportJob, Standard
+from matcap.export.job import ExportJob
+from matcap.export.textures import Export, Standard
 
 
 def blender(job: ExportJob) -> Export:

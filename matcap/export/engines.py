@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from matcap.export.formats import Picture
 from matcap.export.gltf import SHADING as GLTF
 from matcap.export.godot import LARGEST_F0, godot_material
 from matcap.export.presets import (
     Lit,
     PackedMaterial,
-    Picture,
     Preset,
     PresetTexture,
     bent,

@@ -16,15 +16,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from matcap.export.formats import Picture
 from matcap.export.shading import MATCAP, Geometry, TargetShading, diffuse_lobe, specular_lobe
 from matcap.export.surface import DIRECTIONS
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-Picture = NDArray[np.float32]
 
 _ROUGH, _F0 = 64, 33
 # Roughnesses that are tried, relative to the one that is meant, where the highlight has another

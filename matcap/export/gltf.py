@@ -24,6 +24,8 @@ from typing import Any
 import numpy as np
 
 from matcap.errors import UsageError
+from matcap.export.formats import Picture
+from matcap.export.job import ExportJob, MapRows
 from matcap.export.presets import Lit, PackedMaterial
 from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import (
@@ -33,19 +35,9 @@ from matcap.export.specular_workflow import (
     specular_colour,
     told_roughness,
 )
-from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import WRITERS, Picture, TextureFile
-from matcap.export.textures import (
-    BASE,
-    Export,
-    ExportJob,
-    MadeSurface,
-    MapRows,
-    Reader,
-    coded_normal,
-    occlusion_facts,
-    signed,
-)
+from matcap.export.surface import MadeSurface, Reader, TargetSurface
+from matcap.export.texture_file import WRITERS, TextureFile
+from matcap.export.textures import BASE, Export, coded_normal, occlusion_facts, signed
 from matcap.files.maker import MAKER
 
 # As viewers shade: three.js, Babylon.js and Blender add what bounces between microfacets.
@@ -88,10 +80,10 @@ def gltf_specular(job: ExportJob) -> Export:
         return np.stack([occluded, told_roughness(piece, SHADING), flat], axis=-1)
 
     textures = {
-        "base_color": job.texture(lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
-        "specular_color": job.texture(tint, "8", "F0", srgb=True),
-        "roughness": job.texture(rough, "16", "occlusion, roughness"),
-        "normal": job.texture(coded_normal, "16", "normal"),
+        "base_color": TextureFile.of(job, lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
+        "specular_color": TextureFile.of(job, tint, "8", "F0", srgb=True),
+        "roughness": TextureFile.of(job, rough, "16", "occlusion, roughness"),
+        "normal": TextureFile.of(job, coded_normal, "16", "normal"),
     }
 
     def surface(read: Reader) -> TargetSurface:
@@ -130,11 +122,11 @@ def gltf_metallic(job: ExportJob) -> Export:
         return np.stack([piece.picture("occlusion"), made.roughness, made.metallic.metallic], -1)
 
     textures = {
-        "base_color": job.texture(
-            lambda p: PackedMaterial(p, lit).metallic.base, "8", BASE, srgb=True
+        "base_color": TextureFile.of(
+            job, lambda p: PackedMaterial(p, lit).metallic.base, "8", BASE, srgb=True
         ),
-        "roughness": job.texture(rough, "16", "occlusion, roughness, metallic"),
-        "normal": job.texture(coded_normal, "16", "normal"),
+        "roughness": TextureFile.of(job, rough, "16", "occlusion, roughness, metallic"),
+        "normal": TextureFile.of(job, coded_normal, "16", "normal"),
     }
 
     def surface(read: Reader) -> TargetSurface:

@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from matcap.export.job import ExportJob
     from matcap.export.presets import Lit
-    from matcap.export.textures import ExportJob
 
 LARGEST_F0 = 0.16  # of metallic_specular = 1: F0 is 0.16 times its square
 _LAMBERT = 1

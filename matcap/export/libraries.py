@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from matcap.export.formats import Picture
 from matcap.export.presets import (
     PackedMaterial,
-    Picture,
     Preset,
     PresetTexture,
     bent,

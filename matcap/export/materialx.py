@@ -23,16 +23,18 @@ from pathlib import Path
 import numpy as np
 
 from matcap.errors import UsageError
+from matcap.export.formats import Picture
 from matcap.export.gltf import ior
+from matcap.export.job import ExportJob, MapRows
 from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import (
     base_colour,
     clipping_notes,
     specular_colour,
 )
-from matcap.export.surface import TargetSurface, nearest
-from matcap.export.texture_file import Picture, TextureFile
-from matcap.export.textures import BASE, Export, ExportJob, MapRows, Reader, Standard, signed
+from matcap.export.surface import Reader, TargetSurface, nearest
+from matcap.export.texture_file import TextureFile
+from matcap.export.textures import BASE, Export, Standard, signed
 
 VERSION = "1.39"
 # Indices of refraction that are tried, by their F0; the last is as high as they get.
@@ -102,8 +104,8 @@ class Layered:
             return np.clip(specular_colour(piece, shading) / np.float32(index), 0.0, 1.0)
 
         return Layered(
-            job.texture(lambda piece: base_colour(piece, shading), "16", BASE, srgb=True),
-            job.texture(tint, "16", f"F0 / {index:g}"),
+            TextureFile.of(job, lambda piece: base_colour(piece, shading), "16", BASE, srgb=True),
+            TextureFile.of(job, tint, "16", f"F0 / {index:g}"),
             shading,
         )
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Picture = NDArray[np.float32]
+from matcap.export.formats import Picture
+
 _HALVINGS = 12  # of metallic: finer than 8 bits
 # F0 from which a material is a metal in part, and altogether. Diamond, the highest of dielectrics
 # that anybody photographs, has 0.17; titanium, the lowest of bare metals, 0.5.

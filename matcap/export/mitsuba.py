@@ -17,10 +17,12 @@ from importlib.resources import files as resources
 import numpy as np
 
 from matcap.errors import UsageError
+from matcap.export.formats import Picture
+from matcap.export.job import ExportJob, MapRows
 from matcap.export.shading import TargetShading
-from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Picture
-from matcap.export.textures import Export, ExportJob, MapRows, Reader, Standard, signed
+from matcap.export.surface import Reader, TargetSurface
+from matcap.export.texture_file import TextureFile
+from matcap.export.textures import Export, Standard, signed
 
 _SCRIPT = "matcap_bsdf.py"
 _LARGEST_SHARE = 0.98
@@ -36,9 +38,11 @@ def mitsuba(job: ExportJob) -> Export:
         )
     textures = Standard.of(job)
     blend = {
-        "share": job.texture(_share, "16", "share of the blend that is specular"),
-        "blend_diffuse": job.texture(_blend_diffuse, "16", "diffuse / (1 - share)", srgb=True),
-        "blend_specular": job.texture(_blend_specular, "16", "F0 / share"),
+        "share": TextureFile.of(job, _share, "16", "share of the blend that is specular"),
+        "blend_diffuse": TextureFile.of(
+            job, _blend_diffuse, "16", "diffuse / (1 - share)", srgb=True
+        ),
+        "blend_specular": TextureFile.of(job, _blend_specular, "16", "F0 / share"),
     }
     standard = textures.files(job.name)
     names = {kind: f"{job.name}_{kind}{made.suffix}" for kind, made in blend.items()}

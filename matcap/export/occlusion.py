@@ -26,7 +26,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.export.texture_file import Picture
+from matcap.export.formats import Picture
 
 AZIMUTHS = 12
 REACH = 256  # texels

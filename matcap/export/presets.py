@@ -15,16 +15,17 @@ from string import Formatter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from matcap.brdf.folder import plain_name
 from matcap.errors import UsageError
 from matcap.export.fit import told
+from matcap.export.formats import Depth, Picture
+from matcap.export.job import ExportJob, MapRows
 from matcap.export.metallic import FIRST_METAL, Metallic, to_metallic
 from matcap.export.names import known
 from matcap.export.shading import MATCAP, TargetShading
-from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Depth, TextureFile
+from matcap.export.surface import MadeSurface, Reader, TargetSurface
+from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BENT,
     CAVITY,
@@ -34,10 +35,6 @@ from matcap.export.textures import (
     OCCLUSION,
     SIGNED_NORMAL,
     Export,
-    ExportJob,
-    MadeSurface,
-    MapRows,
-    Reader,
     Workflow,
     coded_height,
     coded_normal,
@@ -54,7 +51,6 @@ if TYPE_CHECKING:
 Normals = Literal["gl", "dx", "both"]
 _FIELDS = ("stem", "map", "res", "format")
 _SHADED = ("occlusion", "cavity", "bent")
-Picture = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -308,25 +304,27 @@ def _made(job: ExportJob, lit: Lit | None, texture: PresetTexture) -> TextureFil
     def make(piece: MapRows) -> Picture:
         return texture.make(PackedMaterial(piece, told_as))
 
-    return job.texture(make, texture.depth, texture.meaning, srgb=texture.srgb)
+    return TextureFile.of(job, make, texture.depth, texture.meaning, srgb=texture.srgb)
 
 
 def _height(job: ExportJob, texture: PresetTexture) -> TextureFile:
     """Whole numbers hold the coded height; floats the height itself."""
-    made = job.texture(coded_height, texture.depth, CODED_HEIGHT, lossy=False)
+    made = TextureFile.of(job, coded_height, texture.depth, CODED_HEIGHT, lossy=False)
     if made.whole:
         return made
-    return job.texture(picture("height"), texture.depth, HEIGHT, lossy=False)
+    return TextureFile.of(job, picture("height"), texture.depth, HEIGHT, lossy=False)
 
 
 def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> TextureFile:
     """Whole numbers hold 0.5 + 0.5 n, floats n itself."""
     up = "+Y down (DirectX)" if dx else "+Y up (OpenGL)"
     make = coded_normal_dx if dx else coded_normal
-    made = job.texture(make, depth, f"{NORMAL}, {up}")
+    made = TextureFile.of(job, make, depth, f"{NORMAL}, {up}")
     if made.whole:
         return made
-    return job.texture(lambda piece: 2.0 * make(piece) - 1.0, depth, f"{SIGNED_NORMAL}, {up}")
+    return TextureFile.of(
+        job, lambda piece: 2.0 * make(piece) - 1.0, depth, f"{SIGNED_NORMAL}, {up}"
+    )
 
 
 def _ways(normal: Normals) -> tuple[Literal["gl", "dx"], ...]:

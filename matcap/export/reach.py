@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from matcap.errors import MatcapError
-from matcap.export.textures import roomy
+from matcap.export.job import roomy
 
 
 def material_reach(path: Path, name: str) -> float | None:

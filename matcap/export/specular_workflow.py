@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from matcap.export.fit import told
+from matcap.export.formats import bands
 from matcap.export.shading import TargetShading
-from matcap.export.texture_file import bands
 
 if TYPE_CHECKING:
-    from matcap.export.texture_file import Picture
-    from matcap.export.textures import ExportJob, MapRows
+    from matcap.export.formats import Picture
+    from matcap.export.job import ExportJob, MapRows
 
 
 def base_colour(piece: MapRows, shading: TargetShading) -> Picture:

@@ -8,20 +8,19 @@ differs.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.export.formats import Picture
+from matcap.export.job import ExportJob
 from matcap.export.shading import MATCAP, Geometry, TargetShading, diffuse_lobe, specular_lobe
-
-if TYPE_CHECKING:
-    from matcap.export.texture_file import Picture, TextureFile
-    from matcap.export.textures import ExportJob, MadeSurface
+from matcap.export.texture_file import TextureFile
 
 # Directions under which surfaces are compared, degrees: view and light from the vertical, and the
 # light around it.
@@ -82,6 +81,11 @@ class TargetSurface:
         above = specular_lobe(self.shading, at, self.f0, self.f90, self.roughness)
         value = (below + above) * at.light
         return torch.where(at.above > 0, value, torch.zeros_like(value))
+
+
+# What a target reads from a texture: (C, H, W) float64.
+Reader = Callable[[TextureFile], Tensor]
+MadeSurface = Callable[[Reader], TargetSurface]
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,7 @@ from matcap.errors import UsageError
 from matcap.export.blender import blender
 from matcap.export.engines import ENGINES
 from matcap.export.gltf import gltf_metallic, gltf_specular
+from matcap.export.job import ExportJob, known_scale
 from matcap.export.libraries import LIBRARIES
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
@@ -55,7 +56,7 @@ from matcap.export.presets import PresetOptions, pack
 from matcap.export.reach import material_reach
 from matcap.export.surface import Residual, residuals
 from matcap.export.texture_file import TOKEN, WRITERS, TextureFile
-from matcap.export.textures import Export, ExportJob, Workflow, known_scale
+from matcap.export.textures import Export, Workflow
 from matcap.export.udim import FIRST
 from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.maker import MAKER_VERSION
@@ -250,7 +251,7 @@ def _write(
     notes = export.notes if job.repeats else (*export.notes, _SEAM)
     with staged(folder) as stage:
         _write_textures(export.textures, job, stage, FIRST)
-        for number, tile in () if job.tiles is None else job.tiles.others(job):
+        for number, tile in job.others():
             _write_textures(export.textures, tile, stage, number)
         for file, content in export.documents.items():
             (stage / file).write_bytes(content(stage))

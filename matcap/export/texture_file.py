@@ -7,35 +7,21 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.errors import MatcapError
+from matcap.errors import MatcapError, UsageError
+from matcap.export.formats import CONTAINERS, Container, Depth, Picture, bands
+from matcap.export.job import ExportJob, MapRows
 from matcap.files.exr import LARGEST_HALF, write_exr
 from matcap.files.png import png_bytes, quantised, turned
 from matcap.files.srgb import srgb_decode, srgb_picture
 
-if TYPE_CHECKING:
-    from matcap.export.textures import ExportJob, MapRows
-
-Depth = Literal["8", "16", "half", "float"]
-Container = Literal["png", "jpg", "webp", "exr", "tx"]
-Picture = NDArray[np.float32]
-
-CONTAINERS: dict[Container, tuple[Depth, ...]] = {
-    "png": ("8", "16"),
-    "jpg": ("8",),
-    "webp": ("8",),
-    "exr": ("half", "float"),
-    "tx": ("8", "16", "half", "float"),
-}
 TOKEN = "<UDIM>"  # stands for a tile's number in names of files
 WRITERS = 2  # textures made at a time: each holds one picture in memory
 _JPEG_QUALITY = 95
-# Of a texture that are made at a time: of 4096 columns what is worked on stays in the cache.
-_ROWS = 64
 _INCH = 0.0254
 
 
@@ -59,6 +45,48 @@ class TextureFile:
     meaning: str = ""
     container: Container = "png"
     udim: bool = False
+
+    @staticmethod
+    def of(
+        job: ExportJob,
+        make: Callable[[MapRows], Picture],
+        usual: Depth,
+        meaning: str,
+        *,
+        srgb: bool = False,
+        lossy: bool = True,
+    ) -> TextureFile:
+        """A texture in the file format and depth that was asked for, or is usual.
+
+        Args:
+            job: what is exported, and how.
+            make: its values.
+            usual: depth unless another was asked for.
+            meaning: of its values.
+            srgb: whole numbers follow the sRGB curve.
+            lossy: 8 bits will do; otherwise it stays a PNG where JPEG or WebP was asked for.
+
+        Raises:
+            UsageError: a format that has no such depth.
+        """
+        depth, container = job.depth or usual, job.container
+        if container in ("jpg", "webp"):
+            if not lossy:
+                return TextureFile(
+                    make, job.depth or usual, srgb, meaning, udim=job.tiles is not None
+                )
+            depth = job.depth or "8"
+        elif container == "exr":
+            depth = job.depth or (usual if usual in CONTAINERS["exr"] else "half")
+        elif container is None:
+            container = "png" if depth in CONTAINERS["png"] else "exr"
+        if depth not in CONTAINERS[container]:
+            raise UsageError(
+                f"{container} has no depth {depth}",
+                where="--bits",
+                remedy=f"give {' or '.join(CONTAINERS[container])}",
+            )
+        return TextureFile(make, depth, srgb, meaning, container, job.tiles is not None)
 
     @property
     def suffix(self) -> str:
@@ -151,11 +179,6 @@ class TextureFile:
             write_tiled(path, self.pixels(job), srgb=self.colour_space == "sRGB", wrap=job.wrap)
         else:
             path.write_bytes(self.encoded(job))
-
-
-def bands(height: int) -> list[slice]:
-    """The rows of a texture, as many at a time as are made at once."""
-    return [slice(top, min(top + _ROWS, height)) for top in range(0, height, _ROWS)]
 
 
 def _curved(values: Picture) -> Picture:

@@ -18,7 +18,6 @@ from matcap.field.opened import open_material
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
-    from matcap.export.textures import ExportJob
     from matcap.field.material import Material
     from matcap.field.source import Generator
 
@@ -76,15 +75,12 @@ class TextureSet:
         wide = replace(wide, periodic=False)
         return wide.crop(margin, margin, width, height), wide
 
-    def others(self, first: ExportJob) -> Iterator[tuple[int, ExportJob]]:
-        """(number, job) of every tile but the first, whose job is given."""
-        reach = first.height_code[0] / 2.0
+    def others(self) -> Iterator[tuple[int, MapSet, MapSet]]:
+        """(number, maps, the same with their surroundings) of every tile but the first."""
         for row in range(self.rows):
             for column in range(self.columns):
                 if row or column:
-                    maps, around = self.tile(column, row)
-                    job = replace(first, maps=maps, around=around, reach=reach)
-                    yield FIRST + column + 10 * row, job
+                    yield FIRST + column + 10 * row, *self.tile(column, row)
 
 
 def open_set(

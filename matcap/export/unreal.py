@@ -10,8 +10,8 @@ from importlib.resources import files as resources
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from matcap.export.job import ExportJob
     from matcap.export.presets import Lit
-    from matcap.export.textures import ExportJob
 
 
 def unreal_import(job: ExportJob, files: dict[str, str], lit: Lit) -> dict[str, str]:

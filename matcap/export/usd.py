@@ -25,13 +25,15 @@ from pathlib import Path
 import numpy as np
 
 from matcap.errors import UsageError
+from matcap.export.formats import Picture
 from matcap.export.gltf import ior
+from matcap.export.job import ExportJob, MapRows
 from matcap.export.materialx import INPUTS, Layered
 from matcap.export.presets import Lit, PackedMaterial
 from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import base_colour, clipping_notes, specular_colour
-from matcap.export.surface import TargetSurface
-from matcap.export.texture_file import Picture, TextureFile
+from matcap.export.surface import Reader, TargetSurface
+from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BASE,
     CODED_HEIGHT,
@@ -40,9 +42,6 @@ from matcap.export.textures import (
     ROUGHNESS,
     SPECULAR,
     Export,
-    ExportJob,
-    MapRows,
-    Reader,
     Standard,
     coded_height,
     coded_normal,
@@ -104,10 +103,10 @@ def usd_specular(job: ExportJob) -> Export:
 
     shared = _shared(job)
     inputs = {
-        "base_color": job.texture(lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
+        "base_color": TextureFile.of(job, lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
         # On the sRGB curve, as three.js takes it whatever the stage says.
-        "specular": job.texture(grey, "16", SPECULAR, srgb=True),
-        "roughness": job.texture(picture("roughness"), "16", ROUGHNESS),
+        "specular": TextureFile.of(job, grey, "16", SPECULAR, srgb=True),
+        "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
         **shared,
     }
     look = _UsdLook(inputs, True, _MIRROR, Layered.of(job))
@@ -136,13 +135,13 @@ def usd_metallic(job: ExportJob) -> Export:
     lit = Lit(SHADING, "metallic", even=_LARGEST_F0).of(job)
     f0 = lit.dielectric[0]
     inputs = {
-        "base_color": job.texture(
-            lambda p: PackedMaterial(p, lit).metallic.base, "8", BASE, srgb=True
+        "base_color": TextureFile.of(
+            job, lambda p: PackedMaterial(p, lit).metallic.base, "8", BASE, srgb=True
         ),
-        "metallic": job.texture(
-            lambda p: PackedMaterial(p, lit).metallic.metallic, "8", "metallic"
+        "metallic": TextureFile.of(
+            job, lambda p: PackedMaterial(p, lit).metallic.metallic, "8", "metallic"
         ),
-        "roughness": job.texture(picture("roughness"), "16", ROUGHNESS),
+        "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
         **_shared(job),
     }
 
@@ -172,9 +171,9 @@ def _check(job: ExportJob) -> None:
 def _shared(job: ExportJob) -> dict[str, TextureFile]:
     """What both forms have."""
     return {
-        "normal_gl": job.texture(coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
-        "height": job.texture(coded_height, "16", CODED_HEIGHT, lossy=False),
-        "occlusion": job.texture(picture("occlusion"), "8", OCCLUSION),
+        "normal_gl": TextureFile.of(job, coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
+        "height": TextureFile.of(job, coded_height, "16", CODED_HEIGHT, lossy=False),
+        "occlusion": TextureFile.of(job, picture("occlusion"), "8", OCCLUSION),
     }
 
 

@@ -69,8 +69,8 @@ def zipped(subject: Viewable, wish: ExportWish) -> bytes:
     Raises:
         MatcapError: as write_export.
     """
+    from matcap.export.job import ExportJob, known_scale
     from matcap.export.targets import write_export
-    from matcap.export.textures import ExportJob, known_scale
 
     if isinstance(subject, Materials):
         material = subject.at(wish.share)

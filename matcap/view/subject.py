@@ -250,7 +250,7 @@ def _flashed(setup: FlashSetup) -> Flashed:
 
 
 def _millimetres(provenance: Mapping[str, Any]) -> float:
-    from matcap.export.textures import known_scale
+    from matcap.export.job import known_scale
 
     return known_scale(provenance) or 0.0
 

@@ -17,8 +17,8 @@ from exported import unlike
 from read_materialx import render
 from round_trips import blender_picture, lit, mitsuba_picture, top_light
 
+from matcap.export.job import ExportJob
 from matcap.export.targets import write_export
-from matcap.export.textures import ExportJob
 from matcap.field.opened import open_tile
 from matcap.files.srgb import srgb_picture
 from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity

@@ -22,9 +22,9 @@ from exported import unlike
 
 import matcap
 from matcap.export.engines import ENGINES
+from matcap.export.job import ExportJob
 from matcap.export.surface import residual
 from matcap.export.targets import DOCUMENTS, write_export, write_preset
-from matcap.export.textures import ExportJob
 from matcap.field.opened import open_tile
 from matcap.files.exr import read_exr
 from matcap.lab.simulate.materials import MATERIALS, realise

@@ -5,8 +5,8 @@ import re
 
 import pytest
 
+from matcap.export.job import ExportJob
 from matcap.export.targets import write_export
-from matcap.export.textures import ExportJob
 
 
 def test_the_script_finds_all_it_reads(tmp_path, made):

@@ -8,9 +8,9 @@ from read_gltf import complaints, has_validator, opened, surface
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
+from matcap.export.job import ExportJob
 from matcap.export.surface import residual
 from matcap.export.targets import write_export
-from matcap.export.textures import ExportJob
 
 
 @pytest.mark.parametrize("depth", [None, "8", "16"])

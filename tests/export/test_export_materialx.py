@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from exported import MATERIALS
 
+from matcap.export.job import ExportJob
 from matcap.export.surface import residual
 from matcap.export.targets import write_export
-from matcap.export.textures import ExportJob
 from matcap.files.exr import read_exr
 
 VARIANTS = ("", "_openpbr", "_standard_surface")

@@ -5,8 +5,8 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
+from matcap.export.job import ExportJob
 from matcap.export.targets import write_export
-from matcap.export.textures import ExportJob
 
 
 def test_every_texture_named_is_there(tmp_path, made):

@@ -11,11 +11,11 @@ from exported import linear, picture
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
+from matcap.export.job import ExportJob
 from matcap.export.metallic import to_metallic
 from matcap.export.presets import PresetOptions
 from matcap.export.surface import residuals
 from matcap.export.targets import preset_forms, write_preset
-from matcap.export.textures import ExportJob
 from matcap.files.exr import read_exr
 
 NAMES = {

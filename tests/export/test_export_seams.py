@@ -9,8 +9,8 @@ from materials import a_material
 from matcap.brdf.seam import SEAMLESS, seam_ratio
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
+from matcap.export.job import ExportJob
 from matcap.export.targets import DOCUMENTS, PRESETS, write_export
-from matcap.export.textures import ExportJob
 from matcap.field.opened import open_maps, open_tile
 from matcap.lab.simulate.materials import MATERIALS, realise
 

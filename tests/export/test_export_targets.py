@@ -9,9 +9,9 @@ from exported import MATERIALS
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.errors import MatcapError, UsageError
+from matcap.export.job import ExportJob
 from matcap.export.reach import material_reach
 from matcap.export.targets import DOCUMENTS, export_mapset, write_export
-from matcap.export.textures import ExportJob
 
 
 @pytest.mark.parametrize("target", DOCUMENTS)

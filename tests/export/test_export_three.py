@@ -5,8 +5,8 @@ import render_babylon
 import render_three
 from exported import unlike
 
+from matcap.export.job import ExportJob
 from matcap.export.targets import write_export
-from matcap.export.textures import ExportJob
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import pytest
 from exported import MATERIALS
 
 from matcap.errors import UsageError
+from matcap.export.job import ExportJob
 from matcap.export.surface import residual
 from matcap.export.targets import write_export
-from matcap.export.textures import ExportJob
 
 
 @pytest.fixture

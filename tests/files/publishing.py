@@ -38,8 +38,8 @@ from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.cli.main import main as matcap
 from matcap.errors import MatcapError
+from matcap.export.job import ExportJob
 from matcap.export.targets import write_export
-from matcap.export.textures import ExportJob
 from matcap.field.plane import Rectangle
 from matcap.files.publish import recover
 from matcap.files.staging import staged

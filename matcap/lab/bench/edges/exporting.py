@@ -12,10 +12,11 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
+from matcap.export.formats import Container, Depth
+from matcap.export.job import ExportJob
 from matcap.export.metallic import SURE_METAL, to_metallic
 from matcap.export.targets import DOCUMENTS, PRESETS, write_export
-from matcap.export.texture_file import Container, Depth, TextureFile
-from matcap.export.textures import ExportJob
+from matcap.export.texture_file import TextureFile
 from matcap.files.exr import LARGEST_HALF, read_exr
 from matcap.files.srgb import srgb_decode
 from matcap.lab.bench.edges.swept import Swept, compared, log_uniform

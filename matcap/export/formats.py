@@ -1,0 +1,27 @@
+"""What a picture is in memory, and what the file of one can be."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Depth = Literal["8", "16", "half", "float"]
+Container = Literal["png", "jpg", "webp", "exr", "tx"]
+Picture = NDArray[np.float32]
+
+CONTAINERS: dict[Container, tuple[Depth, ...]] = {
+    "png": ("8", "16"),
+    "jpg": ("8",),
+    "webp": ("8",),
+    "exr": ("half", "float"),
+    "tx": ("8", "16", "half", "float"),
+}
+# Rows of a picture that are made at a time: of 4096 columns what is worked on stays in the cache.
+_ROWS = 64
+
+
+def bands(height: int) -> list[slice]:
+    """The rows of a picture, as many at a time as are made at once."""
+    return [slice(top, min(top + _ROWS, height)) for top in range(0, height, _ROWS)]
