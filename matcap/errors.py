@@ -54,7 +54,9 @@ class MatcapError(Exception):
     def sentence(self) -> str:
         """One line: where, what, remedy."""
         text = f"{self.where}: {self.what}" if self.where else self.what
-        return f"{text}; {self.remedy}." if self.remedy else f"{text}."
+        text = f"{text}; {self.remedy}." if self.remedy else f"{text}."
+        # A file's name may hold anything, even what moves a terminal's cursor.
+        return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
     def __reduce__(self) -> tuple[object, ...]:
         # Exceptions cross process boundaries in parallel work; keyword arguments must survive.

@@ -34,16 +34,18 @@ import json
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.heights import check_heights
 from matcap.brdf.seam import seam_ratio
-from matcap.errors import MatcapError, UsageError
+from matcap.brdf.stated import NormalStyle, stated_maps
+from matcap.errors import MatcapError
 from matcap.files.exr import read_exr, write_exr
 from matcap.files.maker import MAKER_VERSION
+from matcap.files.names import plain_name
 from matcap.files.png import write_png
 from matcap.files.publish import recover
 from matcap.files.srgb import srgb_picture
@@ -57,7 +59,6 @@ _WHAT_IT_IS = (
     "format", "width", "height", "x", "y", "seed", "periodic", "period", "udim", "normal",
     "texel_size", "provenance",
 )  # fmt: skip
-NormalStyle = Literal["gl", "dx"]
 
 FORMAT = "matcap map set"
 PIECE = "_photo"  # after a material's name: the maps of the photographed piece itself
@@ -174,29 +175,24 @@ def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
             where=str(file),
             remedy="give the folder that matcap synth or matcap capture wrote",
         )
-    try:
-        size = (int(document["width"]), int(document["height"]))
-        texel_size, periodic = float(document["texel_size"]), bool(document["periodic"])
-        files = {kind: plain_name(document["maps"][kind]["file"]) for kind in CHANNELS}
-        # Only where several maps share a file.
-        named = {kind: document["maps"][kind].get("channels") for kind in CHANNELS}
-    except (KeyError, TypeError, ValueError, UsageError) as error:
-        raise _broken(file, f"the entry {error} is missing or wrong") from error
-    if min(size) < 1 or not 0.0 < texel_size < float("inf"):
-        raise _broken(file, "a size is not positive")
+    stated = stated_maps(document, CHANNELS, file)
     maps = {}
     for kind, channels in CHANNELS.items():
-        pixels = read_exr(file.parent / files[kind], size=size, channels=named[kind])
+        name, named = stated.files[kind]
+        pixels = read_exr(file.parent / name, size=stated.size, channels=named)
         if pixels.shape[2] != channels:
             raise MatcapError(
                 f"has {pixels.shape[2]} channels instead of {channels}",
-                where=str(file.parent / files[kind]),
+                where=str(file.parent / name),
                 remedy="write the map set again",
             )
         if kind == "height":
-            check_heights(pixels, str(file.parent / files[kind]))
+            if stated.height_scale != 1.0:
+                pixels = pixels * np.float32(stated.height_scale)
+            check_heights(pixels, str(file.parent / name))
         maps[kind] = torch.from_numpy(pixels).movedim(-1, 0).contiguous()
-    return MapSet(**maps, texel_size=texel_size, periodic=periodic), document
+    document |= {"name": stated.name, "provenance": stated.provenance}
+    return MapSet(**maps, texel_size=stated.texel_size, periodic=stated.periodic), document
 
 
 def refuse_to_replace(folder: Path, new: dict[str, Any]) -> None:
@@ -366,19 +362,3 @@ def _load_document(file: Path) -> dict[str, Any] | None:
             remedy="update matcap",
         )
     return document
-
-
-def plain_name(name: str) -> str:
-    """The name itself when it is a plain file name, so that nothing leaves its folder."""
-    if (
-        not isinstance(name, str)
-        or not name
-        or name.startswith(".")
-        or any(mark in name for mark in "/\\\0")
-    ):
-        raise UsageError("is not a plain file name", where=repr(name)[:99], remedy="choose another")
-    return name
-
-
-def _broken(file: Path, what: str) -> MatcapError:
-    return MatcapError(what, where=str(file), remedy="write the map set again")

@@ -8,15 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from matcap.brdf.folder import (
-    PIECE,
-    SETUP,
-    MapSetInfo,
-    NormalStyle,
-    mapset_bytes,
-    mapset_files,
-    write_mapset,
-)
+from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, mapset_bytes, mapset_files, write_mapset
+from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
 from matcap.example.exemplar import CHANNELS
 from matcap.export.targets import check_targets, export_bytes, export_mapset

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.brdf.folder import NormalStyle
+from matcap.brdf.stated import NormalStyle
 from matcap.example import appearance, compiled, plain, relief
 from matcap.example.coordinates import Correct, coordinates
 from matcap.example.exemplar import Exemplar, Floats

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.example import PREFIX, Example
-from matcap.field.header import opened, plain_name
+from matcap.field.header import opened
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def read_exemplified(path: Path) -> Exemplified | None:
         example = read(about, file, path)
         if example is None:
             return None
-        return Exemplified(plain_name(str(about["name"])), dict(about["provenance"]), example)
+        return Exemplified(about["name"], about["provenance"], example)
 
 
 def read(about: Mapping[str, Any], file: Any, path: Path) -> Example | None:  # noqa: ANN401

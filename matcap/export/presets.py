@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from matcap.brdf.folder import plain_name
 from matcap.errors import UsageError
 from matcap.export.fit import told
 from matcap.export.formats import Depth, Picture
@@ -44,6 +43,7 @@ from matcap.export.textures import (
     picture,
     signed,
 )
+from matcap.files.names import plain_name
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -274,7 +274,9 @@ def _names(
     names: dict[str, str] = {}
     for kind, (label, made) in packed.items():
         fields = {"stem": job.name, "map": label, "res": res, "format": made.container.upper()}
-        file = plain_name(pattern.format(**fields)) + made.suffix
+        file = (
+            plain_name(pattern.format(**fields), what="the file name", where="--name") + made.suffix
+        )
         if file in names.values():
             raise UsageError(
                 f"two maps are called {file}", where="--name", remedy="put {map} into the name"
@@ -379,11 +381,12 @@ def _seen_normal(textures: dict[str, TextureFile], seen: dict[str, Tensor]) -> T
 def _checked(pattern: str) -> str:
     """The pattern itself, every field of it known."""
     try:
-        fields = [field for _, field, _, _ in Formatter().parse(pattern) if field is not None]
-        for one in fields:
-            known(one, _FIELDS, "--name")
-        pattern.format(**dict.fromkeys(_FIELDS, ""))
-    except (ValueError, IndexError, KeyError, AttributeError) as error:
+        for _, field, width, conversion in Formatter().parse(pattern):
+            if field is not None:
+                known(field, _FIELDS, "--name")
+            if width or conversion:
+                raise ValueError(f"'{field}' is put in as it is, without a width or a conversion")
+    except ValueError as error:
         raise UsageError(
             f"'{pattern}' is no pattern ({error})",
             where="--name",

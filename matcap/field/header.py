@@ -6,7 +6,6 @@ Read next: material.py, and the generators' own readers (GENERATORS there).
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,8 +13,11 @@ from typing import Any
 
 from safetensors import SafetensorError, safe_open
 
+from matcap.brdf.stated import known_provenance
 from matcap.errors import MatcapError
 from matcap.files.digest import is_whole
+from matcap.files.names import made_plain
+from matcap.files.values import bounded
 
 FORMAT = "matcap-material"
 # Of the file: with a decoder, with one that reads structured noise, and without any.
@@ -31,7 +33,6 @@ DAMAGED = (
     OverflowError,
     RecursionError,
 )
-_NAMED = re.compile(r"[^\w .,()+-]+")
 
 
 @contextmanager
@@ -72,11 +73,6 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
         ) from error
 
 
-def plain_name(name: str) -> str:
-    """The name as one that may be a file's: nothing of it leads to another folder."""
-    return _NAMED.sub("_", name)[:100].strip(" .") or "material"
-
-
 def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
     if not metadata or "matcap" not in metadata:
         raise MatcapError(
@@ -98,16 +94,40 @@ def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
             where=str(path),
             remedy="install the matcap that wrote it, or capture the photograph again",
         )
-    return about
+    return _checked(about)
 
 
-def bounded(value: Any, name: str, least: float, most: float) -> float:  # noqa: ANN401
-    """A stated number within limits; NaN is in none.
+def _checked(about: dict[str, Any]) -> dict[str, Any]:
+    """The entries that every material has, each of its type and in its range.
 
     Raises:
-        TypeError, ValueError: it is none, or outside.
+        What DAMAGED names: one of them is not.
     """
-    number = float(value)
-    if not least <= number <= most:
-        raise ValueError(f"{name} is {number:g}")
-    return number
+    return about | {
+        "name": made_plain(str(about["name"])),
+        "texel_size": bounded(about["texel_size"], "texel_size", 1e-9, 1e3),
+        "setup": stated_setup(about["setup"]),
+        "provenance": known_provenance(about["provenance"]),
+    }
+
+
+def stated_setup(stated: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of a FlashSetup that a file states, by name.
+
+    Raises:
+        What DAMAGED names: something is missing, of another kind or out of range.
+    """
+
+    def several(key: str, count: int, least: float, most: float) -> tuple[float, ...]:
+        values = stated[key]
+        if not isinstance(values, list | tuple) or len(values) != count:
+            raise ValueError(f"{key} is not {count} numbers")
+        return tuple(bounded(value, key, least, most) for value in values)
+
+    return {
+        "fov": bounded(stated["fov"], "fov", 1.0, 170.0),
+        "offset": several("offset", 3, -1e3, 1e3),
+        "tilt": several("tilt", 2, -1.5, 1.5),
+        "intensity": several("intensity", 3, 0.0, 1e12),
+        "vignetting": bounded(stated["vignetting"], "vignetting", -20.0, 20.0),
+    }

@@ -44,7 +44,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.field.field import Field
-from matcap.field.header import FORMAT, bounded, opened, plain_name
+from matcap.field.header import FORMAT, opened
 from matcap.field.plane import Period
 from matcap.field.source import Generator, Source
 from matcap.files.tensors import write_tensors
@@ -206,11 +206,11 @@ class Material:
             if not generators:
                 raise ValueError("nothing in it makes maps")
             return Material(
-                name=plain_name(str(about["name"])),
+                name=about["name"],
                 generators=generators,
-                texel_size=bounded(about["texel_size"], "texel_size", 1e-9, 1e3),
-                setup=stated_setup(about["setup"]),
-                provenance=dict(about["provenance"]),
+                texel_size=about["texel_size"],
+                setup=FlashSetup(**about["setup"]),
+                provenance=about["provenance"],
             )
 
 
@@ -226,22 +226,4 @@ def lacking(generator: Generator) -> UsageError:
         "this material has no exemplar",
         where="--generator example",
         remedy="capture the photograph again, or use its decoder",
-    )
-
-
-def stated_setup(stated: Mapping[str, Any]) -> FlashSetup:
-    """The setup that a file states.
-
-    Raises:
-        KeyError, TypeError, ValueError: something is missing, of another kind or out of range.
-    """
-    ox, oy, oz = (bounded(v, "offset", -1e3, 1e3) for v in stated["offset"])
-    red, green, blue = (bounded(v, "intensity", 0.0, 1e12) for v in stated["intensity"])
-    tilt_x, tilt_y = (bounded(v, "tilt", -1.5, 1.5) for v in stated["tilt"])
-    return FlashSetup(
-        fov=bounded(stated["fov"], "fov", 1.0, 170.0),
-        offset=(ox, oy, oz),
-        tilt=(tilt_x, tilt_y),
-        intensity=(red, green, blue),
-        vignetting=bounded(stated["vignetting"], "vignetting", -20.0, 20.0),
     )

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from matcap.brdf.adjust import KEY, NONE, Adjustments, adjusted
 from matcap.brdf.folder import SETUP, find_mapsets, read_mapset
 from matcap.errors import MatcapError, UsageError
+from matcap.files.names import kept_plain
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -90,7 +91,7 @@ def open_tile(
         repeat = material.alignment
         period = None if size[0] % repeat or size[1] % repeat else size
         maps = material.maps(*size, seed=seed, period=period)
-        return _told(maps, path.stem, dict(material.provenance), adjust)
+        return _told(maps, kept_plain(path.stem), dict(material.provenance), adjust)
     for option, asked in (("--size", size), ("--seed", seed), ("--generator", generator)):
         if asked is not None:
             raise UsageError(
@@ -99,8 +100,7 @@ def open_tile(
                 remedy="give the material (.matcap), or leave it out",
             )
     maps, document = read_mapset(path)
-    name = str(document.get("name") or path.stem)
-    return _told(maps, name, dict(document.get("provenance") or {}), adjust)
+    return _told(maps, document["name"], document["provenance"], adjust)
 
 
 def _told(maps: MapSet, name: str, provenance: dict[str, Any], adjust: Adjustments) -> OpenedMaps:
@@ -134,7 +134,8 @@ def open_photographed(path: Path) -> PhotographedAs | None:
     Raises:
         MatcapError: as open_source.
     """
-    from matcap.field.material import stated_setup
+    from matcap.field.header import stated_setup
+    from matcap.flash.geometry import FlashSetup
 
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
@@ -142,9 +143,10 @@ def open_photographed(path: Path) -> PhotographedAs | None:
         return PhotographedAs(material.setup, material.generator.piece_size, endless=True)
     maps, document = read_mapset(path)
     try:
-        return PhotographedAs(stated_setup(document["provenance"][SETUP]), maps.size, endless=False)
+        setup = FlashSetup(**stated_setup(document["provenance"][SETUP]))
     except (KeyError, TypeError, ValueError):
         return None
+    return PhotographedAs(setup, maps.size, endless=False)
 
 
 def open_material(path: Path) -> tuple[Path, Material]:

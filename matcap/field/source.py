@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.brdf.folder import NormalStyle
+from matcap.brdf.stated import NormalStyle
 from matcap.field.blocks import RING, Grid
 from matcap.field.plane import Period, Rectangle
 

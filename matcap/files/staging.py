@@ -16,6 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from matcap.errors import MatcapError
+from matcap.files.names import StagedFolder
 from matcap.files.publish import HIDDEN, publish, refuse_folders, sync
 
 _ELSEWHERE = "choose another folder with -o"
@@ -33,10 +34,11 @@ _REASONS: dict[int, tuple[str, str]] = {
 
 
 @contextmanager
-def staged(folder: Path, *, replacing: Iterable[str] = ()) -> Iterator[Path]:
+def staged(folder: Path, *, replacing: Iterable[str] = ()) -> Iterator[StagedFolder]:
     """A temporary folder whose files appear in `folder` together, or not at all.
 
-    Files of the same name are replaced. When the block has ended, they have reached the disk.
+    A path in it is made by `/`, which refuses names that lead out of it. Files of the same name
+    are replaced. When the block has ended, they have reached the disk.
     Folders made on the way are removed again on failure.
 
     Args:
@@ -61,8 +63,8 @@ def staged(folder: Path, *, replacing: Iterable[str] = ()) -> Iterator[Path]:
 
 
 @contextmanager
-def _stage(folder: Path) -> Iterator[Path]:
-    stage = Path(tempfile.mkdtemp(prefix=HIDDEN, dir=folder))
+def _stage(folder: Path) -> Iterator[StagedFolder]:
+    stage = StagedFolder(tempfile.mkdtemp(prefix=HIDDEN, dir=folder))
     try:
         yield stage
     finally:

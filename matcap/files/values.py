@@ -38,6 +38,32 @@ class Region:
 DEFAULT_SIZE = Size(1024, 1024)
 
 
+def bounded(value: object, name: str, least: float, most: float) -> float:
+    """A number from a file, within limits; NaN is in none.
+
+    Raises:
+        ValueError: it is none, or outside.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{name} is {str(value)[:40]!r}, no number")
+    if not least <= value <= most:
+        raise ValueError(f"{name} is {value:.4g}, not from {least:g} to {most:g}")
+    return float(value)
+
+
+def whole(value: object, name: str, least: int, most: int) -> int:
+    """A whole number from a file, within limits.
+
+    Raises:
+        ValueError: it is none, or outside.
+    """
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ValueError(f"{name} is {str(value)[:40]!r}, no whole number")
+    if not least <= value <= most:
+        raise ValueError(f"{name} is {str(value)[:40]}, not from {least} to {most}")
+    return value
+
+
 def size(text: str | Size) -> Size:
     """'4096x256' to 4096 by 256; '512' to 512 by 512; '4K' to 4096 by 4096."""
     if isinstance(text, Size):

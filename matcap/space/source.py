@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.folder import NormalStyle
+from matcap.brdf.stated import NormalStyle
 from matcap.field.blocks import RING, Grid
 from matcap.field.device import repeatable
 from matcap.field.plane import Period, Rectangle

@@ -12,9 +12,10 @@ import torch
 from safetensors import safe_open
 from torch import Tensor
 
-from matcap.field.header import REMEDY, bounded
+from matcap.field.header import REMEDY
 from matcap.field.material import Material
 from matcap.field.plane import Period, check_period, check_seed
+from matcap.files.values import bounded
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import ALIGNMENT, CODE_SIZE, Decoder, Moments
 from matcap.space.freeze import FoldedDecoder, fold

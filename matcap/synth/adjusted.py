@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.adjust import Adjustments, adjusted_planes
-from matcap.brdf.folder import NormalStyle
+from matcap.brdf.stated import NormalStyle
 from matcap.field.blocks import Grid
 from matcap.field.plane import Period, Rectangle
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from matcap.brdf.folder import NormalStyle
+from matcap.brdf.stated import NormalStyle
 from matcap.errors import MatcapError
 from matcap.field.blocks import Piece
 from matcap.synth.pictures import Picture, Rendered, render

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.brdf.folder import NormalStyle
 from matcap.brdf.heights import check_heights
+from matcap.brdf.stated import NormalStyle
 from matcap.field.blocks import Piece
 from matcap.synth.exr_tiles import TILE, Channel, Layout, Tile, encode_tile, stored
 

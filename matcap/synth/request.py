@@ -17,14 +17,14 @@ from matcap.brdf.folder import (
     PNG_BYTES,
     PNG_ENCODINGS,
     MapSetInfo,
-    NormalStyle,
     mapset_document,
-    plain_name,
 )
+from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
 from matcap.field.blocks import Piece, check_rectangle, pieces_of
 from matcap.field.plane import Rectangle
 from matcap.files.maker import MAKER_VERSION
+from matcap.files.names import plain_name
 from matcap.synth.pictures import Picture, channels_of, pictures_of
 
 if TYPE_CHECKING:

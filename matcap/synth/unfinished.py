@@ -14,6 +14,7 @@ from pathlib import Path
 
 from matcap.brdf.folder import MEANINGS, mapset_files
 from matcap.errors import MatcapError
+from matcap.files.names import StagedFolder, plain_name
 from matcap.files.publish import publish, recover
 from matcap.files.staging import culprit, new_folder, write_error
 from matcap.synth.jobs import WorkerLost
@@ -22,7 +23,7 @@ _KEY, _LOCK = ".request", ".lock"
 
 
 @contextmanager
-def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[Path]:
+def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[StagedFolder]:
     """A folder to write into; when the block ends, its files stand in `folder`.
 
     After an interruption, a full disk or a killed worker the files stay where they are; after
@@ -66,8 +67,8 @@ def unfinished_bytes(folder: Path, name: str) -> int:
     return sum(file.stat().st_size for file in _stage(folder, name).glob("*") if file.is_file())
 
 
-def _stage(folder: Path, name: str) -> Path:
-    return folder / f".{name}.matcap-part"
+def _stage(folder: Path, name: str) -> StagedFolder:
+    return StagedFolder(folder / f".{plain_name(name)}.matcap-part")
 
 
 @contextmanager

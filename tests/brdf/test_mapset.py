@@ -249,11 +249,22 @@ def test_missing_and_corrupt_maps_are_named(tmp_path, maps):
     [
         ({"version": 2}, "version 2, this matcap reads 1; update matcap"),
         ({"width": 30}, "is 31 x 20 texels, not 30 x 20"),
-        ({"width": 0}, "not positive"),
-        ({"width": "wide"}, "missing or wrong"),
-        ({"texel_size": float("nan")}, "not positive"),
-        ({"maps": {}}, "'diffuse' is missing or wrong"),
-        ({"maps": None}, "missing or wrong"),
+        ({"width": 0}, "'width' is 0, not from 1 to"),
+        ({"width": "wide"}, "'width' is 'wide', no whole number"),
+        ({"width": 2**40}, "'width' is 1099511627776, not from 1 to 2147483647"),
+        ({"texel_size": float("nan")}, "'texel_size' is nan, not from 1e-09 to 1000"),
+        ({"texel_size": 0}, "'texel_size' is 0, not from"),
+        ({"height_scale": float("inf")}, "'height_scale' is inf, not from"),
+        ({"normal": "zz"}, "'normal' is 'zz', neither 'gl' nor 'dx'"),
+        ({"periodic": 1}, "'periodic' is 1, neither true nor false"),
+        ({"name": "../../victim/keep"}, "which leads to another folder"),
+        ({"name": "a\nb"}, "which has characters that do not print"),
+        ({"name": 3}, "'name' is 3, which is no text"),
+        ({"provenance": 3}, "'provenance' is 3, no object"),
+        ({"provenance": {"millimetres_per_unit": float("nan")}}, "'millimetres_per_unit' is nan"),
+        ({"provenance": {"card": {"millimetres_per_unit": -1}}}, "'millimetres_per_unit' is -1"),
+        ({"maps": {}}, "'maps' tells no file of 'diffuse'"),
+        ({"maps": None}, "'maps' is None, no list of maps"),
     ],
 )
 def test_documents_that_do_not_fit_are_refused(tmp_path, maps, change, said):
@@ -268,8 +279,18 @@ def test_documents_cannot_name_files_elsewhere(tmp_path, maps):
     document = json.loads(file.read_text())
     document["maps"]["height"]["file"] = "../secret.exr"
     file.write_text(json.dumps(document))
-    with pytest.raises(MatcapError, match="plain file name"):
+    said = "'file of height' is '../secret.exr', which leads to another folder"
+    with pytest.raises(MatcapError, match=said):
         read_mapset(tmp_path / "set")
+
+
+def test_a_height_scale_is_heeded_and_numbers_nobody_knows_are_none(tmp_path, maps):
+    file = write_mapset(maps, tmp_path, INFO)
+    stated = {"height_scale": 2.0, "provenance": {"contrast": float("nan"), "list": [1, 1e999]}}
+    file.write_text(json.dumps(json.loads(file.read_text()) | stated))
+    back, document = read_mapset(tmp_path)
+    assert torch.equal(back.height, 2.0 * maps.height)
+    assert document["provenance"] == {"contrast": None, "list": [1, None]}
 
 
 def test_the_room_asked_for_is_enough(tmp_path, maps):

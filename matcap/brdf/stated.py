@@ -1,0 +1,149 @@
+"""What the JSON file of a map set may say: one schema for every reader.
+
+A stranger may have written it: every entry has a type, a range and, where it names a file, a plain
+name. What is wrong is told with its key and its value. Provenance is anybody's, but for what
+commands compute with; see known_provenance, which materials' files go through, too.
+
+Read next: folder.py, which writes and reads what is stated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from matcap.errors import MatcapError
+from matcap.files.names import flaw, shown
+from matcap.files.values import bounded, whole
+
+NormalStyle = Literal["gl", "dx"]
+_STYLES: tuple[NormalStyle, ...] = ("gl", "dx")
+_LONGEST_SIDE = 2**31 - 1  # texels, of an OpenEXR file
+_MOST_UNIT = 1e9  # millimetres of a plane unit
+SCALE = "millimetres_per_unit"
+
+
+@dataclass(frozen=True)
+class StatedMaps:
+    """What a map set's document says, checked.
+
+    Attributes:
+        name: of the set, a plain file name.
+        size: (width, height) in texels.
+        texel_size: plane units.
+        height_scale: what one unit of the height's file is, in plane units.
+        periodic: whether it repeats without a seam.
+        normal: which way green points in its normals.
+        files: by map, its file's name, and its channels where several maps share a file.
+        provenance: how the material was made; finite numbers alone.
+    """
+
+    name: str
+    size: tuple[int, int]
+    texel_size: float
+    height_scale: float
+    periodic: bool
+    normal: NormalStyle
+    files: Mapping[str, tuple[str, tuple[str, ...] | None]]
+    provenance: dict[str, Any]
+
+
+def stated_maps(document: Mapping[str, Any], kinds: Mapping[str, int], file: Path) -> StatedMaps:
+    """The document of a map set, checked.
+
+    Args:
+        document: as JSON gives it, its format and version known.
+        kinds: channels by map.
+        file: it was read from.
+
+    Raises:
+        MatcapError: an entry is missing, of another type or out of range.
+    """
+
+    def entry(key: str, default: Any = ...) -> Any:  # noqa: ANN401
+        value = document.get(key, default)
+        if value is ...:
+            raise ValueError(f"'{key}' is missing")
+        return value
+
+    try:
+        maps = entry("maps")
+        if not isinstance(maps, dict):
+            raise ValueError(f"'maps' is {shown(maps)}, no list of maps")
+        period = entry("periodic")
+        if not isinstance(period, bool):
+            raise ValueError(f"'periodic' is {shown(period)}, neither true nor false")
+        return StatedMaps(
+            name=_plain("name", entry("name", file.stem)),
+            size=(
+                whole(entry("width"), "'width'", 1, _LONGEST_SIDE),
+                whole(entry("height"), "'height'", 1, _LONGEST_SIDE),
+            ),
+            texel_size=bounded(entry("texel_size"), "'texel_size'", 1e-9, 1e3),
+            height_scale=bounded(entry("height_scale", 1.0), "'height_scale'", 1e-9, 1e9),
+            periodic=period,
+            normal=_style(entry("normal", "gl")),
+            files={kind: _file(maps, kind, channels) for kind, channels in kinds.items()},
+            provenance=known_provenance(entry("provenance", None) or {}),
+        )
+    except (TypeError, ValueError, OverflowError) as error:
+        raise MatcapError(
+            f"the map set's description is damaged: {error}",
+            where=str(file),
+            remedy="write the map set again",
+        ) from error
+
+
+def known_provenance(stated: object) -> dict[str, Any]:
+    """Provenance that a file states; numbers that are not finite become None, known to nobody.
+
+    Raises:
+        ValueError: it is no object, or a scale in it is no length.
+    """
+    if not isinstance(stated, dict):
+        raise ValueError(f"'provenance' is {shown(stated)}, no object")
+    card = stated.get("card")
+    for place in (stated, card if isinstance(card, dict) else {}):
+        if place.get(SCALE) is not None:
+            bounded(place[SCALE], f"'{SCALE}'", 1e-9, _MOST_UNIT)
+    finite: dict[str, Any] = _finite(stated)
+    return finite
+
+
+def _finite(value: Any) -> Any:  # noqa: ANN401
+    if isinstance(value, dict):
+        return {str(key): _finite(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _plain(key: str, value: object) -> str:
+    wrong = flaw(value)
+    if wrong:
+        raise ValueError(f"'{key}' is {shown(value)}, which {wrong}")
+    return str(value)
+
+
+def _style(value: object) -> NormalStyle:
+    for style in _STYLES:
+        if value == style:
+            return style
+    raise ValueError(f"'normal' is {shown(value)}, neither 'gl' nor 'dx'")
+
+
+def _file(maps: dict[str, Any], kind: str, count: int) -> tuple[str, tuple[str, ...] | None]:
+    about = maps.get(kind)
+    if not isinstance(about, dict) or "file" not in about:
+        raise ValueError(f"'maps' tells no file of '{kind}'")
+    channels = about.get("channels")
+    if channels is not None and not (
+        isinstance(channels, list)
+        and len(channels) == count
+        and all(isinstance(one, str) for one in channels)
+    ):
+        raise ValueError(f"the channels of '{kind}' are {shown(channels)}")
+    return _plain(f"file of {kind}", about["file"]), None if channels is None else tuple(channels)

@@ -1,0 +1,57 @@
+"""Names that come from files: nothing is written anywhere but where it was asked for."""
+
+import random
+
+import pytest
+
+from matcap.errors import MatcapError, UsageError
+from matcap.files.names import StagedFolder, flaw, kept_plain, made_plain, plain_name
+from matcap.files.staging import staged
+
+NASTY = (
+    "", " ", ".", "..", ".hidden", "../keep", "../../victim/keep", "/etc/passwd", "a/b", "a\\b",
+    "a\0b", "a\nb", "a\x1b[2Jb", "a\u202eb", "\ud800", "x" * 201, "é" * 150,
+)  # fmt: skip
+FINE = ("leather", "Leather (2), brown", "dose & co", "Holz'stück", "木目", "a.b", "x" * 200)
+
+
+@pytest.mark.parametrize("name", NASTY)
+def test_a_nasty_name_is_refused_and_becomes_a_plain_one(name):
+    with pytest.raises(UsageError, match="is not a plain file name: it") as caught:
+        plain_name(name)
+    assert caught.value.sentence().isprintable()
+    assert flaw(made_plain(name)) == flaw(kept_plain(name)) == ""
+
+
+@pytest.mark.parametrize("name", FINE)
+def test_a_name_that_people_give_is_kept(name):
+    assert plain_name(name) == kept_plain(name) == name
+
+
+@pytest.mark.parametrize("name", [3, None, ["a"], b"a"])
+def test_what_is_no_text_is_no_name(name):
+    assert flaw(name) == "is no text"
+
+
+@pytest.mark.parametrize("name", ["../keep", "..", "/etc/passwd", "a/../../b", "", "."])
+def test_nothing_is_staged_outside_its_folder(tmp_path, name):
+    (tmp_path / "keep").write_text("mine")
+    with (
+        pytest.raises(MatcapError, match="leads out of the folder"),
+        staged(tmp_path / "out") as stage,
+    ):
+        (stage / name).write_text("theirs")
+    assert [file.name for file in tmp_path.iterdir()] == ["keep"]
+    assert (tmp_path / "keep").read_text() == "mine"
+
+
+def test_ten_thousand_names_are_plain_once_made_so(tmp_path):
+    chance = random.Random(1)
+    alphabet = "ab/\\.\0\n\r\t\x1b\u202e\u2028 é木-_:*?\"<>|~$'`{}%&#@"
+    stage = StagedFolder(tmp_path)
+    for _ in range(10_000):
+        name = "".join(chance.choice(alphabet) for _ in range(chance.randrange(12)))
+        plain = made_plain(name)
+        assert flaw(plain) == "" and (stage / plain).parent == tmp_path
+        if flaw(name) == "":
+            assert (stage / name).parent == tmp_path
