@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from matcap.batch.settings import BatchSettings
+from matcap.files.memory import free_bytes
 
 _LIBRARIES = 1_150_000_000  # and one window being tuned
 _BY_PIXEL = {"raw": 22, "other": 12}  # bytes a pixel of the file
@@ -67,24 +68,6 @@ def photo_pixels(path: Path) -> tuple[int, bool]:
                 return picture.width * picture.height, False
     except Exception:
         return _USUAL_PIXELS, path.suffix.lower() not in (".jpg", ".jpeg", ".png")
-
-
-def free_bytes() -> int:
-    """Memory that new processes may take: of the machine, or of the control group if less."""
-    free = []
-    try:
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                free.append(int(line.split()[1]) * 1024)
-        group = Path("/sys/fs/cgroup")
-        most = (group / "memory.max").read_text().strip()
-        if most != "max":
-            free.append(int(most) - int((group / "memory.current").read_text()))
-    except (OSError, ValueError, IndexError):
-        pass
-    if not free:
-        free.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2)
-    return max(0, min(free))
 
 
 def crew_size(wanted: int | None, each: int, jobs: int, free: int | None = None) -> int:

@@ -11,7 +11,7 @@ from matcap.batch.cluster import Cluster
 from matcap.batch.crew import BatchCrew, Processes
 from matcap.batch.entries import BatchEntry, make_plan
 from matcap.batch.identity import prior_hash
-from matcap.batch.memory import crew_size, free_bytes, largest_worker
+from matcap.batch.memory import crew_size, largest_worker
 from matcap.batch.overview import write_index
 from matcap.batch.run import Batch, Policy, Show, exit_code
 from matcap.batch.settings import BatchSettings
@@ -19,6 +19,7 @@ from matcap.batch.shoot import Grouping, find_samples
 from matcap.batch.work import do_job, settle_threads
 from matcap.batch.workspace import open_run
 from matcap.errors import ExitCode, MatcapError
+from matcap.files.memory import free_bytes
 from matcap.files.staging import check_writable
 from matcap.photo.calibrate import Calibration, card_sentence, read_card
 

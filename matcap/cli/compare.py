@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import JsonOption, QuietOption
+from matcap.cli.options import JsonOption, QuietOption, ReplaceOption
 from matcap.errors import UsageError
 
 if TYPE_CHECKING:
     from matcap.capture.compare import Compared
     from matcap.photo.photo import Photo
+
+
+_MARK = "matcap compare"  # what its picture says of who wrote it
 
 
 def compare(
@@ -32,23 +35,31 @@ def compare(
     out: Annotated[Path, typer.Option("--out", "-o", help="The picture, a PNG.")] = Path(
         "compared.png"
     ),
+    overwrite: ReplaceOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Show two captures, or two versions of one, under the same lights, with their verdicts."""
     from matcap.capture.compare import Compared, comparison
+    from matcap.files.mark import check_replaceable, pillow_mark
     from matcap.files.staging import check_writable, staged_file
 
     photos = list(photo or [])
     if len(photos) > 2:
         raise UsageError("there are more than two", where="--photo", remedy="give one or two")
+    if out.suffix.lower() != ".png":
+        raise UsageError("the picture is a PNG", where=str(out), remedy="name it .png")
+    inputs = [file for file in (first, second, *photos) if not file.is_dir()]
+    check_replaceable([out], _MARK, inputs=inputs, overwrite=overwrite)
     check_writable(out.parent, 10_000_000, [out.name])
     captures = [Compared.open(path) for path in (first, second)]
     given = photos * 2 if len(photos) == 1 else photos
     shown: Sequence[Path | None] = given or [_own(one, quiet=quiet) for one in captures]
+    read = [file for file in shown if file is not None]
+    check_replaceable([out], _MARK, inputs=read, overwrite=overwrite)
     sheet = comparison(captures, [_read(file) for file in shown])
     with staged_file(out) as file:
-        sheet.save(file, "PNG")
+        sheet.save(file, "PNG", pnginfo=pillow_mark(_MARK))
     if as_json:
         told = [{"name": one.name, "verdict": one.verdict} for one in captures]
         typer.echo(json.dumps({"picture": str(out), "captures": told}, indent=2))

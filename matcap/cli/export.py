@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from matcap.cli.inputs import files_read
 from matcap.cli.options import (
     AdjustOption,
     Bits,
@@ -17,6 +18,8 @@ from matcap.cli.options import (
     OverwriteOption,
     QuietOption,
     WorkflowName,
+    in_range,
+    seeded,
     typed,
 )
 from matcap.files import values
@@ -26,6 +29,11 @@ if TYPE_CHECKING:
     from matcap.field.source import Generator
 
 
+_AS_BEFORE = {"gltf": "gltf-textures"}  # what --preset called otherwise than --to
+_LARGEST = 65_536  # texels a side
+_TEXEL_BYTES = 150  # of memory that an export takes at least
+
+
 def export(
     path: Annotated[
         Path, typer.Argument(help="A material, a map set or a folder with either.")
@@ -33,16 +41,15 @@ def export(
     to: Annotated[
         str | None,
         typer.Option(
-            metavar="TARGET", help="materialx, usd, gltf, blender or mitsuba; or a preset's name."
+            metavar="TARGET",
+            help="materialx, usd, gltf, blender or mitsuba; or a preset, loose textures named and "
+            "packed as polyhaven, ambientcg, raw, unreal, unity-hdrp, unity-urp, godot, "
+            "gltf-textures or substance.",
         ),
     ] = None,
     preset: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Loose textures instead, named and packed as polyhaven, ambientcg, raw, unreal, "
-            "unity-hdrp, unity-urp, godot, gltf or substance.",
-        ),
+        typer.Option(hidden=True, help="What --to was called for presets."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -51,11 +58,11 @@ def export(
     size: Annotated[
         values.Size | None,
         typer.Option(
-            parser=typed(values.size),
+            parser=typed(values.sides(_LARGEST)),
             metavar="WxH",
             show_default="1024x1024",
-            help="Texels read from a material, 2048x1024 or 2K; they repeat without a seam where "
-            "both are multiples of 16.",
+            help="Texels read from a material, 2048x1024 or 2K, at most 65536 a side; they repeat "
+            "without a seam where both are multiples of 16.",
         ),
     ] = None,
     udim: Annotated[
@@ -63,11 +70,18 @@ def export(
         typer.Option(
             parser=typed(values.size),
             metavar="CxR",
-            help="A texture set of C columns and R rows of a material, each tile of --size.",
+            help="A texture set of C columns (at most 10) and R rows (at most 900) of a material, each "
+            "tile of --size.",
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(show_default="0", help="Which piece is read from a material.")
+        int | None,
+        typer.Option(
+            parser=seeded,
+            metavar="SEED",
+            show_default="0",
+            help="Which piece is read from a material.",
+        ),
     ] = None,
     generator: GeneratorOption = None,
     adjust: AdjustOption = None,
@@ -81,7 +95,7 @@ def export(
     workflow: Annotated[
         WorkflowName | None,
         typer.Option(
-            show_default="what comes nearest",
+            show_default="what comes nearest; of unreal metallic",
             help="The target's metallic or specular workflow, where it has both.",
         ),
     ] = None,
@@ -100,8 +114,7 @@ def export(
         float | None,
         typer.Option(
             "--unit",
-            min=1e-6,
-            max=1e9,
+            parser=in_range(1e-6, 1e9),
             metavar="MM",
             show_default="what the material knows",
             help="Millimetres of a plane unit, half the photograph's long side: sizes and heights "
@@ -112,7 +125,7 @@ def export(
         str | None,
         typer.Option(
             metavar="PATTERN",
-            help="Of a preset's files: fields {stem}, {map}, {res} and {format}.",
+            help="Of a preset's files: the fields {stem}, {map}, {res} and {format} as they are.",
         ),
     ] = None,
     maps: Annotated[
@@ -145,37 +158,41 @@ def export(
     from matcap.export.reach import material_reach
     from matcap.export.targets import (
         DOCUMENTS,
-        PRESETS,
         check_target,
         export_bytes,
+        sidecar_name,
         write_export,
-        write_preset,
     )
     from matcap.export.textures import Workflow
     from matcap.export.udim import open_set
     from matcap.field.opened import OpenedMaps, open_tile
+    from matcap.files.memory import check_memory
     from matcap.files.staging import check_writable
 
-    if to is not None and to in PRESETS and to not in DOCUMENTS:  # all of them are targets
-        to, preset = None, to
-    if [onnx, to is not None, preset is not None].count(True) != 1:
-        raise UsageError("give either --to or --preset, or --onnx", where="matcap export")
+    if preset is not None and to is None:
+        to, preset = _AS_BEFORE.get(preset, preset), None
+    if preset is not None or onnx == (to is not None):
+        raise UsageError("give a target with --to, or --onnx", where="matcap export")
+    target = "" if to is None else check_target(to)
     asked = {"--name": name, "--maps": maps, "--normal": normal}
-    for option in (option for option, value in asked.items() if not preset and value is not None):
-        raise UsageError("this is for --preset", where=option, remedy="leave it out")
+    for option in (option for option, value in asked.items() if value is not None):
+        if onnx or target in DOCUMENTS:
+            raise UsageError("this is for presets alone", where=option, remedy="leave it out")
     changes = parse_adjustments(adjust)
     if onnx and changes.changes:
         raise UsageError("a network is not adjusted", where="--adjust", remedy="leave it out")
     if udim is not None and changes.changes:
         raise UsageError("a texture set is not adjusted", where="--adjust", remedy="leave it out")
     if onnx:
-        _export_onnx(path, out or Path("."), as_json=json, quiet=quiet)
+        _export_onnx(path, out or Path("."), as_json=json, quiet=quiet, overwrite=overwrite)
         return
-    target = check_target(to=to, preset=preset)
     largest, count = size or values.DEFAULT_SIZE, udim.width * udim.height if udim else 1
     if out is not None:
         check_writable(out, count * export_bytes(largest.width, largest.height))
     which: Generator | None = generator and generator.value
+    check_memory(
+        _TEXEL_BYTES * largest.width * largest.height, "--size", "ask for fewer texels, or --udim"
+    )
     tiles, around = None, None
     if udim is not None:
         side = (largest.width, largest.height)
@@ -189,7 +206,7 @@ def export(
     asked_for += f"_udim{udim}" * (udim is not None)
     asked_for += f"_{changes.file_part}" * changes.changes
     folder = out or Path(f"{found.name}_{target}{asked_for}")
-    sidecar = folder / f"{found.name}_{target}.json"
+    sidecar = folder / sidecar_name(found.name, target)
     if sidecar.exists() and not overwrite:
         raise MatcapError(
             "an earlier export stands here",
@@ -211,24 +228,25 @@ def export(
     )
     form: Workflow | None = "specular" if workflow is WorkflowName.specular else None
     form = "metallic" if workflow is WorkflowName.metallic else form
-    if to is not None:
-        done = write_export(job, target, folder, workflow=form)
-    else:
-        chosen = [one.strip() for one in maps.split(",")] if maps else []
-        choice = PresetOptions(name, chosen, normal and normal.value)
-        done = write_preset(job, target, folder, choice, form)
+    chosen = [one.strip() for one in maps.split(",")] if maps else []
+    choice = PresetOptions(name, chosen, normal and normal.value)
+    inputs = [file for file in files_read(path) if file.name != sidecar.name]
+    done = write_export(job, target, folder, choice, form, inputs=inputs, overwrite=overwrite)
     _report(done, as_json=json, quiet=quiet)
 
 
-def _export_onnx(path: Path, folder: Path, *, as_json: bool, quiet: bool) -> None:
+def _export_onnx(path: Path, folder: Path, *, as_json: bool, quiet: bool, overwrite: bool) -> None:
     from matcap.export.onnx import write_onnx
     from matcap.field.material import Material
+    from matcap.files.mark import check_replaceable
+    from matcap.files.names import kept_plain
     from matcap.files.staging import check_writable
 
+    file = folder / f"{kept_plain(path.stem)}.onnx"
+    check_replaceable([file], "matcap export", inputs=[path], overwrite=overwrite, own=_is_network)
     material = Material.load(path)
     check_writable(folder, path.stat().st_size)
     folder.mkdir(parents=True, exist_ok=True)
-    file = folder / f"{path.stem}.onnx"
     error = write_onnx(material, file)
     if as_json:
         from json import dumps
@@ -236,6 +254,12 @@ def _export_onnx(path: Path, folder: Path, *, as_json: bool, quiet: bool) -> Non
         typer.echo(dumps({"file": str(file), "error": error}, indent=2))
     elif not quiet:
         typer.echo(f"wrote {file}; onnxruntime's maps differ by at most {error:.1e}", err=True)
+
+
+def _is_network(file: Path) -> bool:
+    """Whether an ONNX file names matcap as its producer."""
+    with file.open("rb") as opened:
+        return b"matcap" in opened.read(64)
 
 
 def _report(done: Exported, *, as_json: bool, quiet: bool) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from matcap.cli.options import JsonOption
+from matcap.cli.options import JsonOption, in_range
 from matcap.errors import ExitCode, MatcapError, UsageError
 
 _MARKS = {"good": "ok", "note": "  ", "doubtful": "? ", "poor": "! "}
@@ -26,7 +26,11 @@ def inspect(
     ] = 1024,
     fov: Annotated[
         float | None,
-        typer.Option(min=1.0, max=170.0, help="Field of view along the long side, degrees."),
+        typer.Option(
+            parser=in_range(1.0, 170.0),
+            metavar="1..170",
+            help="Field of view along the long side, degrees.",
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

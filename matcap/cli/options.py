@@ -10,6 +10,8 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
+from matcap.files import values
+
 T = TypeVar("T")
 
 
@@ -24,6 +26,14 @@ def typed(parse: Callable[[Any], T]) -> Callable[[Any], T]:
             raise typer.BadParameter(str(error)) from error
 
     return parsed
+
+
+def in_range(least: float, most: float) -> Callable[[Any], float]:
+    """A parser for typer of finite numbers within limits, which metavar or help tells."""
+    return typed(values.number(least, most))
+
+
+seeded = typed(values.seed)  # a parser for typer of seeds
 
 
 class Normal(Enum):
@@ -95,8 +105,8 @@ WidthOption = Annotated[
     float | None,
     typer.Option(
         "--width-cm",
-        min=0.01,
-        max=1e5,
+        parser=in_range(0.01, 1e5),
+        metavar="0.01..100000",
         help="What the photograph's long side spans, in centimetres: exports are true to scale.",
     ),
 ]
@@ -112,6 +122,10 @@ StrictOption = Annotated[
 OverwriteOption = Annotated[
     bool,
     typer.Option("--overwrite", help="Replace what is there, even where it is something else."),
+]
+ReplaceOption = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Replace a file that another program or command wrote."),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but failures.")]
 ExportOption = Annotated[
@@ -133,9 +147,8 @@ SpreadOption = Annotated[
     float | None,
     typer.Option(
         "-t",
-        min=0.0,
-        max=1.0,
-        metavar="T",
+        parser=in_range(0.0, 1.0),
+        metavar="0..1",
         show_default="0.3",
         help="How far from there to draw: 0 is the photograph's own place, 1 anywhere.",
     ),

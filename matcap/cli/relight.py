@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from matcap.cli.inputs import files_read
 from matcap.cli.options import (
     AdjustOption,
     GeneratorName,
@@ -15,6 +16,9 @@ from matcap.cli.options import (
     JsonOption,
     Normal,
     QuietOption,
+    ReplaceOption,
+    in_range,
+    seeded,
     typed,
 )
 from matcap.files import values
@@ -28,6 +32,9 @@ if TYPE_CHECKING:
 
 # Pixels of a flash picture whose photograph's sides are not known.
 _SQUARE = (1024, 1024)
+_LARGEST = 32768  # pixels of a side
+_MOST_FRAMES, _MOST_LIGHTS = 10_000, 64
+_PIXEL_BYTES = 48  # of memory that rendering and writing a picture take
 
 
 class Motion(Enum):
@@ -42,12 +49,13 @@ def relight(
         Path, typer.Argument(help="A material, a map set or a folder with either.")
     ] = Path("."),
     light: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
             metavar="NAME|x,y,z[,intensity]",
             show_default="top",
             help="A named light (flash, top, left), or the place of a point light. Of what was "
-            "photographed, flash is the photograph's own: its camera, exposure and vignetting.",
+            "photographed, flash is the photograph's own: its camera, exposure and vignetting. "
+            "Given several times, the lights add up.",
         ),
     ] = None,
     scene: Annotated[
@@ -64,12 +72,16 @@ def relight(
     size: Annotated[
         values.Size | None,
         typer.Option(
-            parser=typed(values.size),
+            parser=typed(values.sides(_LARGEST)),
             metavar="WxH",
-            help="Pixels of the picture; by default the scene's, or one a texel of a map set.",
+            help="Pixels of the picture, at most 32768 a side; by default the scene's, or one a "
+            "texel of a map set.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Which piece is read from a material.")] = 0,
+    seed: Annotated[
+        int,
+        typer.Option(parser=seeded, metavar="SEED", help="Which piece is read from a material."),
+    ] = 0,
     generator: GeneratorOption = None,
     adjust: AdjustOption = None,
     effects: Annotated[
@@ -79,7 +91,8 @@ def relight(
     tolerance: Annotated[
         float | None,
         typer.Option(
-            min=0.0,
+            parser=in_range(0.0, 1.0),
+            metavar="0..1",
             show_default="half an 8-bit step",
             help="What skipped effects may change at most, in code values from 0 to 1.",
         ),
@@ -94,13 +107,15 @@ def relight(
     animate: Annotated[
         Motion | None, typer.Option(help="Animation to .gif, .mp4 or numbered .exr.")
     ] = None,
-    frames: Annotated[int, typer.Option(min=1, help="Frames of the animation.")] = 48,
+    frames: Annotated[
+        int, typer.Option(min=1, max=_MOST_FRAMES, help="Frames of the animation.")
+    ] = 48,
     sheet: Annotated[
         values.Size | None,
         typer.Option(
-            parser=typed(values.size),
+            parser=typed(values.sides(_MOST_LIGHTS)),
             metavar="COLUMNSxROWS",
-            help="A grid of lights in one picture.",
+            help="A grid of lights in one picture, at most 64 a side.",
         ),
     ] = None,
     maps_from: Annotated[
@@ -113,6 +128,7 @@ def relight(
         Normal | None,
         typer.Option(help="Which way green points in normal maps of --maps-from."),
     ] = None,
+    overwrite: ReplaceOption = False,
     json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -122,11 +138,15 @@ def relight(
     from matcap.brdf.adjust import parse_adjustments
     from matcap.cli.relight_display import shown
     from matcap.errors import UsageError
+    from matcap.files.mark import check_replaceable
+    from matcap.files.memory import check_memory
     from matcap.files.staging import check_writable
     from matcap.relight.effects.bound import DEFAULT_TOLERANCE
     from matcap.relight.output import (
+        MARK,
         check_path,
         check_tiles_path,
+        files_of,
         write_movie,
         write_still,
         write_tiles,
@@ -135,7 +155,7 @@ def relight(
     from matcap.relight.sequence import ANIMATIONS, light_sheet
     from matcap.relight.sequence import animate as animated
 
-    if light is not None and scene is not None:
+    if light and scene is not None:
         raise UsageError("a scene has its own lights", where="--light", remedy="leave it out")
     if animate is not None and sheet is not None:
         raise UsageError("a sheet does not move", where="--sheet", remedy="leave one out")
@@ -148,15 +168,22 @@ def relight(
     if explain_map is not None:
         check_tiles_path(explain_map)
     parse_choice(effects)
-    chosen = None
-    if light == "flash" and maps_from is None:
-        chosen = _photographed(path, size)
-    chosen = chosen or _scene(scene, light, size)
+    outputs = files_of(out, frames if animate else None)
+    outputs += [] if explain_map is None else [explain_map]
+    read = files_read(path, maps_from, Path(scene) if scene else None)
+    check_replaceable(outputs, MARK, inputs=read, overwrite=overwrite)
+    chosen = _scene(scene, light or ["top"], size)
+    if light == ["flash"] and maps_from is None:
+        chosen = _photographed(path, size) or chosen
     limit = DEFAULT_TOLERANCE if tolerance is None else tolerance
     renderer = _renderer(path, maps_from, normal, chosen, seed, generator, changes, quiet=quiet)
     film = renderer.film
     pictures = frames if animate else sheet.width * sheet.height if sheet else 1
     check_writable(out.parent, 16 * film.width * film.height * pictures)
+    at_once = sheet.width * sheet.height if sheet else 1
+    check_memory(
+        _PIXEL_BYTES * film.width * film.height * at_once, "--size", "ask for a smaller picture"
+    )
     if animate is not None:
         scenes = ANIMATIONS[animate.value](renderer.scene, frames)
         moving = animated(renderer, scenes, tolerance=limit, effects=effects)
@@ -181,7 +208,7 @@ def relight(
         typer.echo(f"{maps_from or path}: {out}", err=True)
 
 
-def _scene(name: str | None, light: str | None, size: values.Size | None) -> Scene:
+def _scene(name: str | None, lights: list[str], size: values.Size | None) -> Scene:
     from dataclasses import replace
 
     from matcap.relight.named import preset
@@ -189,7 +216,8 @@ def _scene(name: str | None, light: str | None, size: values.Size | None) -> Sce
     from matcap.relight.scenefile import read_scene
 
     if name is None:
-        scene = scene_from_light(light or "top")
+        scene, *others = [scene_from_light(light) for light in lights]
+        scene = replace(scene, lights=sum((one.lights for one in others), scene.lights))
     else:
         scene = read_scene(name) if name.lower().endswith(".toml") else preset(name)
     if size is None:

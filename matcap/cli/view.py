@@ -7,7 +7,13 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.options import AdjustOption, GeneratorOption, QuietOption
+from matcap.cli.options import (
+    AdjustOption,
+    GeneratorOption,
+    QuietOption,
+    ReplaceOption,
+    seeded,
+)
 
 
 def view(
@@ -28,7 +34,9 @@ def view(
             help="A photograph to show beside the piece.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Which piece is shown first.")] = 0,
+    seed: Annotated[
+        int, typer.Option(parser=seeded, metavar="SEED", help="Which piece is shown first.")
+    ] = 0,
     generator: GeneratorOption = None,
     adjust: AdjustOption = None,
     port: Annotated[
@@ -44,8 +52,12 @@ def view(
         ),
     ] = None,
     tile: Annotated[
-        int, typer.Option(metavar="TEXELS", help="Side of the repeating tile in --html.")
+        int,
+        typer.Option(
+            min=16, max=2048, help="Side of the repeating tile in --html, a multiple of 16."
+        ),
     ] = 512,
+    overwrite: ReplaceOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Look at a material: endless plane, sphere and cylinder, under any light, in the browser.
@@ -55,8 +67,9 @@ def view(
     """
     from matcap.brdf.adjust import parse_adjustments
     from matcap.errors import UsageError
+    from matcap.files.mark import check_replaceable
     from matcap.view.beside import find_beside
-    from matcap.view.document import check_page_path, sealed_page, write_page
+    from matcap.view.document import MARK, check_page_path, sealed_page, write_page
     from matcap.view.library import Library, find_library
     from matcap.view.serve import serve, serve_library
     from matcap.view.subject import Materials, open_subject
@@ -69,6 +82,8 @@ def view(
     changes = parse_adjustments(adjust)
     if html is not None:
         check_page_path(html)
+        inputs = [file for file in (path, blend, photo) if file is not None and file.is_file()]
+        check_replaceable([html], MARK, inputs=inputs, overwrite=overwrite)
     files = find_library(path)
     if files:
         given = {"--blend": blend, "--photo": photo, "--html": html, "--seed": seed or None}

@@ -1,6 +1,7 @@
 """How engines name and pack their textures, in every workflow that each of them has.
 
-An engine's forms go by workflow; the one that comes nearest is written unless another is asked for.
+An engine's forms go by workflow; PLAIN says which is written where no other is asked for, and of
+all other engines it is the one that comes nearest.
 """
 
 from __future__ import annotations
@@ -99,6 +100,9 @@ _UNREAL_NAMES = ("Normal_GL", "Normal_DX")
 _UNREAL = ("run T_*_import.py in Unreal to import them with the right settings",)
 _UNITY = ("switch sRGB off for MaskMap and HeightMap",)
 
+# What every project can show is written first, even where something else comes nearer.
+PLAIN: dict[str, Workflow] = {"unreal": "metallic"}
+
 ENGINES: dict[str, dict[Workflow, Preset]] = {
     "unreal": {
         "metallic": Preset(
@@ -115,7 +119,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             normal="dx",
             normal_labels=_UNREAL_NAMES,
             lit=Lit(TargetShading(masking="hammon", fading=True), "metallic", (0.0, _UNREAL_F0)),
-            notes=_UNREAL,
+            notes=("--workflow specular comes nearer, where Substrate is switched on", *_UNREAL),
             documents=unreal_import,
         ),
         "specular": Preset(
@@ -131,7 +135,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             normal_labels=_UNREAL_NAMES,
             lit=Lit(TargetShading(masking="hammon", layer="albedo", compensated=True), "specular"),
             notes=(
-                "needs Substrate, in Unreal's project settings; --workflow metallic does without",
+                "needs Substrate, in Unreal's project settings; without --workflow it does without",
                 *_UNREAL,
             ),
             documents=unreal_import,
@@ -212,7 +216,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             ),
         ),
     },
-    "gltf": {
+    "gltf-textures": {
         "metallic": Preset(
             "{stem}_{map}",
             {

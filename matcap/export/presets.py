@@ -43,7 +43,7 @@ from matcap.export.textures import (
     picture,
     signed,
 )
-from matcap.files.names import plain_name
+from matcap.files.names import is_usual, plain_name, shown
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -274,9 +274,14 @@ def _names(
     names: dict[str, str] = {}
     for kind, (label, made) in packed.items():
         fields = {"stem": job.name, "map": label, "res": res, "format": made.container.upper()}
-        file = (
-            plain_name(pattern.format(**fields), what="the file name", where="--name") + made.suffix
-        )
+        name = plain_name(pattern.format(**fields), what="the file name", where="--name")
+        if not is_usual(name):
+            raise UsageError(
+                f"other programs may misread the file name {shown(name)}",
+                where="--name",
+                remedy="use letters, digits, spaces and _ . , ( ) + -",
+            )
+        file = name + made.suffix
         if file in names.values():
             raise UsageError(
                 f"two maps are called {file}", where="--name", remedy="put {map} into the name"

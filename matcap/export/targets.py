@@ -37,7 +37,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,7 @@ from typing import Any
 from matcap.brdf.seam import seam_ratio
 from matcap.errors import UsageError
 from matcap.export.blender import blender
-from matcap.export.engines import ENGINES
+from matcap.export.engines import ENGINES, PLAIN
 from matcap.export.gltf import gltf_metallic, gltf_specular
 from matcap.export.job import ExportJob, known_scale
 from matcap.export.libraries import LIBRARIES
@@ -57,9 +57,11 @@ from matcap.export.reach import material_reach
 from matcap.export.surface import Residual, residuals
 from matcap.export.texture_file import TOKEN, WRITERS, TextureFile
 from matcap.export.textures import Export, Workflow
-from matcap.export.udim import FIRST
+from matcap.export.udim import FIRST, numbers_of
 from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.maker import MAKER_VERSION
+from matcap.files.mark import check_replaceable
+from matcap.files.names import made_plain, plain_name
 from matcap.files.staging import staged
 
 FORMAT = "matcap export"
@@ -93,6 +95,7 @@ PRESETS: tuple[str, ...] = (
     *ENGINES,
     *(f"{name}-{form}" for name, forms in ENGINES.items() if len(forms) > 1 for form in forms),
 )
+TARGETS = (*DOCUMENTS, *PRESETS)
 
 
 @dataclass(frozen=True)
@@ -116,24 +119,22 @@ class Exported:
     residuals: Mapping[str, Residual] = field(default_factory=dict)
 
 
-def check_target(*, to: str | None = None, preset: str | None = None) -> str:
-    """The name of a document's target or of a preset, whichever is given.
+def check_target(name: str, where: str = "--to") -> str:
+    """The name itself, of a document's target or of a preset.
 
     Raises:
         UsageError: there is no such name.
     """
-    if to is not None:
-        return known(to, DOCUMENTS, "--to")
-    return known(preset or "", PRESETS, "--preset")
+    return known(name, TARGETS, where)
 
 
 def check_targets(names: Sequence[str], where: str = "--export") -> tuple[str, ...]:
-    """Names of documents' targets or presets, each once, in their order; "gltf" is the document.
+    """Names of targets, each once, in their order.
 
     Raises:
         UsageError: there is no such name.
     """
-    return tuple(dict.fromkeys(known(name, (*DOCUMENTS, *PRESETS), where) for name in names))
+    return tuple(dict.fromkeys(check_target(name, where) for name in names))
 
 
 def export_mapset(folder: Path, target: str) -> Exported:
@@ -168,40 +169,59 @@ def write_export(
     folder: Path,
     choice: PresetOptions | None = None,
     workflow: Workflow | None = None,
+    *,
+    inputs: Sequence[Path] = (),
+    overwrite: bool = False,
 ) -> Exported:
     """Write maps for a target, all files or none.
 
     Args:
         job: the maps and how to write them.
-        target: a key of DOCUMENTS or one of PRESETS; "gltf" is the document.
-        folder: made when missing; files of the same names are replaced.
+        target: one of TARGETS.
+        folder: made when missing; files that an earlier export for the target wrote are replaced.
         choice: for presets only.
-        workflow: the form; the one that comes nearest by default.
+        workflow: the form; by default the plain one (engines.PLAIN), or what comes nearest.
+        inputs: files that were read, and are not to be replaced.
+        overwrite: replace what others wrote, too.
 
     Raises:
         UsageError: no such target, or one that does not know the choice, the workflow or texture
-            sets.
-        MatcapError: values that are not finite, a full disk, an unwritable folder.
+            sets; a file of the maps themselves stands in the way.
+        MatcapError: values that are not finite, a full disk, an unwritable folder, a file that
+            another program wrote.
     """
-    if target in DOCUMENTS:
-        return _write(DOCUMENTS[target], job, target, folder, workflow)
-    return write_preset(job, target, folder, choice, workflow)
+    check_target(target)
+    forms = DOCUMENTS[target] if target in DOCUMENTS else preset_forms(target, choice)
+    # Other programs read $, @, <UDIM>, quotes and the like in names in ways of their own.
+    plain_name(job.name, what="the map set's name")
+    job = replace(job, name=made_plain(job.name))
+    form = _form(forms, target, workflow)
+    _check_tiles(job, target)
+    # Every form is asked what comes of it; only the chosen one makes its files.
+    made = {name: make(job) for name, make in forms.items()}
+    found = {name: residuals(job, export.surfaces) for name, export in made.items()}
+    first = {name: next(iter(one.values()), None) for name, one in found.items()}
+    chosen = form or min(first, key=lambda name: _mean(first[name]))
+    told = {name: one for per_form in found.values() for name, one in per_form.items()}
+    about = _sidecar(made[chosen], job, target, first[chosen]) | {
+        "workflow": chosen,
+        "residuals": {name: {"mean": one.mean, "worst": one.worst} for name, one in told.items()},
+    }
+    own = _earlier(folder, target)
+    check_replaceable(
+        [folder / name for name in _outputs(made[chosen], job, target)],
+        "matcap export",
+        inputs=inputs,
+        overwrite=overwrite,
+        own=lambda file: file.name in own,
+    )
+    files = _write(made[chosen], job, about, folder)
+    return Exported(folder, files, first[chosen], tuple(about["notes"]), chosen, told)
 
 
-def write_preset(
-    job: ExportJob,
-    preset: str,
-    folder: Path,
-    choice: PresetOptions | None = None,
-    workflow: Workflow | None = None,
-) -> Exported:
-    """Write loose textures under a preset's names, all files or none.
-
-    Raises:
-        UsageError: no such preset, or a choice that does not fit it.
-        MatcapError: as write_export.
-    """
-    return _write(preset_forms(preset, choice), job, preset, folder, workflow)
+def sidecar_name(name: str, target: str) -> str:
+    """Of the JSON file that tells what an export's folder holds."""
+    return f"{made_plain(name)}_{target}.json"
 
 
 def preset_forms(name: str, choice: PresetOptions | None = None) -> Forms:
@@ -225,10 +245,8 @@ def preset_forms(name: str, choice: PresetOptions | None = None) -> Forms:
     }
 
 
-def _write(
-    forms: Forms, job: ExportJob, target: str, folder: Path, workflow: Workflow | None
-) -> Exported:
-    """Write the form that comes nearest, or the one asked for, and the sidecar NAME_TARGET.json."""
+def _form(forms: Forms, target: str, workflow: Workflow | None) -> Workflow | None:
+    """The form that was asked for, or the plain one; None for what comes nearest."""
     if workflow is not None and workflow not in forms:
         names = [name for name in forms if name]
         raise UsageError(
@@ -236,35 +254,56 @@ def _write(
             where="--workflow",
             remedy=f"give {' or '.join(names)}" if names else "leave it out",
         )
+    return workflow or PLAIN.get(target)
+
+
+def _check_tiles(job: ExportJob, target: str) -> None:
     if job.tiles is not None and target in _NO_TILES:
         raise UsageError(
             f"{target} knows no texture sets", where="--udim", remedy="leave it out, or give --size"
         )
-    # Every form is asked what comes of it; only the chosen one makes its files.
-    made = {form: make(job) for form, make in forms.items()}
-    found = {form: residuals(job, export.surfaces) for form, export in made.items()}
-    first = {form: next(iter(one.values()), None) for form, one in found.items()}
-    chosen = workflow or min(first, key=lambda form: _mean(first[form]))
-    export, off = made[chosen], first[chosen]
-    told = {name: one for per_form in found.values() for name, one in per_form.items()}
-    sidecar = f"{job.name}_{target}.json"
-    notes = export.notes if job.repeats else (*export.notes, _SEAM)
+
+
+def _outputs(export: Export, job: ExportJob, target: str) -> list[str]:
+    """Names of all files to be."""
+    numbers = [FIRST] if job.tiles is None else job.tiles.numbers
+    tiles = {name.replace(TOKEN, str(number)) for name in export.textures for number in numbers}
+    return [*sorted(tiles), *export.documents, sidecar_name(job.name, target)]
+
+
+def _earlier(folder: Path, target: str) -> set[str]:
+    """Names of the files that earlier exports for a target left in a folder, as they tell."""
+    names = set()
+    for sidecar in folder.glob(f"*_{target}.json"):
+        try:
+            about = json.loads(sidecar.read_bytes())
+            if about["format"] != FORMAT or about["target"] != target:
+                continue
+            tiles = [_tile_names(name, about["udim"]) for name in about["files"]]
+            names |= {sidecar.name, *about["documents"], *(one for some in tiles for one in some)}
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            continue
+    return names
+
+
+def _tile_names(name: str, grid: Sequence[int] | None) -> list[str]:
+    """A texture's file, or those of a texture set's tiles."""
+    return [name.replace(TOKEN, str(number)) for number in (numbers_of(*grid) if grid else [FIRST])]
+
+
+def _write(
+    export: Export, job: ExportJob, about: Mapping[str, Any], folder: Path
+) -> tuple[str, ...]:
+    """Write textures, documents and sidecar; gives the files' names, sorted."""
     with staged(folder) as stage:
         _write_textures(export.textures, job, stage, FIRST)
         for number, tile in job.others():
             _write_textures(export.textures, tile, stage, number)
         for file, content in export.documents.items():
             (stage / file).write_bytes(content(stage))
-        about = _sidecar(export, job, target, off, notes) | {
-            "workflow": chosen,
-            "residuals": {
-                name: {"mean": one.mean, "worst": one.worst} for name, one in told.items()
-            },
-        }
         text = json.dumps(about, indent=2, allow_nan=False, default=str)
-        (stage / sidecar).write_text(text + "\n")
-        files = tuple(sorted(file.name for file in stage.iterdir()))
-    return Exported(folder, files, off, notes, chosen, told)
+        (stage / sidecar_name(job.name, about["target"])).write_text(text + "\n")
+        return tuple(sorted(file.name for file in stage.iterdir()))
 
 
 def _write_textures(
@@ -284,9 +323,7 @@ def _mean(off: Residual | None) -> float:
     return 0.0 if off is None else off.mean
 
 
-def _sidecar(
-    made: Export, job: ExportJob, target: str, off: Residual | None, notes: Sequence[str]
-) -> dict[str, Any]:
+def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) -> dict[str, Any]:
     """NAME_TARGET.json; the module tells its keys."""
     width, height = job.maps.size
     across, down = (side * job.unit_length for side in job.extent)
@@ -314,7 +351,7 @@ def _sidecar(
         },
         "documents": sorted(made.documents),
         "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
-        "notes": list(notes),
+        "notes": [*made.notes, *([] if job.repeats else [_SEAM])],
         **made.facts,
         "provenance": dict(job.provenance),
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from matcap.errors import MatcapError, UsageError
 from matcap.export.formats import CONTAINERS, Container, Depth, Picture, bands
 from matcap.export.job import ExportJob, MapRows
 from matcap.files.exr import LARGEST_HALF, write_exr
-from matcap.files.png import png_bytes, quantised, turned
+from matcap.files.png import PNG_HEADER, png_bytes, png_chunk, quantised, turned
 from matcap.files.srgb import srgb_decode, srgb_picture
 
 TOKEN = "<UDIM>"  # stands for a tile's number in names of files
@@ -194,15 +193,10 @@ def _tagged(png: bytes, texture: TextureFile, job: ExportJob) -> bytes:
     Chunks sRGB and gAMA, or gAMA alone for linear numbers, and pHYs (PNG 3rd edition, 11.3).
     """
     gamma = 45455 if texture.srgb else 100000
-    chunks = _chunk(b"sRGB", b"\0") if texture.srgb else b""
-    chunks += _chunk(b"gAMA", struct.pack(">I", gamma))
+    chunks = png_chunk(b"sRGB", b"\0") if texture.srgb else b""
+    chunks += png_chunk(b"gAMA", struct.pack(">I", gamma))
     if job.millimetres is not None:
         texel = job.maps.texel_size * job.millimetres / 1000.0
         metre = min(max(1, round(1.0 / texel)), 2**31 - 1)
-        chunks += _chunk(b"pHYs", struct.pack(">IIB", metre, metre, 1))
-    header = 33  # signature and IHDR
-    return png[:header] + chunks + png[header:]
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        chunks += png_chunk(b"pHYs", struct.pack(">IIB", metre, metre, 1))
+    return png[:PNG_HEADER] + chunks + png[PNG_HEADER:]

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from matcap.errors import UsageError
 from matcap.export.occlusion import settings
 from matcap.field.opened import open_material
+from matcap.files.names import kept_plain
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -75,12 +76,23 @@ class TextureSet:
         wide = replace(wide, periodic=False)
         return wide.crop(margin, margin, width, height), wide
 
+    @property
+    def numbers(self) -> list[int]:
+        """Of all tiles, left to right, the lowest row first."""
+        return numbers_of(self.columns, self.rows)
+
     def others(self) -> Iterator[tuple[int, MapSet, MapSet]]:
         """(number, maps, the same with their surroundings) of every tile but the first."""
         for row in range(self.rows):
             for column in range(self.columns):
                 if row or column:
                     yield FIRST + column + 10 * row, *self.tile(column, row)
+
+
+def numbers_of(columns: int, rows: int) -> list[int]:
+    """The numbers of a texture set's tiles, left to right, the lowest row first."""
+    grid = ((column, row) for row in range(rows) for column in range(columns))
+    return [FIRST + column + 10 * row for column, row in grid]
 
 
 def open_set(
@@ -110,4 +122,4 @@ def open_set(
             remedy="give the material (.matcap), or leave it out",
         )
     file, material = open_material(path)
-    return TextureSet(material.by(generator), *grid, size, seed), file.stem
+    return TextureSet(material.by(generator), *grid, size, seed), kept_plain(file.stem)

@@ -17,16 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
+from matcap.files.png import SOFTWARE
 
 # x and y of the red, green and blue primaries and of white (ITU-R BT.709-6; D65).
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 LARGEST_HALF = 65504.0  # of half float (IEEE 754)
 
 
-def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
+def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool, mark: str = "") -> None:
     """Write (H, W, 3) as channels R, G, B or (H, W) as channel Y, rounded to half or kept float32.
 
-    Not atomic: write into a staged folder.
+    Not atomic: write into a staged folder. A mark says which command wrote it (mark.py).
 
     Raises:
         MatcapError: a value is not finite, or too large for half float.
@@ -40,7 +41,7 @@ def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         "chromaticities": REC709,
-    }
+    } | ({SOFTWARE: mark} if mark else {})
     _write(path, header, {"RGB" if stored.ndim == 3 else "Y": stored})
 
 

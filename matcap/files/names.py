@@ -59,6 +59,11 @@ def made_plain(name: str, otherwise: str = "material") -> str:
     return _UNUSUAL.sub("_", name)[:100].strip(" .") or otherwise
 
 
+def is_usual(name: str) -> bool:
+    """Whether every program reads it as it stands: letters, digits, and _ . , ( ) + - and space."""
+    return not _UNUSUAL.search(name)
+
+
 def kept_plain(name: str, otherwise: str = "material") -> str:
     """A name that stands on a disk already: itself where it is plain, else one after it."""
     return made_plain(name, otherwise) if flaw(name) else name

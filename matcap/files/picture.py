@@ -24,8 +24,13 @@ def check_picture_path(path: Path) -> None:
         )
 
 
-def write_picture(image: NDArray[np.float32], path: Path) -> None:
+def write_picture(image: NDArray[np.float32], path: Path, mark: str = "") -> None:
     """Write a linear Rec.709 picture (H, W, 3): .exr as float32 radiance, .png as 8-bit sRGB.
+
+    Args:
+        image: of finite values.
+        path: of the file.
+        mark: which command writes it (mark.py).
 
     Raises:
         UsageError: another suffix.
@@ -34,6 +39,6 @@ def write_picture(image: NDArray[np.float32], path: Path) -> None:
     check_picture_path(path)
     with staged_file(path) as file:
         if path.suffix.lower() == ".exr":
-            write_exr(file, image, half=False)
+            write_exr(file, image, half=False, mark=mark)
         else:
-            write_png(file, srgb_picture(image), bits=8)
+            write_png(file, srgb_picture(image), bits=8, mark=mark)

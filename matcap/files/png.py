@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +12,11 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 
+SOFTWARE = "Software"  # what PNG and EXR files call their maker
+PNG_HEADER = 33  # bytes: signature and IHDR
 
-def write_png(path: Path, coded: NDArray[np.float32], *, bits: int) -> None:
+
+def write_png(path: Path, coded: NDArray[np.float32], *, bits: int, mark: str = "") -> None:
     """Write code values in [0, 1], clipped there: (H, W, 3) colour or (H, W) grey.
 
     Encoded in memory first, so that a full disk is an OSError and never a short file. Not atomic:
@@ -23,7 +28,7 @@ def write_png(path: Path, coded: NDArray[np.float32], *, bits: int) -> None:
     """
     if not np.isfinite(coded).all():
         raise MatcapError("has values that are not finite", where=path.name)
-    path.write_bytes(png_bytes(quantised(coded, bits=bits)))
+    path.write_bytes(png_bytes(quantised(coded, bits=bits), mark))
 
 
 def quantised(coded: NDArray[np.float32], *, bits: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
@@ -32,12 +37,24 @@ def quantised(coded: NDArray[np.float32], *, bits: int) -> NDArray[np.uint8] | N
     return whole.astype(np.uint8) if bits == 8 else whole.astype(np.uint16)
 
 
-def png_bytes(whole: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
-    """A PNG file of (H, W, 4), (H, W, 3) or (H, W) whole code values."""
+def png_bytes(whole: NDArray[np.uint8] | NDArray[np.uint16], mark: str = "") -> bytes:
+    """A PNG file of (H, W, 4), (H, W, 3) or (H, W) whole code values.
+
+    A mark says which command wrote it (mark.py): in a chunk tEXt (PNG 3rd edition, 11.3.3).
+    """
     import cv2
 
     _, encoded = cv2.imencode(".png", turned(whole))
-    return encoded.tobytes()
+    png = encoded.tobytes()
+    if not mark:
+        return png
+    told = png_chunk(b"tEXt", f"{SOFTWARE}\0{mark}".encode())
+    return png[:PNG_HEADER] + told + png[PNG_HEADER:]
+
+
+def png_chunk(kind: bytes, data: bytes) -> bytes:
+    """A chunk of a PNG file: length, type, data and check sum (PNG 3rd edition, 5.3)."""
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
 def turned(whole: NDArray[Any]) -> NDArray[Any]:

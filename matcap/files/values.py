@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 
 _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 _KILO = 1024  # texels: 2K is 2048
 LIMIT = 2**40  # coordinates of the endless field
+SEEDS = 2**63  # either way
 
 
 @dataclass(frozen=True)
@@ -73,10 +75,47 @@ def size(text: str | Size) -> Size:
         raise ValueError(f"'{text}' is not a size such as 4096x256, 2K or 4K")
     width = int(found[1]) * (_KILO if found[2] else 1)
     height = int(found[3]) * (_KILO if found[4] else 1) if found[3] else width
-    sides = Size(width, height)
-    if min(sides.width, sides.height) < 1:
+    if min(width, height) < 1:
         raise ValueError(f"'{text}' has a side of zero")
-    return sides
+    return Size(width, height)
+
+
+def seed(text: str | int) -> int:
+    """'7' to the number of a realisation, from -2^63 to 2^63 - 1."""
+    if isinstance(text, int):
+        return text
+    if not re.fullmatch(r"\s*[+-]?\d{1,30}\s*", text):
+        raise ValueError(f"'{text[:40]}' is not a whole number")
+    if not -SEEDS <= int(text) < SEEDS:
+        raise ValueError(f"'{text}' is out of range; give one from -2^63 to 2^63 - 1")
+    return int(text)
+
+
+def number(least: float, most: float) -> Callable[[str | float], float]:
+    """A parser of finite numbers between two others; NaN is in no range."""
+
+    def parsed(text: str | float) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            raise ValueError(f"'{str(text)[:40]}' is not a number") from None
+        if not least <= value <= most:
+            raise ValueError(f"'{text}' is not from {least:g} to {most:g}")
+        return value
+
+    return parsed
+
+
+def sides(most: int) -> Callable[[str | Size], Size]:
+    """A parser of sizes whose sides are at most so long."""
+
+    def parsed(text: str | Size) -> Size:
+        value = size(text)
+        if max(value.width, value.height) > most:
+            raise ValueError(f"'{text}' has a side of more than {most}")
+        return value
+
+    return parsed
 
 
 def region(text: str | Region) -> Region:

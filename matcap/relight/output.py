@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import write_exr
+from matcap.files.mark import mark_mp4
 from matcap.files.png import png_bytes
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged, staged_file, write_error
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from matcap.relight.render import Rendering
 
 Radiance = NDArray[np.float32]
+MARK = "matcap relight"  # what its files say of who wrote them
 STILLS = (".png", ".exr")
 MOVIES = (".gif", ".mp4", ".exr")
 _FRAMES_PER_SECOND = 24
@@ -64,11 +66,11 @@ def write_still(radiance: Radiance, path: Path, film: Film) -> None:
     check_path(path, moving=False)
     with staged_file(path) as file:
         if path.suffix.lower() == ".exr":
-            write_exr(file, radiance, half=False)
+            write_exr(file, radiance, half=False, mark=MARK)
         else:
             if not all(np.isfinite(part).all() for part in _strips(radiance)):
                 raise MatcapError("has values that are not finite", where=path.name)
-            file.write_bytes(png_bytes(_codes(radiance, film)))
+            file.write_bytes(png_bytes(_codes(radiance, film), MARK))
 
 
 def write_tiles(rendering: Rendering, path: Path) -> None:
@@ -99,12 +101,24 @@ def write_tiles(rendering: Rendering, path: Path) -> None:
     panels += [np.zeros_like(panels[0])] * (-len(panels) % columns)
     rows = [np.hstack(panels[i : i + columns]) for i in range(0, len(panels), columns)]
     with staged_file(path) as file:
-        file.write_bytes(png_bytes(np.vstack(rows)))
+        file.write_bytes(png_bytes(np.vstack(rows), MARK))
 
 
 def _strips(radiance: Radiance) -> list[Radiance]:
     """A picture in strips of rows, so that what is made of it needs little memory."""
     return [radiance[top : top + _STRIP] for top in range(0, len(radiance), _STRIP)]
+
+
+def files_of(path: Path, frames: int | None = None) -> list[Path]:
+    """The files that a picture, or an animation of so many frames, is written to."""
+    if frames is None or path.suffix.lower() != ".exr":
+        return [path]
+    return [path.with_name(frame_name(path, index)) for index in range(frames)]
+
+
+def frame_name(path: Path, index: int) -> str:
+    """Of one frame's file."""
+    return f"{path.stem}_{index:04d}.exr"
 
 
 def write_movie(frames: Iterable[Radiance], path: Path, film: Film) -> None:
@@ -121,7 +135,7 @@ def write_movie(frames: Iterable[Radiance], path: Path, film: Film) -> None:
     with staged(path.parent) as stage:
         if suffix == ".exr":
             for index, frame in enumerate(frames):
-                write_exr(stage / f"{path.stem}_{index:04d}.exr", frame, half=False)
+                write_exr(stage / frame_name(path, index), frame, half=False, mark=MARK)
         elif suffix == ".gif":
             _write_gif(frames, stage / path.name, film)
         else:
@@ -151,6 +165,7 @@ def _write_gif(frames: Iterable[Radiance], path: Path, film: Film) -> None:
             append_images=rest,
             duration=10 * round(100 / _FRAMES_PER_SECOND),
             loop=0,
+            comment=MARK.encode(),
         )
 
 
@@ -171,3 +186,4 @@ def _write_mp4(frames: Iterable[Radiance], path: Path, film: Film) -> None:
         writer.write(np.ascontiguousarray(codes[..., ::-1]))
     if writer is not None:
         writer.release()
+        mark_mp4(path, MARK)

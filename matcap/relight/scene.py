@@ -228,6 +228,10 @@ def scene_from_light(text: str, *, film: Film | None = None) -> Scene:
     return Scene(film=film, surface=Surface(size=None), lights=(light,))
 
 
+# Of lights given on the command line: plane units, radiant intensity.
+_FARTHEST, _STRONGEST = 1e4, 1e9
+
+
 def _parse_light(text: str) -> tuple[Vector, float]:
     remedy = f"give {', '.join(NAMED_LIGHTS)} or x,y,z[,intensity] such as -1,1,2"
     try:
@@ -244,4 +248,11 @@ def _parse_light(text: str) -> tuple[Vector, float]:
     intensity = numbers[3] if len(numbers) == 4 else exposing_intensity((x, y, z))
     if intensity < 0.0:
         raise UsageError("the intensity is negative", where="--light", remedy="choose 0 or more")
+    if max(abs(x), abs(y), z) > _FARTHEST or z < 1.0 / _FARTHEST or intensity > _STRONGEST:
+        raise UsageError(
+            f"the light '{text}' is out of range",
+            where="--light",
+            remedy=f"choose a place within {_FARTHEST:g} units, at least {1 / _FARTHEST:g} above "
+            f"the plane, and an intensity up to {_STRONGEST:g}",
+        )
     return (x, y, z), intensity

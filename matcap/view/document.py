@@ -101,6 +101,7 @@ def sealed_page(
     maps = _tile(subject, size)
     facts = subject.facts
     head = (
+        f'<meta name="generator" content="{MARK}">'
         f'<meta http-equiv="Content-Security-Policy" content="{_SEALED}">'
         f"<style>\n{page_file(STYLE)}</style>"
     )
@@ -128,6 +129,9 @@ def sealed_page(
         if len(text) <= _LONGEST or size > DEFAULT_TILE:
             break
     return text
+
+
+MARK = "matcap view"  # what a page says of who wrote it
 
 
 def write_page(document: str, path: Path) -> None:

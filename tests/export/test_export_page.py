@@ -59,7 +59,7 @@ def test_files_of_presets_are_called_as_the_table_says(captured, preset):
     forms = ENGINES.get(preset, {None: None})
     for form in forms:
         asked = ["--workflow", form] if form else []
-        assert main(["export", "out/leather", "--preset", preset, *asked, "-q", "--overwrite"]) == 0
+        assert main(["export", "out/leather", "--to", preset, *asked, "-q", "--overwrite"]) == 0
     there = " ".join(file.name for file in (captured / f"leather_{preset}").iterdir())
     for part in re.findall(r"`([^`]+)`", row):
         wanted = re.sub("1k", "48", part, flags=re.IGNORECASE)  # 48 texels here, 1024 there

@@ -15,7 +15,7 @@ from matcap.export.job import ExportJob
 from matcap.export.metallic import to_metallic
 from matcap.export.presets import PresetOptions
 from matcap.export.surface import residuals
-from matcap.export.targets import preset_forms, write_preset
+from matcap.export.targets import preset_forms, write_export
 from matcap.files.exr import read_exr
 
 NAMES = {
@@ -41,7 +41,7 @@ NAMES = {
     "substance": {"moss_basecolor.png", "moss_roughness.png", "moss_metallic.png",
                   "moss_specularlevel.png", "moss_ambientocclusion.png", "moss_height.png",
                   "moss_normal_dx.png"},
-    "gltf": {"moss_baseColor.png", "moss_occlusionRoughnessMetallic.png", "moss_height.png",
+    "gltf-textures": {"moss_baseColor.png", "moss_occlusionRoughnessMetallic.png", "moss_height.png",
              "moss_normal_gl.png"},
     "raw": {"moss_diffuse.exr", "moss_specular.exr", "moss_roughness.exr", "moss_height.exr",
             "moss_normal_gl.exr", "moss_ao.exr", "moss_cavity.exr", "moss_bent_normal_gl.exr"},
@@ -64,7 +64,7 @@ def moss(**options) -> ExportJob:
 
 @pytest.mark.parametrize("preset", NAMES)
 def test_files_are_called_as_they_are_there(tmp_path, preset):
-    done = write_preset(moss(), preset, tmp_path)
+    done = write_export(moss(), preset, tmp_path)
     assert set(done.files) == NAMES[preset] | {f"moss_{preset}.json"}
     sidecar = json.loads((tmp_path / f"moss_{preset}.json").read_text())
     assert {*sidecar["files"], *sidecar["documents"]} == NAMES[preset]
@@ -91,7 +91,7 @@ def test_the_direction_of_normals_is_in_the_name_and_in_the_file(preset, normal)
 
 def test_unreal_packs_occlusion_roughness_metallic(tmp_path):
     job = moss()
-    write_preset(job, "unreal-metallic", tmp_path)
+    write_export(job, "unreal-metallic", tmp_path)
     orm = picture(tmp_path / "T_moss_ORM.png")
     assert np.abs(orm[..., 0] - job.occlusion).max() < 0.51 / 255
     assert np.abs(orm[..., 1] - job.picture("roughness")).max() < 0.51 / 255
@@ -108,7 +108,7 @@ def test_unreal_packs_occlusion_roughness_metallic(tmp_path):
 
 def test_unity_keeps_smoothness_in_alpha(tmp_path):
     job = moss()
-    write_preset(job, "unity-hdrp-specular", tmp_path)
+    write_export(job, "unity-hdrp-specular", tmp_path)
     mask = picture(tmp_path / "moss_MaskMap.png")
     assert mask.shape[2] == 4
     assert np.abs(1.0 - mask[..., 3] - job.picture("roughness")).max() < 0.51 / 255
@@ -120,7 +120,7 @@ def test_unity_keeps_smoothness_in_alpha(tmp_path):
 @pytest.mark.parametrize("unit", [None, 85.0])
 def test_heights_come_back_with_the_sidecar(tmp_path, unit):
     job = moss(millimetres=unit)
-    write_preset(job, "polyhaven", tmp_path)
+    write_export(job, "polyhaven", tmp_path)
     about = json.loads((tmp_path / "moss_polyhaven.json").read_text())["height_code"]
     assert about["unit"] == ("mm" if unit else "plane unit")
     found = (picture(tmp_path / "moss_disp_1k.png") - about["midlevel"]) * about["scale"]
@@ -130,7 +130,7 @@ def test_heights_come_back_with_the_sidecar(tmp_path, unit):
 
 @pytest.mark.parametrize(("bits", "kind"), [("8", np.uint8), ("16", np.uint16)])
 def test_bits_of_pngs(tmp_path, bits, kind):
-    write_preset(moss(depth=bits), "unity-hdrp", tmp_path)
+    write_export(moss(depth=bits), "unity-hdrp", tmp_path)
     for file in tmp_path.glob("*.png"):
         assert cv2.imread(str(file), cv2.IMREAD_UNCHANGED).dtype == kind
 
@@ -138,7 +138,7 @@ def test_bits_of_pngs(tmp_path, bits, kind):
 @pytest.mark.parametrize("bits", ["half", "float"])
 def test_floats_are_the_numbers_themselves(tmp_path, bits):
     job = moss(depth=bits)
-    write_preset(job, "polyhaven", tmp_path)
+    write_export(job, "polyhaven", tmp_path)
     assert not list(tmp_path.glob("*.png"))
     found = read_exr(tmp_path / "moss_diff_1k.exr")
     assert np.abs(found - job.picture("diffuse")).max() < 1e-3  # light, not sRGB
@@ -223,7 +223,7 @@ def glossy(f0: float) -> ExportJob:
 
 @pytest.mark.parametrize("preset", ["unreal", "unity-hdrp", "unity-urp"])
 def test_the_nearest_form_is_written_and_both_are_told(tmp_path, preset):
-    done = write_preset(glossy(0.09), preset, tmp_path)
+    done = write_export(glossy(0.09), preset, tmp_path)
     assert done.workflow == "specular"
     assert done.residual == done.residuals["specular"]
     assert done.residual.mean < 0.03 < done.residuals["metallic"].mean
@@ -233,11 +233,11 @@ def test_the_nearest_form_is_written_and_both_are_told(tmp_path, preset):
 
 
 def test_a_form_can_be_asked_for(tmp_path):
-    done = write_preset(glossy(0.09), "unity-hdrp", tmp_path, workflow="metallic")
+    done = write_export(glossy(0.09), "unity-hdrp", tmp_path, workflow="metallic")
     assert done.workflow == "metallic"
     assert (picture(tmp_path / "brown_MaskMap.png")[..., 0] == 0.0).all()  # leather is no metal
     with pytest.raises(UsageError, match="no specular workflow"):
-        write_preset(glossy(0.09), "godot", tmp_path, workflow="specular")
+        write_export(glossy(0.09), "godot", tmp_path, workflow="specular")
 
 
 def test_a_grey_f0_over_red_cannot_be_had_of_metals_and_is_told():
@@ -252,7 +252,7 @@ class TestHeights:
 
     def test_the_middle_is_undisplaced(self, tmp_path):
         job = glossy(0.04)
-        write_preset(job, "polyhaven", tmp_path, PresetOptions(maps=["height"]))
+        write_export(job, "polyhaven", tmp_path, PresetOptions(maps=["height"]))
         code = picture(tmp_path / "brown_disp_8.png")
         assert np.abs(code - 0.5).max() < 1e-5
 
@@ -282,21 +282,21 @@ def chunks(png: bytes) -> dict[bytes, bytes]:
 
 
 def test_pngs_say_how_they_are_to_be_read_and_how_large_a_texel_is(tmp_path):
-    write_preset(moss(millimetres=102.4), "polyhaven", tmp_path)
+    write_export(moss(millimetres=102.4), "polyhaven", tmp_path)
     colour = chunks((tmp_path / "moss_diff_1k.png").read_bytes())
     plain = chunks((tmp_path / "moss_rough_1k.png").read_bytes())
     assert colour[b"sRGB"] == b"\0"
     assert b"sRGB" not in plain
     assert int.from_bytes(plain[b"gAMA"]) == 100_000
     assert plain[b"pHYs"] == (5000).to_bytes(4) * 2 + b"\1"  # 0.2 mm each
-    write_preset(moss(), "polyhaven", tmp_path)
+    write_export(moss(), "polyhaven", tmp_path)
     assert b"pHYs" not in chunks((tmp_path / "moss_rough_1k.png").read_bytes())
 
 
 @pytest.mark.parametrize("container", ["jpg", "webp"])
 def test_libraries_ship_small_files_too(tmp_path, container):
     job = moss(container=container)
-    done = write_preset(job, "ambientcg", tmp_path)
+    done = write_export(job, "ambientcg", tmp_path)
     assert f"moss_1K-{container.upper()}_Color.{container}" in done.files
     assert "moss_1K-PNG_Displacement.png" in done.files  # 8 bits would be steps
     found = picture(tmp_path / f"moss_1K-{container.upper()}_Roughness.{container}")
@@ -309,7 +309,7 @@ def test_renderers_can_page_tiles_in(tmp_path, options):
     import OpenImageIO as oiio
 
     job = moss(depth="half", **options)
-    write_preset(job, "raw", tmp_path)
+    write_export(job, "raw", tmp_path)
     (file,) = tmp_path.glob("moss_diffuse.*")
     source = oiio.ImageInput.open(str(file))
     assert source.spec().tile_width == 64

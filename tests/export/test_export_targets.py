@@ -63,7 +63,8 @@ def test_a_known_size_goes_into_every_export(tmp_path, made):
 
 def test_a_material_fixes_the_range_of_its_heights(tmp_path, made, monkeypatch):
     height = made["leather"].height.numpy()
-    there = SimpleNamespace(exemplar=SimpleNamespace(height=height))
+    example = SimpleNamespace(exemplar=SimpleNamespace(height=height))
+    there = SimpleNamespace(part=lambda _: example)
     monkeypatch.setattr("matcap.field.material.Material.load", lambda _: there)
     (tmp_path / "tiny.matcap").touch()
     reach = material_reach(tmp_path / "tiny.matcap", "anything")

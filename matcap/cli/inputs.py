@@ -1,0 +1,20 @@
+"""The files that a command reads of what it is given, so that it replaces none of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+_READ = (".matcap", ".json", ".exr")  # of a folder: materials, map sets and their pictures
+
+
+def files_read(*given: Path | None) -> list[Path]:
+    """Files among what is given; of folders, and beside a map set's JSON file, what may be maps."""
+    return [file for path in given if path is not None for file in _of(path)]
+
+
+def _of(path: Path) -> Iterable[Path]:
+    if path.is_dir() or path.suffix.lower() == ".json":
+        folder = path if path.is_dir() else path.parent
+        return [file for file in sorted(folder.glob("*")) if file.suffix.lower() in _READ]
+    return [path]

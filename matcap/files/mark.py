@@ -1,0 +1,142 @@
+"""Which command wrote a file, by what the file itself says; and what a command may replace.
+
+One rule for every command's outputs: one replaces only what the same command wrote, unless
+--overwrite is given, and never what the same call reads. Pictures and pages say it in a place that
+their formats have for that:
+
+    PNG     a tEXt chunk `Software` (PNG 3rd edition, 11.3.3)
+    EXR     an attribute `Software`
+    GIF     a comment
+    MP4     a box `free` at the end (ISO/IEC 14496-12, 8.1.2)
+    HTML    <meta name="generator">
+
+A mark is "matcap relight" and the like, without a version. What folders of several files hold their
+JSON document tells: see brdf/folder.py and export/targets.py.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from matcap.errors import MatcapError, UsageError
+from matcap.files.png import SOFTWARE
+
+if TYPE_CHECKING:
+    from PIL.PngImagePlugin import PngInfo
+
+_AT_ONCE = 1 << 16  # bytes of a page in which its generator is looked for
+_BOX = re.compile(rb"(matcap [\w -]+)\Z")
+_GENERATOR = re.compile(rb'<meta name="generator" content="(matcap [\w -]+)"')
+_ELSEWHERE = "choose another name with -o"
+
+
+def mark_mp4(path: Path, mark: str) -> None:
+    """Have an MP4 file say who wrote it."""
+    with path.open("ab") as file:
+        file.write(struct.pack(">I", 8 + len(mark)) + b"free" + mark.encode())
+
+
+def pillow_mark(mark: str) -> PngInfo:
+    """For Pillow's `pnginfo`: has a PNG say who wrote it."""
+    from PIL.PngImagePlugin import PngInfo
+
+    info = PngInfo()
+    info.add_text(SOFTWARE, mark)
+    return info
+
+
+def mark_of(path: Path) -> str:
+    """The mark of a file; "" where it has none, or is none that could have one."""
+    read = _READERS.get(path.suffix.lower())
+    try:
+        return read(path) if read and path.is_file() else ""
+    except (OSError, ValueError, SyntaxError):  # Pillow's word for a broken file
+        return ""
+
+
+def check_replaceable(
+    paths: Iterable[Path],
+    mark: str,
+    *,
+    inputs: Iterable[Path] = (),
+    overwrite: bool = False,
+    own: Callable[[Path], bool] = lambda _: False,
+) -> None:
+    """Refuse outputs that would replace an input of the same call, or what another has written.
+
+    Args:
+        paths: of the files to be.
+        mark: of the command.
+        inputs: files that the call reads, and folders, whose files are all taken for read.
+        overwrite: replace what others wrote.
+        own: tells of files without marks whether the command wrote them.
+
+    Raises:
+        UsageError: an output is an input.
+        MatcapError: an output stands there already, and another has written it.
+    """
+    read = {file for given in inputs for file in _files(given)}
+    for path in paths:
+        if path.resolve() in read:
+            raise UsageError(
+                "this is what the same command reads", where=str(path), remedy="choose another name"
+            )
+        if not path.exists() or overwrite:
+            continue
+        if path.is_dir():
+            raise MatcapError("a folder stands here", where=str(path), remedy=_ELSEWHERE)
+        if mark_of(path) != mark and not own(path):
+            raise MatcapError(
+                f"another file stands here, which {mark} has not written",
+                where=str(path),
+                remedy=f"{_ELSEWHERE}, or give --overwrite",
+            )
+
+
+def _files(given: Path) -> list[Path]:
+    return [file.resolve() for file in (given.iterdir() if given.is_dir() else (given,))]
+
+
+def _of_picture(path: Path) -> str:
+    """Of a PNG or a GIF."""
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        said = picture.info.get(SOFTWARE) or picture.info.get("comment") or ""
+    return said.decode("latin-1") if isinstance(said, bytes) else str(said)
+
+
+def _of_exr(path: Path) -> str:
+    import OpenImageIO as oiio
+
+    from matcap.files.exr import forget_error
+
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        forget_error(oiio.geterror)
+        return ""
+    try:
+        return str(source.spec().getattribute(SOFTWARE) or "")
+    finally:
+        source.close()
+
+
+def _of_mp4(path: Path) -> str:
+    found = _BOX.search(path.read_bytes()[-64:])
+    return found[1].decode() if found else ""
+
+
+def _of_page(path: Path) -> str:
+    with path.open("rb") as file:
+        found = _GENERATOR.search(file.read(_AT_ONCE))
+    return found[1].decode() if found else ""
+
+
+_READERS: dict[str, Callable[[Path], str]] = {
+    ".png": _of_picture, ".gif": _of_picture, ".exr": _of_exr, ".mp4": _of_mp4,
+    ".html": _of_page, ".htm": _of_page,
+}  # fmt: skip
