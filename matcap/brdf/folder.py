@@ -31,6 +31,7 @@ Keys:
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -195,18 +196,27 @@ def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
     return MapSet(**maps, texel_size=stated.texel_size, periodic=stated.periodic), document
 
 
-def refuse_to_replace(folder: Path, new: dict[str, Any]) -> None:
+def refuse_to_replace(folder: Path, new: dict[str, Any], names: Iterable[str]) -> None:
     """Refuse to put a map set where another one of its name stands; the same one may come again.
 
     Args:
         folder: where it is to be written.
         new: its document, with or without what PNGs add.
+        names: of all files that it may have.
 
     Raises:
-        MatcapError: there is a set of that name that differs, with what it differs in.
+        MatcapError: there is a set of that name that differs, with what it differs in; or a file
+            that belongs to no set.
     """
     old = _load_any(folder / f"{new['name']}.json")
     if old is None:
+        foreign = [name for name in names if (folder / name).exists()]
+        if foreign:
+            raise MatcapError(
+                "another file stands here, which is of no map set",
+                where=str(folder / foreign[0]),
+                remedy="choose another folder with -o, or give --overwrite",
+            )
         return
     differs = [key for key in _WHAT_IT_IS if old.get(key) != new.get(key)]
     if ("png" in old) and "png" not in new:

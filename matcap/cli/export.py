@@ -70,8 +70,8 @@ def export(
         typer.Option(
             parser=typed(values.size),
             metavar="CxR",
-            help="A texture set of C columns (at most 10) and R rows (at most 900) of a material, each "
-            "tile of --size.",
+            help="A texture set of C columns (at most 10) and R rows (at most 900) of a material, "
+            "each tile of --size.",
         ),
     ] = None,
     seed: Annotated[

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from matcap.files.mark import mark_of
+
 _READ = (".matcap", ".json", ".exr")  # of a folder: materials, map sets and their pictures
 
 
@@ -16,5 +18,6 @@ def files_read(*given: Path | None) -> list[Path]:
 def _of(path: Path) -> Iterable[Path]:
     if path.is_dir() or path.suffix.lower() == ".json":
         folder = path if path.is_dir() else path.parent
-        return [file for file in sorted(folder.glob("*")) if file.suffix.lower() in _READ]
+        found = [file for file in sorted(folder.glob("*")) if file.suffix.lower() in _READ]
+        return [file for file in found if not mark_of(file)]  # what relight left is no map
     return [path]

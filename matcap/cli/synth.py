@@ -22,6 +22,7 @@ from matcap.cli.options import (
     PngOption,
     QuietOption,
     SpreadOption,
+    seeded,
     typed,
 )
 from matcap.cli.plain_command import PlainCommand
@@ -81,7 +82,9 @@ def synth(
     material: Annotated[
         Path | None,
         typer.Argument(
-            metavar="MATERIAL", help="A .matcap file; without one, the prior draws a material."
+            metavar="MATERIAL",
+            help="A .matcap file or the folder it stands in; without one, the prior draws a "
+            "material.",
         ),
     ] = None,
     like: LikeOption = None,
@@ -92,10 +95,12 @@ def synth(
             parser=typed(values.size),
             metavar="WxH",
             show_default="1024x1024",
-            help="Size in texels: 4096x256, or 2K, 4K, 8K.",
+            help="Size in texels: 4096x256, or 2K, 4K, 8K; as much as the disk has room for.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Which piece of the material.")] = 0,
+    seed: Annotated[
+        int, typer.Option(parser=seeded, metavar="SEED", help="Which piece of the material.")
+    ] = 0,
     region: Annotated[
         values.Region | None,
         typer.Option(
@@ -113,7 +118,8 @@ def synth(
         typer.Option(
             parser=typed(values.size),
             metavar="CxR",
-            help="A texture set of C columns and R rows, each tile of the given size.",
+            help="A texture set of C columns (at most 10) and R rows (at most 900), each tile of "
+            "the given size.",
         ),
     ] = None,
     single: Annotated[bool, typer.Option("--single", help="All maps in one EXR file.")] = False,
@@ -174,14 +180,12 @@ def synth(
     import os
 
     from matcap.brdf.adjust import parse_adjustments
-    from matcap.field.plane import check_seed
     from matcap.synth.request import Files, Work
     from matcap.synth.synthesise import SynthRequest, synthesise
     from matcap.synth.unfinished import unfinished_bytes
     from matcap.synth.workers import keep_memory
 
     keep_memory()  # this process is matcap's own
-    check_seed(seed)
     targets: tuple[str, ...] = ()
     if export:
         from matcap.export.targets import check_targets
@@ -221,7 +225,8 @@ def synth(
         )
     try:
         with _progress(quiet=quiet) as tell:
-            work = Work(workers or os.cpu_count() or 1, scheduler, resume, tell, overwrite)
+            inputs = tuple(file for file in (subject, blend, mask) if isinstance(file, Path))
+            work = Work(workers or os.cpu_count() or 1, scheduler, resume, tell, overwrite, inputs)
             document = synthesise(asked, folder, work, told)
     except KeyboardInterrupt:
         typer.echo("matcap: interrupted; the same command with --resume goes on.", err=True)
@@ -268,7 +273,11 @@ def _subject(
                     where=option,
                     remedy="leave the material out, or the option",
                 )
-        return material, material.stem
+        from matcap.field.opened import material_file
+        from matcap.files.names import kept_plain
+
+        file = material_file(material)
+        return file, kept_plain(file.stem)
     from matcap.cli.sample import drawing
 
     drawn = drawing(None, like, spread)(seed)

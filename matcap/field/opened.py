@@ -149,6 +149,22 @@ def open_photographed(path: Path) -> PhotographedAs | None:
     return PhotographedAs(setup, maps.size, endless=False)
 
 
+def material_file(path: Path) -> Path:
+    """A material's file: the path itself, or the one material of a folder.
+
+    Raises:
+        MatcapError: no material there, or several.
+    """
+    found = _resolved(path)
+    if found.is_dir() or found.suffix.lower() == ".json":
+        raise MatcapError(
+            "this is a map set, of which there is no more",
+            where=str(path),
+            remedy="give the material (.matcap)",
+        )
+    return found
+
+
 def open_material(path: Path) -> tuple[Path, Material]:
     """A material, from its file or the folder that holds it, with the file's path.
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +31,8 @@ from matcap.synth.pictures import Picture, channels_of, pictures_of
 
 if TYPE_CHECKING:
     from matcap.field.source import Source
+
+_ADDRESS = re.compile(r"[a-z]+://\S+|[^\s/:]+:\d{1,5}")
 
 _UDIM_COLUMNS = 10
 _UDIM_ROWS = 900
@@ -99,7 +103,8 @@ class Work:
         scheduler: address of a dask scheduler to send blocks to instead.
         resume: go on with what an interrupted run of the same request left.
         progress: called after every block.
-        overwrite: replace another map set of the same name.
+        overwrite: replace what stands in the way, another map set of the same name too.
+        inputs: files that are read, and never replaced.
     """
 
     workers: int = 1
@@ -107,9 +112,16 @@ class Work:
     resume: bool = False
     progress: Callable[[Progress], None] = _silent
     overwrite: bool = True
+    inputs: tuple[Path, ...] = ()
 
     def check(self, device_type: str) -> None:
-        """Raise UsageError for a source whose device a cluster may not have."""
+        """Raise UsageError for what is no address, or a device that a cluster may not have."""
+        if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
+            raise UsageError(
+                f"'{self.scheduler}' is no address",
+                where="--scheduler",
+                remedy="give one such as tcp://192.168.1.7:8786",
+            )
         if self.scheduler is not None and device_type != "cpu":
             raise UsageError(
                 "a cluster computes on its processors",

@@ -18,6 +18,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from matcap.brdf.folder import refuse_to_replace
+from matcap.files.mark import check_replaceable
 from matcap.files.staging import check_writable
 from matcap.synth.assembly import Assembly, assembly
 from matcap.synth.jobs import Crew, Job
@@ -46,7 +47,10 @@ def write_field(request: Request, folder: str | Path, work: Work | None = None) 
     work.check(request.source.device_type)
     folder, name = Path(folder), request.info.name
     if not work.overwrite:
-        refuse_to_replace(folder, request.document((1.0, 0.5) if request.files.png else None))
+        document = request.document((1.0, 0.5) if request.files.png else None)
+        refuse_to_replace(folder, document, files_of(folder, name))
+    outputs = [folder / file for file in files_of(folder, name)]
+    check_replaceable(outputs, "matcap synth", inputs=work.inputs, overwrite=True)
     left = unfinished_bytes(folder, name) if work.resume else 0
     check_writable(folder, max(request.room - left, 0), files_of(folder, name))
     mapsets = request.mapsets()

@@ -74,9 +74,7 @@ def test_both_forms_are_told_and_one_can_be_asked_for(matcap, folder):
     said = matcap("export", "set", "--to", "unity-hdrp")
     assert "residual, specular workflow: " in said.err
     assert "\n  metallic: " in said.err
-    said = matcap(
-        "export", "set", "--to", "unity-hdrp", "--workflow", "metallic", "--overwrite"
-    )
+    said = matcap("export", "set", "--to", "unity-hdrp", "--workflow", "metallic", "--overwrite")
     assert "residual, metallic workflow: " in said.err
     assert "\n  specular: " in said.err
     found = matcap("export", "set", "--to", "blender", "--workflow", "metallic")

@@ -41,8 +41,8 @@ NAMES = {
     "substance": {"moss_basecolor.png", "moss_roughness.png", "moss_metallic.png",
                   "moss_specularlevel.png", "moss_ambientocclusion.png", "moss_height.png",
                   "moss_normal_dx.png"},
-    "gltf-textures": {"moss_baseColor.png", "moss_occlusionRoughnessMetallic.png", "moss_height.png",
-             "moss_normal_gl.png"},
+    "gltf-textures": {"moss_baseColor.png", "moss_occlusionRoughnessMetallic.png",
+                      "moss_height.png", "moss_normal_gl.png"},
     "raw": {"moss_diffuse.exr", "moss_specular.exr", "moss_roughness.exr", "moss_height.exr",
             "moss_normal_gl.exr", "moss_ao.exr", "moss_cavity.exr", "moss_bent_normal_gl.exr"},
 }  # fmt: skip
@@ -221,7 +221,7 @@ def glossy(f0: float) -> ExportJob:
     return ExportJob(MapSet(diffuse, flat + f0, flat + 0.4, flat, 0.1), "brown")
 
 
-@pytest.mark.parametrize("preset", ["unreal", "unity-hdrp", "unity-urp"])
+@pytest.mark.parametrize("preset", ["unity-hdrp", "unity-urp"])
 def test_the_nearest_form_is_written_and_both_are_told(tmp_path, preset):
     done = write_export(glossy(0.09), preset, tmp_path)
     assert done.workflow == "specular"
@@ -230,6 +230,12 @@ def test_the_nearest_form_is_written_and_both_are_told(tmp_path, preset):
     sidecar = json.loads((tmp_path / f"brown_{preset}.json").read_text())
     assert sidecar["workflow"] == "specular"
     assert set(sidecar["residuals"]) == {"metallic", "specular"}
+
+
+def test_unreal_gets_what_every_project_shows_unless_asked(tmp_path):
+    done = write_export(glossy(0.09), "unreal", tmp_path)
+    assert done.workflow == "metallic" and set(done.residuals) == {"metallic", "specular"}
+    assert any("--workflow specular comes nearer" in note for note in done.notes)
 
 
 def test_a_form_can_be_asked_for(tmp_path):
