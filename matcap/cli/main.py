@@ -140,6 +140,8 @@ def main(
             return _end_early()
         if isinstance(error, OSError) and error.errno == errno.ENOSPC:
             return _show_full(error, debug=debug)
+        if isinstance(error, OSError) and error.filename is not None:
+            return _show_file(error, debug=debug)
         _show(error, debug=debug)
         return ExitCode.INTERNAL
     return ExitCode.DONE
@@ -200,6 +202,16 @@ def _show_full(error: OSError, *, debug: bool) -> int:
     full.__cause__ = error
     _show(full, debug=debug)
     return full.exit_code
+
+
+def _show_file(error: OSError, *, debug: bool) -> int:
+    """A file that cannot even be looked at: its name is too long, a folder above it is closed."""
+    why = (error.strerror or type(error).__name__).lower()
+    where = str(error.filename)[:200]
+    told = MatcapError(f"cannot be used ({why})", where=where, remedy="give another file")
+    told.__cause__ = error
+    _show(told, debug=debug)
+    return told.exit_code
 
 
 def _end_early() -> ExitCode:
