@@ -232,7 +232,7 @@ def _redescribe(data: bytes, chance: random.Random) -> bytes:
 
 def _forged(header: dict[str, object], content: bytes) -> dict[str, object]:
     """The header with a digest that is right, as a stranger can make one."""
-    told = header.get("__metadata__")
+    told = header.get("__metadata__") if isinstance(header, dict) else None
     if not isinstance(told, dict) or not all(isinstance(one, str) for one in told.values()):
         return header
     digest = hashlib.new(METHOD, text_first(told))
