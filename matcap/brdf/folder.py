@@ -329,7 +329,8 @@ def _find_document(path: Path) -> Path:
     if path.is_file():
         return path
     if not path.is_dir():
-        raise MatcapError("no such file or folder", where=str(path), remedy="check the path")
+        what = "no such file or folder" if not path.exists() else "this is no ordinary file"
+        raise MatcapError(what, where=str(path), remedy="check the path")
     found = find_mapsets(path)
     if not found:
         raise MatcapError(
