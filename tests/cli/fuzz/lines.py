@@ -178,6 +178,7 @@ def run(place: Path, count: int, seed: int) -> tuple[Counter[str], list[str]]:
             tally[f"{words[0]} {result}"] += 1
             if result == "fault":
                 faults.append(f"{number}: matcap {' '.join(map(repr, words))}\n{said}")
+                print(faults[-1], file=sys.stderr, flush=True)  # one who waits no longer knows it
             shutil.rmtree(now)
     finally:
         crew.close()
@@ -205,7 +206,6 @@ def main() -> None:
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="matcap-lines-") as place:
         tally, faults = run(Path(place), options.count, options.seed)
-    print("\n".join(faults), file=sys.stderr)
     for name, number in sorted(tally.items()):
         print(f"{number:8d}  {name}")
     print(f"{options.count} lines in {time.monotonic() - began:.0f} s, {len(faults)} faults")
