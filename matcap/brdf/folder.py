@@ -2,7 +2,8 @@
 
 `<name>_diffuse.exr`, `_specular`, `_roughness` and `_normal` in half float, `_height` in 32-bit
 float, and `<name>.json`, which says what the numbers mean. On request also 16-bit PNGs. The folder
-is read back from the EXR files; the normal is derived from the height again.
+is read back from the EXR files; the normal is derived from the height again, and where the file
+says something else, a note tells (other_normals.py).
 
 Keys:
     format: "matcap map set".
@@ -41,6 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.heights import check_heights
+from matcap.brdf.other_normals import note_other_normals
 from matcap.brdf.seam import seam_ratio
 from matcap.brdf.stated import NormalStyle, stated_maps
 from matcap.errors import MatcapError
@@ -193,7 +195,9 @@ def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
             check_heights(pixels, str(file.parent / name))
         maps[kind] = torch.from_numpy(pixels).movedim(-1, 0).contiguous()
     document |= {"name": stated.name, "provenance": stated.provenance}
-    return MapSet(**maps, texel_size=stated.texel_size, periodic=stated.periodic), document
+    found = MapSet(**maps, texel_size=stated.texel_size, periodic=stated.periodic)
+    note_other_normals(found, document, file.parent)
+    return found, document
 
 
 def refuse_to_replace(folder: Path, new: dict[str, Any], names: Iterable[str]) -> None:
@@ -325,7 +329,8 @@ def _find_document(path: Path) -> Path:
     if path.is_file():
         return path
     if not path.is_dir():
-        raise MatcapError("no such file or folder", where=str(path), remedy="check the path")
+        what = "no such file or folder" if not path.exists() else "this is no ordinary file"
+        raise MatcapError(what, where=str(path), remedy="check the path")
     found = find_mapsets(path)
     if not found:
         raise MatcapError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -79,9 +80,28 @@ def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], 
     lines = [f"{path}: {found.verdict.value}"]
     lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in found.findings]
     told = photographed_strengths(photo, photo.pixels.shape[1])
-    lines += [f"     {name:<13} {says}" for name, says in (told.lines() if told else ())]
-    document = found.document() | {"strengths": told.document() if told else None}
+    strengths = told.document() if told else None
+    lines += [f"     {name:<13} {says}" for name, says in _strengths(strengths)]
+    document = found.document() | {"strengths": strengths}
     return document, "\n".join(lines)
+
+
+def _strengths(told: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """How strong relief and colour are, as one would say it of the sample."""
+    if told is None:
+        return []
+    bands = told["bands"]
+
+    def finest(of: str) -> str:
+        low, high = sorted(max(bands, key=lambda band: float(band[of]))["waves"])
+        return f"most of it in details of {low / 2:g} to {high / 2:g} pixels"
+
+    steep = math.degrees(math.atan(math.hypot(*(band["slope"] for band in bands))))
+    varies = math.expm1(math.hypot(*(band["albedo"] for band in bands)))
+    return [
+        ("relief", f"Slopes of about {steep:.0f} degrees, {finest('slope')}."),
+        ("albedo", f"Its colour is lighter and darker by about {varies:.0%}, {finest('albedo')}."),
+    ]
 
 
 def _material(path: Path) -> tuple[dict[str, Any], str]:

@@ -11,9 +11,10 @@ import gc
 import os
 import sys
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import typer
 from typer.core import TyperCommand
@@ -39,6 +40,7 @@ from matcap.cli.plain_command import PlainCommand
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.interrupts import end_alike, ignore_both
 from matcap.files.maker import MAKER
+from matcap.files.note import Note
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
 
@@ -120,6 +122,7 @@ def main(
             look like any other error.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
+    warnings.showwarning = partial(_show_warning, quiet=bool({"-q", "--quiet"} & {*arguments}))
     debug = "--debug" in arguments or os.environ.get("MATCAP_DEBUG", "0") not in ("", "0")
     try:
         app(args=arguments, prog_name="matcap")
@@ -137,9 +140,28 @@ def main(
             return _end_early()
         if isinstance(error, OSError) and error.errno == errno.ENOSPC:
             return _show_full(error, debug=debug)
+        if isinstance(error, OSError) and error.filename is not None:
+            return _show_file(error, debug=debug)
         _show(error, debug=debug)
         return ExitCode.INTERNAL
     return ExitCode.DONE
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+    *,
+    quiet: bool,
+) -> None:
+    """Notes are sentences for the user; other warnings are told as Python tells them."""
+    if not issubclass(category, Note):
+        typer.echo(warnings.formatwarning(message, category, filename, lineno, line), err=True)
+    elif not quiet:
+        typer.echo(f"note: {message}", err=True)
 
 
 def run() -> None:
@@ -180,6 +202,16 @@ def _show_full(error: OSError, *, debug: bool) -> int:
     full.__cause__ = error
     _show(full, debug=debug)
     return full.exit_code
+
+
+def _show_file(error: OSError, *, debug: bool) -> int:
+    """A file that cannot even be looked at: its name is too long, a folder above it is closed."""
+    why = (error.strerror or type(error).__name__).lower()
+    where = str(error.filename)[:200]
+    told = MatcapError(f"cannot be used ({why})", where=where, remedy="give another file")
+    told.__cause__ = error
+    _show(told, debug=debug)
+    return told.exit_code
 
 
 def _end_early() -> ExitCode:

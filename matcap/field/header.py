@@ -15,8 +15,9 @@ from safetensors import SafetensorError, safe_open
 
 from matcap.brdf.stated import known_provenance
 from matcap.errors import MatcapError
-from matcap.files.digest import is_whole
+from matcap.files.digest import DIGEST, is_whole
 from matcap.files.names import made_plain
+from matcap.files.note import note
 from matcap.files.values import bounded
 
 FORMAT = "matcap-material"
@@ -48,10 +49,13 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
     """
     if not path.is_file():
         what = "this is a folder" if path.is_dir() else "there is no such file"
+        what = "this is no ordinary file" if path.exists() and not path.is_dir() else what
         raise MatcapError(what, where=str(path), remedy="give a .matcap file")
     try:
         with safe_open(path, framework=framework) as file:
             about = _about(file.metadata(), path)
+            if DIGEST not in file.metadata():
+                note(f"{path}: written before files had digests: nobody can tell if it is whole")
             if not is_whole(path, file.metadata()):
                 raise MatcapError(
                     "the file is damaged: its digest is another than when it was written",

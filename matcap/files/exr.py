@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.png import SOFTWARE
+from matcap.files.maker import SOFTWARE
 
 # x and y of the red, green and blue primaries and of white (ITU-R BT.709-6; D65).
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)

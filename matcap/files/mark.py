@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from matcap.errors import MatcapError, UsageError
-from matcap.files.png import SOFTWARE
+from matcap.files.maker import SOFTWARE
 
 if TYPE_CHECKING:
     from PIL.PngImagePlugin import PngInfo

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
+from matcap.files.maker import SOFTWARE
 
-SOFTWARE = "Software"  # what PNG and EXR files call their maker
 PNG_HEADER = 33  # bytes: signature and IHDR
 
 

@@ -32,6 +32,7 @@ _CLIPPED, _MUCH_CLIPPED = 0.01, 0.05
 _TILTED, _MUCH_TILTED = 8.0, 14.0  # degrees; real lenses shift the branch by a few
 _SOFT, _BLURRED = 1.5, 2.6  # pixels of the photograph as it is used
 _SHARPEST = 0.25  # quantile over tiles: what is smooth by nature says nothing of focus
+_DETAIL = 1e-5  # squared slope of log light, per pixel, of tiles that have anything in them
 _UNEVEN, _MIXED = 2.0, 3.2  # in deviations of _USUAL
 # Usual differences from tile to tile: log contrast of fine and coarser bands, and two log hues.
 _USUAL = (0.4, 0.6, 0.15, 0.15)
@@ -79,9 +80,10 @@ class Inspection:
 
     @property
     def verdict(self) -> Verdict:
-        """The worst of them."""
+        """The worst of them; what is only worth knowing leaves a photograph good."""
         order = list(Verdict)
-        return max((f.verdict for f in self.findings), key=order.index, default=Verdict.GOOD)
+        worst = max((f.verdict for f in self.findings), key=order.index, default=Verdict.GOOD)
+        return Verdict.GOOD if worst is Verdict.NOTE else worst
 
     @property
     def doubtful(self) -> bool:
@@ -163,13 +165,16 @@ def hot_spot(photo: Photo) -> tuple[tuple[float, float], float]:
 
 
 def softness(pixels: NDArray[np.float32]) -> float:
-    """Blur of the sharper parts of a picture in pixels, as a Gaussian's standard deviation.
+    """Blur of the sharper parts of a picture in pixels, as a Gaussian's standard deviation; NaN
+    where there is nothing that could be sharp.
 
     Where gradients of all sizes are equally strong, blur b leaves their energy at scale s
     proportional to 1 / (b^2 + s^2); two scales give b.
     """
     light = _log_light(pixels)
     one, two = (_tiles(_gradient_energy(light, scale)) for scale in (1.0, 2.0))
+    if float(np.quantile(one, 1.0 - _SHARPEST)) < _DETAIL:
+        return math.nan
     ratio = np.clip(two / np.maximum(one, 1e-12), 0.0, 0.99)
     blur = np.sqrt(np.maximum(4.0 * ratio - 1.0, 0.0) / (1.0 - ratio))
     return float(np.quantile(blur, _SHARPEST))
@@ -283,6 +288,10 @@ def _tilt(photo: Photo, tilt: tuple[float, float] | None) -> Finding:
 def _sharpness(photo: Photo) -> Finding:
     blur = softness(photo.pixels)
     width = photo.pixels.shape[1]
+    if math.isnan(blur):
+        says = "Nothing in it tells whether it is sharp: it is the same all over."
+        remedy = "Check by eye that the focus was on the sample."
+        return Finding("sharpness", None, Verdict.NOTE, says, remedy)
     value = round(blur, 3)
     if blur < _SOFT:
         return Finding("sharpness", value, Verdict.GOOD, f"Sharp at {width} pixels across.")

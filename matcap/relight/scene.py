@@ -245,14 +245,14 @@ def _parse_light(text: str) -> tuple[Vector, float]:
         raise UsageError(
             f"a light at z = {z:g} is not above the plane", where="--light", remedy="choose z > 0"
         )
-    intensity = numbers[3] if len(numbers) == 4 else exposing_intensity((x, y, z))
-    if intensity < 0.0:
+    strength = numbers[3] if len(numbers) == 4 else 0.0
+    if strength < 0.0:
         raise UsageError("the intensity is negative", where="--light", remedy="choose 0 or more")
-    if max(abs(x), abs(y), z) > _FARTHEST or z < 1.0 / _FARTHEST or intensity > _STRONGEST:
+    if max(abs(x), abs(y), z) > _FARTHEST or z < 1.0 / _FARTHEST or strength > _STRONGEST:
         raise UsageError(
             f"the light '{text}' is out of range",
             where="--light",
             remedy=f"choose a place within {_FARTHEST:g} units, at least {1 / _FARTHEST:g} above "
             f"the plane, and an intensity up to {_STRONGEST:g}",
         )
-    return (x, y, z), intensity
+    return (x, y, z), strength if len(numbers) == 4 else exposing_intensity((x, y, z))

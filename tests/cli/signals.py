@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,9 @@ COMMANDS = {
         "batch", "shoot", "-j", "2", "--preset", "draft", "--steps", "4", "--detail", "256",
         "--size", "256",
     ),
+    "relight": ("relight", "set", "--size", "1500", "--effects", "all", "-o", "relit/a.png"),
+    "export": ("export", "set", "--to", "polyhaven", "-o", "exported"),
+    "view": ("view", "set", "--html", "page/a.html"),
 }  # fmt: skip
 BEST_SO_FAR = "the best so far"  # as capture says it
 _NEVER = ("Traceback", "Error:", "leaked", "resource_tracker", "internal error")
@@ -53,6 +57,18 @@ def prepare(folder: Path) -> None:
     (folder / "shoot").mkdir()
     for name in ("photo.jpg", "shoot/a.jpg", "shoot/b.jpg"):
         cv2.imwrite(str(folder / name), picture)
+    _prepare_maps(folder)
+
+
+def _prepare_maps(folder: Path) -> None:
+    import torch
+
+    from matcap.brdf.folder import MapSetInfo, write_mapset
+    from matcap.brdf.maps import MapSet
+
+    stack = 0.2 + 0.5 * torch.rand(6, 256, 256, generator=torch.Generator().manual_seed(1))
+    stack[5] *= 0.01
+    write_mapset(MapSet.from_stacked(stack, 2.0 / 256), folder / "set", MapSetInfo("moss"))
 
 
 def strike(command: str, folder: Path, number: int, after: float) -> Struck:
@@ -77,7 +93,10 @@ def faults(command: str, folder: Path, struck: Struck) -> list[str]:
         found.append(f"exit code {struck.code}")
     if struck.code == 130 and "interrupted" not in struck.said:
         found.append("nothing was said")
-    check = {"capture": _captured, "synth": _synthesised, "batch": _batched}[command]
+    check = {
+        "capture": _captured, "synth": _synthesised, "batch": _batched, "relight": _relit,
+        "export": _exported, "view": _page,
+    }[command]  # fmt: skip
     return [*found, *check(folder, struck)]
 
 
@@ -119,6 +138,38 @@ def _batched(folder: Path, struck: Struck) -> list[str]:
     for name in ("a", "b"):
         found += _whole(folder / "materials" / name, needed=struck.code == 0)
     return found
+
+
+def _relit(folder: Path, struck: Struck) -> list[str]:
+    import cv2
+
+    return _all_or_none(
+        folder / "relit", struck, lambda place: cv2.imread(str(place / "a.png")).shape[1] == 1500
+    )
+
+
+def _exported(folder: Path, struck: Struck) -> list[str]:
+    def whole(place: Path) -> bool:
+        about = json.loads((place / "moss_polyhaven.json").read_text())
+        return all((place / file).stat().st_size for file in about["files"])
+
+    return _all_or_none(folder / "exported", struck, whole)
+
+
+def _page(folder: Path, struck: Struck) -> list[str]:
+    return _all_or_none(
+        folder / "page",
+        struck,
+        lambda place: (place / "a.html").read_text().rstrip().endswith("</html>"),
+    )
+
+
+def _all_or_none(folder: Path, struck: Struck, whole: Callable[[Path], bool]) -> list[str]:
+    """A folder that a command made is whole, or is not there."""
+    if not folder.exists():
+        return ["nothing was written"] if struck.code == 0 else []
+    hidden = [file.name for file in folder.iterdir() if file.name.startswith(".")]
+    return hidden + ([] if whole(folder) else ["half of it stands there"])
 
 
 def main(count: int) -> int:

@@ -14,6 +14,9 @@ import signals
         ("synth", signal.SIGTERM, (0.5, 5.0)),
         ("synth", signal.SIGINT, (0.5, 5.0)),
         ("batch", signal.SIGTERM, (1.0, 8.0)),
+        ("relight", signal.SIGTERM, (0.5, 5.0)),
+        ("export", signal.SIGINT, (0.5, 5.0)),
+        ("view", signal.SIGTERM, (0.5, 4.0)),
     ],
 )
 def test_a_signal_leaves_nothing_torn_and_no_traceback(tmp_path, command, number, between):

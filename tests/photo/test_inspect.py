@@ -106,6 +106,20 @@ def test_a_good_photograph_is_called_good():
     assert found["hot_spot"].value == pytest.approx([0.5, 0.5], abs=0.02)
 
 
+def test_what_is_only_worth_knowing_leaves_a_photograph_good(shots):
+    found = inspect_photo(as_photo(shots["granite", 0], 1, "a"), (0.01, 0.0))
+    notes = [finding for finding in found.findings if finding.verdict is Verdict.NOTE]
+    only = replace(found, findings=tuple(notes))
+    assert notes and only.verdict is Verdict.GOOD
+
+
+def test_a_flat_grey_is_not_called_sharp():
+    pixels = np.full((64, 64, 3), 0.2, np.float32)
+    told = inspect_photo(photo_from_array(pixels))["sharpness"]
+    assert told.value is None and told.verdict is Verdict.NOTE
+    assert "Nothing in it tells whether it is sharp" in told.says
+
+
 @pytest.mark.parametrize(
     ("tilt", "turned", "side"),
     [

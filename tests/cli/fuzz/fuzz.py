@@ -90,8 +90,10 @@ def prepare() -> None:
     import matcap.field.material
     import matcap.photo.load
     import matcap.relight.scenefile  # noqa: F401
+    from matcap.files.note import Note
 
     warnings.simplefilter("error")  # what a user would see on the terminal is a fault, too
+    warnings.simplefilter("ignore", Note)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     # Beyond this the machine itself would be in danger; torch alone reserves a few.

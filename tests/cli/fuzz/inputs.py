@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import random
 import re
@@ -16,6 +17,10 @@ from PIL import Image, ImageCms
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
+from matcap.example.example import Example
+from matcap.example.exemplar import Exemplar
+from matcap.field.material import Material
+from matcap.files.digest import DIGEST, METHOD, text_first
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.examples import realisation
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
@@ -91,6 +96,7 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
     (folder / "scene.toml").write_text(SCENE)
     (folder / "matcap.toml").write_text(SETTINGS)
     write_material(folder / "small.matcap")
+    write_example(folder / "example.matcap")
     maps = MapSet.from_stacked(torch.rand(6, 16, 16) * 0.5 + 0.1, 0.01)
     write_mapset(maps, folder / "set", MapSetInfo("set"))
     (folder / "record.json").write_text(
@@ -109,7 +115,7 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
         ],
         "exr": [folder / "light.exr", folder / "set" / "set_height.exr"],
         "picture": [folder / "light.exr"],
-        "material": [folder / "small.matcap"],
+        "material": [folder / "small.matcap", folder / "example.matcap"],
         "mapset": [folder / "set" / "set.json"],
         "scene": [folder / "scene.toml"],
         "settings": [folder / "matcap.toml"],
@@ -127,6 +133,15 @@ def write_material(path: Path) -> None:
     moments = tuple(freeze(decoder, code, waves))
     tuned = TunedDecoder(decoder.eval(), code, moments, waves, 0.002)
     tuned.material("small", FlashSetup()).save(path)
+
+
+def write_example(path: Path) -> None:
+    """A material by example, of a piece of 64 x 48 texels."""
+    maps = np.random.default_rng(1).random((6, 48, 64), np.float32)
+    piece = Exemplar(
+        maps[:3], maps[3:4], maps[4:5], 0.01 * maps[5:], np.ones((4, 48, 64), np.float32), 0.002
+    )
+    Material("example", {"example": Example.of(piece)}, 0.002, FlashSetup()).save(path)
 
 
 def spoil(data: bytes, kind: str, others: list[bytes], chance: random.Random) -> bytes:
@@ -208,10 +223,21 @@ def _redescribe(data: bytes, chance: random.Random) -> bytes:
             header["__metadata__"]["matcap"] = json.dumps(_changed(about, chance))
         else:
             header = _changed(header, chance)
+        header = _forged(header, data[8 + length :]) if chance.random() < 0.5 else header
         text = json.dumps(header).encode()
     except (ValueError, KeyError, TypeError, struct.error, RecursionError):
         return _flip(data, chance)
     return struct.pack("<Q", len(text)) + text + data[8 + length :]
+
+
+def _forged(header: dict[str, object], content: bytes) -> dict[str, object]:
+    """The header with a digest that is right, as a stranger can make one."""
+    told = header.get("__metadata__") if isinstance(header, dict) else None
+    if not isinstance(told, dict) or not all(isinstance(one, str) for one in told.values()):
+        return header
+    digest = hashlib.new(METHOD, text_first(told))
+    digest.update(content)
+    return {**header, "__metadata__": {**told, DIGEST: digest.hexdigest()}}
 
 
 def _changed(value: object, chance: random.Random) -> object:

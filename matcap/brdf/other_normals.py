@@ -1,0 +1,72 @@
+"""Whether a map set's normal file says what its height says: normals are derived from the height.
+
+Somebody may have painted on it. What was painted is not read; a note tells so.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from matcap.errors import MatcapError
+from matcap.files.exr import read_exr
+from matcap.files.names import flaw
+from matcap.files.note import note
+
+if TYPE_CHECKING:
+    from matcap.brdf.maps import MapSet
+
+_TEXELS = 1_000_000  # about so many are compared, evenly spread rows
+_OFF = math.cos(math.radians(2.0))  # what rounding to half float explains is far less
+_SHARE = 1e-3  # of the texels: fewer are no painting
+_ANSWER = (
+    "it is not read, for normals follow from the height; change the height instead, or give "
+    "relight the pictures with --maps-from"
+)
+
+
+def note_other_normals(maps: MapSet, document: dict[str, Any], folder: Path) -> None:
+    """Tell if the normal file disagrees with the height, or cannot be used.
+
+    Args:
+        maps: as they were read.
+        document: the map set's.
+        folder: where its files stand.
+    """
+    about = document["maps"].get("normal")
+    name = about.get("file") if isinstance(about, dict) else None
+    if name is None or flaw(name) or not (folder / name).is_file():
+        return
+    try:
+        found = read_exr(folder / name, size=maps.size, channels=about.get("channels"))
+    except (MatcapError, TypeError, ValueError) as error:
+        what = error.what if isinstance(error, MatcapError) else "its channels are unknown"
+        note(f"{folder / name}: {what}; {_ANSWER}")
+        return
+    share = _differing(found, maps, down=document.get("normal") == "dx")
+    if share > _SHARE:
+        note(f"{folder / name}: differs from the height at {share:.1%} of its texels; {_ANSWER}")
+
+
+def _differing(found: np.ndarray[Any, Any], maps: MapSet, *, down: bool) -> float:
+    """The share of texels inside whose normal is another one; borders may know more than these."""
+    from matcap.brdf.normals import normals_of_rows
+
+    width, height = maps.size
+    if found.shape[2] != 3 or min(width, height) < 3:
+        return 0.0 if found.shape[2] == 3 else 1.0
+    step = max(1, width * height // _TEXELS)
+    off = texels = 0
+    for row in range(1, height - 1, step):
+        meant = normals_of_rows(
+            maps.height, maps.texel_size, slice(row, row + 1), periodic=maps.periodic
+        )
+        told = found[row] * np.array([1.0, -1.0 if down else 1.0, 1.0], np.float32)
+        cosine = (meant[:, 0].movedim(0, -1).numpy() * told).sum(axis=-1)
+        cosine /= np.maximum(np.linalg.norm(told, axis=-1), 1e-9)
+        off += int((cosine[1:-1] < _OFF).sum())
+        texels += width - 2
+    return off / texels

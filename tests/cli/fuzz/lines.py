@@ -1,0 +1,216 @@
+"""Feeds command lines to matcap: an answer in a sentence or a good result, and nothing else.
+
+    python tests/cli/fuzz/lines.py --count 20000
+
+Options are drawn by their kinds, half of the values out of range; names of files and map sets too.
+A line fails at exit 1, at a traceback, when it takes over LONGEST seconds or LARGEST bytes, or when
+any file outside the folder it runs in appears or changes. test_lines.py runs a shorter form.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import os
+import random
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from fuzz import most_held
+from inputs import write_example, write_material
+
+from matcap.batch.crew import Processes, Tell
+
+LONGEST, LARGEST = 30.0, 3 << 30  # seconds, bytes
+_NUMBERS = (
+    "0", "1", "-1", "0.5", "nan", "inf", "-inf", "1e300", "-1e-300", "9" * 23, "x", "", "1e400",
+    "0x10", "٣", "1_000", " 7 ", "2",
+)  # fmt: skip
+_SIZES = (
+    "16", "32x16", "17x5", "0", "-1", "1x", "9" * 17, "99999999x1", "nan", "1K", "1x2x3", "16X16",
+)  # fmt: skip
+_NAMES = (
+    "out", "a/b", "../out", "..", ".", "/dev/null", "/proc/x", "x" * 300, "a\nb", "\x1b[2J", "a\0b",
+    "é木", "small.matcap", "set", "set/set.json", "notes.txt", "-o",
+)  # fmt: skip
+_OUTPUTS = ("new.png", "new.exr", "new.gif", "new.html", "notes.txt", "photo.png", *_NAMES)
+_INPUTS = ("small.matcap", "example.matcap", "set", "set/set.json", "photo.png", *_NAMES)
+_TARGETS = ("usd", "gltf", "raw", "unreal", "mitsuba", "godot", "bogus", "", "gltf-textures")
+_PATTERNS = (
+    "{map}", "{stem}_{map}", "{map:>999999999}", "{map!r}", "{map.x}", "{x}", "{", "../{map}",
+    "{map}\n", "a@{map}", "{0}", "{map}{map}",
+)  # fmt: skip
+_ADJUST = ("relief=1.3", "relief=nan", "tint=#fff", "roughness=1e300", "x=1", "relief=", "a.json")
+_LIGHTS = ("top", "left", "flash", "1e300,0,1", "0,0,1", "0,0,-1", "nan,0,1", "x", "0,0,1,1e9", "")
+_EFFECTS = ("auto", "all", "none", "+x", "none,+diffuse", "", ",")
+# Of each command: what it reads, and options with the values to draw from.
+COMMANDS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
+    "relight": (1, {
+        "-o": _OUTPUTS, "--size": _SIZES, "--seed": _NUMBERS, "--tolerance": _NUMBERS,
+        "--light": _LIGHTS, "--effects": _EFFECTS, "--adjust": _ADJUST, "--scene": _NAMES,
+        "--explain-map": _OUTPUTS, "--maps-from": _INPUTS, "--overwrite": (),
+    }),
+    "export": (1, {
+        "--to": _TARGETS, "--preset": _TARGETS, "-o": _NAMES, "--size": _SIZES, "--seed": _NUMBERS,
+        "--udim": ("1x1", "11x1", "0x0", "nan", "2x1"), "--unit": _NUMBERS, "--name": _PATTERNS,
+        "--maps": ("diffuse", "", "x,y"), "--normal": ("gl", "both", "zz"), "--adjust": _ADJUST,
+        "--bits": ("8", "16", "half", "float", "7"), "--format": ("png", "jpg", "exr", "tx", "bmp"),
+        "--overwrite": (), "--json": (),
+    }),
+    "synth": (1, {
+        "-o": _NAMES, "--size": _SIZES, "--seed": _NUMBERS, "--region": ("0,0,16,16", "1,1,0,0",
+        "9e9,0,1,1", f"{2**40},0,16,16"), "--udim": ("1x1", "11x1", "0x0", "nan"), "--png": (),
+        "--tile": ("x", "y", "both", "z"), "--single": (), "--mip": (), "--mask": _INPUTS,
+        "--blend": _INPUTS, "--adjust": _ADJUST, "--export": _TARGETS, "--overwrite": (),
+        "--scheduler": ("x", "", "nonsense"),
+    }),
+    "blend": (2, {
+        "-t": ("0.5", "0:1:3", "0:1:99999999", "nan", "1:0:2", f"0:1:{'9' * 30}", "-1"),
+        "-o": _NAMES, "--seed": _NUMBERS, "--overwrite": (),
+    }),
+    "view": (1, {
+        "--html": _OUTPUTS, "--seed": _NUMBERS, "--tile": ("16", "0", "17", "99999999"),
+        "--adjust": _ADJUST, "--photo": _INPUTS, "--overwrite": (),
+    }),
+    "compare": (2, {"-o": _OUTPUTS, "--photo": _INPUTS, "--overwrite": ()}),
+    "inspect": (1, {"--fov": _NUMBERS, "--detail": _NUMBERS, "--json": ()}),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Line:
+    """A command line and the folder it runs in."""
+
+    words: tuple[str, ...]
+    place: Path
+
+
+def drawn(chance: random.Random) -> tuple[str, ...]:
+    """A command line."""
+    command = chance.choice(list(COMMANDS))
+    inputs, options = COMMANDS[command]
+    words = [command, *(chance.choice(_INPUTS[: 3 if chance.random() < 0.7 else None])
+                        for _ in range(inputs))]  # fmt: skip
+    chosen = chance.sample(sorted(options), chance.randrange(min(6, len(options)) + 1))
+    if command == "view":
+        chosen = [*dict.fromkeys(["--html", *chosen])]  # else it serves until Ctrl-C
+    for option in chosen:
+        words += [option, *([chance.choice(options[option])] if options[option] else [])]
+    if "--size" not in chosen and "--size" in options:
+        words += ["--size", "16"]  # soon done
+    return (*words, "-j", "1") if command == "synth" else tuple(words)
+
+
+def answer(line: Line, tell: Tell) -> tuple[str, str]:
+    """Run a line, in a worker: ("good", "refused" or "fault", what was said)."""
+    from matcap.cli.main import main
+
+    os.chdir(line.place / "work")
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+        code = main(list(line.words))
+    text = said.getvalue()
+    if code not in (0, 2, 3, 4) or "Traceback" in text or "internal error" in text:
+        return "fault", f"exit {code}: {text[-600:]}"
+    if most_held() > LARGEST:
+        return "fault", f"{most_held() / 1e9:.1f} GB of memory"
+    return ("refused" if code else "good"), text
+
+
+def prepare() -> None:
+    """Once a worker."""
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def write_place(place: Path) -> None:
+    """A folder `work` with things to read, and beside it what must stay as it is."""
+    import cv2
+    import numpy as np
+    import torch
+
+    from matcap.brdf.folder import MapSetInfo, write_mapset
+    from matcap.brdf.maps import MapSet
+
+    work = place / "work"
+    work.mkdir(parents=True)
+    write_material(work / "small.matcap")
+    write_example(work / "example.matcap")
+    maps = MapSet.from_stacked(torch.rand(6, 16, 16) * 0.5 + 0.1, 0.01)
+    write_mapset(maps, work / "set", MapSetInfo("set"))
+    (work / "notes.txt").write_text("mine")
+    cv2.imwrite(str(work / "photo.png"), np.full((96, 128, 3), 128, np.uint8))
+    (place / "victim").write_text("mine")
+
+
+def run(place: Path, count: int, seed: int) -> tuple[Counter[str], list[str]]:
+    """Tally, and what failed."""
+    good = place / "good"
+    write_place(good)
+    tally: Counter[str] = Counter()
+    faults: list[str] = []
+    crew = Processes(1, answer, prepare)
+    try:
+        for number in range(count):
+            chance = random.Random(f"{seed} {number}")
+            now = place / str(number)
+            shutil.copytree(good, now)
+            if chance.random() < 0.1:  # a forged name
+                document = now / "work" / "set" / "set.json"
+                about = json.loads(document.read_text()) | {"name": chance.choice(_NAMES)}
+                document.write_text(json.dumps(about))
+            words = drawn(chance)
+            result, said = _within(crew, Line(words, now), first=not number)
+            here = sorted(file.name for file in now.iterdir())
+            inside = (now / "victim").read_text() == "mine"
+            # `-o ../out` is asked for: everything else beside the folder is nobody's.
+            if result != "fault" and not (inside and set(here) <= {"work", "victim", "out"}):
+                result, said = "fault", f"beside the folder stands {here}"
+            tally[result] += 1
+            tally[f"{words[0]} {result}"] += 1
+            if result == "fault":
+                faults.append(f"{number}: matcap {' '.join(map(repr, words))}\n{said}")
+                print(faults[-1], file=sys.stderr, flush=True)  # one who waits no longer knows it
+            shutil.rmtree(now)
+    finally:
+        crew.close()
+    return tally, faults
+
+
+def _within(crew: Processes, line: Line, *, first: bool) -> tuple[str, str]:
+    crew.start(line)
+    limit = time.monotonic() + LONGEST + 50.0 * first  # the imports, too
+    while time.monotonic() < limit:
+        for event in crew.wait(limit - time.monotonic()):
+            if event.kind == "died":
+                return "fault", f"the process died with code {event.value}"
+            if event.kind == "done":
+                return event.value
+    crew.close()
+    return "fault", f"no answer in {LONGEST:.0f} s"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="matcap-lines-") as place:
+        tally, faults = run(Path(place), options.count, options.seed)
+    for name, number in sorted(tally.items()):
+        print(f"{number:8d}  {name}")
+    print(f"{options.count} lines in {time.monotonic() - began:.0f} s, {len(faults)} faults")
+    sys.exit(bool(faults))
+
+
+if __name__ == "__main__":
+    main()
