@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from matcap.errors import MatcapError
+from matcap.files.names import kept_plain
 
 Grouping = Literal["none", "dir", "time"]
 Taken = Callable[[Path], float | None]
@@ -83,7 +84,7 @@ def find_samples(
             continue
         runs = _runs(shots, gap, taken or taken_at) if group == "time" else [[s] for s in shots]
         for run in runs:
-            label = "-".join((*inside.parts, run[0][0].stem))
+            label = kept_plain("-".join((*inside.parts, run[0][0].stem)))
             grouped.append((inside / run[0][0].name, label, *_joined(run)))
     if not grouped:
         raise MatcapError(

@@ -36,6 +36,7 @@ from matcap.cli.options import (
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.files import values
+from matcap.files.names import kept_plain
 
 if TYPE_CHECKING:
     from matcap.capture.outputs import OutputSettings
@@ -142,7 +143,7 @@ def _jobs(photos: Sequence[Path], out: Path) -> list[_Job]:
     taken: set[str] = set()
     jobs = []
     for photo in photos:
-        stem = name = photo.stem.lstrip(".") or "photograph"
+        stem = name = kept_plain(photo.stem.lstrip(".") or "photograph", "photograph")
         number = 1
         while name.casefold() in taken:
             number += 1
