@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from matcap.batch.crew import Event, Prepare, Work
+from matcap.batch.crew import DoWork, Event, Prepare
 from matcap.synth.scheduler import connect
 
 _LOOK_EVERY = 0.1  # seconds; samples take minutes
@@ -27,7 +27,7 @@ class Cluster:
         MatcapError: the extra is missing, nobody answers at the address, or there is no worker.
     """
 
-    def __init__(self, scheduler: str, work: Work, prepare: Prepare) -> None:
+    def __init__(self, scheduler: str, work: DoWork, prepare: Prepare) -> None:
         self._client = connect(scheduler, "dask worker --nthreads 1")
         self.size = sum(self._client.nthreads().values())
         self._work, self._prepare = work, prepare
@@ -65,7 +65,7 @@ class Cluster:
         self._client.close()
 
 
-def _there(work: Work, prepare: Prepare, job: Any) -> Any:  # noqa: ANN401
+def _there(work: DoWork, prepare: Prepare, job: Any) -> Any:  # noqa: ANN401
     prepare()
     return work(job, _untold)
 

@@ -21,7 +21,7 @@ from typing import Any, Literal, Protocol
 from matcap.files.interrupts import settle_child, starting_children
 
 Tell = Callable[[str, float], None]
-Work = Callable[[Any, Tell], Any]
+DoWork = Callable[[Any, Tell], Any]
 Prepare = Callable[[], None]
 
 
@@ -68,7 +68,7 @@ class Processes:
         prepare: called once in every new process.
     """
 
-    def __init__(self, size: int, work: Work, prepare: Prepare) -> None:
+    def __init__(self, size: int, work: DoWork, prepare: Prepare) -> None:
         self.size = size
         self._work, self._prepare = work, prepare
         self._idle: list[_Worker] = []
@@ -115,7 +115,7 @@ class Processes:
 
 
 class _Worker:
-    def __init__(self, work: Work, prepare: Prepare) -> None:
+    def __init__(self, work: DoWork, prepare: Prepare) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self._process: SpawnProcess = context.Process(
@@ -147,7 +147,7 @@ class _Worker:
         self.pipe.close()
 
 
-def _serve(pipe: Connection, work: Work, prepare: Prepare) -> None:
+def _serve(pipe: Connection, work: DoWork, prepare: Prepare) -> None:
     settle_child()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     prepare()

@@ -15,7 +15,7 @@ from matcap.batch.workspace import read_failure
 from matcap.capture.replace import refuse_to_replace_longer_capture
 from matcap.errors import MatcapError
 
-State = Literal["todo", "made", "kept", "failed", "left"]
+EntryState = Literal["todo", "made", "kept", "failed", "left"]
 
 
 @dataclass
@@ -33,7 +33,7 @@ class BatchEntry:
 
     sample: ShotSample
     identity: str
-    state: State
+    state: EntryState
     reason: str = ""
     record: dict[str, Any] = field(default_factory=dict)
 

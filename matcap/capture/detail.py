@@ -1,8 +1,10 @@
-"""How many texels across a photograph is captured with, where the user does not say.
+"""How many texels across a photograph's piece has, and on how many it is read.
 
-The network joins what lies within some hundred texels, and windows of 160 are compared. What is
-coarser comes out as grain of the right colours, wood as sawdust; with half as many texels across
-the same pattern spans half as many, and the capture holds it. Figures in docs/notes/capture.md.
+The piece has as many as are asked for. The network joins what lies within some hundred texels, and
+windows of 160 are compared. What is coarser comes out as grain of the right colours, wood as
+sawdust; read on half as many texels across the same pattern spans half as many, and the capture
+holds it. Finer bands are carried over from the photograph (piece/finest.py). Figures in
+docs/notes/capture.md and exemplar.md.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from torch import Tensor
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane, read_plane
 from matcap.photo.photo import Photo
-from matcap.statistics.lattice import Lattice, find_lattice
+from matcap.statistics.lattice import Lattice, Wave, find_lattice
 
 DETAIL = 1024  # texels; docs/capture.md has what more and less of them buy
 _SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # texels: deviations of the blurs between the bands
@@ -65,25 +67,39 @@ def _halved(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def detail_for(linear: Tensor, valid: Tensor) -> int:
-    """Texels across that suit a texture without a lattice: DETAIL, or half of it if coarse."""
+    """Texels across to read a texture without a lattice on: DETAIL, or half of it if coarse."""
     return DETAIL // 2 if coarse_share(linear, valid) > _MOST_COARSE else DETAIL
 
 
 def plane_in_detail(
     photo: Photo, setup: FlashSetup, detail: int | None = None
 ) -> tuple[Plane, Lattice]:
-    """A photograph's plane at the detail that suits it, or at one that is given; its lattice.
+    """A photograph's plane at a detail, and its lattice.
 
     Args:
         photo: read with at least that detail.
         setup: its geometry.
-        detail: texels across, or None for detail_for.
+        detail: texels across, or None for DETAIL.
     """
     plane = read_plane(photo, setup, detail or DETAIL)
-    lattice = find_lattice(plane.encoded(), plane.valid)
-    # A lattice is told to the network outright, however long its period.
-    if detail is None and not lattice.waves:
-        suited = detail_for(plane.linear, plane.valid)
-        if suited != DETAIL:
-            plane = read_plane(photo, setup, suited)
-    return plane, lattice
+    return plane, find_lattice(plane.encoded(), plane.valid)
+
+
+def to_be_read(plane: Plane, waves: tuple[Wave, ...] = ()) -> tuple[Plane, tuple[Wave, ...]]:
+    """A plane on as many texels as it is best read on, and its waves there.
+
+    Args:
+        plane: of at least as many; one of fewer than DETAIL is read as it is.
+        waves: of its regular order, which is told to the network outright, however long its period.
+
+    Returns:
+        The same plane, if it suits.
+    """
+    columns = plane.size[0]
+    usual = plane.shrunk(DETAIL) if columns > DETAIL else plane
+    suited = usual
+    if columns >= DETAIL and not waves:
+        wanted = detail_for(usual.linear, usual.valid)
+        suited = plane.shrunk(wanted) if wanted != DETAIL else usual
+    longer = columns / suited.size[0]
+    return suited, tuple(Wave(longer * wave.fx, longer * wave.fy) for wave in waves)

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from matcap.capture.detail import plane_in_detail
+from matcap.capture.detail import plane_in_detail, to_be_read
 from matcap.capture.ending import judged, provenance
 from matcap.capture.outputs import OutputSettings, write_outputs
 from matcap.capture.piece.find import find_piece
@@ -33,7 +33,7 @@ from matcap.photo.refusals import SHORTEST_SIDE
 
 _WINDOW_STEP = 16  # texels that windows' sides are multiples of: a decoder's alignment
 
-Tell = Callable[[CaptureProgress], None]
+TellProgress = Callable[[CaptureProgress], None]
 
 
 def read_photograph(
@@ -53,7 +53,7 @@ def read_photograph(
 def capture_file(
     path: str | Path,
     settings: CaptureSettings,
-    progress: Tell | None = None,
+    progress: TellProgress | None = None,
     others: Sequence[str | Path] = (),
 ) -> CaptureResult:
     """A photograph's file to a material; or those of several photographs of one sample.
@@ -68,7 +68,7 @@ def capture_into(
     paths: Sequence[str | Path],
     settings: CaptureSettings,
     outputs: OutputSettings,
-    progress: Tell | None = None,
+    progress: TellProgress | None = None,
 ) -> CaptureResult:
     """The whole way: photographs of one sample to a folder with everything that is left of it.
 
@@ -100,7 +100,7 @@ def _read_and_captured(
 def capture_photo(
     photo: Photo,
     settings: CaptureSettings,
-    progress: Tell | None = None,
+    progress: TellProgress | None = None,
     method: Method | None = None,
     others: Sequence[Photo] = (),
 ) -> CaptureResult:
@@ -120,7 +120,7 @@ def capture_photo(
     return capture_under(photo, settings, clock_of(settings, progress), method or Method(), others)
 
 
-def clock_of(settings: CaptureSettings, progress: Tell | None) -> CaptureClock:
+def clock_of(settings: CaptureSettings, progress: TellProgress | None) -> CaptureClock:
     """The clock of a capture with these settings; `write` is the caller's last stage."""
     stages = DECODER_STAGES if settings.generator == "decoder" else PIECE_STAGES
     return CaptureClock(progress, stages, settings.time_limit)
@@ -138,28 +138,28 @@ def capture_under(
     with clock.stage("coarse fit"):
         coarse = under_flash(fit_coarse(photo), photo.flash_intensity)
         plane, lattice = plane_in_detail(photo, coarse.setup, settings.detail)
-        window = _window(plane, method.window, photo.name)
+        read, waves = to_be_read(plane, lattice.waves)
+        window = _window(read, method.window, photo.name)
 
     if settings.generator == "decoder":
         from matcap.capture.by_decoder import capture_by_decoder
 
-        work = (photo, coarse, plane, lattice.waves, window)
+        work = (photo, coarse, read, waves, window)
         return capture_by_decoder(*work, settings, effort, method, others, clock)
 
     joined: list[dict[str, Any]] = []
 
     def target() -> PhotographTarget:
-        found, told = photograph_target(
-            plane, coarse, lattice.waves, settings, method, window, others
-        )
+        found, told = photograph_target(read, coarse, waves, settings, method, window, others)
         joined.extend(told)
         return found
 
     found = find_piece(
-        plane,
+        read,
         coarse,
         load_inverse(),
-        lattice.waves,
+        waves,
+        fine=plane,
         target=target if effort.adapted else None,
         steps=effort.adapted,
         seconds=lambda: clock.left_for("adapt"),

@@ -29,7 +29,10 @@ Keys:
         radiance between photograph and re-rendering), `slow` (its slow part, not the
         material's), `left_out` (share that matches nothing else in it, and is not rearranged),
         `strengths` (root-mean-square slope and log albedo that the photograph tells outright, by
-        band; see capture/piece/strengths.py; or null), `confidence` (mean, by map).
+        band; see capture/piece/strengths.py; or null), `sharpness` (power of the finest octave,
+        re-rendering over photograph), `adaptation` (of each leg: what it changed, how near it was
+        before and after on windows held back, and whether it was kept), `confidence` (mean, by
+        map).
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.
 """
@@ -45,7 +48,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcap.capture.detail import DETAIL
 from matcap.capture.settings import CaptureSettings, resolve
 from matcap.example.exemplar import CHANNELS
 from matcap.files.maker import MAKER_VERSION
@@ -151,6 +153,8 @@ def _exemplar(found: FoundPiece | None) -> dict[str, Any] | None:
         "slow": found.slow,
         "left_out": found.example.index.left_out,
         "strengths": None if found.strengths is None else found.strengths.document(),
+        "sharpness": found.sharpness,
+        "adaptation": [asdict(change) for change in found.adaptation],
         "confidence": dict(zip(CHANNELS, means, strict=True)),
     }
 
@@ -167,11 +171,10 @@ def warnings(result: CaptureResult) -> Iterable[str]:
         )
     if photo.flash_fired is False:
         yield "The file says that the flash did not fire: photograph again with the flash on."
-    detail = result.rectified.shape[1]
-    if result.settings.detail is None and detail < DETAIL:
+    if result.found is not None and result.found.strengths is None:
         yield (
-            f"The texture is coarse, so it is captured with {detail} texels across; "
-            f"--detail {DETAIL} keeps finer grain and loses what is large."
+            "The photograph is too small or too much of it unseen to tell relief's strength: it is "
+            "as the network reads it. Photograph again a stop darker, or from further away."
         )
     tilt = math.degrees(math.hypot(*result.material.setup.tilt))
     if tilt > _MUCH_TILT:

@@ -20,13 +20,13 @@ from matcap.cli.options import (
     Normal,
     OverwriteOption,
     PresetOption,
-    PriorOption,
     QuietOption,
     StatisticsOption,
     StepsOption,
     StrictOption,
     TargetOption,
     TimeOption,
+    TrainedPriorOption,
     WidthOption,
     typed,
 )
@@ -69,7 +69,7 @@ def batch(
         Normal | None, typer.Option(help="Normals with +Y up (gl) or down (dx).")
     ] = None,
     export: ExportOption = None,
-    prior: PriorOption = None,
+    prior: TrainedPriorOption = None,
     statistics: StatisticsOption = None,
     generator: MadeByOption = None,
     aligned: AlignedOption = None,

@@ -24,13 +24,13 @@ from matcap.cli.options import (
     OverwriteOption,
     PngOption,
     PresetOption,
-    PriorOption,
     QuietOption,
     StatisticsOption,
     StepsOption,
     StrictOption,
     TargetOption,
     TimeOption,
+    TrainedPriorOption,
     WidthOption,
     typed,
 )
@@ -86,7 +86,7 @@ def capture(
     png: PngOption = False,
     normal: NormalOption = Normal.gl,
     export: ExportOption = None,
-    prior: PriorOption = None,
+    prior: TrainedPriorOption = None,
     statistics: StatisticsOption = None,
     generator: MadeByOption = None,
     together: Annotated[

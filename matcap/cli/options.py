@@ -171,7 +171,7 @@ DetailOption = Annotated[int | None, _setting("detail")]
 FovOption = Annotated[float | None, _setting("fov")]
 WidthOption = Annotated[float | None, _setting("width_cm", "--width-cm")]
 CaptureSeedOption = Annotated[int | None, _setting("seed", show_default="0")]
-PriorOption = Annotated[str | None, _setting("prior", show_default="auto")]
+TrainedPriorOption = Annotated[str | None, _setting("prior", show_default="auto")]
 StatisticsOption = Annotated[str | None, _setting("statistics", show_default="filterbank")]
 MadeByOption = Annotated[
     GeneratorName | None, _setting("generator", "--generator", show_default="example")

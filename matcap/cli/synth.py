@@ -48,7 +48,7 @@ class TileAxes(Enum):
     y = "y"
 
 
-class Precision(Enum):
+class PrecisionName(Enum):
     """How exactly to compute."""
 
     fp32 = "fp32"
@@ -156,9 +156,9 @@ def synth(
     generator: GeneratorOption = None,
     adjust: AdjustOption = None,
     precision: Annotated[
-        Precision,
+        PrecisionName,
         typer.Option(help="auto: as much bf16 as changes no map by half an 8-bit step."),
-    ] = Precision.fp32,
+    ] = PrecisionName.fp32,
     device: Annotated[
         Device, typer.Option(help="auto: a CUDA device where PyTorch sees one.")
     ] = Device.auto,
@@ -213,7 +213,7 @@ def synth(
     folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}{told_apart}")
 
     def told(choice: ChosenPrecision) -> None:
-        if precision is Precision.auto and not quiet:
+        if precision is PrecisionName.auto and not quiet:
             typer.echo(choice.sentence(), err=True)
 
     left = 0 if resume else unfinished_bytes(folder, name)

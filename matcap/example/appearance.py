@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.features import LIMIT, PLANES, Features
+from matcap.example.features import LIMIT, PLANES, FeatureMap
 
 DIMENSIONS = 8
 # Of an appearance: three times a difference of two fits 16 bits, and the sum of its squares over
@@ -44,7 +44,7 @@ class Basis:
     step: int
 
 
-def choose_basis(features: Features, step: int) -> Basis:
+def choose_basis(features: FeatureMap, step: int) -> Basis:
     """Principal components of the neighbourhoods of (PLANES, H, W) features."""
     taps = _taps(features, step)
     places = features.shape[1] * features.shape[2]
@@ -61,7 +61,7 @@ def choose_basis(features: Features, step: int) -> Basis:
     return Basis(weights, max(0, math.ceil(math.log2(large / LARGEST))), step)
 
 
-def project(features: Features, basis: Basis) -> Appearance:
+def project(features: FeatureMap, basis: Basis) -> Appearance:
     """(H, W, DIMENSIONS) of (PLANES, H, W) features, which continue mirrored at the borders."""
     rows, columns = features.shape[1:]
     around = padded(features, basis).astype(np.float32)
@@ -79,7 +79,7 @@ def project(features: Features, basis: Basis) -> Appearance:
     return found
 
 
-def padded(features: Features, basis: Basis) -> Features:
+def padded(features: FeatureMap, basis: Basis) -> FeatureMap:
     """Features with what their neighbourhoods reach beyond the borders."""
     return _padded(features, _RADIUS * basis.step)
 
@@ -90,13 +90,13 @@ def _offsets(step: int) -> list[tuple[int, int]]:
     return [(y, x) for y in side for x in side]
 
 
-def _taps(features: Features, step: int) -> list[Features]:
+def _taps(features: FeatureMap, step: int) -> list[FeatureMap]:
     rows, columns = features.shape[1:]
     around = _padded(features, _RADIUS * step)
     return [around[:, y : y + rows, x : x + columns] for y, x in _offsets(step)]
 
 
-def _padded(features: Features, reach: int) -> Features:
+def _padded(features: FeatureMap, reach: int) -> FeatureMap:
     return np.pad(features, ((0, 0), (reach, reach), (reach, reach)), mode="symmetric")
 
 

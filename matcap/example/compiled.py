@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.appearance import DIMENSIONS, Appearance, Basis, padded
-from matcap.example.features import Features
+from matcap.example.features import FeatureMap
 from matcap.example.lookup import Level
 from matcap.example.order import Phases
 from matcap.example.plain import Places, margin
@@ -51,7 +51,7 @@ def kernel() -> Any | None:  # noqa: ANN401
     return None
 
 
-def project(features: Features, basis: Basis) -> Appearance:
+def project(features: FeatureMap, basis: Basis) -> Appearance:
     """As appearance.project."""
     library = kernel()
     assert library is not None

@@ -23,7 +23,7 @@ from matcap.example.exemplar import Exemplar, Floats
 from matcap.example.grids import level_count
 from matcap.example.index import Index, Project, build_index
 from matcap.example.lookup import Lookup, prepare
-from matcap.example.order import Wave
+from matcap.example.order import Frequency
 from matcap.example.plain import Places
 from matcap.field.blocks import RING, Grid
 from matcap.field.plane import Period, Rectangle, check_period, check_seed
@@ -69,7 +69,7 @@ class Example:
     index: Index
 
     @staticmethod
-    def of(exemplar: Exemplar, waves: tuple[Wave, ...] = ()) -> Example:
+    def of(exemplar: Exemplar, waves: tuple[Frequency, ...] = ()) -> Example:
         """Index an exemplar.
 
         Args:

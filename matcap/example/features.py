@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from matcap.example.exemplar import Exemplar
 
-Features = NDArray[np.int16]
+FeatureMap = NDArray[np.int16]
 
 PLANES = 8
 LIMIT = 127  # of a feature
@@ -63,7 +63,7 @@ def choose_scale(planes: NDArray[np.float32]) -> Scale:
     return Scale(flat.mean(axis=1).astype(np.float32), factors.astype(np.float32))
 
 
-def features_of(planes: NDArray[np.float32], scale: Scale) -> Features:
+def features_of(planes: NDArray[np.float32], scale: Scale) -> FeatureMap:
     """(PLANES, H, W) integers of at most LIMIT."""
     values = planes - scale.offsets[:, None, None]
     values *= scale.factors[:, None, None]
@@ -71,7 +71,7 @@ def features_of(planes: NDArray[np.float32], scale: Scale) -> Features:
     return values.astype(np.int16)
 
 
-def halved(features: Features) -> Features:
+def halved(features: FeatureMap) -> FeatureMap:
     """(PLANES, H // 2, W // 2): means of two by two, rounded down."""
     rows, columns = features.shape[1] // 2 * 2, features.shape[2] // 2 * 2
     even, odd = features[:, 0:rows:2, :columns], features[:, 1:rows:2, :columns]
@@ -79,7 +79,7 @@ def halved(features: Features) -> Features:
     return (pairs[:, :, 0::2] + pairs[:, :, 1::2] + np.int16(2)) >> np.int16(2)
 
 
-def smoothed(features: Features) -> Features:
+def smoothed(features: FeatureMap) -> FeatureMap:
     """The same through a filter of 1/4, 1/2, 1/4 along both axes, the border repeated."""
     wide = np.pad(features, ((0, 0), (1, 1), (1, 1)), mode="edge")
     down = (wide[:, :-2] + wide[:, 2:] + np.int16(2) * wide[:, 1:-1] + np.int16(2)) >> np.int16(2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from matcap.example.features import Features, halved, smoothed
+from matcap.example.features import FeatureMap, halved, smoothed
 
 MOST_LEVELS = 5  # periods are multiples of 2^4 texels, as the decoder's
 PRICE_BITS = 2  # prices are of squares of so many bits of texels
@@ -51,7 +51,7 @@ def step_of(level: int) -> int:
     return 2 if level else 1
 
 
-def grids_of(features: Features, count: int) -> list[Features]:
+def grids_of(features: FeatureMap, count: int) -> list[FeatureMap]:
     """Per level: the features, smoothed to its spacing."""
     found = [features]
     for _ in range(1, count):

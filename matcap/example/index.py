@@ -23,7 +23,7 @@ from matcap.example.appearance import DIMENSIONS, TAPS, Appearance, Basis, choos
 from matcap.example.exemplar import Exemplar
 from matcap.example.features import (
     PLANES,
-    Features,
+    FeatureMap,
     Scale,
     choose_scale,
     features_of,
@@ -38,7 +38,7 @@ from matcap.example.grids import (
     similar_bits,
     step_of,
 )
-from matcap.example.order import GRID, Order, Wave, measure_order
+from matcap.example.order import GRID, Frequency, Order, measure_order
 from matcap.example.packed import pack, unpack
 from matcap.example.similar import Similar, find_similar
 
@@ -54,7 +54,7 @@ _TRUSTED = 0.8  # quantile of confidence that a place is held against
 _SLACK, _DOUBTED = 0.05, 0.35
 _MOST = 255
 
-Project = Callable[[Features, Basis], Appearance]
+Project = Callable[[FeatureMap, Basis], Appearance]
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Index:
         )
 
 
-def build_index(exemplar: Exemplar, waves: tuple[Wave, ...], project: Project) -> Index:
+def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...], project: Project) -> Index:
     """The index of an exemplar.
 
     Args:

@@ -20,7 +20,7 @@ from matcap.field.plane import Period
 
 Phases = NDArray[np.int16]
 Integers = NDArray[np.int64]
-Wave = tuple[float, float]  # cycles per texel along x (right) and y (down)
+Frequency = tuple[float, float]  # cycles per texel along x (right) and y (down)
 
 GRID = 4  # bits: phases are stored every 16 texels
 _TURN = 1 << 16
@@ -46,7 +46,7 @@ class Order:
             2^-16 of a turn; whole turns are kept, so that it varies slowly.
     """
 
-    waves: tuple[Wave, ...]
+    waves: tuple[Frequency, ...]
     bends: NDArray[np.int32]
 
     def periods(self) -> NDArray[np.int64]:
@@ -99,7 +99,7 @@ def _starts(seed: int) -> list[int]:
 
 
 def _straight(
-    wave: Wave, period: Period, x: Integers, y: Integers, start: int = 0
+    wave: Frequency, period: Period, x: Integers, y: Integers, start: int = 0
 ) -> NDArray[np.int32]:
     """Phase of an ideal wave, from 64-bit turns."""
     turns_x, turns_y = (np.uint64(_turns(f, p)) for f, p in zip(wave, period, strict=True))
@@ -177,12 +177,12 @@ def cells_of(order: Order, seed: int, x: Integers, y: Integers, period: Period) 
     )
 
 
-def _together(wave: Wave) -> int:
+def _together(wave: Frequency) -> int:
     """Turns of a wave that one piece is long."""
     return max(1, round(_PIECE * math.hypot(*wave)))
 
 
-def _across(wave: Wave) -> Wave:
+def _across(wave: Frequency) -> Frequency:
     """A wave at right angles, as long as pieces are."""
     length = math.hypot(*wave)
     return (-wave[1] / (length * _PIECE), wave[0] / (length * _PIECE))
@@ -231,7 +231,7 @@ def _same(
     return first, second % rest if rest else second
 
 
-def measure_order(planes: NDArray[np.floating], waves: tuple[Wave, ...]) -> Order | None:
+def measure_order(planes: NDArray[np.floating], waves: tuple[Frequency, ...]) -> Order | None:
     """The order of (C, H, W) planes of zero mean, given about where its waves are.
 
     None where a wave is too long for the exemplar, or is not to be seen.
@@ -268,7 +268,9 @@ def _joints(planes: NDArray[np.floating], order: Order) -> NDArray[np.int32]:
     return np.array(found, np.int32)
 
 
-def _measured(planes: NDArray[np.floating], wave: Wave) -> tuple[Wave, NDArray[np.int32]] | None:
+def _measured(
+    planes: NDArray[np.floating], wave: Frequency
+) -> tuple[Frequency, NDArray[np.int32]] | None:
     """The mean wave, and its bends."""
     high, wide = planes.shape[1:]
     deviation = _WINDOW / math.hypot(*wave)

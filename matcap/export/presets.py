@@ -48,7 +48,7 @@ from matcap.files.names import is_usual, plain_name, shown
 if TYPE_CHECKING:
     from torch import Tensor
 
-Normals = Literal["gl", "dx", "both"]
+NormalMaps = Literal["gl", "dx", "both"]
 _FIELDS = ("stem", "map", "res", "format")
 _SHADED = ("occlusion", "cavity", "bent")
 
@@ -168,7 +168,7 @@ class Preset:
 
     pattern: str
     textures: dict[str, PresetTexture]
-    normal: Normals = "gl"
+    normal: NormalMaps = "gl"
     normal_labels: tuple[str, str] = ("normal_gl", "normal_dx")
     thousand: str = "k"
     lit: Lit | None = None
@@ -222,7 +222,7 @@ class PresetOptions:
 
     pattern: str | None = None
     maps: Sequence[str] = ()
-    normal: Normals | None = None
+    normal: NormalMaps | None = None
 
 
 def pack(job: ExportJob, preset: Preset, choice: PresetOptions | None = None) -> Export:
@@ -334,7 +334,7 @@ def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> TextureFile:
     )
 
 
-def _ways(normal: Normals) -> tuple[Literal["gl", "dx"], ...]:
+def _ways(normal: NormalMaps) -> tuple[Literal["gl", "dx"], ...]:
     return ("gl", "dx") if normal == "both" else (normal,)
 
 

@@ -61,7 +61,7 @@ _TOLD = (
 _CODES = "matcap.space.code"  # who works out a code, imported when one is asked for
 
 
-Kind = TypeVar("Kind")
+PartKind = TypeVar("PartKind")
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Material:
     setup: FlashSetup
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
-    def part(self, kind: type[Kind]) -> Kind | None:
+    def part(self, kind: type[PartKind]) -> PartKind | None:
         """Its generator of a class, if it has one."""
         return next((g for g in self.generators.values() if isinstance(g, kind)), None)
 

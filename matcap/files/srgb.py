@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from torch import Tensor
 
-Values = TypeVar("Values", NDArray[np.float64], NDArray[np.float32])
+CodeValues = TypeVar("CodeValues", NDArray[np.float64], NDArray[np.float32])
 
 # Where line and power meet, in code values and in light.
 _KNEE_CODE, _KNEE_LIGHT = 0.04045, 0.0031308
 
 
-def srgb_decode(code: Values) -> Values:
+def srgb_decode(code: CodeValues) -> CodeValues:
     """Linear light of code values, any shape; the code 0.5 is the light 0.214041."""
     power = ((np.maximum(code, _KNEE_CODE) + 0.055) / 1.055) ** 2.4
     return np.where(code <= _KNEE_CODE, code / 12.92, power)
 
 
-def srgb_encode(light: Values) -> Values:
+def srgb_encode(light: CodeValues) -> CodeValues:
     """Code values of linear light, any shape; the light 0.5 is the code 0.735357."""
     power = 1.055 * np.maximum(light, _KNEE_LIGHT) ** (1.0 / 2.4) - 0.055
     return np.where(light <= _KNEE_LIGHT, light * 12.92, power)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Light = NDArray[np.float64]
+Luminance = NDArray[np.float64]
 
 CELLS = 256  # across the long side: a spot of four pixels in a thousand is still a cell
 _SEED_BLUR = 0.04  # plane units, deviation: a glint is smaller, a highlight is not
@@ -51,7 +51,7 @@ class Highlight:
         return self.peak / self.surroundings
 
 
-def light_of(pixels: NDArray[np.float32], cells: int = CELLS) -> Light:
+def light_of(pixels: NDArray[np.float32], cells: int = CELLS) -> Luminance:
     """(h, w) mean of the channels (H, W, 3) on a grid `cells` across."""
     height, width = pixels.shape[:2]
     size = (cells, max(8, round(cells * height / width)))
@@ -59,7 +59,7 @@ def light_of(pixels: NDArray[np.float32], cells: int = CELLS) -> Light:
     return np.asarray(cv2.resize(pixels, size, interpolation=how).mean(axis=2), np.float64)
 
 
-def find_highlight(light: Light) -> Highlight | None:
+def find_highlight(light: Luminance) -> Highlight | None:
     """The brightest smooth spot of a picture (h, w), linear; None where none stands out.
 
     A patch of bare metal between rust is as bright as a highlight and no wider than one may be, but
@@ -78,7 +78,7 @@ def find_highlight(light: Light) -> Highlight | None:
     return found
 
 
-def _others(light: Light, found: Highlight) -> float:
+def _others(light: Luminance, found: Highlight) -> float:
     """Area elsewhere that is as bright as a highlight's half-way ring, in areas of that ring."""
     away = np.hypot(*(c - at for c, at in zip(_coordinates(light), found.centre, strict=True)))
     middle = 0.5 * (found.peak + found.surroundings)
@@ -86,7 +86,7 @@ def _others(light: Light, found: Highlight) -> float:
     return float(elsewhere.sum() * (2.0 / light.shape[1]) ** 2 / (np.pi * found.width**2))
 
 
-def _coordinates(light: Light) -> tuple[Light, Light]:
+def _coordinates(light: Luminance) -> tuple[Luminance, Luminance]:
     """Image coordinates of columns (1, w) and of rows (h, 1)."""
     height, width = light.shape
     u = (np.arange(width) + 0.5) * 2.0 / width - 1.0
@@ -94,7 +94,7 @@ def _coordinates(light: Light) -> tuple[Light, Light]:
     return u[None, :], v[:, None]
 
 
-def _brightest(light: Light) -> Highlight | None:
+def _brightest(light: Luminance) -> Highlight | None:
     """The brightest spot, as it is."""
     width = light.shape[1]
     cell = 2.0 / width
@@ -131,7 +131,7 @@ def _brightest(light: Light) -> Highlight | None:
     return Highlight((float(centre[0]), float(centre[1])), half, peak, surroundings)
 
 
-def _profile(light: Light, away: Light, reach: float) -> tuple[float, float, float] | None:
+def _profile(light: Luminance, away: Luminance, reach: float) -> tuple[float, float, float] | None:
     """Peak, surroundings and the radius half-way between them; None without one."""
     ring = (away < SURROUNDINGS[1]) & (away > SURROUNDINGS[0])
     if not ring.any():
@@ -160,7 +160,7 @@ def _profile(light: Light, away: Light, reach: float) -> tuple[float, float, flo
     return None
 
 
-def _blur(light: Light, deviation: float) -> Light:
+def _blur(light: Luminance, deviation: float) -> Luminance:
     return np.asarray(
         cv2.GaussianBlur(light, (0, 0), max(deviation, 0.3), borderType=cv2.BORDER_REFLECT_101)
     )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.rectify import rectify, rectify_noise
+from matcap.flash.rectify import MOST_CLIPPED, measured, rectify, rectify_noise
 from matcap.photo.photo import Photo
 from matcap.statistics.encoding import Encoding, fit_encoding
 
@@ -22,12 +23,22 @@ class Plane:
         noise: (3, H, W) one more draw of the sensor's noise, in the picture's units, or None where
             it is not known.
         encoding: the colour space in which its texture is compared.
+        channels: (3, H, W) bool, where each channel was seen and not clipped; None where only
+            whole texels are known, as `valid` has them.
     """
 
     linear: Tensor
     valid: Tensor
     noise: Tensor | None
     encoding: Encoding
+    channels: Tensor | None = None
+
+    @property
+    def measured(self) -> Tensor:
+        """(3, H, W) bool: where each channel is a measurement, not a bound."""
+        if self.channels is None:
+            return self.valid.expand(3, -1, -1)
+        return self.channels | self.valid
 
     @property
     def size(self) -> tuple[int, int]:
@@ -48,6 +59,21 @@ class Plane:
         noise = None if self.noise is None else self.noise * gain
         return replace(self, linear=self.linear * gain, noise=noise)
 
+    def shrunk(self, columns: int) -> Plane:
+        """The same on fewer texels, `columns` across; texels are means of what they hold."""
+        width, height = self.size
+        size = [max(1, round(height * columns / width)), columns]
+
+        def mean(planes: Tensor) -> Tensor:
+            return F.interpolate(planes[None], size=size, mode="area")[0]
+
+        def whole(seen: Tensor) -> Tensor:
+            return mean(seen.float()) > 1.0 - MOST_CLIPPED
+
+        linear, valid = mean(self.linear), whole(self.valid[None])[0]
+        noise = None if self.noise is None else mean(self.noise)
+        return replace(plane_of(linear, valid, noise), channels=whole(self.measured))
+
 
 def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
     """A photograph on the plane's own grid, `detail` texels across its long side.
@@ -58,7 +84,8 @@ def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
         detail: texels across.
     """
     linear, valid = rectify(photo, setup, detail)
-    return plane_of(linear, valid, rectify_noise(photo, setup, detail))
+    whole = plane_of(linear, valid, rectify_noise(photo, setup, detail))
+    return replace(whole, channels=measured(photo, setup, detail))
 
 
 def plane_of(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> Plane:

@@ -17,7 +17,8 @@ from matcap.flash.geometry import FlashSetup, setup_rotation
 from matcap.photo.photo import Photo
 
 _FINER = 2  # places a texel's side is seen at, where the photograph has more pixels than texels
-_MOST_CLIPPED = 0.25  # share of a texel that may have been clipped
+_CLIPPING = 0.95  # a clipped pixel's channels above this did it
+MOST_CLIPPED = 0.25  # share of a texel that may have been clipped
 
 
 def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tensor]:
@@ -35,8 +36,19 @@ def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tenso
     """
     linear = _resampled(photo.pixels, setup, detail, cv2.INTER_CUBIC).clip(0.0)
     clipped = _resampled(photo.clipped.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
-    valid = inside(linear.shape[:2], setup) & (clipped < _MOST_CLIPPED)
+    valid = inside(linear.shape[:2], setup) & (clipped < MOST_CLIPPED)
     return _planes(linear), torch.from_numpy(valid)
+
+
+def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
+    """(3, H, W) bool: where each channel was seen and not clipped.
+
+    A sparkle that clips in red still tells green and blue.
+    """
+    full = photo.clipped[..., None] & (photo.pixels > _CLIPPING)
+    clipped = _resampled(full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
+    seen = inside(clipped.shape[:2], setup)[..., None] & (clipped < MOST_CLIPPED)
+    return torch.from_numpy(seen).permute(2, 0, 1).contiguous()
 
 
 def rectify_noise(photo: Photo, setup: FlashSetup, detail: int) -> Tensor | None:

@@ -33,7 +33,7 @@ _PLACES, _SUNS = 32, 16
 # Of the brightest texel: surroundings that are darker but for their suns are black.
 _BLACK = 1e-9
 
-Picture = Array
+SkyPicture = Array
 
 
 class Sun(NamedTuple):
@@ -52,7 +52,7 @@ class Environment:
         rotation: radians.
     """
 
-    levels: tuple[Picture, ...]
+    levels: tuple[SkyPicture, ...]
     rotation: float
 
     @cached_property
@@ -156,7 +156,7 @@ class Environment:
         return octahedra(self.radiance, len(self.levels[0]))
 
     @cached_property
-    def _texels(self) -> tuple[Picture, Array, Array]:
+    def _texels(self) -> tuple[SkyPicture, Array, Array]:
         """All levels' texels (N, 3), where each level starts, and (2, levels) heights, widths."""
         flat = np.concatenate([level.reshape(-1, 3) for level in self.levels])
         sizes = np.array([level.shape[:2] for level in self.levels], dtype=np.int32).T
@@ -213,7 +213,7 @@ class Environment:
         )
 
     @cached_property
-    def _above(self) -> Picture:
+    def _above(self) -> SkyPicture:
         """(n, n, 3) what differs from the mean's irradiance, upper half on upper normals."""
         grid = np.linspace(-1.0, 1.0, _NORMALS)
         a, b = np.meshgrid(grid, grid)
@@ -222,7 +222,7 @@ class Environment:
         return self._irradiance(x, y, 1.0 - np.abs(x) - np.abs(y), clip=True)
 
     @cached_property
-    def _around(self) -> Picture:
+    def _around(self) -> SkyPicture:
         """(n, n, 3) what differs from the mean's irradiance, on all normals, octahedral."""
         grid = np.linspace(-1.0, 1.0, _NORMALS)
         x, y = np.meshgrid(grid, grid)
@@ -231,7 +231,7 @@ class Environment:
         x, y = x - np.copysign(fold, x), y - np.copysign(fold, y)
         return self._irradiance(x, y, z, clip=False)
 
-    def _irradiance(self, x: Array, y: Array, z: Array, *, clip: bool) -> Picture:
+    def _irradiance(self, x: Array, y: Array, z: Array, *, clip: bool) -> SkyPicture:
         if self.varying == 0.0:
             return np.zeros((*x.shape, 3), dtype=np.float32)
         normal = np.stack([x, y, z], axis=-1).reshape(-1, 3)
@@ -279,7 +279,7 @@ def environment_of(light: EnvironmentLight) -> Environment:
     return Environment(_pyramid(picture), math.radians(light.rotation))
 
 
-def read_picture(path: Path) -> Picture:
+def read_picture(path: Path) -> SkyPicture:
     """(H, W, 3) linear radiance of an EXR or HDR file.
 
     Raises:
@@ -318,7 +318,7 @@ def read_picture(path: Path) -> Picture:
     return pixels
 
 
-def _pyramid(picture: Picture) -> tuple[Picture, ...]:
+def _pyramid(picture: SkyPicture) -> tuple[SkyPicture, ...]:
     import cv2
 
     height, width = picture.shape[:2]
@@ -335,7 +335,7 @@ def _pyramid(picture: Picture) -> tuple[Picture, ...]:
     return tuple(levels)
 
 
-def _table(table: Picture, u: Array, v: Array) -> Array:
+def _table(table: SkyPicture, u: Array, v: Array) -> Array:
     """(3, ...) bilinear values at u (columns) and v (rows) in [-1, 1]."""
     last = _NORMALS - 1
     x = np.clip((u + 1.0) * np.float32(last / 2.0), 0.0, last)

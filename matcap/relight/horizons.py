@@ -24,7 +24,7 @@ _FARTHEST = 256
 _LOWEST = math.tan(math.radians(3.0))
 _ROWS = 32
 
-Map = Array
+HorizonMap = Array
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class Horizons:
             irradiance e along l sends the texel t . (e l), when none of it faces away from l.
     """
 
-    tangents: Map
-    open: Map
-    bounced: Map | None
+    tangents: HorizonMap
+    open: HorizonMap
+    bounced: HorizonMap | None
 
 
 Runner = Callable[[Callable[[int], None], Iterable[int]], None]
@@ -119,20 +119,20 @@ def direction(azimuth: int) -> tuple[float, float]:
     return math.cos(angle), math.sin(angle)
 
 
-def strip(tangent: Map, side: Map, nz: Map) -> Map:
+def strip(tangent: HorizonMap, side: HorizonMap, nz: HorizonMap) -> HorizonMap:
     """Integral of n . w cos(e) over elevations e from 0 to that of the tangent, at one azimuth.
 
     `side` is n . (the azimuth's direction).
     """
     squared = tangent * tangent
     share = 1.0 / (1.0 + squared)
-    integral: Map = np.float32(0.5) * (
+    integral: HorizonMap = np.float32(0.5) * (
         side * (np.arctan(tangent) + tangent * share) + nz * squared * share
     )
     return integral
 
 
-def slopes(field: Map) -> tuple[Map, Map]:
+def slopes(field: HorizonMap) -> tuple[HorizonMap, HorizonMap]:
     """Slopes of a field in texels that repeats, rightwards and upwards."""
     return (
         0.5 * (np.roll(field, -1, 1) - np.roll(field, 1, 1)),
@@ -140,7 +140,7 @@ def slopes(field: Map) -> tuple[Map, Map]:
     )
 
 
-def lit_texels(relief: Relief, reach: int) -> list[Map]:
+def lit_texels(relief: Relief, reach: int) -> list[HorizonMap]:
     """What each texel reflects of light along x, y and z, a colour after the other, padded."""
     width, height = relief.texture.size
     slope_x, slope_y = slopes(relief.heights.reshape(height, width) / np.float32(relief.texel_size))

@@ -21,7 +21,7 @@ _FINEST, _COARSEST = 1024, 4
 # Rays a texel's side when the finest level is averaged.
 _RAYS = 2
 
-Picture = Array
+SkyPicture = Array
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Octahedra:
         sides: how many texels it has along a side.
     """
 
-    atlas: Picture
+    atlas: SkyPicture
     tops: Array
     sides: Array
 
@@ -43,7 +43,7 @@ class Octahedra:
         """Side of a texel of the finest level, in radians, on average."""
         return math.sqrt(4.0 * math.pi) / float(self.sides[0])
 
-    def radiance(self, direction: Vec, wide: Array) -> Picture:
+    def radiance(self, direction: Vec, wide: Array) -> SkyPicture:
         """(3, ...) radiance along unit directions of the scene, averaged over `wide` radians.
 
         Args:
@@ -90,7 +90,7 @@ def unfolded(u: Array, v: Array) -> Vec:
     return x * inverse, y * inverse, z * inverse
 
 
-def octahedra(radiance: Callable[[Vec], Picture], rows: int) -> Octahedra:
+def octahedra(radiance: Callable[[Vec], SkyPicture], rows: int) -> Octahedra:
     """The octahedra of surroundings.
 
     Args:
@@ -117,14 +117,14 @@ def octahedra(radiance: Callable[[Vec], Picture], rows: int) -> Octahedra:
     return Octahedra(atlas, tops, sides)
 
 
-def _bordered(level: Picture) -> Picture:
+def _bordered(level: SkyPicture) -> SkyPicture:
     """A level sharpened, with a border."""
     around = _wrapped(level)
     near = around[:-2, 1:-1] + around[2:, 1:-1] + around[1:-1, :-2] + around[1:-1, 2:]
     return _wrapped(np.float32(1.5) * level - np.float32(0.125) * near)
 
 
-def _wrapped(level: Picture) -> Picture:
+def _wrapped(level: SkyPicture) -> SkyPicture:
     """One more texel around: across an edge lies the same edge, the other way round."""
     wide = np.concatenate([level[::-1, :1], level, level[::-1, -1:]], axis=1)
     return np.concatenate([wide[:1, ::-1], wide, wide[-1:, ::-1]], axis=0)

@@ -41,7 +41,7 @@ _BLOCK = 16384
 # Top, bottom, left and right; half open.
 Block = tuple[int, int, int, int]
 Item = TypeVar("Item")
-Progress = Callable[[float], None]
+TellShare = Callable[[float], None]
 # Effects that are decided tile by tile.
 BY_TILES = ("area", "environment", "parallax", "shadows", "visibility", "interreflection")
 # Texels that a material is read across at most; beyond that it repeats.
@@ -146,7 +146,7 @@ class Renderer:
         *,
         tolerance: float = DEFAULT_TOLERANCE,
         effects: str | EffectChoice = "auto",
-        progress: Progress = lambda _share: None,
+        progress: TellShare = lambda _share: None,
     ) -> Rendering:
         """One picture.
 

@@ -40,7 +40,7 @@ class _Fault(Exception):
     """What is wrong with one value; the reader adds where."""
 
 
-Check = Callable[[Any, Path], Any]
+Checked = Callable[[Any, Path], Any]
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -114,7 +114,7 @@ class _Reader:
                 raise self.fault(place, f"unknown key '{key}'", f"did you mean '{near[0]}'")
 
     def table(
-        self, table: object, place: str, checks: Mapping[str, Check], ignore: tuple[str, ...] = ()
+        self, table: object, place: str, checks: Mapping[str, Checked], ignore: tuple[str, ...] = ()
     ) -> dict[str, Any]:
         """The table's values, each checked by the function of its key."""
         if not isinstance(table, dict):
@@ -162,7 +162,7 @@ def _number(value: Any, _: Path) -> float:  # noqa: ANN401
     return float(value)
 
 
-def _at_least(low: float, *, above: bool = False) -> Check:
+def _at_least(low: float, *, above: bool = False) -> Checked:
     def check(value: Any, folder: Path) -> float:  # noqa: ANN401
         number = _number(value, folder)
         if number < low or (above and number == low):
@@ -192,7 +192,7 @@ def _side(value: Any, _: Path) -> int:  # noqa: ANN401
     return value
 
 
-def _one_of(*names: str) -> Check:
+def _one_of(*names: str) -> Checked:
     def check(value: Any, _: Path) -> str:  # noqa: ANN401
         if value not in names:
             raise _Fault(" or ".join(f'"{name}"' for name in names))
@@ -241,13 +241,13 @@ def _parallel(a: tuple[float, float, float], b: tuple[float, float, float]) -> b
     return bool(dot * dot >= (1.0 - 1e-9) * sum(x * x for x in a) * sum(y * y for y in b))
 
 
-_FILM: dict[str, Check] = {
+_FILM: dict[str, Checked] = {
     "width": _side,
     "height": _side,
     "exposure": _number,
     "transfer": _one_of("srgb", "linear"),
 }
-_CAMERA: dict[str, Check] = {
+_CAMERA: dict[str, Checked] = {
     "type": _one_of("perspective", "orthographic"),
     "position": _vector,
     "target": _vector,
@@ -256,7 +256,7 @@ _CAMERA: dict[str, Check] = {
     "up": _direction,
     "vignetting": _exponent,
 }
-_SURFACE: dict[str, Check] = {
+_SURFACE: dict[str, Checked] = {
     "type": _one_of("plane", "sphere", "cylinder", "mesh"),
     "size": _at_least(0.0, above=True),
     "file": _file,
@@ -264,7 +264,7 @@ _SURFACE: dict[str, Check] = {
     "displacement": _at_least(0.0),
 }
 # Of each kind of light: its class, its keys, and those it cannot do without.
-_LIGHTS: dict[str, tuple[Callable[..., Light], dict[str, Check], tuple[str, ...]]] = {
+_LIGHTS: dict[str, tuple[Callable[..., Light], dict[str, Checked], tuple[str, ...]]] = {
     "point": (PointLight, {"position": _vector, "intensity": _colour}, ("position",)),
     "directional": (
         DirectionalLight,

@@ -13,7 +13,7 @@ from matcap.relight.vectors import Array
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
-Map = Array
+HorizonMap = Array
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class Texture:
         texel_size: in plane units.
     """
 
-    diffuse: Map
-    specular: Map
-    roughness: Map
-    height: Map
-    slopes: Map
+    diffuse: HorizonMap
+    specular: HorizonMap
+    roughness: HorizonMap
+    height: HorizonMap
+    slopes: HorizonMap
     texel_size: float
 
     @staticmethod
@@ -67,8 +67,8 @@ class Texture:
         normal = maps.normal
         slopes = -normal[:2] / normal[2:]
 
-        def array(tensor: object) -> Map:
-            found: Map = tensor.detach().cpu().float().contiguous().numpy()  # type: ignore[attr-defined]
+        def array(tensor: object) -> HorizonMap:
+            found: HorizonMap = tensor.detach().cpu().float().contiguous().numpy()  # type: ignore[attr-defined]
             return found
 
         check_heights(array(maps.height), "the material")
@@ -92,7 +92,7 @@ class Texture:
         return self.size[0] * self.texel_size, self.size[1] * self.texel_size
 
     @cached_property
-    def normal(self) -> Map:
+    def normal(self) -> HorizonMap:
         """(3, H, W) unit shading normals."""
         x, y = self.slopes
         z = 1.0 / np.sqrt(1.0 + x * x + y * y)

@@ -220,7 +220,9 @@ class Decoder(nn.Module):
         self._run(field, adapt, periodic=True)
         return recorded
 
-    def way_down(self, noise: Tensor, step: Callable[[ConvolutionLayer], Step]) -> list[Tensor]:
+    def way_down(
+        self, noise: Tensor, step: Callable[[ConvolutionLayer], LayerStep]
+    ) -> list[Tensor]:
         """What the way up reads at every level, full resolution first."""
         return descend(noise, [[step(layer) for layer in block] for block in self.down_layers()])
 
@@ -230,7 +232,7 @@ class Decoder(nn.Module):
         adapt: Callable[[ConvolutionLayer, Tensor], Tensor],
         periodic: bool,
     ) -> Tensor:
-        def step(layer: ConvolutionLayer) -> Step:
+        def step(layer: ConvolutionLayer) -> LayerStep:
             def apply(features: Tensor) -> Tensor:
                 adapted = adapt(layer, layer.convolve(features, periodic))
                 return F.relu_(adapted) if layer.activate else adapted
@@ -258,14 +260,14 @@ def with_cells(decoder: Decoder, other: Decoder) -> Decoder:
     return wider
 
 
-Step = Callable[[Tensor], Tensor]
+LayerStep = Callable[[Tensor], Tensor]
 
 
 def unet(
     field: RandomField,
-    down: Sequence[Sequence[Step]],
-    up: Sequence[Sequence[Step]],
-    head: Step,
+    down: Sequence[Sequence[LayerStep]],
+    up: Sequence[Sequence[LayerStep]],
+    head: LayerStep,
     *,
     periodic: bool,
 ) -> Tensor:
@@ -273,7 +275,7 @@ def unet(
     return ascend(descend(field.noise, down), field.waves, up, head, periodic=periodic)
 
 
-def descend(noise: Tensor, down: Sequence[Sequence[Step]]) -> list[Tensor]:
+def descend(noise: Tensor, down: Sequence[Sequence[LayerStep]]) -> list[Tensor]:
     """The way down: features of every level, full resolution first."""
     features = noise.contiguous(memory_format=torch.channels_last)
     skips = []
@@ -289,8 +291,8 @@ def descend(noise: Tensor, down: Sequence[Sequence[Step]]) -> list[Tensor]:
 def ascend(
     skips: Sequence[Tensor],
     waves: Sequence[Tensor],
-    up: Sequence[Sequence[Step]],
-    head: Step,
+    up: Sequence[Sequence[LayerStep]],
+    head: LayerStep,
     *,
     periodic: bool,
 ) -> Tensor:

@@ -22,8 +22,8 @@ from matcap.space.decoder import (
     ConvolutionLayer,
     Decoder,
     DecoderConfig,
+    LayerStep,
     Moments,
-    Step,
     unet,
 )
 from matcap.space.patch import Patch
@@ -118,8 +118,8 @@ class FoldedDecoder:
         """
         if not self.has_waves:
             field = RandomField(field.noise, ())
-        down: Sequence[Sequence[Step]] = self.down
-        up: Sequence[Sequence[Step]] = self.up
+        down: Sequence[Sequence[LayerStep]] = self.down
+        up: Sequence[Sequence[LayerStep]] = self.up
         return unet(field, down, up, self.head, periodic=False)
 
     @property

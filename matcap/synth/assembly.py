@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from matcap.field.blocks import Piece
 from matcap.synth.exr_tiles import Tile, TileFile, encode_tile
-from matcap.synth.pictures import Fragment, Picture, Rendered, tiles_of
+from matcap.synth.pictures import Fragment, PictureFile, Rendered, tiles_of
 
 
 class Assembly:
@@ -22,7 +22,7 @@ class Assembly:
         files: where to, one for each picture; tiles that are there already stay.
     """
 
-    def __init__(self, pictures: Sequence[Picture], files: Sequence[TileFile]) -> None:
+    def __init__(self, pictures: Sequence[PictureFile], files: Sequence[TileFile]) -> None:
         self.pictures = pictures
         self.files = files
         self._started: list[dict[Tile, _Started]] = [{} for _ in files]
@@ -66,7 +66,7 @@ class _Started:
 
 
 @contextmanager
-def assembly(stage: Path, pictures: Sequence[Picture]) -> Iterator[Assembly]:
+def assembly(stage: Path, pictures: Sequence[PictureFile]) -> Iterator[Assembly]:
     """The files of some pictures in a folder, new or as an earlier run left them."""
     with ExitStack() as stack:
         files = []

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 from matcap.brdf.stated import NormalStyle
 from matcap.errors import MatcapError
 from matcap.field.blocks import Piece
-from matcap.synth.pictures import Picture, Rendered, render
+from matcap.synth.pictures import PictureFile, Rendered, render
 
 if TYPE_CHECKING:
     from matcap.field.source import Source
@@ -42,7 +42,7 @@ class Job:
     """A piece of the field, and the pictures it goes into."""
 
     piece: Piece
-    pictures: tuple[Picture, ...]
+    pictures: tuple[PictureFile, ...]
     normal: NormalStyle
 
 

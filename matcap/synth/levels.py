@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.synth.exr_tiles import TILE, Layout, Tile, TileFile, encode_tile, stored
-from matcap.synth.pictures import NORMAL_PLANES, Picture
+from matcap.synth.pictures import NORMAL_PLANES, PictureFile
 
 _TOGETHER = 64  # tiles
 
 
-def write_levels(picture: Picture, file: TileFile, workers: int) -> None:
+def write_levels(picture: PictureFile, file: TileFile, workers: int) -> None:
     """Add all levels but the first, which is there; levels that are there stay."""
     with ThreadPoolExecutor(workers) as pool:
         for level in range(1, file.layout.levels):
@@ -31,7 +31,7 @@ def write_levels(picture: Picture, file: TileFile, workers: int) -> None:
                     file.append(tile, chunk)
 
 
-def _average(picture: Picture, file: TileFile, tile: Tile) -> bytes:
+def _average(picture: PictureFile, file: TileFile, tile: Tile) -> bytes:
     layout, above = file.layout, tile.level - 1
     (wide, high), (width, height) = layout.size(above), layout.size(tile.level)
     rows, columns = layout.area(tile)

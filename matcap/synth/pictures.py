@@ -33,7 +33,7 @@ NORMAL_PLANES = KIND_PLANES["normal"]
 
 
 @dataclass(frozen=True)
-class Picture:
+class PictureFile:
     """One file.
 
     Attributes:
@@ -72,7 +72,7 @@ class Rendered:
 
 def pictures_of(
     name: str, size: tuple[int, int], *, single: bool, mipmap: bool, wrap: str
-) -> tuple[Picture, ...]:
+) -> tuple[PictureFile, ...]:
     """The files of a map set.
 
     Args:
@@ -87,7 +87,7 @@ def pictures_of(
         for channel, plane in zip(channels_of(kind, single=single), planes, strict=True):
             places.setdefault(file, []).append((channel, plane, kind != "height"))
     return tuple(
-        Picture(
+        PictureFile(
             file,
             Layout(*size, tuple(Channel(c, half) for c, _, half in sorted(found)), mipmap, wrap),
             tuple(plane for _, plane, _ in sorted(found)),
@@ -102,7 +102,7 @@ def channels_of(kind: str, *, single: bool) -> tuple[str, ...]:
 
 
 def render(
-    source: Source, piece: Piece, pictures: Sequence[Picture], normal: NormalStyle
+    source: Source, piece: Piece, pictures: Sequence[PictureFile], normal: NormalStyle
 ) -> list[Rendered]:
     """Compute a piece and encode what of it makes whole tiles, for each picture.
 
@@ -114,7 +114,7 @@ def render(
     return [_render(picture, piece, wanted) for picture in pictures]
 
 
-def _render(picture: Picture, piece: Piece, planes: NDArray[np.float32]) -> Rendered:
+def _render(picture: PictureFile, piece: Piece, planes: NDArray[np.float32]) -> Rendered:
     layout, (rows, columns) = picture.layout, piece.target
     values = [
         stored(channel, planes[plane], picture.file)

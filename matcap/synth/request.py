@@ -27,7 +27,7 @@ from matcap.field.blocks import Piece, check_rectangle, pieces_of
 from matcap.field.plane import Rectangle
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
-from matcap.synth.pictures import Picture, channels_of, pictures_of
+from matcap.synth.pictures import PictureFile, channels_of, pictures_of
 
 if TYPE_CHECKING:
     from matcap.field.source import Source
@@ -135,7 +135,7 @@ class PlannedMapSet:
     """One map set's worth of a request: the whole of it, or one tile of a texture set."""
 
     area: Rectangle
-    pictures: tuple[Picture, ...]
+    pictures: tuple[PictureFile, ...]
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ class Request:
             document["png"] = {"height_scale": heights[0], "height_midlevel": heights[1]}
         return document
 
-    def _pictures(self, name: str, wrap: str) -> tuple[Picture, ...]:
+    def _pictures(self, name: str, wrap: str) -> tuple[PictureFile, ...]:
         size = (self.area.width, self.area.height)
         files = self.files
         return pictures_of(name, size, single=files.single, mipmap=files.mipmap, wrap=wrap)

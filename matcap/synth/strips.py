@@ -16,7 +16,7 @@ from matcap.errors import MatcapError
 from matcap.synth.assembly import Assembly
 from matcap.synth.exr_tiles import TILE, TileFile
 from matcap.synth.levels import read_planes
-from matcap.synth.pictures import KIND_PLANES, Picture
+from matcap.synth.pictures import KIND_PLANES, PictureFile
 
 
 def height_coding(assemblies: Sequence[Assembly]) -> tuple[float, float]:
@@ -46,7 +46,7 @@ def write_pngs(stage: Path, assembly: Assembly, heights: tuple[float, float]) ->
 
 
 def _write_png(
-    path: Path, kind: str, picture: Picture, file: TileFile, heights: tuple[float, float]
+    path: Path, kind: str, picture: PictureFile, file: TileFile, heights: tuple[float, float]
 ) -> None:
     import OpenImageIO as oiio
 
@@ -68,7 +68,7 @@ def _write_png(
         raise OSError(errno.EIO, output.geterror())
 
 
-def _holding(kind: str, assembly: Assembly) -> tuple[Picture, TileFile]:
+def _holding(kind: str, assembly: Assembly) -> tuple[PictureFile, TileFile]:
     """The picture with a map, and its file."""
     for picture, file in zip(assembly.pictures, assembly.files, strict=True):
         if KIND_PLANES[kind][0] in picture.planes:

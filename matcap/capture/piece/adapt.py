@@ -5,6 +5,8 @@ each varies. The paper holds its decoder to the photograph by statistics of rend
 photograph's places (4.6). The same holds the exemplar: its windows are lit as if they lay
 elsewhere, compared with what is seen there, and a few numbers that scale its maps as a whole are
 moved until they agree. So few numbers need few steps, and cannot draw what was not photographed.
+Some windows are held back: what was found is taken if it is nearer there. Relief that the
+photograph tells outright (strengths.py) hardly moves.
 
 Gloss shows near the highlight alone, and there in statistics more than texel by texel. So among the
 numbers is how F0 and roughness go with lightness and with relief: grooves are rougher than ridges.
@@ -13,7 +15,7 @@ numbers is how F0 and roughness go with lightness and with relief: grooves are r
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +40,9 @@ _HELD = 0.5  # share of the steps after which the rate falls to nothing, and num
 _OFFSETS = (0.3, 0.3, 0.3, 0.5, 0.5)
 _GAINS = (0.3, 0.7, 0.7)
 _RELIEF, _BANDS = 0.5, 0.3
+_LEAST_DOUBT = 0.03  # of the logarithm of relief's strength, however well it is told
+_HELD_BACK, _FEWEST_HELD = 12, 3  # windows that what is found is judged on
+_JUDGING_SEED = 1
 _BELIEF = 0.005  # of the distance of statistics, for a number that is off by its deviation
 _LOGIT_EPSILON = 1e-4  # of albedo, F0 and roughness: bounds the logit at 0 and 1
 _SEEN = 0.95  # share of a window that must have been seen; of the best windows, if none has
@@ -50,12 +55,35 @@ class Adapted:
     """Adapted maps.
 
     Attributes:
-        maps: of the photographed piece.
+        maps: of the photographed piece; as they were, unless what was found is nearer.
         interrupted: ended by Ctrl-C, with the numbers so far.
+        change: what was tried, and whether it is in the maps; None if nothing was.
     """
 
     maps: MapSet
     interrupted: bool = False
+    change: Change | None = None
+
+
+@dataclass(frozen=True)
+class Change:
+    """What adaptation came to.
+
+    Attributes:
+        before, after: mean distance of statistics on windows that were held back from it.
+        kept: whether it is nearer after, and so taken.
+        relief: factor of all relief together.
+        albedo: mean change of the logit of albedo's channels.
+        specular, roughness: change of their logits.
+    """
+
+    before: float
+    after: float
+    kept: bool
+    relief: float
+    albedo: float
+    specular: float
+    roughness: float
 
 
 @torch.enable_grad()
@@ -66,6 +94,7 @@ def adapt(
     steps: int,
     *,
     reach: float = 1.0,
+    doubt: Sequence[float] = (),
     seconds: float | None = None,
     seed: int = 0,
     tell: Callable[[float], None] | None = None,
@@ -78,6 +107,8 @@ def adapt(
         scene: the photograph.
         steps: of Adam.
         reach: how far the numbers may be off, beside what is believed of the network's maps.
+        doubt: deviations of the logarithm of relief's strength, band by band as BANDS are, where
+            it is told otherwise; relief stands where it is told well.
         seconds: at most, or None.
         seed: of the order of windows.
         tell: called after every step with the share that is done.
@@ -85,30 +116,22 @@ def adapt(
     if not steps:
         return Adapted(maps)
     schedule = Schedule(steps, seconds, None)
-    scaled = _Scaled(maps, reach)
+    scaled = _Scaled(maps, reach, doubt)
     size = scene.windows.size
     places_seen = corners(seen, size)
-    order = shuffled(scene.windows.count, seed)
+    fitted, held = _parted(scene.windows.count, seed)
+    order = shuffled(len(fitted), seed)
     draw = np.random.default_rng(seed)
     adam = Adam([scaled.numbers], _BETAS)
     total, taken = torch.zeros_like(scaled.numbers), 0
     interrupted = False
     try:
         while not schedule.over(math.inf):
-            places = torch.tensor([next(order) for _ in range(_PLACES)])
+            places = fitted[[next(order) for _ in range(_PLACES)]]
             step = schedule.step
-            cuts = [
-                scaled(slice(y, y + size), slice(x, x + size))
-                for y, x in places_seen[draw.integers(len(places_seen), size=_PLACES)]
-            ]
+            cuts = _cut(scaled, places_seen, draw, _PLACES, size)
             windows = MapSet.from_stacked(torch.stack([c.stacked() for c in cuts]), maps.texel_size)
-            rendered = torch.cat(
-                [
-                    render_windows(cut.map(lambda m: m[None]), scene, places[i, None], step)
-                    for i, cut in enumerate(cuts)
-                ]
-            )
-            loss = compare_windows(rendered, scene, places, half_precision=True)
+            loss = _distance(cuts, scene, places, step)
             loss = loss + price(windows, scene.expected, _PENALTIES, schedule.share)
             (scaled.numbers.grad,) = torch.autograd.grad(loss + scaled.price(), [scaled.numbers])
             if torch.isfinite(scaled.numbers.grad).all():
@@ -123,13 +146,75 @@ def adapt(
     with torch.no_grad():
         if taken:
             scaled.numbers.copy_(total / taken)
-        return Adapted(scaled(slice(None), slice(None)), interrupted)
+        change = _judged(scaled, scene, held, places_seen)
+        whole = scaled(slice(None), slice(None)) if change.kept else maps
+        return Adapted(whole, interrupted, change)
+
+
+def _parted(count: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Numbers of windows that are fitted to, and of those held back; the same ones if few."""
+    mixed = torch.randperm(count, generator=torch.Generator().manual_seed(seed))
+    held = min(_HELD_BACK, count // 3)
+    return (mixed[held:], mixed[:held]) if held >= _FEWEST_HELD else (mixed, mixed)
+
+
+def _cut(
+    scaled: _Scaled,
+    corners_seen: NDArray[np.int64],
+    draw: np.random.Generator,
+    count: int,
+    size: int,
+) -> list[MapSet]:
+    """Windows of the maps, anywhere they were seen."""
+    return [
+        scaled(slice(y, y + size), slice(x, x + size))
+        for y, x in corners_seen[draw.integers(len(corners_seen), size=count)]
+    ]
+
+
+def _distance(cuts: list[MapSet], scene: PhotographTarget, places: Tensor, step: int) -> Tensor:
+    """Mean distance of windows of maps, put at places, from what is seen there."""
+    rendered = [
+        render_windows(cut.map(lambda m: m[None]), scene, places[i, None], step)
+        for i, cut in enumerate(cuts)
+    ]
+    return compare_windows(torch.cat(rendered), scene, places, half_precision=True)
+
+
+def _judged(
+    scaled: _Scaled, scene: PhotographTarget, held: Tensor, corners_seen: NDArray[np.int64]
+) -> Change:
+    """What numbers change on windows that they were not fitted to."""
+    found = scaled.numbers.clone()
+
+    def distance() -> float:
+        draw = np.random.default_rng(_JUDGING_SEED)  # the same places, whatever the numbers
+        parts = []
+        for places in held.split(_PLACES):
+            cuts = _cut(scaled, corners_seen, draw, len(places), scene.windows.size)
+            parts.append(float(_distance(cuts, scene, places, 0)) * len(places))
+        return sum(parts) / len(held)
+
+    after = distance()
+    scaled.numbers.zero_()
+    before = distance()
+    scaled.numbers.copy_(found)
+    numbers = found.tolist()
+    return Change(
+        before=before,
+        after=after,
+        kept=after < before,
+        relief=math.exp(numbers[len(_OFFSETS) + len(_GAINS)]),
+        albedo=sum(numbers[:3]) / 3.0,
+        specular=numbers[3],
+        roughness=numbers[4],
+    )
 
 
 class _Scaled:
     """Maps as a function of the numbers they are scaled by."""
 
-    def __init__(self, maps: MapSet, reach: float) -> None:
+    def __init__(self, maps: MapSet, reach: float, doubt: Sequence[float] = ()) -> None:
         stacked = torch.cat([maps.diffuse, maps.specular, maps.roughness])
         self._maps = maps
         self._logits = torch.logit(stacked, eps=_LOGIT_EPSILON)
@@ -138,7 +223,9 @@ class _Scaled:
         tied = ties(maps.diffuse, self._bands)
         self._features = tied.features
         bands = [_BANDS] * len(self._bands)
-        deviations = (*_OFFSETS, *_GAINS, _RELIEF, *bands, *tied.deviations())
+        bands[: len(doubt)] = [min(_BANDS, max(one, _LEAST_DOUBT)) for one in doubt]
+        relief = min(_RELIEF, max(min(doubt), _LEAST_DOUBT)) if doubt else _RELIEF
+        deviations = (*_OFFSETS, *_GAINS, relief, *bands, *tied.deviations())
         self._deviations = reach * torch.tensor(deviations)
         self.numbers = torch.zeros(len(deviations), requires_grad=True)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from matcap.capture.piece.smooth import smoothed, split
 
-Array = NDArray[np.float32]
+Floats = NDArray[np.float32]
 
 _AROUND = 64.0  # texels: deviation of a neighbourhood
 _GAINS = (0.5, 3.0)  # contrast is not lowered or raised more than this
@@ -19,7 +19,7 @@ _LEAST = 1e-4  # of log albedo
 _LEAST_SEEN = 0.05  # of the weight of a place, for what is there
 
 
-def even_contrast(albedo: Array, weight: Array) -> Array:
+def even_contrast(albedo: Floats, weight: Floats) -> Floats:
     """Log albedo (3, H, W) whose bands vary as much everywhere as where they are seen.
 
     Args:

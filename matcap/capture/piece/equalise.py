@@ -14,18 +14,18 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.capture.piece.believed import believed
 from matcap.capture.piece.integrate import integrate, steps
 from matcap.capture.piece.smooth import coarse_smoothed, enlarged, split
 from matcap.capture.piece.strengths import Strengths, slope_strengths
 
 Height = NDArray[np.float32]
-Array = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 
 _AROUND = 64.0  # texels: deviation of a neighbourhood, as long as the longest waves
 _GAINS = (0.25, 5.0)  # slopes are not weakened or strengthened more than this by their place
-_STRONGEST = 5.0  # nor more than this on the whole
 _ROUNDS = 3  # of bringing bands to their strengths: they share waves at their borders
-_UNTOLD = 1.0  # bands' worth of trust in the network's own strength, where nothing is told
+_STRONGEST = 30.0  # a band's factor: beyond, it has nothing of its own
 _LEAST = 1e-4  # slope
 
 
@@ -41,14 +41,14 @@ def equalise(height: Height, strengths: Strengths | None) -> Height:
     with ThreadPoolExecutor() as pool:
         even = np.stack(list(pool.map(_evened, bands)))
     wanted = _wanted(height, strengths)
-    factors: Array = np.ones(len(even))
+    factors: Doubles = np.ones(len(even))
     for _ in range(_ROUNDS):
         found = _energies(_sum(factors, even))
         factors = (factors * np.sqrt(wanted / found)).clip(1.0 / _STRONGEST, _STRONGEST)
     return _sum(factors, even)
 
 
-def _sum(factors: Array, bands: Height) -> Height:
+def _sum(factors: Doubles, bands: Height) -> Height:
     """(H, W) bands (N, H, W) times a factor each, added; in one order, so that bits are kept."""
     return np.asarray(np.einsum("n,nhw->hw", factors, bands, optimize=False), np.float32)
 
@@ -71,27 +71,20 @@ def _between(plane: Height, axis: int) -> Height:
     return np.asarray((first + last) / 2.0, np.float32)
 
 
-def _energies(height: Height) -> Array:
+def _energies(height: Height) -> Doubles:
     """(len(BANDS),) of slopes."""
     return np.square(slope_strengths(height)).sum(1).clip(_LEAST**2)
 
 
-def _wanted(height: Height, strengths: Strengths | None) -> Array:
-    """(len(BANDS),) energies as the photograph says, as far as its word is to be trusted.
-
-    A network shrinks all bands alike, so what is told of some holds of those nothing is told of.
-    """
+def _wanted(height: Height, strengths: Strengths | None) -> Doubles:
+    """(len(BANDS),) energies as the photograph says, as far as its word is to be trusted."""
     found = _energies(height)
     if strengths is None:
         return found
-    told = np.square(strengths.slope)
-    trust = (strengths.trust * told).sum(1) / told.sum(1).clip(1e-12)
-    stronger = np.log(told.sum(1).clip(_LEAST**2) / found)
-    usual = (trust * stronger).sum() / (trust.sum() + _UNTOLD)
-    return np.asarray(found * np.exp(trust * stronger + (1.0 - trust) * usual))
+    return believed(found, np.square(strengths.slope).sum(1), strengths.doubt)
 
 
-def _own(x: Height, y: Height) -> Array:
+def _own(x: Height, y: Height) -> Doubles:
     """(3,) xx, xy and yy of a band's slopes over the whole picture.
 
     What a flash in the middle does to directions cancels there; what is left is the material's.
@@ -99,13 +92,13 @@ def _own(x: Height, y: Height) -> Array:
     return np.array([np.square(x).mean(), (x * y).mean(), np.square(y).mean()], np.float64)
 
 
-def _covariance(x: Height, y: Height) -> Array:
+def _covariance(x: Height, y: Height) -> Doubles:
     """(3, h, w) xx, xy and yy of slopes in every neighbourhood, on a coarser grid."""
     products = (x * x, x * y, y * y)
     return np.stack([coarse_smoothed(p, _AROUND) for p in products]).astype(np.float64)
 
 
-def _gain(local: Array, wanted: Array, shape: tuple[int, ...]) -> Height:
+def _gain(local: Doubles, wanted: Doubles, shape: tuple[int, ...]) -> Height:
     """(3, H, W) the symmetric matrix that gives slopes of one covariance another, clipped.
 
     The one of all such matrices that moves slopes least: W = L^-1/2 (L^1/2 T L^1/2)^1/2 L^-1/2.
@@ -119,7 +112,7 @@ def _gain(local: Array, wanted: Array, shape: tuple[int, ...]) -> Height:
     return np.stack([enlarged(g.astype(np.float32), shape) for g in gain])
 
 
-def _eigen(matrix: Array) -> tuple[Array, Array]:
+def _eigen(matrix: Doubles) -> tuple[Doubles, Doubles]:
     """Eigenvalues (2, ...) and the first one's direction (2, ...) of [xx, xy, yy] (3, ...)."""
     xx, xy, yy = matrix
     middle, apart = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
@@ -127,21 +120,21 @@ def _eigen(matrix: Array) -> tuple[Array, Array]:
     return np.stack([middle + apart, middle - apart]), np.stack([np.cos(angle), np.sin(angle)])
 
 
-def _compose(values: Array, vectors: Array) -> Array:
+def _compose(values: Doubles, vectors: Doubles) -> Doubles:
     """The inverse of _eigen."""
     c, s = vectors
     a, b = values
     return np.stack([a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c])
 
 
-def _roots(matrix: Array) -> tuple[Array, Array]:
+def _roots(matrix: Doubles) -> tuple[Doubles, Doubles]:
     """Square root and its inverse."""
     values, vectors = _eigen(matrix)
     values = np.sqrt(np.maximum(values, _LEAST**2))
     return _compose(values, vectors), _compose(1.0 / values, vectors)
 
 
-def _sandwich(outer: Array, inner: Array) -> Array:
+def _sandwich(outer: Doubles, inner: Doubles) -> Doubles:
     """Outer inner outer, all symmetric."""
     a, b, d = outer
     p, q, r = inner

@@ -7,7 +7,7 @@ photograph.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 
@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.adapt import adapt
+from matcap.capture.piece.adapt import Adapted, Change, adapt
 from matcap.capture.piece.contrast import even_contrast
 from matcap.capture.piece.equalise import equalise
+from matcap.capture.piece.finest import finest, sharpness
 from matcap.capture.piece.network.inputs import network_inputs, true_outputs
 from matcap.capture.piece.network.network import GLOSS, OUTPUTS, Inverse
-from matcap.capture.piece.refine import Light, flatten, level, refine, remaining
+from matcap.capture.piece.refine import PieceLight, flatten, level, refine, remaining
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.told import noise_level, plane_strengths
@@ -45,6 +46,7 @@ _LEAST_NOISE = 0.01  # of log radiance: what is not explained, where the sensor'
 # to albedo. Short steps at the end: long ones stray by a tenth of relief's strength.
 _LEGS = (1.0, 0.35)
 _TRIED, _TRIED_AT_ONCE = 250, 40  # blocks for a place under glare: adapted, or at once
+_BESIDE = 1.5  # texels: how far light spreads into what lies beside
 _AROUND = 12.0  # the long side over the deviation of a neighbourhood's confidence
 # Where a neighbourhood (deviation in texels) has less light than this, of 1 at clipping, a
 # photograph of 8 bits has its last codes, and a RAW the sensor's noise.
@@ -64,6 +66,8 @@ class FoundPiece:
         error: median difference of log radiance between photograph and re-rendering, of texels
             seen and not clipped.
         slow: mean size of its part that varies slowly, which is not the material's.
+        sharpness: strength of the finest octave of log radiance, re-rendering over photograph.
+        adaptation: what every leg of it came to; none where it was not asked for.
         interrupted: ended by Ctrl-C.
     """
 
@@ -71,6 +75,8 @@ class FoundPiece:
     strengths: Strengths | None
     error: float
     slow: float
+    sharpness: float = 1.0
+    adaptation: tuple[Change, ...] = ()
     interrupted: bool = False
 
     @property
@@ -86,7 +92,8 @@ class Sight:
     Attributes:
         plane: the photograph; valid where it tells anything.
         coarse: its coarse fit.
-        shown: (H, W) bool: seen and lit, or beyond the photograph.
+        shown: (3, H, W) bool: seen and lit, or beyond the photograph, by channel.
+        seen: (H, W) share of each place that was seen, in [0, 1].
         inputs: (INPUTS, H, W) what the network is told.
         light: the photograph's, at every texel.
         glare: (H, W) share of the uniform material's radiance that is mirrored.
@@ -96,8 +103,9 @@ class Sight:
     plane: Plane
     coarse: CoarseFit
     shown: Tensor
+    seen: NDArray[np.float32]
     inputs: Tensor
-    light: Light
+    light: PieceLight
     glare: NDArray[np.float32]
     noise: float
 
@@ -108,13 +116,15 @@ class Sight:
         points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
         # What lies beyond the photograph is its mirror, not glare.
         beyond = torch.from_numpy(~inside((height, width), coarse.setup))
-        shown = plane.valid | beyond
-        inputs = network_inputs(plane.linear, shown, coarse, points)
+        inputs = network_inputs(plane.linear, plane.valid | beyond, coarse, points)
         bright = lit(plane.linear)
-        plane = replace(plane, valid=plane.valid & bright)
+        measured = plane.measured & bright
+        shown = (plane.measured | beyond) & bright
+        plane = replace(plane, valid=plane.valid & bright, channels=measured)
         glare = inputs[GLOSS].clamp(0.0, 1.0).numpy()
-        light = Light(coarse, points)
-        return Sight(plane, coarse, shown & bright, inputs, light, glare, noise_level(plane))
+        light = PieceLight(coarse, points)
+        seen = seen_share(measured)
+        return Sight(plane, coarse, shown, seen, inputs, light, glare, noise_level(plane))
 
 
 @dataclass(frozen=True)
@@ -139,6 +149,7 @@ def find_piece(
     network: Inverse,
     waves: tuple[Wave, ...] = (),
     *,
+    fine: Plane | None = None,
     target: Callable[[], PhotographTarget] | None = None,
     steps: int = 0,
     seconds: Callable[[], float] | None = None,
@@ -151,10 +162,12 @@ def find_piece(
     An interrupt while it is refined or adapted ends with the best so far; one before that goes on.
 
     Args:
-        plane: the photograph.
+        plane: the photograph, on the texels it is read on.
         coarse: its coarse fit.
         network: reads it (network/store.py).
         waves: the plane waves of its regular order.
+        fine: the same photograph on more texels, as many as the piece is to have (detail.py);
+            None for as many as it is read on.
         target: gives the photograph's statistics; without them the piece is not adapted.
         steps: of adaptation.
         seconds: of adaptation at most, asked when it begins.
@@ -168,29 +181,38 @@ def find_piece(
     with stage("strengths"):
         strengths = tell_strengths(sight, reading)
         reading = strengthened(reading, strengths)
-    interrupted = False
+    interrupted, changes = False, list[Change]()
     try:
         with stage("refine"):
             reading = levelled(sight, reading)
         if target is not None and steps:
             with stage("adapt"):
                 wanted, limit = target(), seconds() if seconds else None
-                reading, ended = adapted_in_legs(sight, reading, wanted, steps, limit, seed, tell)
-                if ended:
-                    raise KeyboardInterrupt  # with what was reached
+                doubt = strengths.doubts() if strengths else ()
+                for each in legs(steps, limit, seed, doubt, tell):
+                    reading, told = adapted(sight, reading, wanted, each)
+                    changes += [told.change] if told.change else []
+                    if told.interrupted:
+                        raise KeyboardInterrupt  # with what was reached
     except KeyboardInterrupt:
         interrupted = True
     with stage("lend"):
         exemplar = lent(sight, reading, _TRIED if steps and not interrupted else _TRIED_AT_ONCE)
+        whole = plane if fine is None else fine
+        if whole.size != plane.size:
+            exemplar = finest(exemplar, whole, coarse)
     with stage("index"):
-        example = Example.of(exemplar, tuple((wave.fx, wave.fy) for wave in waves))
-    left = remaining(reading.outputs, sight.plane.linear, sight.plane.valid, sight.light)
+        longer = whole.size[0] / plane.size[0]
+        example = Example.of(exemplar, tuple((w.fx / longer, w.fy / longer) for w in waves))
+    left = remaining(reading.outputs, sight.plane.linear, sight.plane.measured, sight.light)
     seen = left.residual[:, sight.plane.valid]
     return FoundPiece(
         example=example,
         strengths=strengths,
         error=float(seen.abs().median()) if seen.numel() else 0.0,
         slow=float(left.slow.abs().mean()),
+        sharpness=sharpness(piece_maps(exemplar), whole, coarse),
+        adaptation=tuple(changes),
         interrupted=interrupted,
     )
 
@@ -198,7 +220,7 @@ def find_piece(
 def read_piece(sight: Sight, network: Inverse) -> Reading:
     """What the network reads."""
     answer = _read(network, sight.inputs)
-    trusted = confidence(answer[OUTPUTS:], sight.plane.valid)
+    trusted = confidence(answer[OUTPUTS:], sight.seen)
     trusted[0] *= 1.0 - sight.glare
     return Reading(answer[:OUTPUTS].clone(), answer[OUTPUTS:], trusted)
 
@@ -223,44 +245,42 @@ def levelled(sight: Sight, reading: Reading) -> Reading:
     return _explained(sight, reading, level(flat, plane.linear, sight.shown, sight.light))
 
 
-def adapted_in_legs(
-    sight: Sight,
-    reading: Reading,
-    target: PhotographTarget,
+@dataclass(frozen=True)
+class Leg:
+    """A leg of adaptation; the attributes are arguments of adapt."""
+
+    steps: int
+    reach: float
+    doubt: Sequence[float]
+    seconds: float | None
+    seed: int
+    tell: Callable[[float], None] | None
+
+
+def legs(
     steps: int,
     seconds: float | None,
     seed: int,
+    doubt: Sequence[float],
     tell: Callable[[float], None] | None,
-) -> tuple[Reading, bool]:
-    """All legs of adaptation; arguments as of find_piece. And whether it was interrupted."""
-    for leg, reach in enumerate(_LEGS):
-        reading, ended = adapted(
-            sight,
-            reading,
-            target,
-            -(-steps // len(_LEGS)),
-            reach=reach,
-            seconds=None if seconds is None else seconds / len(_LEGS),
-            seed=seed * len(_LEGS) + leg,
-            tell=tell and _shared(tell, leg),
+) -> Iterator[Leg]:
+    """The legs of so many steps and seconds in all."""
+    count = len(_LEGS)
+    for number, reach in enumerate(_LEGS):
+        yield Leg(
+            -(-steps // count),
+            reach,
+            doubt,
+            None if seconds is None else seconds / count,
+            seed * count + number,
+            tell and _shared(tell, number),
         )
-        if ended:
-            break
-    return reading, ended
 
 
 def adapted(
-    sight: Sight,
-    reading: Reading,
-    target: PhotographTarget,
-    steps: int,
-    *,
-    reach: float,
-    seconds: float | None,
-    seed: int,
-    tell: Callable[[float], None] | None,
-) -> tuple[Reading, bool]:
-    """A leg of adaptation; arguments as of adapt. And whether it was interrupted."""
+    sight: Sight, reading: Reading, target: PhotographTarget, leg: Leg
+) -> tuple[Reading, Adapted]:
+    """A leg of adaptation, if it earns its place, and what it came to."""
     plane = sight.plane
     albedo = even_contrast(reading.outputs[:3].numpy(), np.square(reading.trusted[0]))
     outputs = torch.cat([torch.from_numpy(albedo), reading.outputs[3:]])
@@ -268,14 +288,17 @@ def adapted(
         sight.light.maps(outputs, plane.texel_size),
         plane.valid.numpy(),
         target,
-        steps,
-        reach=reach,
-        seconds=seconds,
-        seed=seed,
-        tell=tell,
+        leg.steps,
+        reach=leg.reach,
+        doubt=leg.doubt,
+        seconds=leg.seconds,
+        seed=leg.seed,
+        tell=leg.tell,
     )
+    if found.change is None or not found.change.kept:
+        return reading, found
     back = true_outputs(found.maps, sight.coarse)
-    return _explained(sight, reading, back), found.interrupted
+    return _explained(sight, reading, back), found
 
 
 def lent(sight: Sight, reading: Reading, tried: int) -> Exemplar:
@@ -316,18 +339,27 @@ def piece_maps(exemplar: Exemplar) -> MapSet:
     return MapSet.from_stacked(stacked, exemplar.texel_size)
 
 
-def confidence(errors: Tensor, valid: Tensor) -> NDArray[np.float32]:
-    """(4, H, W) in [0, 1] of expected errors (4, H, W), logarithms; 0 where nothing was seen.
+def confidence(errors: Tensor, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(4, H, W) in [0, 1] of expected errors (4, H, W), logarithms, and of what was seen (H, W).
 
     Of neighbourhoods: confidence is about where the light shows a map, not about which of the
     material's features are easily read, or only its plain places would be believed.
     """
     doubt = errors.clamp(-8.0, 4.0).exp().numpy() / np.array(_DOUBTED, np.float32)[:, None, None]
-    around = max(valid.shape) / _AROUND
+    around = max(seen.shape) / _AROUND
     believed = np.stack([np.exp(-smoothed(plane, around)) for plane in doubt])
-    # What a clipped texel's neighbours hold is partly its own.
-    seen = cv2.erode(valid.numpy().astype(np.uint8), np.ones((5, 5), np.uint8))
     return np.ascontiguousarray(believed * seen, dtype=np.float32)
+
+
+def seen_share(measured: Tensor) -> NDArray[np.float32]:
+    """(H, W) in [0, 1]: how far a texel and what is beside it were seen, of channels (3, H, W).
+
+    A clipped texel's neighbours hold some of its light; a sparkle costs them little, while a spot
+    that is burnt out, wide as it is, is not seen at all.
+    """
+    share = measured.float().mean(0).numpy()
+    around = cv2.GaussianBlur(share, (0, 0), _BESIDE, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(np.minimum(share, np.clip(2.0 * around - 1.0, 0.0, 1.0)), np.float32)
 
 
 def lit(linear: Tensor) -> Tensor:

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Field = NDArray[np.float32]
+Heights2D = NDArray[np.float32]
 
 
-def steps(height: Field) -> tuple[Field, Field]:
+def steps(height: Heights2D) -> tuple[Heights2D, Heights2D]:
     """What a height (H, W) rises by from texel to texel: (H, W - 1) across, (H - 1, W) downwards.
 
     Between texels nothing of the finest waves is lost, as central differences would lose it.
@@ -17,7 +17,7 @@ def steps(height: Field) -> tuple[Field, Field]:
     return np.diff(height, axis=1), np.diff(height, axis=0)
 
 
-def integrate(across: Field, down: Field) -> Field:
+def integrate(across: Heights2D, down: Heights2D) -> Heights2D:
     """(H, W) height of zero mean by least squares: the inverse of steps().
 
     The Poisson equation with nothing passing the borders, solved by the discrete cosine transform.
@@ -43,5 +43,5 @@ def integrate(across: Field, down: Field) -> Field:
     return np.ascontiguousarray(cv2.idct(waves)[:height, :width])
 
 
-def _even(rise: Field, more: tuple[int, int]) -> Field:
+def _even(rise: Heights2D, more: tuple[int, int]) -> Heights2D:
     return np.pad(rise, [(0, more[0]), (0, more[1])])

@@ -4,7 +4,8 @@ First the means of albedo and gloss, then every texel: Gauss-Newton steps in whi
 log radiance is shared among albedo, F0 and roughness by how much each shows there and how much it
 is in doubt (a Wiener filter whose prior is the network's answer and its expected errors). Relief
 is left as it is: what of it lies in the wrong place would be cancelled instead of moved
-(docs/notes/exemplar.md). Clipped texels are lower bounds. What varies slowly over the whole
+(docs/notes/exemplar.md). A clipped channel is a lower bound, and the others
+tell what they tell. What varies slowly over the whole
 picture is what coarse fit and tone curve left undone, not the material, and stays out of the maps.
 """
 
@@ -65,7 +66,7 @@ class Refined:
     slow: Tensor
 
 
-class Light:
+class PieceLight:
     """The photograph's own light at every texel, worked out once."""
 
     def __init__(self, uniform: Uniform, points: Tensor) -> None:
@@ -84,7 +85,7 @@ class Light:
         power = torch.tensor(setup.intensity).to(points)[:, None, None]
         self._power = power * vignette(points, setup) / squared
 
-    def cut(self, rows: slice, columns: slice) -> Light:
+    def cut(self, rows: slice, columns: slice) -> PieceLight:
         """The light at some of the texels."""
         part = copy.copy(self)
         for name in ("_to_light", "_to_view", "_power"):
@@ -130,7 +131,7 @@ class Light:
 
 
 @torch.no_grad()
-def level(outputs: Tensor, linear: Tensor, valid: Tensor, light: Light) -> Tensor:
+def level(outputs: Tensor, linear: Tensor, valid: Tensor, light: PieceLight) -> Tensor:
     """Outputs whose means of albedo, F0 and roughness re-render to the photograph's brightness.
 
     The coarse fit has no relief: bumps widen highlights and dim what lies between, so that its
@@ -142,9 +143,8 @@ def level(outputs: Tensor, linear: Tensor, valid: Tensor, light: Light) -> Tenso
         linear, valid, light: as for refine.
     """
     cell = min(_CELL, *linear.shape[-2:])
-    share = F.avg_pool2d(valid[None].float(), cell)
+    seen = F.avg_pool2d(valid.expand_as(linear).float(), cell) > _SEEN
     observed = F.avg_pool2d(linear, cell).clamp_min(_DARKEST).log()
-    seen = (share > _SEEN).expand_as(observed)
     outputs = outputs.clone()
     prior = torch.tensor(_LEVELS).square().reciprocal()
     moved = torch.zeros(5)
@@ -219,7 +219,7 @@ def refine(
     errors: Tensor,
     linear: Tensor,
     valid: Tensor,
-    light: Light,
+    light: PieceLight,
     *,
     noise: float = 0.02,
 ) -> Refined:
@@ -229,12 +229,13 @@ def refine(
         outputs: (OUTPUTS, H, W) of the network.
         errors: (ERRORS, H, W) log of what it expects to be off by.
         linear: (3, H, W) the photograph on the plane's grid.
-        valid: (H, W) bool, seen and not clipped.
+        valid: (H, W) or (3, H, W) bool, seen and not clipped, by channel where that is known.
         light: the photograph's own.
         noise: deviation of log radiance that is not explained.
     """
     observed = linear.clamp_min(_DARKEST).log()
     outputs = outputs.clone()
+    valid = valid.expand_as(linear)
     doubt = errors.exp().clamp(_LEAST_ERROR, _MOST_ERROR).square()
     albedo, gloss = doubt[:1], doubt[1:3]
     colour = albedo * _CHROMA**2
@@ -247,17 +248,21 @@ def refine(
             found, shares = light.logs(light.maps(outputs), angles)
         residual = _unexplained(observed, found, valid)
         residual = (residual - _slow(residual, valid)).clamp(-_MOST, _MOST)
-        grey, share = residual.mean(0, keepdim=True), shares.mean(0, keepdim=True)
+        tells = valid | (residual > 0.0)
+        share = shares.mean(0, keepdim=True)
+        grey = (residual * tells).sum(0, keepdim=True) / tells.sum(0, keepdim=True).clamp_min(1)
         unknown = noise**2 + (_GLARE * (1.0 - share)).square()
         total = share.square() * albedo + (shows.square() * gloss).sum(0, keepdim=True) + unknown
         common = grey / total
-        own = (residual - grey) * shares * colour / (shares.square() * colour + unknown)
+        # A bound that holds says nothing of the colour.
+        apart = torch.where(tells, residual - grey, 0.0)
+        own = apart * shares * colour / (shares.square() * colour + unknown)
         outputs[:3] += share * albedo * common + own
         outputs[3:5] += shows * gloss * common
     return remaining(outputs, linear, valid, light)
 
 
-def remaining(outputs: Tensor, linear: Tensor, valid: Tensor, light: Light) -> Refined:
+def remaining(outputs: Tensor, linear: Tensor, valid: Tensor, light: PieceLight) -> Refined:
     """Outputs (OUTPUTS, H, W) and what their re-rendering leaves; arguments as for refine."""
     maps = light.maps(outputs)
     found, _ = light.logs(maps, light.angles(maps.normal))
@@ -274,7 +279,9 @@ def _unexplained(observed: Tensor, found: Tensor, valid: Tensor) -> Tensor:
 def _slow(residual: Tensor, valid: Tensor) -> Tensor:
     """What of a residual (3, H, W) varies slowly, by valid texels."""
     deviation = max(valid.shape) / _SLOW
-    weight = valid.numpy().astype(np.float32) + 1e-4
-    under = smoothed(weight, deviation)
-    planes = [smoothed(p * weight, deviation) / under for p in residual.clamp(-1, 1).numpy()]
+    weights = valid.expand_as(residual).numpy().astype(np.float32) + np.float32(1e-4)
+    planes = [
+        smoothed(plane * weight, deviation) / smoothed(weight, deviation)
+        for plane, weight in zip(residual.clamp(-1, 1).numpy(), weights, strict=True)
+    ]
     return torch.from_numpy(np.stack(planes))

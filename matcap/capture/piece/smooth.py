@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 
 from matcap.capture.piece.strengths import BANDS
 
-Plane = NDArray[np.float32]
+ChannelPlane = NDArray[np.float32]
 
 _COARSER = 8  # texels a side that are one
 _SOFT = 0.25  # octaves: half of what bands share at their borders
 
 
-def smoothed(plane: Plane, deviation: float) -> Plane:
+def smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
     """A plane (H, W) blurred by a Gaussian of many texels."""
     return enlarged(coarse_smoothed(plane, deviation), plane.shape)
 
 
-def coarse_smoothed(plane: Plane, deviation: float) -> Plane:
+def coarse_smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
     """The same on a coarser grid."""
     rows, columns = plane.shape
     size = (max(1, columns // _COARSER), max(1, rows // _COARSER))
@@ -27,13 +27,29 @@ def coarse_smoothed(plane: Plane, deviation: float) -> Plane:
     return np.asarray(cv2.GaussianBlur(thin, (0, 0), deviation / _COARSER), np.float32)
 
 
-def enlarged(plane: Plane, shape: tuple[int, ...]) -> Plane:
+def enlarged(plane: ChannelPlane, shape: tuple[int, ...]) -> ChannelPlane:
     """A coarser plane at every texel of a finer one's (H, W)."""
     size = (shape[1], shape[0])
     return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def split(plane: Plane) -> list[Plane]:
+def filled(plane: ChannelPlane, known: NDArray[np.bool_]) -> ChannelPlane:
+    """A plane (H, W) whose unknown texels go on from the known ones around them.
+
+    Means of ever larger cells (pull and push: Gortler et al. 1996); 0 where nothing is known.
+    """
+    if known.all() or min(plane.shape) < 2:
+        return np.where(known, plane, np.float32(0.0))
+    size = tuple((side + 1) // 2 for side in plane.shape[::-1])
+    weight = known.astype(np.float32)
+    share = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
+    total = cv2.resize(plane * weight, size, interpolation=cv2.INTER_AREA)
+    means = np.asarray(total / np.maximum(share, np.float32(1e-6)), np.float32)
+    coarser = filled(means, share > 1e-3)
+    return np.where(known, plane, enlarged(coarser, plane.shape))
+
+
+def split(plane: ChannelPlane) -> list[ChannelPlane]:
     """Bands of a plane (H, W) by the length of waves, strengths.BANDS, and the rest.
 
     Longest first; what is longer than all bands comes last. They add up to the plane.
@@ -53,6 +69,6 @@ def split(plane: Plane) -> list[Plane]:
     ]
 
 
-def _ramp(octave: Plane) -> Plane:
+def _ramp(octave: ChannelPlane) -> ChannelPlane:
     """0 below a border between bands and 1 above it, octaves counted from there."""
     return np.asarray(0.5 + 0.5 * np.sin(np.pi / 2 * (octave / _SOFT).clip(-1.0, 1.0)), np.float32)

@@ -8,7 +8,8 @@ whose mean g along a direction is s, the energy of the band's waves in that dire
     E(s) = A + 2 C s + S s^2,
 
 A albedo's energy, S the slopes', C how both go together. Windows differ in s, and a regression
-over them recovers A and S.
+over them recovers A and S, and how far S is to be doubted: by its scatter, by albedo that is not
+as strong everywhere, and by what two opinions of g tell differently (docs/notes/exemplar.md).
 """
 
 from __future__ import annotations
@@ -19,16 +20,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Doubles = NDArray[np.float64]
 
 # Waves of these lengths in texels, longest and shortest of each band.
 BANDS = ((64.0, 32.0), (32.0, 16.0), (16.0, 8.0), (8.0, 4.0), (4.0, 2.8), (2.8, 2.0))
 DIRECTIONS = 6
 _WINDOW, _STRIDE = 128, 64  # texels
-_SEEN = 0.98  # share of a window that must be valid
-_LINEAR = 1.2  # of g: beyond, radiance is far from linear in slope
+_SEEN = 0.75  # share of a window that must be seen; energies are raised by what is not
+# Of g: where radiance bends so much with slope, a window counts half. It is far from linear there,
+# and near a highlight's middle g turns within a window.
+_LINEAR = 1.2
 _ROUNDS = 4  # of reweighting: energies scatter in proportion to themselves
 _FEWEST = 8  # windows, for three unknowns
+# Windows overlap and all directions look at the same ones: errors are larger than residuals say.
+_SCATTER = 2.0
+# Of albedo's energy: what may vary over the picture for other reasons than relief and then passes
+# for it (streaks that are stronger at the rim). Relief must stand out of it.
+_UNEVEN = 0.1
+_DISAGREED = 0.5  # of what two responses to slope tell differently, that is doubt
 
 
 @dataclass(frozen=True)
@@ -39,16 +48,24 @@ class Strengths:
         albedo: of log albedo.
         slope: of the slope along the direction.
         trust: how far the slope's strength stands out of its own scatter, 0 to 1.
+        doubt: (len(BANDS),) what the slopes' energy, squared slopes of all directions together, may
+            be off by (a standard deviation). Where nothing stands out it still is a bound.
     """
 
-    albedo: Array
-    slope: Array
-    trust: Array
+    albedo: Doubles
+    slope: Doubles
+    trust: Doubles
+    doubt: Doubles
 
     @property
     def relief(self) -> float:
         """Root-mean-square slope of all bands and directions together."""
         return float(np.sqrt(np.square(self.slope).sum()))
+
+    def doubts(self) -> list[float]:
+        """Deviations of the logarithm of each band's root-mean-square slope."""
+        energy = np.square(self.slope).sum(1)
+        return (0.5 * self.doubt / np.maximum(energy, 1e-8)).tolist()
 
     def document(self) -> dict[str, Any]:
         """As JSON: `relief`, and for each of `bands` the lengths of its waves in texels
@@ -89,54 +106,107 @@ class Strengths:
 def measure_strengths(
     log: NDArray[np.float32],
     shows: NDArray[np.float32],
-    use: NDArray[np.bool_],
+    use: NDArray[np.bool_] | NDArray[np.float32],
     noise: float = 0.0,
+    *,
+    also: NDArray[np.float32] | None = None,
 ) -> Strengths | None:
     """Strengths of a photograph; None where too little of it can be used.
 
     Args:
-        log: (H, W) log radiance over the coarse fit's.
+        log: (H, W) log radiance over the coarse fit's; what is not used is filled from around it.
         shows: (2, H, W) change of log radiance with slope along x and y (upwards).
-        use: (H, W) bool: seen, not clipped.
+        use: (H, W) share of a texel that was seen and not clipped.
         noise: standard deviation of log radiance that is the sensor's.
+        also: (2, H, W) another opinion of `shows`: where the two tell different strengths, what is
+            told is doubted.
     """
-    window = np.hanning(_WINDOW)[:, None] * np.hanning(_WINDOW)
-    power = float(np.square(window).sum())
-    kinds = _kinds()
-    energies, slants = [], []
-    for cut in _windows(log.shape):
-        if use[cut].mean() < _SEEN:
-            continue
-        g = shows[(slice(None), *cut)].mean((1, 2))
-        if np.hypot(*g) > _LINEAR:
-            continue
-        flat = log[cut] - log[cut].mean()
-        spectrum = np.square(np.abs(np.fft.fft2(flat * window))) / power / flat.size
-        energies.append(_sums(spectrum, kinds))
-        angles = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
-        slants.append(g[0] * np.cos(angles) + g[1] * np.sin(angles))
-    if len(energies) < _FEWEST:
+    whole = _windows(log.shape)
+    seen = _seen(use, whole)
+    cuts = [cut for cut, share in zip(whole, seen, strict=True) if share >= _SEEN]
+    if len(cuts) < _FEWEST:
         return None
-    energy, slant = np.array(energies), np.array(slants)
-    found = np.zeros((3, len(BANDS), DIRECTIONS))
-    white = noise**2 * _sums(np.ones_like(window), kinds) / window.size
-    for band in range(len(BANDS)):
-        for direction in range(DIRECTIONS):
-            found[:, band, direction] = _regress(
-                slant[:, direction],
-                np.maximum(energy[:, band, direction] - white[band, direction], 0.0),
-            )
-    albedo, slope, error = found
+    # What is filled is smooth, and lacks the energy of what it stands for.
+    energy = _window_energies(log, cuts) / seen[seen >= _SEEN, None, None]
+    white = noise**2 * _sums(np.ones((_WINDOW, _WINDOW)), _kinds()) / _WINDOW**2
+    energy = np.maximum(energy - white, 0.0)
+    albedo, slope, error, uneven = _told(energy, _slants(shows, use, cuts))
+    apart = 0.0
+    if also is not None:
+        apart = np.abs(slope - _told(energy, _slants(also, use, cuts))[1]).sum(1)
+    # Scatter of directions cancels; what is wrong with the model goes the same way in all of them.
+    doubt = np.hypot(np.sqrt(np.square(error).sum(1)), uneven.sum(1) + _DISAGREED * apart)
+    own = np.square(error) + np.square(uneven)
     return Strengths(
         albedo=np.sqrt(albedo),
         slope=np.sqrt(slope),
-        trust=np.square(slope) / (np.square(slope) + np.square(error) + 1e-12),
+        trust=np.square(slope) / (np.square(slope) + own + 1e-12),
+        doubt=doubt,
     )
 
 
-def slope_strengths(height: NDArray[np.float32]) -> Array:
+def _seen(use: NDArray[np.bool_] | NDArray[np.float32], cuts: list[tuple[slice, slice]]) -> Doubles:
+    """(windows,) share of each that is used, texels counted as its energies count them."""
+    counts = np.square(_hann())
+    return np.array([(use[cut] * counts).sum() for cut in cuts]) / counts.sum()
+
+
+def _window_energies(log: NDArray[np.float32], cuts: list[tuple[slice, slice]]) -> Doubles:
+    """(windows, len(BANDS), DIRECTIONS) mean squares of log radiance."""
+    window, kinds = _hann(), _kinds()
+    power = float(np.square(window).sum())
+    energies = []
+    for cut in cuts:
+        flat = log[cut] - (log[cut] * window).sum() / window.sum()
+        spectrum = np.square(np.abs(np.fft.fft2(flat * window))) / power / flat.size
+        energies.append(_sums(spectrum, kinds))
+    return np.array(energies)
+
+
+def _slants(
+    shows: NDArray[np.float32],
+    use: NDArray[np.bool_] | NDArray[np.float32],
+    cuts: list[tuple[slice, slice]],
+) -> Doubles:
+    """(windows, 5) means of a response's x, y, xx, xy and yy over what is used of each window.
+
+    Around a highlight the response turns within a window: its mean is little and its square is not.
+    """
+    counts = np.square(_hann())
+    found = []
+    for cut in cuts:
+        weight = counts * use[cut]
+        x, y = shows[(slice(None), *cut)]
+        found.append([(weight * v).sum() / weight.sum() for v in (x, y, x * x, x * y, y * y)])
+    return np.array(found, np.float64)
+
+
+def _told(energy: Doubles, slants: Doubles) -> Doubles:
+    """(4, len(BANDS), DIRECTIONS) A, S, S's standard error, and what of A may pass for S.
+
+    Args:
+        energy: (windows, len(BANDS), DIRECTIONS).
+        slants: (windows, 5) as _slants has them.
+    """
+    x, y, xx, xy, yy = slants.T
+    linear = 1.0 / (1.0 + (xx + yy) / _LINEAR**2)
+    found = np.zeros((4, len(BANDS), DIRECTIONS))
+    for direction in range(DIRECTIONS):
+        angle = direction * np.pi / DIRECTIONS
+        c, s = np.cos(angle), np.sin(angle)
+        squared = c * c * xx + 2.0 * c * s * xy + s * s * yy
+        most = max(float(np.quantile(squared, 0.9)), 1e-6)
+        for band in range(len(BANDS)):
+            albedo, slope, error = _regress(
+                c * x + s * y, squared, energy[:, band, direction], linear
+            )
+            found[:, band, direction] = albedo, slope, error, _UNEVEN * albedo / most
+    return found
+
+
+def slope_strengths(height: NDArray[np.float32]) -> Doubles:
     """(len(BANDS), DIRECTIONS) the same strengths of a known height (H, W) in texels."""
-    window = np.hanning(_WINDOW)[:, None] * np.hanning(_WINDOW)
+    window = _hann()
     power = float(np.square(window).sum())
     across = np.gradient(height, axis=1)
     up = -np.gradient(height, axis=0)
@@ -149,13 +219,17 @@ def slope_strengths(height: NDArray[np.float32]) -> Array:
     return np.sqrt(_sums(total, _kinds()) / power / window.size / max(1, count))
 
 
+def _hann() -> Doubles:
+    return np.asarray(np.hanning(_WINDOW)[:, None] * np.hanning(_WINDOW), np.float64)
+
+
 def _windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
     rows = range(0, shape[0] - _WINDOW + 1, _STRIDE)
     columns = range(0, shape[1] - _WINDOW + 1, _STRIDE)
     return [(slice(y, y + _WINDOW), slice(x, x + _WINDOW)) for y in rows for x in columns]
 
 
-def _sums(spectrum: Array, kinds: NDArray[np.int64]) -> Array:
+def _sums(spectrum: Doubles, kinds: NDArray[np.int64]) -> Doubles:
     """(len(BANDS), DIRECTIONS) of a spectrum (_WINDOW, _WINDOW)."""
     sums = np.bincount(kinds.ravel(), spectrum.ravel(), len(BANDS) * DIRECTIONS + 1)
     return np.asarray(sums[:-1].reshape(len(BANDS), DIRECTIONS), np.float64)
@@ -177,18 +251,27 @@ def _kinds() -> NDArray[np.int64]:
     return kinds
 
 
-def _regress(slant: Array, energy: Array) -> tuple[float, float, float]:
-    """A, S and S's standard error, A and S not negative, by weighted least squares."""
-    columns = np.stack([np.ones_like(slant), 2.0 * slant, np.square(slant)], axis=1)
-    weight: NDArray[Any] = np.ones_like(slant)
-    solution: NDArray[Any] = np.zeros(3)
+def _regress(
+    slant: Doubles, squared: Doubles, energy: Doubles, counts: Doubles
+) -> tuple[float, float, float]:
+    """A, S and S's standard error, A and S not negative, by weighted least squares.
+
+    Args:
+        slant: (N,) of windows.
+        squared: (N,) mean of its square.
+        energy: (N,) theirs.
+        counts: (N,) what each counts for, at most 1.
+    """
+    columns = np.stack([np.ones_like(slant), 2.0 * slant, squared], axis=1)
+    own = np.sqrt(counts)
+    weight, solution = own, np.zeros(3)
     for _ in range(_ROUNDS):
         solution = np.linalg.lstsq(columns * weight[:, None], energy * weight, rcond=None)[0]
         solution[[0, 2]] = solution[[0, 2]].clip(0.0)
-        expected = columns @ solution
-        weight = 1.0 / np.maximum(expected, 0.2 * energy.mean() + 1e-12)
+        weight = own / np.maximum(columns @ solution, 0.2 * energy.mean() + 1e-12)
     weighted = columns * weight[:, None]
-    scatter = np.square((energy - columns @ solution) * weight).sum() / (len(slant) - 3)
+    rest = np.square((energy - columns @ solution) * weight).sum()
+    scatter = rest / max(float(counts.sum()) - 3.0, 1.0)
     inverse = np.linalg.pinv(weighted.T @ weighted)
-    error = float(np.sqrt(scatter * max(inverse[2, 2], 0.0)))
+    error = _SCATTER * float(np.sqrt(scatter * max(inverse[2, 2], 0.0)))
     return float(solution[0]), float(solution[2]), error

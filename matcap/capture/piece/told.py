@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import COLOUR, SHOWN
-from matcap.capture.piece.smooth import smoothed
+from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import Strengths, measure_strengths
 from matcap.flash.coarse import fit_coarse
 from matcap.flash.geometry import plane_points
@@ -34,26 +35,37 @@ def photographed_strengths(photo: Photo, detail: int) -> Strengths | None:
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     inputs = network_inputs(plane.linear, plane.valid, coarse, points)
-    return plane_strengths(plane, inputs, inputs[SHOWN])
+    return plane_strengths(plane, inputs)
 
 
-def plane_strengths(plane: Plane, inputs: Tensor, shown: Tensor) -> Strengths | None:
+def plane_strengths(plane: Plane, inputs: Tensor, read: Tensor | None = None) -> Strengths | None:
     """The same of a photograph on its plane and what the network is told of it.
+
+    What slope changes of log radiance is taken from the coarse fit, which is nearer to the truth
+    than the maps that were read (docs/notes/exemplar.md); where both differ, less is believed.
 
     Args:
         plane: the photograph.
         inputs: what the network is told.
-        shown: (2, H, W) what slope changes of log radiance: of a uniform material, or of the maps
-            that were read. Between rust bare metal shows slopes three times as strongly as both do
-            together.
+        read: (2, H, W) what slope changes of log radiance, of the maps that were read. Between rust
+            bare metal shows slopes three times as strongly as both do together.
     """
-    even = np.stack([smoothed(s, _AROUND) for s in shown.numpy()])
+    use = plane.measured.numpy()
+    channels = inputs[COLOUR].numpy()
+    # What is clipped is at least as bright as it looks.
+    whole = [np.maximum(filled(c, u), c) for c, u in zip(channels, use, strict=True)]
     return measure_strengths(
-        inputs[COLOUR].mean(0).numpy(),
-        even,
-        plane.valid.numpy(),
+        np.mean(whole, axis=0),
+        _even(inputs[SHOWN]),
+        use.mean(0, dtype=np.float32),
         noise_level(plane),
+        also=None if read is None else _even(read),
     )
+
+
+def _even(shown: Tensor) -> NDArray[np.float32]:
+    """Responses (2, H, W) of neighbourhoods."""
+    return np.stack([smoothed(s, _AROUND) for s in shown.numpy()])
 
 
 def noise_level(plane: Plane) -> float:

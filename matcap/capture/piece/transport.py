@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.refine import Light
+from matcap.capture.piece.refine import PieceLight
 from matcap.example.exemplar import Exemplar
 
-Array = NDArray[np.float32]
-Places = NDArray[np.int64]
+Floats = NDArray[np.float32]
+BlockPlaces = NDArray[np.int64]
 
 _BLOCK = 48  # texels a side: long enough for pieces of a drawing, short enough to be found
 _OVERLAP = 12  # texels that neighbours share
@@ -53,14 +53,14 @@ class _Drawn:
         seen: (H, W, 3) log albedo and slopes in deviations.
     """
 
-    stacked: Array
-    laid: Array
-    seen: Array
+    stacked: Floats
+    laid: Floats
+    seen: Floats
 
 
 @torch.no_grad()
 def transport(
-    exemplar: Exemplar, linear: Tensor, valid: Tensor, light: Light, *, tried: int
+    exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PieceLight, *, tried: int
 ) -> Exemplar:
     """The exemplar with maps lent to where glare hides them.
 
@@ -101,7 +101,9 @@ def transport(
 class _Photograph:
     """What blocks must look like in place."""
 
-    def __init__(self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: Light) -> None:
+    def __init__(
+        self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PieceLight
+    ) -> None:
         self._log = linear.clamp_min(_DARKEST).log()
         self._valid = valid
         self._light = light
@@ -115,7 +117,7 @@ class _Photograph:
         even = MapSet(mean[:3], mean[3:4], mean[4:5], maps.height, 1.0)
         self._even = light.logs(even, light.angles(upright))[0]
 
-    def unlikeness(self, place: tuple[int, int], blocks: Places) -> Array:
+    def unlikeness(self, place: tuple[int, int], blocks: BlockPlaces) -> Floats:
         """(N,) one less the correlation of log radiance, of blocks as if they lay at a place.
 
         0 where nothing of the place was seen.
@@ -149,7 +151,7 @@ def _centred(log: Tensor, seen: Tensor) -> Tensor:
 
 def _choose(
     places: list[tuple[int, int]],
-    lenders: Places,
+    lenders: BlockPlaces,
     drawn: _Drawn,
     known: NDArray[np.bool_],
     photograph: _Photograph,
@@ -195,8 +197,12 @@ def _continued(
 
 
 def _discontinuity(
-    place: tuple[int, int], blocks: Places, lent: Array, seen: Array, known: NDArray[np.bool_]
-) -> Array:
+    place: tuple[int, int],
+    blocks: BlockPlaces,
+    lent: Floats,
+    seen: Floats,
+    known: NDArray[np.bool_],
+) -> Floats:
     """(N,) mean squared difference from what is known at a place, in deviations."""
     here = tuple(slice(start, start + _BLOCK, 2) for start in place)
     rows, columns = 2 * np.array(np.nonzero(known[here]))
@@ -208,8 +214,8 @@ def _discontinuity(
 
 
 def _laid(
-    chosen: dict[tuple[int, int], tuple[int, int]], maps: Array, hidden: NDArray[np.bool_]
-) -> tuple[Array, Array]:
+    chosen: dict[tuple[int, int], tuple[int, int]], maps: Floats, hidden: NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
     """(6, H, W) blocks side by side, and (H, W) the share of them in the result."""
     inside = np.minimum(np.arange(_BLOCK) + 1, _BLOCK - np.arange(_BLOCK)) / _OVERLAP
     ramp = np.minimum(inside, 1.0)
@@ -238,7 +244,7 @@ def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
     return _Drawn(stacked, laid, seen.astype(np.float32))
 
 
-def _lenders(trusted: NDArray[np.bool_]) -> Places:
+def _lenders(trusted: NDArray[np.bool_]) -> BlockPlaces:
     """(N, 2) corners of blocks that are trusted nearly all over."""
     rows, columns = trusted.shape
     if min(rows, columns) <= _BLOCK:

@@ -77,7 +77,7 @@ class Subject:
     shot: Shot
 
 
-Method = Callable[[Subject], Captured]
+Capturing = Callable[[Subject], Captured]
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ def write_scores(scores: Sequence[Score], out: Path, command: str) -> None:
 
 def _methods(
     capture: Callable[[Path], Captured], settings: QualitySettings
-) -> Mapping[str, Method]:
+) -> Mapping[str, Capturing]:
     def captured(subject: Subject) -> Captured:
         return capture(subject.path)
 

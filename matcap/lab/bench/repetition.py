@@ -35,7 +35,7 @@ _ROUGHNESS = 4  # among the stacked maps
 _EXEMPLAR = (1024, 768)  # texels of a simulated one
 _COPIED = 1024  # texels a side of the map whose copies are counted
 
-Map = NDArray[np.float32]
+MapArray = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def measure(name: str, example: Example, size: int) -> Repetition:
     )
 
 
-def correlation(first: Map, second: Map) -> float:
+def correlation(first: MapArray, second: MapArray) -> float:
     """The largest of two square maps at shifts of more than NEAR texels along x or y."""
     size = len(first)
     spectra = [np.fft.rfft2((one - one.mean()) / one.std()) for one in (first, second)]
@@ -138,7 +138,7 @@ def markdown(found: list[Repetition], size: int, command: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _apart(first: Map, second: Map) -> NDArray[np.float64]:
+def _apart(first: MapArray, second: MapArray) -> NDArray[np.float64]:
     """Mean distance of each of the stacked maps (6, ...), colours together."""
     planes = [np.abs(a - b).mean(dtype=np.float64) for a, b in zip(first, second, strict=True)]
     starts = np.cumsum([0, *CHANNELS.values()])[:-1]

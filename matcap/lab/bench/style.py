@@ -66,18 +66,18 @@ class Group:
     unseen: float
 
 
-Statistics = dict[str, Group]
+StyleStatistics = dict[str, Group]
 
 
 class Style(Protocol):
     """A kind of statistics: pictures (B, 3, H, W) in sRGB to groups."""
 
-    def __call__(self, pictures: Tensor) -> Statistics:
+    def __call__(self, pictures: Tensor) -> StyleStatistics:
         """Describe."""
         ...
 
 
-def difference(first: Statistics, second: Statistics) -> Tensor:
+def difference(first: StyleStatistics, second: StyleStatistics) -> Tensor:
     """(B,) distance between pictures of the same lights, the mean over groups."""
     return torch.stack([_relative(first[name], second[name]) for name in first]).mean(0)
 
@@ -103,7 +103,7 @@ class PortillaSimoncelli:
         )
 
     @torch.no_grad()
-    def __call__(self, pictures: Tensor) -> Statistics:
+    def __call__(self, pictures: Tensor) -> StyleStatistics:
         """Describe (B, 3, H, W)."""
         luma = torch.tensor(_LUMA).to(pictures)[:, None, None]
         grey = (pictures * luma).sum(1, keepdim=True)
@@ -127,7 +127,7 @@ class RandomFilters:
         self._bank = FilterBank(FilterBankConfig(sizes=(7, 11, 13), filters=20, levels=4, seed=777))
 
     @torch.no_grad()
-    def __call__(self, pictures: Tensor) -> Statistics:
+    def __call__(self, pictures: Tensor) -> StyleStatistics:
         """Describe (B, 3, H, W)."""
         groups = {}
         for level, image in enumerate(pyramid(pictures, self._bank.config.levels)):

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from matcap.lab.bench.style import Group, RandomFilters, Statistics
+from matcap.lab.bench.style import Group, RandomFilters, StyleStatistics
 
 NEIGHBOUR = 3  # the k of the paper
 
@@ -44,7 +44,7 @@ class Variety:
         return self.apart / self.apart_true
 
 
-def variety(made: Statistics, true: Statistics, neighbour: int = NEIGHBOUR) -> Variety:
+def variety(made: StyleStatistics, true: StyleStatistics, neighbour: int = NEIGHBOUR) -> Variety:
     """Compare statistics of made pictures with those of true ones, more than `neighbour` each."""
     across = style_distances(made, true)
     within, within_true = style_distances(made, made), style_distances(true, true)
@@ -57,13 +57,13 @@ def variety(made: Statistics, true: Statistics, neighbour: int = NEIGHBOUR) -> V
     )
 
 
-def describe_pictures(pictures: Sequence[Tensor]) -> Statistics:
+def describe_pictures(pictures: Sequence[Tensor]) -> StyleStatistics:
     """Statistics of sRGB pictures (3, H, W), one by one: thousands of features take memory."""
     style = RandomFilters()
     return joined([style(picture[None]) for picture in pictures])
 
 
-def joined(parts: Sequence[Statistics]) -> Statistics:
+def joined(parts: Sequence[StyleStatistics]) -> StyleStatistics:
     """Statistics of all pictures of several."""
     return {
         name: Group(torch.cat([part[name].values for part in parts]), group.unseen)
@@ -71,7 +71,7 @@ def joined(parts: Sequence[Statistics]) -> Statistics:
     }
 
 
-def style_distances(first: Statistics, second: Statistics) -> Tensor:
+def style_distances(first: StyleStatistics, second: StyleStatistics) -> Tensor:
     """(N, M) distances between N and M pictures: style.difference of every pair."""
     found = []
     for name, group in first.items():

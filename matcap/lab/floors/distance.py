@@ -20,7 +20,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.lab.bench.style import Group, Statistics, difference
+from matcap.lab.bench.style import Group, StyleStatistics, difference
 from matcap.lab.floors.squeezenet import SqueezeNet
 from matcap.statistics.gram import gram
 
@@ -36,7 +36,7 @@ class Measure:
         self._network = network or SqueezeNet.load()
 
     @torch.no_grad()
-    def style(self, pictures: Tensor) -> Statistics:
+    def style(self, pictures: Tensor) -> StyleStatistics:
         """Describe sRGB-encoded pictures (B, 3, H, W) in [0, 1], at least 128 texels a side.
 
         Raises:
@@ -70,13 +70,13 @@ class Measure:
 class Floor:
     """True pieces of one material, and what they differ by."""
 
-    def __init__(self, truths: Sequence[Statistics]) -> None:
+    def __init__(self, truths: Sequence[StyleStatistics]) -> None:
         """Take the styles of two or more."""
         self._truths = tuple(truths)
         pairs = list(itertools.combinations(self._truths, 2))
         self.distance = sum(_mean(difference(a, b)) for a, b in pairs) / len(pairs)
 
-    def of(self, found: Statistics) -> float:
+    def of(self, found: StyleStatistics) -> float:
         """Error in multiples of the floor."""
         errors = [_mean(difference(found, truth)) for truth in self._truths]
         return sum(errors) / len(errors) / self.distance

@@ -24,7 +24,7 @@ from matcap.lab.inverse.losses import loss_parts, total, wanted
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.samples import (
     HELD_OUT,
-    Realise,
+    RealiseAt,
     Sample,
     draw_sample,
     is_held_out,
@@ -44,7 +44,7 @@ _LIGHTS = ((20.0, 40.0, 2.0), (40.0, 160.0, 2.0), (55.0, 280.0, 2.5), (68.0, 100
 
 
 @dataclass(frozen=True)
-class Score:
+class InverseScore:
     """Of one photograph, or the mean of several.
 
     Attributes:
@@ -91,7 +91,7 @@ class Evaluation:
         photographs: how many.
     """
 
-    score: Score
+    score: InverseScore
     calibration: Tensor
     photographs: int
 
@@ -126,11 +126,11 @@ def evaluate(network: Inverse, samples: Sequence[Sample]) -> Evaluation:
         errors.append(made)
     mean = [sum(column) / len(scores) for column in zip(*map(astuple, scores), strict=True)]
     ratios = calibration(torch.cat(expected, 1), torch.cat(errors, 1))
-    return Evaluation(Score(*mean), ratios, len(scores))
+    return Evaluation(InverseScore(*mean), ratios, len(scores))
 
 
 @torch.no_grad()
-def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> Score:
+def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> InverseScore:
     """Of one answer (OUTPUTS + ERRORS, H, W)."""
     parts = loss_parts(outputs[None], wanted([sample], rng))
     truth = sample.truth
@@ -139,7 +139,7 @@ def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> Score:
     tilt = _log_ratio(_tilt(maps.normal), _tilt(truth.normal))
     contrast = _log_ratio(_contrast(maps.diffuse), _contrast(truth.diffuse))
     told = {name: float(part) for name, part in parts.items()}
-    return Score(
+    return InverseScore(
         loss=float(total(parts)),
         **told,
         correlation=_correlation(found, true),
@@ -223,7 +223,7 @@ def calibration(expected: Tensor, made: Tensor, tenths: int = 10) -> Tensor:
 def table(results: dict[str, Evaluation]) -> str:
     """Markdown: a row a number, a column a network and kind of photographs."""
     lines = ["| | " + " | ".join(results) + " |", "|---|" + "---:|" * len(results)]
-    for field in fields(Score):
+    for field in fields(InverseScore):
         row = " | ".join(f"{getattr(r.score, field.name):.3f}" for r in results.values())
         lines.append(f"| {field.name} | {row} |")
     for index, name in enumerate(DOUBTS):
@@ -234,7 +234,7 @@ def table(results: dict[str, Evaluation]) -> str:
     return "\n".join(lines)
 
 
-def _left_out(rng: np.random.Generator) -> Realise:
+def _left_out(rng: np.random.Generator) -> RealiseAt:
     """A material of a kind that is held out: half named ones, half patterns."""
     if rng.random() < 0.5:
         name = str(rng.choice(HELD_OUT))

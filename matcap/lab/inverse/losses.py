@@ -56,7 +56,7 @@ class LossWeights:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class WantedOutputs:
     """What a step's pictures truly are, stacked.
 
     Attributes:
@@ -75,7 +75,7 @@ class Wanted:
     far: Tensor
 
 
-def wanted(samples: Sequence[Sample], rng: np.random.Generator) -> Wanted:
+def wanted(samples: Sequence[Sample], rng: np.random.Generator) -> WantedOutputs:
     """The truth of samples of one size, and lights to compare under, drawn anew."""
     points = samples[0].points
     lights = [_lights(s, rng) for s in samples]
@@ -84,7 +84,7 @@ def wanted(samples: Sequence[Sample], rng: np.random.Generator) -> Wanted:
     def column(vectors: Sequence[Sequence[float]]) -> Tensor:
         return torch.tensor(vectors).to(points)[..., None, None]
 
-    return Wanted(
+    return WantedOutputs(
         torch.stack([true_outputs(s.truth, s.uniform) for s in samples]),
         torch.stack([departures(s.uniform) for s in samples]).to(points),
         points,
@@ -96,7 +96,7 @@ def wanted(samples: Sequence[Sample], rng: np.random.Generator) -> Wanted:
 
 def loss_parts(
     outputs: Tensor,
-    wanted: Wanted,
+    wanted: WantedOutputs,
     *,
     style: bool = True,
     compare: Compare | None = None,

@@ -43,7 +43,7 @@ _SPECULAR_OFF = (-0.2, 0.4)
 _JPEGS = 0.25  # share of pictures that went through a JPEG at the scale they are read at
 _ROOM = 64  # texels by which a piece is larger than a picture
 
-Realise = Callable[[int, int, int, float], MapSet]
+RealiseAt = Callable[[int, int, int, float], MapSet]
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def is_held_out(material: RandomMaterial) -> bool:
     return any(layer.pattern in HELD_OUT_PATTERNS for layer in layers)
 
 
-def training_material(rng: np.random.Generator) -> Realise:
+def training_material(rng: np.random.Generator) -> RealiseAt:
     """A material that may be trained on."""
     which = rng.random()
     if which < _NAMED_SHARE:
@@ -113,7 +113,7 @@ def draw_sample(
     number: int,
     width: int,
     height: int,
-    material: Callable[[np.random.Generator], Realise] = training_material,
+    material: Callable[[np.random.Generator], RealiseAt] = training_material,
     sets: Sequence[PackedSet] = (),
     real: float = REAL_SHARE,
 ) -> Sample:
@@ -156,7 +156,7 @@ def draw_sample(
 
 @lru_cache(maxsize=_TURNS)
 def _piece(
-    index: int, width: int, material: Callable[[np.random.Generator], Realise]
+    index: int, width: int, material: Callable[[np.random.Generator], RealiseAt]
 ) -> tuple[MapSet, float]:
     """A square piece of the material of an index, and its texel's size."""
     rng = np.random.default_rng([index, 78])

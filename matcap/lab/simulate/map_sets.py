@@ -26,7 +26,7 @@ _STEEPEST = 0.05  # least z of a normal: 8 bits tell no slope beyond 20
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec.709
 _PLASTIC = (0.7549, 0.5698)  # Roberts's R2 sequence: any few of its points lie far apart
 
-Field = NDArray[np.float32]
+Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class MapSetMaterial:
     """
 
     name: str
-    tile: Field
+    tile: Floats
     texel_size: float
 
     def piece(self, seed: int) -> Callable[[int, int, float], MapSet]:
@@ -109,7 +109,7 @@ def map_set_folders(folder: Path) -> list[Path]:
     return sorted(path.parent for path in folder.glob("*/basecolor.jpg"))
 
 
-def _read(path: Path) -> Field:
+def _read(path: Path) -> Floats:
     """(H, W, 3) float32 in [0, 1], red first."""
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if picture is None:
@@ -117,7 +117,7 @@ def _read(path: Path) -> Field:
     return np.ascontiguousarray(picture[..., ::-1], np.float32) / np.float32(255.0)
 
 
-def _integrated(across: Field, up: Field) -> Field:
+def _integrated(across: Floats, up: Floats) -> Floats:
     """(H, W) the repeating surface, in texels, of slopes (Frankot and Chellappa 1988)."""
     rows, columns = across.shape
     wx = 2.0 * np.pi * np.fft.fftfreq(columns)[None, :]
@@ -129,7 +129,7 @@ def _integrated(across: Field, up: Field) -> Field:
     return np.fft.ifft2(spectrum).real.astype(np.float32)
 
 
-def _shrunk(tile: Field, step: float) -> Field:
+def _shrunk(tile: Floats, step: float) -> Floats:
     """The tile with texels no finer than `step` of its own, averaged."""
     if step <= 1.0:
         return tile
@@ -143,7 +143,7 @@ def _from_middle(count: int) -> NDArray[np.float64]:
     return places + (1.0 - count) / 2.0
 
 
-def _sampled(tile: Field, places: NDArray[np.float64], axis: int) -> Field:
+def _sampled(tile: Floats, places: NDArray[np.float64], axis: int) -> Floats:
     """A repeating tile at places along an axis, by cubics through its texels that keep its slopes.
 
     Catmull and Rom 1974; OpenCV's cubics are steeper by up to a half.

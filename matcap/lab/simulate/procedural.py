@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Field = NDArray[np.float64]
+Raster = NDArray[np.float64]
 
 # Beyond this multiple of 1 / fine a spectrum's amplitude is under 1e-3 of its plateau.
 _CUTOFF = 1.62
@@ -43,12 +43,12 @@ class Canvas:
         return self.width * self.texel_size, self.height * self.texel_size
 
     @property
-    def x(self) -> Field:
+    def x(self) -> Raster:
         """(1, W) places of the texels' centres, from the left border."""
         return ((np.arange(self.width, dtype=np.float64) + 0.5) * self.texel_size)[None, :]
 
     @property
-    def y(self) -> Field:
+    def y(self) -> Raster:
         """(H, 1) places of the texels' centres, from the top border, downwards."""
         return ((np.arange(self.height, dtype=np.float64) + 0.5) * self.texel_size)[:, None]
 
@@ -75,14 +75,14 @@ class Spectrum:
     stretch: float = 1.0
     angle: float = 0.0
 
-    def frequency(self, fx: Field, fy: Field) -> Field:
+    def frequency(self, fx: Raster, fy: Raster) -> Raster:
         """Isotropic frequency that (fx, fy), y downwards, counts as."""
         cosine, sine = math.cos(self.angle), math.sin(self.angle)
         along = (fx * cosine - fy * sine) * self.stretch
         across = fx * sine + fy * cosine
         return np.hypot(along, across)
 
-    def amplitude(self, fx: Field, fy: Field) -> Field:
+    def amplitude(self, fx: Raster, fy: Raster) -> Raster:
         """Amplitude at (fx, fy), in cycles per plane unit; 0 at no frequency."""
         f = self.frequency(fx, fy)
         safe = np.maximum(f, 1e-9)
@@ -100,17 +100,17 @@ class Spectrum:
         )
 
 
-def noise(canvas: Canvas, label: str, spectrum: Spectrum) -> Field:
+def noise(canvas: Canvas, label: str, spectrum: Spectrum) -> Raster:
     """(H, W) Gaussian noise of zero mean and unit variance."""
     return _synthesise(canvas, label, spectrum, unit_slope=False)
 
 
-def bumps(canvas: Canvas, label: str, spectrum: Spectrum) -> Field:
+def bumps(canvas: Canvas, label: str, spectrum: Spectrum) -> Raster:
     """(H, W) Gaussian heights in plane units whose root mean square slope is 1."""
     return _synthesise(canvas, label, spectrum, unit_slope=True)
 
 
-def _synthesise(canvas: Canvas, label: str, spectrum: Spectrum, *, unit_slope: bool) -> Field:
+def _synthesise(canvas: Canvas, label: str, spectrum: Spectrum, *, unit_slope: bool) -> Raster:
     width, height = canvas.width, canvas.height
     extent_x, extent_y = canvas.extent
     limit_x, limit_y = spectrum.limits()
@@ -151,18 +151,18 @@ class VoronoiCells:
         offset: two (H, W) fields, from the nearest point to here, in cell sizes, x and y down.
     """
 
-    nearest: Field
-    second: Field
+    nearest: Raster
+    second: Raster
     index: NDArray[np.int64]
     count: int
-    offset: tuple[Field, Field]
+    offset: tuple[Raster, Raster]
 
     @property
-    def border(self) -> Field:
+    def border(self) -> Raster:
         """(H, W) 0 on the border of two cells, growing inwards, in cell sizes."""
         return self.second - self.nearest
 
-    def draw(self, generator: np.random.Generator) -> Field:
+    def draw(self, generator: np.random.Generator) -> Raster:
         """(H, W) a uniform number in [0, 1) for each cell."""
         return generator.random(self.count)[self.index]
 
@@ -175,7 +175,7 @@ def cells(
     jitter: float = 1.0,
     stretch: float = 1.0,
     angle: float = 0.0,
-    warp: tuple[Field, Field] | None = None,
+    warp: tuple[Raster, Raster] | None = None,
 ) -> VoronoiCells:
     """Voronoi cells of about `size` plane units.
 
@@ -194,7 +194,7 @@ def cells(
         x, y = x + warp[0], y + warp[1]
     cosine, sine = math.cos(angle), math.sin(angle)
 
-    def turned(x: Field, y: Field) -> tuple[Field, Field]:
+    def turned(x: Raster, y: Raster) -> tuple[Raster, Raster]:
         return (x * cosine - y * sine) / (size * stretch), (x * sine + y * cosine) / size
 
     u, v = turned(x, y)
@@ -221,14 +221,14 @@ def cells(
     return VoronoiCells(nearest, second, index, rows * columns, (du, dv))
 
 
-def _chunks(values: Field) -> list[Field]:
+def _chunks(values: Raster) -> list[Raster]:
     flat = values.reshape(-1)
     return [flat[start : start + _CHUNK] for start in range(0, flat.size, _CHUNK)]
 
 
 def _nearest(
-    u: Field, v: Field, points_u: Field, points_v: Field, columns: int
-) -> tuple[Field, Field, NDArray[np.int64], Field, Field]:
+    u: Raster, v: Raster, points_u: Raster, points_v: Raster, columns: int
+) -> tuple[Raster, Raster, NDArray[np.int64], Raster, Raster]:
     column, row = u.astype(np.int64), v.astype(np.int64)
     base = row * columns + column
     inner_u, inner_v = u - column, v - row
@@ -263,21 +263,21 @@ class Weave:
         along: (H, W) place along it, in thread spacings.
     """
 
-    height: Field
+    height: Raster
     warp_on_top: NDArray[np.bool_]
     column: NDArray[np.int64]
     row: NDArray[np.int64]
-    across: Field
-    along: Field
+    across: Raster
+    along: Raster
 
-    def per_thread(self, generator: np.random.Generator) -> Field:
+    def per_thread(self, generator: np.random.Generator) -> Raster:
         """(H, W) a standard normal number for each thread."""
         columns = generator.standard_normal(int(self.column.max()) + 1)
         rows = generator.standard_normal(int(self.row.max()) + 1)
         return np.where(self.warp_on_top, columns[self.column], rows[self.row])
 
 
-def weave(u: Field, v: Field, *, over: int = 1, fill: float = 0.95, depth: float = 0.35) -> Weave:
+def weave(u: Raster, v: Raster, *, over: int = 1, fill: float = 0.95, depth: float = 0.35) -> Weave:
     """A weave of round threads.
 
     Args:
@@ -311,23 +311,23 @@ def weave(u: Field, v: Field, *, over: int = 1, fill: float = 0.95, depth: float
     )
 
 
-def smoothstep(low: float, high: float, value: Field) -> Field:
+def smoothstep(low: float, high: float, value: Raster) -> Raster:
     """0 below low, 1 above high, smooth in between."""
     t = np.clip((value - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
-def mix(first: Field, second: Field, share: Field) -> Field:
+def mix(first: Raster, second: Raster, share: Raster) -> Raster:
     """First where share is 0, second where it is 1; colours are (3, 1, 1) or (3, H, W)."""
     return first + (second - first) * share
 
 
-def colour(red: float, green: float, blue: float) -> Field:
+def colour(red: float, green: float, blue: float) -> Raster:
     """(3, 1, 1) linear Rec.709 colour."""
     return np.array([red, green, blue], dtype=np.float64)[:, None, None]
 
 
-def pick(palette: Field, index: Field) -> Field:
+def pick(palette: Raster, index: Raster) -> Raster:
     """(3, H, W) colours from a (N, 3) palette at (H, W) places in [0, 1)."""
     chosen = (index * len(palette)).astype(np.int64)
     return np.moveaxis(palette[chosen], -1, 0)

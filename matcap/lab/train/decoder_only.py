@@ -22,8 +22,8 @@ from matcap.space.decoder import (
     ConvolutionLayer,
     Decoder,
     DecoderConfig,
+    LayerStep,
     Moments,
-    Step,
     maps_from_raw,
 )
 from matcap.space.patch import Patch
@@ -47,7 +47,9 @@ class DecoderOnly(Decoder):
             for width in config.widths
         )
 
-    def way_down(self, noise: Tensor, step: Callable[[ConvolutionLayer], Step]) -> list[Tensor]:
+    def way_down(
+        self, noise: Tensor, step: Callable[[ConvolutionLayer], LayerStep]
+    ) -> list[Tensor]:
         """What the way up reads at every level, full resolution first: noise of that level."""
         groups = noise.chunk(DEPTH + 1, dim=1)
         return [

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from matcap.lab.bench.style import Statistics
+from matcap.lab.bench.style import StyleStatistics
 from matcap.lab.bench.variety import describe_pictures, style_distances
 from matcap.lab.train.pack import Entry
 from matcap.lab.train.pictures import lit
@@ -48,7 +48,7 @@ class Middle:
         return self.middle / self.ends
 
 
-def middles(prior: Prior, entries: Sequence[Entry], photographs: Statistics) -> list[Middle]:
+def middles(prior: Prior, entries: Sequence[Entry], photographs: StyleStatistics) -> list[Middle]:
     """Blends of neighbours in a list of photographs of different materials, at most PAIRS.
 
     Args:

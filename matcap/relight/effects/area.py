@@ -25,7 +25,7 @@ import numpy as np
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
 from matcap.relight.scene import RectangleLight, SphereLight
-from matcap.relight.surfaces.hits import Frame, to_frame
+from matcap.relight.surfaces.hits import TangentFrame, to_frame
 from matcap.relight.vectors import Array, Vec, add, cross, dot, scale, subtract, unit3, vec
 from matcap.relight.visible_normals import basis
 
@@ -215,13 +215,13 @@ def _cells(first: Array, second: Array, rows: int, columns: int) -> Array:
     return cell
 
 
-def nodes(light: AreaLight, rule: Rule, point: Vec, frame: Frame | None) -> Iterator[Node]:
+def nodes(light: AreaLight, rule: Rule, point: Vec, frame: TangentFrame | None) -> Iterator[Node]:
     """The points of a rule, seen from the pixels of a block."""
     seen = _sphere if isinstance(light, SphereLight) else _rectangle
     yield from seen(light, rule, point, frame)  # type: ignore[arg-type]
 
 
-def centre(light: AreaLight, point: Vec, frame: Frame | None) -> Node:
+def centre(light: AreaLight, point: Vec, frame: TangentFrame | None) -> Node:
     """The light as a point in its middle."""
     if isinstance(light, RectangleLight):
         x, y, z = (np.array([c]) for c in light.position)
@@ -265,7 +265,7 @@ def _axes(
 
 
 def _rectangle(
-    light: RectangleLight, rule: Rule, point: Vec, frame: Frame | None
+    light: RectangleLight, rule: Rule, point: Vec, frame: TangentFrame | None
 ) -> Iterator[Node]:
     _, _, normal = _axes(light)
     area = light.size[0] * light.size[1]
@@ -278,7 +278,9 @@ def _rectangle(
         yield Node(to_frame(scale(offset, inverse), frame), received, 1.0 / inverse, int(cell))
 
 
-def _sphere(light: SphereLight, rule: Rule, point: Vec, frame: Frame | None) -> Iterator[Node]:
+def _sphere(
+    light: SphereLight, rule: Rule, point: Vec, frame: TangentFrame | None
+) -> Iterator[Node]:
     offset = subtract(vec(light.position), point)
     squared = dot(offset, offset)
     inverse = 1.0 / np.sqrt(squared)

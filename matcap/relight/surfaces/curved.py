@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from matcap.relight.camera import View
-from matcap.relight.surfaces.hits import Frame, Hits, to_frame
+from matcap.relight.surfaces.hits import Hits, TangentFrame, to_frame
 from matcap.relight.vectors import Array, Vec
 
 
@@ -59,7 +59,7 @@ def cylinder_hits(view: View, top: int, bottom: int, radius: float, height: floa
 def hits_of(
     view: View,
     point: Array,
-    frame: Frame,
+    frame: TangentFrame,
     place: tuple[Array, Array],
     seen: Array,
     along: Array,
@@ -90,5 +90,5 @@ def _vec(array: Array) -> Vec:
     return x, y, z
 
 
-def _three(tangent: Array, bitangent: Array, normal: Array) -> Frame:
+def _three(tangent: Array, bitangent: Array, normal: Array) -> TangentFrame:
     return _vec(tangent), _vec(bitangent), _vec(normal)

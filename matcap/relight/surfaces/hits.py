@@ -8,7 +8,7 @@ import numpy as np
 
 from matcap.relight.vectors import Array, Vec, add, dot, scale
 
-Frame = tuple[Vec, Vec, Vec]
+TangentFrame = tuple[Vec, Vec, Vec]
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Hits:
     """
 
     point: Vec
-    frame: Frame | None
+    frame: TangentFrame | None
     place: tuple[Array, Array]
     to_view: Vec
     seen: Array | None
@@ -55,14 +55,14 @@ def some(array: Array, index: Array, shape: tuple[int, ...]) -> Array:
     return np.take(np.broadcast_to(array, shape), index)[None]
 
 
-def to_frame(vector: Vec, frame: Frame | None) -> Vec:
+def to_frame(vector: Vec, frame: TangentFrame | None) -> Vec:
     """A vector of the scene in the material's frame."""
     if frame is None:
         return vector
     return dot(vector, frame[0]), dot(vector, frame[1]), dot(vector, frame[2])
 
 
-def to_scene(vector: Vec, frame: Frame | None) -> Vec:
+def to_scene(vector: Vec, frame: TangentFrame | None) -> Vec:
     """A vector of the material's frame in the scene."""
     if frame is None:
         return vector

@@ -80,11 +80,15 @@ class Tuned:
     interrupted: bool
 
 
-Report = Callable[[float, float, float], None]  # share done, running error, seconds so far
+TellStep = Callable[[float, float, float], None]  # share done, running error, seconds so far
 
 
 def finetune(
-    decoder: Decoder, code: Tensor, scene: PhotographTarget, settings: TuneSettings, report: Report
+    decoder: Decoder,
+    code: Tensor,
+    scene: PhotographTarget,
+    settings: TuneSettings,
+    report: TellStep,
 ) -> Tuned:
     """Tune a decoder at a code to a photograph. The decoder given is changed.
 

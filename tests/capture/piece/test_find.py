@@ -10,7 +10,7 @@ import pytest
 import torch
 from photographed import photographed
 
-from matcap.capture.piece.find import confidence, find_piece, lit, piece_maps
+from matcap.capture.piece.find import confidence, find_piece, lit, piece_maps, seen_share
 from matcap.capture.piece.network.network import Inverse, InverseConfig
 from matcap.capture.piece.network.store import load_inverse, read_inverse, save_inverse
 from matcap.errors import MatcapError
@@ -92,24 +92,34 @@ def test_dark_grains_in_the_light_are_seen() -> None:
 
 
 def test_confidence_falls_with_the_error_to_be_expected() -> None:
-    valid = torch.ones(64, 96, dtype=torch.bool)
-    sure, unsure = (confidence(torch.full((4, 64, 96), e), valid) for e in (-4.0, 0.0))
+    seen = np.ones((64, 96), np.float32)
+    sure, unsure = (confidence(torch.full((4, 64, 96), e), seen) for e in (-4.0, 0.0))
     assert (sure > unsure).all()
     assert sure.max() <= 1.0 and unsure.min() >= 0.0
 
 
-def test_nothing_is_trusted_in_a_hole_or_beside_it() -> None:
-    valid = torch.ones(64, 96, dtype=torch.bool)
-    valid[20:30, 40:60] = False
-    found = confidence(torch.full((4, 64, 96), -4.0), valid)
-    assert found[:, 18:32, 38:62].max() == 0.0  # what glare and interpolation touch, too
-    assert found[:, :17].min() > 0.5 and found[:, 33:].min() > 0.5
+def test_nothing_is_seen_in_a_hole_and_less_beside_it() -> None:
+    measured = torch.ones(3, 64, 96, dtype=torch.bool)
+    measured[:, 20:30, 40:60] = False
+    seen = seen_share(measured)
+    assert seen[20:30, 40:60].max() == 0.0
+    assert seen[19, 45:55].max() < 0.4  # what glare and interpolation touch
+    assert seen[:15].min() > 0.95 and seen[35:].min() > 0.95
+
+
+def test_sparkles_cost_no_more_than_themselves() -> None:
+    """One texel in twenty clips, in red: the picture is seen."""
+    measured = torch.ones(3, 64, 96, dtype=torch.bool)
+    measured[0] = torch.from_numpy(np.random.default_rng(0).random((64, 96)) > 0.05)
+    seen = seen_share(measured)
+    assert seen.min() > 0.5
+    assert seen.mean() > 0.9
 
 
 def test_confidence_counts_every_error_in_its_own_units() -> None:
     """Slope's are the smallest that count, then log albedo's; F0's and roughness's are alike."""
-    valid = torch.ones(64, 96, dtype=torch.bool)
-    albedo, f0, roughness, slope = confidence(torch.full((4, 64, 96), -1.5), valid).mean((1, 2))
+    seen = np.ones((64, 96), np.float32)
+    albedo, f0, roughness, slope = confidence(torch.full((4, 64, 96), -1.5), seen).mean((1, 2))
     assert slope < 0.7 * albedo and albedo < 0.8 * f0
     assert f0 == roughness
 

@@ -7,7 +7,7 @@ import torch
 from photographed import photographed
 
 from matcap.capture.piece.network.inputs import true_outputs
-from matcap.capture.piece.refine import Light, flatten, level, refine
+from matcap.capture.piece.refine import PieceLight, flatten, level, refine
 
 ERRORS = torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None]
 
@@ -20,7 +20,7 @@ def _setting(slope: float = 0.1, contrast: float = 0.1):
 
 def test_the_truth_is_left_alone() -> None:
     shot, valid, truth, errors = _setting()
-    refined = refine(truth, errors, shot.linear, valid, Light(shot.uniform, shot.points))
+    refined = refine(truth, errors, shot.linear, valid, PieceLight(shot.uniform, shot.points))
     assert float(refined.residual.abs().median()) < 1e-3
     assert float((refined.outputs - truth).abs().max()) < 0.05
 
@@ -28,7 +28,7 @@ def test_the_truth_is_left_alone() -> None:
 def test_a_flat_guess_is_moved_until_it_re_renders() -> None:
     shot, valid, truth, errors = _setting()
     guess = torch.zeros_like(truth)
-    refined = refine(guess, errors, shot.linear, valid, Light(shot.uniform, shot.points))
+    refined = refine(guess, errors, shot.linear, valid, PieceLight(shot.uniform, shot.points))
     texture = refined.residual - refined.slow
     assert float(texture.abs().median()) < 0.01
 
@@ -36,7 +36,9 @@ def test_a_flat_guess_is_moved_until_it_re_renders() -> None:
 def test_slow_drift_is_not_the_materials() -> None:
     shot, valid, truth, errors = _setting()
     drift = torch.linspace(-0.15, 0.15, 192).exp()
-    refined = refine(truth, errors, shot.linear * drift, valid, Light(shot.uniform, shot.points))
+    refined = refine(
+        truth, errors, shot.linear * drift, valid, PieceLight(shot.uniform, shot.points)
+    )
     assert float((refined.outputs - truth)[:3].mean((0, 1)).diff().abs().mean()) < 1e-3
     assert float(refined.slow.abs().mean()) > 0.04
 
@@ -47,22 +49,39 @@ def test_clipped_texels_are_lower_bounds() -> None:
     clip = float(shot.linear.quantile(0.7))
     clipped = shot.linear.clamp_max(clip)
     unclipped = (shot.linear < clip).all(0)
-    refined = refine(truth, errors, clipped, unclipped, Light(shot.uniform, shot.points))
+    refined = refine(truth, errors, clipped, unclipped, PieceLight(shot.uniform, shot.points))
     assert float((refined.outputs - truth).abs().max()) < 0.05
+
+
+def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
+    shot, valid, truth, errors = _setting()
+    clipped, measured = shot.linear.clone(), torch.ones(3, 144, 192, dtype=torch.bool)
+    clip = float(clipped[0].quantile(0.3))
+    clipped[0] = clipped[0].clamp_max(clip)
+    measured[0] = shot.linear[0] < clip
+    light = PieceLight(shot.uniform, shot.points)
+
+    def off(seen: torch.Tensor) -> float:
+        refined = refine(torch.zeros_like(truth), errors, clipped, seen, light)
+        told = measured[1:].all(0) & ~measured[0]
+        apart = (refined.outputs - truth)[1:3, told]
+        return float((apart - apart.mean(1, keepdim=True)).abs().mean())
+
+    assert off(measured) < 0.5 * off(measured.all(0))
 
 
 def test_levels_are_found_again() -> None:
     shot, valid, truth, _ = _setting()
     off = truth.clone()
     off[:3] -= 0.3
-    found = level(off, shot.linear, valid, Light(shot.uniform, shot.points))
+    found = level(off, shot.linear, valid, PieceLight(shot.uniform, shot.points))
     assert float((found - truth)[:3].mean().abs()) < 0.06
 
 
 def test_relief_is_not_touched() -> None:
     shot, valid, truth, errors = _setting()
     guess = torch.zeros_like(truth)
-    refined = refine(guess, errors, shot.linear, valid, Light(shot.uniform, shot.points))
+    refined = refine(guess, errors, shot.linear, valid, PieceLight(shot.uniform, shot.points))
     assert float(refined.outputs[5].abs().max()) == 0.0
 
 
@@ -73,7 +92,7 @@ def _log_radiance(outputs, light):
 
 def test_what_is_clipped_must_be_as_bright_as_the_clip_level() -> None:
     shot, _, truth, errors = _setting()
-    light = Light(shot.uniform, shot.points)
+    light = PieceLight(shot.uniform, shot.points)
     clip = float(shot.linear.quantile(0.7))
     valid = (shot.linear < clip).all(0)
     guess = truth.clone()
@@ -88,7 +107,7 @@ def test_what_is_clipped_must_be_as_bright_as_the_clip_level() -> None:
 
 def test_levels_of_what_is_clipped_are_raised_and_never_lowered() -> None:
     shot, valid, truth, _ = _setting()
-    light, nothing = Light(shot.uniform, shot.points), torch.zeros_like(valid)
+    light, nothing = PieceLight(shot.uniform, shot.points), torch.zeros_like(valid)
     dark = truth.clone()
     dark[:3] -= 0.6
     raised = level(dark, shot.linear, nothing, light)

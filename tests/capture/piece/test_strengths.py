@@ -9,6 +9,7 @@ import torch
 from photographed import photographed
 
 from matcap.capture.piece.network.inputs import network_inputs
+from matcap.capture.piece.smooth import filled
 from matcap.capture.piece.strengths import BANDS, measure_strengths, slope_strengths
 
 
@@ -53,6 +54,44 @@ def test_one_band_of_energy_stays_in_its_band() -> None:
     assert strengths[band] > 0.95 * strengths.sum()
 
 
+@pytest.mark.parametrize("least", [0.02, 0.2])
+def test_sparkles_that_clip_leave_strengths_as_they_are(least: float) -> None:
+    """Every window has lost texels, the brightest ones; a few more is no reason to tell nothing."""
+    slopes = _slopes()
+    shows = np.zeros((2, *slopes.shape), np.float32)
+    shows[0] = np.linspace(-1.1, 1.1, slopes.shape[1])
+    log = shows[0] * slopes
+    whole = _along_x(measure_strengths(log, shows, np.ones(slopes.shape, bool)))[0]
+    lost = np.random.default_rng(2).random(slopes.shape) < least
+    found = measure_strengths(filled(log, ~lost), shows, ~lost)
+    assert found is not None
+    assert _along_x(found)[0] == pytest.approx(whole, rel=0.2)
+
+
+def test_what_another_response_tells_differently_is_doubted() -> None:
+    shot = photographed(0.2, 0.1)
+    valid = torch.ones(shot.linear.shape[-2:], dtype=torch.bool)
+    inputs = network_inputs(shot.linear, valid, shot.uniform, shot.points).numpy()
+    log, shows = inputs[:3].mean(0), inputs[6:8]
+    alone, alike, apart = (
+        measure_strengths(log, shows, valid.numpy(), also=other).doubt
+        for other in (None, shows, 1.5 * shows)
+    )
+    assert np.allclose(alike, alone)
+    strongest = np.argmax(apart - alone)
+    assert apart[strongest] > 1.5 * alone[strongest]
+
+
+def test_streaks_that_are_stronger_at_the_rim_are_no_sure_relief() -> None:
+    """Albedo of one direction whose contrast grows by a tenth: what is told is within its doubt."""
+    streaks = 3.0 * _slopes()
+    shows = np.zeros((2, *streaks.shape), np.float32)
+    shows[0] = np.linspace(-0.6, 0.6, streaks.shape[1])
+    log = streaks * (1.0 + 0.1 * np.square(shows[0] / 0.6))
+    found = measure_strengths(log, shows, np.ones(streaks.shape, bool))
+    assert (np.square(found.slope).sum(1) < 2.5 * found.doubt).all()
+
+
 def test_too_little_to_look_at_says_nothing() -> None:
     nothing = np.zeros((256, 256), np.float32)
     shows = np.zeros((2, 256, 256), np.float32)
@@ -80,8 +119,8 @@ def test_albedo_that_goes_with_the_slope_is_told_from_it() -> None:
     seen = np.ones(slopes.shape, bool)
     alone = _along_x(measure_strengths(shows[0] * slopes, shows, seen))[0]
     slope, albedo = _along_x(measure_strengths((shows[0] + 0.5) * slopes, shows, seen))
-    # Energies of the same few windows scatter together: a fourth; without C it would be a half.
-    assert slope == pytest.approx(alone, rel=0.27)
+    # Energies of the same few windows scatter together: 0.28; without C it would be a half.
+    assert slope == pytest.approx(alone, rel=0.3)
     assert albedo == pytest.approx(0.5 * alone, rel=0.4)
 
 

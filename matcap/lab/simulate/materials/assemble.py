@@ -6,19 +6,23 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.lab.simulate.procedural import Canvas, Field
+from matcap.lab.simulate.procedural import Canvas, Raster
 
 _DARKEST = 0.004  # no real surface reflects less
 _SMOOTHEST = 0.05
 
 
 def assemble(
-    canvas: Canvas, diffuse: Field, specular: Field | float, roughness: Field | float, height: Field
+    canvas: Canvas,
+    diffuse: Raster,
+    specular: Raster | float,
+    roughness: Raster | float,
+    height: Raster,
 ) -> MapSet:
     """MapSet in float64 of fields that broadcast to (3, H, W) and (H, W), kept to their ranges."""
     shape = (canvas.height, canvas.width)
 
-    def stored(field: Field | float, channels: int, low: float, high: float) -> torch.Tensor:
+    def stored(field: Raster | float, channels: int, low: float, high: float) -> torch.Tensor:
         full = np.broadcast_to(np.asarray(field, dtype=np.float64), (channels, *shape))
         return torch.from_numpy(np.clip(full, low, high))
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from matcap.lab.simulate.procedural import (
     Canvas,
-    Field,
+    Raster,
     Spectrum,
     VoronoiCells,
     cells,
@@ -58,10 +58,10 @@ class PatternShape:
 
 
 # (mask, relief)
-Pattern = Callable[[Canvas, str, PatternShape], tuple[Field, Field]]
+Pattern = Callable[[Canvas, str, PatternShape], tuple[Raster, Raster]]
 
 
-def clouds(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]:
+def clouds(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
     """Noise: plain, ridged or billowing."""
     field = noise(canvas, label, shape.spectrum)
     if shape.variant == 1:
@@ -71,7 +71,7 @@ def clouds(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Fiel
     return _threshold(field, shape), field
 
 
-def grains(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]:
+def grains(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
     """Cells that each choose their colour: crystals, pebbles, hammer marks."""
     cell = _cells(canvas, label, shape)
     each = cell.draw(canvas.stream(label + " each"))
@@ -83,7 +83,7 @@ def grains(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Fiel
     return mask, 0.3 * each * smoothstep(0.0, 0.25, cell.border)
 
 
-def creases(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]:
+def creases(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
     """Plates parted by creases: leather, cracks, scales."""
     cell = _cells(canvas, label, shape)
     width = 0.08 + 0.4 * shape.share
@@ -92,7 +92,7 @@ def creases(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Fie
     return crease, 0.5 * dome * (1.0 - crease) - 0.5 * crease
 
 
-def spots(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]:
+def spots(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
     """Separate round spots: speckle, pores, dimples, studs."""
     cell = _cells(canvas, label, shape)
     radius = 0.15 + 0.3 * cell.draw(canvas.stream(label + " size"))
@@ -102,7 +102,7 @@ def spots(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field
     return mask, mask if shape.variant else -mask
 
 
-def woven(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]:
+def woven(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
     """Plain weave or twill; the mask tells warp from weft and varies by thread."""
     u, v = _lattice(canvas, label, shape)
     threads = weave(u, v, over=shape.variant + 1, fill=0.8 + 0.2 * shape.share, depth=0.3)
@@ -113,7 +113,7 @@ def woven(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field
     return np.clip(mask, 0.0, 1.0), threads.height
 
 
-def knit(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]:
+def knit(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
     """Columns of V-shaped stitches."""
     u, v = _lattice(canvas, label, shape)
     fold = np.abs(2.0 * (u - np.floor(u)) - 1.0)
@@ -126,7 +126,7 @@ def knit(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]
     return mask, relief
 
 
-def ribs(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]:
+def ribs(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
     """Stripes: corduroy, wood grain, ripples."""
     u, _ = _lattice(canvas, label, shape)
     wave = np.sin(2.0 * math.pi * u)
@@ -134,7 +134,7 @@ def ribs(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]
     return _threshold(1.4 * wave, shape), relief
 
 
-def scratches(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]:
+def scratches(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
     """Long fine lines in one direction (brushed) or a few."""
     total = np.zeros((canvas.height, canvas.width))
     for turn in range(1 + shape.variant):
@@ -150,7 +150,7 @@ def scratches(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, F
     return _threshold(total, shape), total
 
 
-def tiles(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]:
+def tiles(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
     """Square tiles, bricks or planks with joints."""
     u, v = _lattice(canvas, label, shape)
     row = np.floor(v).astype(np.int64)
@@ -180,7 +180,7 @@ PATTERNS: Mapping[str, Pattern] = MappingProxyType(
 )
 
 
-def _threshold(field: Field, shape: PatternShape) -> Field:
+def _threshold(field: Raster, shape: PatternShape) -> Raster:
     """Mask of a field of about unit variance that covers about the shape's share."""
     middle = 1.6 - 3.2 * shape.share
     half = 1.5 * (1.0 - shape.sharpness) + 0.12
@@ -207,7 +207,7 @@ def _cells(canvas: Canvas, label: str, shape: PatternShape) -> VoronoiCells:
     )
 
 
-def _lattice(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Field, Field]:
+def _lattice(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
     """Turned and slightly bent coordinates in features; not negative."""
     cosine, sine = math.cos(shape.angle), math.sin(shape.angle)
     u = (canvas.x * cosine - canvas.y * sine) / shape.scale

@@ -8,7 +8,7 @@ from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.materials.assemble import assemble
 from matcap.lab.simulate.procedural import (
     Canvas,
-    Field,
+    Raster,
     Spectrum,
     bumps,
     colour,
@@ -43,7 +43,7 @@ def tile(canvas: Canvas) -> MapSet:
     columns = column.max() + 1
     each = row * columns + column
 
-    def draw(label: str) -> Field:
+    def draw(label: str) -> Raster:
         return canvas.stream(label).uniform(-1.0, 1.0, size=int(each.max()) + 1)[each]
 
     # Distance inside a rounded square, 0 on the tile's border.

@@ -15,7 +15,7 @@ import numpy as np
 from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.materials.assemble import assemble
 from matcap.lab.simulate.materials.patterns import PATTERNS, PatternShape
-from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, colour, mix, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, colour, mix, noise, smoothstep
 
 Colour = tuple[float, float, float]
 
@@ -109,7 +109,7 @@ def random_material(rng: np.random.Generator) -> RandomMaterial:
     )
 
 
-def _lay(canvas: Canvas, label: str, layer: Layer) -> tuple[Field, Field, Field, Field]:
+def _lay(canvas: Canvas, label: str, layer: Layer) -> tuple[Raster, Raster, Raster, Raster]:
     """Diffuse, specular, roughness and height of a layer."""
     mask, relief = PATTERNS[layer.pattern](canvas, label, layer.shape)
     grain = noise(canvas, label + " grain", layer.grain)
@@ -173,7 +173,7 @@ def _unit_slopes(layer: Layer) -> tuple[float, float]:
     relief = PATTERNS[layer.pattern](canvas, "base", layer.shape)[1]
     grain = noise(canvas, "base grain", layer.grain)
 
-    def slope(field: Field) -> float:
+    def slope(field: Raster) -> float:
         down, right = np.gradient(field, texel)
         return max(float(np.sqrt((down**2 + right**2).mean())), 1.0)
 

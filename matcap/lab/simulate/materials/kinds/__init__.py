@@ -26,7 +26,7 @@ from matcap.lab.simulate.materials.kinds import (
 )
 from matcap.lab.simulate.materials.kinds.draws import log_uniform
 from matcap.lab.simulate.materials.kinds.surface_fields import Kind, finish
-from matcap.lab.simulate.procedural import Canvas, Field
+from matcap.lab.simulate.procedural import Canvas, Raster
 
 __all__ = ["KINDS", "RandomKind", "kind_of", "random_kind"]
 
@@ -87,7 +87,7 @@ class RandomKind:
         canvas = Canvas(width, height, texel_size, seed)
         return self._lay(canvas, self.depth)[0]
 
-    def _lay(self, canvas: Canvas, depth: float) -> tuple[MapSet, Field]:
+    def _lay(self, canvas: Canvas, depth: float) -> tuple[MapSet, Raster]:
         return finish(canvas, KINDS[self.kind], depth, np.random.default_rng(self.number))
 
 

@@ -26,10 +26,10 @@ from matcap.lab.simulate.materials.kinds.draws import (
 )
 from matcap.lab.simulate.materials.kinds.place import rim, scatter, splat, spun, warp
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, cells, mix, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, cells, mix, noise, smoothstep
 
 
-def _ground(canvas: Canvas, rng: np.random.Generator) -> tuple[Field, Field, Field, Field]:
+def _ground(canvas: Canvas, rng: np.random.Generator) -> tuple[Raster, Raster, Raster, Raster]:
     """What is under the paint: metal, rust, wood or stone; height in the paint's thickness."""
     turn = angle(rng)
     fine = noise(canvas, "ground", Spectrum(0.04, 0.006, slope=0.7))
@@ -118,7 +118,7 @@ def strokes(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     slender, spread, curved = rng.uniform(0.3, 0.7), rng.uniform(0.3, 2.0), rng.uniform(0.0, 0.6)
     favoured, soft, rim_height = angle(rng), rng.uniform(0.05, 0.6), rng.uniform(0.0, 0.25)
 
-    def reach(generator: np.random.Generator, count: int) -> Field:
+    def reach(generator: np.random.Generator, count: int) -> Raster:
         return size * (0.6 + 0.4 * generator.random(count))
 
     sweeps = scatter(canvas, "sweeps", 0.4 * size, reach)
@@ -127,13 +127,13 @@ def strokes(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     turn, level = favoured + spread * own.standard_normal(count), own.random(count)
     arc = curved * own.standard_normal(count)
 
-    def place(dx: Field, dy: Field, which: Whole) -> tuple[Field, Field]:
+    def place(dx: Raster, dy: Raster, which: Whole) -> tuple[Raster, Raster]:
         u, v = spun(dx, dy, turn[which])
         radius = sweeps.reach[which]
         u = u / radius
         return u, v / (radius * slender) + arc[which] * u * u
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         u, v = place(dx, dy, which)
         inside = np.minimum(0.9 - np.abs(u), 0.85 - np.abs(v))
         ridge = rim_height * np.exp(-(((np.abs(v) - 0.75) / 0.12) ** 2))
@@ -163,14 +163,14 @@ def sand(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     hue = natural(rng, STONES) if chance(rng, 0.7) else dye(rng)
     loose = rng.uniform(0.3, 0.9)
 
-    def reach(generator: np.random.Generator, count: int) -> Field:
+    def reach(generator: np.random.Generator, count: int) -> Raster:
         return size * (0.3 + 0.4 * generator.random(count))
 
     grains = scatter(canvas, "grains", 0.75 * size, reach)
     own = canvas.stream("own")
     level = loose * own.random(grains.count)
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         radius = grains.reach[which]
         body = 1.0 - (dx * dx + dy * dy) / radius**2
         high = radius * np.sqrt(np.maximum(body, 0.0)) + size * level[which]
@@ -192,7 +192,7 @@ def sand(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     return SurfaceFields(diffuse, dielectric(rng), rough, height, cavity)
 
 
-def _distance(canvas: Canvas, mask: NDArray[np.bool_]) -> Field:
+def _distance(canvas: Canvas, mask: NDArray[np.bool_]) -> Raster:
     """(H, W) distance to the border of a mask on both of its sides, plane units."""
     inner, outer = (
         cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 5) for part in (mask, ~mask)

@@ -9,10 +9,10 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.lab.simulate.procedural import Canvas, Field
+from matcap.lab.simulate.procedural import Canvas, Raster
 
 Whole = NDArray[np.int64]
-Colour = NDArray[np.float64]  # (3,) linear Rec.709 albedo
+Colours = NDArray[np.float64]  # (3,) linear Rec.709 albedo
 
 # Diffuse albedos, linear Rec.709, of what surfaces are commonly made of.
 STONES = np.array(
@@ -81,12 +81,12 @@ def angle(rng: np.random.Generator) -> float:
     return float(rng.uniform(0.0, math.pi))
 
 
-def natural(rng: np.random.Generator, palette: Colour) -> Colour:
+def natural(rng: np.random.Generator, palette: Colours) -> Colours:
     """A colour near one of a palette's (N, 3)."""
     return shade(rng, palette[rng.integers(len(palette))], 0.3, 0.08)
 
 
-def dye(rng: np.random.Generator) -> Colour:
+def dye(rng: np.random.Generator) -> Colours:
     """Any hue, greys and browns more often than others."""
     if chance(rng, 0.4):
         return natural(rng, np.concatenate([STONES, WOODS]))
@@ -94,7 +94,7 @@ def dye(rng: np.random.Generator) -> Colour:
     return np.array(colorsys.hsv_to_rgb(rng.random(), saturation, value))
 
 
-def shade(rng: np.random.Generator, of: Colour, tone: float, hue: float = 0.06) -> Colour:
+def shade(rng: np.random.Generator, of: Colours, tone: float, hue: float = 0.06) -> Colours:
     """A relative of a colour: log-normal in brightness by `tone`, in warmth by `hue`.
 
     Dirt, heat and age move colours between warm and cool; green against magenta hardly moves.
@@ -105,7 +105,7 @@ def shade(rng: np.random.Generator, of: Colour, tone: float, hue: float = 0.06) 
     return np.asarray(np.clip(of * factor, 0.01, 0.88))
 
 
-def shades(rng: np.random.Generator, of: Colour, count: int, tone: float) -> Colour:
+def shades(rng: np.random.Generator, of: Colours, count: int, tone: float) -> Colours:
     """(count, 3) relatives of a colour."""
     return np.stack([shade(rng, of, tone, 0.4 * tone) for _ in range(count)])
 
@@ -115,7 +115,7 @@ def dielectric(rng: np.random.Generator) -> float:
     return float(np.clip(rng.normal(0.042, 0.008), 0.025, 0.07))
 
 
-def piece(canvas: Canvas, label: str, *indices: Whole) -> Field:
+def piece(canvas: Canvas, label: str, *indices: Whole) -> Raster:
     """A uniform number in [0, 1) for every tuple of whole numbers, any sign, of this seed.
 
     The finaliser of SplitMix64 (Steele, Lea and Flood 2014), once an index.
@@ -130,7 +130,7 @@ def piece(canvas: Canvas, label: str, *indices: Whole) -> Field:
     return (state >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
-def streaks(canvas: Canvas, label: str, across: Field, *indices: Whole) -> Field:
+def streaks(canvas: Canvas, label: str, across: Raster, *indices: Whole) -> Raster:
     """Smooth random lines in [-1, 1]: a function of `across` alone, another for other indices."""
     first = np.floor(across).astype(np.int64)
     t = across - first
@@ -140,6 +140,6 @@ def streaks(canvas: Canvas, label: str, across: Field, *indices: Whole) -> Field
     return 2.0 * (low + (high - low) * t) - 1.0
 
 
-def palette_of(palette: Colour, share: Field) -> Field:
+def palette_of(palette: Colours, share: Raster) -> Raster:
     """(3, ...) colours of a palette (N, 3) at numbers in [0, 1)."""
     return np.moveaxis(palette[(share * len(palette)).astype(np.int64)], -1, 0)

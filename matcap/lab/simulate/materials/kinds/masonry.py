@@ -24,7 +24,7 @@ from matcap.lab.simulate.materials.kinds.draws import (
 )
 from matcap.lab.simulate.materials.kinds.place import turned
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, smoothstep
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class _Bricks:
     """
 
     name: tuple[Whole, Whole]
-    along: Field
-    across: Field
-    length: Field | float
+    along: Raster
+    across: Raster
+    length: Raster | float
 
 
 def bond(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
@@ -53,7 +53,7 @@ def bond(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     if way == 3:
         return _wall(canvas, rng, size, _blocks(u, v, int(rng.integers(2, 4))))
     row = np.floor(v).astype(np.int64)
-    length: Field | float = ratio
+    length: Raster | float = ratio
     if way == 0:
         start = row * rng.choice([0.5, 1.0 / 3.0, 0.25, 0.5])
     elif way == 1:
@@ -67,7 +67,7 @@ def bond(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     return _wall(canvas, rng, size, bricks)
 
 
-def _blocks(u: Field, v: Field, side: int) -> _Bricks:
+def _blocks(u: Raster, v: Raster, side: int) -> _Bricks:
     """Squares of `side` parallel bricks, turned by turns."""
     block_u, block_v = np.floor(u / side).astype(np.int64), np.floor(v / side).astype(np.int64)
     lying = (block_u + block_v) % 2 == 0
@@ -112,7 +112,7 @@ def _wall(canvas: Canvas, rng: np.random.Generator, size: float, bricks: _Bricks
     body = smoothstep(-0.02, 0.03, inside)
     bevel = 1.0 - np.exp(-np.maximum(inside, 0.0) / rng.uniform(0.01, 0.08))
 
-    def own(label: str) -> Field:
+    def own(label: str) -> Raster:
         return 2.0 * piece(canvas, label, *bricks.name) - 1.0
 
     unlevel = rng.uniform(0.0, 0.12)
@@ -146,7 +146,7 @@ def _wall(canvas: Canvas, rng: np.random.Generator, size: float, bricks: _Bricks
     return SurfaceFields(diffuse, specular, rough, size * height, 1.0 - body)
 
 
-def _wood(canvas: Canvas, bricks: _Bricks, fine: float) -> Field:
+def _wood(canvas: Canvas, bricks: _Bricks, fine: float) -> Raster:
     """(H, W) grain along each block, in [-1, 1]."""
     slow = 0.25 * np.sin(2.0 * bricks.along + 6.0 * piece(canvas, "bow", *bricks.name))
     coarse = streaks(canvas, "coarse", 0.35 * fine * (bricks.across + slow), *bricks.name)

@@ -14,7 +14,7 @@ from matcap.lab.simulate.materials.kinds.draws import (
 )
 from matcap.lab.simulate.materials.kinds.place import scatter, splat
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, noise, smoothstep
 
 
 def hammered(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
@@ -22,13 +22,13 @@ def hammered(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     size = log_uniform(rng, 0.035, 0.16)
     spread, raised = rng.uniform(0.02, 0.25), chance(rng, 0.2)
 
-    def reach(generator: np.random.Generator, count: int) -> Field:
+    def reach(generator: np.random.Generator, count: int) -> Raster:
         return 0.95 * size * np.exp(spread * np.clip(generator.standard_normal(count), -2.5, 0.0))
 
     marks = scatter(canvas, "marks", 0.8 * size, reach)
     blow = spread * size * canvas.stream("blow").standard_normal(marks.count)
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         radius = marks.reach[which]
         depth = (radius**2 - dx * dx - dy * dy) / size
         return np.where(depth > 0.0, depth + 0.3 * blow[which], -np.inf)
@@ -54,7 +54,7 @@ def brushed(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     fine = log_uniform(rng, 0.004, 0.009)
     crossed = chance(rng, 0.2)
 
-    def lines(label: str, turn: float) -> Field:
+    def lines(label: str, turn: float) -> Raster:
         thin = noise(canvas, label, Spectrum(4.0 * fine, fine, 0.4, stretch=long, angle=turn))
         wide = Spectrum(0.1, 2.0 * fine, 0.8, stretch=long, angle=turn)
         return thin + 0.6 * noise(canvas, label + " wide", wide)

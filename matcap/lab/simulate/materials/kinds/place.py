@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from matcap.lab.simulate.materials.kinds.draws import Whole
-from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, VoronoiCells, noise
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, VoronoiCells, noise
 
 # Evaluations of a stamp's profile worked on at a time: small enough to stay in the cache.
 _CHUNK = 200_000
@@ -17,7 +17,7 @@ _CHUNK = 200_000
 
 def turned(
     canvas: Canvas, label: str, angle: float, bend: float, reach: float
-) -> tuple[Field, Field]:
+) -> tuple[Raster, Raster]:
     """(H, W) plane coordinates along and across a direction, in plane units, slightly bent.
 
     Args:
@@ -38,7 +38,7 @@ def turned(
     return along, across
 
 
-def warp(canvas: Canvas, label: str, size: float, reach: float) -> tuple[Field, Field]:
+def warp(canvas: Canvas, label: str, size: float, reach: float) -> tuple[Raster, Raster]:
     """Two displacement fields of a wavelength and a standard deviation, for `cells`."""
     spectrum = Spectrum(coarse=1.5 * size, fine=0.4 * size)
     return (
@@ -47,7 +47,7 @@ def warp(canvas: Canvas, label: str, size: float, reach: float) -> tuple[Field, 
     )
 
 
-def rim(canvas: Canvas, cell: VoronoiCells) -> Field:
+def rim(canvas: Canvas, cell: VoronoiCells) -> Raster:
     """(H, W) distance to the border of two cells, in plane units, to first order."""
     border = cell.border
     down, right = np.gradient(border, canvas.texel_size)
@@ -63,9 +63,9 @@ class Scatter:
         reach: (N,) half a side of the square that holds each, in plane units.
     """
 
-    x: Field
-    y: Field
-    reach: Field
+    x: Raster
+    y: Raster
+    reach: Raster
 
     @property
     def count(self) -> int:
@@ -75,11 +75,11 @@ class Scatter:
 
 # Offsets from the centre (n, P, P) in plane units, right and down, and which stamps (n, 1, 1):
 # heights (n, P, P), -inf where the stamp is not.
-Profile = Callable[[Field, Field, Whole], Field]
+Profile = Callable[[Raster, Raster, Whole], Raster]
 
 
 def scatter(
-    canvas: Canvas, label: str, pitch: float, reach: Callable[[np.random.Generator, int], Field]
+    canvas: Canvas, label: str, pitch: float, reach: Callable[[np.random.Generator, int], Raster]
 ) -> Scatter:
     """One stamp to a square of side `pitch`, anywhere in it.
 
@@ -98,7 +98,7 @@ def scatter(
     return Scatter(x.ravel(), y.ravel(), reach(generator, x.size))
 
 
-def splat(canvas: Canvas, stamps: Scatter, profile: Profile) -> tuple[Field, Whole]:
+def splat(canvas: Canvas, stamps: Scatter, profile: Profile) -> tuple[Raster, Whole]:
     """Lay stamps over one another; the highest is seen.
 
     Returns:
@@ -139,7 +139,7 @@ def splat(canvas: Canvas, stamps: Scatter, profile: Profile) -> tuple[Field, Who
     return top.reshape(shape), seen.reshape(shape)
 
 
-def spun(dx: Field, dy: Field, turn: Field) -> tuple[Field, Field]:
+def spun(dx: Raster, dy: Raster, turn: Raster) -> tuple[Raster, Raster]:
     """Offsets along and across a direction, radians."""
     cosine, sine = np.cos(turn), np.sin(turn)
     return dx * cosine - dy * sine, dx * sine + dy * cosine
@@ -147,7 +147,7 @@ def spun(dx: Field, dy: Field, turn: Field) -> tuple[Field, Field]:
 
 def polygons(
     generator: np.random.Generator, count: int, corners: int = 6, ragged: float = 0.5
-) -> Callable[[Field, Field, Whole], Field]:
+) -> Callable[[Raster, Raster, Whole], Raster]:
     """Convex stones of radius about 1: (u, v, which) to how far inside, 1 in the middle.
 
     Args:
@@ -162,7 +162,7 @@ def polygons(
     away = 1.0 - 0.5 * ragged * generator.random(turn.shape)
     cosine, sine = np.cos(turn), np.sin(turn)
 
-    def inside(u: Field, v: Field, which: Whole) -> Field:
+    def inside(u: Raster, v: Raster, which: Whole) -> Raster:
         least = np.full(np.broadcast_shapes(u.shape, v.shape), np.inf)
         for side in range(corners):
             far = u * cosine[which, side] + v * sine[which, side]
@@ -179,9 +179,9 @@ def paths(
     pieces: int,
     step: float,
     curl: float,
-    direction: Callable[[np.random.Generator, int], Field],
+    direction: Callable[[np.random.Generator, int], Raster],
     reach: float,
-) -> tuple[Scatter, Field, Whole]:
+) -> tuple[Scatter, Raster, Whole]:
     """Chains of short straight pieces: fibres, scratches.
 
     Args:

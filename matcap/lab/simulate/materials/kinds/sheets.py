@@ -20,7 +20,7 @@ from matcap.lab.simulate.materials.kinds.draws import (
 )
 from matcap.lab.simulate.materials.kinds.place import paths, scatter, splat, spun, turned
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, bumps, cells, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, bumps, cells, noise, smoothstep
 
 
 def felt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
@@ -33,7 +33,7 @@ def felt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
         rng.uniform(0, np.pi),
     )
 
-    def direction(generator: np.random.Generator, count: int) -> Field:
+    def direction(generator: np.random.Generator, count: int) -> Raster:
         return favoured + loose * generator.standard_normal(count)
 
     pitch = np.sqrt(width * pieces * step) * rng.uniform(0.75, 1.1)
@@ -44,7 +44,7 @@ def felt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     thick = width * (0.6 + 0.8 * own.random(count))
     order = np.arange(fibres.count) % pieces / (pieces - 1.0) - 0.5
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         u, v = spun(dx, dy, turn[which])
         chain = whose[which]
         far = np.hypot(np.maximum(np.abs(u) - 0.5 * step, 0.0), v) / thick[chain]
@@ -72,7 +72,7 @@ def loops(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     thick = rng.uniform(0.28, 0.45)
     favoured, loose = rng.uniform(0.0, np.pi), rng.choice([0.25, 0.8, 3.0])
 
-    def reach(generator: np.random.Generator, count: int) -> Field:
+    def reach(generator: np.random.Generator, count: int) -> Raster:
         return size * (0.8 + 0.4 * generator.random(count))
 
     tufts = scatter(canvas, "tufts", size * rng.uniform(0.55, 0.8), reach)
@@ -80,7 +80,7 @@ def loops(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     turn = favoured + loose * own.standard_normal(tufts.count)
     level, bow = 0.5 * own.random(tufts.count), 0.3 * own.standard_normal(tufts.count)
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         u, v = spun(dx, dy, turn[which])
         u, v = u / tufts.reach[which], v / tufts.reach[which]
         far = (v - bow[which] * (1.0 - u * u)) / thick
@@ -183,17 +183,17 @@ def creased(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     return SurfaceFields(diffuse, specular, rough, size * 0.3 * height + soft, valley)
 
 
-def _facets(canvas: Canvas, label: str, size: float) -> Field:
+def _facets(canvas: Canvas, label: str, size: float) -> Raster:
     """Roofs over random cells, some raised and some sunk, in units of `size`."""
     cell = cells(canvas, label, size)
     return cell.border * (2.0 * cell.draw(canvas.stream(label + " rise")) - 1.0)
 
 
-def _folds(canvas: Canvas, height: Field, width: float) -> tuple[Field, Field]:
+def _folds(canvas: Canvas, height: Raster, width: float) -> tuple[Raster, Raster]:
     """Where a height of plane facets folds upwards and downwards, 0 to 1, that wide."""
     deviation = width / canvas.texel_size
     smooth = cv2.GaussianBlur(height, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
-    curvature: Field = np.asarray(cv2.Laplacian(smooth, cv2.CV_64F), np.float64)
+    curvature: Raster = np.asarray(cv2.Laplacian(smooth, cv2.CV_64F), np.float64)
     curvature /= canvas.texel_size**2
     scale = 0.4 / width  # a fold of slope 1, blurred
     return smoothstep(0.2, 1.0, -curvature / scale), smoothstep(0.2, 1.0, curvature / scale)

@@ -17,10 +17,10 @@ from matcap.lab.simulate.materials.kinds.draws import (
 )
 from matcap.lab.simulate.materials.kinds.place import polygons, scatter, splat, spun
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, smoothstep
 
 
-def _mixed(rng: np.random.Generator, mood: float) -> Field:
+def _mixed(rng: np.random.Generator, mood: float) -> Raster:
     """(24, 3) colours of stones: of one quarry or of several."""
     quarries = [natural(rng, STONES) for _ in range(int(rng.integers(1, 5)))]
     return np.concatenate([shades(rng, quarry, 6, mood) for quarry in quarries])
@@ -34,7 +34,7 @@ def gravel(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     stretch = rng.uniform(0.0, 0.5)
     tones = _mixed(rng, rng.uniform(0.1, 0.4))
 
-    def reach(generator: np.random.Generator, count: int) -> Field:
+    def reach(generator: np.random.Generator, count: int) -> Raster:
         return 0.65 * size * np.exp(-spread * np.abs(generator.standard_normal(count)))
 
     stones = scatter(canvas, "stones", 0.42 * size, reach)
@@ -45,7 +45,7 @@ def gravel(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     level = own.random(stones.count)
     lean = 0.35 * own.standard_normal((2, stones.count))
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         u, v = spun(dx, dy, turn[which])
         radius = stones.reach[which]
         u, v = u / radius, v * long[which] / radius
@@ -81,7 +81,7 @@ def asphalt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     tones = _mixed(rng, 0.3)
     binder = natural(rng, STONES[[2, 3]] if chance(rng, 0.7) else STONES) * 0.8
 
-    def reach(generator: np.random.Generator, count: int) -> Field:
+    def reach(generator: np.random.Generator, count: int) -> Raster:
         return 0.6 * size * generator.random(count) ** 1.2 + 0.1 * size
 
     stones = scatter(canvas, "stones", 0.55 * size, reach)
@@ -91,7 +91,7 @@ def asphalt(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     lean = rng.uniform(0.1, 0.5) * own.standard_normal((2, stones.count))
     plateau = rng.uniform(0.15, 0.5)
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         radius = stones.reach[which]
         u, v = dx / radius, dy / radius
         body = inside(u, v, which)
@@ -121,7 +121,7 @@ def terrazzo(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     cement = natural(rng, STONES)
     sparse, power = rng.uniform(0.45, 0.9), rng.uniform(0.8, 3.0)
 
-    def reach(generator: np.random.Generator, count: int) -> Field:
+    def reach(generator: np.random.Generator, count: int) -> Raster:
         return 0.6 * size * generator.random(count) ** power + 0.06 * size
 
     chips = scatter(canvas, "chips", sparse * size, reach)
@@ -130,7 +130,7 @@ def terrazzo(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     level, long = own.random(chips.count), np.exp(0.35 * np.abs(own.standard_normal(chips.count)))
     turn = own.uniform(0.0, np.pi, chips.count)
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         u, v = spun(dx, dy, turn[which])
         radius = chips.reach[which]
         within = inside(u / radius, long[which] * v / radius, which)
@@ -181,14 +181,14 @@ def pitted(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     steep = rng.uniform(0.5, 2.0)
     stretch, turn = log_uniform(rng, 1.0, 2.5), rng.uniform(0.0, np.pi)
 
-    def reach(generator: np.random.Generator, count: int) -> Field:
+    def reach(generator: np.random.Generator, count: int) -> Raster:
         return 0.5 * size * np.exp(-spread * np.abs(generator.standard_normal(count)))
 
     pits = scatter(canvas, "pits", dense * size, reach)
     own = canvas.stream("own")
     inside = polygons(own, pits.count, 6, 0.7)
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         u, v = spun(dx, dy, np.full(pits.count, turn)[which])
         radius = pits.reach[which]
         u, v = u / radius, stretch * v / radius

@@ -16,7 +16,7 @@ import numpy as np
 from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.materials.assemble import assemble
 from matcap.lab.simulate.materials.kinds.draws import chance, log_uniform
-from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, bumps, noise
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, bumps, noise
 
 # Ranges of real surfaces: fresh charcoal to snow, polished stone to chalk.
 _ALBEDO = (0.01, 0.9)
@@ -38,11 +38,11 @@ class SurfaceFields:
         cavity: 0 where the surface is open to 1 in its grooves.
     """
 
-    diffuse: Field
-    specular: Field | float
-    roughness: Field | float
-    height: Field
-    cavity: Field
+    diffuse: Raster
+    specular: Raster | float
+    roughness: Raster | float
+    height: Raster
+    cavity: Raster
 
 
 # (canvas, parameters) to a realisation.
@@ -76,7 +76,7 @@ class _Finish:
 
 def finish(
     canvas: Canvas, kind: Kind, depth: float, parameters: np.random.Generator
-) -> tuple[MapSet, Field]:
+) -> tuple[MapSet, Raster]:
     """Maps of a kind's realisation and the height of its relief before grain at that depth."""
     how = _draw_finish(parameters)
     steepness = log_uniform(parameters, *kind.grain)
@@ -96,7 +96,7 @@ def finish(
     return maps, relief
 
 
-def _rounded(canvas: Canvas, height: Field) -> Field:
+def _rounded(canvas: Canvas, height: Raster) -> Raster:
     """Steps are never sharper than wear and the lens leave them."""
     deviation = _EDGE / canvas.texel_size
     return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(height), (0, 0), deviation))

@@ -23,10 +23,10 @@ from matcap.lab.simulate.materials.kinds.draws import (
 )
 from matcap.lab.simulate.materials.kinds.place import turned
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, noise, smoothstep
 
 
-def _fuzz(canvas: Canvas, size: float) -> Field:
+def _fuzz(canvas: Canvas, size: float) -> Raster:
     return noise(canvas, "fuzz", Spectrum(0.5 * size, min(0.007, 0.3 * size), slope=0.6))
 
 
@@ -160,7 +160,7 @@ def basket(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     if together == 1:
         size = size * 2.5
 
-    def hue(rng: np.random.Generator) -> Field:
+    def hue(rng: np.random.Generator) -> Raster:
         return natural(rng, WOODS) if chance(rng, 0.6) else dye(rng)
 
     return _woven(canvas, rng, size, _over(rng, False), together, hue)
@@ -172,7 +172,7 @@ def _woven(
     size: float,
     draft: tuple[int, int, int, bool],
     together: int,
-    hue: Callable[[np.random.Generator], Field],
+    hue: Callable[[np.random.Generator], Raster],
 ) -> SurfaceFields:
     over, under, step, zigzag = draft
     along, across = turned(canvas, "weave", angle(rng), 8.0 * size, size * rng.uniform(0.0, 0.15))
@@ -180,13 +180,13 @@ def _woven(
     column, row = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
     turn = int(rng.integers(6, 20))
 
-    def on_top(i: Whole, j: Whole) -> Field:
+    def on_top(i: Whole, j: Whole) -> Raster:
         i, j = i // together, j // together
         if zigzag:
             i = np.abs(i % (2 * turn) - turn)
         return np.where((i + step * j) % (over + under) < over, 1.0, -1.0)
 
-    def rise(first: Field, second: Field, t: Field) -> Field:
+    def rise(first: Raster, second: Raster, t: Raster) -> Raster:
         return first + (second - first) * smoothstep(0.1, 0.9, t)
 
     below, left = np.floor(v - 0.5).astype(np.int64), np.floor(u - 0.5).astype(np.int64)
@@ -196,7 +196,7 @@ def _woven(
     fill, flat = rng.uniform(0.82, 1.0), rng.uniform(2.0, 4.0)
     side_u, side_v = (2.0 * (w - np.floor(w)) - 1.0 for w in (u, v))
 
-    def round_(side: Field) -> Field:
+    def round_(side: Raster) -> Raster:
         body = 1.0 - (np.abs(side) / fill) ** flat
         return np.where(body > 0.0, 0.45 * np.sqrt(np.maximum(body, 0.0)), -1.0)
 

@@ -21,7 +21,7 @@ from matcap.lab.simulate.materials.kinds.draws import (
 )
 from matcap.lab.simulate.materials.kinds.place import paths, polygons, scatter, splat, spun, turned
 from matcap.lab.simulate.materials.kinds.surface_fields import SurfaceFields
-from matcap.lab.simulate.procedural import Canvas, Field, Spectrum, mix, noise, smoothstep
+from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, mix, noise, smoothstep
 
 
 def planks(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
@@ -81,7 +81,7 @@ def varnish(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     favoured, loose = rng.uniform(0.0, np.pi), rng.choice([0.15, 0.6, 3.0])
     width = log_uniform(rng, 0.0025, 0.006)
 
-    def direction(generator: np.random.Generator, count: int) -> Field:
+    def direction(generator: np.random.Generator, count: int) -> Raster:
         return favoured + loose * generator.standard_normal(count)
 
     pitch = log_uniform(rng, 0.05, 0.15)
@@ -92,7 +92,7 @@ def varnish(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     force = own.random(stamps.count + 1)
     thick = width * (0.5 + own.random(stamps.count + 1))
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         chain = whose[which]
         u, v = spun(dx, dy, turn[which])
         half = stamps.reach[which] - 3.0 * width
@@ -119,7 +119,7 @@ def chipboard(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     slender, spread = rng.uniform(0.25, 0.5), rng.uniform(0.3, 1.5)
     favoured = angle(rng)
 
-    def reach(generator: np.random.Generator, count: int) -> Field:
+    def reach(generator: np.random.Generator, count: int) -> Raster:
         return size * (0.4 + 0.6 * generator.random(count))
 
     flakes = scatter(canvas, "flakes", 0.38 * size, reach)
@@ -130,12 +130,12 @@ def chipboard(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     skew = 0.4 * own.standard_normal(count)
     wide = slender * (0.5 + own.random(count))
 
-    def place(dx: Field, dy: Field, which: Whole) -> tuple[Field, Field]:
+    def place(dx: Raster, dy: Raster, which: Whole) -> tuple[Raster, Raster]:
         u, v = spun(dx, dy, turn[which])
         radius = flakes.reach[which]
         return u / radius, v / (radius * wide[which])
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         u, v = place(dx, dy, which)
         inside = np.minimum(0.92 - np.abs(u + skew[which] * 0.3 * v), 0.9 - np.abs(v))
         high = level[which] * 1.6 + lean[0][which] * u + lean[1][which] * v * 0.5
@@ -166,7 +166,7 @@ def scales(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     under = shade(rng, hue * 0.45, 0.3, 0.1)
     curl = rng.uniform(-0.1, 0.5)
 
-    def reach(generator: np.random.Generator, count: int) -> Field:
+    def reach(generator: np.random.Generator, count: int) -> Raster:
         return size * (0.25 + 0.5 * generator.random(count))
 
     flakes = scatter(canvas, "flakes", 0.5 * size, reach)
@@ -174,7 +174,7 @@ def scales(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     inside = polygons(own, flakes.count, 7, 0.9)
     level, lean = own.random(flakes.count), 0.5 * own.standard_normal((2, flakes.count))
 
-    def profile(dx: Field, dy: Field, which: Whole) -> Field:
+    def profile(dx: Raster, dy: Raster, which: Whole) -> Raster:
         radius = flakes.reach[which]
         u, v = dx / radius, dy / radius
         body = inside(u, v, which)

@@ -1,0 +1,155 @@
+"""The finest bands, carried over from the photograph to maps that were read on fewer texels.
+
+Networks read, strengths tell and statistics compare at the scale they were made for (detail.py);
+the photograph resolves more. What its finest bands show beyond the enlarged maps' re-rendering goes
+to albedo, but for what relief must show of it: relief has as much of every finer octave as its own
+last octaves let one expect. It is drawn along with the photograph's own grain, high where that is
+bright or where it is dark, as its coarser bands are. A drawing from what shows of slope would run
+along the light's tangents: streaks all around the flash (docs/notes/exemplar.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.refine import PieceLight
+from matcap.capture.piece.smooth import split
+from matcap.example.exemplar import Exemplar
+from matcap.flash.geometry import plane_points
+from matcap.flash.plane import Plane
+from matcap.flash.uniform import Uniform
+
+Floats = NDArray[np.float32]
+
+_DARKEST = 1e-5  # linear radiance
+_MOST = 1.0  # of log radiance, that is detail
+_HIDDEN = 0.1  # squared share of matte light at which half of what shows is taken for albedo's
+_ROUNDS = 2  # of bringing albedo to the photograph
+_RELIEF_AT_MOST = 0.25  # share of the finest bands' energy that is relief's
+_OCTAVES = (slice(2, 3), slice(3, 4), slice(4, 6))  # of strengths.BANDS: 16-8, 8-4, 4-2 texels
+_LEAST_RATIO, _MOST_RATIO = 0.05, 1.0  # of an octave's energy of slopes to the one before
+
+
+@torch.no_grad()
+def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
+    """An exemplar with as many texels as the photograph's plane, its finest bands the photograph's.
+
+    Args:
+        exemplar: of the same piece on fewer texels.
+        plane: the photograph.
+        uniform: the coarse fit.
+    """
+    width, height = plane.size
+    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    light = PieceLight(uniform, points)
+    maps = _enlarged(exemplar, plane)
+    grain = _unshown(maps, plane, light, exemplar.size)
+    relief = _relief(exemplar, grain.mean(0).numpy(), maps, light)
+    maps = replace(maps, height=maps.height + torch.from_numpy(relief)[None] * plane.texel_size)
+    for _ in range(_ROUNDS):
+        left = _unshown(maps, plane, light, exemplar.size)
+        share = light.logs(maps, light.angles(maps.normal))[1]
+        more = left * share / (share.square() + _HIDDEN)
+        maps = replace(maps, diffuse=(maps.diffuse * more.exp()).clamp(0.001, 0.99))
+    return Exemplar(
+        diffuse=maps.diffuse.numpy(),
+        specular=maps.specular.numpy(),
+        roughness=maps.roughness.numpy(),
+        height=maps.height.numpy(),
+        confidence=_resized(exemplar.confidence, plane.size, cv2.INTER_LINEAR).clip(0.0, 1.0),
+        texel_size=plane.texel_size,
+    )
+
+
+def sharpness(maps: MapSet, plane: Plane, uniform: Uniform) -> float:
+    """Strength of the finest octave of log radiance, re-rendering over photograph; 1 is as sharp.
+
+    Of what was measured; 1 where nothing was.
+    """
+    width, height = plane.size
+    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    light = PieceLight(uniform, points)
+    found = light.logs(maps, light.angles(maps.normal))[0]
+    observed = plane.linear.clamp_min(_DARKEST).log()
+    half = ((width + 1) // 2, (height + 1) // 2)
+    seen = plane.valid
+    if not bool(seen.any()):
+        return 1.0
+    shown, true = (
+        _beyond(torch.where(seen, x, observed), half)[:, seen].square().mean()
+        for x in (found, observed)
+    )
+    return float((shown / true.clamp_min(1e-12)).sqrt())
+
+
+def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
+    def larger(values: Floats) -> Tensor:
+        return torch.from_numpy(_resized(values, plane.size, cv2.INTER_CUBIC))
+
+    return MapSet(
+        diffuse=larger(np.log(exemplar.diffuse.clip(1e-4))).exp().clamp(0.001, 0.99),
+        specular=larger(exemplar.specular).clamp(0.005, 0.99),
+        roughness=larger(exemplar.roughness).clamp(0.001, 0.999),
+        height=larger(exemplar.height),
+        texel_size=plane.texel_size,
+    )
+
+
+def _unshown(maps: MapSet, plane: Plane, light: PieceLight, coarse: tuple[int, int]) -> Tensor:
+    """(3, H, W) what the photograph's log radiance has beyond maps', finer than `coarse` texels."""
+    found = light.logs(maps, light.angles(maps.normal))[0]
+    left = plane.linear.clamp_min(_DARKEST).log() - found
+    left = torch.where(plane.measured, left, left.clamp_min(0.0)).clamp(-_MOST, _MOST)
+    return _beyond(left, coarse)
+
+
+def _beyond(picture: Tensor, coarse: tuple[int, int]) -> Tensor:
+    """What of a picture (C, H, W) a grid of fewer texels (width, height) cannot hold."""
+    whole = picture.numpy()
+    size = (whole.shape[-1], whole.shape[-2])
+    held = _resized(_resized(whole, coarse, cv2.INTER_AREA), size, cv2.INTER_CUBIC)
+    return torch.from_numpy(whole - held)
+
+
+def _relief(exemplar: Exemplar, grain: Floats, maps: MapSet, light: PieceLight) -> Floats:
+    """(H, W) height in texels of the finest bands, drawn as the grain (H, W) of log radiance is."""
+    octaves = math.log2(maps.size[0] / exemplar.size[0])
+    texels = exemplar.height[0] / np.float32(exemplar.texel_size)
+    bands = split(texels)
+    energies = [_steepness(np.sum(bands[which], axis=0)) for which in _OCTAVES]
+    ratio = energies[2] / max(energies[1], 1e-12)
+    ratio = float(np.clip(ratio, _LEAST_RATIO, _MOST_RATIO))
+    wanted = energies[2] * sum(
+        ratio**k * min(1.0, octaves - k + 1.0) for k in range(1, math.ceil(octaves) + 1)
+    )
+    shows = light.shows_relief(maps).square().sum(0).mean()
+    most = _RELIEF_AT_MOST * float(np.square(grain).mean()) / max(0.5 * float(shows), 1e-6)
+    drawn = max(_steepness(grain), 1e-12)
+    return _sign(exemplar, bands) * np.float32(math.sqrt(min(wanted, most) / drawn)) * grain
+
+
+def _steepness(height: Floats) -> float:
+    """Mean squared slope."""
+    down, across = np.gradient(height)
+    return float(np.square(down).mean() + np.square(across).mean())
+
+
+def _sign(exemplar: Exemplar, bands: list[Floats]) -> np.float32:
+    """1 where what is high is bright, or -1."""
+    tone = split(np.log(exemplar.diffuse.clip(1e-4)).mean(0))
+    trusted = exemplar.confidence[0]
+    together = sum((trusted * bands[k] * tone[k]).mean() for k in (2, 3))
+    return np.float32(1.0 if together >= 0.0 else -1.0)
+
+
+def _resized(planes: Floats, size: tuple[int, int], how: int) -> Floats:
+    """(C, H, W) at another size (width, height)."""
+    return np.stack([cv2.resize(plane, size, interpolation=how) for plane in planes])

@@ -1,0 +1,97 @@
+"""The finest bands come from the photograph, whatever the maps were read on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from photographed import photographed
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.detail import DETAIL, to_be_read
+from matcap.capture.piece.find import piece_maps
+from matcap.capture.piece.finest import finest, sharpness
+from matcap.example.exemplar import Exemplar
+from matcap.flash.plane import Plane, plane_of
+from matcap.flash.render import render_flash
+from matcap.statistics.lattice import Wave
+
+
+@pytest.fixture(scope="module")
+def shot():
+    """A photograph whose albedo has grain of single texels."""
+    smooth = photographed(0.15, 0.1)
+    grain = torch.from_numpy(np.random.default_rng(4).standard_normal((384, 512))).float()
+    maps = replace(smooth.maps, diffuse=smooth.maps.diffuse * (0.15 * grain).exp())
+    linear = render_flash(maps, smooth.uniform.setup, smooth.points)
+    return replace(smooth, maps=maps, linear=linear)
+
+
+def _plane(linear: torch.Tensor) -> Plane:
+    return plane_of(linear, torch.ones(linear.shape[-2:], dtype=torch.bool))
+
+
+def _halved(maps: MapSet) -> Exemplar:
+    half = maps.map(lambda m: F.avg_pool2d(m[None], 2)[0])
+    return Exemplar(
+        *(getattr(half, name).numpy() for name in ("diffuse", "specular", "roughness", "height")),
+        confidence=np.full((4, *half.height.shape[-2:]), 0.8, np.float32),
+        texel_size=2.0 * maps.texel_size,
+    )
+
+
+def test_the_piece_is_as_sharp_as_its_photograph(shot) -> None:
+    plane = _plane(shot.linear)
+    half = _halved(shot.maps)
+    found = finest(half, plane, shot.uniform)
+    assert found.size == plane.size
+    assert found.texel_size == plane.texel_size
+    assert sharpness(piece_maps(found), plane, shot.uniform) == pytest.approx(1.0, abs=0.1)
+    enlarged = piece_maps(half).map(lambda m: F.interpolate(m[None], scale_factor=2.0)[0])
+    blurred = replace(enlarged, texel_size=plane.texel_size)
+    assert sharpness(blurred, plane, shot.uniform) < 0.5
+
+
+def test_grain_of_albedo_comes_back_and_what_is_coarser_stays(shot) -> None:
+    half = _halved(shot.maps)
+    found = piece_maps(finest(half, _plane(shot.linear), shot.uniform))
+    log, true = (m.diffuse.log().mean(0) for m in (found, shot.maps))
+
+    def fine(plane: torch.Tensor) -> torch.Tensor:
+        held = F.interpolate(F.avg_pool2d(plane[None, None], 2), scale_factor=2.0)[0, 0]
+        return (plane - held).flatten()
+
+    assert float(torch.corrcoef(torch.stack([fine(log), fine(true)]))[0, 1]) > 0.9
+    coarse = F.avg_pool2d(found.diffuse[None], 4)[0] / F.avg_pool2d(shot.maps.diffuse[None], 4)[0]
+    assert float(coarse.log().abs().mean()) < 0.03
+
+
+def test_flat_maps_stay_flat(shot) -> None:
+    """Grain of albedo over no relief is not drawn as relief."""
+    half = replace(_halved(shot.maps), height=np.zeros((1, 192, 256), np.float32))
+    found = finest(half, _plane(shot.linear), shot.uniform)
+    assert float(np.abs(found.height).max()) < 1e-6
+
+
+def test_what_clips_is_not_drawn_darker(shot) -> None:
+    clip = float(shot.linear.quantile(0.9))
+    clipped = shot.linear.clamp_max(clip)
+    measured = shot.linear < clip
+    plane = replace(plane_of(clipped, measured.all(0)), channels=measured)
+    found = piece_maps(finest(_halved(shot.maps), plane, shot.uniform))
+    ratio = (found.diffuse / shot.maps.diffuse)[~measured]
+    assert float(ratio.log().mean()) > -0.1
+
+
+def test_coarse_textures_are_read_on_half_and_lattices_as_they_are() -> None:
+    y, x = torch.meshgrid(torch.arange(768.0), torch.arange(float(DETAIL)), indexing="ij")
+    wide = 0.2 * (0.5 * torch.sin(x / 20.0) * torch.sin(y / 20.0)).exp().expand(3, -1, -1)
+    plane = _plane(wide.contiguous())
+    read, waves = to_be_read(plane)
+    assert read.size == (DETAIL // 2, 384) and waves == ()
+    wave = Wave(0.05, 0.0)
+    read, waves = to_be_read(plane, (wave,))
+    assert read is plane and waves == (wave,)
