@@ -54,6 +54,9 @@ def train(
     maps: Annotated[
         Path | None, typer.Option(help="Real materials beside simulated ones (`inverse pack`).")
     ] = None,
+    real: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of photographs of real materials.")
+    ] = 0.5,
     begin: Annotated[
         Path | None, typer.Option("--from", help="A network's file that a first leg goes on from.")
     ] = None,
@@ -66,7 +69,7 @@ def train(
     settings = TrainSettings(
         steps=steps, seconds=time_limit or float("inf"), rate=rate, cooling=cooling,
         batch=batch, workers=workers, device=device, maps=maps,
-        width=size[0], height=size[1], compiled=compiled,
+        width=size[0], height=size[1], compiled=compiled, real=real,
     )  # fmt: skip
     run(folder, settings, tell=(lambda _line: None) if quiet else _tell, begin=begin)
 

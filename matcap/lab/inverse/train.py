@@ -26,7 +26,13 @@ from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 from matcap.lab.inverse.losses import Compare, LossWeights, compared, loss_parts, total, wanted
 from matcap.lab.inverse.packed import training_sets
-from matcap.lab.inverse.samples import HELD_OUT, HELD_OUT_PATTERNS, Sample, draw_sample
+from matcap.lab.inverse.samples import (
+    HELD_OUT,
+    HELD_OUT_PATTERNS,
+    REAL_SHARE,
+    Sample,
+    draw_sample,
+)
 from matcap.model.inverse.inputs import network_inputs
 from matcap.model.inverse.network import Inverse, InverseConfig
 
@@ -53,6 +59,7 @@ class TrainSettings:
         style_every: steps, in one of which statistics of relit pictures are compared.
         compiled: losses are compiled, which takes minutes once and pays in a leg of an hour.
         maps: packed real materials (packed.py), of which those not held out are shown; or none.
+        real: share of photographs of them.
     """
 
     steps: int = 100_000
@@ -69,6 +76,7 @@ class TrainSettings:
     style_every: int = 2
     compiled: bool = False
     maps: Path | None = None
+    real: float = REAL_SHARE
 
     def rate_at(self, step: int) -> float:
         """Adam's rate at a step: a short warm-up, then flat, then down to nothing."""
@@ -252,7 +260,7 @@ def _samples(
 def _made(asked: tuple[int, TrainSettings]) -> tuple[Tensor, Sample]:
     number, settings = asked
     sets = training_sets(settings.maps) if settings.maps else ()
-    sample = draw_sample(number, settings.width, settings.height, sets=sets)
+    sample = draw_sample(number, settings.width, settings.height, sets=sets, real=settings.real)
     inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
     return inputs, sample
 
