@@ -142,12 +142,19 @@ def ship(
     out: Annotated[Path, typer.Option("--out", "-o", help="The network's file.")] = Path(
         "inverse.safetensors"
     ),
+    before: Annotated[
+        Path | None,
+        typer.Option("--from", help="The network it went on from, met by 1 - share of the way."),
+    ] = None,
+    share: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Of the way from there to the training's.")
+    ] = 0.5,
     quiet: QuietOption = False,
 ) -> None:
     """Write a training's running average as the file that captures read, in half precision."""
     from matcap.lab.inverse.train import ship as run
 
-    card = run(folder, out)
+    card = run(folder, out, before, share if before else 1.0)
     if not quiet:
         typer.echo(f"wrote {out}: {card['steps']} steps", err=True)
 

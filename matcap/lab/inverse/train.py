@@ -274,17 +274,24 @@ def read_network(path: Path) -> Inverse:
     return _trained(path).average if path.is_dir() else read_inverse(path)[0]
 
 
-def ship(folder: Path, out: Path) -> dict[str, Any]:
+def ship(folder: Path, out: Path, before: Path | None = None, share: float = 1.0) -> dict[str, Any]:
     """Write a training's running average as captures read it; returns its card.
+
+    Args:
+        folder: of the training.
+        out: the file.
+        before: the network that it went on from, to be met on the way: between the two it is often
+            better than either on what neither was trained on.
+        share: of the way from there to the training's; 1 is the training's.
 
     Raises:
         MatcapError: the folder holds no training.
     """
     state = _trained(folder)
-    before = state.origin.get("photographs_seen", state.origin.get("steps", 0))
-    card = {
+    seen = state.origin.get("photographs_seen", state.origin.get("steps", 0))
+    card: dict[str, Any] = {
         "steps": state.step,
-        "photographs_seen": before + state.shown,
+        "photographs_seen": seen + state.shown,
         "photographs": "of real map sets and simulated materials (matcap/lab/inverse/samples.py)",
         "held_out": [
             *HELD_OUT,
@@ -292,6 +299,11 @@ def ship(folder: Path, out: Path) -> dict[str, Any]:
             "real sets by name (matcap/lab/inverse/packed.py, is_held_out)",
         ],
     }
+    if before:
+        other = read_inverse(before)[0].state_dict()
+        here = state.average.state_dict()
+        state.average.load_state_dict({k: other[k].lerp(v, share) for k, v in here.items()})
+        card["share"] = share
     save_inverse(state.average, out, card)
     return card
 
