@@ -7,7 +7,7 @@ where the photographed piece's own maps are asked for, too.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 from matcap.capture.ending import judged, provenance
@@ -16,56 +16,37 @@ from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, Effort, Method
-from matcap.capture.target import photograph_target
+from matcap.capture.target import Shot, photograph_target
 from matcap.errors import MatcapError
 from matcap.files.interrupts import postponed
-from matcap.flash.coarse import CoarseFit
 from matcap.flash.likeness import PhotographTarget
-from matcap.flash.plane import Plane
-from matcap.photo.photo import Photo
 from matcap.space.decoder import DecoderConfig
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.anytime import Forecaster, self_difference
 from matcap.space.tuning.audition import begin
 from matcap.space.tuning.finetune import TuneSettings, finetune
 from matcap.space.tuning.match import match_photograph
-from matcap.statistics.lattice import Wave
 
 
 def capture_by_decoder(
-    photo: Photo,
-    coarse: CoarseFit,
-    plane: Plane,
-    waves: tuple[Wave, ...],
-    window: int,
-    settings: CaptureSettings,
-    effort: Effort,
-    method: Method,
-    others: Sequence[Photo],
-    clock: CaptureClock,
+    shot: Shot, settings: CaptureSettings, effort: Effort, method: Method, clock: CaptureClock
 ) -> CaptureResult:
     """A photograph to a tuned decoder.
 
     Args:
-        photo: the photograph, as it is.
-        coarse: its coarse fit.
-        plane: the photograph on its plane.
-        waves: of its regular order.
-        window: texels a side of what is compared.
+        shot: the photograph.
         settings: what the user decides.
         effort: what it comes to.
         method: how it is done.
-        others: more photographs of the same sample.
         clock: of the capture.
 
     Raises:
         MatcapError: the prior cannot be read, or the picture is too small for a target.
     """
+    photo, coarse, plane, waves = shot.photo, shot.coarse, shot.plane, shot.waves
     with clock.stage("statistics"):
         most = None if effort.steps or (settings.aligned and effort.adapted) else 1
-        target, joined = photograph_target(
-            plane, coarse, waves, settings, method, window, others, most
-        )
+        target, joined = photograph_target(shot, settings, method, most)
         own = self_difference(target.windows, target.weights)
         tune = _tune(settings, effort, method, own, photo.name)
 
@@ -107,7 +88,7 @@ def capture_by_decoder(
             material = match_photograph(material, plane, settings.seed)
         clock.interrupted |= stopped()
 
-    found = _piece(coarse, plane, target, settings, effort, clock) if settings.aligned else None
+    found = _piece(shot, target, settings, effort, clock) if settings.aligned else None
     went = Tuning(tuned.history, own)
     return judged(photo, material, plane, waves, settings, clock, found, went)
 
@@ -132,8 +113,7 @@ def _told(clock: CaptureClock, own: float) -> Callable[[float, float, float], No
 
 
 def _piece(
-    coarse: CoarseFit,
-    plane: Plane,
+    shot: Shot,
     target: PhotographTarget,
     settings: CaptureSettings,
     effort: Effort,
@@ -142,10 +122,10 @@ def _piece(
     """The photographed piece's own maps, beside the decoder's; in a hurry after an interrupt."""
     with postponed() as stopped:
         found = find_piece(
-            plane,
-            coarse,
+            shot.plane,
+            shot.coarse,
             load_inverse(),
-            target.waves,
+            shot.waves,
             target=lambda: target,
             steps=0 if clock.interrupted else effort.adapted,
             seed=settings.seed,

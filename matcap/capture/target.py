@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from matcap.capture.settings import CaptureSettings, Method
@@ -18,39 +19,50 @@ from matcap.statistics.lattice import Wave
 from matcap.statistics.vgg import Vgg19
 
 
+@dataclass(frozen=True)
+class Shot:
+    """A photograph as every way of capturing it begins.
+
+    Attributes:
+        photo: as it is.
+        coarse: its coarse fit.
+        plane: the photograph on the texels it is read on.
+        waves: of its regular order, cycles a texel of that.
+        window: texels a side of what is compared.
+        others: more photographs of the same sample.
+    """
+
+    photo: Photo
+    coarse: CoarseFit
+    plane: Plane
+    waves: tuple[Wave, ...]
+    window: int
+    others: Sequence[Photo] = ()
+
+
 def photograph_target(
-    plane: Plane,
-    coarse: CoarseFit,
-    waves: tuple[Wave, ...],
-    settings: CaptureSettings,
-    method: Method,
-    window: int,
-    others: Sequence[Photo] = (),
-    most: int | None = None,
+    shot: Shot, settings: CaptureSettings, method: Method, most: int | None = None
 ) -> tuple[PhotographTarget, list[dict[str, Any]]]:
     """What a material is compared with, and what was found of each other photograph.
 
     Args:
-        plane: the photograph.
-        coarse: its coarse fit.
-        waves: of its regular order.
+        shot: the photograph.
         settings: which statistics.
         method: of which features.
-        window: texels a side of what is compared.
-        others: more photographs of the same sample.
         most: windows at most, or None.
     """
+    plane, coarse = shot.plane, shot.coarse
     bank = _features(settings, method)
     target = PhotographTarget(
-        cut_windows(plane, bank, window, most=most),
+        cut_windows(plane, bank, shot.window, most=most),
         coarse.setup,
         plane.encoding,
         bank,
-        waves,
+        shot.waves,
         plane.texel_size,
         expected=coarse.logits(),
     )
-    return join(target, coarse, others, plane.size[0]) if others else (target, [])
+    return join(target, coarse, shot.others, plane.size[0]) if shot.others else (target, [])
 
 
 def _features(settings: CaptureSettings, method: Method) -> Features:

@@ -56,6 +56,9 @@ def train(
     maps: Annotated[
         Path | None, typer.Option(help="Real materials beside simulated ones (`inverse pack`).")
     ] = None,
+    real: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of photographs of real materials.")
+    ] = 0.5,
     begin: Annotated[
         Path | None, typer.Option("--from", help="A network's file that a first leg goes on from.")
     ] = None,
@@ -68,7 +71,7 @@ def train(
     settings = TrainSettings(
         steps=steps, seconds=time_limit or float("inf"), rate=rate, cooling=cooling,
         batch=batch, workers=workers, device=device, maps=maps,
-        width=size[0], height=size[1], compiled=compiled,
+        width=size[0], height=size[1], compiled=compiled, real=real,
     )  # fmt: skip
     run(folder, settings, tell=(lambda _line: None) if quiet else _tell, begin=begin)
 
@@ -141,12 +144,19 @@ def ship(
     out: Annotated[Path, typer.Option("--out", "-o", help="The network's file.")] = Path(
         "inverse.safetensors"
     ),
+    before: Annotated[
+        Path | None,
+        typer.Option("--from", help="The network it went on from, met by 1 - share of the way."),
+    ] = None,
+    share: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Of the way from there to the training's.")
+    ] = 0.5,
     quiet: QuietOption = False,
 ) -> None:
     """Write a training's running average as the file that captures read, in half precision."""
     from matcap.lab.inverse.train import ship as run
 
-    card = run(folder, out)
+    card = run(folder, out, before, share if before else 1.0)
     if not quiet:
         typer.echo(f"wrote {out}: {card['steps']} steps", err=True)
 

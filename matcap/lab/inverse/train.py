@@ -28,7 +28,13 @@ from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 from matcap.lab.inverse.losses import Compare, LossWeights, compared, loss_parts, total, wanted
 from matcap.lab.inverse.packed import training_sets
-from matcap.lab.inverse.samples import HELD_OUT, HELD_OUT_PATTERNS, Sample, draw_sample
+from matcap.lab.inverse.samples import (
+    HELD_OUT,
+    HELD_OUT_PATTERNS,
+    REAL_SHARE,
+    Sample,
+    draw_sample,
+)
 
 _AHEAD = 4  # samples made before they are wanted
 _STATE = "state.safetensors"
@@ -53,6 +59,7 @@ class TrainSettings:
         style_every: steps, in one of which statistics of relit pictures are compared.
         compiled: losses are compiled, which takes minutes once and pays in a leg of an hour.
         maps: packed real materials (packed.py), of which those not held out are shown; or none.
+        real: share of photographs of them.
     """
 
     steps: int = 100_000
@@ -69,6 +76,7 @@ class TrainSettings:
     style_every: int = 2
     compiled: bool = False
     maps: Path | None = None
+    real: float = REAL_SHARE
 
     def rate_at(self, step: int) -> float:
         """Adam's rate at a step: a short warm-up, then flat, then down to nothing."""
@@ -252,7 +260,7 @@ def _samples(
 def _made(asked: tuple[int, TrainSettings]) -> tuple[Tensor, Sample]:
     number, settings = asked
     sets = training_sets(settings.maps) if settings.maps else ()
-    sample = draw_sample(number, settings.width, settings.height, sets=sets)
+    sample = draw_sample(number, settings.width, settings.height, sets=sets, real=settings.real)
     inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
     return inputs, sample
 
@@ -266,17 +274,24 @@ def read_network(path: Path) -> Inverse:
     return _trained(path).average if path.is_dir() else read_inverse(path)[0]
 
 
-def ship(folder: Path, out: Path) -> dict[str, Any]:
+def ship(folder: Path, out: Path, before: Path | None = None, share: float = 1.0) -> dict[str, Any]:
     """Write a training's running average as captures read it; returns its card.
+
+    Args:
+        folder: of the training.
+        out: the file.
+        before: the network that it went on from, to be met on the way: between the two it is often
+            better than either on what neither was trained on.
+        share: of the way from there to the training's; 1 is the training's.
 
     Raises:
         MatcapError: the folder holds no training.
     """
     state = _trained(folder)
-    before = state.origin.get("photographs_seen", state.origin.get("steps", 0))
-    card = {
+    seen = state.origin.get("photographs_seen", state.origin.get("steps", 0))
+    card: dict[str, Any] = {
         "steps": state.step,
-        "photographs_seen": before + state.shown,
+        "photographs_seen": seen + state.shown,
         "photographs": "of real map sets and simulated materials (matcap/lab/inverse/samples.py)",
         "held_out": [
             *HELD_OUT,
@@ -284,6 +299,11 @@ def ship(folder: Path, out: Path) -> dict[str, Any]:
             "real sets by name (matcap/lab/inverse/packed.py, is_held_out)",
         ],
     }
+    if before:
+        other = read_inverse(before)[0].state_dict()
+        here = state.average.state_dict()
+        state.average.load_state_dict({k: other[k].lerp(v, share) for k, v in here.items()})
+        card["share"] = share
     save_inverse(state.average, out, card)
     return card
 

@@ -13,7 +13,7 @@ from matcap.capture.piece.network.network import ERRORS, Inverse, InverseConfig
 from matcap.capture.piece.network.store import read_inverse, save_inverse
 from matcap.lab.inverse.losses import loss_parts, total, wanted
 from matcap.lab.inverse.samples import draw_sample, is_held_out, training_material
-from matcap.lab.inverse.train import TrainSettings, train
+from matcap.lab.inverse.train import TrainSettings, ship, train
 from matcap.lab.simulate.materials import random_material
 
 TINY = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)
@@ -91,6 +91,21 @@ def test_a_first_leg_goes_on_from_a_shipped_network(tmp_path: Path) -> None:
     assert state.step == 0 and state.origin == {"steps": 7}
     for a, b in zip(before.parameters(), state.average.parameters(), strict=True):
         assert torch.equal(a, b)
+
+
+def test_what_is_shipped_may_lie_on_the_way(tmp_path: Path) -> None:
+    torch.manual_seed(3)
+    save_inverse(Inverse(), tmp_path / "before.safetensors", {"steps": 7})
+    once = TrainSettings(**{**vars(SMALL), "steps": 1})
+    begin = tmp_path / "before.safetensors"
+    state = train(tmp_path / "leg", once, InverseConfig(), _quiet, begin=begin)
+    card = ship(tmp_path / "leg", tmp_path / "between.safetensors", begin, 0.5)
+    assert card["photographs_seen"] == 8 and card["share"] == 0.5
+    before, between = read_inverse(begin)[0], read_inverse(tmp_path / "between.safetensors")[0]
+    for a, b, c in zip(
+        before.parameters(), state.average.parameters(), between.parameters(), strict=True
+    ):
+        assert torch.allclose((a + b) / 2.0, c, atol=1e-3)
 
 
 def test_the_rate_warms_up_stays_and_falls_to_nothing() -> None:
