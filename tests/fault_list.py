@@ -301,9 +301,9 @@ CAPTURE = (
     ),
     Fault(
         "equalise: however little it is trusted",
-        "capture/piece/equalise.py",
-        "np.exp(trust * stronger + (1.0 - trust) * usual)",
-        "np.exp(stronger)",
+        "capture/piece/believed.py",
+        "/ (doubt[:, None] + _LEAST)",
+        "/ _LEAST",
         (exemplar("equalise"), "-k", "trusted"),
     ),
     Fault(
@@ -337,8 +337,8 @@ CAPTURE = (
     Fault(
         "confidence: clipped texels' neighbours",
         "capture/piece/find.py",
-        "cv2.erode(valid.numpy().astype(np.uint8), np.ones((5, 5), np.uint8))",
-        "valid.numpy().astype(np.uint8)",
+        "np.minimum(share, np.clip(2.0 * around - 1.0, 0.0, 1.0))",
+        "share",
         _FIND,
     ),
     Fault(
@@ -386,15 +386,15 @@ CAPTURE = (
     Fault(
         "strengths: no covariance of albedo and slope",
         "capture/piece/strengths.py",
-        "2.0 * slant, np.square(slant)",
-        "0.0 * slant, np.square(slant)",
+        "2.0 * slant, squared",
+        "0.0 * slant, squared",
         (exemplar("strengths"), "-k", "goes_with"),
     ),
     Fault(
         "strengths: noise is added, not taken off",
         "capture/piece/strengths.py",
-        "energy[:, band, direction] - white",
-        "energy[:, band, direction] + white",
+        "np.maximum(energy - white, 0.0)",
+        "np.maximum(energy + white, 0.0)",
         (exemplar("strengths"), "-k", "noise"),
     ),
     Fault(

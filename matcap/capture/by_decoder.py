@@ -16,7 +16,7 @@ from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, Effort, Method
-from matcap.capture.target import Shot, photograph_target
+from matcap.capture.target import CaptureStart, photograph_target
 from matcap.errors import MatcapError
 from matcap.files.interrupts import postponed
 from matcap.flash.likeness import PhotographTarget
@@ -29,7 +29,11 @@ from matcap.space.tuning.match import match_photograph
 
 
 def capture_by_decoder(
-    shot: Shot, settings: CaptureSettings, effort: Effort, method: Method, clock: CaptureClock
+    shot: CaptureStart,
+    settings: CaptureSettings,
+    effort: Effort,
+    method: Method,
+    clock: CaptureClock,
 ) -> CaptureResult:
     """A photograph to a tuned decoder.
 
@@ -113,7 +117,7 @@ def _told(clock: CaptureClock, own: float) -> Callable[[float, float, float], No
 
 
 def _piece(
-    shot: Shot,
+    shot: CaptureStart,
     target: PhotographTarget,
     settings: CaptureSettings,
     effort: Effort,

@@ -20,7 +20,7 @@ from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import DECODER_STAGES, PIECE_STAGES, CaptureClock, CaptureProgress
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings, Method, resolve
-from matcap.capture.target import Shot, photograph_target
+from matcap.capture.target import CaptureStart, photograph_target
 from matcap.errors import MatcapError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
@@ -140,7 +140,7 @@ def capture_under(
         plane, lattice = plane_in_detail(photo, coarse.setup, settings.detail)
         read, waves = to_be_read(plane, lattice.waves)
         window = _window(read, method.window, photo.name)
-        shot = Shot(photo, coarse, read, waves, window, others)
+        shot = CaptureStart(photo, coarse, read, waves, window, others)
 
     if settings.generator == "decoder":
         from matcap.capture.by_decoder import capture_by_decoder

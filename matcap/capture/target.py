@@ -20,7 +20,7 @@ from matcap.statistics.vgg import Vgg19
 
 
 @dataclass(frozen=True)
-class Shot:
+class CaptureStart:
     """A photograph as every way of capturing it begins.
 
     Attributes:
@@ -41,7 +41,7 @@ class Shot:
 
 
 def photograph_target(
-    shot: Shot, settings: CaptureSettings, method: Method, most: int | None = None
+    shot: CaptureStart, settings: CaptureSettings, method: Method, most: int | None = None
 ) -> tuple[PhotographTarget, list[dict[str, Any]]]:
     """What a material is compared with, and what was found of each other photograph.
 

@@ -122,6 +122,7 @@ def distributions(
     size: Annotated[
         tuple[int, int], typer.Option(help="Texels of a photograph across and down.")
     ] = (160, 128),
+    quiet: QuietOption = False,
 ) -> None:
     """Plot what training draws against what real materials and photographs are like."""
     from matcap.lab.inverse import distributions as of
@@ -135,7 +136,8 @@ def distributions(
         "photographs": of.of_photographs(photographs, size),
     }
     of.plot(measured, out)
-    typer.echo(of.table(measured))
+    if not quiet:
+        typer.echo(of.table(measured))
 
 
 @app.command()

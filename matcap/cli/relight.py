@@ -91,8 +91,8 @@ def relight(
     tolerance: Annotated[
         float | None,
         typer.Option(
-            parser=in_range(0.0, 1.0),
-            metavar="0..1",
+            parser=in_range(0.0, 1e9),
+            metavar="0..1e9",
             show_default="half an 8-bit step",
             help="What skipped effects may change at most, in code values from 0 to 1.",
         ),

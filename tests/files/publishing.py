@@ -34,8 +34,10 @@ from matcap.batch.workspace import open_run
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
 from matcap.capture.outputs import OutputSettings, write_outputs
-from matcap.capture.result import CaptureResult
+from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings
+from matcap.capture.verdict.evidence import evidence
+from matcap.capture.verdict.judge import judge
 from matcap.cli.main import main as matcap
 from matcap.errors import MatcapError
 from matcap.export.job import ExportJob
@@ -113,9 +115,11 @@ WRITERS: tuple[Writer, ...] = (plain, mapset, synth, export, capture, blend, pri
 def _captured(version: int) -> CaptureResult:
     pixels = np.full((_SIDE, _SIDE, 3), 0.2 * version, dtype=np.float32)
     photo = Photo(pixels, pixels[..., 0] > 1.0, 45.0, "assumed", False, "p.jpg", (_SIDE, _SIDE))
+    material = a_material("m", seed=version)
+    seen = evidence(photo, material.setup, pixels, pixels)
     return CaptureResult(
-        photo, a_material("m", seed=version), pixels, pixels, _maps(version),
-        ((0.5, 1, 0.9), (1.0, 2, 0.5)), {"coarse": 0.5}, CaptureSettings(), False,
+        photo, material, pixels, pixels, _maps(version), seen, judge(seen), {"coarse fit": 0.5},
+        CaptureSettings(), False, tuning=Tuning(((0.5, 1, 0.9), (1.0, 2, 0.5))),
     )  # fmt: skip
 
 

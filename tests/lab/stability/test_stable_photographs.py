@@ -61,11 +61,11 @@ def test_what_cannot_be_captured_is_refused_in_one_sentence(name):
 def test_the_others_end_in_finite_maps(name):
     prior = "auto" if name in ("64 x 64", "grey") else "none"
     preset = "draft" if name in ADAPTED else "instant"
-    asked = settings(prior=prior, preset=preset, aligned=True)
+    asked = settings(prior=prior, preset=preset, aligned=True, generator="decoder")
     result = capture_array(made(name), asked, name)
     assert finite(result)
     assert within_ranges(result.found, seed=1)
-    assert len(result.history) == 2
+    assert len(result.tuning.history) == 2
     maps = result.maps.stacked()
     assert maps[:5].min() >= 0 and maps[:5].max() <= 1
 
