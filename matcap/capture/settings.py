@@ -50,8 +50,8 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
         for effort in (
             Effort("instant", 0, 0),
             Effort("draft", 16, 32, matched=False),
-            Effort("standard", 80, 160, places=3),
-            Effort("high", 160, 320, places=3),
+            Effort("standard", 40, 160, places=3),
+            Effort("high", 120, 320, places=3),
             Effort("reference", 320, 800),
         )
     }

@@ -52,7 +52,7 @@ def test_a_trial_that_cannot_be_made_leaves_the_speed_unknown(shoot, tmp_path, c
 @pytest.mark.parametrize(
     ("chosen", "steps", "seconds"),
     [
-        ({"preset": "standard"}, 80, 80.0),
+        ({"preset": "standard"}, 40, 40.0),
         ({"preset": "instant"}, 0, 0.0),
         ({"preset": "draft", "generator": "decoder"}, 32, 32.0),
         # At most as many as reference has.

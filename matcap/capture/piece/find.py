@@ -368,11 +368,21 @@ def lit(linear: Tensor) -> Tensor:
 
 
 def _read(network: Inverse, inputs: Tensor) -> Tensor:
-    """(OUTPUTS + ERRORS, H, W) of a picture of any size."""
+    """(OUTPUTS + ERRORS, H, W) of a picture of any size.
+
+    The network works on squares of 2 x 2 texels, and texels of a square differ by its place in
+    them: a mesh, seen under a low light. So the picture is read with its squares begun at each of
+    their four texels, and what is read is the mean.
+    """
     height, width = inputs.shape[-2:]
     multiple = network.config.multiple
-    pad = (0, -width % multiple, 0, -height % multiple)
-    mode = "reflect" if max(pad[1], pad[3]) < min(height, width) else "replicate"
-    whole = F.pad(inputs[None], pad, mode=mode) if any(pad) else inputs[None]
-    answer: Tensor = network(whole.contiguous(memory_format=torch.channels_last))
-    return answer[0, :, :height, :width]
+    total: Tensor | None = None
+    for down, across in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        pad = (across, -(width + across) % multiple, down, -(height + down) % multiple)
+        mode = "reflect" if max(pad) < min(height, width) else "replicate"
+        whole = F.pad(inputs[None], pad, mode=mode) if any(pad) else inputs[None]
+        answer: Tensor = network(whole.contiguous(memory_format=torch.channels_last))
+        answer = answer[0, :, down : down + height, across : across + width]
+        total = answer if total is None else total + answer
+    assert total is not None
+    return total / 4.0

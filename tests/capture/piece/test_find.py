@@ -10,8 +10,8 @@ import pytest
 import torch
 from photographed import photographed
 
-from matcap.capture.piece.find import confidence, find_piece, lit, piece_maps, seen_share
-from matcap.capture.piece.network.network import Inverse, InverseConfig
+from matcap.capture.piece.find import _read, confidence, find_piece, lit, piece_maps, seen_share
+from matcap.capture.piece.network.network import INPUTS, Inverse, InverseConfig
 from matcap.capture.piece.network.store import load_inverse, read_inverse, save_inverse
 from matcap.errors import MatcapError
 from matcap.flash.coarse import CoarseFit
@@ -138,3 +138,20 @@ def test_weights_survive_storing_and_are_refused_when_damaged(tmp_path: Path) ->
         read_inverse(path)
     with pytest.raises(MatcapError, match="damaged"):
         read_inverse(tmp_path / "missing")
+
+
+def test_what_is_read_has_no_mesh_of_two_texels():
+    """Under a network whose head differs by place: what alternates along rows or columns goes."""
+    network = Inverse(InverseConfig((16, 16), 16)).eval()
+    with torch.no_grad():
+        network.head.bias.copy_(torch.randn(network.head.bias.shape, generator=_generator(1)))
+        inputs = torch.full((len(INPUTS), 64, 96), 0.2)
+        read = _read(network, inputs)[3:6, 16:48, 16:80]
+        alone = network(inputs[None])[0, 3:6, 16:48, 16:80]
+    for along in (-1, -2):
+        mesh, before = (float(p.diff(dim=along).abs().mean()) for p in (read, alone))
+        assert mesh < 0.1 * before
+
+
+def _generator(seed):
+    return torch.Generator().manual_seed(seed)
