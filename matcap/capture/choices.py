@@ -60,8 +60,7 @@ CHOICES: Mapping[str, Choice] = MappingProxyType(
             0.01, 1e6, metavar="TIMES",
         ),
         "detail": Choice(
-            (int,), "Texels along the photograph's long side. By default 1024, or 512 where the "
-            "texture is so coarse that this comes out better.", 64, 8192,
+            (int,), "Texels along the photograph's long side. By default 1024.", 64, 8192,
         ),
         "fov": Choice(
             (int, float), "Field of view along the long side, degrees.", 1.0, 170.0,

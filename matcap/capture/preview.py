@@ -157,11 +157,16 @@ def block(shown: Sequence[Panel]) -> Image.Image:
 
 
 def titled(shown: Image.Image, title: str) -> Image.Image:
-    """A block below its title."""
-    sheet = Image.new("RGB", (shown.width, _TITLE + shown.height), _PAPER)
+    """A block below its title, in as many lines as it takes."""
     font = ImageFont.load_default(size=24)
-    ImageDraw.Draw(sheet).text((_GAP, 12), title, fill=_TITLE_INK, font=font)
-    sheet.paste(shown, (0, _TITLE))
+    letters = int((shown.width - 2 * _GAP) / (font.getlength(title) / max(1, len(title))))
+    lines = textwrap.wrap(title, max(8, letters - 2))
+    tall = _TITLE * max(1, len(lines))
+    sheet = Image.new("RGB", (shown.width, tall + shown.height), _PAPER)
+    ink = ImageDraw.Draw(sheet)
+    for row, line in enumerate(lines):
+        ink.text((_GAP, 12 + _TITLE * row), line, fill=_TITLE_INK, font=font)
+    sheet.paste(shown, (0, tall))
     return sheet
 
 

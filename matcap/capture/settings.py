@@ -103,8 +103,7 @@ class CaptureSettings:
         time_limit: for the whole work in seconds, or None.
         target: error of a decoder to end at, as a multiple of what the photograph's own windows
             differ by.
-        detail: texels across the photograph's long side; by default DETAIL, or half of it where
-            the texture is coarse (detail.py).
+        detail: texels across the photograph's long side; by default DETAIL (detail.py).
         fov: field of view across the long side in degrees, instead of the photograph's.
         seed: of everything random.
         prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.

@@ -65,13 +65,14 @@ def find_beside(
     Raises:
         MatcapError: the photograph is none that matcap reads.
     """
-    file = photo or find_photograph(path, name)
+    folder = path if path.is_dir() else path.parent
+    file = photo or find_photograph(path, name) or reported_photograph(folder)
     example = material.part(Example) if material else None
     setup = material.setup if material and example else None
     return Beside(
         browser_picture(file, setup) if file else None,
         doubt_picture(example.exemplar) if example else None,
-        read_verdict(path if path.is_dir() else path.parent),
+        read_verdict(folder),
     )
 
 
@@ -83,6 +84,16 @@ def find_photograph(path: Path, name: str) -> Path | None:
             if file.is_file():
                 return file
     return None
+
+
+def reported_photograph(folder: Path) -> Path | None:
+    """The photograph that a capture's report says it was made from, where it still is."""
+    try:
+        told = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+        file = Path(told["photograph"]["path"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return file if file.is_file() else None
 
 
 def read_verdict(folder: Path) -> tuple[str, str] | None:

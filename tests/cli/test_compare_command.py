@@ -8,6 +8,8 @@ import pytest
 from materials import a_material
 from PIL import Image
 
+from matcap.capture.preview import titled
+
 
 @pytest.fixture
 def captures(tmp_path):
@@ -63,3 +65,12 @@ def test_the_photograph_that_a_report_names_is_shown_or_said_to_be_gone(matcap, 
     assert said.code == 0 and f"a: its photograph {file} is gone" in said.err
     with Image.open(one) as own, Image.open(three) as gone:
         assert own.tobytes() != gone.tobytes()
+
+
+def test_a_long_title_is_whole():
+    """A verdict takes several lines rather than be cut off."""
+    shown = Image.new("RGB", (600, 40))
+    short, long = titled(shown, "leather: good"), titled(shown, "leather: doubtful, " + "so " * 80)
+    assert short.height < long.height and short.width == long.width == 600
+    ink = np.asarray(long)[:, -12:] != np.asarray(long)[0, 0]
+    assert not ink[: long.height - 40].any()

@@ -17,7 +17,7 @@ import pytest
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
-from matcap.view.beside import find_photograph
+from matcap.view.beside import find_photograph, reported_photograph
 from matcap.view.document import sealed_page
 from matcap.view.serve import HOST
 from matcap.view.subject import Maps, Materials, open_subject
@@ -52,6 +52,17 @@ def test_a_map_set_has_no_seed_and_no_blend(tmp_path, material, extra):
     write_mapset(material.maps(64, 48), tmp_path, MapSetInfo("bricks"))
     with pytest.raises(UsageError, match="give the .matcap file"):
         open_subject(tmp_path, **extra)
+
+
+def test_the_photograph_that_the_report_tells_of(tmp_path):
+    shot = tmp_path / "shoot" / "leather.dng"
+    report = tmp_path / "report.json"
+    for told in ("", "[]", json.dumps({"photograph": {"path": str(shot)}})):
+        report.write_text(told)
+        assert reported_photograph(tmp_path) is None  # nothing told, or it is gone
+    shot.parent.mkdir()
+    shot.touch()
+    assert reported_photograph(tmp_path) == shot
 
 
 def test_photograph_of_the_folder(folder, tmp_path):
