@@ -1,5 +1,6 @@
 """The command line as a process: fast to start, honest exit codes, nothing but sentences."""
 
+import resource
 import subprocess
 import sys
 import time
@@ -23,12 +24,15 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_help_answers_at_once():
-    def seconds() -> float:
-        started = time.perf_counter()
-        assert run("--help").returncode == 0
-        return time.perf_counter() - started
+    """By the processor's clock: the wall's tells what else the machine is doing, too."""
 
-    assert min(seconds() for _ in range(3)) < 0.5
+    def seconds() -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        assert run("--help").returncode == 0
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+
+    assert min(seconds() for _ in range(5)) < 0.5
 
 
 @pytest.mark.parametrize("module", ["matcap", "matcap.cli.main"])
