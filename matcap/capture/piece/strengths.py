@@ -88,20 +88,6 @@ class Strengths:
             ],
         }
 
-    def lines(self) -> list[tuple[str, str]]:
-        """Names, and a sentence each."""
-        bands = self.document()["bands"]
-
-        def sentence(what: str, strength: float, of: str) -> str:
-            shares = (f"{b[of]:.3f} ({b['waves'][0]:g}-{b['waves'][1]:g})" for b in bands)
-            return f"{what} {strength:.2f}; by waves in pixels: {', '.join(shares)}."
-
-        contrast = float(np.sqrt(np.square(self.albedo).sum()))
-        return [
-            ("relief", sentence("Root-mean-square slope", self.relief, "slope")),
-            ("albedo", sentence("Contrast of log albedo", contrast, "albedo")),
-        ]
-
 
 def measure_strengths(
     log: NDArray[np.float32],
