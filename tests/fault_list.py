@@ -87,7 +87,7 @@ RELIGHTING_AND_FILES = (
           (_TILES, "-k", "left_out_of_the_sky and plain")),
     Fault("tiles: lights that set by rules of few points", "relight/effects/area.py",
           "np.where(sets | (", "np.where(0 * sets | (", (_TILES, "-k", "sets_behind")),
-    Fault("photographs: no vignetting", "relight/render.py", "if view.vignetting:", "if False:",
+    Fault("photographs: no vignetting", "relight/render.py", "if view.vignetted:", "if False:",
           ("tests/relight/test_relight_photographed.py", "-k", "straight_above")),
     Fault("photographs: a camera that is never rolled", "relight/photographed.py",
           "fov=setup.fov, up=up", "fov=setup.fov",

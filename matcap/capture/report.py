@@ -14,7 +14,7 @@ Keys:
     notes: what was noticed about the file, a sentence each.
     photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share.
     camera: `fov_degrees` and where it is from, distance, `tilt_degrees`, flash offset and
-        intensity, vignetting.
+        intensity, vignetting with r^2 and r^4.
     texel_size: plane units.
     settings: that were asked for.
     effort: what they came to: preset, steps of adaptation (`adapted`) and of a decoder (`steps`),
@@ -109,6 +109,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
             "flash_offset": list(setup.offset),
             "flash_intensity": list(setup.intensity),
             "vignetting": setup.vignetting,
+            "vignetting_quartic": setup.vignetting_quartic,
         },
         "texel_size": result.material.texel_size,
         "settings": result.settings.named(),

@@ -143,4 +143,8 @@ def stated_setup(stated: Mapping[str, Any]) -> dict[str, Any]:
         "tilt": several("tilt", 2, -1.5, 1.5),
         "intensity": several("intensity", 3, 0.0, 1e12),
         "vignetting": bounded(stated["vignetting"], "vignetting", -20.0, 20.0),
+        # Files of before have none.
+        "vignetting_quartic": bounded(
+            stated.get("vignetting_quartic", 0.0), "vignetting_quartic", -20.0, 20.0
+        ),
     }

@@ -18,7 +18,8 @@ Metadata:
     version: 3 without a decoder; with one 2 where it reads structured noise, else 1.
     name: of the photograph.
     texel_size: plane units.
-    setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`.
+    setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`,
+        `vignetting_quartic`.
     provenance: how it was made.
     example: `exemplar` and `index`, what their tensors mean; absent where there is none.
     decoder: `noise_channels`, `widths` (five), `convolutions` (down, up) and `cells` (channels of

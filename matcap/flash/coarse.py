@@ -29,6 +29,7 @@ from torch import Tensor
 from matcap.brdf.cook_torrance import dot, normalize, specular_lobe
 from matcap.flash.geometry import FlashSetup, rotation
 from matcap.flash.highlight import SURROUNDINGS, Highlight, find_highlight, light_of
+from matcap.flash.render import CORNER_SQUARED
 from matcap.flash.uniform import Uniform
 from matcap.photo.photo import Photo
 
@@ -49,6 +50,7 @@ _STEP = 1e-5  # of a parameter, all of which are of order 1
 # A developed picture's tone curve deepens the falloff; a RAW's numbers are the light's own, and
 # only what a lens profile left undone remains.
 _VIGNETTING_RADIOMETRIC = (0.0, 0.05)
+_QUARTIC_RADIOMETRIC = (0.0, 1e-4)  # one term is enough there, and the other would pass for gloss
 # Nor does a tone curve of its own pass for a tilt.
 _TILT_RADIOMETRIC = 0.1
 _BRIGHTEST = 0.8  # mean albedo or F0 of the brightest material believed in
@@ -90,12 +92,14 @@ class CoarseFit(Uniform):
 
 
 # The unknowns, in the unit each is solved in: log red, green, blue albedo, log F0, logit roughness,
-# log intensity, offset x and y, tilt x and y, vignetting; prior means and deviations.
+# log intensity, offset x and y, tilt x and y, vignetting with r^2 and with r^4; prior means and
+# deviations. Every one of 34 developed photographs loses light with r^4 (docs/notes/coarse-fit.md).
 _PRIOR_MEAN = torch.tensor(
-    [math.log(0.25)] * 3 + [math.log(0.04), 0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.4], dtype=torch.float64
+    [math.log(0.25)] * 3 + [math.log(0.04), 0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.4, 0.6],
+    dtype=torch.float64,
 )
 _PRIOR_DEVIATION = torch.tensor(
-    [0.8, 0.8, 0.8, 0.4, 1.5, 5.0, 0.12, 0.12, 0.05, 0.05, 0.6], dtype=torch.float64
+    [0.8, 0.8, 0.8, 0.4, 1.5, 5.0, 0.12, 0.12, 0.05, 0.05, 0.6, 1.0], dtype=torch.float64
 )
 # Of two lobes: logit of the narrow one's share, log of how much further the other's logit is.
 _PARTED_MEAN = torch.tensor([0.0, 0.0], dtype=torch.float64)
@@ -145,6 +149,7 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
     centre = _PRIOR_MEAN.clone()
     if photo.radiometric:
         centre[10], deviation[10] = _VIGNETTING_RADIOMETRIC
+        centre[11], deviation[11] = _QUARTIC_RADIOMETRIC
         deviation[8:10] = _TILT_RADIOMETRIC
     if tilt is not None:
         centre[8], centre[9] = tilt
@@ -168,7 +173,7 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
     )[1]
     # Two lobes tell the place better; then one lobe does what it can there.
     both = _levenberg_marquardt(last.with_two_lobes(), _parted(single), _ITERATIONS[1])[1]
-    start = torch.cat([single[:6], both[6:11]])
+    start = torch.cat([single[:6], both[6:12]])
     best = _levenberg_marquardt(last.at(both[6:10]), start, _ITERATIONS[1])[1]
     difference = _log_radiance(best, last.cells.image, distance) - last.cells.observed
     rest = difference[last.cells.above == 1.0]
@@ -186,6 +191,7 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
             tilt=(values[8], values[9]),
             intensity=(math.exp(values[5] + excess),) * 3,
             vignetting=values[10],
+            vignetting_quartic=values[11],
         ),
         residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
         lobes=_lobes(both),
@@ -224,6 +230,7 @@ def render_coarse(fit: CoarseFit, width: int, height: int) -> NDArray[np.float64
             *fit.setup.offset[:2],
             *fit.setup.tilt,
             fit.setup.vignetting,
+            fit.setup.vignetting_quartic,
         ],
         dtype=torch.float64,
     )
@@ -339,7 +346,7 @@ class _Problem:
         highlight: whose centre is evidence, or None.
         evidence: its weight, as share of the picture's.
         rings: (2, 3 * directions) image coordinates: its middle, half width and surroundings.
-        prior, precision: (11,) the prior's mean and inverse variance.
+        prior, precision: (12,) the prior's mean and inverse variance.
         whitening: (3, 3) of the channels of cells that no bound concerns; None for as they are.
     """
 
@@ -417,7 +424,7 @@ class _Problem:
         return torch.cat([away, aside, difference])
 
     def residuals(self, parameters: Tensor) -> Tensor:
-        """(residuals,) of the parameters (11,), in log radiance."""
+        """(residuals,) of the parameters (12,), in log radiance."""
         cells = self.cells
         difference = _log_radiance(parameters, cells.image, self.distance) - cells.observed
         # A lower bound only complains when the model stays below it.
@@ -476,26 +483,27 @@ def _log_radiance(parameters: Tensor, image: Tensor, distance: float) -> Tensor:
     along = -(normal[2] * distance) / torch.tensordot(normal, ray, dims=1)
     points = camera[:, None, None] + along * ray
     to_light = light[:, None, None] - points
-    squared = dot(to_light, to_light)
+    away = dot(to_light, to_light)
     to_light, to_view = normalize(to_light), normalize(camera[:, None, None] - points)
     plane_normal = normal[:, None, None].expand_as(points)
-    one = torch.ones_like(squared)
+    one = torch.ones_like(away)
     reflectance = albedo[:, None, None] / math.pi
     for share, roughness in _lobes_of(parameters):
         lobe = specular_lobe(f0 * one, roughness * one, plane_normal, to_light, to_view)
         reflectance = reflectance + share * lobe
-    falloff = dot(plane_normal, to_light).clamp_min(1e-3) / squared
-    vignette = -parameters[10] * image.square().sum(0) / 1.25**2
+    falloff = dot(plane_normal, to_light).clamp_min(1e-3) / away
+    squared = image.square().sum(0) / CORNER_SQUARED
+    vignette = -squared * (parameters[10] + parameters[11] * squared)
     return (torch.log(reflectance * falloff * intensity + 1e-12) + vignette).flatten(1)
 
 
 def _lobes_of(parameters: Tensor) -> list[tuple[Tensor | float, Tensor]]:
-    """(share, roughness) of one lobe or, with 13 parameters, of two."""
+    """(share, roughness) of one lobe or, with two more parameters, of two."""
     narrow = torch.sigmoid(parameters[4])
     if len(parameters) == len(_PRIOR_MEAN):
         return [(1.0, narrow)]
-    share = torch.sigmoid(parameters[11])
-    return [(share, narrow), (1.0 - share, torch.sigmoid(parameters[4] + parameters[12].exp()))]
+    share = torch.sigmoid(parameters[12])
+    return [(share, narrow), (1.0 - share, torch.sigmoid(parameters[4] + parameters[13].exp()))]
 
 
 def _parted(single: Tensor) -> Tensor:

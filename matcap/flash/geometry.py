@@ -30,6 +30,7 @@ class FlashSetup:
         intensity: radiant intensity of the flash, per colour channel; scales the whole picture.
         vignetting: share of light lost in the corners of the picture (r = 1.25), growing with
             r^2: what lens and tone mapping leave of the falloff. May be negative.
+        vignetting_quartic: likewise, growing with r^4: a phone's flash lights a cone.
     """
 
     fov: float = 45.0
@@ -37,6 +38,7 @@ class FlashSetup:
     tilt: tuple[float, float] = (0.0, 0.0)
     intensity: tuple[float, float, float] = (1.0, 1.0, 1.0)
     vignetting: float = 0.0
+    vignetting_quartic: float = 0.0
 
     @property
     def distance(self) -> float:

@@ -61,6 +61,7 @@ def join(
                 "tilt_degrees": [math.degrees(angle) for angle in fit.setup.tilt],
                 "flash_offset": list(fit.setup.offset),
                 "vignetting": fit.setup.vignetting,
+                "vignetting_quartic": fit.setup.vignetting_quartic,
                 "gain": gain,
             }
         )

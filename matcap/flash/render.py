@@ -43,8 +43,8 @@ def shade(maps: MapSet, points: Tensor, camera: Tensor, light: Tensor, intensity
 def vignette(points: Tensor, setup: FlashSetup) -> Tensor:
     """(..., 1, H, W) share of light that reaches the sensor from plane points (..., 3, H, W)."""
     image = project(points.movedim(-3, 0), setup)
-    squared_radius = image.square().sum(0).unsqueeze(-3)
-    return torch.exp(-setup.vignetting * squared_radius / CORNER_SQUARED)
+    squared = image.square().sum(0).unsqueeze(-3) / CORNER_SQUARED
+    return torch.exp(-squared * (setup.vignetting + setup.vignetting_quartic * squared))
 
 
 def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:

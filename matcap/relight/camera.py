@@ -26,7 +26,7 @@ class View:
         size: (width, height) in pixels.
         perspective: whether rays meet in `position`.
         columns: half open range of those that rays are asked for; None is all.
-        vignetting: see Camera.
+        vignetting, vignetting_quartic: see Camera.
     """
 
     position: Points
@@ -36,6 +36,7 @@ class View:
     perspective: bool
     columns: tuple[int, int] | None = None
     vignetting: float = 0.0
+    vignetting_quartic: float = 0.0
 
     @property
     def across(self) -> tuple[int, int]:
@@ -63,15 +64,25 @@ class View:
         """(bottom - top, W) share of the light of rows of pixels that the lens lets through."""
         across, down = (c / self.reach for c in self.screen(top, bottom))
         squared = (across * across + down * down) / _CORNER_SQUARED
-        share: Array = np.exp(-self.vignetting * squared).astype(np.float32)
+        exponent = squared * (self.vignetting + self.vignetting_quartic * squared)
+        share: Array = np.exp(-exponent).astype(np.float32)
         return share
+
+    @property
+    def vignetted(self) -> bool:
+        """Whether the lens loses any light."""
+        return self.vignetting != 0.0 or self.vignetting_quartic != 0.0
 
     @property
     def brightest(self) -> float:
         """By how much at most the lens brightens a picture."""
         width, height = self.size
-        corner = 1.0 + (min(width, height) / max(width, height)) ** 2
-        return max(1.0, math.exp(-self.vignetting * corner / _CORNER_SQUARED))
+        corner = (1.0 + (min(width, height) / max(width, height)) ** 2) / _CORNER_SQUARED
+        first, second = self.vignetting, self.vignetting_quartic
+        # Of a parabola between the middle and a corner: at one of them, or at its turn.
+        turn = -0.5 * first / second if second else 0.0
+        places = (0.0, corner, min(max(turn, 0.0), corner))
+        return max(math.exp(-s * (first + second * s)) for s in places)
 
     def rays(self, top: int, bottom: int) -> tuple[Array, Array]:
         """Origins and unit directions of the rows' rays, (3, bottom - top, W) each."""
@@ -111,4 +122,12 @@ def view_of(camera: Camera | None, film: Film, long_side: float) -> View:
     else:
         reach = camera.scale
     perspective = camera.type == "perspective"
-    return View(place, axes, reach, size, perspective, vignetting=camera.vignetting)
+    return View(
+        place,
+        axes,
+        reach,
+        size,
+        perspective,
+        vignetting=camera.vignetting,
+        vignetting_quartic=camera.vignetting_quartic,
+    )

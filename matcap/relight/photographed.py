@@ -23,7 +23,14 @@ def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene
     """
     place, light = (_vector(one) for one in camera_in_plane(setup))
     up = _vector(setup_rotation(setup).T @ torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
-    camera = Camera("perspective", place, fov=setup.fov, up=up, vignetting=setup.vignetting)
+    camera = Camera(
+        "perspective",
+        place,
+        fov=setup.fov,
+        up=up,
+        vignetting=setup.vignetting,
+        vignetting_quartic=setup.vignetting_quartic,
+    )
     surface = Surface(size=_seen(setup, film) if endless else None)
     return Scene(film, camera, surface, (PointLight(light, setup.intensity),))
 

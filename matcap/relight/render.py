@@ -194,7 +194,7 @@ class Renderer:
             hits = shape.hits(view.part(left, right), top, bottom)
             if hits.seen is None or hits.seen.any():
                 found = shade(context, hits, tally.of(*place))
-                if view.vignetting:
+                if view.vignetted:
                     found *= view.part(left, right).share(top, bottom)
                 picture[top:bottom, left:right] = np.moveaxis(found, 0, -1)
 

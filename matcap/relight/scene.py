@@ -55,6 +55,7 @@ class Camera:
         vignetting: share of light that a lens loses in the corners of a 4:3 picture, as an
             exponent: exp(-vignetting) is left there, and more towards the middle, with r squared.
             May be negative.
+        vignetting_quartic: likewise, with r to the fourth.
     """
 
     type: Literal["perspective", "orthographic"] = "perspective"
@@ -64,6 +65,7 @@ class Camera:
     scale: float = 1.0
     up: Vector = (0.0, 1.0, 0.0)
     vignetting: float = 0.0
+    vignetting_quartic: float = 0.0
 
 
 @dataclass(frozen=True)

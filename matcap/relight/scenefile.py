@@ -255,6 +255,7 @@ _CAMERA: dict[str, Checked] = {
     "scale": _at_least(0.0, above=True),
     "up": _direction,
     "vignetting": _exponent,
+    "vignetting_quartic": _exponent,
 }
 _SURFACE: dict[str, Checked] = {
     "type": _one_of("plane", "sphere", "cylinder", "mesh"),

@@ -115,6 +115,7 @@ def _blend_setups(first: FlashSetup, second: FlashSetup, share: float) -> FlashS
         tilt=(tilt_x, tilt_y),
         intensity=(red, green, blue),
         vignetting=_between(first.vignetting, second.vignetting, share),
+        vignetting_quartic=_between(first.vignetting_quartic, second.vignetting_quartic, share),
     )
 
 

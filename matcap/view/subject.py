@@ -34,14 +34,14 @@ class Flashed:
         light: place of the flash.
         axis: where the camera looks, a unit vector.
         intensity: radiant intensity of the flash, by channel.
-        vignetting: light is lost by exp(-vignetting tan^2) at an angle from the axis.
+        vignetting: (a, b), light is lost by exp(-a tan^2 - b tan^4) at an angle from the axis.
     """
 
     camera: tuple[float, ...]
     light: tuple[float, ...]
     axis: tuple[float, ...]
     intensity: tuple[float, float, float]
-    vignetting: float
+    vignetting: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -245,7 +245,8 @@ def _flashed(setup: FlashSetup) -> Flashed:
     camera, light = (tuple(place.tolist()) for place in camera_in_plane(setup))
     axis = tuple((-setup_rotation(setup)[2]).tolist())
     # There it is stated of image coordinates: distance times the tangent.
-    lost = setup.vignetting * setup.distance**2 / CORNER_SQUARED
+    scale = setup.distance**2 / CORNER_SQUARED
+    lost = (setup.vignetting * scale, setup.vignetting_quartic * scale**2)
     return Flashed(camera, light, axis, setup.intensity, lost)
 
 

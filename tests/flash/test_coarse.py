@@ -87,3 +87,24 @@ def test_a_trend_of_colour_is_not_taken_for_the_light():
     fit = fit_coarse(replace(photo, pixels=pixels.astype(np.float32)))
     assert fit.setup.offset[:2] == pytest.approx(setup.offset[:2], abs=0.06)
     assert fit.setup.tilt == pytest.approx((0.0, 0.0), abs=math.radians(1.5))
+
+
+def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials():
+    """Developed photographs lose light with r^4 on top of r^2; albedo and gloss are as without."""
+    setup, photo = made(roughness=0.5)
+    coned = replace(setup, vignetting=0.6, vignetting_quartic=1.2)
+    plain, cone = (
+        fit_coarse(replace(shot, radiometric=False))
+        for shot in (photo, photograph(coned, roughness=0.5))
+    )
+    assert cone.setup.vignetting_quartic > plain.setup.vignetting_quartic + 0.7
+    assert cone.residual < 0.03
+    assert cone.roughness == pytest.approx(plain.roughness, abs=0.05)
+    assert cone.specular / cone.diffuse[1] == pytest.approx(
+        plain.specular / plain.diffuse[1], rel=0.35
+    )
+
+
+def test_a_raw_has_no_second_vignetting():
+    _, photo = made()
+    assert fit_coarse(photo).setup.vignetting_quartic == pytest.approx(0.0, abs=1e-3)

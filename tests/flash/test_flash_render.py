@@ -19,6 +19,12 @@ def test_vignetting_takes_light_from_the_corners_and_grows_with_the_radius_squar
     assert log.tolist() == pytest.approx([0.0, -share, -share, -share / 4.0], abs=1e-6)
 
 
+@pytest.mark.parametrize("share", [0.8, -0.2])
+def test_quartic_vignetting_is_the_share_at_a_corner_and_a_sixteenth_half_way(share):
+    log = vignette(CORNER, FlashSetup(vignetting_quartic=share)).log()[0, 0]
+    assert log.tolist() == pytest.approx([0.0, -share, -share, -share / 16.0], abs=1e-6)
+
+
 def test_a_matt_plane_under_the_flash_is_lambert_and_the_inverse_square():
     setup = FlashSetup(fov=60.0, offset=(0.3, -0.1, 0.2), intensity=(2.0, 3.0, 5.0), vignetting=0.3)
     one = torch.ones(1, 1, 4)

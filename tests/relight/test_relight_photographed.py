@@ -34,10 +34,11 @@ def relit(maps: MapSet, setup: FlashSetup, *, effects="auto", size=None):
     return Renderer(maps, scene).render(effects=effects).radiance
 
 
-@pytest.mark.parametrize("vignetting", [0.4, 0.0, -0.3])
+@pytest.mark.parametrize("vignetting", [(0.4, 0.0), (0.0, 0.0), (-0.3, 0.0), (0.0, 0.9)])
 def test_a_photograph_from_straight_above_is_rendered_alike(vignetting):
     maps = bumpy(64, 48, relief=0.02)
-    setup = replace(SETUP_OF_A_PHONE, vignetting=vignetting)
+    first, second = vignetting
+    setup = replace(SETUP_OF_A_PHONE, vignetting=first, vignetting_quartic=second)
     expected = render_rectified(maps, setup).movedim(0, -1).numpy()
     np.testing.assert_allclose(relit(maps, setup, effects=SAME), expected, rtol=2e-4)
 
@@ -75,9 +76,11 @@ def test_a_simulated_photograph_is_shown_again():
     assert off.max() <= 3.0 / 255.0 and off.mean() <= 0.5 / 255.0
 
 
-def test_negative_vignetting_spends_no_more_than_the_tolerance():
+@pytest.mark.parametrize("vignetting", [(-1.5, 0.0), (0.0, -1.5), (-3.0, 1.5), (1.0, -2.0)])
+def test_negative_vignetting_spends_no_more_than_the_tolerance(vignetting):
     maps = bumpy(48, 36, relief=1e-3)
-    setup = replace(SETUP_OF_A_PHONE, vignetting=-1.5)
+    first, second = vignetting
+    setup = replace(SETUP_OF_A_PHONE, vignetting=first, vignetting_quartic=second)
     off = srgb_encode(relit(maps, setup)) - srgb_encode(relit(maps, setup, effects="all"))
     assert np.abs(off).max() <= DEFAULT_TOLERANCE
 

@@ -64,7 +64,8 @@ def numbers(coarse: CoarseFit, contrast: Tensor, detail: int) -> Tensor:
         10.0 * setup.offset[1],
         10.0 * setup.tilt[0],
         10.0 * setup.tilt[1],
-        2.0 * setup.vignetting,
+        # Priors were trained on fits with r^2 alone, which take so much of r^4 for it.
+        2.0 * (setup.vignetting + 0.7 * setup.vignetting_quartic),
         10.0 * coarse.residual,
         math.log2(detail / 1024.0),
     ]

@@ -34,7 +34,8 @@ class Shelf {
     gl.uniform4f(places.bounds, -3e38, -3e38, 3e38, 3e38);
     gl.uniform1i(places.shape, 1);
     gl.uniform1i(places.map, 0);
-    gl.uniform4f(places.lens, 0, 0, -1, 0);
+    gl.uniform3f(places.lens, 0, 0, -1);
+    gl.uniform2f(places.lost, 0, 0);
     gl.uniform1i(places.room, 0);
     gl.uniform1f(places.gain, 1);
     gl.uniform4f(places.meanAlbedo, 0.2, 0.2, 0.2, 0.04);

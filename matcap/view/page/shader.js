@@ -32,7 +32,8 @@ uniform int shape;            // 0 plane, 1 sphere, 2 cylinder
 uniform int map;              // 0 lit, then diffuse, specular, roughness, height, normal
 uniform bool room;            // surroundings, not the point light
 uniform vec3 viewPlace;       // of the camera over a plane
-uniform vec4 lens;            // its axis, and what it loses with the squared tangent from there
+uniform vec3 lens;            // its axis
+uniform vec2 lost;            // what it loses with the tangent from there, squared and to the fourth
 uniform vec3 lightPlace;
 uniform vec3 intensity;
 uniform bool photographed;    // the photograph itself
@@ -228,8 +229,9 @@ void main() {
           radiance = (a.rgb / PI + fresnel * lobe.x) * intensity * (nl / squared);
           // Along the axis of a lens without falloff this is 1.
           vec3 ray = point - eye;
-          float axial = dot(ray, lens.xyz);
-          radiance *= exp(-lens.w * max(dot(ray, ray) / (axial * axial) - 1.0, 0.0));
+          float axial = dot(ray, lens);
+          float tangent = max(dot(ray, ray) / (axial * axial) - 1.0, 0.0);
+          radiance *= exp(-tangent * (lost.x + lost.y * tangent));
         }
       }
     }
