@@ -7,6 +7,7 @@ from dataclasses import dataclass
 _BOUNDS = "tests/relight/test_relight_bounds.py"
 _EDGES = "tests/relight/test_relight_edges.py"
 _TILES = "tests/relight/test_relight_tiles.py"
+_LOOPS = "tests/relight/test_relight_loops.py"
 _PUBLISHING = "tests/files/test_publishing.py"
 
 
@@ -46,7 +47,7 @@ RELIGHTING_AND_FILES = (
                  "facts.py"),
     effect_fault("specular", "Fresnel's F0 alone", "return self.specular + (1.0 - self.specular)",
                  "return self.specular + 0.0 * (1.0 - self.specular)", "facts.py"),
-    effect_fault("specular", "surroundings forgotten", "direct + environment.mirrored_bound(facts)",
+    effect_fault("specular", "surroundings forgotten", "direct + facts.sky * WHOLE",
                  "direct", "effects/direct.py"),
     effect_fault("diffuse", "surroundings forgotten", "+ facts.diffuse * facts.sky", "",
                  "effects/direct.py"),
@@ -77,16 +78,15 @@ RELIGHTING_AND_FILES = (
           "key=lambda name: -bounds[name].radiance", (_BOUNDS, "-k", "adds_up")),
     Fault("tiles: budgets as at white", "relight/budget.py", "light <= _KNEE] = allowed /",
           "light <= _KNEE] = 30.0 * allowed /", (_TILES, "-k", "budget")),
-    Fault("tiles: walks end early", "relight/texel_horizons.py",
-          "room * np.float32(1.0 / (", "room * np.float32(0.1 / (",
-          (_TILES, "-k", "horizons_of_some and plain")),
-    Fault("tiles: nothing further away hides a light", "relight/relief.py",
-          "np.maximum(tangent, over, out=tangent)", "pass", (_TILES, "-k", "shelter")),
-    Fault("tiles: low directions are clear", "relight/visible_normals.py",
-          "half -= sine + self.to_view[2]", "half -= 0.5 * sine + self.to_view[2]",
-          (_TILES, "-k", "left_out_of_the_sky and plain")),
-    Fault("tiles: lights that set by rules of few points", "relight/effects/area.py",
-          "np.where(sets | (", "np.where(0 * sets | (", (_TILES, "-k", "sets_behind")),
+    Fault("loops: walks end early", "relight/horizons.py", "[one.max() for one in np.split",
+          "[0.1 * one.max() for one in np.split", (_LOOPS, "-k", "horizons_are_those")),
+    Fault("loops: horizons of the texel beside", "relight/loops/horizons.c",
+          "+ column + w->reach;", "+ column + w->reach + 1;", (_LOOPS, "-k", "horizons_are_those")),
+    Fault("loops: low directions are clear", "relight/loops/surroundings.c",
+          "float limit = sine + b->v[2]", "float limit = 0.5f * sine + b->v[2]",
+          (_LOOPS, "-k", "mirrored")),
+    Fault("loops: lights that set by rules of few points", "relight/loops/area.c",
+          "if (*sets || plain >= SAMPLED)", "if (plain >= SAMPLED)", (_TILES, "-k", "sets_behind")),
     Fault("photographs: no vignetting", "relight/render.py", "if view.vignetted:", "if False:",
           ("tests/relight/test_relight_photographed.py", "-k", "straight_above")),
     Fault("photographs: a camera that is never rolled", "relight/photographed.py",
@@ -569,9 +569,9 @@ PICTURES = (
     ),
     Fault(
         "sampling: levels half a texel aside",
-        "relight/sampling.py",
-        "(column + 0.5) * (width / self.texture.size[0]) - 0.5",
-        "column * (width / self.texture.size[0])",
+        "relight/loops/reading.c",
+        "column = (column + 0.5) * ((double)width / t->widths[0]) - 0.5;",
+        "column = column * ((double)width / t->widths[0]);",
         swept("squares"),
     ),
     Fault(
@@ -604,9 +604,9 @@ PICTURES = (
     ),
     Fault(
         "tables: no light at grazing",
-        "relight/visible_normals.py",
-        "z = np.float32(1.0 - point.u)",
-        "z = np.float32(0.9 - point.u)",
+        "relight/tables.py",
+        "z = (1.0 - point.u)",
+        "z = (0.9 - point.u)",
         swept("environments"),
     ),
     Fault(
@@ -625,9 +625,9 @@ PICTURES = (
     ),
     Fault(
         "shadows: rows that are columns",
-        "relight/effects/shadows.py",
-        "(down, across, row, column,",
-        "(down, across, column, row,",
+        "relight/loops/loops.h",
+        "!crossed(f, -y, x, row, column,",
+        "!crossed(f, -y, x, column, row,",
         swept("shadows"),
     ),
     Fault(

@@ -61,11 +61,25 @@ def caught(fault: Fault, place: Path) -> bool:
         )
     file.unlink()
     file.write_text(text.replace(fault.right, fault.wrong))
+    compiled = [file.parent / one.name for one in _built(ROOT / "matcap" / fault.file)]
+    for library in compiled:
+        library.unlink()
+        subprocess.run(
+            ["cc", "-shared", "-fPIC", "-O2", "-fno-math-errno", "-ffp-contract=off",
+             *map(str, file.parent.glob("*.c")), "-o", str(library), "-lm"],
+            check=True,
+        )  # fmt: skip
     try:
         return not passes(fault.tests, place)
     finally:
-        file.unlink()
-        file.symlink_to(ROOT / "matcap" / fault.file)
+        for one in (file, *compiled):
+            one.unlink()
+            one.symlink_to(ROOT / "matcap" / one.relative_to(place / "matcap"))
+
+
+def _built(file: Path) -> list[Path]:
+    """What was compiled from a file."""
+    return [*file.parent.glob("*.so")] if file.suffix in (".c", ".h") else []
 
 
 def main() -> None:

@@ -16,11 +16,12 @@ from typing import Any
 from matcap.errors import MatcapError
 from matcap.example.compiled import kernel
 from matcap.files.maker import MAKER_VERSION
-from matcap.relight import compiled as relighting
+from matcap.relight.loops.library import built
 
 _PLACE = Path(__file__).parents[1]  # the installed package
 _COMPILED = "compiled loops"
 _PLAIN = "plain loops, slow; for compiled ones install matcap again where there is a C compiler"
+_MISSING = "not built, it cannot run; install matcap again where there is a C compiler"
 _SIDE = 256  # texels of the self-test's maps
 
 
@@ -88,7 +89,7 @@ class Diagnosis:
         devices: what torch can compute on.
         compiled: whether the inner loops of the field by example were built; without them it is
             the same bits, slowly.
-        compiled_relighting: whether those of relighting were.
+        compiled_relighting: whether those of relighting were; it does not run without them.
         prior: bytes of the trained prior that comes along, or None where it is missing.
         packages: what matcap cannot do without.
         extras: what it can.
@@ -128,7 +129,7 @@ class Diagnosis:
             f"Python {self.python}, {self.system}",
             f"{self.cores} cores; devices: {', '.join(self.devices) or 'unknown'}",
             "field by example: " + (_COMPILED if self.compiled else _PLAIN),
-            "relighting: " + (_COMPILED if self.compiled_relighting else _PLAIN),
+            "relighting: " + (_COMPILED if self.compiled_relighting else _MISSING),
             "prior " + ("MISSING" if self.prior is None else f"{self.prior / 1e6:.1f} MB"),
             "",
             "Needed",
@@ -164,7 +165,7 @@ def diagnose(*, self_test: bool = True) -> Diagnosis:
         cores=_cores(),
         devices=_devices(),
         compiled=kernel() is not None,
-        compiled_relighting=relighting.kernel() is not None,
+        compiled_relighting=built() is not None,
         prior=_prior(),
         packages=packages,
         extras=extras,

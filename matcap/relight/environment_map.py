@@ -212,6 +212,19 @@ class Environment:
             np.float32
         )
 
+    def vector(self, *, above: bool) -> Array:
+        """(3, 3) sum of radiance times direction of what shines from above the plane, or of all.
+
+        A row for each axis of the scene, a column for each colour.
+        """
+        return self._vectors[0 if above else 1]
+
+    @cached_property
+    def _vectors(self) -> tuple[Array, Array]:
+        towards, power = (one.astype(np.float64) for one in self.directions)
+        up = towards[:, 2] > 0.0
+        return towards[up].T @ power[up], towards.T @ power
+
     @cached_property
     def _above(self) -> SkyPicture:
         """(n, n, 3) what differs from the mean's irradiance, upper half on upper normals."""

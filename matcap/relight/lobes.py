@@ -1,20 +1,19 @@
-"""The reflectance of matcap.brdf in NumPy, in the form that costs a relit picture least.
+"""The reflectance of matcap.brdf as the loops have it: same formula, same limits.
 
-Same formula, same limits: GGX from |n x h|^2 without cancellation, the
-height-correlated Smith visibility, Schlick's Fresnel. Everything broadcasts and keeps its dtype.
-tests/relight/test_relight_lobes.py holds it to matcap.brdf.cook_torrance.
+GGX from |n x h|^2 without cancellation, the height-correlated Smith visibility, Schlick's
+Fresnel, float32. tests/relight/test_relight_lobes.py holds it to matcap.brdf.cook_torrance.
 """
 
 from __future__ import annotations
 
-import math
+from ctypes import c_int64
 
 import numpy as np
 
-from matcap.relight.vectors import Array, Vec, add, dot
+from matcap.relight.loops.library import HeldArrays, Pointer, address, loops
+from matcap.relight.vectors import Array, Vec
 
 MIN_ROUGHNESS = 1e-3  # as matcap.brdf
-_TINY = 1e-7
 
 
 def alpha_of(roughness: Array) -> Array:
@@ -22,58 +21,17 @@ def alpha_of(roughness: Array) -> Array:
     return np.square(np.maximum(roughness, roughness.dtype.type(MIN_ROUGHNESS)))
 
 
-def ggx_smith(
-    normal: Vec, to_view: Vec, to_light: Vec, n_dot_v: Array, n_dot_l: Array, alpha: Array
-) -> tuple[Array, Array]:
-    """D G / (4 (n.l)(n.v)) in 1/sr for n.l, n.v > 0, and the cosine l.h that Fresnel wants.
+def lobe(normal: Vec, to_view: Vec, to_light: Vec, alpha: Array) -> tuple[Array, Array]:
+    """D G / (4 (n.l)(n.v)) in 1/sr, for cosines above 0, and Schlick's weight (1 - l.h)^5.
 
     Args:
-        normal, to_view, to_light: unit vectors.
-        n_dot_v, n_dot_l: cosines, not negative.
+        normal, to_view, to_light: unit vectors, (N,) each.
         alpha: positive.
     """
-    # In place where arrays have the block's full shape: less memory to go through.
-    kind = alpha.dtype.type
-    half = add(to_light, to_view)
-    half_squared = np.maximum(dot(half, half), kind(1e-20))
-    cosine = n_dot_l + n_dot_v
-    # |n x h| is the length of what h has across n; no difference of large squares. Everything
-    # times |l + v|^2, so that h need not be normalised.
-    spread = np.zeros_like(cosine)
-    for n, h in zip(normal, half, strict=True):
-        across = cosine * n
-        np.subtract(h, across, out=across)
-        across *= across
-        spread += across
-    alpha_squared = alpha * alpha
-    cosine *= cosine
-    cosine *= alpha_squared
-    spread += cosine
-    d = np.divide(alpha * half_squared, spread, out=spread)
-    rest = 1.0 - alpha_squared
-    smith = _smith(n_dot_v, n_dot_l, rest, alpha_squared)
-    smith += _smith(n_dot_l, n_dot_v, rest, alpha_squared)
-    np.maximum(smith, kind(_TINY), out=smith)
-    d *= d
-    d *= kind(0.5 / math.pi)
-    d /= smith
-    # |l + v|^2 = 2 + 2 l.v = 4 (l.h)^2.
-    return d, np.sqrt(half_squared) * kind(0.5)
-
-
-def _smith(one: Array, other: Array, rest: Array, alpha_squared: Array) -> Array:
-    """A cosine times Smith's root of the other."""
-    root = one * one * rest
-    root += alpha_squared
-    np.sqrt(root, out=root)
-    root *= other
-    return root
-
-
-def schlick_weight(l_dot_h: Array) -> Array:
-    """(1 - l.h)^5, which mixes F0 and 1 (Schlick 1994, eq. 15)."""
-    rest = np.maximum(1.0 - l_dot_h, l_dot_h.dtype.type(0.0))
-    power = rest * rest
-    power *= power
-    power *= rest
-    return power
+    kept, count = HeldArrays(), alpha.size
+    found, weight = np.empty((2, count), dtype=np.float32)
+    vectors = (Pointer(kept.of(np.stack(one))) for one in (normal, to_view, to_light))
+    loops().matcap_relight_lobe(
+        c_int64(count), *vectors, Pointer(kept.of(alpha)), address(found), address(weight)
+    )
+    return found, weight

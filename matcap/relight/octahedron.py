@@ -11,10 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from ctypes import byref, c_int64
 from dataclasses import dataclass
 
 import numpy as np
 
+from matcap.relight.loops.library import HeldArrays, Pointer, address, loops
+from matcap.relight.loops.structures import CSky
 from matcap.relight.vectors import Array, Vec
 
 _FINEST, _COARSEST = 1024, 4
@@ -44,41 +47,25 @@ class Octahedra:
         return math.sqrt(4.0 * math.pi) / float(self.sides[0])
 
     def radiance(self, direction: Vec, wide: Array) -> SkyPicture:
-        """(3, ...) radiance along unit directions of the scene, averaged over `wide` radians.
+        """(3, N) radiance along unit directions of the scene, averaged over `wide` radians.
 
         Args:
-            direction: arrays of one shape, of one or two dimensions.
-            wide: square root of a solid angle, of the same shape.
+            direction: (N,) arrays.
+            wide: (N,) square root of a solid angle.
         """
-        import cv2
+        kept, found = HeldArrays(), np.empty((3, wide.size), dtype=np.float32)
+        places = (Pointer(kept.of(one)) for one in (*direction, wide))
+        loops().matcap_relight_radiance(
+            byref(self.told(kept)), c_int64(wide.size), *places, address(found)
+        )
+        return found
 
-        u, v = folded(direction)
-        # The exponent of wide / finest, rounded to the nearest: floor(log2(sqrt(2) x)).
-        ratio = wide * np.float32(math.sqrt(2.0) / self.finest)
-        level = (ratio.astype(np.float32).view(np.int32) >> 23) - 127
-        np.clip(level, 0, len(self.sides) - 1, out=level)
-        half = self.sides[level] * np.float32(0.5)
-        # Texel i is centred at i + 0.5, one further for the border.
-        column = (u + 1.0) * half + np.float32(0.5)
-        row = (v + 1.0) * half + (self.tops[level] + np.float32(0.5))
-        flat = column.ndim == 1
-        if flat:
-            column, row = column[None], row[None]
-        found = np.asarray(cv2.remap(self.atlas, column, row, cv2.INTER_LINEAR))
-        return np.moveaxis(found[0] if flat else found, -1, 0)
-
-
-def folded(direction: Vec) -> tuple[Array, Array]:
-    """Place of directions on the unfolded octahedron, in [-1, 1] twice; +z is its middle."""
-    x, y, z = direction
-    u, v, w = np.abs(x), np.abs(y), np.abs(z)
-    inverse = 1.0 / (u + v + w)
-    below = z < 0.0
-    if below.any():
-        u, v = u * inverse, v * inverse
-        u, v = np.where(below, 1.0 - v, u), np.where(below, 1.0 - u, v)
-        return np.copysign(u, x), np.copysign(v, y)
-    return x * inverse, y * inverse
+    def told(self, kept: HeldArrays) -> CSky:
+        """As the loops know it."""
+        return CSky(
+            kept.of(self.atlas), kept.of(self.tops), kept.of(self.sides),
+            self.atlas.shape[1], len(self.sides), self.finest,
+        )  # fmt: skip
 
 
 def unfolded(u: Array, v: Array) -> Vec:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,34 +18,9 @@ import numpy as np
 
 from matcap.errors import UsageError
 from matcap.files.srgb import srgb_decode, srgb_encode
-from matcap.relight.effects import (
-    area,
-    direct,
-    environment,
-    filtering,
-    interreflection,
-    multiscatter,
-    parallax,
-    shadows,
-    visibility,
-)
-from matcap.relight.effects.bound import Bound
+from matcap.relight.effects.entries import EFFECTS
 from matcap.relight.facts import Facts
 from matcap.relight.scene import Film
-
-EFFECTS: Mapping[str, Callable[[Facts], Bound]] = {
-    "diffuse": direct.diffuse_bound,
-    "specular": direct.specular_bound,
-    "falloff": direct.falloff_bound,
-    "area": area.bound,
-    "environment": environment.bound,
-    "filtering": filtering.bound,
-    "parallax": parallax.bound,
-    "shadows": shadows.bound,
-    "visibility": visibility.bound,
-    "interreflection": interreflection.bound,
-    "multiscatter": multiscatter.bound,
-}
 
 
 @dataclass(frozen=True)
@@ -186,7 +161,7 @@ def make_plan(facts: Facts, tolerance: float, choice: EffectChoice) -> Plan:
         tolerance: in radiance.
         choice: of the user.
     """
-    bounds = {effect: bound(facts) for effect, bound in EFFECTS.items()}
+    bounds = {name: effect.bound(facts) for name, effect in EFFECTS.items()}
     forced = dict(choice.forced)
     off: set[str] = set()
     if choice.start == "none":

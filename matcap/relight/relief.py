@@ -1,19 +1,21 @@
-"""The height field that displaces a surface, as fast to read as it can be."""
+"""The height field that displaces a surface."""
 
 from __future__ import annotations
 
+from ctypes import byref, c_int64
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from matcap.relight.horizons import Horizons
+from matcap.relight.loops.library import HeldArrays, Pointer, address, loops
+from matcap.relight.loops.structures import CField
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array
 
-# Distances in texels between which the highest texel is looked up.
-_RINGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 128)
-# Up to here slopes are looked up, too; further out the highest texel says more.
-_SLOPING = 8
+# How far above the surface a ray must start, as a share of the relief, against rounding.
+_LIFT = 2e-6
 
 
 @dataclass(frozen=True)
@@ -57,29 +59,29 @@ class Relief:
         width, height = self.texture.size
         return u / self.texel_size + (width - 1) / 2.0, (height - 1) / 2.0 - v / self.texel_size
 
-    def at(self, u: Array, v: Array) -> Array:
-        """Heights at places (u, v) in plane units, float32."""
-        width, height = self.texture.size
-        column, row = self.texels(u, v)
-        left, above = np.floor(column), np.floor(row)
-        fx, fy = (column - left).astype(np.float32), (row - above).astype(np.float32)
-        # Remainders of floats: a few times as fast as of whole numbers, and exact all the same.
-        left -= width * np.floor(left / width)
-        above -= height * np.floor(above / height)
-        here = (above * (width + 1.0) + left).astype(np.intp)
-        z, below = self._bordered, here + (width + 1)
-        z00, z10 = np.take(z, here), np.take(z, below)
-        upper = z00 + fx * (np.take(z, here + 1) - z00)
-        lower = z10 + fx * (np.take(z, below + 1) - z10)
-        heights: Array = upper + fy * (lower - upper)
-        return heights
+    @cached_property
+    def horizons(self) -> Horizons:
+        """Of its texels, as far as they have been asked for; they are the same under any light."""
+        return Horizons(self)
 
     @cached_property
-    def _bordered(self) -> Array:
-        """The heights, row by row, with the first column and row again after the last."""
+    def field(self) -> CField:
+        """As the loops know it; the heights live as long as this."""
         width, height = self.texture.size
-        field = self.heights.reshape(height, width)
-        return np.ascontiguousarray(np.pad(field, ((0, 1), (0, 1)), mode="wrap")).ravel()
+        lift = _LIFT * (self.high - self.low)
+        place = self.heights.ctypes.data
+        return CField(place, width, height, lift, self.high, self.low, self.texel_size)
+
+    def at(self, u: Array, v: Array) -> Array:
+        """Heights at places (u, v) in plane units, float32."""
+        kept, shape = HeldArrays(), np.broadcast_shapes(u.shape, v.shape)
+        places = (np.broadcast_to(one, shape) for one in self.texels(u, v))
+        found = np.empty(shape, dtype=np.float32)
+        loops().matcap_relight_heights(
+            byref(self.field), c_int64(found.size),
+            *(Pointer(kept.of(one, np.float64)) for one in places), address(found),
+        )  # fmt: skip
+        return found
 
     def peaks(self, reach: int) -> Array:
         """(H W,) the highest texel within so many texels of each, along either axis."""
@@ -88,65 +90,9 @@ class Relief:
             self._peaks[reach] = _highest(self.heights.reshape(height, width), reach).ravel()
         return self._peaks[reach]
 
-    def steepest(self, reach: int) -> Array:
-        """(H W,) the steepest slope of the surface within so many texels of each."""
-        if reach not in self._steepest:
-            self._steepest[reach] = _highest(self._slopes, reach).ravel()
-        return self._steepest[reach]
-
-    @cached_property
-    def _steepest(self) -> dict[int, Array]:
-        return {}
-
-    @cached_property
-    def _slopes(self) -> Array:
-        """(H, W) slope of the surface around each texel."""
-        width, height = self.texture.size
-        field = self.heights.reshape(height, width)
-        # Inside a cell a bilinear surface is nowhere steeper than along its sides.
-        across = np.abs(np.roll(field, -1, axis=1) - field)
-        down = np.abs(np.roll(field, -1, axis=0) - field)
-        across = np.maximum(across, np.roll(across, -1, axis=0))
-        down = np.maximum(down, np.roll(down, -1, axis=1))
-        slope: Array = np.hypot(across, down) * np.float32(1.0 / self.texel_size)
-        return slope
-
-    def shelter(self, u: Array, v: Array, height: Array) -> Array:
-        """The tangent of the highest elevation at which anything can hide a light; a bound.
-
-        Args:
-            u, v: places in plane units, of one shape.
-            height: the surface there.
-        """
-        texel = self.nearest(u, v)
-        # What rises, rises with the surface, and no higher than to the highest texel.
-        # Two texels more: a place is up to half a one from the nearest, a cell reaches a whole.
-        tangent = np.take(self.steepest(_RINGS[0] + 2), texel)
-        rise = self.high - self.low
-        for near, far in zip(_RINGS, _RINGS[1:], strict=False):
-            distance = near * self.texel_size
-            if rise <= float(tangent.min()) * distance:
-                return tangent
-            over = np.take(self.peaks(far + 2), texel) - height
-            over *= np.float32(1.0 / distance)
-            if far <= _SLOPING:
-                np.minimum(over, np.take(self.steepest(far + 2), texel), out=over)
-            np.maximum(tangent, over, out=tangent)
-        rest = (self.high - height) * np.float32(1.0 / (_RINGS[-1] * self.texel_size))
-        return np.maximum(tangent, rest)
-
     @cached_property
     def _peaks(self) -> dict[int, Array]:
         return {}
-
-    def nearest(self, u: Array, v: Array) -> Array:
-        """Indices of the texels nearest to places."""
-        width, height = self.texture.size
-        column, row = (np.rint(c) for c in self.texels(u, v))
-        column -= width * np.floor(column / width)
-        row -= height * np.floor(row / height)
-        index: Array = (row * width + column).astype(np.intp)
-        return index
 
 
 def _highest(field: Array, reach: int) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
+from matcap.relight.block import ShadingContext
 from matcap.relight.brightness import check_lights, too_bright
 from matcap.relight.budget import Budget
 from matcap.relight.camera import View, view_of
@@ -22,15 +23,14 @@ from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.effects.environment import samples_for
 from matcap.relight.environment_map import Environment, environment_of
 from matcap.relight.facts import gather
-from matcap.relight.horizons import Horizons, find_horizons
+from matcap.relight.horizons import Horizons
 from matcap.relight.plan import EffectChoice, Plan, make_plan, parse_choice, radiance_tolerance
 from matcap.relight.relief import Relief
 from matcap.relight.sampling import Sampler
 from matcap.relight.scene import EnvironmentLight, Film, Scene, Surface, scene_from_light
-from matcap.relight.shade import ShadingContext, shade
+from matcap.relight.shade import shade
 from matcap.relight.surfaces.shape import Shape, shape_of
 from matcap.relight.tally import TILE, Tally
-from matcap.relight.texel_horizons import TexelHorizons
 from matcap.relight.texture import Texture
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 # Pixels shaded together: their two dozen arrays should stay in a core's own cache.
 _BLOCK = 16384
 # Top, bottom, left and right; half open.
-Block = tuple[int, int, int, int]
+Cut = tuple[int, int, int, int]
 Item = TypeVar("Item")
 TellShare = Callable[[float], None]
 # Effects that are decided tile by tile.
@@ -130,8 +130,6 @@ class Renderer:
         self.sampler = Sampler(self.texture, surface.repeat)
         self.relief = Relief(self.texture, surface.repeat, surface.displacement)
         self._skies: dict[EnvironmentLight, Environment] = {}
-        self._horizons: dict[bool, Horizons] = {}
-        self._texels: TexelHorizons | None = None
         self._shapes: dict[tuple[object, Surface], tuple[View, Shape]] = {}
 
     @property
@@ -180,8 +178,7 @@ class Renderer:
             self.relief,
             plan,
             skies,
-            None if thrifty else self._find_horizons(plan, clock),
-            self._texel_horizons(plan) if thrifty else None,
+            self._horizons(plan, thrifty=thrifty),
             clock,
             samples_for(tolerance),
             Budget(plan.left(tolerance, judged), judged, plan.running) if thrifty else None,
@@ -189,7 +186,7 @@ class Renderer:
         )
         picture = np.zeros((film.height, film.width, 3), dtype=np.float32)
 
-        def block(place: Block) -> None:
+        def block(place: Cut) -> None:
             top, bottom, left, right = place
             hits = shape.hits(view.part(left, right), top, bottom)
             if hits.seen is None or hits.seen.any():
@@ -202,8 +199,7 @@ class Renderer:
         _in_parallel(block, blocks, lambda done: progress(done / len(blocks)))
         if not all(np.isfinite(row).all() for row in picture):
             raise too_bright(scene.lights)
-        shares = {} if thrifty else dict.fromkeys(plan.running, 1.0)
-        done = plan.done(clock.seconds, {**tally.shares(), **shares})
+        done = plan.done(clock.seconds, tally.shares())
         return Rendering(picture, done, film, perf_counter() - start, tally)
 
     def _seen(self, scene: Scene, film: Film) -> tuple[View, Shape]:
@@ -221,22 +217,12 @@ class Renderer:
             self._skies[light] = sky.above_plane() if flat else sky
         return self._skies[light]
 
-    def _texel_horizons(self, plan: Plan) -> TexelHorizons | None:
-        if not plan.on("interreflection") and not plan.on("visibility"):
+    def _horizons(self, plan: Plan, *, thrifty: bool) -> Horizons | None:
+        sends = plan.on("interreflection")
+        if not sends and not plan.on("visibility"):
             return None
-        if self._texels is None:
-            self._texels = TexelHorizons(self.relief)
-        return self._texels
-
-    def _find_horizons(self, plan: Plan, clock: Clock) -> Horizons | None:
-        bounces = plan.on("interreflection")
-        if not bounces and not plan.on("visibility"):
-            return None
-        if bounces not in self._horizons:
-            with clock.on("interreflection" if bounces else "visibility"):
-                found = find_horizons(self.relief, bounces=bounces, run=_in_parallel)
-            self._horizons[bounces] = found
-        return self._horizons[bounces]
+        self.relief.horizons.prepare(sends=sends and thrifty, fine=sends)
+        return self.relief.horizons
 
 
 def _texture(source: MapSet | MapSource | Texture, scene: Scene, seed: int) -> Texture:
@@ -275,7 +261,7 @@ def _needed(scene: Scene) -> tuple[float, float]:
     return size, size
 
 
-def _blocks(size: tuple[int, int], *, whole_tiles: bool) -> Iterator[Block]:
+def _blocks(size: tuple[int, int], *, whole_tiles: bool) -> Iterator[Cut]:
     """Rectangles of a picture of some size, of so many pixels that a core's cache holds them."""
     width, height = size
     columns = TILE * max(1, _BLOCK // TILE**2) if whole_tiles else width

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from ctypes import byref, c_int64
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from matcap.relight.lobes import alpha_of
-from matcap.relight.surfaces.hits import some
+from matcap.relight.loops.library import HeldArrays, Pointer, address, loops
+from matcap.relight.loops.structures import CTexels
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array, Vec
 
@@ -32,16 +33,6 @@ class SurfaceSample:
     specular: tuple[Array, ...]
     alpha: Array
     normal: Vec
-
-    def take(self, index: Array, shape: tuple[int, ...]) -> SurfaceSample:
-        """Some of the pixels of a block of some shape, counted row by row, as one row."""
-        x, y, z = (some(one, index, shape) for one in self.normal)
-        return SurfaceSample(
-            tuple(some(one, index, shape) for one in self.diffuse),
-            tuple(some(one, index, shape) for one in self.specular),
-            some(self.alpha, index, shape),
-            (x, y, z),
-        )
 
 
 @dataclass(frozen=True)
@@ -66,47 +57,13 @@ class Sampler:
                 reads between the nearest texels.
         """
         column, row = self.texels(place)
-        wide = None
-        if footprint is not None:
-            wide = footprint * np.float32(self.repeat / self.texture.texel_size)
-        if wide is None:
+        if footprint is None:
             aligned = self._aligned(column, row)
             if aligned is not None:
                 return aligned
-        column, row = np.broadcast_arrays(column, row)
-        if wide is None:
-            return self._unpacked(bilinear(self._rows, self.texture.size, column, row))
-        return self._unpacked(self._trilinear(column, row, np.broadcast_to(wide, column.shape)))
-
-    def extra(self, rows: Array, place: tuple[Array, Array]) -> Array:
-        """(C, ...) bilinear values of other numbers (H W, C) of each texel."""
-        column, row = np.broadcast_arrays(*self.texels(place))
-        return bilinear(rows, self.texture.size, column, row)
-
-    def between(self, rows: Callable[[Array], Array], place: tuple[Array, Array]) -> Array:
-        """As extra(), of numbers (N, C) that a function has for a list of texels."""
-        texels, index = np.unique(self.corners(place), return_inverse=True)
-        column, row = np.broadcast_arrays(*self.texels(place))
-        fx, fy = (c - np.floor(c) for c in (column, row))
-        weights = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
-        found = rows(texels)[index.reshape(weights.shape)]
-        mean: Array = (found * weights[..., None].astype(np.float32)).sum(axis=0)
-        return np.moveaxis(mean, -1, 0)
-
-    def corners(self, place: tuple[Array, Array]) -> Array:
-        """(4, ...) indices of the texels that extra() reads between."""
-        width, height = self.texture.size
-        column, row = np.broadcast_arrays(*(np.floor(c) for c in self.texels(place)))
-        x = [np.mod(column + step, width).astype(np.intp) for step in (0, 1)]
-        y = [np.mod(row + step, height).astype(np.intp) * width for step in (0, 1)]
-        return np.stack([y[i] + x[j] for i in (0, 1) for j in (0, 1)])
-
-    def nearest(self, place: tuple[Array, Array]) -> Array:
-        """Indices of the texels nearest to places."""
-        width, height = self.texture.size
-        column, row = np.broadcast_arrays(*self.texels(place))
-        x = np.mod(np.rint(column).astype(np.int64), width)
-        return np.mod(np.rint(row).astype(np.int64), height) * width + x
+            return self._unpacked(between(self._rows, self.texture.size, column, row))
+        wide = footprint * np.float32(self.repeat / self.texture.texel_size)
+        return self._unpacked(read(*self._pyramid, column, row, wide))
 
     def _aligned(self, column: Array, row: Array) -> SurfaceSample | None:
         """Texels themselves, where places are a grid of neighbouring texel centres."""
@@ -154,8 +111,8 @@ class Sampler:
         return np.ascontiguousarray(stack.reshape(len(stack), -1).T)
 
     @cached_property
-    def _pyramid(self) -> tuple[Array, Array, Array]:
-        """Rows of all levels, where each level starts, and (2, levels) widths and heights."""
+    def _pyramid(self) -> tuple[CTexels, HeldArrays]:
+        """All levels, as the loops read them, and what keeps them."""
         import cv2
 
         width, height = self.texture.size
@@ -177,54 +134,45 @@ class Sampler:
             level[..., -1] = np.maximum(square - mean, 0.0)
             levels.append(level.reshape(width * height, -1))
             sizes.append((width, height))
-        starts = np.cumsum([0, *(len(one) for one in levels[:-1])])
-        return np.concatenate(levels), starts, np.array(sizes, dtype=np.int64).T
-
-    def _trilinear(self, column: Array, row: Array, wide: Array) -> Array:
-        """Values averaged over `wide` texels."""
-        rows, starts, (widths, heights) = self._pyramid
-        depth = np.clip(np.log2(np.maximum(wide, np.float32(1.0))), 0.0, len(starts) - 1.0)
-        low = np.minimum(depth.astype(np.int64), max(len(starts) - 2, 0))
-        share = (depth - low).astype(np.float32)
-        total: Array | None = None
-        for level, part in ((low, 1.0 - share), (np.minimum(low + 1, len(starts) - 1), share)):
-            width, height = widths[level], heights[level]
-            x = (column + 0.5) * (width / self.texture.size[0]) - 0.5
-            y = (row + 0.5) * (height / self.texture.size[1]) - 0.5
-            values = _gather(rows, starts[level], width, height, x, y) * part
-            total = values if total is None else total + values
-        assert total is not None
-        return total
+        return _texels(np.concatenate(levels), sizes)
 
 
-def bilinear(rows: Array, size: tuple[int, int], column: Array, row: Array) -> Array:
+def between(rows: Array, size: tuple[int, int], column: Array, row: Array) -> Array:
     """(C, ...) bilinear values of a repeating texture at columns and rows in texels.
 
     Args:
-        rows: (H W, C) texels.
+        rows: (H W, C) texels, C at most 16.
         size: (width, height).
-        column, row: of one shape; texel centres are whole numbers.
+        column, row: texel centres are whole numbers.
     """
-    return _gather(rows, 0, size[0], size[1], column, row)
+    return read(*_texels(rows, [size]), column, row, None)
 
 
-def _gather(
-    rows: Array,
-    start: Array | int,
-    width: Array | int,
-    height: Array | int,
-    column: Array,
-    row: Array,
-) -> Array:
-    """Bilinear values of textures of `width` x `height` texels, stored from `start` on."""
-    left, above = np.floor(column), np.floor(row)
-    fx = (column - left).astype(np.float32)[..., None]
-    fy = (row - above).astype(np.float32)[..., None]
-    x0 = np.mod(left.astype(np.int64), width)
-    y0 = np.mod(above.astype(np.int64), height)
-    x1 = np.where(x0 + 1 == width, 0, x0 + 1)
-    y1 = start + np.where(y0 + 1 == height, 0, y0 + 1) * width
-    y0 = start + y0 * width
-    upper = rows[y0 + x0] * (1.0 - fx) + rows[y0 + x1] * fx
-    lower = rows[y1 + x0] * (1.0 - fx) + rows[y1 + x1] * fx
-    return np.ascontiguousarray(np.moveaxis(upper * (1.0 - fy) + lower * fy, -1, 0))
+def read(texels: CTexels, kept: HeldArrays, column: Array, row: Array, wide: Array | None) -> Array:
+    """(C, ...) values of a repeating texture, averaged over `wide` texels.
+
+    Args:
+        texels: its levels, each half as large as the one before.
+        _kept: what they point to, alive.
+        column, row: in texels of the first; texel centres are whole numbers.
+        wide: None reads between the four nearest.
+    """
+    shape = np.broadcast_shapes(column.shape, row.shape)
+    here = HeldArrays()
+    places = [Pointer(here.of(np.broadcast_to(c, shape), np.float64)) for c in (column, row)]
+    width = None if wide is None else here.of(np.broadcast_to(wide, shape))
+    found = np.empty((texels.channels, *shape), dtype=np.float32)
+    loops().matcap_relight_read(
+        byref(texels), c_int64(found[0].size), *places, Pointer(width), address(found)
+    )
+    return found
+
+
+def _texels(rows: Array, sizes: list[tuple[int, int]]) -> tuple[CTexels, HeldArrays]:
+    kept = HeldArrays()
+    starts = np.cumsum([0, *(width * height for width, height in sizes[:-1])])
+    widths, heights = np.array(sizes).T
+    return CTexels(
+        kept.of(rows), kept.of(starts, np.int64), kept.of(widths, np.int32),
+        kept.of(heights, np.int32), rows.shape[1], len(sizes),
+    ), kept  # fmt: skip

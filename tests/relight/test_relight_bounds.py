@@ -5,6 +5,7 @@ from bound_scenes import share, tries
 
 from matcap.relight import plan
 from matcap.relight.effects.bound import Bound
+from matcap.relight.effects.entries import Effect
 from matcap.relight.plan import EFFECTS, EffectChoice, make_plan
 
 # What the scenes reach today, less a little: a bound that grows loose is found out, too. That of
@@ -31,7 +32,7 @@ def test_no_bound_is_wrong_and_none_is_loose(effect, tmp_path):
 def test_what_is_left_out_adds_up_to_no_more_than_the_tolerance(tolerance, monkeypatch):
     """Each of these could be left out alone at most tolerances; all of them not."""
     bounds = {name: 0.25 + 0.05 * index for index, name in enumerate(EFFECTS)}
-    made = {name: (lambda _, b=bound: Bound(b, "")) for name, bound in bounds.items()}
+    made = {name: Effect(lambda _, b=bound: Bound(b, "")) for name, bound in bounds.items()}
     monkeypatch.setattr(plan, "EFFECTS", made)
     steps = make_plan(None, tolerance, EffectChoice()).steps
     off = sum(step.bound for step in steps if not step.on)

@@ -1,13 +1,14 @@
-"""The NumPy reflectance is matcap.brdf's."""
+"""The reflectance of the loops, and of plain NumPy in float64, is matcap.brdf's."""
 
 import math
 
 import numpy as np
 import pytest
 import torch
+from plain.lobes import ggx_smith, schlick_weight
 
 from matcap.brdf import cook_torrance as reference
-from matcap.relight.lobes import alpha_of, ggx_smith, schlick_weight
+from matcap.relight.lobes import alpha_of, lobe
 from matcap.relight.vectors import dot
 
 
@@ -20,11 +21,14 @@ def directions(count, seed):
 
 
 def specular(normal, to_view, to_light, roughness, f0):
-    n_dot_v, n_dot_l = dot(normal, to_view), dot(normal, to_light)
-    lobe, l_dot_h = ggx_smith(
-        normal, to_view, to_light, n_dot_v, n_dot_l, alpha_of(np.asarray(roughness))
-    )
-    return lobe * (f0 + (1.0 - f0) * schlick_weight(l_dot_h))
+    alpha = alpha_of(np.asarray(roughness))
+    if alpha.dtype == np.float32:
+        value, weight = lobe(normal, to_view, to_light, alpha)
+    else:
+        n_dot_v, n_dot_l = dot(normal, to_view), dot(normal, to_light)
+        value, cosine = ggx_smith(normal, to_view, to_light, n_dot_v, n_dot_l, alpha)
+        weight = schlick_weight(cosine)
+    return value * (f0 + (1.0 - f0) * weight)
 
 
 @pytest.mark.parametrize(("dtype", "limit"), [(np.float64, 1e-12), (np.float32, 2e-4)])

@@ -16,23 +16,27 @@ point lights.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from ctypes import byref
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
+from matcap.relight.loops.library import LANES, HeldArrays, Whole, address, loops
+from matcap.relight.loops.structures import CAreaLight, CRule, directions
 from matcap.relight.scene import RectangleLight, SphereLight
-from matcap.relight.surfaces.hits import TangentFrame, to_frame
-from matcap.relight.vectors import Array, Vec, add, cross, dot, scale, subtract, unit3, vec
-from matcap.relight.visible_normals import basis
+from matcap.relight.vectors import Array, unit3
+
+if TYPE_CHECKING:
+    from matcap.relight.block import Block
 
 AreaLight = RectangleLight | SphereLight
 SAMPLES = 144
-# Rules that pixels choose from, by their number; what is beyond the last mirrors the lobe.
-RULES = {1: 3, 2: 4, 3: 6, 4: 8, 5: 12, 6: 16}
+# Points along a side of the rules that pixels choose from; what is beyond the last is sampled.
+ORDERS = (3, 4, 6, 8, 12, 16)
 # Points of the rule to the angle of a lobe, alpha: measured errors stay below 4e-4.
 _DENSITY = 1.5
 # The same pixel by pixel, where errors may be as large as a share of the tolerance: points to a
@@ -40,23 +44,6 @@ _DENSITY = 1.5
 # between softboxes, without shadows: with three quarters of these, no code is off by more than 0.4
 # of half a step.
 _RATE, _SPREAD, _TURN = 1.0, 2.0, 0.6
-
-
-@dataclass(frozen=True)
-class Node:
-    """One point of a light, seen from each pixel of a block.
-
-    Attributes:
-        to_light: unit vector in the material's frame.
-        received: irradiance on a surface facing it, for radiance 1.
-        distance: to the light.
-        cell: which of the light's parts the point is in.
-    """
-
-    to_light: Vec
-    received: Array
-    distance: Array
-    cell: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,82 +85,55 @@ def bound(facts: Facts) -> Bound:
     return Bound(total, f"lights of up to {math.degrees(widest):.2g} degrees' radius")
 
 
-def plain_rules(light: AreaLight, distance: Array, alpha: Array) -> Array:
-    """Which of RULES each pixel needs wherever its lobe points, or 7 for none of them.
-
-    Args:
-        light: the light.
-        distance: to its middle.
-        alpha: GGX's.
-    """
-    angle = _angle(light, distance)
-    needed = 3.0 + np.ceil(_DENSITY * angle / (2.0 * np.maximum(alpha, 1e-6)) + 6.0 * angle)
-    return _number(needed)
-
-
-def _number(needed: Array) -> Array:
-    limits = np.array(list(RULES.values()), dtype=np.float32)
-    return np.searchsorted(limits, np.minimum(needed, np.float32(1e6))) + 1
-
-
-def _angle(light: AreaLight, distance: Array) -> Array:
-    """The light's angular radius, and more where it is near."""
-    half = np.float32(_half(light))
-    angle: Array = np.arctan2(half, np.maximum(distance - half, np.float32(1e-6)))
-    return angle
+def add(block: Block, light: AreaLight) -> None:
+    """Add a light with a size."""
+    plan, relief = block.plan, block.context.relief
+    told, _ = _told(
+        light,
+        falls=plan.on("falloff"),
+        diffuse=plan.on("diffuse"),
+        specular=plan.on("specular"),
+    )
+    ran = np.zeros(block.tiles.size, dtype=np.uint8)
+    with block.context.clock.on("area"):
+        loops().matcap_relight_area(
+            byref(block.told), byref(told), byref(relief.field) if plan.on("shadows") else None,
+            byref(directions(SAMPLES)[0]), Whole(block.thrifty), address(ran),
+        )  # fmt: skip
+    block.ran("area", ran > 0)
+    block.ran("shadows", ran > 1)
 
 
-def rules(
-    light: AreaLight,
-    distance: Array,
-    to_light: Vec,
-    to_view: Vec,
-    normal: Vec,
-    alpha: Array,
-    n_dot_v: Array,
-) -> tuple[Array, Array]:
-    """Which of RULES each pixel needs, or 7 as plain_rules(); 0 where the light is below.
-
-    Away from its peak a lobe changes no faster than its distance from there lets it: GGX is
-    (alpha^2 + t^2)^-2 in the tangent t between normal and microfacet, whose nearest singularity
-    is that far off the light's range of t. Where the light sets what it gives has an edge, which
-    no rule of few points meets: there it is plain_rules().
-
-    Returns:
-        The numbers, and where the light sets.
-
-    Args:
-        light: the light.
-        distance: to its middle.
-        to_light: unit vectors to its middle.
-        to_view, normal: unit vectors.
-        alpha: GGX's.
-        n_dot_v: cosine of the view.
-    """
-    angle = _angle(light, distance)
-    n_dot_l = dot(normal, to_light)
-    middle = add(to_light, to_view)
-    cosine = n_dot_l + n_dot_v
-    squared = np.maximum(dot(middle, middle) - cosine * cosine, np.float32(0.0))
-    away = np.arctan2(np.sqrt(squared), np.maximum(cosine, np.float32(1e-6)))
-    # The microfacet turns half as far as the light, and a little more at grazing views.
-    clear = np.tan(np.clip(away - angle * np.float32(_TURN), np.float32(0.0), np.float32(1.5)))
-    sharp = np.sqrt(alpha * alpha + clear * clear)
-    # Where the light sets behind the normal, or the surface.
-    sine = np.sin(np.minimum(angle, np.float32(math.pi / 2.0)))
-    lowest = np.minimum(n_dot_l, to_light[2])
-    sets = lowest < sine
-    needed = 2.0 + np.float32(_RATE) * angle / sharp + np.float32(_SPREAD) * angle
-    plain = plain_rules(light, distance, alpha)
-    number = np.where(sets | (plain > len(RULES)), plain, np.minimum(_number(needed), plain))
-    return np.where(lowest < -sine, 0, number), sets
+@lru_cache(maxsize=64)
+def _told(
+    light: AreaLight, *, falls: bool, diffuse: bool, specular: bool
+) -> tuple[CAreaLight, HeldArrays]:
+    """The light as the loops know it, with all rules that a pixel may choose."""
+    kept, central = HeldArrays(), max(sum(c * c for c in light.position), 1e-12)
+    told = CAreaLight(
+        place=light.position, colour=light.radiance, half=_half(light),
+        even=0.0 if falls else 1.0 / central, density=_DENSITY, rate=_RATE, spread=_SPREAD,
+        turn=_TURN, diffuse=diffuse, specular=specular, limits=ORDERS,
+    )  # fmt: skip
+    if isinstance(light, SphereLight):
+        told.radius = light.radius
+    else:
+        told.across, told.along, told.normal = (tuple(axis) for axis in _axes(light))
+        told.size = light.size
+    # Beyond the last order the lobe is sampled, and this is for diffuse light.
+    for number, order in enumerate((*ORDERS, 6), start=1):
+        told.plain[number] = _rule(rule(light, order), order, kept)
+        parted = max(4 * math.ceil(order / 4), 12)
+        told.parted[number] = _rule(rule(light, parted, parts=True), parted, kept)
+    told.probe = _rule(rule(light, 4), 4, kept)
+    return told, kept
 
 
-def lowest(light: AreaLight, distance: Array, to_light: Vec) -> Array:
-    """Tangent of the lowest elevation of any of a light's points, at least."""
-    sine = np.minimum(np.float32(_half(light)) / np.maximum(distance, np.float32(1e-12)), 1.0)
-    elevation = np.arcsin(np.clip(to_light[2], -1.0, 1.0)) - np.arcsin(sine)
-    return np.tan(np.maximum(elevation, np.float32(-1.5)))
+def _rule(rule: Rule, order: int, kept: HeldArrays) -> CRule:
+    more = -len(rule.weights) % LANES
+    places = (kept.of(np.pad(one, (0, more), mode="edge")) for one in rule.places)
+    weights, cells = (np.pad(one, (0, more)) for one in (rule.weights, rule.cell))
+    return CRule(*places, kept.of(weights), kept.of(cells, np.int32), len(weights), order)
 
 
 def _half(light: AreaLight) -> float:
@@ -215,45 +175,6 @@ def _cells(first: Array, second: Array, rows: int, columns: int) -> Array:
     return cell
 
 
-def nodes(light: AreaLight, rule: Rule, point: Vec, frame: TangentFrame | None) -> Iterator[Node]:
-    """The points of a rule, seen from the pixels of a block."""
-    seen = _sphere if isinstance(light, SphereLight) else _rectangle
-    yield from seen(light, rule, point, frame)  # type: ignore[arg-type]
-
-
-def centre(light: AreaLight, point: Vec, frame: TangentFrame | None) -> Node:
-    """The light as a point in its middle."""
-    if isinstance(light, RectangleLight):
-        x, y, z = (np.array([c]) for c in light.position)
-        one = Rule((x, y, z), np.ones(1), np.zeros(1, dtype=np.intp))
-        return next(_rectangle(light, one, point, frame))
-    offset = subtract(vec(light.position), point)
-    squared = dot(offset, offset)
-    inverse = 1.0 / np.sqrt(squared)
-    received = np.float32(math.pi * light.radius**2) / squared
-    return Node(to_frame(scale(offset, inverse), frame), received, 1.0 / inverse, 0)
-
-
-def seen_along(light: AreaLight, point: Vec, direction: Vec) -> tuple[Array, tuple[Array, Array]]:
-    """Whether directions of the scene meet a light, and where on it, in [0, 1] twice."""
-    if isinstance(light, RectangleLight):
-        across, along, normal = _axes(light)
-        offset = subtract(vec(light.position), point)
-        facing = -dot(direction, vec(tuple(normal)))
-        safe = np.maximum(facing, np.float32(1e-6))
-        reach = -dot(offset, vec(tuple(normal))) / safe
-        miss = subtract(scale(direction, reach), offset)
-        a = dot(miss, vec(tuple(across))) / np.float32(light.size[0]) + np.float32(0.5)
-        b = dot(miss, vec(tuple(along))) / np.float32(light.size[1]) + np.float32(0.5)
-        met = (facing > 1e-6) & (reach > 0) & (a >= 0) & (a <= 1) & (b >= 0) & (b <= 1)
-        return met, (a, b)
-    offset = subtract(vec(light.position), point)
-    sideways = cross(direction, offset)
-    met = (dot(sideways, sideways) <= np.float32(light.radius**2)) & (dot(direction, offset) > 0)
-    half = np.full(met.shape, 0.5, dtype=np.float32)
-    return met, (half, half)
-
-
 def _axes(
     light: RectangleLight,
 ) -> tuple[Array, Array, Array]:
@@ -262,38 +183,3 @@ def _axes(
     up = np.asarray(light.up, dtype=np.float64)
     along = unit3(tuple(up - normal * (up @ normal)))
     return np.cross(along, normal), along, normal
-
-
-def _rectangle(
-    light: RectangleLight, rule: Rule, point: Vec, frame: TangentFrame | None
-) -> Iterator[Node]:
-    _, _, normal = _axes(light)
-    area = light.size[0] * light.size[1]
-    for *place, weight, cell in zip(*rule.places, rule.weights, rule.cell, strict=True):
-        offset = subtract(vec((place[0], place[1], place[2])), point)
-        squared = dot(offset, offset)
-        inverse = 1.0 / np.sqrt(squared)
-        facing = np.maximum(-dot(offset, vec(tuple(normal))) * inverse, np.float32(0.0))
-        received = facing * np.float32(area * weight) / squared
-        yield Node(to_frame(scale(offset, inverse), frame), received, 1.0 / inverse, int(cell))
-
-
-def _sphere(
-    light: SphereLight, rule: Rule, point: Vec, frame: TangentFrame | None
-) -> Iterator[Node]:
-    offset = subtract(vec(light.position), point)
-    squared = dot(offset, offset)
-    inverse = 1.0 / np.sqrt(squared)
-    axis = to_frame(scale(offset, inverse), frame)
-    side, other = basis(axis)
-    sine_squared = np.minimum(np.float32(light.radius**2) / squared, np.float32(1.0))
-    # 1 - cos of the cone's half angle, without cancellation for small lights.
-    opening = sine_squared / (1.0 + np.sqrt(1.0 - sine_squared))
-    distance = np.maximum(1.0 / inverse - np.float32(light.radius), np.float32(0.0))
-    for u, c, s, weight, cell in zip(*rule.places, rule.weights, rule.cell, strict=True):
-        drop = opening * np.float32(u)
-        cosine = 1.0 - drop
-        sine = np.sqrt(drop * (1.0 + cosine))
-        received = opening * np.float32(weight)
-        rim = add(scale(side, float(c)), scale(other, float(s)))
-        yield Node(add(scale(axis, cosine), scale(rim, sine)), received, distance, int(cell))

@@ -12,9 +12,24 @@
 
 from __future__ import annotations
 
-from matcap.relight.effects import environment
+import math
+from ctypes import byref
+from typing import TYPE_CHECKING
+
+import numpy as np
+
 from matcap.relight.effects.bound import Bound
-from matcap.relight.facts import Facts
+from matcap.relight.facts import WHOLE, Facts
+from matcap.relight.loops.library import address, loops
+from matcap.relight.loops.structures import CHorizon, CLamp
+from matcap.relight.scene import DirectionalLight, PointLight, RectangleLight, SphereLight
+from matcap.relight.vectors import Array, unit3
+
+if TYPE_CHECKING:
+    from matcap.relight.block import Block
+
+# Of lights.c: what of a light is added.
+DIFFUSE, SPECULAR, LOST, FLOW = 1, 2, 4, 8
 
 
 def diffuse_bound(facts: Facts) -> Bound:
@@ -32,7 +47,7 @@ def diffuse_bound(facts: Facts) -> Bound:
 def specular_bound(facts: Facts) -> Bound:
     """D <= 1 / (pi alpha^2), V n.l <= 1 / (2 alpha), F from the angle between light and view."""
     direct = sum(light.irradiance * facts.glossy(light) for light in facts.lights)
-    total = direct + environment.mirrored_bound(facts)
+    total = direct + facts.sky * WHOLE
     if total == 0.0:
         return Bound(0.0, "there is no light to reflect")
     return Bound(total, f"F0 up to {facts.specular:.2g}, alpha down to {facts.alpha[0]:.2g}")
@@ -48,3 +63,65 @@ def falloff_bound(facts: Facts) -> Bound:
     )
     share = max(light.varying / max(light.irradiance, 1e-30) for light in facts.lights)
     return Bound(total, f"distances differ: up to {100 * share:.2g} % of the light")
+
+
+def add(block: Block, light: PointLight | DirectionalLight | SphereLight | RectangleLight) -> None:
+    """Add a light as a point: one with a size as if it were all in its middle."""
+    plan, lit = block.plan, None
+    lamp = _lamp(light, falls=plan.on("falloff"))
+    lamp.parts = (
+        DIFFUSE * plan.on("diffuse")
+        + SPECULAR * plan.on("specular")
+        + LOST * plan.on("multiscatter")
+        + FLOW * plan.on("interreflection")
+    )
+    if plan.on("shadows"):
+        with block.context.clock.on("shadows"):
+            lit, cast = np.ones((2, block.tiles.size), dtype=np.uint8)
+            cast[:] = 0
+            loops().matcap_relight_past(
+                byref(block.told), byref(lamp), byref(block.context.relief.field), None,
+                address(lit), address(cast),
+            )  # fmt: skip
+            block.ran("shadows", cast > 0)
+    shine(block, lamp, lit)
+
+
+def shine(block: Block, lamp: CLamp, lit: Array | None) -> None:
+    """Add a lamp where its light arrives; all its parts take one loop, clocked as the costliest."""
+    with block.context.clock.on("specular" if block.plan.on("specular") else "diffuse"):
+        arrives = None if lit is None else address(lit)
+        loops().matcap_relight_lamp(byref(block.told), byref(lamp), arrives)
+
+
+def sun(direction: tuple[float, float, float], irradiance: tuple[float, float, float]) -> CLamp:
+    """A light so far away that it has a direction and no place; it is mirrored alone."""
+    return CLamp(place=direction, colour=irradiance, far=1, power=1.0, parts=SPECULAR)
+
+
+def above(block: Block, lamp: CLamp, horizon: CHorizon) -> Array:
+    """(N,) where a lamp is above the horizon of the relief."""
+    lit = np.ones(block.tiles.size, dtype=np.uint8)
+    loops().matcap_relight_past(
+        byref(block.told), byref(lamp), None, byref(horizon), address(lit), None
+    )
+    return lit
+
+
+def _lamp(
+    light: PointLight | DirectionalLight | SphereLight | RectangleLight, *, falls: bool
+) -> CLamp:
+    if isinstance(light, DirectionalLight):
+        return CLamp(place=tuple(unit3(light.direction)), colour=light.irradiance, far=1, power=1.0)
+    central = max(sum(c * c for c in light.position), 1e-12)
+    lamp = CLamp(place=light.position, power=1.0, even=0.0 if falls else 1.0 / central)
+    if isinstance(light, PointLight):
+        lamp.colour = light.intensity
+        return lamp
+    lamp.colour = light.radiance
+    if isinstance(light, RectangleLight):
+        lamp.normal, lamp.faces = tuple(unit3(light.normal)), 1
+        lamp.power = light.size[0] * light.size[1]
+    else:
+        lamp.power = math.pi * light.radius**2
+    return lamp

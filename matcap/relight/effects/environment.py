@@ -19,37 +19,35 @@ surroundings are the same everywhere.
 from __future__ import annotations
 
 import math
+from ctypes import byref, c_int64
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from matcap.relight import compiled
+from matcap.relight.effects import direct
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
-from matcap.relight.effects.visibility import HorizonTest
-from matcap.relight.environment_map import Environment, Sun
+from matcap.relight.environment_map import Environment
 from matcap.relight.facts import WHOLE, Facts
-from matcap.relight.lobes import ggx_smith, schlick_weight
-from matcap.relight.sampling import SurfaceSample
+from matcap.relight.loops.library import HeldArrays, address, loops
+from matcap.relight.loops.structures import CHorizon, directions
 from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
 from matcap.relight.tables import albedo
-from matcap.relight.vectors import Array, Vec, add, dot, vec
-from matcap.relight.visible_normals import Lobe, lattice, lobe_of
+from matcap.relight.vectors import Array, Vec, dot, vec
+
+if TYPE_CHECKING:
+    from matcap.relight.block import Block
 
 SAMPLES = 144  # at the default tolerance
 _MOST = 4181
 # How much of a direction's solid angle its lookup averages over, a side: all of it blunts smooth
 # lights, none of it misses small ones.
-_BLUR = np.float32(0.5)
+_BLUR = 0.5
 
 
 def samples_for(tolerance: float) -> int:
     """How many directions a tolerance calls for: a tenth of it, ten times as many."""
     wanted = SAMPLES * DEFAULT_TOLERANCE / max(tolerance, 1e-9)
     return round(min(max(wanted, SAMPLES), _MOST))
-
-
-def mirrored_bound(facts: Facts) -> float:
-    """Largest radiance that the environments can cause by the specular lobe."""
-    return facts.sky * WHOLE
 
 
 def bound(facts: Facts) -> Bound:
@@ -65,159 +63,130 @@ def bound(facts: Facts) -> Bound:
     return Bound(facts.sky_varying * both + tilt * facts.sky * both, reason)
 
 
-def diffuse_irradiance(sky: Environment, normal: Vec, hits: Hits) -> Array:
-    """(3, ...) irradiance of a block's shading normals; tables would blunt suns' terminators."""
-    calm = sky.calm
-    share: Array = np.ones(1, np.float32)
-    if hits.frame is None:
-        found = calm.irradiance_above(normal)
-    else:
-        share = np.float32(0.5) * (1.0 + normal[2])
-        found = calm.irradiance(to_scene(normal, hits.frame)) * share
+def add(block: Block, sky: Environment) -> None:
+    """Add the light of surroundings."""
+    plan, clock, sample = block.plan, block.context.clock, block.sample
+    varied, seen = plan.on("environment"), np.ones(1, dtype=np.float32)
+    if plan.on("visibility"):
+        with clock.on("visibility"):
+            seen = block.open[0]
+            block.ran("visibility")
+    mean = sky.mean.astype(np.float32)
+    with clock.on("environment"):
+        if varied:
+            irradiance = diffuse_irradiance(sky, sample.normal, block.hits) * seen
+        else:
+            irradiance = np.float32(math.pi) * mean[:, None] * seen
+        if plan.on("diffuse"):
+            for channel in range(3):
+                lambert = sample.diffuse[channel] * np.float32(1.0 / math.pi)
+                block.total[channel] += lambert * irradiance[channel]
+        if plan.on("specular") and varied:
+            _mirror(block, sky)
+        elif plan.on("specular"):
+            _reflect(block, *(mean[:, None] * (one * seen) for one in _even(block)))
+    if block.share:
+        with clock.on("multiscatter"):
+            for channel in range(3):
+                share = block.share[channel % len(block.share)]
+                block.total[channel] += share * irradiance[channel] * np.float32(1.0 / math.pi)
+    if block.flow is not None:
+        for channel, flow in enumerate(_flow(sky, block.hits)):
+            for axis in range(3):
+                block.flow[3 * channel + axis] += flow[axis]
+
+
+def _reflect(block: Block, scale: Array, bias: Array) -> None:
+    """Add mirrored light, as Schlick has it: times F0, and on its own."""
+    for channel in range(3):
+        f0 = block.sample.specular[channel % len(block.sample.specular)]
+        mirror = f0 * scale[channel] + bias[channel]
+        # The mean is taken away from what is sampled, and may leave less than nothing.
+        block.total[channel] += np.maximum(mirror, np.float32(0.0))
+
+
+def _even(block: Block) -> tuple[Array, Array]:
+    """(N,) albedo of the lobe, times F0 and on its own: what surroundings of 1 would do."""
+    tables = albedo()
+    rows = tables.rows(block.sample.alpha)
+    bias = tables.lookup(tables.fine_bias, block.n_dot_v, rows)
+    return tables.lookup(tables.fine_total, block.n_dot_v, rows) - bias, bias
+
+
+def _mirror(block: Block, sky: Environment) -> None:
+    """Add what is mirrored, in no more pixels than the budget asks for.
+
+    What the mean alone would do is known exactly; only what differs from it is sampled.
+    """
+    context, calm, needed = block.context, sky.calm, block.facing
+    mean = calm.mean.astype(np.float32)
+    scale, bias = (mean[:, None] * one for one in _even(block))
+    if context.budget is not None and calm.varying == 0.0:
+        # At most all of it is hidden.
+        allowed = context.budget.radiance("environment", block.total)
+        needed = np.zeros(block.tiles.size, dtype=bool)
+        for channel in range(3):
+            f0 = block.sample.specular[channel % len(block.sample.specular)]
+            needed |= f0 * scale[channel] + bias[channel] > allowed[channel]
+        needed &= block.facing
+    which = np.flatnonzero(needed).astype(np.int32)
+    horizon = CHorizon(thrifty=int(block.thrifty))
+    if block.plan.on("visibility") and context.horizons is not None:
+        horizon = context.horizons.told(thrifty=block.thrifty)
+    if len(which):
+        plain, mixed = _sampled(block, calm, horizon, which)
+        scale[:, which] += plain
+        bias[:, which] += mixed
+        block.ran("environment", which)
+    _reflect(block, scale, bias)
     for sun in sky.suns:
-        to_light = to_frame(vec(sun.direction), hits.frame)
-        facing = np.maximum(dot(normal, to_light), np.float32(0.0)) * share
-        if hits.frame is None:
-            facing = facing * (to_light[2] > 0.0)
-        power = np.array(sun.irradiance, dtype=np.float32).reshape(3, *[1] * facing.ndim)
-        found = found + facing * power
+        lamp = direct.sun(sun.direction, sun.irradiance)
+        hides = bool(horizon.tangents)
+        direct.shine(block, lamp, direct.above(block, lamp, horizon) if hides else None)
+
+
+def _sampled(block: Block, calm: Environment, horizon: CHorizon, which: Array) -> Array:
+    """(2, 3, n) what differs from the mean, times F0 and on its own, of some pixels."""
+    told, _ = directions(block.context.samples)
+    if calm.varying == 0.0:
+        hidden = np.empty((2, len(which)), dtype=np.float32)
+        loops().matcap_relight_hidden(
+            byref(block.told), byref(told), byref(horizon), c_int64(len(which)),
+            address(which), address(hidden),
+        )  # fmt: skip
+        return -calm.mean.astype(np.float32)[None, :, None] * hidden[:, None]
+    found, kept = np.empty((2, 3, len(which)), dtype=np.float32), HeldArrays()
+    sky = calm.octahedra.told(kept)
+    sky.blur, sky.mean = _BLUR, tuple(float(one) for one in calm.mean)
+    loops().matcap_relight_sky(
+        byref(block.told), byref(told), byref(sky), byref(horizon), c_int64(len(which)),
+        address(which), address(found),
+    )  # fmt: skip
     return found
 
 
-def irradiance_vector(sky: Environment, hits: Hits) -> list[Vec]:
-    """For each colour the sum of radiance times direction, in the material's frame."""
-    towards, power = sky.directions
-    above = towards[:, 2] > 0.0 if hits.frame is None else slice(None)
-    total = towards[above].T.astype(np.float64) @ power[above].astype(np.float64)
-    vectors = [to_frame(vec(tuple(total[:, channel])), hits.frame) for channel in range(3)]
-    # The mean of all above the surface points straight up.
-    return [
-        add(vector, vec((0.0, 0.0, math.pi * float(sky.mean[channel]))))
-        for channel, vector in enumerate(vectors)
-    ]
-
-
-def specular(
-    sky: Environment,
-    sample: SurfaceSample,
-    hits: Hits,
-    n_dot_v: Array,
-    samples: int,
-    horizon: HorizonTest | None = None,
-    highest: Array | None = None,
-) -> tuple[Array, Array]:
-    """(3, ...) mirrored light, split as Schlick has it: times F0, and on its own.
-
-    Args:
-        sky: the environment.
-        sample: the material.
-        hits: the block.
-        n_dot_v: cosines of the view.
-        samples: how many directions.
-        horizon: of the relief; None where nothing stands in the way.
-        highest: see hidden().
-    """
-    lobe = lobe_of(sample, hits.to_view, n_dot_v)
-    calm = sky.calm
-    # What the mean alone would do is known exactly; only what differs from it is sampled.
-    mean = calm.mean.astype(np.float32)[:, None, None]
-    tables = uniform_specular(calm, sample, n_dot_v)
+def diffuse_irradiance(sky: Environment, normal: Vec, hits: Hits) -> Array:
+    """(3, ...) irradiance of a block's shading normals; tables would blunt suns' terminators."""
+    calm, share = sky.calm, np.float32(0.5) * (1.0 + normal[2])
     if calm.varying == 0.0:
-        scale, bias = hidden(lobe, samples, horizon, highest)
-        return tables[0] - mean * scale, tables[1] - mean * bias
-    shape = (3, *lobe.middle[2].shape)
-    scale, bias = (np.array(np.broadcast_to(part, shape)) for part in tables)
-    for point in lattice(samples):
-        one = lobe.mirrored(point)
-        clear = one.above
-        if horizon is not None:
-            clear = clear & horizon(one.to_light, None)
-        direction = to_scene(one.to_light, hits.frame)
-        light = calm.octahedra.radiance(direction, one.wide * _BLUR) * clear - mean
-        light *= one.weight
-        mixed = light * one.fresnel
-        bias += mixed
-        scale += light - mixed
+        found: Any = (math.pi * calm.mean).astype(np.float32)[:, None] * share
+    elif hits.frame is None:
+        found = calm.irradiance_above(normal)
+    else:
+        found = calm.irradiance(to_scene(normal, hits.frame)) * share
     for sun in sky.suns:
-        plain, fresnel = _sunlight(sun, sample, hits, n_dot_v, horizon)
-        for channel, power in enumerate(sun.irradiance):
-            mixed = plain * (fresnel * np.float32(power))
-            bias[channel] += mixed
-            scale[channel] += plain * np.float32(power) - mixed
-    return scale, bias
+        to_light = to_frame(vec(sun.direction), hits.frame)
+        facing = np.maximum(dot(normal, to_light), np.float32(0.0))
+        facing = facing * ((to_light[2] > 0.0) if hits.frame is None else share)
+        found = found + facing * np.array(sun.irradiance, dtype=np.float32)[:, None]
+    return found
 
 
-def _sunlight(
-    sun: Sun, sample: SurfaceSample, hits: Hits, n_dot_v: Array, horizon: HorizonTest | None
-) -> tuple[Array, Array]:
-    """The lobe times n.l towards a sun, and Schlick's weight."""
-    to_light = to_frame(vec(sun.direction), hits.frame)
-    n_dot_l = np.maximum(dot(sample.normal, to_light), np.float32(0.0))
-    lobe, l_dot_h = ggx_smith(sample.normal, hits.to_view, to_light, n_dot_v, n_dot_l, sample.alpha)
-    clear = to_light[2] > 0.0
-    if horizon is not None:
-        x, y, z = (np.broadcast_to(c, lobe.shape) for c in to_light)
-        clear = clear & horizon((x, y, z), None)
-    return lobe * (n_dot_l * clear), schlick_weight(l_dot_h)
-
-
-def hidden(
-    lobe: Lobe, samples: int, horizon: HorizonTest | None, highest: Array | None = None
-) -> tuple[Array, Array]:
-    """Share of even surroundings that surface and relief hide: times F0, and on its own.
-
-    Most directions of most pixels are clear, and cost no more than finding that out.
-
-    Args:
-        lobe: the block's.
-        samples: how many directions.
-        horizon: see specular().
-        highest: sines of the highest elevations that horizons reach; directions above are clear.
-    """
-    if highest is not None and compiled.kernel() is not None:
-        tangents, texel = (None, None) if horizon is None else (horizon.tangents, horizon.texel)
-        return compiled.hidden(lobe, samples, tangents, texel, highest)
-    scale, bias = (np.zeros(lobe.middle[2].shape, dtype=np.float32) for _ in range(2))
-    for point in lattice(samples):
-        if highest is not None:
-            index = lobe.low(point, highest)
-            if len(index):
-                some = lobe.take(index).mirrored(point)
-                lost = ~some.above
-                if horizon is not None:
-                    lost |= ~horizon(some.to_light, index)
-                weight = some.weight * lost
-                mixed = weight * some.fresnel
-                bias.ravel()[index] += mixed
-                scale.ravel()[index] += weight - mixed
-            continue
-        one = lobe.mirrored(point)
-        lost = ~one.above
-        if horizon is not None:
-            lost |= ~horizon(one.to_light, None)
-        # Many of these are below the shading normal's horizon too, and count nothing.
-        index = np.flatnonzero(lost & (one.n_dot_l > 0.0))
-        if len(index):
-            some = lobe.take(index).mirrored(point)
-            mixed = some.weight * some.fresnel
-            bias.ravel()[index] += mixed
-            scale.ravel()[index] += some.weight - mixed
-    return scale, bias
-
-
-def uniform_specular(
-    sky: Environment, sample: SurfaceSample, n_dot_v: Array
-) -> tuple[Array, Array]:
-    """As specular(), of surroundings that are everywhere as on average."""
-    tables = albedo()
-    rows = tables.rows(sample.alpha)
-    bias = tables.lookup(tables.fine_bias, n_dot_v, rows)
-    scale = tables.lookup(tables.fine_total, n_dot_v, rows) - bias
-    mean = sky.mean.astype(np.float32)[:, None, None]
-    return mean * scale, mean * bias
-
-
-def uniform_irradiance(sky: Environment) -> Array:
-    """(3, 1, 1) irradiance of surroundings that are everywhere as on average."""
-    whole: Array = (math.pi * sky.mean).astype(np.float32)[:, None, None]
-    return whole
+def _flow(sky: Environment, hits: Hits) -> list[Vec]:
+    """For each colour the sum of radiance times direction, in the material's frame."""
+    total, vectors = sky.vector(above=hits.frame is None), []
+    for channel in range(3):
+        x, y, z = to_frame(vec(tuple(total[:, channel])), hits.frame)
+        # The mean of all above the surface points straight up.
+        vectors.append((x, y, z + np.float32(math.pi * float(sky.mean[channel]))))
+    return vectors

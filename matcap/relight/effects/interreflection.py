@@ -14,12 +14,22 @@ a lookup of nine numbers a pixel.
 from __future__ import annotations
 
 import math
+from ctypes import byref, c_int64
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
-from matcap.relight.vectors import Array, Vec, dot
+from matcap.relight.horizons import COARSENESS
+from matcap.relight.loops.library import Whole, address, loops
+from matcap.relight.vectors import Array
+
+if TYPE_CHECKING:
+    from matcap.relight.block import Block
+
+# Radiance: with no tolerance at all, any change counts.
+_TINY: Any = np.float32(1e-30)
 
 
 def bound(facts: Facts) -> Bound:
@@ -39,12 +49,35 @@ def bound(facts: Facts) -> Bound:
     return Bound(facts.lambert**2 * light * hidden, reason)
 
 
-def received(bounced: Array, light: list[Vec]) -> list[Array]:
-    """Irradiance by way of neighbours, one array a colour.
+def add(block: Block) -> None:
+    """Add what neighbours reflect: where it may matter, as finely as it may."""
+    horizons, size = block.context.horizons, block.context.relief.texture.size
+    assert horizons is not None
+    for fine, which in _parts(block):
+        if not len(which):
+            continue
+        transfer = horizons.send(block.column, block.row, which, fine=fine)
+        loops().matcap_relight_bounce(
+            byref(block.told), Whole(size[0]), Whole(size[1]), address(transfer),
+            c_int64(len(which)), address(which),
+        )  # fmt: skip
+        block.ran("interreflection", which)
 
-    Args:
-        bounced: (9, ...) transfer vectors at the pixels.
-        light: for each colour, the sum of irradiance times direction.
-    """
-    zero = np.float32(0.0)
-    return [np.maximum(dot(tuple(bounced[3 * c : 3 * c + 3]), light[c]), zero) for c in range(3)]
+
+def _parts(block: Block) -> list[tuple[bool, Array]]:
+    """Which pixels need it finely, and which coarsely."""
+    budget = block.context.budget
+    if budget is None:
+        return [(True, np.flatnonzero(block.facing).astype(np.int32))]
+    assert block.flow is not None and block.context.horizons is not None
+    allowed = budget.radiance("interreflection", block.total)
+    most: Any = np.float32(0.0)
+    for channel in range(3):
+        x, y, z = block.flow[3 * channel : 3 * channel + 3]
+        largest = np.float32(block.context.relief.texture.brightest[channel] / math.pi)
+        change = block.sample.diffuse[channel] * np.sqrt(x * x + y * y + z * z) * largest
+        most = np.maximum(most, change * block.open[1] / np.maximum(allowed[channel], _TINY))
+    most = most * block.facing
+    fine = most * np.float32(COARSENESS) > 1.0
+    coarse = (most > 1.0) & ~fine
+    return [(one, np.flatnonzero(x).astype(np.int32)) for one, x in ((False, coarse), (True, fine))]

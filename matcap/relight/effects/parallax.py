@@ -12,16 +12,23 @@ steps a texel of shift.
 
 from __future__ import annotations
 
+from ctypes import byref, c_int64
+from dataclasses import replace
+
 import numpy as np
 
-from matcap.relight import compiled
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
+from matcap.relight.loops.library import HeldArrays, Pointer, address, loops
+from matcap.relight.loops.structures import CSearch
 from matcap.relight.relief import Relief
-from matcap.relight.vectors import Array, Vec
+from matcap.relight.surfaces.hits import Hits, to_scene
+from matcap.relight.vectors import Array, Vec, add
 
 # Texels around a place on a ray whose highest says how many steps can be left out.
 _AROUND = 10
+# z of the flattest ray that is followed; steps of a ray at least, at most, and a texel of its path.
+_LOWEST, _LEAST, _MOST, _DENSITY = 0.05, 8.0, 512.0, 3.0
 
 
 def bound(facts: Facts) -> Bound:
@@ -32,66 +39,43 @@ def bound(facts: Facts) -> Bound:
 
 
 def shift(
-    relief: Relief, place: tuple[Array, Array], to_view: Vec, *, quick: bool = False
+    relief: Relief, place: tuple[Array, Array], to_view: Vec
 ) -> tuple[tuple[Array, Array], Array]:
     """Where rays through `place` on the undisplaced surface meet the displaced one.
+
+    Each takes as many steps as it needs itself, wherever in the picture it is, and leaves out
+    those on which it is above all texels around.
 
     Args:
         relief: the height field.
         place: (u, v) in plane units.
         to_view: unit vectors to the camera in the material's frame.
-        quick: by the compiled loop, where there is one.
 
     Returns:
-        (u, v) there and the height there, float32 arrays of the block's shape.
+        (u, v) there and the height there, arrays of one shape.
     """
     shape = np.broadcast_shapes(place[0].shape, place[1].shape, to_view[2].shape)
-    u, v, x, y, z = (np.broadcast_to(a, shape) for a in (*place, *to_view))
-    # Per unit of height, how far the ray moves on the surface.
-    steep = 1.0 / np.maximum(z, np.float32(0.05))
-    du, dv = x * steep, y * steep
-    height = _met(relief, *(a.ravel() for a in (u, v, du, dv)), quick=quick).reshape(shape)
-    u, v = u + du * height, v + dv * height
-    # The secant ends near the surface; shadows must start on it.
-    return (u, v), relief.at(u, v)
+    kept, height = HeldArrays(), np.empty(shape, dtype=np.float32)
+    column, row = (
+        np.array(np.broadcast_to(one, shape), dtype=np.float64) for one in relief.texels(*place)
+    )
+    search = CSearch(kept.of(relief.peaks(_AROUND)), _AROUND, _LOWEST, _MOST, _LEAST, _DENSITY)
+    loops().matcap_relight_met(
+        byref(relief.field), byref(search), c_int64(height.size), address(column), address(row),
+        *(Pointer(kept.of(np.broadcast_to(one, shape))) for one in to_view), address(height),
+    )  # fmt: skip
+    width, rows = relief.texture.size
+    u = (column - (width - 1) / 2.0) * relief.texel_size
+    v = ((rows - 1) / 2.0 - row) * relief.texel_size
+    return (u, v), height
 
 
-def _met(relief: Relief, u: Array, v: Array, du: Array, dv: Array, *, quick: bool) -> Array:
-    """The heights at which rays meet the surface.
-
-    Each takes as many steps as it needs itself, wherever in the picture it is, and leaves out
-    those on which it is above all texels around.
-    """
-    found: Array = np.full(u.size, relief.low, dtype=np.float32)
-    span = relief.high - relief.low
-    pace = np.hypot(du, dv) * np.float32(span / relief.texel_size)
-    count = np.clip(np.ceil(3.0 * pace), 8.0, 512.0)
-    step = span / count.astype(np.float64)
-    # So many steps stay where the highest texel is known.
-    near = np.maximum(np.floor((_AROUND - 2) * count / np.maximum(pace, 1e-6)), 1.0)
-    if quick and compiled.kernel() is not None:
-        return compiled.met(relief, _AROUND, (u, v), (du, dv), count, near)
-    peaks = relief.peaks(_AROUND)
-    rays: Array = np.arange(u.size)
-    index: Array = np.zeros(u.size)
-    while len(rays):
-        level = relief.high - step * index
-        uu, vv = u + du * level, v + dv * level
-        gap = level - relief.at(uu, vv)
-        below = gap <= 0.0
-        if below.any():
-            hit = np.flatnonzero(below)
-            # The crossing of two straight lines between the last two steps.
-            before = np.where(index[hit] > 0.0, level[hit] + step[hit], level[hit])
-            over = before - relief.at(u[hit] + du[hit] * before, v[hit] + dv[hit] * before)
-            share = over / np.maximum(over - gap[hit], 1e-12)
-            found[rays[hit]] = before - (before - level[hit]) * share
-        # Above the highest texel around there is nothing to meet.
-        clear = np.floor((level - np.take(peaks, relief.nearest(uu, vv))) / np.maximum(step, 1e-30))
-        index += np.clip(clear - 1.0, 1.0, near)
-        keep = np.flatnonzero(~below & (index <= count))
-        if len(keep) < len(rays):
-            rays, index, count = rays[keep], index[keep], count[keep]
-            step, near = step[keep], near[keep]
-            u, v, du, dv = u[keep], v[keep], du[keep], dv[keep]
-    return found
+def move(relief: Relief, hits: Hits) -> tuple[Hits, Array]:
+    """Hits on the displaced surface, and the height there."""
+    (u, v), height = shift(relief, hits.place, hits.to_view)
+    moved = (
+        (u - hits.place[0]).astype(np.float32),
+        (v - hits.place[1]).astype(np.float32),
+        height,
+    )
+    return replace(hits, point=add(hits.point, to_scene(moved, hits.frame)), place=(u, v)), height

@@ -32,27 +32,21 @@ class Hits:
     seen: Array | None
     footprint: Array
 
-    def take(self, index: Array, shape: tuple[int, ...]) -> Hits:
-        """Some of the pixels of a block of some shape, counted row by row, as one row; all hit."""
+    def flat(self, index: Array | None, shape: tuple[int, ...]) -> Hits:
+        """Pixels of a block of some shape, all or some, row by row: (N,) arrays, all hit."""
+
+        def every(array: Array) -> Array:
+            whole = np.broadcast_to(array, shape)
+            found: Array = whole.ravel() if index is None else whole.reshape(-1)[index]
+            return found
 
         def vector(one: Vec) -> Vec:
-            return (
-                some(one[0], index, shape),
-                some(one[1], index, shape),
-                some(one[2], index, shape),
-            )
+            return every(one[0]), every(one[1]), every(one[2])
 
         frame = self.frame and (vector(self.frame[0]), vector(self.frame[1]), vector(self.frame[2]))
-        u, v = (some(one, index, shape) for one in self.place)
-        footprint = some(self.footprint, index, shape)
-        return Hits(vector(self.point), frame, (u, v), vector(self.to_view), None, footprint)
-
-
-def some(array: Array, index: Array, shape: tuple[int, ...]) -> Array:
-    """(1, N) values of an array that broadcasts to a shape; one for all stays one for all."""
-    if array.size == 1:
-        return array.reshape(1, 1)
-    return np.take(np.broadcast_to(array, shape), index)[None]
+        place = (every(self.place[0]), every(self.place[1]))
+        footprint = every(self.footprint)
+        return Hits(vector(self.point), frame, place, vector(self.to_view), None, footprint)
 
 
 def to_frame(vector: Vec, frame: TangentFrame | None) -> Vec:

@@ -14,7 +14,7 @@ from matcap.brdf.cook_torrance import cook_torrance
 from matcap.files.exr import write_exr
 from matcap.relight.camera import view_of
 from matcap.relight.effects import multiscatter
-from matcap.relight.lobes import alpha_of, ggx_smith, schlick_weight
+from matcap.relight.lobes import alpha_of, lobe
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     Camera,
@@ -63,11 +63,7 @@ def _lobes(g: np.random.Generator, *, smooth: bool) -> Swept:
     normal, to_light, to_view = ((v[0], v[1], v[2]) for v in vectors)
     n_dot_l, n_dot_v = dot(normal, to_light), dot(normal, to_view)
     up = np.float32(0.0)
-    mirror, l_dot_h = ggx_smith(
-        normal, to_view, to_light, np.maximum(n_dot_v, up), np.maximum(n_dot_l, up),
-        alpha_of(roughness[0]),
-    )  # fmt: skip
-    weight = schlick_weight(l_dot_h)
+    mirror, weight = lobe(normal, to_view, to_light, alpha_of(roughness[0]))
     value = diffuse / np.float32(math.pi) + (specular + (1.0 - specular) * weight) * mirror
     value = np.where((n_dot_l > 0.0) & (n_dot_v > 0.0), value, up)
     # Which side of a horizon a direction lies on is its float32 cosine's say.

@@ -1,0 +1,245 @@
+/* Lights with a size: each pixel by the rule that its lobe asks for, with shadows of its parts. */
+
+#include "loops.h"
+
+enum { RULES = 7, SAMPLED = 7 }; /* the last number has no rule for the lobe */
+
+typedef struct {
+    /* A rectangle's nodes: places x, y, z. A sphere's: height on the cap, cosine and sine of the
+       turn. Weights, and the part of the light that each node is in. */
+    const float *a, *b, *c, *weight;
+    const int32_t *cell;
+    int32_t nodes, order; /* nodes is a multiple of LANES; weights of those too many are 0 */
+} Rule;
+
+typedef struct {
+    float place[3], colour[3];
+    float normal[3], across[3], along[3], size[2]; /* of a rectangle */
+    float radius;                                  /* of a sphere, else 0 */
+    float half;                                    /* radius around its middle */
+    float even; /* what distance squared is multiplied by where light does not fall off, else 0 */
+    /* How many points a lobe asks for: see effects/area.py. */
+    float density, rate, spread, turn;
+    int32_t diffuse, specular, limits[RULES - 1];
+    Rule plain[RULES + 1], parted[RULES + 1], probe;
+} AreaLight;
+
+typedef struct {
+    float x[NODES], y[NODES], z[NODES], received[NODES], distance[NODES];
+} Seen;
+
+/* The light's nodes seen from a pixel: unit vectors in its frame, irradiance for radiance 1. */
+INLINE void look_at(const AreaLight *l, const Rule *r, const Pixels *p, int64_t i, Seen *s) {
+    float px = p->point[0][i], py = p->point[1][i], pz = p->point[2][i];
+    float m[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    if (p->frame[0])
+        for (int k = 0; k < 9; k++) m[k] = p->frame[k][i];
+    if (l->radius > 0.0f) {
+        float o[3] = {l->place[0] - px, l->place[1] - py, l->place[2] - pz};
+        float squared = o[0] * o[0] + o[1] * o[1] + o[2] * o[2], inverse = 1.0f / sqrtf(squared);
+        float ax = (o[0] * m[0] + o[1] * m[1] + o[2] * m[2]) * inverse;
+        float ay = (o[0] * m[3] + o[1] * m[4] + o[2] * m[5]) * inverse;
+        float az = (o[0] * m[6] + o[1] * m[7] + o[2] * m[8]) * inverse;
+        float sign = copysignf(1.0f, az), k = -1.0f / (sign + az), q = ax * ay * k;
+        float sx = 1.0f + sign * ax * ax * k, sy = sign * q, sz = -sign * ax;
+        float tx = q, ty = sign + ay * ay * k, tz = -ay;
+        float sine2 = smaller(l->radius * l->radius / squared, 1.0f);
+        /* 1 - cos of the cone's half angle, without cancellation for small lights. */
+        float opening = sine2 / (1.0f + sqrtf(1.0f - sine2));
+        float far = larger(1.0f / inverse - l->radius, 0.0f);
+        for (int n = 0; n < r->nodes; n++) {
+            float drop = opening * r->a[n], cosine = 1.0f - drop;
+            float sine = sqrtf(drop * (1.0f + cosine));
+            float cs = r->b[n] * sine, sn = r->c[n] * sine;
+            s->x[n] = ax * cosine + sx * cs + tx * sn;
+            s->y[n] = ay * cosine + sy * cs + ty * sn;
+            s->z[n] = az * cosine + sz * cs + tz * sn;
+            s->received[n] = opening * r->weight[n];
+            s->distance[n] = far;
+        }
+        return;
+    }
+    float nx = l->normal[0], ny = l->normal[1], nz = l->normal[2], area = l->size[0] * l->size[1];
+    for (int n = 0; n < r->nodes; n++) {
+        float x = r->a[n] - px, y = r->b[n] - py, z = r->c[n] - pz;
+        float squared = x * x + y * y + z * z, inverse = 1.0f / sqrtf(squared);
+        float facing = larger(-(x * nx + y * ny + z * nz) * inverse, 0.0f);
+        s->received[n] = facing * area * r->weight[n] / squared;
+        x *= inverse, y *= inverse, z *= inverse;
+        s->x[n] = x * m[0] + y * m[1] + z * m[2];
+        s->y[n] = x * m[3] + y * m[4] + z * m[5];
+        s->z[n] = x * m[6] + y * m[7] + z * m[8];
+        s->distance[n] = 1.0f / inverse;
+    }
+}
+
+/* ---- which rule ---- */
+
+INLINE int number(const AreaLight *l, float needed) {
+    int one = 1;
+    while (one < RULES && !(needed <= l->limits[one - 1])) one++;
+    return one;
+}
+
+/* The rule that a pixel needs, 0 where the light is below; `sets` where it does. Wherever the lobe
+   points, as many points as the light is wide for it; where `thrifty`, as many as it needs as far
+   from its peak as the light is: GGX is (alpha^2 + t^2)^-2 in the tangent t between normal and
+   microfacet, whose nearest singularity is that far off the light's range of t. */
+static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int thrifty, int *sets) {
+    float o[3], h[3], distance = 0.0f, nl = 0.0f, squared = 0.0f, alpha = p->alpha[i];
+    for (int k = 0; k < 3; k++) o[k] = l->place[k] - p->point[k][i], distance += o[k] * o[k];
+    distance = sqrtf(distance);
+    for (int k = 0; k < 3; k++) o[k] /= distance;
+    to_frame(p, i, o);
+    float angle = atan2f(l->half, larger(distance - l->half, 1e-6f));
+    float needed = 3.0f + ceilf(l->density * angle / (2.0f * larger(alpha, 1e-6f)) + 6.0f * angle);
+    int plain = number(l, needed);
+    *sets = 1;
+    if (!thrifty) return plain;
+    for (int k = 0; k < 3; k++) {
+        nl += p->normal[k][i] * o[k], h[k] = o[k] + p->view[k][i], squared += h[k] * h[k];
+    }
+    float cosine = nl + p->n_dot_v[i];
+    float away = atan2f(sqrtf(larger(squared - cosine * cosine, 0.0f)), larger(cosine, 1e-6f));
+    /* The microfacet turns half as far as the light, and a little more at grazing views. */
+    float clear = tanf(smaller(larger(away - angle * l->turn, 0.0f), 1.5f));
+    float sharp = sqrtf(alpha * alpha + clear * clear), sine = sinf(smaller(angle, HALF_PI));
+    float lowest = smaller(nl, o[2]);
+    *sets = lowest < sine;
+    if (lowest < -sine) return 0;
+    if (*sets || plain >= SAMPLED) return plain;
+    int fewer = number(l, 2.0f + l->rate * angle / sharp + l->spread * angle);
+    return fewer < plain ? fewer : plain;
+}
+
+/* ---- what it adds up to ---- */
+
+/* Share that arrives of each part of a light; whether all of all does. */
+INLINE int parts_lit(const AreaLight *l, const Pixels *p, int64_t i, const Field *f, Seen *s,
+                     float *arriving) {
+    int risen[CELLS] = {0}, lit[CELLS] = {0}, clear = 1;
+    look_at(l, &l->probe, p, i, s);
+    for (int n = 0; n < l->probe.nodes; n++) {
+        /* What has set behind the surface itself is no matter of shadows. */
+        if (!(s->z[n] > 0.0f) || l->probe.weight[n] == 0.0f) continue;
+        int one = arrives(f, p->column[i], p->row[i], p->height[i], s->x[n], s->y[n], s->z[n],
+                          s->distance[n]);
+        risen[l->probe.cell[n]]++, lit[l->probe.cell[n]] += one, clear &= one;
+    }
+    for (int c = 0; c < CELLS; c++)
+        arriving[c] = risen[c] ? (float)lit[c] / (float)risen[c] : 1.0f;
+    return clear;
+}
+
+/* Adds what a rule's nodes give, in shadow[cell] of each where there are shadows. */
+INLINE void integrate(const AreaLight *l, const Rule *r, const Pixels *p, int64_t i,
+                      const float *shadow, int lobe, float fading, Seen *s) {
+    float light[NODES], cosine[NODES], sums[3] = {0}; /* lobe, with Schlick's weight, lost */
+    float n[3] = {p->normal[0][i], p->normal[1][i], p->normal[2][i]};
+    float v[3] = {p->view[0][i], p->view[1][i], p->view[2][i]};
+    float nv = p->n_dot_v[i], alpha = p->alpha[i];
+    int nodes = r->nodes;
+    look_at(l, r, p, i, s);
+    for (int k = 0; k < nodes && shadow; k++) s->received[k] *= shadow[r->cell[k]];
+    for (int k = 0; k < nodes; k++) {
+        float received = s->z[k] > 0.0f ? s->received[k] : 0.0f;
+        float nl = larger(n[0] * s->x[k] + n[1] * s->y[k] + n[2] * s->z[k], 0.0f);
+        s->received[k] = received, light[k] = nl * received, cosine[k] = nl;
+    }
+    float lambert = total(light, nodes) * INVERSE_PI;
+    if (p->near) {
+        float gone[NODES];
+        for (int k = 0; k < nodes; k++) gone[k] = lost_at(p, p->near[i], cosine[k]) * light[k];
+        sums[2] = total(gone, nodes);
+    }
+    if (lobe) {
+        float mirror[NODES];
+        for (int k = 0; k < nodes; k++) {
+            float h[3] = {s->x[k] + v[0], s->y[k] + v[1], s->z[k] + v[2]}, half;
+            float d = ggx(n, h, cosine[k], nv, alpha, &half) * light[k];
+            mirror[k] = d, cosine[k] = d * schlick(half);
+        }
+        sums[0] = total(mirror, nodes), sums[1] = total(cosine, nodes);
+    }
+    for (int c = 0; c < 3; c++) {
+        float value = l->diffuse ? p->diffuse[c][i] * lambert : 0.0f;
+        if (lobe) value += p->specular[c][i] * (sums[0] - sums[1]) + sums[1];
+        if (p->near) value += p->strength[c][i] * sums[2];
+        p->total[c][i] += value * fading * l->colour[c];
+    }
+    if (!p->flow[0]) return;
+    float *const towards[3] = {s->x, s->y, s->z};
+    for (int axis = 0; axis < 3; axis++) {
+        for (int k = 0; k < nodes; k++) towards[axis][k] *= s->received[k];
+        float flow = total(towards[axis], nodes) * fading;
+        for (int c = 0; c < 3; c++) p->flow[3 * c + axis][i] += flow * l->colour[c];
+    }
+}
+
+/* Whether a direction of the scene meets the light. */
+INLINE int meets(const AreaLight *l, const float o[3], const float d[3]) {
+    float along = d[0] * o[0] + d[1] * o[1] + d[2] * o[2];
+    if (l->radius > 0.0f) {
+        float x = d[1] * o[2] - d[2] * o[1], y = d[2] * o[0] - d[0] * o[2];
+        float z = d[0] * o[1] - d[1] * o[0];
+        return x * x + y * y + z * z <= l->radius * l->radius && along > 0.0f;
+    }
+    float facing = 0.0f, reach = 0.0f, a = 0.0f, b = 0.0f;
+    for (int k = 0; k < 3; k++) facing -= d[k] * l->normal[k], reach -= o[k] * l->normal[k];
+    reach /= larger(facing, 1e-6f);
+    for (int k = 0; k < 3; k++) {
+        float miss = d[k] * reach - o[k];
+        a += miss * l->across[k], b += miss * l->along[k];
+    }
+    return facing > 1e-6f && reach > 0.0f && fabsf(a) <= 0.5f * l->size[0] &&
+           fabsf(b) <= 0.5f * l->size[1];
+}
+
+/* Adds the lobe of a pixel that mirrors a light too large for any rule: it is sampled. */
+static void sampled(const AreaLight *l, const Lattice *at, const Pixels *p, int64_t i,
+                    float seen) {
+    Lobe b = lobe_of(p, i);
+    float o[3], plain = 0.0f, mixed = 0.0f;
+    for (int k = 0; k < 3; k++) o[k] = l->place[k] - p->point[k][i];
+    for (int k = 0; k < at->points; k++) {
+        float d[3], fresnel, spread;
+        float weight =
+            mirrored(&b, at->u[k], at->cosine[k], at->sine[k], d, &fresnel, &spread);
+        if (!(d[2] > 0.0f) || weight * at->weight[k] == 0.0f) continue;
+        float x = d[0], y = d[1], z = d[2];
+        for (int c = 0; c < 3 && p->frame[0]; c++)
+            d[c] = x * p->frame[c][i] + y * p->frame[3 + c][i] + z * p->frame[6 + c][i];
+        if (!meets(l, o, d)) continue;
+        weight *= at->weight[k] * seen;
+        mixed += weight * fresnel, plain += weight - weight * fresnel;
+    }
+    for (int c = 0; c < 3; c++)
+        p->total[c][i] += (p->specular[c][i] * plain + mixed) * l->colour[c];
+}
+
+/* Adds a light with a size. field: casts shadows, or NULL. ran: 1 where a rule ran, and 2 where
+   relief hides a part. */
+WIDE void matcap_relight_area(const Pixels *p, const AreaLight *l, const Field *field,
+                              const Lattice *at, int32_t thrifty, uint8_t *ran) {
+    Seen s;
+    for (int64_t i = 0; i < p->count; i++) {
+        int sets, which = p->facing[i] ? chosen(l, p, i, thrifty, &sets) : 0;
+        if (!which) continue;
+        float shadow[CELLS], squared = 0.0f, seen = 0.0f;
+        int parted = 0;
+        ran[i] |= 1;
+        if (field) {
+            int clear = parts_lit(l, p, i, field, &s, shadow);
+            parted = sets || !clear;
+            ran[i] |= clear ? 0 : 2;
+        }
+        for (int k = 0; k < 3; k++)
+            squared += (l->place[k] - p->point[k][i]) * (l->place[k] - p->point[k][i]);
+        float fading = l->even > 0.0f ? squared * l->even : 1.0f;
+        int lobe = l->specular && which != SAMPLED;
+        integrate(l, parted ? &l->parted[which] : &l->plain[which], p, i, parted ? shadow : NULL,
+                  lobe, fading, &s);
+        for (int c = 0; c < CELLS && parted; c++) seen += shadow[c] / CELLS;
+        if (l->specular && which == SAMPLED) sampled(l, at, p, i, parted ? seen : 1.0f);
+    }
+}

@@ -1,0 +1,135 @@
+/* Horizons of texels, and what their neighbours reflect: see horizons.py. Texels come in groups of
+   LANES beside each other in a row, so that what they look at lies beside each other, too. */
+
+#include "loops.h"
+
+typedef struct {
+    const float *padded; /* heights in texels, the repetition around */
+    const float *lit;    /* CHANNELS planes: what each texel reflects, padded likewise, or NULL */
+    const float *cosine, *sine;     /* of each azimuth */
+    const int32_t *offset, *middle; /* azimuths x steps, azimuths x parts: in texels */
+    const float *inverse;           /* azimuths x steps: of the distance */
+    const int32_t *end;             /* of each part: the step after its last */
+    const float *nearest;           /* of each part: inverse of its least distance */
+    int64_t plane;
+    int32_t steps, parts, columns, reach, width; /* columns of the texels; width of what is padded */
+    float highest;
+} Walk;
+
+/* As a loop, which compilers keep in one register; taken apart it is eight sums. */
+#if defined(__GNUC__) && !defined(__clang__)
+#define EACH_LANE(k) _Pragma("GCC unroll 1") for (int k = 0; k < LANES; k++)
+#else
+#define EACH_LANE(k) for (int k = 0; k < LANES; k++)
+#endif
+
+typedef struct {
+    float own[LANES], nz[LANES];
+    float level[AZIMUTHS][LANES], side[AZIMUTHS][LANES], weight[AZIMUTHS][LANES];
+    float faced[LANES], sum[CHANNELS][LANES];
+} Group;
+
+/* Integral of n . w cos(e) over elevations e from 0 to that of the tangent, at one azimuth. */
+INLINE float strip(float tangent, float side, float nz) {
+    float squared = tangent * tangent, share = 1.0f / (1.0f + squared);
+    return 0.5f * (side * (arctangent(tangent) + tangent * share) + nz * squared * share);
+}
+
+/* The slope at which the surface itself ends, along each azimuth. */
+INLINE void begin(const Walk *w, const float *at, Group *g) {
+    EACH_LANE(k) g->faced[k] = 0.0f;
+    for (int c = 0; c < CHANNELS; c++)
+        EACH_LANE(k) g->sum[c][k] = 0.0f;
+    for (int a = 0; a < AZIMUTHS; a++)
+        EACH_LANE(k) {
+            float sx = 0.5f * (at[k + 1] - at[k - 1]);
+            float sy = 0.5f * (at[k - w->width] - at[k + w->width]);
+            float nz = 1.0f / sqrtf(1.0f + sx * sx + sy * sy);
+            float level = w->cosine[a] * sx + w->sine[a] * sy;
+            g->own[k] = at[k], g->nz[k] = nz;
+            g->level[a][k] = level, g->side[a][k] = -level * nz;
+            float weight = strip(level, -level * nz, nz);
+            g->weight[a][k] = weight, g->faced[k] -= weight;
+        }
+}
+
+/* An azimuth's horizons after a part's steps; whether any rose. */
+INLINE int rose(const Walk *w, int part, int a, const float *at, Group *g) {
+    const int32_t *offset = w->offset + a * w->steps;
+    const float *inverse = w->inverse + a * w->steps;
+    float level[LANES];
+    int changed = 0;
+    EACH_LANE(k) level[k] = g->level[a][k];
+    for (int step = part ? w->end[part - 1] : 0; step < w->end[part]; step++) {
+        const float *there = at + offset[step];
+        float near = inverse[step];
+        EACH_LANE(k) {
+            float rise = (there[k] - g->own[k]) * near;
+            level[k] = rise > level[k] ? rise : level[k];
+        }
+    }
+    EACH_LANE(k) changed |= level[k] > g->level[a][k];
+    EACH_LANE(k) g->level[a][k] = level[k];
+    return changed;
+}
+
+/* Adds what the strip between old and new horizons shows. */
+INLINE void receive(const Walk *w, int part, int a, int64_t spot, Group *g) {
+    float share[LANES];
+    EACH_LANE(k) {
+        float higher = strip(g->level[a][k], g->side[a][k], g->nz[k]);
+        share[k] = higher - g->weight[a][k];
+        g->weight[a][k] = higher;
+    }
+    const float *lit = w->lit + spot + w->middle[a * w->parts + part];
+    for (int c = 0; c < CHANNELS; c++, lit += w->plane)
+        EACH_LANE(k) g->sum[c][k] += share[k] * lit[k];
+}
+
+/* The walk of a group, as far as anything could show. */
+INLINE void walk(const Walk *w, const float *at, int64_t spot, Group *g) {
+    for (int part = 0, more = 1; part < w->parts && more; part++) {
+        more = 0;
+        for (int a = 0; a < AZIMUTHS; a++) {
+            int could = 0;
+            EACH_LANE(k)
+                could |= (w->highest - g->own[k]) * w->nearest[part] > g->level[a][k];
+            if (!could) continue;
+            more = 1;
+            if (rose(w, part, a, at, g) && w->lit) receive(w, part, a, spot, g);
+        }
+    }
+}
+
+/* Horizons of texels (AZIMUTHS each), what they leave open (2 each), and, where the walk has
+   light, transfer vectors (CHANNELS each), written to where each texel has them.
+
+   starts: the first texel of each group. */
+WIDE void matcap_relight_walk(const Walk *w, int64_t count, const int32_t *starts,
+                              float *tangents, float *open, float *transfer) {
+    Group g;
+    for (int64_t n = 0; n < count; n++) {
+        int64_t i = starts[n], row = i / w->columns, column = i % w->columns;
+        int64_t spot = (row + w->reach) * w->width + column + w->reach;
+        float seen[LANES] = {0};
+        begin(w, w->padded + spot, &g);
+        walk(w, w->padded + spot, spot, &g);
+        for (int a = 0; a < AZIMUTHS; a++)
+            EACH_LANE(k) {
+                float side = g.side[a][k], nz = g.nz[k], level = g.level[a][k];
+                float above = strip(level, side, nz);
+                g.faced[k] += above;
+                seen[k] += side * (0.5f * HALF_PI) + nz * 0.5f - (level > 0.0f ? above : 0.0f);
+            }
+        for (int k = 0; k < LANES && column + k < w->columns; k++) {
+            int64_t to = i + k;
+            /* Of an even sky of radiance 1, what arrives, against what a slope alone lets through. */
+            float part = seen[k] * (4.0f / AZIMUTHS) / (1.0f + g.nz[k]);
+            open[2 * to] = part < 0.0f ? 0.0f : part > 1.0f ? 1.0f : part;
+            open[2 * to + 1] = g.faced[k] * (2.0f / AZIMUTHS);
+            for (int a = 0; a < AZIMUTHS; a++) tangents[to * AZIMUTHS + a] = g.level[a][k];
+            for (int c = 0; c < CHANNELS && w->lit; c++)
+                transfer[to * CHANNELS + c] = g.sum[c][k];
+        }
+    }
+}

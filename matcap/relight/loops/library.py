@@ -1,0 +1,70 @@
+"""The compiled loops, found where they were built."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from functools import cache
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from matcap.errors import MatcapError
+from matcap.relight.vectors import Array
+
+# Of loops.h, as are the three below.
+_FORM = 1
+LANES, CHANNELS, AZIMUTHS = 8, 9, 16
+
+Pointer, Whole, Real = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float
+
+
+@cache
+def built() -> Any | None:  # noqa: ANN401
+    """The library, or None where it was not built, or from another form of its files."""
+    for suffix in EXTENSION_SUFFIXES:
+        path = Path(__file__).with_name(f"kernel{suffix}")
+        if path.is_file():
+            try:
+                library = ctypes.CDLL(str(path))
+                if library.matcap_relight_form() == _FORM:
+                    return library
+            except (OSError, AttributeError):
+                continue
+    return None
+
+
+def loops() -> Any:  # noqa: ANN401
+    """The library.
+
+    Raises:
+        MatcapError: it was not built.
+    """
+    library = built()
+    if library is None:
+        raise MatcapError(
+            "the compiled loops of relighting were not built when matcap was installed",
+            remedy="install a C compiler (gcc, clang or MSVC) and then matcap again",
+        )
+    return library
+
+
+class HeldArrays:
+    """Addresses of arrays for as long as this lives."""
+
+    def __init__(self) -> None:
+        self._arrays: list[Array] = []
+
+    def of(self, values: Array | Sequence[float], dtype: type = np.float32) -> int:
+        """Address of values, one beside the other; in place where they are so already."""
+        array: Array = np.ascontiguousarray(values, dtype=dtype)
+        self._arrays.append(array)
+        return array.ctypes.data
+
+
+def address(array: Array) -> Any:  # noqa: ANN401
+    """Of an array that is written to."""
+    assert array.flags.c_contiguous
+    return Pointer(array.ctypes.data)

@@ -1,0 +1,79 @@
+/* Rays on a height field: shadows, parallax; and the field itself. */
+
+#include "loops.h"
+
+/* The bilinear surface at a place in columns and rows. */
+INLINE float surface(const Field *f, double column, double row) {
+    double left = floor(column), above = floor(row);
+    float fx = (float)(column - left), fy = (float)(row - above);
+    int32_t x = wrapped((int64_t)left, f->columns), y = wrapped((int64_t)above, f->rows);
+    const float *here = f->heights + (int64_t)y * f->columns;
+    const float *below = f->heights + (int64_t)(y + 1 == f->rows ? 0 : y + 1) * f->columns;
+    int32_t next = x + 1 == f->columns ? 0 : x + 1;
+    float upper = here[x] + fx * (here[next] - here[x]);
+    float lower = below[x] + fx * (below[next] - below[x]);
+    return upper + fy * (lower - upper);
+}
+
+void matcap_relight_heights(const Field *f, int64_t count, const double *column,
+                            const double *row, float *found) {
+    for (int64_t i = 0; i < count; i++) found[i] = surface(f, column[i], row[i]);
+}
+
+/* Whether light from unit vectors (x, y, z) arrives at places on the surface. */
+WIDE void matcap_relight_lit(const Field *f, int64_t count, const double *column,
+                             const double *row, const float *height, const float *x,
+                             const float *y, const float *z, const float *distance,
+                             uint8_t *lit) {
+    for (int64_t i = 0; i < count; i++)
+        lit[i] = z[i] > 0.0f && arrives(f, column[i], row[i], height[i], x[i], y[i], z[i],
+                                        distance ? distance[i] : HUGE_VAL);
+}
+
+typedef struct {
+    const float *peaks; /* the highest texel within `around` of each */
+    int32_t around;
+    float steepest; /* z of the lowest ray that is followed */
+    float most, least, density; /* steps of a ray: at most, at least, a texel of its path */
+} Search;
+
+/* Places at which rays towards the camera leave the surface, and the height there. Columns and
+   rows come as places on the undisplaced surface, and are moved. */
+WIDE void matcap_relight_met(const Field *f, const Search *s, int64_t count, double *column,
+                             double *row, const float *vx, const float *vy, const float *vz,
+                             float *height) {
+    double span = f->high - f->low;
+    for (int64_t i = 0; i < count; i++) {
+        float steep = 1.0f / larger(vz[i], s->steepest), du = vx[i] * steep, dv = vy[i] * steep;
+        float pace = sqrtf(du * du + dv * dv) * (float)(span / f->texel);
+        double steps = ceil(s->density * pace);
+        steps = steps < s->least ? s->least : steps > s->most ? s->most : steps;
+        /* So many steps stay where the highest texel is known. */
+        double near = floor((s->around - 2) * steps / (pace > 1e-6f ? pace : 1e-6f));
+        near = near > 1.0 ? near : 1.0;
+        double across = du / f->texel, down = -dv / f->texel, step = span / steps, index = 0.0;
+        double found = f->low;
+        while (index <= steps) {
+            double level = f->high - step * index;
+            double x = column[i] + across * level, y = row[i] + down * level;
+            double gap = level - surface(f, x, y);
+            if (gap <= 0.0) {
+                /* The crossing of two straight lines between the last two steps. */
+                double before = index > 0.0 ? level + step : level;
+                double over =
+                    before - surface(f, column[i] + across * before, row[i] + down * before);
+                double apart = over - gap > 1e-12 ? over - gap : 1e-12;
+                found = (float)(before - (before - level) * (over / apart));
+                break;
+            }
+            /* Above the highest texel around there is nothing to meet. */
+            double clear = level - s->peaks[nearest(f->columns, f->rows, x, y)];
+            clear = floor(clear / (step > 1e-30 ? step : 1e-30)) - 1.0;
+            clear = clear < near ? clear : near;
+            index += clear > 1.0 ? clear : 1.0;
+        }
+        column[i] += across * found, row[i] += down * found;
+        /* The secant ends near the surface; shadows must start on it. */
+        height[i] = surface(f, column[i], row[i]);
+    }
+}

@@ -1,0 +1,130 @@
+"""What the loops are told, as loops.h and the other files beside it have it."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+
+import numpy as np
+
+from matcap.relight.loops.library import LANES, HeldArrays, Pointer, Real, Whole
+from matcap.relight.visible_normals import lattice
+
+_Three, _Nine = Pointer * 3, Pointer * 9
+_Vector = Real * 3
+
+
+class CField(ctypes.Structure):
+    """The relief."""
+
+    _fields_ = (
+        ("heights", Pointer), ("columns", Whole), ("rows", Whole), ("lift", Real),
+        ("high", ctypes.c_double), ("low", ctypes.c_double), ("texel", ctypes.c_double),
+    )  # fmt: skip
+
+
+class CPixels(ctypes.Structure):
+    """Pixels of a block."""
+
+    _fields_ = (
+        ("count", ctypes.c_int64), ("column", Pointer), ("row", Pointer), ("point", _Three),
+        ("frame", _Nine), ("height", Pointer), ("view", _Three), ("normal", _Three),
+        ("n_dot_v", Pointer), ("alpha", Pointer), ("facing", Pointer), ("diffuse", _Three),
+        ("specular", _Three), ("strength", _Three), ("near", Pointer), ("lost", Pointer),
+        ("lost_size", Whole), ("lost_step", Real), ("total", _Three), ("flow", _Nine),
+    )  # fmt: skip
+
+
+class CLattice(ctypes.Structure):
+    """Directions of visible normals."""
+
+    _fields_ = (
+        ("u", Pointer), ("cosine", Pointer), ("sine", Pointer), ("weight", Pointer),
+        ("points", Whole),
+    )  # fmt: skip
+
+
+class CLamp(ctypes.Structure):
+    """A light that is a point."""
+
+    _fields_ = (
+        ("place", _Vector), ("normal", _Vector), ("colour", _Vector), ("far", Whole),
+        ("faces", Whole), ("parts", Whole), ("power", Real), ("even", Real),
+    )  # fmt: skip
+
+
+class CRule(ctypes.Structure):
+    """Points of a light."""
+
+    _fields_ = (
+        ("a", Pointer), ("b", Pointer), ("c", Pointer), ("weight", Pointer), ("cell", Pointer),
+        ("nodes", Whole), ("order", Whole),
+    )  # fmt: skip
+
+
+class CAreaLight(ctypes.Structure):
+    """A light with a size, and the rules that pixels choose from."""
+
+    _fields_ = (
+        ("place", _Vector), ("colour", _Vector), ("normal", _Vector), ("across", _Vector),
+        ("along", _Vector), ("size", Real * 2), ("radius", Real), ("half", Real), ("even", Real),
+        ("density", Real), ("rate", Real), ("spread", Real), ("turn", Real),
+        ("diffuse", Whole), ("specular", Whole), ("limits", Whole * 6),
+        ("plain", CRule * 8), ("parted", CRule * 8), ("probe", CRule),
+    )  # fmt: skip
+
+
+class CSearch(ctypes.Structure):
+    """How rays are followed through relief."""
+
+    _fields_ = (
+        ("peaks", Pointer), ("around", Whole), ("steepest", Real), ("most", Real),
+        ("least", Real), ("density", Real),
+    )  # fmt: skip
+
+
+class CTexels(ctypes.Structure):
+    """Numbers of texels, on levels."""
+
+    _fields_ = (
+        ("rows", Pointer), ("starts", Pointer), ("widths", Pointer), ("heights", Pointer),
+        ("channels", Whole), ("levels", Whole),
+    )  # fmt: skip
+
+
+class CSky(ctypes.Structure):
+    """Radiance of surroundings."""
+
+    _fields_ = (
+        ("atlas", Pointer), ("tops", Pointer), ("sides", Pointer), ("width", Whole),
+        ("levels", Whole), ("finest", Real), ("blur", Real), ("mean", _Vector),
+    )  # fmt: skip
+
+
+class CHorizon(ctypes.Structure):
+    """Horizons of texels, as mirrored directions are compared with them."""
+
+    _fields_ = (
+        ("tangents", Pointer), ("columns", Whole), ("rows", Whole), ("thrifty", Whole),
+    )  # fmt: skip
+
+
+class CWalk(ctypes.Structure):
+    """How horizons are walked to."""
+
+    _fields_ = (
+        *((name, Pointer) for name in (
+            "padded", "lit", "cosine", "sine", "offset", "middle", "inverse", "end", "nearest",
+        )),
+        ("plane", ctypes.c_int64), ("steps", Whole), ("parts", Whole), ("columns", Whole),
+        ("reach", Whole),
+        ("width", Whole), ("highest", Real),
+    )  # fmt: skip
+
+
+@cache
+def directions(samples: int) -> tuple[CLattice, HeldArrays]:
+    """A lattice of so many directions, up to a multiple of what is read at once."""
+    rows, kept = np.array(lattice(samples), dtype=np.float32).T, HeldArrays()
+    rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % LANES)))
+    return CLattice(*(kept.of(row) for row in rows), rows.shape[1]), kept
