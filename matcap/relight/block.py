@@ -136,6 +136,7 @@ class Block:
             n_dot_v=kept.of(self.n_dot_v),
             alpha=kept.of(sample.alpha),
             facing=kept.of(self.facing, np.uint8),
+            wide=kept.of(self.context.sampler.covered(hits.footprint)),
             diffuse=vector(sample.diffuse),
             specular=vector(sample.specular),
             total=tuple(one.ctypes.data for one in self.total),

@@ -207,15 +207,16 @@ class Horizons:
     def _wrapped(self, field: Array) -> Array:
         """Texels with their repetition around, and a group's more on the right."""
         around = ((self._reach, self._reach), (self._reach, self._reach + LANES))
-        return np.pad(field, around, mode="wrap")
+        return np.pad(field, around, mode=self.relief.around)
 
     @cached_property
     def _lit(self) -> Array:
         """(CHANNELS, rows, columns) what each texel reflects of light along x, y and z."""
         width, height = self.relief.texture.size
         field = self.relief.heights.reshape(height, width) / np.float32(self.relief.texel_size)
-        x = 0.5 * (np.roll(field, -1, 1) - np.roll(field, 1, 1))
-        y = 0.5 * (np.roll(field, 1, 0) - np.roll(field, -1, 0))
+        wide = np.pad(field, 1, mode=self.relief.around)
+        x = 0.5 * (wide[1:-1, 2:] - wide[1:-1, :-2])
+        y = 0.5 * (wide[:-2, 1:-1] - wide[2:, 1:-1])
         z = 1.0 / np.sqrt(1.0 + x * x + y * y)
         # albedo / pi, and the width of an azimuth.
         factor = np.float32(2.0 / AZIMUTHS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ctypes import byref, c_int64
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -20,17 +21,20 @@ _LIFT = 2e-6
 
 @dataclass(frozen=True)
 class Relief:
-    """The bilinear surface of a texture's height, repeated endlessly, as laid on a surface.
+    """The bilinear surface of a texture's height, as laid on a surface.
 
     Attributes:
         texture: the material.
         repeat: how many times smaller it lies there; its height shrinks likewise.
         displacement: factor on its height.
+        endless: it repeats; else it goes on beyond its border as it is there, for what lies at
+            the opposite border would be a cliff.
     """
 
     texture: Texture
     repeat: float
     displacement: float
+    endless: bool = True
 
     @cached_property
     def heights(self) -> Array:
@@ -70,7 +74,8 @@ class Relief:
         width, height = self.texture.size
         lift = _LIFT * (self.high - self.low)
         place = self.heights.ctypes.data
-        return CField(place, width, height, lift, self.high, self.low, self.texel_size)
+        ends = int(not self.endless)
+        return CField(place, width, height, ends, lift, self.high, self.low, self.texel_size)
 
     def at(self, u: Array, v: Array) -> Array:
         """Heights at places (u, v) in plane units, float32."""
@@ -83,11 +88,18 @@ class Relief:
         )  # fmt: skip
         return found
 
+    @property
+    def around(self) -> Literal["wrap", "edge"]:
+        """What np.pad puts around its texels."""
+        return "wrap" if self.endless else "edge"
+
     def peaks(self, reach: int) -> Array:
         """(H W,) the highest texel within so many texels of each, along either axis."""
         if reach not in self._peaks:
             width, height = self.texture.size
-            self._peaks[reach] = _highest(self.heights.reshape(height, width), reach).ravel()
+            self._peaks[reach] = _highest(
+                self.heights.reshape(height, width), reach, self.around
+            ).ravel()
         return self._peaks[reach]
 
     @cached_property
@@ -95,8 +107,8 @@ class Relief:
         return {}
 
 
-def _highest(field: Array, reach: int) -> Array:
-    """The largest value within so many texels along either axis, of a field that repeats."""
+def _highest(field: Array, reach: int, mode: Literal["wrap", "edge"]) -> Array:
+    """The largest value within so many texels along either axis."""
     import cv2
 
     for axis, size in enumerate(field.shape):
@@ -105,6 +117,6 @@ def _highest(field: Array, reach: int) -> Array:
             continue
         around, kernel, cut = [(0, 0), (0, 0)], [1, 1], [slice(None), slice(None)]
         around[axis], kernel[axis], cut[axis] = (reach,) * 2, 2 * reach + 1, slice(reach, -reach)
-        wide = np.pad(field, around, mode="wrap")
+        wide = np.pad(field, around, mode=mode)
         field = np.asarray(cv2.dilate(wide, np.ones(kernel, np.uint8)))[tuple(cut)]
     return np.ascontiguousarray(field)

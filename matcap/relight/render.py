@@ -127,8 +127,9 @@ class Renderer:
         self.scene = replace(scene, film=scene.film or Film(*self.texture.size))
         surface = scene.surface
         _check_relief(self.texture, surface)
-        self.sampler = Sampler(self.texture, surface.repeat)
-        self.relief = Relief(self.texture, surface.repeat, surface.displacement)
+        endless = self.texture.periodic or not _covers(self.texture, surface)
+        self.sampler = Sampler(self.texture, surface.repeat, endless)
+        self.relief = Relief(self.texture, surface.repeat, surface.displacement, endless)
         self._skies: dict[EnvironmentLight, Environment] = {}
         self._shapes: dict[tuple[object, Surface], tuple[View, Shape]] = {}
 
@@ -247,6 +248,12 @@ def _check_relief(texture: Texture, surface: Surface) -> None:
             f"the material's height spans {relief:.2g} plane units, over {extent:.2g} across",
             remedy=f"give the surface a displacement below {_TALLEST * extent / relief:.1g}",
         )
+
+
+def _covers(texture: Texture, surface: Surface) -> bool:
+    """Whether one piece of the material covers the surface, so that no border meets another."""
+    side = (surface.size or 0.0) * surface.repeat
+    return surface.type == "plane" and side <= min(texture.extent) * (1.0 + 1e-6)
 
 
 def _needed(scene: Scene) -> tuple[float, float]:

@@ -37,16 +37,31 @@ class SurfaceSample:
 
 @dataclass(frozen=True)
 class Sampler:
-    """A texture laid on a surface, `repeat` times smaller than it is, its middle at (0, 0)."""
+    """A texture laid on a surface, `repeat` times smaller than it is, its middle at (0, 0).
+
+    Attributes:
+        texture: the material.
+        repeat: how many times smaller.
+        endless: it repeats; else its border goes on.
+    """
 
     texture: Texture
     repeat: float
+    endless: bool = True
 
     def texels(self, place: tuple[Array, Array]) -> tuple[Array, Array]:
         """Columns and rows, in texels, of places; texel centres are whole numbers."""
         width, height = self.texture.size
         step = self.repeat / self.texture.texel_size
-        return place[0] * step + (width - 1) / 2.0, (height - 1) / 2.0 - place[1] * step
+        column = place[0] * step + (width - 1) / 2.0
+        row = (height - 1) / 2.0 - place[1] * step
+        if self.endless:
+            return column, row
+        return np.clip(column, 0.0, width - 1.0), np.clip(row, 0.0, height - 1.0)
+
+    def covered(self, footprint: Array) -> Array:
+        """Texels that pixels cover, of what they cover in plane units."""
+        return footprint * np.float32(self.repeat / self.texture.texel_size)
 
     def read(self, place: tuple[Array, Array], footprint: Array | None = None) -> SurfaceSample:
         """The material at places (u, v) in plane units.
@@ -62,7 +77,7 @@ class Sampler:
             if aligned is not None:
                 return aligned
             return self._unpacked(between(self._rows, self.texture.size, column, row))
-        wide = footprint * np.float32(self.repeat / self.texture.texel_size)
+        wide = self.covered(footprint)
         return self._unpacked(read(*self._pyramid, column, row, wide))
 
     def _aligned(self, column: Array, row: Array) -> SurfaceSample | None:

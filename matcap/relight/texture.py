@@ -48,6 +48,7 @@ class Texture:
         height: (1, H, W) in plane units.
         slopes: (2, H, W) of the shading normal (-sx, -sy, 1): dh/dx and dh/dy.
         texel_size: in plane units.
+        periodic: whether opposite borders fit each other.
     """
 
     diffuse: HorizonMap
@@ -56,6 +57,7 @@ class Texture:
     height: HorizonMap
     slopes: HorizonMap
     texel_size: float
+    periodic: bool = True
 
     @staticmethod
     def from_maps(maps: MapSet) -> Texture:
@@ -79,6 +81,7 @@ class Texture:
             array(maps.height),
             array(slopes),
             maps.texel_size,
+            maps.periodic,
         )
 
     @property

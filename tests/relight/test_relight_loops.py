@@ -87,7 +87,7 @@ def pixels(relief, generator, *, framed=False, effects=EVERY, count=COUNT, rough
         side = unit(tuple(np.cross(axis, other, axis=0)))
         frame = (side, tuple(np.cross(axis, side, axis=0)), axis)
     point = (u.astype(np.float32), v.astype(np.float32), height)
-    hits = Hits(point, frame, (u, v), to_view, None, np.full(count, 0.01, np.float32))
+    hits = Hits(point, frame, (u, v), to_view, None, np.zeros(count, np.float32))
     colours = generator.uniform(0.0, 1.0, (6, count)).astype(np.float32)
     sample = SurfaceSample(tuple(colours[:3]), tuple(colours[3:]), alpha, normal)
     plan = Plan(tuple(Step(one, True, 0.0, "") for one in effects), 1e-4)

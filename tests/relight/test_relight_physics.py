@@ -227,6 +227,50 @@ def test_shadows_agree_with_a_fine_march():
     assert not lit[blocked].any()
 
 
+def sawtooth(*, periodic: bool) -> Texture:
+    """A gentle slope that is a cliff where it meets its own repetition."""
+    texture = ridge(height=0.0)
+    texture.height[:] = np.linspace(0.0, 0.2, 64, dtype=np.float32)
+    return Texture(
+        texture.diffuse, texture.specular, texture.roughness, texture.height, texture.slopes,
+        texture.texel_size, periodic,
+    )  # fmt: skip
+
+
+def test_the_border_of_a_piece_is_no_cliff():
+    """What lies at the right border must not shadow the left one, unless it does lie there."""
+    scene = Scene(Film(64, 8), None, Surface(size=None), (DirectionalLight((-1.0, 0.0, 0.5)),))
+    effects = "none,+diffuse,+shadows"
+    repeating = relight(sawtooth(periodic=True), scene, effects=effects)[4, :, 0]
+    piece = relight(sawtooth(periodic=False), scene, effects=effects)[4, :, 0]
+    assert not repeating[:5].any() and repeating[-5:].all()
+    assert piece.all()
+    larger = Scene(scene.film, None, Surface(size=4.0), scene.lights)
+    assert not relight(sawtooth(periodic=False), larger, effects=effects)[4].all()
+
+
+def test_a_pixel_is_as_dark_as_its_shadow_is_large():
+    """Large pixels against the mean of small ones: few are black, and all are as dark."""
+    maps = bumpy(256, 256, seed=3, relief=0.0)
+    maps.height[0] = maps.height.new_tensor(np.random.default_rng(0).normal(0.0, 0.004, (256, 256)))
+
+    def shadow(size):
+        light = (DirectionalLight((1.0, 0.3, 0.8)),)
+        scene = Scene(Film(size, size), None, Surface(size=None), light)
+        lit, free = (
+            relight(maps, scene, effects=f"none,+diffuse{more}")[..., 0]
+            for more in (",+shadows", "")
+        )
+        return np.where(free > 0.0, lit / np.maximum(free, 1e-9), 1.0)
+
+    fine = shadow(1024).reshape(128, 8, 128, 8).mean(axis=(1, 3))
+    coarse = shadow(128)
+    assert 0.1 < fine.mean() < 0.9
+    assert coarse.mean() == pytest.approx(fine.mean(), abs=0.02)
+    # One ray a pixel is off by sqrt(share (1 - share)): 0.35 and more here.
+    assert np.sqrt(((coarse - fine) ** 2).mean()) < 0.6 * np.sqrt((fine * (1.0 - fine)).mean())
+
+
 def test_parallax_of_a_raised_plane():
     """A flat floor at height h, seen from the side, is displaced by h times the tangent."""
     texture = ridge()

@@ -77,8 +77,8 @@ def add(block: Block, light: PointLight | DirectionalLight | SphereLight | Recta
     )
     if plan.on("shadows"):
         with block.context.clock.on("shadows"):
-            lit, cast = np.ones((2, block.tiles.size), dtype=np.uint8)
-            cast[:] = 0
+            lit = np.ones(block.tiles.size, dtype=np.float32)
+            cast = np.zeros(block.tiles.size, dtype=np.uint8)
             loops().matcap_relight_past(
                 byref(block.told), byref(lamp), byref(block.context.relief.field), None,
                 address(lit), address(cast),
@@ -100,8 +100,8 @@ def sun(direction: tuple[float, float, float], irradiance: tuple[float, float, f
 
 
 def above(block: Block, lamp: CLamp, horizon: CHorizon) -> Array:
-    """(N,) where a lamp is above the horizon of the relief."""
-    lit = np.ones(block.tiles.size, dtype=np.uint8)
+    """(N,) 1 where a lamp is above the horizon of the relief."""
+    lit = np.ones(block.tiles.size, dtype=np.float32)
     loops().matcap_relight_past(
         byref(block.told), byref(lamp), None, byref(horizon), address(lit), None
     )

@@ -93,10 +93,28 @@ INLINE void add(const Pixels *p, const Lamp *l, int64_t first, int count, const 
     }
 }
 
-/* Where a lamp's light arrives past the relief (field), or above the horizon of texels; either
-   may be NULL. cast: notes where a ray was followed. */
+/* Where in a pixel its shadow rays start, in shares of what it covers: one for each column and
+   each row of it. A pixel is as dark as its shadow is large; by the ray of its middle alone ten
+   times as many are black. */
+enum { STARTS = 4 };
+static const float START[STARTS][2] = {
+    {-0.125f, -0.375f}, {0.375f, -0.125f}, {0.125f, 0.375f}, {-0.375f, 0.125f}};
+static const float WIDEST = 64.0f; /* texels */
+
+INLINE float share_lit(const Pixels *p, const Field *f, int64_t i, const Rays *r, int k) {
+    float wide = smaller(p->wide[i], WIDEST), lit = 0.0f;
+    for (int s = 0; s < STARTS; s++) {
+        double column = p->column[i] + wide * START[s][0], row = p->row[i] + wide * START[s][1];
+        lit += (float)arrives(f, column, row, surface(f, column, row), r->x[k], r->y[k], r->z[k],
+                              r->distance[k]);
+    }
+    return lit / STARTS;
+}
+
+/* The share of a lamp's light that arrives past the relief (field), or above the horizon of
+   texels; either may be NULL. cast: notes where rays were followed. */
 WIDE void matcap_relight_past(const Pixels *p, const Lamp *l, const Field *field,
-                              const Horizon *horizon, uint8_t *lit, uint8_t *cast) {
+                              const Horizon *horizon, float *lit, uint8_t *cast) {
     Rays r;
     for (int64_t first = 0; first < p->count; first += CHUNK) {
         int count = p->count - first < CHUNK ? (int)(p->count - first) : CHUNK;
@@ -109,20 +127,16 @@ WIDE void matcap_relight_past(const Pixels *p, const Lamp *l, const Field *field
             if (!p->facing[i] || !(r.z[k] > 0.0f) || !(r.received[k] > 0.0f) ||
                 (!(l->parts & FLOW) && !(nl > 0.0f)))
                 continue;
-            if (field) {
-                lit[i] = (uint8_t)arrives(field, p->column[i], p->row[i], p->height[i], r.x[k],
-                                          r.y[k], r.z[k], r.distance[k]);
-                cast[i] = 1;
-            }
+            if (field) lit[i] = share_lit(p, field, i, &r, k), cast[i] = 1;
             if (horizon)
-                lit[i] = (uint8_t)above_horizon(texel_horizon(horizon, p, i), r.x[k], r.y[k],
-                                                r.z[k]);
+                lit[i] =
+                    (float)above_horizon(texel_horizon(horizon, p, i), r.x[k], r.y[k], r.z[k]);
         }
     }
 }
 
-/* Adds a light that is a point, where `lit` (NULL: everywhere). */
-WIDE void matcap_relight_lamp(const Pixels *p, const Lamp *l, const uint8_t *lit) {
+/* Adds a light that is a point, of which a share arrives (NULL: all). */
+WIDE void matcap_relight_lamp(const Pixels *p, const Lamp *l, const float *lit) {
     Rays r;
     Reflected o;
     for (int64_t first = 0; first < p->count; first += CHUNK) {
@@ -130,7 +144,7 @@ WIDE void matcap_relight_lamp(const Pixels *p, const Lamp *l, const uint8_t *lit
         look_at(p, l, first, count, &r);
         for (int k = 0; k < count; k++) r.received[k] = r.z[k] > 0.0f ? r.received[k] : 0.0f;
         for (int k = 0; k < count && lit; k++)
-            r.received[k] = lit[first + k] ? r.received[k] : 0.0f;
+            r.received[k] *= lit[first + k];
         reflect(p, first, count, &r, l->parts, &o);
         add(p, l, first, count, &r, &o);
     }

@@ -22,7 +22,7 @@
 
 enum {
     /* Raised with every change of results or arguments, here and in loops/library.py. */
-    FORM = 1,
+    FORM = 2,
     LANES = 8,     /* numbers added up side by side */
     NODES = 512,   /* of a rule, at most: 16 rings of 32 */
     POINTS = 4184, /* of a lattice, at most, and LANES - 1 more */
@@ -38,7 +38,8 @@ static const float HALF_PI = 1.57079632679f, INVERSE_PI = 0.31830988618f;
 typedef struct {
     const float *heights;
     int32_t columns, rows;
-    float lift; /* how far above the surface rays start */
+    int32_t ends; /* beyond its border it goes on as it is there; else it repeats */
+    float lift;   /* how far above the surface rays start */
     double high, low, texel;
 } Field;
 
@@ -51,6 +52,7 @@ typedef struct {
     /* View and shading normal in the material's frame, n.v, GGX alpha; which face the camera. */
     const float *view[3], *normal[3], *n_dot_v, *alpha;
     const uint8_t *facing;
+    const float *wide; /* texels that each covers */
     const float *diffuse[3], *specular[3];
     /* Lost energy: what it is multiplied by, where its table begins for each pixel, the table. */
     const float *strength[3], *near, *lost;
@@ -128,6 +130,7 @@ INLINE void to_frame(const Pixels *p, int64_t i, float v[3]) {
 /* ---- the height field ---- */
 
 INLINE int32_t wrapped(int64_t i, int32_t size) {
+    if (i >= 0 && i < size) return (int32_t)i;
     int32_t left = (int32_t)(i % size);
     return left < 0 ? left + size : left;
 }
@@ -136,6 +139,29 @@ INLINE int32_t wrapped(int64_t i, int32_t size) {
 INLINE int64_t nearest(int32_t columns, int32_t rows, double column, double row) {
     int32_t c = wrapped((int64_t)rint(column), columns), r = wrapped((int64_t)rint(row), rows);
     return (int64_t)r * columns + c;
+}
+
+/* Where a line of the field or one beyond its border is, and the line after it. */
+INLINE int32_t within(const Field *f, int64_t i, int32_t size) {
+    return !f->ends ? wrapped(i, size) : i < 0 ? 0 : i >= size ? size - 1 : (int32_t)i;
+}
+
+INLINE int32_t after(const Field *f, int64_t i, int32_t at, int32_t size) {
+    if (f->ends && i < 0) return at;
+    return at + 1 < size ? at + 1 : f->ends ? at : 0;
+}
+
+/* The bilinear surface at a place in columns and rows. */
+INLINE float surface(const Field *f, double column, double row) {
+    double left = floor(column), above = floor(row);
+    float fx = (float)(column - left), fy = (float)(row - above);
+    int32_t x = within(f, (int64_t)left, f->columns), y = within(f, (int64_t)above, f->rows);
+    int32_t next = after(f, (int64_t)left, x, f->columns);
+    const float *here = f->heights + (int64_t)y * f->columns;
+    const float *below = f->heights + (int64_t)after(f, (int64_t)above, y, f->rows) * f->columns;
+    float upper = here[x] + fx * (here[next] - here[x]);
+    float lower = below[x] + fx * (below[next] - below[x]);
+    return upper + fy * (lower - upper);
 }
 
 /* Whether a ray passes below the surface on a grid line across `major`: on such a line the
@@ -150,16 +176,16 @@ INLINE int crossed(const Field *f, double major, double minor, double start, dou
     double pace = 1.0 / fabs(major);
     double track = fabs(first - start) * pace;
     if (!(track < reach)) return 0;
-    int32_t line = wrapped((int64_t)first, lines);
+    int32_t line = within(f, (int64_t)first, lines);
     for (; track < reach; track += pace) {
         double cross = other + minor * track, low = floor(cross);
         float share = (float)(cross - low);
-        int32_t j = wrapped((int64_t)low, places);
+        int32_t j = within(f, (int64_t)low, places), beside = after(f, (int64_t)low, j, places);
         const float *at = f->heights + line * stride;
-        float here = at[j * step], next = at[(j + 1 == places ? 0 : j + 1) * step];
+        float here = at[j * step], next = at[beside * step];
         if (here + share * (next - here) > height + rise * track) return 1;
         line += forward;
-        line = line == lines ? 0 : line < 0 ? lines - 1 : line;
+        if (line == lines || line < 0) line = (line < 0) == f->ends ? 0 : lines - 1;
     }
     return 0;
 }

@@ -2,19 +2,6 @@
 
 #include "loops.h"
 
-/* The bilinear surface at a place in columns and rows. */
-INLINE float surface(const Field *f, double column, double row) {
-    double left = floor(column), above = floor(row);
-    float fx = (float)(column - left), fy = (float)(row - above);
-    int32_t x = wrapped((int64_t)left, f->columns), y = wrapped((int64_t)above, f->rows);
-    const float *here = f->heights + (int64_t)y * f->columns;
-    const float *below = f->heights + (int64_t)(y + 1 == f->rows ? 0 : y + 1) * f->columns;
-    int32_t next = x + 1 == f->columns ? 0 : x + 1;
-    float upper = here[x] + fx * (here[next] - here[x]);
-    float lower = below[x] + fx * (below[next] - below[x]);
-    return upper + fy * (lower - upper);
-}
-
 void matcap_relight_heights(const Field *f, int64_t count, const double *column,
                             const double *row, float *found) {
     for (int64_t i = 0; i < count; i++) found[i] = surface(f, column[i], row[i]);

@@ -18,7 +18,7 @@ class CField(ctypes.Structure):
     """The relief."""
 
     _fields_ = (
-        ("heights", Pointer), ("columns", Whole), ("rows", Whole), ("lift", Real),
+        ("heights", Pointer), ("columns", Whole), ("rows", Whole), ("ends", Whole), ("lift", Real),
         ("high", ctypes.c_double), ("low", ctypes.c_double), ("texel", ctypes.c_double),
     )  # fmt: skip
 
@@ -29,7 +29,8 @@ class CPixels(ctypes.Structure):
     _fields_ = (
         ("count", ctypes.c_int64), ("column", Pointer), ("row", Pointer), ("point", _Three),
         ("frame", _Nine), ("height", Pointer), ("view", _Three), ("normal", _Three),
-        ("n_dot_v", Pointer), ("alpha", Pointer), ("facing", Pointer), ("diffuse", _Three),
+        ("n_dot_v", Pointer), ("alpha", Pointer), ("facing", Pointer), ("wide", Pointer),
+        ("diffuse", _Three),
         ("specular", _Three), ("strength", _Three), ("near", Pointer), ("lost", Pointer),
         ("lost_size", Whole), ("lost_step", Real), ("total", _Three), ("flow", _Nine),
     )  # fmt: skip
