@@ -90,7 +90,7 @@ RELIGHTING_AND_FILES = (
     Fault("photographs: no vignetting", "relight/render.py", "if view.vignetted:", "if False:",
           ("tests/relight/test_relight_photographed.py", "-k", "straight_above")),
     Fault("photographs: a camera that is never rolled", "relight/photographed.py",
-          "fov=setup.fov, up=up", "fov=setup.fov",
+          "        up=up,\n", "",
           ("tests/relight/test_relight_photographed.py", "-k", "tilted")),
     Fault("tiles: parts of a light weigh differently", "relight/effects/area.py",
           "pieces = 1 if not parts else", "pieces = 1 if parts else", (_TILES, "-k", "weigh")),
