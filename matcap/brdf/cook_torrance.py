@@ -22,7 +22,8 @@ from torch import Tensor
 # Roughness below this shows as this: alpha = 1e-6, whose square and whose peak D = 1 / (pi
 # alpha^2) both stay far inside float32, and which no photograph or picture can tell from 0.
 MIN_ROUGHNESS = 1e-3
-SINGLE_ROUGHNESS = 0.05  # likewise of single_lobe: a tenth of a per cent of alpha is float32's
+SINGLE_ROUGHNESS = 0.05  # likewise of quick angles: a tenth of a per cent of alpha is float32's
+LEAST_COSINE = 1e-3  # of quick angles
 
 # Smallest denominator of the visibility term, reached only when both cosines are grazing.
 _TINY = 1e-7
@@ -76,12 +77,14 @@ def schlick(specular: Tensor, l_dot_h: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Angles:
-    """What single_lobe knows of directions, (..., 1, H, W) each.
+    """What a specular lobe knows of directions, (..., 1, H, W) each.
 
     Attributes:
-        n_dot_l, n_dot_v: cosines of light and view, at least 1e-3.
+        n_dot_l, n_dot_v: cosines of light and view, never negative.
         n_dot_h, l_dot_h: of the half vector with normal and light.
         n_cross_h_squared: the squared sine between normal and half vector.
+        least_roughness: what is smoother shows as this.
+        above: where both light and view are above the surface; None: never quite below it.
     """
 
     n_dot_l: Tensor
@@ -89,64 +92,70 @@ class Angles:
     n_dot_h: Tensor
     l_dot_h: Tensor
     n_cross_h_squared: Tensor
+    least_roughness: float
+    above: Tensor | None = None
 
     @staticmethod
-    def of(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Angles:
-        """Angles of unit vectors (..., 3, H, W)."""
+    def exact(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Angles:
+        """Angles of unit vectors (..., 3, H, W), for highlights of any width; dark below."""
+        # In float64: where the half vector nearly is the normal, their cross product is a
+        # difference of nearly equal products, and an error of 1e-7 is a tenth of the narrowest
+        # highlight.
+        half = normalize(to_light.double() + to_view.double())
+        n_dot_l, n_dot_v = dot(normal, to_light), dot(normal, to_view)
+        n_cross_h = torch.linalg.cross(*torch.broadcast_tensors(normal.double(), half), dim=-3)
+        sine_squared = dot(n_cross_h, n_cross_h).to(to_light.dtype)
+        half = half.to(to_light.dtype)
+        return Angles(
+            n_dot_l.clamp_min(0.0),
+            n_dot_v.clamp_min(0.0),
+            dot(normal, half),
+            dot(to_light, half),
+            sine_squared,
+            MIN_ROUGHNESS,
+            (n_dot_l > 0) & (n_dot_v > 0),
+        )
+
+    @staticmethod
+    def quick(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Angles:
+        """Angles in the vectors' own precision, for fits: quicker, and never quite dark.
+
+        Lobes within 1 % of exact ones in float32 from roughness SINGLE_ROUGHNESS up; cosines below
+        LEAST_COSINE count as that, so that gradients do not end at the horizon.
+        """
         half = normalize(to_light + to_view)
         # Of unit vectors a chord d apart the squared sine is d^2 (1 - d^2 / 4): as exact as their
         # cross product where they nearly meet, at a fraction of its cost.
         apart = normal - half
         chord = dot(apart, apart)
         return Angles(
-            dot(normal, to_light).clamp_min(1e-3),
-            dot(normal, to_view).clamp_min(1e-3),
+            dot(normal, to_light).clamp_min(LEAST_COSINE),
+            dot(normal, to_view).clamp_min(LEAST_COSINE),
             dot(normal, half),
             dot(to_light, half),
             chord * (1.0 - 0.25 * chord),
+            SINGLE_ROUGHNESS,
         )
 
+    def lit(self, value: Tensor) -> Tensor:
+        """A value where light and view are above the surface, 0 elsewhere."""
+        return value if self.above is None else torch.where(self.above, value, 0.0)
 
-def single_lobe(specular: Tensor, roughness: Tensor, angles: Angles) -> Tensor:
-    """specular_lobe in the tensors' own precision, for fits: quicker, and never quite dark.
 
-    Within 1 % of it in float32 from roughness SINGLE_ROUGHNESS up, below which it shows as that;
-    cosines below 1e-3 count as 1e-3, so that gradients do not end at the horizon.
+def specular_lobe(specular: Tensor, roughness: Tensor, angles: Angles) -> Tensor:
+    """D G F / (4 (n.l)(n.v)) in 1/sr, (..., 1, H, W).
+
+    Args:
+        specular: (..., 1, H, W) F0 in [0, 1].
+        roughness: (..., 1, H, W) in [0, 1].
+        angles: of normal, light and view, exact or quick.
     """
-    alpha = roughness.clamp_min(SINGLE_ROUGHNESS).square()
-    return (
+    alpha = roughness.clamp_min(angles.least_roughness).square()
+    return angles.lit(
         ggx(angles.n_dot_h, angles.n_cross_h_squared, alpha)
         * smith_visibility(angles.n_dot_l, angles.n_dot_v, alpha)
         * schlick(specular, angles.l_dot_h)
     )
-
-
-def specular_lobe(
-    specular: Tensor, roughness: Tensor, normal: Tensor, to_light: Tensor, to_view: Tensor
-) -> Tensor:
-    """D G F / (4 (n.l)(n.v)) in 1/sr, (..., 1, H, W); 0 where light or view is below the surface.
-
-    Args:
-        specular: (..., 1, H, W) F0 in [0, 1].
-        roughness: (..., 1, H, W) in [0, 1]; below MIN_ROUGHNESS it counts as MIN_ROUGHNESS.
-        normal, to_light, to_view: (..., 3, H, W) unit vectors.
-    """
-    # In float64: where the half vector nearly is the normal, their cross product is a difference
-    # of nearly equal products, and an error of 1e-7 is a tenth of the narrowest highlight.
-    half = normalize(to_light.double() + to_view.double())
-    n_dot_l = dot(normal, to_light)
-    n_dot_v = dot(normal, to_view)
-    above = (n_dot_l > 0) & (n_dot_v > 0)
-    n_cross_h = torch.linalg.cross(*torch.broadcast_tensors(normal.double(), half), dim=-3)
-    sine_squared = dot(n_cross_h, n_cross_h).to(to_light.dtype)
-    half = half.to(to_light.dtype)
-    alpha = roughness.clamp_min(MIN_ROUGHNESS).square()
-    value = (
-        ggx(dot(normal, half), sine_squared, alpha)
-        * smith_visibility(n_dot_l.clamp_min(0.0), n_dot_v.clamp_min(0.0), alpha)
-        * schlick(specular, dot(to_light, half))
-    )
-    return torch.where(above, value, torch.zeros_like(value))
 
 
 def cook_torrance(
@@ -165,8 +174,5 @@ def cook_torrance(
         roughness: (..., 1, H, W) in [0, 1].
         normal, to_light, to_view: (..., 3, H, W) unit vectors.
     """
-    above = (dot(normal, to_light) > 0) & (dot(normal, to_view) > 0)
-    lambert = diffuse / math.pi
-    return torch.where(above, lambert, torch.zeros_like(lambert)) + specular_lobe(
-        specular, roughness, normal, to_light, to_view
-    )
+    angles = Angles.exact(normal, to_light, to_view)
+    return angles.lit(diffuse / math.pi) + specular_lobe(specular, roughness, angles)

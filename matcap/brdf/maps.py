@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import accumulate
 
 import torch
 from torch import Tensor
@@ -12,6 +13,12 @@ from matcap.brdf.normals import normals_from_height
 
 # Order and channel counts of the stored maps; the normal is derived from the height.
 CHANNELS: dict[str, int] = {"diffuse": 3, "specular": 1, "roughness": 1, "height": 1}
+# Where they lie in what is stacked, and in NumPy's arrays of that.
+DIFFUSE, SPECULAR, ROUGHNESS, HEIGHT = (
+    slice(end - count, end)
+    for count, end in zip(CHANNELS.values(), accumulate(CHANNELS.values()), strict=True)
+)
+SURFACE = slice(0, HEIGHT.start)  # all but the height
 MAP_NAMES: tuple[str, ...] = (*CHANNELS, "normal")
 
 

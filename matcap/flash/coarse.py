@@ -18,18 +18,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import dot, normalize, specular_lobe
 from matcap.flash.geometry import FlashSetup, rotation
 from matcap.flash.highlight import SURROUNDINGS, Highlight, find_highlight, light_of
-from matcap.flash.render import CORNER_SQUARED
+from matcap.flash.light import FlashLight, log_vignette
 from matcap.flash.uniform import Uniform
 from matcap.photo.photo import Photo
 
@@ -75,6 +75,7 @@ _CELLS_THAT_TELL_COLOUR = 30  # at least, for nine numbers
 # Between knee and clip level a developed picture is darker than light, but not by any amount: a
 # model above it is blamed this much.
 _ABOVE_KNEE = 0.25
+_DARKEST = 1e-12  # radiance, so that there is a logarithm
 
 
 @dataclass(frozen=True)
@@ -91,19 +92,81 @@ class CoarseFit(Uniform):
     lobes: tuple[tuple[float, float], ...] = ()
 
 
-# The unknowns, in the unit each is solved in: log red, green, blue albedo, log F0, logit roughness,
-# log intensity, offset x and y, tilt x and y, vignetting with r^2 and with r^4; prior means and
-# deviations. Every one of 34 developed photographs loses light with r^4 (docs/notes/coarse-fit.md).
-_PRIOR_MEAN = torch.tensor(
-    [math.log(0.25)] * 3 + [math.log(0.04), 0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.4, 0.6],
-    dtype=torch.float64,
+@dataclass(frozen=True)
+class Unknowns:
+    """What is solved for, each in a unit of order 1; of one lobe or, with `share`, of two.
+
+    Attributes:
+        albedo: (3,) log of diffuse albedo.
+        specular: (1,) log of F0.
+        roughness: (1,) logit; of the narrow lobe, if there are two.
+        intensity: (1,) log of the flash's.
+        offset: (2,) of the flash from the camera, plane units.
+        tilt: (2,) radians.
+        vignetting: (2,) with r^2 and with r^4, as FlashSetup has them.
+        share: (1,) logit of the narrow lobe's, or None.
+        wider: (1,) log of how much further the other's logit of roughness is, or None.
+    """
+
+    albedo: Tensor
+    specular: Tensor
+    roughness: Tensor
+    intensity: Tensor
+    offset: Tensor
+    tilt: Tensor
+    vignetting: Tensor
+    share: Tensor | None = None
+    wider: Tensor | None = None
+
+    def vector(self) -> Tensor:
+        """(12,), or (14,) of two lobes."""
+        parts = (getattr(self, f.name) for f in fields(self))
+        return torch.cat([part for part in parts if part is not None])
+
+    @staticmethod
+    def of(vector: Tensor) -> Unknowns:
+        """The inverse of vector()."""
+        one_lobe = (3, 1, 1, 1, 2, 2, 2)
+        return Unknowns(
+            *vector.split(one_lobe if len(vector) == sum(one_lobe) else (*one_lobe, 1, 1))
+        )
+
+    @property
+    def lobes(self) -> list[tuple[Tensor | float, Tensor]]:
+        """Share and roughness of each lobe, the narrow one first."""
+        narrow = torch.sigmoid(self.roughness)
+        if self.share is None or self.wider is None:
+            return [(1.0, narrow)]
+        share = torch.sigmoid(self.share)
+        return [(share, narrow), (1.0 - share, torch.sigmoid(self.roughness + self.wider.exp()))]
+
+
+def _numbers(*values: float) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+# Every one of 34 developed photographs loses light with r^4 (docs/notes/coarse-fit.md).
+_PRIOR_MEAN = Unknowns(
+    albedo=_numbers(*[math.log(0.25)] * 3),
+    specular=_numbers(math.log(0.04)),
+    roughness=_numbers(0.0),
+    intensity=_numbers(3.0),
+    offset=_numbers(0.0, 0.0),
+    tilt=_numbers(0.0, 0.0),
+    vignetting=_numbers(0.4, 0.6),
 )
-_PRIOR_DEVIATION = torch.tensor(
-    [0.8, 0.8, 0.8, 0.4, 1.5, 5.0, 0.12, 0.12, 0.05, 0.05, 0.6, 1.0], dtype=torch.float64
+_PRIOR_DEVIATION = Unknowns(
+    albedo=_numbers(0.8, 0.8, 0.8),
+    specular=_numbers(0.4),
+    roughness=_numbers(1.5),
+    intensity=_numbers(5.0),
+    offset=_numbers(0.12, 0.12),
+    tilt=_numbers(0.05, 0.05),
+    vignetting=_numbers(0.6, 1.0),
 )
-# Of two lobes: logit of the narrow one's share, log of how much further the other's logit is.
-_PARTED_MEAN = torch.tensor([0.0, 0.0], dtype=torch.float64)
-_PARTED_DEVIATION = torch.tensor([1.5, 0.7], dtype=torch.float64)
+# Of two lobes beside.
+_PARTED_MEAN = {"share": _numbers(0.0), "wider": _numbers(0.0)}
+_PARTED_DEVIATION = {"share": _numbers(1.5), "wider": _numbers(0.7)}
 # (log F0, logit roughness, offset of the log albedo): matt, satin, glossy, mirror-like, metal.
 _STARTS = (
     (math.log(0.04), 0.8, 0.0),
@@ -145,21 +208,23 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
     """
     distance = FlashSetup(fov=photo.fov).distance
     highlight = find_highlight(light_of(photo.pixels))
-    deviation = _PRIOR_DEVIATION.clone()
-    centre = _PRIOR_MEAN.clone()
+    centre, deviation = _PRIOR_MEAN, _PRIOR_DEVIATION
     if photo.radiometric:
-        centre[10], deviation[10] = _VIGNETTING_RADIOMETRIC
-        centre[11], deviation[11] = _QUARTIC_RADIOMETRIC
-        deviation[8:10] = _TILT_RADIOMETRIC
+        means, scatters = zip(_VIGNETTING_RADIOMETRIC, _QUARTIC_RADIOMETRIC, strict=True)
+        centre = replace(centre, vignetting=_numbers(*means))
+        leaning = _numbers(_TILT_RADIOMETRIC, _TILT_RADIOMETRIC)
+        deviation = replace(deviation, vignetting=_numbers(*scatters), tilt=leaning)
     if tilt is not None:
-        centre[8], centre[9] = tilt
-        deviation[8:10] = 1e-4
-    precision = _PRIOR_SHARE_DEVELOPED * _HUBER**2 / deviation.square()
+        centre = replace(centre, tilt=_numbers(*tilt))
+        deviation = replace(deviation, tilt=_numbers(1e-4, 1e-4))
+    precision = _PRIOR_SHARE_DEVELOPED * _HUBER**2 / deviation.vector().square()
 
     def problem(level: int) -> _Problem:
         cells = _see(photo, highlight, level)
         evidence = _EVIDENCE_RADIOMETRIC if photo.radiometric else _EVIDENCE_DEVELOPED
-        return _Problem(cells, distance, highlight, evidence, _rings(highlight), centre, precision)
+        return _Problem(
+            cells, distance, highlight, evidence, _rings(highlight), centre.vector(), precision
+        )
 
     first, last = problem(0), problem(1)
     starts = _starts(first.cells.observed, centre, highlight, distance, held=tilt is not None)
@@ -172,29 +237,46 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
         key=lambda found: found[0],
     )[1]
     # Two lobes tell the place better; then one lobe does what it can there.
-    both = _levenberg_marquardt(last.with_two_lobes(), _parted(single), _ITERATIONS[1])[1]
-    start = torch.cat([single[:6], both[6:12]])
-    best = _levenberg_marquardt(last.at(both[6:10]), start, _ITERATIONS[1])[1]
+    two = last.with_two_lobes()
+    both = Unknowns.of(_levenberg_marquardt(two, _parted(single), _ITERATIONS[1])[1])
+    start = replace(
+        Unknowns.of(single), offset=both.offset, tilt=both.tilt, vignetting=both.vignetting
+    )
+    best = _levenberg_marquardt(last.at(both), start.vector(), _ITERATIONS[1])[1]
     difference = _log_radiance(best, last.cells.image, distance) - last.cells.observed
     rest = difference[last.cells.above == 1.0]
-    values = best.tolist()
-    # Only ratios are seen: albedos brighter than paper mean a brighter flash.
-    excess = max(0.0, max(values[:4]) - math.log(_BRIGHTEST))
-    diffuse = [math.exp(value - excess) for value in values[:3]]
-    return CoarseFit(
-        diffuse=(diffuse[0], diffuse[1], diffuse[2]),
-        specular=math.exp(values[3] - excess),
-        roughness=1.0 / (1.0 + math.exp(-values[4])),
-        setup=FlashSetup(
-            fov=photo.fov,
-            offset=(values[6], values[7], 0.0),
-            tilt=(values[8], values[9]),
-            intensity=(math.exp(values[5] + excess),) * 3,
-            vignetting=values[10],
-            vignetting_quartic=values[11],
-        ),
+    return _coarse_fit(
+        Unknowns.of(best),
+        photo.fov,
         residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
-        lobes=_lobes(both),
+        lobes=tuple((float(share), float(roughness)) for share, roughness in both.lobes),
+    )
+
+
+def _coarse_fit(
+    best: Unknowns, fov: float, residual: float, lobes: tuple[tuple[float, float], ...]
+) -> CoarseFit:
+    albedo, specular = best.albedo.tolist(), float(best.specular)
+    # Only ratios are seen: albedos brighter than paper mean a brighter flash.
+    excess = max(0.0, max(*albedo, specular) - math.log(_BRIGHTEST))
+    red, green, blue = (math.exp(value - excess) for value in albedo)
+    across, up = best.offset.tolist()
+    tilt_x, tilt_y = best.tilt.tolist()
+    squared, quartic = best.vignetting.tolist()
+    return CoarseFit(
+        diffuse=(red, green, blue),
+        specular=math.exp(specular - excess),
+        roughness=1.0 / (1.0 + math.exp(-float(best.roughness))),
+        setup=FlashSetup(
+            fov=fov,
+            offset=(across, up, 0.0),
+            tilt=(tilt_x, tilt_y),
+            intensity=(math.exp(float(best.intensity) + excess),) * 3,
+            vignetting=squared,
+            vignetting_quartic=quartic,
+        ),
+        residual=residual,
+        lobes=lobes,
     )
 
 
@@ -220,22 +302,18 @@ def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
 
 def render_coarse(fit: CoarseFit, width: int, height: int) -> NDArray[np.float64]:
     """(height, width, 3) linear picture of a coarse fit as its photograph's camera sees it."""
-    logit = math.log(fit.roughness / (1.0 - fit.roughness))
-    parameters = torch.tensor(
-        [
-            *(math.log(channel) for channel in fit.diffuse),
-            math.log(fit.specular),
-            logit,
-            math.log(fit.setup.intensity[0]),
-            *fit.setup.offset[:2],
-            *fit.setup.tilt,
-            fit.setup.vignetting,
-            fit.setup.vignetting_quartic,
-        ],
-        dtype=torch.float64,
+    across, up, _ = fit.setup.offset
+    unknowns = Unknowns(
+        albedo=_numbers(*fit.diffuse).log(),
+        specular=_numbers(fit.specular).log(),
+        roughness=_numbers(fit.roughness).logit(),
+        intensity=_numbers(fit.setup.intensity[0]).log(),
+        offset=_numbers(across, up),
+        tilt=_numbers(*fit.setup.tilt),
+        vignetting=_numbers(fit.setup.vignetting, fit.setup.vignetting_quartic),
     )
     image = _image_grid(width, height).flatten(1)
-    light = _log_radiance(parameters, image, fit.setup.distance).exp()
+    light = _log_radiance(unknowns.vector(), image, fit.setup.distance).exp()
     return np.ascontiguousarray(light.reshape(3, height, width).permute(1, 2, 0).numpy())
 
 
@@ -324,10 +402,7 @@ def _rings(highlight: Highlight | None) -> Tensor:
 
 def _mirror(parameters: Tensor, distance: float) -> Tensor:
     """(2,) image coordinates where the plane mirrors the flash into the lens."""
-    normal = rotation(parameters[8], parameters[9])[:, 2]
-    camera = torch.zeros(3, dtype=parameters.dtype)
-    camera[2] = distance
-    light = camera + torch.cat([parameters[6:8], torch.zeros(1, dtype=parameters.dtype)])
+    normal, camera, light = _places(Unknowns.of(parameters), distance)
     height_camera, height_light = (normal * camera).sum(), (normal * light).sum()
     foot_camera, foot_light = camera - height_camera * normal, light - height_light * normal
     point = (foot_camera * height_light + foot_light * height_camera) / (
@@ -346,7 +421,7 @@ class _Problem:
         highlight: whose centre is evidence, or None.
         evidence: its weight, as share of the picture's.
         rings: (2, 3 * directions) image coordinates: its middle, half width and surroundings.
-        prior, precision: (12,) the prior's mean and inverse variance.
+        prior, precision: (12,) or (14,) the prior's mean and inverse variance.
         whitening: (3, 3) of the channels of cells that no bound concerns; None for as they are.
     """
 
@@ -382,16 +457,23 @@ class _Problem:
 
     def with_two_lobes(self) -> _Problem:
         """The same with the share of the narrow lobe, and how much wider the other is."""
-        prior = torch.cat([self.prior, _PARTED_MEAN])
-        scale = self.precision[0] * _PRIOR_DEVIATION[0].square()
-        precision = torch.cat([self.precision, scale / _PARTED_DEVIATION.square()])
-        return replace(self, prior=prior, precision=precision)
+        prior, precision = Unknowns.of(self.prior), Unknowns.of(self.precision)
+        scale = (precision.albedo * _PRIOR_DEVIATION.albedo.square())[0]
+        parted = {name: scale / each.square() for name, each in _PARTED_DEVIATION.items()}
+        return replace(
+            self,
+            prior=replace(prior, **_PARTED_MEAN).vector(),
+            precision=replace(precision, **parted).vector(),
+        )
 
-    def at(self, place: Tensor) -> _Problem:
-        """The same with offset and tilt (4,) held."""
-        prior, precision = self.prior.clone(), self.precision.clone()
-        prior[6:10], precision[6:10] = place, 1e6
-        return replace(self, prior=prior, precision=precision)
+    def at(self, place: Unknowns) -> _Problem:
+        """The same with offset and tilt held."""
+        prior, held = Unknowns.of(self.prior), _numbers(1e6, 1e6)
+        return replace(
+            self,
+            prior=replace(prior, offset=place.offset, tilt=place.tilt).vector(),
+            precision=replace(Unknowns.of(self.precision), offset=held, tilt=held).vector(),
+        )
 
     @property
     def weight(self) -> Tensor:
@@ -424,7 +506,7 @@ class _Problem:
         return torch.cat([away, aside, difference])
 
     def residuals(self, parameters: Tensor) -> Tensor:
-        """(residuals,) of the parameters (12,), in log radiance."""
+        """(residuals,) of the parameters, in log radiance."""
         cells = self.cells
         difference = _log_radiance(parameters, cells.image, self.distance) - cells.observed
         # A lower bound only complains when the model stays below it.
@@ -468,58 +550,40 @@ def _image_grid(width: int, height: int) -> Tensor:
     return torch.stack([u.expand(height, width), v[:, None].expand(height, width)])
 
 
+def _places(unknowns: Unknowns, distance: float) -> tuple[Tensor, Tensor, Tensor]:
+    """(3,) each, in the camera frame: the plane's normal, places of camera and flash."""
+    normal = rotation(*unknowns.tilt.unbind())[:, 2]
+    camera = _numbers(0.0, 0.0, distance)
+    return normal, camera, camera + F.pad(unknowns.offset, (0, 1))
+
+
 def _log_radiance(parameters: Tensor, image: Tensor, distance: float) -> Tensor:
     """(3, n) log radiance of the uniform material at image coordinates (2, n)."""
-    albedo, f0 = parameters[:3].exp(), parameters[3].exp()
-    intensity = parameters[5].exp()
-    turn = rotation(parameters[8], parameters[9])
-    # In the camera frame: points where the rays meet the tilted plane.
-    normal = turn[:, 2]
-    camera = torch.zeros(3, dtype=image.dtype)
-    camera[2] = distance
-    light = camera + torch.cat([parameters[6:8], torch.zeros(1, dtype=image.dtype)])
+    unknowns = Unknowns.of(parameters)
+    normal, camera, flash = _places(unknowns, distance)
     image = image[:, None]
+    # Points where the rays meet the tilted plane.
     ray = torch.cat([image, torch.full_like(image[:1], -distance)])
     along = -(normal[2] * distance) / torch.tensordot(normal, ray, dims=1)
     points = camera[:, None, None] + along * ray
-    to_light = light[:, None, None] - points
-    away = dot(to_light, to_light)
-    to_light, to_view = normalize(to_light), normalize(camera[:, None, None] - points)
-    plane_normal = normal[:, None, None].expand_as(points)
-    one = torch.ones_like(away)
-    reflectance = albedo[:, None, None] / math.pi
-    for share, roughness in _lobes_of(parameters):
-        lobe = specular_lobe(f0 * one, roughness * one, plane_normal, to_light, to_view)
-        reflectance = reflectance + share * lobe
-    falloff = dot(plane_normal, to_light).clamp_min(1e-3) / away
-    squared = image.square().sum(0) / CORNER_SQUARED
-    vignette = -squared * (parameters[10] + parameters[11] * squared)
-    return (torch.log(reflectance * falloff * intensity + 1e-12) + vignette).flatten(1)
-
-
-def _lobes_of(parameters: Tensor) -> list[tuple[Tensor | float, Tensor]]:
-    """(share, roughness) of one lobe or, with two more parameters, of two."""
-    narrow = torch.sigmoid(parameters[4])
-    if len(parameters) == len(_PRIOR_MEAN):
-        return [(1.0, narrow)]
-    share = torch.sigmoid(parameters[12])
-    return [(share, narrow), (1.0 - share, torch.sigmoid(parameters[4] + parameters[13].exp()))]
+    light = FlashLight.between(points, camera, flash, unknowns.intensity.exp()[:, None, None])
+    incidence = light.onto(normal[:, None, None].expand_as(points), exact=True)
+    radiance = incidence.diffuse(unknowns.albedo.exp()[:, None, None])
+    specular = unknowns.specular.exp()[:, None, None]
+    for share, roughness in unknowns.lobes:
+        radiance = radiance + share * incidence.specular(specular, roughness[:, None, None])
+    return ((radiance + _DARKEST).log() + log_vignette(image, *unknowns.vignetting)).flatten(1)
 
 
 def _parted(single: Tensor) -> Tensor:
     """Parameters of two lobes, a little narrower and wider than one."""
-    both = torch.cat([single, _PARTED_MEAN])
-    both[4] -= 0.4
-    return both
-
-
-def _lobes(parameters: Tensor) -> tuple[tuple[float, float], ...]:
-    return tuple((float(share), float(roughness)) for share, roughness in _lobes_of(parameters))
+    one = Unknowns.of(single)
+    return replace(one, roughness=one.roughness - 0.4, **_PARTED_MEAN).vector()
 
 
 def _starts(
     observed: Tensor,
-    centre: Tensor,
+    centre: Unknowns,
     highlight: Highlight | None,
     distance: float,
     *,
@@ -527,9 +591,9 @@ def _starts(
 ) -> Iterable[Tensor]:
     """Starting points whose brightness and hue already fit the photograph's median."""
     median = observed.median(dim=1).values
-    hue = median - median.mean()
+    brightness = median.mean()
     glosses: tuple[tuple[float, float, float], ...] = _STARTS
-    places = [centre[6:10]]
+    places = [centre]
     if highlight is not None:
         alpha = min(highlight.width / (_HALF_GGX * distance), 0.6)
         means = math.sqrt(alpha)
@@ -540,20 +604,20 @@ def _starts(
         glosses = (_STARTS[0], *glosses)
         u, v = highlight.centre
         # The centre lies where it does because the flash is beside the lens, or the plane tilted.
-        beside = centre[6:10].clone()
-        beside[0], beside[1] = 2.0 * u, 2.0 * v
-        turned = centre[6:10].clone()
-        turned[2], turned[3] = v / distance, -u / distance
+        beside = replace(centre, offset=_numbers(2.0 * u, 2.0 * v))
+        turned = replace(centre, tilt=_numbers(v / distance, -u / distance))
         places = [beside] if held else [beside, turned]
     for place in places:
         for log_f0, logit_roughness, darker in glosses:
-            start = centre.clone()
-            start[6:10] = place
-            start[:3] = centre[:3] + darker + hue
-            start[3], start[4] = log_f0, logit_roughness
             # radiance = albedo / pi * intensity / distance^2, about; the prior splits it.
-            start[5] = median.mean() - centre[0] - darker + math.log(math.pi) + 2.0
-            yield start
+            intensity = brightness - centre.albedo[:1] - darker + math.log(math.pi) + 2.0
+            yield replace(
+                place,
+                albedo=centre.albedo + darker + (median - brightness),
+                specular=_numbers(log_f0),
+                roughness=_numbers(logit_roughness),
+                intensity=intensity,
+            ).vector()
 
 
 def _levenberg_marquardt(problem: _Problem, start: Tensor, iterations: int) -> tuple[float, Tensor]:

@@ -1,20 +1,12 @@
-"""The differentiable flash renderer: maps and a setup to scene-linear radiance.
-
-A point light at the flash's place, inverse-square falloff, the Cook-Torrance reflectance, no
-shadows (the flash sits beside the lens, so what it cannot reach the camera hardly sees).
-"""
+"""Pictures of map sets under a flash: maps and a setup to scene-linear radiance (light.py)."""
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import cook_torrance, dot, normalize
 from matcap.brdf.maps import MapSet
-from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points, project
-
-# Corner of a 4:3 picture: its squared distance from the middle, where vignetting is stated.
-CORNER_SQUARED = 1.25**2
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.light import FlashLight
 
 
 def shade(maps: MapSet, points: Tensor, camera: Tensor, light: Tensor, intensity: Tensor) -> Tensor:
@@ -22,29 +14,9 @@ def shade(maps: MapSet, points: Tensor, camera: Tensor, light: Tensor, intensity
 
     Args:
         maps: the material at `points`; its slopes are small enough to ignore its own shadows.
-        points: (..., 3, H, W) places on the plane, in plane units.
-        camera: (3,) or (..., 3, 1, 1) place of the camera.
-        light: likewise, of the point light.
-        intensity: (3,) or (..., 3, 1, 1) radiant intensity of the light.
+        points, camera, light, intensity: as FlashLight.between takes them.
     """
-    camera, light, intensity = (_column(v) for v in (camera, light, intensity))
-    to_light = light - points
-    squared_distance = dot(to_light, to_light)
-    to_light = normalize(to_light)
-    to_view = normalize(camera - points)
-    normal = maps.normal
-    reflectance = cook_torrance(
-        maps.diffuse, maps.specular, maps.roughness, normal, to_light, to_view
-    )
-    cosine = dot(normal, to_light).clamp_min(0.0)
-    return reflectance * cosine * intensity / squared_distance
-
-
-def vignette(points: Tensor, setup: FlashSetup) -> Tensor:
-    """(..., 1, H, W) share of light that reaches the sensor from plane points (..., 3, H, W)."""
-    image = project(points.movedim(-3, 0), setup)
-    squared = image.square().sum(0).unsqueeze(-3) / CORNER_SQUARED
-    return torch.exp(-squared * (setup.vignetting + setup.vignetting_quartic * squared))
+    return _picture(maps, FlashLight.between(points, camera, light, intensity))
 
 
 def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:
@@ -53,9 +25,7 @@ def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:
     Not clipped. `points` are the plane points of the maps' texels (plane_points), so that a
     window is lit and seen as where it was cut.
     """
-    camera, light = (v.to(points) for v in camera_in_plane(setup))
-    intensity = torch.tensor(setup.intensity, dtype=points.dtype, device=points.device)
-    return shade(maps, points, camera, light, intensity) * vignette(points, setup)
+    return _picture(maps, FlashLight.of(setup, points))
 
 
 def render_rectified(maps: MapSet, setup: FlashSetup) -> Tensor:
@@ -68,5 +38,6 @@ def render_rectified(maps: MapSet, setup: FlashSetup) -> Tensor:
     return render_flash(maps, setup, points.to(maps.height.device))
 
 
-def _column(vector: Tensor) -> Tensor:
-    return vector[:, None, None] if vector.ndim == 1 else vector
+def _picture(maps: MapSet, light: FlashLight) -> Tensor:
+    incidence = light.onto(maps.normal, exact=True)
+    return incidence.radiance(maps.diffuse, maps.specular, maps.roughness)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import cook_torrance, dot, normalize
 from matcap.brdf.normals import normals_from_slopes
-from matcap.flash.geometry import FlashSetup, camera_in_plane
-from matcap.flash.render import vignette
+from matcap.brdf.parameters import SurfaceParameters
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.light import FlashLight
 
 
 @dataclass(frozen=True)
@@ -34,38 +33,30 @@ class Uniform:
         """(5,) of diffuse albedo, F0 and roughness."""
         return torch.logit(torch.tensor([*self.diffuse, self.specular, self.roughness]), eps=1e-4)
 
+    def parameters(self) -> SurfaceParameters:
+        """Its numbers, (..., 1, 1) each: what maps of the photographed piece depart from."""
+        return SurfaceParameters.uniform(self.diffuse, self.specular, self.roughness)
+
 
 def uniform_radiance(
     uniform: Uniform,
-    points: Tensor,
-    slope: tuple[float | Tensor, float | Tensor] = (0.0, 0.0),
+    light: FlashLight,
+    slopes: tuple[Tensor, Tensor] | None = None,
+    *,
     duller: float = 0.0,
 ) -> tuple[Tensor, Tensor]:
-    """Radiance (3, H, W) of the uniform material at plane points, and its diffuse part.
+    """Radiance (..., 3, H, W) of the uniform material under its flash, and its diffuse part.
 
     Args:
         uniform: the material and its setup.
-        points: (3, H, W).
-        slope: (dh/dx, dh/dy) of the whole plane, or of its places, as (H, W) spreads.
+        light: its setup's at some places, (3, H, W).
+        slopes: (dh/dx, dh/dy) (..., 1, H, W) of the places; flat by default.
         duller: added to the logit of roughness.
     """
-    setup = uniform.setup
-    camera, light = (v.to(points)[:, None, None] for v in camera_in_plane(setup))
-    away = light - points
-    to_light, to_view = normalize(away), normalize(camera - points)
-    one = torch.ones_like(points[:1])
-    normal = normals_from_slopes(slope[0] * one, slope[1] * one)
-    rough = (
-        torch.sigmoid(torch.tensor(roughness_logit(uniform.roughness) + duller)).to(points) * one
-    )
-    albedo = torch.tensor(uniform.diffuse).to(points)[:, None, None]
-    falloff = dot(normal, to_light).clamp_min(1e-4) / dot(away, away) * vignette(points, setup)
-    power = torch.tensor(setup.intensity).to(points)[:, None, None] * falloff
-    whole = cook_torrance(albedo, uniform.specular * one, rough, normal, to_light, to_view)
-    return whole * power, albedo / math.pi * power
-
-
-def roughness_logit(value: float) -> float:
-    """The logit of a roughness, which is kept off its ends."""
-    inside = min(max(value, 0.001), 0.999)
-    return math.log(inside / (1.0 - inside))
+    one = torch.ones_like(light.power[..., :1, :, :])
+    across, up = slopes if slopes is not None else (0.0 * one, 0.0 * one)
+    incidence = light.onto(normals_from_slopes(across, up), exact=True)
+    albedo = torch.tensor(uniform.diffuse).to(one)[:, None, None]
+    roughness = torch.sigmoid(uniform.parameters().roughness + duller).to(one) * one
+    diffuse = incidence.diffuse(albedo)
+    return diffuse + incidence.specular(uniform.specular * one, roughness), diffuse

@@ -240,7 +240,7 @@ def _no_piece() -> UsageError:
 
 def _flashed(setup: FlashSetup) -> Flashed:
     from matcap.flash.geometry import camera_in_plane, setup_rotation
-    from matcap.flash.render import CORNER_SQUARED
+    from matcap.flash.light import CORNER_SQUARED
 
     camera, light = (tuple(place.tolist()) for place in camera_in_plane(setup))
     axis = tuple((-setup_rotation(setup)[2]).tolist())

@@ -7,7 +7,8 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.render import render_flash, vignette
+from matcap.flash.light import vignette
+from matcap.flash.render import render_flash
 
 CORNER = torch.tensor([[[0.0, 1.0, -1.0, 0.5]], [[0.0, 0.75, -0.75, 0.375]], [[0.0] * 4]])
 

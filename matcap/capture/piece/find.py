@@ -18,13 +18,19 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet
+from matcap.brdf.maps import CHANNELS, MapSet
+from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.adapt import Adapted, Change, adapt
 from matcap.capture.piece.contrast import even_contrast
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
-from matcap.capture.piece.network.inputs import network_inputs, true_outputs
-from matcap.capture.piece.network.network import GLOSS, OUTPUTS, Inverse
+from matcap.capture.piece.network.inputs import network_inputs
+from matcap.capture.piece.network.network import (
+    ExpectedErrors,
+    Inverse,
+    NetworkAnswer,
+    NetworkInputs,
+)
 from matcap.capture.piece.refine import PieceLight, flatten, level, refine, remaining
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
@@ -94,7 +100,7 @@ class Sight:
         coarse: its coarse fit.
         shown: (3, H, W) bool: seen and lit, or beyond the photograph, by channel.
         seen: (H, W) share of each place that was seen, in [0, 1].
-        inputs: (INPUTS, H, W) what the network is told.
+        inputs: what the network is told.
         light: the photograph's, at every texel.
         glare: (H, W) share of the uniform material's radiance that is mirrored.
         noise: of log radiance, the sensor's.
@@ -104,7 +110,7 @@ class Sight:
     coarse: CoarseFit
     shown: Tensor
     seen: NDArray[np.float32]
-    inputs: Tensor
+    inputs: NetworkInputs
     light: PieceLight
     glare: NDArray[np.float32]
     noise: float
@@ -121,8 +127,8 @@ class Sight:
         measured = plane.measured & bright
         shown = (plane.measured | beyond) & bright
         plane = replace(plane, valid=plane.valid & bright, channels=measured)
-        glare = inputs[GLOSS].clamp(0.0, 1.0).numpy()
-        light = PieceLight(coarse, points)
+        glare = inputs.gloss[0].clamp(0.0, 1.0).numpy()
+        light = PieceLight.of(coarse, points)
         seen = seen_share(measured)
         return Sight(plane, coarse, shown, seen, inputs, light, glare, noise_level(plane))
 
@@ -132,14 +138,19 @@ class Reading:
     """Maps of the piece on their way.
 
     Attributes:
-        outputs: (OUTPUTS, H, W) departures from the coarse fit (network/inputs.py).
-        errors: (ERRORS, H, W) log of what the network expects to be off by.
+        departures: of the maps from the coarse fit.
+        errors: what the network expects to be off by.
         trusted: (4, H, W) confidence of diffuse, specular, roughness and height, in [0, 1].
     """
 
-    outputs: Tensor
-    errors: Tensor
+    departures: SurfaceParameters
+    errors: ExpectedErrors
     trusted: NDArray[np.float32]
+
+    @property
+    def confidence(self) -> dict[str, NDArray[np.float32]]:
+        """(H, W) each, by map."""
+        return dict(zip(CHANNELS, self.trusted, strict=True))
 
 
 @torch.no_grad()
@@ -204,7 +215,7 @@ def find_piece(
     with stage("index"):
         longer = whole.size[0] / plane.size[0]
         example = Example.of(exemplar, tuple((w.fx / longer, w.fy / longer) for w in waves))
-    left = remaining(reading.outputs, sight.plane.linear, sight.plane.measured, sight.light)
+    left = remaining(reading.departures, sight.plane.linear, sight.plane.measured, sight.light)
     seen = left.residual[:, sight.plane.valid]
     return FoundPiece(
         example=example,
@@ -219,28 +230,29 @@ def find_piece(
 
 def read_piece(sight: Sight, network: Inverse) -> Reading:
     """What the network reads."""
-    answer = _read(network, sight.inputs)
-    trusted = confidence(answer[OUTPUTS:], sight.seen)
-    trusted[0] *= 1.0 - sight.glare
-    return Reading(answer[:OUTPUTS].clone(), answer[OUTPUTS:], trusted)
+    answer = NetworkAnswer.from_stacked(_read(network, sight.inputs.stacked()))
+    trusted = confidence(answer.errors, sight.seen)
+    reading = Reading(answer.departures, answer.errors, trusted)
+    reading.confidence["diffuse"][:] *= 1.0 - sight.glare
+    return reading
 
 
 def tell_strengths(sight: Sight, reading: Reading) -> Strengths | None:
     """What the photograph says outright of relief and albedo; None where it says too little."""
-    shown = sight.light.shows_relief(sight.light.maps(reading.outputs))
+    shown = sight.light.shows_relief(sight.light.maps(reading.departures))
     return plane_strengths(sight.plane, sight.inputs, shown)
 
 
 def strengthened(reading: Reading, strengths: Strengths | None) -> Reading:
     """Relief as strong as the photograph says."""
-    outputs = reading.outputs.clone()
-    outputs[5] = torch.from_numpy(equalise(outputs[5].numpy(), strengths))
-    return replace(reading, outputs=outputs)
+    drawn = reading.departures
+    height = torch.from_numpy(equalise(drawn.height[0].numpy(), strengths))[None]
+    return replace(reading, departures=replace(drawn, height=height))
 
 
 def levelled(sight: Sight, reading: Reading) -> Reading:
     """Levels of the whole, then albedo and gloss of every texel, as the photograph has them."""
-    flat = _even(sight, reading, reading.outputs)
+    flat = _even(sight, reading, reading.departures)
     plane = sight.plane
     return _explained(sight, reading, level(flat, plane.linear, sight.shown, sight.light))
 
@@ -282,10 +294,11 @@ def adapted(
 ) -> tuple[Reading, Adapted]:
     """A leg of adaptation, if it earns its place, and what it came to."""
     plane = sight.plane
-    albedo = even_contrast(reading.outputs[:3].numpy(), np.square(reading.trusted[0]))
-    outputs = torch.cat([torch.from_numpy(albedo), reading.outputs[3:]])
+    departures = reading.departures
+    weight = np.square(reading.confidence["diffuse"])
+    albedo = torch.from_numpy(even_contrast(departures.diffuse.numpy(), weight))
     found = adapt(
-        sight.light.maps(outputs, plane.texel_size),
+        sight.light.maps(replace(departures, diffuse=albedo), plane.texel_size),
         plane.valid.numpy(),
         target,
         leg.steps,
@@ -297,14 +310,13 @@ def adapted(
     )
     if found.change is None or not found.change.kept:
         return reading, found
-    back = true_outputs(found.maps, sight.coarse)
-    return _explained(sight, reading, back), found
+    return _explained(sight, reading, sight.light.departures(found.maps)), found
 
 
 def lent(sight: Sight, reading: Reading, tried: int) -> Exemplar:
     """The exemplar, what glare hides lent from elsewhere in it; `tried` blocks for a place."""
     plane = sight.plane
-    maps = sight.light.maps(reading.outputs, plane.texel_size)
+    maps = sight.light.maps(reading.departures, plane.texel_size)
     exemplar = Exemplar(
         diffuse=maps.diffuse.numpy(),
         specular=maps.specular.numpy(),
@@ -316,16 +328,17 @@ def lent(sight: Sight, reading: Reading, tried: int) -> Exemplar:
     return transport(exemplar, plane.linear, plane.valid, sight.light, tried=tried)
 
 
-def _even(sight: Sight, reading: Reading, outputs: Tensor) -> Tensor:
-    return flatten(outputs, torch.from_numpy(reading.trusted), sight.glare)
+def _even(sight: Sight, reading: Reading, departures: SurfaceParameters) -> SurfaceParameters:
+    trusted = {name: torch.from_numpy(plane) for name, plane in reading.confidence.items()}
+    return flatten(departures, trusted, sight.glare)
 
 
-def _explained(sight: Sight, reading: Reading, outputs: Tensor) -> Reading:
+def _explained(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:
     """Albedo and gloss moved until they re-render to the photograph."""
     least = max(sight.noise, _LEAST_NOISE)
     linear = sight.plane.linear
-    refined = refine(outputs, reading.errors, linear, sight.shown, sight.light, noise=least)
-    return replace(reading, outputs=_even(sight, reading, refined.outputs))
+    refined = refine(departures, reading.errors, linear, sight.shown, sight.light, noise=least)
+    return replace(reading, departures=_even(sight, reading, refined.departures))
 
 
 def _shared(tell: Callable[[float], None], leg: int) -> Callable[[float], None]:
@@ -339,13 +352,14 @@ def piece_maps(exemplar: Exemplar) -> MapSet:
     return MapSet.from_stacked(stacked, exemplar.texel_size)
 
 
-def confidence(errors: Tensor, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(4, H, W) in [0, 1] of expected errors (4, H, W), logarithms, and of what was seen (H, W).
+def confidence(errors: ExpectedErrors, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(4, H, W) in [0, 1] of expected errors and of what was seen (H, W).
 
     Of neighbourhoods: confidence is about where the light shows a map, not about which of the
     material's features are easily read, or only its plain places would be believed.
     """
-    doubt = errors.clamp(-8.0, 4.0).exp().numpy() / np.array(_DOUBTED, np.float32)[:, None, None]
+    doubt = errors.stacked().clamp(-8.0, 4.0).exp().numpy()
+    doubt = doubt / np.array(_DOUBTED, np.float32)[:, None, None]
     around = max(seen.shape) / _AROUND
     believed = np.stack([np.exp(-smoothed(plane, around)) for plane in doubt])
     return np.ascontiguousarray(believed * seen, dtype=np.float32)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS
 from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.smooth import split
 from matcap.example.exemplar import Exemplar
@@ -49,16 +50,16 @@ def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    light = PieceLight(uniform, points)
+    light = PieceLight.of(uniform, points)
     maps = _enlarged(exemplar, plane)
     grain = _unshown(maps, plane, light, exemplar.size)
     relief = _relief(exemplar, grain.mean(0).numpy(), maps, light)
     maps = replace(maps, height=maps.height + torch.from_numpy(relief)[None] * plane.texel_size)
     for _ in range(_ROUNDS):
         left = _unshown(maps, plane, light, exemplar.size)
-        share = light.logs(maps, light.angles(maps.normal))[1]
+        share = light.logs(maps, light.flash.onto(maps.normal))[1]
         more = left * share / (share.square() + _HIDDEN)
-        maps = replace(maps, diffuse=(maps.diffuse * more.exp()).clamp(0.001, 0.99))
+        maps = replace(maps, diffuse=(maps.diffuse * more.exp()).clamp(*ALBEDO_LIMITS))
     return Exemplar(
         diffuse=maps.diffuse.numpy(),
         specular=maps.specular.numpy(),
@@ -76,8 +77,8 @@ def sharpness(maps: MapSet, plane: Plane, uniform: Uniform) -> float:
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    light = PieceLight(uniform, points)
-    found = light.logs(maps, light.angles(maps.normal))[0]
+    light = PieceLight.of(uniform, points)
+    found = light.logs(maps, light.flash.onto(maps.normal))[0]
     observed = plane.linear.clamp_min(_DARKEST).log()
     half = ((width + 1) // 2, (height + 1) // 2)
     seen = plane.valid
@@ -95,9 +96,9 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
         return torch.from_numpy(_resized(values, plane.size, cv2.INTER_CUBIC))
 
     return MapSet(
-        diffuse=larger(np.log(exemplar.diffuse.clip(1e-4))).exp().clamp(0.001, 0.99),
-        specular=larger(exemplar.specular).clamp(0.005, 0.99),
-        roughness=larger(exemplar.roughness).clamp(0.001, 0.999),
+        diffuse=larger(np.log(exemplar.diffuse.clip(1e-4))).exp().clamp(*ALBEDO_LIMITS),
+        specular=larger(exemplar.specular).clamp(*F0_LIMITS),
+        roughness=larger(exemplar.roughness).clamp(*ROUGHNESS_LIMITS),
         height=larger(exemplar.height),
         texel_size=plane.texel_size,
     )
@@ -105,7 +106,7 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
 
 def _unshown(maps: MapSet, plane: Plane, light: PieceLight, coarse: tuple[int, int]) -> Tensor:
     """(3, H, W) what the photograph's log radiance has beyond maps', finer than `coarse` texels."""
-    found = light.logs(maps, light.angles(maps.normal))[0]
+    found = light.logs(maps, light.flash.onto(maps.normal))[0]
     left = plane.linear.clamp_min(_DARKEST).log() - found
     left = torch.where(plane.measured, left, left.clamp_min(0.0)).clamp(-_MOST, _MOST)
     return _beyond(left, coarse)

@@ -11,8 +11,8 @@ picture is what coarse fit and tone curve left undone, not the material, and sta
 
 from __future__ import annotations
 
-import copy
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,13 +21,12 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import Angles, dot, normalize, single_lobe
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
-from matcap.capture.piece.network.inputs import read_outputs
+from matcap.brdf.parameters import REFLECTANCE, ROUGHNESS_LIMITS, Reflectance, SurfaceParameters
+from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.smooth import smoothed
-from matcap.flash.geometry import camera_in_plane
-from matcap.flash.render import vignette
+from matcap.flash.light import FlashLight, Incidence
 from matcap.flash.uniform import Uniform
 
 _STEPS = 3  # of refinement; what is left falls little further
@@ -53,152 +52,184 @@ _HUBER = 0.2  # of log radiance
 
 @dataclass(frozen=True)
 class Refined:
-    """Refined outputs and what re-rendering leaves.
+    """Refined departures and what re-rendering leaves.
 
     Attributes:
-        outputs: (OUTPUTS, H, W) as read_outputs reads them.
+        departures: of the maps from the coarse fit.
         residual: (3, H, W) log photograph over re-rendering, slow part included.
         slow: (3, H, W) its slow part, which the maps do not explain.
     """
 
-    outputs: Tensor
+    departures: SurfaceParameters
     residual: Tensor
     slow: Tensor
 
 
+@dataclass(frozen=True)
+class GlossResponse:
+    """What log radiance (grey, (1, H, W)) changes by with log F0 and with logit roughness."""
+
+    specular: Tensor
+    roughness: Tensor
+
+
+@dataclass(frozen=True)
 class PieceLight:
-    """The photograph's own light at every texel, worked out once."""
+    """The photograph's own light at every texel of the piece, worked out once.
 
-    def __init__(self, uniform: Uniform, points: Tensor) -> None:
-        """Work it out.
+    Attributes:
+        flash: the light.
+        uniform: (..., 1, 1) each: what the piece's maps depart from.
+    """
 
-        Args:
-            uniform: the coarse fit.
-            points: (3, H, W) plane points.
-        """
-        self.uniform = uniform
-        setup = uniform.setup
-        camera, light = (v.to(points)[:, None, None] for v in camera_in_plane(setup))
-        away = light - points
-        squared = dot(away, away)
-        self._to_light, self._to_view = normalize(away), normalize(camera - points)
-        power = torch.tensor(setup.intensity).to(points)[:, None, None]
-        self._power = power * vignette(points, setup) / squared
+    flash: FlashLight
+    uniform: SurfaceParameters
+
+    @staticmethod
+    def of(coarse: Uniform, points: Tensor) -> PieceLight:
+        """Of a coarse fit, at plane points (3, H, W)."""
+        return PieceLight(FlashLight.of(coarse.setup, points), coarse.parameters().to(points))
 
     def cut(self, rows: slice, columns: slice) -> PieceLight:
         """The light at some of the texels."""
-        part = copy.copy(self)
-        for name in ("_to_light", "_to_view", "_power"):
-            setattr(part, name, getattr(self, name)[:, rows, columns])
-        return part
+        return replace(self, flash=self.flash.cut(rows, columns))
 
-    def maps(self, outputs: Tensor, texel_size: float = 1.0) -> MapSet:
-        """Maps of the network's outputs."""
-        return read_outputs(outputs, self.uniform, texel_size)
+    def maps(self, departures: SurfaceParameters, texel_size: float = 1.0) -> MapSet:
+        """Maps that depart so far from the coarse fit."""
+        return (self.uniform + departures).maps(texel_size)
 
-    def angles(self, normal: Tensor) -> Angles:
-        """Where light and view come from on a relief of some normals (3, H, W)."""
-        return Angles.of(normal, self._to_light, self._to_view)
+    def departures(self, maps: MapSet) -> SurfaceParameters:
+        """The inverse of maps()."""
+        return SurfaceParameters.of(maps) - self.uniform
 
-    def logs(self, maps: MapSet, angles: Angles) -> tuple[Tensor, Tensor]:
+    def logs(self, maps: MapSet | Reflectance, incidence: Incidence) -> tuple[Tensor, Tensor]:
         """(3, H, W) log radiance of maps, and the diffuse share of the radiance."""
-        power = self._power * angles.n_dot_l
-        matte = maps.diffuse / math.pi * power
-        lobe = single_lobe(maps.specular, maps.roughness, angles)
-        whole = (matte + lobe * power).clamp_min(_DARKEST)
-        return whole.log(), matte / whole
+        diffuse = incidence.diffuse(maps.diffuse)
+        mirrored = incidence.specular(maps.specular, maps.roughness)
+        radiance = (diffuse + mirrored).clamp_min(_DARKEST)
+        return radiance.log(), diffuse / radiance
 
     def shows_relief(self, maps: MapSet) -> Tensor:
         """(2, H, W) what dh/dx and dh/dy change of grey log radiance, were all maps flat."""
         one = torch.ones_like(maps.roughness)
 
         def tilted(x: float, y: float) -> Tensor:
-            angles = self.angles(normals_from_slopes(x * one, y * one))
-            return self.logs(maps, angles)[0].mean(0)
+            incidence = self.flash.onto(normals_from_slopes(x * one, y * one))
+            return self.logs(maps, incidence)[0].mean(0)
 
         across = tilted(_SLOPE, 0.0) - tilted(-_SLOPE, 0.0)
         up = tilted(0.0, _SLOPE) - tilted(0.0, -_SLOPE)
         return torch.stack([across, up]) / (2.0 * _SLOPE)
 
-    def shows(self, maps: MapSet, angles: Angles, log: Tensor) -> Tensor:
-        """(2, H, W) what log F0 and logit roughness change of the log radiance that maps have."""
+    def shows_gloss(self, maps: MapSet, incidence: Incidence, log: Tensor) -> GlossResponse:
+        """What gloss changes of the log radiance (3, H, W) that maps have."""
         grey = log.mean(0, keepdim=True)
         brighter = replace(maps, specular=maps.specular * math.exp(_STEP))
-        logit = maps.roughness.clamp(1e-3, 0.999).logit()
+        logit = maps.roughness.clamp(*ROUGHNESS_LIMITS).logit()
         duller = replace(maps, roughness=torch.sigmoid(logit + _STEP))
-        moved = [self.logs(m, angles)[0].mean(0, keepdim=True) for m in (brighter, duller)]
-        return (torch.cat(moved) - grey) / _STEP
+        return GlossResponse(
+            *(
+                (self.logs(moved, incidence)[0].mean(0, keepdim=True) - grey) / _STEP
+                for moved in (brighter, duller)
+            )
+        )
 
 
 @torch.no_grad()
-def level(outputs: Tensor, linear: Tensor, valid: Tensor, light: PieceLight) -> Tensor:
-    """Outputs whose means of albedo, F0 and roughness re-render to the photograph's brightness.
+def level(
+    departures: SurfaceParameters, linear: Tensor, valid: Tensor, light: PieceLight
+) -> SurfaceParameters:
+    """Departures whose means of albedo, F0 and roughness re-render to the photograph's brightness.
 
     The coarse fit has no relief: bumps widen highlights and dim what lies between, so that its
     numbers are off once they are there. Robust least squares over cells, each by its mean
     radiance: relief that is right in strength and wrong in place still spreads light rightly.
 
     Args:
-        outputs: (OUTPUTS, H, W).
+        departures: of the piece.
         linear, valid, light: as for refine.
     """
     cell = min(_CELL, *linear.shape[-2:])
     seen = F.avg_pool2d(valid.expand_as(linear).float(), cell) > _SEEN
     observed = F.avg_pool2d(linear, cell).clamp_min(_DARKEST).log()
-    outputs = outputs.clone()
     prior = torch.tensor(_LEVELS).square().reciprocal()
-    moved = torch.zeros(5)
+    moved = torch.zeros_like(prior)
     scale = _LEVEL_CELLS / observed.numel() / _LEVEL_NOISE**2
-    angles = light.angles(light.maps(outputs).normal)
+    incidence = light.flash.onto(light.maps(departures).normal)
     for _ in range(_LEVEL_STEPS):
-        maps = light.maps(outputs)
-        log, shares = light.logs(maps, angles)
-        shows = light.shows(maps, angles, log)
+        maps = light.maps(departures)
+        log, shares = light.logs(maps, incidence)
         radiance = log.exp().clamp_max(1.0)
         mean = F.avg_pool2d(radiance, cell)
         residual = observed - mean.clamp_min(_DARKEST).log()
         residual = torch.where(seen, residual, residual.clamp_min(0.0))
         # What shows of a cell is what shows of its light.
-        grey = radiance.mean(0, keepdim=True)
         by_albedo = F.avg_pool2d(shares * radiance, cell) / mean
-        by_gloss = F.avg_pool2d(shows * grey, cell) / F.avg_pool2d(grey, cell)
-        normal, gradient = torch.zeros(5, 5), torch.zeros(5)
-        for channel in range(3):
-            column = torch.zeros(5, residual[0].numel())
-            column[channel] = by_albedo[channel].flatten()
-            column[3:] = by_gloss.flatten(1)
-            r = residual[channel].flatten()
-            weight = _HUBER / r.abs().clamp_min(_HUBER)
-            normal += (column * weight) @ column.T
-            gradient += column @ (weight * r)
+        shows = light.shows_gloss(maps, incidence, log)
+        grey = radiance.mean(0, keepdim=True)
+        by_gloss = F.avg_pool2d(torch.cat([shows.specular, shows.roughness]) * grey, cell)
+        by_gloss = by_gloss / F.avg_pool2d(grey, cell)
+        normal, gradient = _normal_equations(residual, by_albedo, by_gloss)
         step = torch.linalg.solve(
             normal * scale + torch.diag(prior), gradient * scale - prior * moved
         ).clamp(-_MOST, _MOST)
         moved += step
-        outputs[:5] += step[:, None, None]
-    return outputs
+        departures = departures + SurfaceParameters.from_levels(step)
+    return departures
 
 
-def flatten(outputs: Tensor, confidence: Tensor, glare: NDArray[np.float32]) -> Tensor:
-    """Outputs whose albedo and gloss are the same everywhere on average.
+def _normal_equations(
+    residual: Tensor, by_albedo: Tensor, by_gloss: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Matrix and right side of robust least squares for the levels.
+
+    Args:
+        residual: (3, h, w) of log radiance.
+        by_albedo: (3, h, w) what it changes by with its own channel's log albedo.
+        by_gloss: (2, h, w) likewise with log F0 and logit roughness.
+    """
+    equations = []
+    for channel, own in enumerate(by_albedo):
+        albedo = torch.zeros_like(by_albedo)
+        albedo[channel] = own
+        column = torch.cat([albedo, by_gloss]).flatten(1)
+        r = residual[channel].flatten()
+        weight = _HUBER / r.abs().clamp_min(_HUBER)
+        equations.append(((column * weight) @ column.T, column @ (weight * r)))
+    normals, gradients = zip(*equations, strict=True)
+    return sum(normals[1:], normals[0]), sum(gradients[1:], gradients[0])
+
+
+def flatten(
+    departures: SurfaceParameters, confidence: Mapping[str, Tensor], glare: NDArray[np.float32]
+) -> SurfaceParameters:
+    """Departures whose albedo and gloss are the same everywhere on average.
 
     A stationary sample's means do not drift, and nothing of it follows the highlight. Gloss is told
     near the highlight and albedo beside it: every map's mean is the one where it is trusted.
 
     Args:
-        outputs: (OUTPUTS, H, W).
-        confidence: (>= 3, H, W) of albedo, F0 and roughness, in [0, 1].
+        departures: of the piece.
+        confidence: (H, W) by map, in [0, 1].
         glare: (H, W) share of the radiance that is mirrored.
     """
-    outputs = outputs.clone()
     shape = np.stack([np.ones_like(glare), glare, np.square(glare)])
-    for channel in range(5):
-        weight = confidence[max(0, channel - 2)].square() + 1e-3
-        mean = (outputs[channel] * weight).sum() / weight.sum()
-        outputs[channel] -= torch.from_numpy(_following(outputs[channel].numpy(), shape))
-        slow = smoothed(outputs[channel].numpy(), max(outputs.shape[-2:]) / _STATIONARY)
-        outputs[channel] += mean - torch.from_numpy(slow)
-    return outputs
+
+    def even(channel: Tensor, weight: Tensor) -> Tensor:
+        mean = (channel * weight).sum() / weight.sum()
+        channel = channel - torch.from_numpy(_following(channel.numpy(), shape))
+        slow = smoothed(channel.numpy(), max(channel.shape) / _STATIONARY)
+        return channel + (mean - torch.from_numpy(slow))
+
+    return replace(
+        departures,
+        **{
+            name: torch.stack(
+                [even(c, confidence[name].square() + 1e-3) for c in getattr(departures, name)]
+            )
+            for name in REFLECTANCE
+        },
+    )
 
 
 def _following(plane: NDArray[np.float32], shape: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -208,15 +239,15 @@ def _following(plane: NDArray[np.float32], shape: NDArray[np.float32]) -> NDArra
     """
     thin = shape[:, ::_THINNED, ::_THINNED].astype(np.float64)
     products = np.einsum("nhw,mhw->nm", thin, thin, optimize=False)
-    told = np.einsum("nhw,hw->n", thin, plane[::_THINNED, ::_THINNED], optimize=False)
-    weights = np.linalg.lstsq(products, told, rcond=1e-9)[0].astype(np.float32)
+    projected = np.einsum("nhw,hw->n", thin, plane[::_THINNED, ::_THINNED], optimize=False)
+    weights = np.linalg.lstsq(products, projected, rcond=1e-9)[0].astype(np.float32)
     return np.asarray(np.einsum("n,nhw->hw", weights, shape, optimize=False), np.float32)
 
 
 @torch.no_grad()
 def refine(
-    outputs: Tensor,
-    errors: Tensor,
+    departures: SurfaceParameters,
+    errors: ExpectedErrors,
     linear: Tensor,
     valid: Tensor,
     light: PieceLight,
@@ -226,53 +257,60 @@ def refine(
     """Move albedo and gloss until they re-render to the photograph.
 
     Args:
-        outputs: (OUTPUTS, H, W) of the network.
-        errors: (ERRORS, H, W) log of what it expects to be off by.
+        departures: of the piece, as the network answers.
+        errors: what it expects to be off by.
         linear: (3, H, W) the photograph on the plane's grid.
         valid: (H, W) or (3, H, W) bool, seen and not clipped, by channel where that is known.
         light: the photograph's own.
         noise: deviation of log radiance that is not explained.
     """
     observed = linear.clamp_min(_DARKEST).log()
-    outputs = outputs.clone()
     valid = valid.expand_as(linear)
-    doubt = errors.exp().clamp(_LEAST_ERROR, _MOST_ERROR).square()
-    albedo, gloss = doubt[:1], doubt[1:3]
+    albedo, specular, roughness = (
+        doubt.exp().clamp(_LEAST_ERROR, _MOST_ERROR).square()
+        for doubt in (errors.albedo, errors.specular, errors.roughness)
+    )
     colour = albedo * _CHROMA**2
-    maps = light.maps(outputs)
-    angles = light.angles(maps.normal)
-    found, shares = light.logs(maps, angles)
-    shows = light.shows(maps, angles, found)  # hardly changes from step to step
+    maps = light.maps(departures)
+    incidence = light.flash.onto(maps.normal)
+    log, shares = light.logs(maps, incidence)
+    shows = light.shows_gloss(maps, incidence, log)  # hardly changes from step to step
+    by_gloss = shows.specular.square() * specular + shows.roughness.square() * roughness
     for step in range(_STEPS):
         if step:
-            found, shares = light.logs(light.maps(outputs), angles)
-        residual = _unexplained(observed, found, valid)
+            log, shares = light.logs(light.maps(departures), incidence)
+        residual = _unexplained(observed, log, valid)
         residual = (residual - _slow(residual, valid)).clamp(-_MOST, _MOST)
         tells = valid | (residual > 0.0)
         share = shares.mean(0, keepdim=True)
         grey = (residual * tells).sum(0, keepdim=True) / tells.sum(0, keepdim=True).clamp_min(1)
         unknown = noise**2 + (_GLARE * (1.0 - share)).square()
-        total = share.square() * albedo + (shows.square() * gloss).sum(0, keepdim=True) + unknown
-        common = grey / total
+        common = grey / (share.square() * albedo + by_gloss + unknown)
         # A bound that holds says nothing of the colour.
         apart = torch.where(tells, residual - grey, 0.0)
         own = apart * shares * colour / (shares.square() * colour + unknown)
-        outputs[:3] += share * albedo * common + own
-        outputs[3:5] += shows * gloss * common
-    return remaining(outputs, linear, valid, light)
+        departures = SurfaceParameters(
+            departures.diffuse + (share * albedo * common + own),
+            departures.specular + shows.specular * specular * common,
+            departures.roughness + shows.roughness * roughness * common,
+            departures.height,
+        )
+    return remaining(departures, linear, valid, light)
 
 
-def remaining(outputs: Tensor, linear: Tensor, valid: Tensor, light: PieceLight) -> Refined:
-    """Outputs (OUTPUTS, H, W) and what their re-rendering leaves; arguments as for refine."""
-    maps = light.maps(outputs)
-    found, _ = light.logs(maps, light.angles(maps.normal))
-    residual = _unexplained(linear.clamp_min(_DARKEST).log(), found, valid)
-    return Refined(outputs, residual, _slow(residual, valid))
+def remaining(
+    departures: SurfaceParameters, linear: Tensor, valid: Tensor, light: PieceLight
+) -> Refined:
+    """Departures and what their re-rendering leaves; arguments as for refine."""
+    maps = light.maps(departures)
+    log, _ = light.logs(maps, light.flash.onto(maps.normal))
+    residual = _unexplained(linear.clamp_min(_DARKEST).log(), log, valid)
+    return Refined(departures, residual, _slow(residual, valid))
 
 
-def _unexplained(observed: Tensor, found: Tensor, valid: Tensor) -> Tensor:
+def _unexplained(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:
     """(3, H, W) residual of log radiance; of a clipped texel only what is too dark."""
-    residual = observed - found
+    residual = observed - log
     return torch.where(valid, residual, residual.clamp_min(0.0))
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.piece.network.inputs import network_inputs
-from matcap.capture.piece.network.network import COLOUR, SHOWN
+from matcap.capture.piece.network.network import NetworkInputs
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import Strengths, measure_strengths
 from matcap.flash.coarse import fit_coarse
@@ -38,7 +38,9 @@ def photographed_strengths(photo: Photo, detail: int) -> Strengths | None:
     return plane_strengths(plane, inputs)
 
 
-def plane_strengths(plane: Plane, inputs: Tensor, read: Tensor | None = None) -> Strengths | None:
+def plane_strengths(
+    plane: Plane, inputs: NetworkInputs, read: Tensor | None = None
+) -> Strengths | None:
     """The same of a photograph on its plane and what the network is told of it.
 
     What slope changes of log radiance is taken from the coarse fit, which is nearer to the truth
@@ -51,12 +53,12 @@ def plane_strengths(plane: Plane, inputs: Tensor, read: Tensor | None = None) ->
             bare metal shows slopes three times as strongly as both do together.
     """
     use = plane.measured.numpy()
-    channels = inputs[COLOUR].numpy()
+    channels = inputs.log.numpy()
     # What is clipped is at least as bright as it looks.
     whole = [np.maximum(filled(c, u), c) for c, u in zip(channels, use, strict=True)]
     return measure_strengths(
         np.mean(whole, axis=0),
-        _even(inputs[SHOWN]),
+        _even(inputs.shows_slope),
         use.mean(0, dtype=np.float32),
         noise_level(plane),
         also=None if read is None else _even(read),

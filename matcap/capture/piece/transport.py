@@ -18,7 +18,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet
+from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
+from matcap.brdf.parameters import REFLECTANCE, Reflectance
 from matcap.capture.piece.refine import PieceLight
 from matcap.example.exemplar import Exemplar
 
@@ -91,10 +92,10 @@ def transport(
     maps = drawn.stacked + share * (laid - drawn.laid)
     return replace(
         exemplar,
-        diffuse=maps[:3].clip(0.0, 1.0),
-        specular=maps[3:4].clip(0.0, 1.0),
-        roughness=maps[4:5].clip(0.0, 1.0),
-        height=maps[5:6],
+        diffuse=maps[DIFFUSE].clip(0.0, 1.0),
+        specular=maps[SPECULAR].clip(0.0, 1.0),
+        roughness=maps[ROUGHNESS].clip(0.0, 1.0),
+        height=maps[HEIGHT],
     )
 
 
@@ -108,14 +109,13 @@ class _Photograph:
         self._valid = valid
         self._light = light
         maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
-        whole = torch.cat([maps.diffuse, maps.specular, maps.roughness, maps.normal])
-        self._maps = whole.movedim(0, -1).numpy().copy()  # a texel's numbers lie together
+        planes = torch.cat([maps.diffuse, maps.specular, maps.roughness, maps.normal])
+        self._maps = planes.movedim(0, -1).numpy().copy()  # a texel's numbers lie together
         # What the mean material would show is the light's doing, and in every block alike.
-        mean = whole.mean((1, 2), keepdim=True).expand_as(whole)
+        even, _ = _lent(planes.mean((1, 2), keepdim=True).expand_as(planes))
         upright = torch.zeros_like(maps.normal)
         upright[2] = 1.0
-        even = MapSet(mean[:3], mean[3:4], mean[4:5], maps.height, 1.0)
-        self._even = light.logs(even, light.angles(upright))[0]
+        self._even = light.logs(even, light.flash.onto(upright))[0]
 
     def unlikeness(self, place: tuple[int, int], blocks: BlockPlaces) -> Floats:
         """(N,) one less the correlation of log radiance, of blocks as if they lay at a place.
@@ -124,11 +124,10 @@ class _Photograph:
         """
         inner = np.arange(0, _BLOCK, _THINNED)
         rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
-        lent = torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1)
+        reflectance, normal = _lent(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
         here = tuple(slice(start, start + _BLOCK, _THINNED) for start in place)
-        maps = MapSet(lent[:, :3], lent[:, 3:4], lent[:, 4:5], lent[:, :1], 1.0)
         light = self._light.cut(*here)
-        log = light.logs(maps, light.angles(lent[:, 5:8]))[0]
+        log = light.logs(reflectance, light.flash.onto(normal))[0]
         seen = self._valid[here].to(log)
         if not seen.any():
             return np.zeros(len(blocks), np.float32)
@@ -141,6 +140,12 @@ class _Photograph:
     def share(self, place: tuple[int, int]) -> float:
         """Share of a place that was seen and not clipped."""
         return float(self._valid[_block(place)].float().mean())
+
+
+def _lent(planes: Tensor) -> tuple[Reflectance, Tensor]:
+    """Reflectance and normals of planes (..., 8, H, W)."""
+    *reflectance, normal = planes.split([*REFLECTANCE.values(), 3], dim=-3)
+    return Reflectance(*reflectance), normal
 
 
 def _centred(log: Tensor, seen: Tensor) -> Tensor:
@@ -232,12 +237,12 @@ def _laid(
 
 def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
     stacked = exemplar.stacked().astype(np.float32)
-    height = stacked[5] / exemplar.texel_size
+    height = exemplar.height[0] / exemplar.texel_size
     fine = height - cv2.GaussianBlur(height, (0, 0), _BLOCK / 1.5)
     laid = stacked.copy()
-    laid[5] = fine * exemplar.texel_size
+    laid[HEIGHT] = fine * exemplar.texel_size
     down, across = np.gradient(fine)
-    lightness = np.log(stacked[:3].clip(1e-3)).mean(0)
+    lightness = np.log(exemplar.diffuse.clip(1e-3)).mean(0)
     steep = np.sqrt(np.mean(np.square(down) + np.square(across))) + 1e-6
     lightness /= lightness[known].std() + 1e-3
     seen = np.stack([lightness, across / steep, down / steep], axis=-1)

@@ -16,10 +16,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import cook_torrance, dot, normalize
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.network.inputs import network_inputs, read_outputs, true_outputs
-from matcap.capture.piece.network.network import ERRORS, OUTPUTS, Inverse
+from matcap.capture.piece.network.inputs import network_inputs
+from matcap.capture.piece.network.network import ERRORS, ExpectedErrors, Inverse, NetworkAnswer
+from matcap.flash.render import shade
 from matcap.lab.inverse.losses import loss_parts, total, wanted
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.samples import (
@@ -117,16 +117,21 @@ def evaluate(network: Inverse, samples: Sequence[Sample]) -> Evaluation:
     """Scores of a network on photographs."""
     scores, expected, errors = [], [], []
     for index, sample in enumerate(samples):
-        inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
+        told = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
         with torch.no_grad():
-            outputs = network(inputs[None])[0]
+            outputs = network(told.stacked()[None])[0]
         scores.append(score(outputs, sample, np.random.default_rng([index, 6])))
-        told, made = doubts(outputs, sample)
-        expected.append(told)
+        doubted, made = doubts(outputs, sample)
+        expected.append(doubted)
         errors.append(made)
     mean = [sum(column) / len(scores) for column in zip(*map(astuple, scores), strict=True)]
     ratios = calibration(torch.cat(expected, 1), torch.cat(errors, 1))
     return Evaluation(InverseScore(*mean), ratios, len(scores))
+
+
+def _maps(answer: NetworkAnswer, sample: Sample) -> MapSet:
+    uniform = sample.uniform.parameters().to(sample.points)
+    return (uniform + answer.departures).maps(sample.truth.texel_size)
 
 
 @torch.no_grad()
@@ -134,7 +139,7 @@ def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> InverseS
     """Of one answer (OUTPUTS + ERRORS, H, W)."""
     parts = loss_parts(outputs[None], wanted([sample], rng))
     truth = sample.truth
-    maps = read_outputs(outputs[:OUTPUTS], sample.uniform, truth.texel_size)
+    maps = _maps(NetworkAnswer.from_stacked(outputs), sample)
     found, true = _slopes(maps.normal), _slopes(truth.normal)
     tilt = _log_ratio(_tilt(maps.normal), _tilt(truth.normal))
     contrast = _log_ratio(_contrast(maps.diffuse), _contrast(truth.diffuse))
@@ -170,22 +175,19 @@ def photograph_as_albedo(sample: Sample) -> MapSet:
 def relit_error(maps: MapSet, truth: MapSet, sample: Sample) -> float:
     """Mean difference of log radiance under lights from elsewhere, each picture's level aside."""
     points = sample.points
-    camera = torch.tensor([0.0, 0.0, sample.uniform.setup.distance])[:, None, None]
-    to_view = normalize(camera - points)
+    camera = torch.tensor([0.0, 0.0, sample.uniform.setup.distance])
     apart = []
     for polar, around, far in _LIGHTS:
         polar, around = math.radians(polar), math.radians(around)
         beside = far * math.sin(polar)
-        place = [beside * math.cos(around), beside * math.sin(around), far * math.cos(polar)]
-        away = torch.tensor(place)[:, None, None] - points
-        strength = math.pi * far**3 / place[2] / dot(away, away)
-
-        def lit(m: MapSet, to_light: Tensor, strength: Tensor) -> Tensor:
-            normal = m.normal
-            f = cook_torrance(m.diffuse, m.specular, m.roughness, normal, to_light, to_view)
-            return (f * dot(normal, to_light).clamp_min(0.0) * strength + _DARKEST).log()
-
-        off = lit(maps, normalize(away), strength) - lit(truth, normalize(away), strength)
+        place = torch.tensor(
+            [beside * math.cos(around), beside * math.sin(around), far * math.cos(polar)]
+        )
+        intensity = torch.tensor([math.pi * far**3 / float(place[2])])
+        found, true = (
+            (shade(m, points, camera, place, intensity) + _DARKEST).log() for m in (maps, truth)
+        )
+        off = found - true
         # What one photograph cannot tell, the gain between flash and albedo, cancels.
         apart.append(float((off - off.median()).abs().mean()))
     return sum(apart) / len(apart)
@@ -193,16 +195,16 @@ def relit_error(maps: MapSet, truth: MapSet, sample: Sample) -> float:
 
 def doubts(outputs: Tensor, sample: Sample) -> tuple[Tensor, Tensor]:
     """(ERRORS, n) errors that are expected, and those that are made."""
-    truth = true_outputs(sample.truth, sample.uniform)
-    found = outputs[:OUTPUTS]
-    maps = read_outputs(found, sample.uniform, sample.truth.texel_size)
+    answer = NetworkAnswer.from_stacked(outputs)
+    maps, off = _maps(answer, sample), answer.departures - sample.departures
     black = 0.02  # as the losses have it
     albedo = ((maps.diffuse + black).log() - (sample.truth.diffuse + black).log()).abs().mean(0)
-    gloss = (found[3:5] - truth[3:5]).abs()
     slope = (_slopes(maps.normal) - _slopes(sample.truth.normal)).abs().mean(0)
-    made = torch.stack([albedo, gloss[0], gloss[1], slope])
+    made = ExpectedErrors(
+        albedo[None], off.specular.abs(), off.roughness.abs(), slope[None]
+    ).stacked()
     thin = (..., slice(1, -1, _SAMPLED), slice(1, -1, _SAMPLED))
-    expected = outputs[OUTPUTS:].exp() - _BIT
+    expected = answer.errors.stacked().exp() - _BIT
     return expected[thin].reshape(ERRORS, -1), made[thin].reshape(ERRORS, -1)
 
 

@@ -18,10 +18,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import Angles, dot, normalize, single_lobe
+from matcap.brdf.cook_torrance import dot
 from matcap.brdf.normals import normals_from_height
-from matcap.capture.piece.network.inputs import departures, true_outputs
-from matcap.capture.piece.network.network import OUTPUTS
+from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.piece.network.network import ExpectedErrors, NetworkAnswer
+from matcap.flash.light import FlashLight
 from matcap.lab.inverse.samples import Sample
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
 from matcap.statistics.gram import gram
@@ -61,7 +62,7 @@ class WantedOutputs:
 
     Attributes:
         truth: (B, OUTPUTS, H, W) the answer the network should give.
-        base: (B, 5) logarithms of the coarse fit's albedo and F0, logit of its roughness.
+        base: (B, OUTPUTS, 1, 1) what it departs from, the coarse fit.
         points: (3, H, W) plane points, the same of all.
         camera: (B, 3, 1, 1) places of the cameras.
         near, far: (B, 3, 1, 1) places of two lights: mirrored somewhere in the picture, and afar.
@@ -85,8 +86,8 @@ def wanted(samples: Sequence[Sample], rng: np.random.Generator) -> WantedOutputs
         return torch.tensor(vectors).to(points)[..., None, None]
 
     return WantedOutputs(
-        torch.stack([true_outputs(s.truth, s.uniform) for s in samples]),
-        torch.stack([departures(s.uniform) for s in samples]).to(points),
+        torch.stack([s.departures.stacked() for s in samples]),
+        torch.stack([s.uniform.parameters().stacked() for s in samples]).to(points),
         points,
         column(places),
         column([near for near, _ in lights]),
@@ -135,37 +136,45 @@ def compared(
     """All parts but the style, and (B, 3, H, W) pictures of found and true under the far light.
 
     Args:
-        outputs: of the network; the others: as in Wanted.
+        outputs: of the network; the others: as in WantedOutputs.
     """
-    found = outputs[:, :OUTPUTS]
-    size = 2.0 / points.shape[-1]
-    maps, true_maps = _surface(found, base), _surface(truth, base)
+    answer = NetworkAnswer.from_stacked(outputs)
+    found, true = answer.departures, SurfaceParameters.from_stacked(truth)
+    uniform = SurfaceParameters.from_stacked(base)
+    maps_found, maps_true = (uniform + found).reflectance(), (uniform + true).reflectance()
     # Of a metal's dark diffuse albedo nothing is seen but that it is dark.
-    albedo_found, albedo_true = (maps[0] + _BLACK).log(), (true_maps[0] + _BLACK).log()
+    albedo_found, albedo_true = (m.diffuse.add(_BLACK).log() for m in (maps_found, maps_true))
     albedo_apart = (albedo_found - albedo_true).abs()
-    apart = (found[:, 3:5] - truth[:, 3:5]).abs()
-    slopes_found, slopes_true = _slopes(found[:, 5:6]), _slopes(truth[:, 5:6])
+    specular_apart = (found.specular - true.specular).abs()
+    roughness_apart = (found.roughness - true.roughness).abs()
+    slopes_found, slopes_true = _slopes(found.height), _slopes(true.height)
     strength = slopes_true[0].square().mean((1, 2, 3)).sqrt() + _FLAT
     slope_apart = [
         (a - b).abs().mean((1, 2, 3)) for a, b in zip(slopes_found, slopes_true, strict=True)
     ]
-    fine = (slopes_found[0] - slopes_true[0]).abs().mean(1, keepdim=True)
     inner = (..., slice(1, -1), slice(1, -1))
-    errors = torch.cat([albedo_apart.mean(1, keepdim=True)[inner], apart[inner], fine], 1)
-    doubt = (outputs[:, OUTPUTS:, 1:-1, 1:-1] - (errors.detach() + 0.01).log()).abs().mean()
-    to_view = normalize(camera - points)
-    lit_maps = (*maps, normals_from_height(found[:, 5:6] * size, size))
-    lit_true = (*true_maps, normals_from_height(truth[:, 5:6] * size, size))
+    errors = ExpectedErrors(
+        albedo_apart.mean(1, keepdim=True)[inner],
+        specular_apart[inner],
+        roughness_apart[inner],
+        (slopes_found[0] - slopes_true[0]).abs().mean(1, keepdim=True),
+    ).stacked()
+    doubt = (answer.errors.stacked()[inner] - (errors.detach() + 0.01).log()).abs().mean()
+    normal_found, normal_true = (normals_from_height(s.height, 1.0) for s in (found, true))
     thin = (..., slice(None, None, _THIN), slice(None, None, _THIN))
-    near_found = _lit(tuple(m[thin] for m in lit_maps), points[thin], near, to_view[thin])
-    near_true = _lit(tuple(m[thin] for m in lit_true), points[thin], near, to_view[thin])
-    far_found = _lit(lit_maps, points, far, to_view)
-    far_true = _lit(lit_true, points, far, to_view)
+    at_near = FlashLight.between(points[thin], camera, near, _power(near))
+    at_far = FlashLight.between(points, camera, far, _power(far))
+    near_found, near_true = (
+        at_near.onto(normal[thin]).radiance(*(m[thin] for m in maps))
+        for maps, normal in ((maps_found, normal_found), (maps_true, normal_true))
+    )
+    far_found = at_far.onto(normal_found).radiance(*maps_found)
+    far_true = at_far.onto(normal_true).radiance(*maps_true)
     gain = _WHITE / far_true.mean((1, 2, 3), keepdim=True)
     parts = {
         "albedo": albedo_apart.mean(),
-        "specular": apart[:, 0].mean(),
-        "roughness": apart[:, 1].mean(),
+        "specular": specular_apart.mean(),
+        "roughness": roughness_apart.mean(),
         "slope": (torch.stack(slope_apart).sum(0) / strength).mean(),
         "energy": _energies(slopes_found, slopes_true, albedo_found, albedo_true),
         "render": 0.5 * (_log_apart(near_found, near_true) + _log_apart(far_found, far_true)),
@@ -186,16 +195,6 @@ def _lights(sample: Sample, rng: np.random.Generator) -> tuple[list[float], list
     beside = away * math.sin(polar)
     afar = [beside * math.cos(around), beside * math.sin(around), away * math.cos(polar)]
     return [x * there, y * there, up], afar
-
-
-def _surface(outputs: Tensor, base: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Diffuse albedo, F0 and roughness of outputs, as read_outputs reads them."""
-    told = base[..., None, None] + outputs[:, :5]
-    return (
-        told[:, :3].exp().clamp(0.001, 0.99),
-        told[:, 3:4].exp().clamp(0.005, 0.99),
-        torch.sigmoid(told[:, 4:5].clamp(-7.0, 7.0)),
-    )
 
 
 def _slopes(height: Tensor) -> list[Tensor]:
@@ -266,13 +265,6 @@ def _style(found: Tensor, true: Tensor) -> Tensor:
     return torch.stack(apart).mean()
 
 
-def _lit(maps: tuple[Tensor, ...], points: Tensor, light: Tensor, to_view: Tensor) -> Tensor:
-    """Radiance of (diffuse, F0, roughness, normal) by lights that make a white plane's middle 1."""
-    diffuse, specular, roughness, normal = maps
-    away = light - points
-    squared = dot(away, away)
-    to_light = away * squared.rsqrt()
-    angles = Angles.of(normal, to_light, to_view)
-    lobe = single_lobe(specular, roughness, angles)
-    strength = math.pi * dot(light, light) ** 1.5 / light[:, 2:]
-    return (diffuse / math.pi + lobe) * angles.n_dot_l / squared * strength
+def _power(light: Tensor) -> Tensor:
+    """(B, 1, 1, 1) radiant intensity of lights (B, 3, 1, 1) that makes a white plane's middle 1."""
+    return math.pi * dot(light, light) ** 1.5 / light[:, 2:]

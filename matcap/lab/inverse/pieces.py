@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.brdf.maps import MapSet
+from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, SURFACE, MapSet
 from matcap.lab.inverse.packed import LEVELS, PackedSet
 
 _SCALES = (0.3, 2.0)  # texels of the picture to one of the set
@@ -55,7 +55,7 @@ def masked(below: Picture, above: Picture, rng: np.random.Generator) -> Picture:
     softness = math.exp(rng.uniform(math.log(0.01), math.log(0.4)))
     share = np.clip(0.5 + (share - level) / softness, 0.0, 1.0).astype(np.float32)
     mixed = below + (above - below) * share
-    mixed[5] += share[0] * rng.normal(0.0, 1.5)
+    mixed[HEIGHT] += share * rng.normal(0.0, 1.5)
     return np.asarray(mixed, np.float32)
 
 
@@ -75,10 +75,10 @@ def _piece(packed: PackedSet, rng: np.random.Generator, width: int, height: int)
     scale = math.exp(rng.uniform(math.log(_SCALES[0]), math.log(_SCALES[1])))
     level = min(int(math.log2(1.0 / scale)), LEVELS - 1) if scale < 1.0 else 0
     piece = cut(packed, level, scale * 2**level, rng, width, height)
-    piece[:5] = coloured(piece[:5], rng)
-    slopes = float(np.square(np.diff(piece[5], axis=0)).mean() * 2.0) ** 0.5
+    piece[SURFACE] = coloured(piece[SURFACE], rng)
+    slopes = float(np.square(np.diff(piece[HEIGHT], axis=-2)).mean() * 2.0) ** 0.5
     strength = math.exp(rng.uniform(*np.log(_STRENGTHS)))
-    piece[5] *= min(strength, max(1.0, _STEEP / max(slopes, 1e-6)))
+    piece[HEIGHT] *= min(strength, max(1.0, _STEEP / max(slopes, 1e-6)))
     return piece
 
 
@@ -118,14 +118,14 @@ def cut(
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     warped = [cv2.warpAffine(layer, matrix, (width, height), flags=flags) for layer in layers]
     piece = np.stack(warped).astype(np.float32)
-    piece[5] *= scale
-    np.clip(piece[:5], 1e-3, 1.0, out=piece[:5])
+    piece[HEIGHT] *= scale
+    np.clip(piece[SURFACE], 1e-3, 1.0, out=piece[SURFACE])
     return piece
 
 
 def coloured(surface: Picture, rng: np.random.Generator) -> Picture:
     """(5, H, W) the same material paler or darker, of another hue, duller or glossier."""
-    albedo, specular, roughness = surface[:3], surface[3:4], surface[4:5]
+    albedo, specular, roughness = surface[DIFFUSE], surface[SPECULAR], surface[ROUGHNESS]
     mean = albedo.mean((1, 2), keepdims=True)
     gain = math.exp(rng.normal(0.0, 0.35))
     tint = np.exp(rng.normal(0.0, 0.12, (3, 1, 1)))

@@ -19,7 +19,9 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.brdf.parameters import SurfaceParameters
 from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.light import FlashLight
 from matcap.flash.render import render_flash
 from matcap.flash.uniform import Uniform, uniform_radiance
 from matcap.lab.inverse.packed import PackedSet
@@ -63,6 +65,11 @@ class Sample:
     truth: MapSet
     uniform: Uniform
     points: Tensor
+
+    @property
+    def departures(self) -> SurfaceParameters:
+        """What the network should answer."""
+        return SurfaceParameters.of(self.truth) - self.uniform.parameters().to(self.points)
 
     def to(self, device: str) -> Sample:
         """The same sample with its tensors on a device."""
@@ -272,9 +279,10 @@ def _fitted(
     # Diffuse albedo takes what is left of the picture's colour, as far as it can.
     thin = (..., slice(None, None, _THIN), slice(None, None, _THIN))
     seen = valid[thin] if int(valid[thin].sum()) > 64 else torch.ones_like(valid[thin])
+    light = FlashLight.of(uniform.setup, points[thin])
     for _ in range(2):
-        whole, diffuse = uniform_radiance(uniform, points[thin])
-        over = (linear[thin] - (whole - diffuse))[:, seen].median(1).values
+        radiance, diffuse = uniform_radiance(uniform, light)
+        over = (linear[thin] - (radiance - diffuse))[:, seen].median(1).values
         under = diffuse[:, seen].median(1).values
         gain = (over / under).clamp(0.5, 2.0).tolist()
         red, green, blue = (min(v * g, 0.95) for v, g in zip(uniform.diffuse, gain, strict=True))

@@ -261,7 +261,7 @@ def _made(asked: tuple[int, TrainSettings]) -> tuple[Tensor, Sample]:
     number, settings = asked
     sets = training_sets(settings.maps) if settings.maps else ()
     sample = draw_sample(number, settings.width, settings.height, sets=sets, real=settings.real)
-    inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
+    inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points).stacked()
     return inputs, sample
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.brdf.maps import MapSet
+from matcap.brdf.maps import HEIGHT, SURFACE, MapSet
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode_tensor
 
@@ -69,8 +69,8 @@ class MapSetMaterial:
         x = seed * _PLASTIC[0] * columns + _from_middle(width) * step - 0.5
         y = seed * _PLASTIC[1] * rows + _from_middle(height) * step - 0.5
         found = _sampled(_sampled(tile, y, 1), x, 2).astype(np.float64)
-        found[:5] = found[:5].clip(0.0, 1.0)
-        found[5] *= self.texel_size
+        found[SURFACE] = found[SURFACE].clip(0.0, 1.0)
+        found[HEIGHT] *= self.texel_size
         return MapSet.from_stacked(torch.from_numpy(found), texel_size)
 
 

@@ -16,8 +16,9 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import camera_in_plane, plane_points
+from matcap.flash.light import vignette
 from matcap.flash.plane import read_plane
-from matcap.flash.render import shade, vignette
+from matcap.flash.render import shade
 from matcap.lab.train.pack import WAVE_DETAIL, Entry
 from matcap.space.prior.base import Base, base_of
 from matcap.space.prior.look import numbers, picture

@@ -11,7 +11,13 @@ import torch
 from photographed import photographed
 
 from matcap.capture.piece.find import _read, confidence, find_piece, lit, piece_maps, seen_share
-from matcap.capture.piece.network.network import INPUTS, Inverse, InverseConfig
+from matcap.capture.piece.network.network import (
+    ERRORS,
+    INPUTS,
+    ExpectedErrors,
+    Inverse,
+    InverseConfig,
+)
 from matcap.capture.piece.network.store import load_inverse, read_inverse, save_inverse
 from matcap.errors import MatcapError
 from matcap.flash.coarse import CoarseFit
@@ -91,9 +97,13 @@ def test_dark_grains_in_the_light_are_seen() -> None:
     assert not lit(0.01 * radiance).any()
 
 
+def _expected(log: float) -> ExpectedErrors:
+    return ExpectedErrors.from_stacked(torch.full((ERRORS, 64, 96), log))
+
+
 def test_confidence_falls_with_the_error_to_be_expected() -> None:
     seen = np.ones((64, 96), np.float32)
-    sure, unsure = (confidence(torch.full((4, 64, 96), e), seen) for e in (-4.0, 0.0))
+    sure, unsure = (confidence(_expected(e), seen) for e in (-4.0, 0.0))
     assert (sure > unsure).all()
     assert sure.max() <= 1.0 and unsure.min() >= 0.0
 
@@ -119,7 +129,7 @@ def test_sparkles_cost_no_more_than_themselves() -> None:
 def test_confidence_counts_every_error_in_its_own_units() -> None:
     """Slope's are the smallest that count, then log albedo's; F0's and roughness's are alike."""
     seen = np.ones((64, 96), np.float32)
-    albedo, f0, roughness, slope = confidence(torch.full((4, 64, 96), -1.5), seen).mean((1, 2))
+    albedo, f0, roughness, slope = confidence(_expected(-1.5), seen).mean((1, 2))
     assert slope < 0.7 * albedo and albedo < 0.8 * f0
     assert f0 == roughness
 
@@ -145,7 +155,7 @@ def test_what_is_read_has_no_mesh_of_two_texels():
     network = Inverse(InverseConfig((16, 16), 16)).eval()
     with torch.no_grad():
         network.head.bias.copy_(torch.randn(network.head.bias.shape, generator=_generator(1)))
-        inputs = torch.full((len(INPUTS), 64, 96), 0.2)
+        inputs = torch.full((INPUTS, 64, 96), 0.2)
         read = _read(network, inputs)[3:6, 16:48, 16:80]
         alone = network(inputs[None])[0, 3:6, 16:48, 16:80]
     for along in (-1, -2):

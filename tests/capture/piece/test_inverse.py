@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.network.inputs import network_inputs, read_outputs, true_outputs
-from matcap.capture.piece.network.network import ERRORS, INPUTS, OUTPUTS, Inverse, InverseConfig
+from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.piece.network.inputs import network_inputs
+from matcap.capture.piece.network.network import (
+    ERRORS,
+    INPUTS,
+    OUTPUTS,
+    Inverse,
+    InverseConfig,
+    NetworkAnswer,
+    NetworkInputs,
+)
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
+from matcap.flash.light import FlashLight
 from matcap.flash.render import render_flash
 from matcap.flash.uniform import Uniform, uniform_radiance
 
@@ -20,11 +31,10 @@ TINY = InverseConfig(widths=(8, 8, 12), context=8)
 
 
 def _inputs(height: int, width: int) -> torch.Tensor:
-    """(1, len(INPUTS), height, width) of all texels valid, some gloss everywhere."""
-    inputs = torch.randn(1, len(INPUTS), height, width)
-    inputs[:, 3] = 1.0
-    inputs[:, 9] = inputs[:, 9].abs().clamp_max(1.0)
-    return inputs
+    """(1, INPUTS, height, width) of all texels valid, some gloss everywhere."""
+    inputs = NetworkInputs.from_stacked(torch.randn(1, INPUTS, height, width))
+    gloss = inputs.gloss.abs().clamp_max(1.0)
+    return replace(inputs, valid=torch.ones_like(gloss), gloss=gloss).stacked()
 
 
 def _points(width: int, height: int) -> torch.Tensor:
@@ -45,7 +55,7 @@ def _flat(width: int, height: int) -> MapSet:
 def test_uniform_radiance_is_what_the_renderer_makes_of_flat_maps() -> None:
     points = _points(64, 48)
     expected = render_flash(_flat(64, 48), SETUP, points)
-    found, diffuse = uniform_radiance(UNIFORM, points)
+    found, diffuse = uniform_radiance(UNIFORM, FlashLight.of(SETUP, points))
     assert torch.allclose(found, expected, rtol=1e-4)
     assert bool((diffuse < found).all())
 
@@ -54,8 +64,8 @@ def test_a_photograph_of_the_uniform_material_departs_nowhere() -> None:
     points = _points(256, 192)
     linear = render_flash(_flat(256, 192), SETUP, points)
     inputs = network_inputs(linear, torch.ones(192, 256, dtype=torch.bool), UNIFORM, points)
-    assert inputs.shape == (len(INPUTS), 192, 256)
-    assert float(inputs[:3].abs().max()) < 0.01
+    assert inputs.stacked().shape == (INPUTS, 192, 256)
+    assert float(inputs.log.abs().max()) < 0.01
 
 
 @pytest.mark.parametrize("fov", [40.0, 65.0, 90.0])
@@ -69,8 +79,8 @@ def test_matte_slopes_show_as_the_tangent_of_the_lights_direction(fov: float) ->
     )
     light = camera_in_plane(setup)[1].float()[:, None, None]
     tangent = (light - points)[:2] / (light - points)[2:]
-    assert torch.allclose(inputs[4:6], tangent, atol=0.01)
-    assert torch.allclose(inputs[6:8], -tangent, atol=0.02)
+    assert torch.allclose(inputs.tangent, tangent, atol=0.01)
+    assert torch.allclose(inputs.shows_slope, -tangent, atol=0.02)
 
 
 def test_reading_undoes_writing() -> None:
@@ -79,7 +89,9 @@ def test_reading_undoes_writing() -> None:
     maps = MapSet(
         0.1 + 0.5 * draw(3), 0.03 + 0.1 * draw(1), 0.2 + 0.6 * draw(1), 0.1 * draw(1), 2.0 / 12
     )
-    again = read_outputs(true_outputs(maps, UNIFORM), UNIFORM, maps.texel_size)
+    uniform = UNIFORM.parameters()
+    departures = SurfaceParameters.of(maps) - uniform
+    again = (uniform + departures).maps(maps.texel_size)
     assert torch.allclose(again.stacked(), maps.stacked(), atol=1e-5)
 
 
@@ -91,7 +103,8 @@ def test_reads_pictures_of_any_aspect_and_starts_from_the_photograph_as_albedo()
         with torch.no_grad():
             answer = network(inputs)
         assert answer.shape == (1, OUTPUTS + ERRORS, height, width)
-        assert float((answer[:, :3] - inputs[:, :3]).abs().mean()) < 0.5
+        albedo = NetworkAnswer.from_stacked(answer).departures.diffuse
+        assert float((albedo - NetworkInputs.from_stacked(inputs).log).abs().mean()) < 0.5
 
 
 def test_what_is_seen_in_one_corner_is_told_in_the_other() -> None:
@@ -121,5 +134,5 @@ def test_a_clipped_hot_spot_and_darkness_give_finite_inputs() -> None:
     valid = (linear < 0.98).all(0)
     polished = Uniform((0.001, 0.001, 0.001), 0.9, 0.03, SETUP)
     inputs = network_inputs(linear, valid, polished, points)
-    assert bool(torch.isfinite(inputs).all())
-    assert math.isclose(float(inputs[3].mean()), float(valid.float().mean()), rel_tol=1e-5)
+    assert bool(torch.isfinite(inputs.stacked()).all())
+    assert math.isclose(float(inputs.valid.mean()), float(valid.float().mean()), rel_tol=1e-5)

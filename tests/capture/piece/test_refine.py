@@ -2,33 +2,53 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from photographed import photographed
 
-from matcap.capture.piece.network.inputs import true_outputs
+from matcap.brdf.maps import CHANNELS
+from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.refine import PieceLight, flatten, level, refine
 
-ERRORS = torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None]
+ERRORS = ExpectedErrors.from_stacked(torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None])
+
+
+def _departures(shot) -> SurfaceParameters:
+    return PieceLight.of(shot.uniform, shot.points).departures(shot.maps)
+
+
+def _nowhere(like: SurfaceParameters) -> SurfaceParameters:
+    return like - like
+
+
+def _largest(parameters: SurfaceParameters) -> float:
+    return float(parameters.stacked().abs().max())
+
+
+def _paler(parameters: SurfaceParameters, by) -> SurfaceParameters:
+    return replace(parameters, diffuse=parameters.diffuse + by)
 
 
 def _setting(slope: float = 0.1, contrast: float = 0.1):
     shot = photographed(slope, contrast, width=192, height=144)
     valid = torch.ones(144, 192, dtype=torch.bool)
-    return shot, valid, true_outputs(shot.maps, shot.uniform), ERRORS.expand(4, 144, 192)
+    return shot, valid, _departures(shot), ERRORS
 
 
 def test_the_truth_is_left_alone() -> None:
     shot, valid, truth, errors = _setting()
-    refined = refine(truth, errors, shot.linear, valid, PieceLight(shot.uniform, shot.points))
+    refined = refine(truth, errors, shot.linear, valid, PieceLight.of(shot.uniform, shot.points))
     assert float(refined.residual.abs().median()) < 1e-3
-    assert float((refined.outputs - truth).abs().max()) < 0.05
+    assert _largest(refined.departures - truth) < 0.05
 
 
 def test_a_flat_guess_is_moved_until_it_re_renders() -> None:
     shot, valid, truth, errors = _setting()
-    guess = torch.zeros_like(truth)
-    refined = refine(guess, errors, shot.linear, valid, PieceLight(shot.uniform, shot.points))
+    guess = _nowhere(truth)
+    refined = refine(guess, errors, shot.linear, valid, PieceLight.of(shot.uniform, shot.points))
     texture = refined.residual - refined.slow
     assert float(texture.abs().median()) < 0.01
 
@@ -37,9 +57,9 @@ def test_slow_drift_is_not_the_materials() -> None:
     shot, valid, truth, errors = _setting()
     drift = torch.linspace(-0.15, 0.15, 192).exp()
     refined = refine(
-        truth, errors, shot.linear * drift, valid, PieceLight(shot.uniform, shot.points)
+        truth, errors, shot.linear * drift, valid, PieceLight.of(shot.uniform, shot.points)
     )
-    assert float((refined.outputs - truth)[:3].mean((0, 1)).diff().abs().mean()) < 1e-3
+    assert float((refined.departures - truth).diffuse.mean((0, 1)).diff().abs().mean()) < 1e-3
     assert float(refined.slow.abs().mean()) > 0.04
 
 
@@ -49,8 +69,8 @@ def test_clipped_texels_are_lower_bounds() -> None:
     clip = float(shot.linear.quantile(0.7))
     clipped = shot.linear.clamp_max(clip)
     unclipped = (shot.linear < clip).all(0)
-    refined = refine(truth, errors, clipped, unclipped, PieceLight(shot.uniform, shot.points))
-    assert float((refined.outputs - truth).abs().max()) < 0.05
+    refined = refine(truth, errors, clipped, unclipped, PieceLight.of(shot.uniform, shot.points))
+    assert _largest(refined.departures - truth) < 0.05
 
 
 def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
@@ -59,12 +79,12 @@ def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
     clip = float(clipped[0].quantile(0.3))
     clipped[0] = clipped[0].clamp_max(clip)
     measured[0] = shot.linear[0] < clip
-    light = PieceLight(shot.uniform, shot.points)
+    light = PieceLight.of(shot.uniform, shot.points)
 
     def off(seen: torch.Tensor) -> float:
-        refined = refine(torch.zeros_like(truth), errors, clipped, seen, light)
+        refined = refine(_nowhere(truth), errors, clipped, seen, light)
         told = measured[1:].all(0) & ~measured[0]
-        apart = (refined.outputs - truth)[1:3, told]
+        apart = (refined.departures - truth).diffuse[1:, told]
         return float((apart - apart.mean(1, keepdim=True)).abs().mean())
 
     assert off(measured) < 0.5 * off(measured.all(0))
@@ -72,63 +92,59 @@ def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
 
 def test_levels_are_found_again() -> None:
     shot, valid, truth, _ = _setting()
-    off = truth.clone()
-    off[:3] -= 0.3
-    found = level(off, shot.linear, valid, PieceLight(shot.uniform, shot.points))
-    assert float((found - truth)[:3].mean().abs()) < 0.06
+    found = level(_paler(truth, -0.3), shot.linear, valid, PieceLight.of(shot.uniform, shot.points))
+    assert float((found - truth).diffuse.mean().abs()) < 0.06
 
 
 def test_relief_is_not_touched() -> None:
     shot, valid, truth, errors = _setting()
-    guess = torch.zeros_like(truth)
-    refined = refine(guess, errors, shot.linear, valid, PieceLight(shot.uniform, shot.points))
-    assert float(refined.outputs[5].abs().max()) == 0.0
+    guess = _nowhere(truth)
+    refined = refine(guess, errors, shot.linear, valid, PieceLight.of(shot.uniform, shot.points))
+    assert float(refined.departures.height.abs().max()) == 0.0
 
 
-def _log_radiance(outputs, light):
-    maps = light.maps(outputs)
-    return light.logs(maps, light.angles(maps.normal))[0]
+def _log_radiance(departures, light):
+    maps = light.maps(departures)
+    return light.logs(maps, light.flash.onto(maps.normal))[0]
 
 
 def test_what_is_clipped_must_be_as_bright_as_the_clip_level() -> None:
     shot, _, truth, errors = _setting()
-    light = PieceLight(shot.uniform, shot.points)
+    light = PieceLight.of(shot.uniform, shot.points)
     clip = float(shot.linear.quantile(0.7))
     valid = (shot.linear < clip).all(0)
-    guess = truth.clone()
-    guess[:3] -= 0.6 * (~valid)
+    guess = _paler(truth, -0.6 * (~valid))
     refined = refine(guess, errors, shot.linear.clamp_max(clip), valid, light)
     too_dark = [
         (shot.linear.clamp_max(clip).log() - _log_radiance(o, light)).clamp_min(0.0)[:, ~valid]
-        for o in (guess, refined.outputs)
+        for o in (guess, refined.departures)
     ]
     assert float(too_dark[1].mean()) < 0.4 * float(too_dark[0].mean())
 
 
 def test_levels_of_what_is_clipped_are_raised_and_never_lowered() -> None:
     shot, valid, truth, _ = _setting()
-    light, nothing = PieceLight(shot.uniform, shot.points), torch.zeros_like(valid)
-    dark = truth.clone()
-    dark[:3] -= 0.6
+    light, nothing = PieceLight.of(shot.uniform, shot.points), torch.zeros_like(valid)
+    dark = _paler(truth, -0.6)
     raised = level(dark, shot.linear, nothing, light)
-    assert float((raised - dark)[:3].mean()) > 0.3
+    assert float((raised - dark).diffuse.mean()) > 0.3
     kept = level(truth, 0.4 * shot.linear, nothing, light)
-    assert float((kept - truth)[:3].abs().max()) < 0.05
+    assert float((kept - truth).diffuse.abs().max()) < 0.05
 
 
-def _flattened(outputs, confidence=None, glare=None):
-    shape = outputs.shape[-2:]
-    trusted = torch.ones(4, *shape) if confidence is None else confidence
-    return flatten(outputs, trusted, np.zeros(shape, np.float32) if glare is None else glare)
+def _flattened(stacked, confidence=None, glare=None):
+    shape = stacked.shape[-2:]
+    trusted = confidence or dict.fromkeys(CHANNELS, torch.ones(shape))
+    glare = np.zeros(shape, np.float32) if glare is None else glare
+    return flatten(SurfaceParameters.from_stacked(stacked), trusted, glare).stacked()
 
 
 def test_every_maps_mean_is_the_one_where_that_map_is_trusted() -> None:
     halves = torch.zeros(6, 96, 128)
     halves[:5, :, 64:] = 1.0
-    trusted = torch.zeros(4, 96, 128)
-    trusted[0, :, :64] = 1.0  # albedo on the left
-    trusted[1, :, 64:] = 1.0  # F0 on the right
-    trusted[2, :, :64] = 1.0
+    left = torch.zeros(96, 128)
+    left[:, :64] = 1.0
+    trusted = {"diffuse": left, "specular": 1.0 - left, "roughness": left}
     found = _flattened(halves, trusted).mean((1, 2))
     assert found[:3].abs().max() < 0.1
     assert abs(float(found[3]) - 1.0) < 0.1

@@ -31,7 +31,7 @@ def _hidden(shot: Photographed, confidence: float = 0.0) -> Exemplar:
 
 
 def _lent(shot: Photographed, exemplar: Exemplar, valid: torch.Tensor, tried: int) -> Exemplar:
-    light = PieceLight(shot.uniform, shot.points)
+    light = PieceLight.of(shot.uniform, shot.points)
     return transport(exemplar, shot.linear, valid, light, tried=tried)
 
 

@@ -106,9 +106,9 @@ def test_the_played_device_tells_strangers_apart() -> None:
 def test_a_step_stays_on_its_device() -> None:
     sample = draw_sample(2, 64, 64)
     inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
-    expected = train_step(State(TINY, "cpu"), [(inputs, sample)], TrainSettings())
+    expected = train_step(State(TINY, "cpu"), [(inputs.stacked(), sample)], TrainSettings())
     with Played():
         state = State(TINY, AWAY)
-        found = train_step(state, [(inputs, sample)], TrainSettings(device=AWAY))
+        found = train_step(state, [(inputs.stacked(), sample)], TrainSettings(device=AWAY))
     assert found == pytest.approx(expected, rel=1e-3)
     assert all(p.device.type == AWAY for p in state.model.parameters())

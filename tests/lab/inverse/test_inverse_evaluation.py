@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from matcap.capture.piece.network.inputs import true_outputs
+from matcap.brdf.maps import HEIGHT
 from matcap.capture.piece.network.network import ERRORS, Inverse, InverseConfig
 from matcap.lab.inverse.distributions import QUANTITIES, drawn, of_picture, plot, table
 from matcap.lab.inverse.evaluate import (
@@ -29,12 +29,12 @@ def sample() -> Sample:
 
 
 def test_the_truth_scores_as_the_truth(sample: Sample) -> None:
-    truth = true_outputs(sample.truth, sample.uniform)
+    truth = sample.departures.stacked()
     answer = torch.cat([truth, torch.zeros(ERRORS, *truth.shape[-2:])])
     told = score(answer, sample, np.random.default_rng(0))
     assert told.correlation == pytest.approx(1.0, abs=1e-3)
     assert (told.tilt_off, told.contrast_off, told.relit) == pytest.approx((0, 0, 0), abs=2e-3)
-    answer[5] *= 0.5
+    answer[HEIGHT] *= 0.5
     flatter = score(answer, sample, np.random.default_rng(0))
     assert flatter.tilt < -0.3
     assert flatter.relit > told.relit

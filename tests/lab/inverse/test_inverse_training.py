@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from matcap.capture.piece.network.inputs import network_inputs, true_outputs
+from matcap.brdf.maps import HEIGHT
+from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import ERRORS, Inverse, InverseConfig
 from matcap.capture.piece.network.store import read_inverse, save_inverse
 from matcap.lab.inverse.losses import loss_parts, total, wanted
@@ -31,11 +32,11 @@ def test_samples_are_finite_and_within_range() -> None:
     for number in range(12):
         sample = draw_sample(number, 96, 64)
         inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
-        assert bool(torch.isfinite(inputs).all())
+        assert bool(torch.isfinite(inputs.stacked()).all())
         assert bool(torch.isfinite(sample.truth.stacked()).all())
         assert float(sample.linear.min()) >= 0.0 and float(sample.linear.max()) <= 1.0
         # The coarse fit is about as bright as the picture.
-        assert float(inputs[:3].median().abs()) < 1.0
+        assert float(inputs.log.median().abs()) < 1.0
 
 
 def test_held_out_patterns_are_never_trained_on() -> None:
@@ -49,14 +50,14 @@ def test_held_out_patterns_are_never_trained_on() -> None:
 
 def test_the_truth_has_no_loss_but_doubt() -> None:
     sample = draw_sample(3, 96, 64)
-    truth = true_outputs(sample.truth, sample.uniform)
+    truth = sample.departures.stacked()
     certain = torch.full((ERRORS, *truth.shape[-2:]), float(np.log(0.01)))
     true = wanted([sample], np.random.default_rng(0))
     parts = loss_parts(torch.cat([truth, certain])[None], true)
     for name, part in parts.items():
         assert float(part) < 2e-3, name
     wrong = truth.clone()
-    wrong[5] *= 0.3
+    wrong[HEIGHT] *= 0.3
     shrunk = loss_parts(torch.cat([wrong, certain])[None], true)
     assert float(shrunk["energy"]) > 0.1
     assert float(shrunk["slope"]) > 0.1
@@ -120,7 +121,8 @@ def test_a_few_steps_on_one_picture_lower_its_loss() -> None:
     torch.manual_seed(0)
     network = Inverse(TINY)
     sample = draw_sample(1, 64, 64)
-    inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)[None]
+    inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
+    inputs = inputs.stacked()[None]
     true = wanted([sample], np.random.default_rng(0))
     optimiser = torch.optim.SGD(network.parameters(), lr=0.02)
     losses = []

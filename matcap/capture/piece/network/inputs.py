@@ -1,4 +1,4 @@
-"""What the inverse network is told of a photograph, and how its answer is read as maps.
+"""What the inverse network is told of a photograph.
 
 The photograph enters as the logarithm of its radiance over that of a uniform material in the same
 setup (the coarse fit), beside the setup itself, told as what it *shows*: how log radiance changes
@@ -14,19 +14,21 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet
+from matcap.capture.piece.network.network import NetworkInputs
 from matcap.flash.geometry import camera_in_plane
-from matcap.flash.uniform import Uniform, roughness_logit, uniform_radiance
+from matcap.flash.light import FlashLight
+from matcap.flash.uniform import Uniform, uniform_radiance
 
 _FARTHEST = 3.0  # log radiance beyond this from the uniform material's tells no more
 _STEP = 0.03  # of slope and of logit roughness, for differences of radiance
 _COARSER = 4  # what a uniform material shows is smooth: worked out on every fourth texel
 _DAMPING = 0.1  # slope told per log radiance: bounded where relief does not show
-_LOGITS = 7.0  # of roughness: 0.001 to 0.999
 
 
-def network_inputs(linear: Tensor, valid: Tensor, uniform: Uniform, points: Tensor) -> Tensor:
-    """(len(INPUTS), H, W) of a picture on the plane's grid.
+def network_inputs(
+    linear: Tensor, valid: Tensor, uniform: Uniform, points: Tensor
+) -> NetworkInputs:
+    """What the network is told of a picture on the plane's grid.
 
     Args:
         linear: (3, H, W) scene-linear radiance.
@@ -38,94 +40,57 @@ def network_inputs(linear: Tensor, valid: Tensor, uniform: Uniform, points: Tens
     size = tuple(max(2, -(-side // _COARSER)) for side in (height, width))
     # From the first texel to the last one, whose points lie on a grid.
     thin = _resized(points, size)
-    flat, diffuse = uniform_radiance(uniform, thin)
-    shows_x, shows_y, shows_roughness = _shown(uniform, thin, flat)
-    gloss = 1.0 - diffuse.mean(0, keepdim=True) / flat.mean(0, keepdim=True)
-    _, light = (v.to(points)[:, None, None] for v in camera_in_plane(uniform.setup))
-    tangent = (light - thin)[:2] / (light - thin)[2:]
-    smooth = torch.cat([flat.log(), tangent, shows_x, shows_y, shows_roughness, gloss])
-    smooth = _resized(smooth, (height, width))
-    log = linear.clamp_min(1e-6).log() - smooth[:3]
-    log = log.clamp(-_FARTHEST, _FARTHEST)
-    told = smooth[5:7]
+    light = FlashLight.of(uniform.setup, thin)
+    flat, diffuse = uniform_radiance(uniform, light)
+    _, flash = (v.to(points)[:, None, None] for v in camera_in_plane(uniform.setup))
+    smooth = {
+        "flat": flat.log(),
+        "tangent": (flash - thin)[:2] / (flash - thin)[2:],
+        "slope": _shown_of_slope(uniform, light),
+        "roughness": _shown_of_roughness(uniform, light, flat),
+        "gloss": 1.0 - diffuse.mean(0, keepdim=True) / flat.mean(0, keepdim=True),
+    }
+    channels = [len(plane) for plane in smooth.values()]
+    planes = _resized(torch.cat(list(smooth.values())), (height, width)).split(channels)
+    everywhere = dict(zip(smooth, planes, strict=True))
+    log = (linear.clamp_min(1e-6).log() - everywhere["flat"]).clamp(-_FARTHEST, _FARTHEST)
+    shows = everywhere["slope"]
     # To first order: the slope along what shows that this departure in brightness would mean.
-    relief = log.mean(0, keepdim=True) * told / (told.square().sum(0, keepdim=True) + _DAMPING**2)
+    relief = log.mean(0, keepdim=True) * shows / (shows.square().sum(0, keepdim=True) + _DAMPING**2)
     constants = torch.tensor(
         [
-            roughness_logit(uniform.roughness) / 2.0,
+            float(uniform.parameters().roughness) / 2.0,
             (math.log(uniform.specular) + 3.0) / 2.0,
             (math.log(sum(uniform.diffuse) / 3.0) + 1.5) / 2.0,
         ]
     ).to(points)
-    return torch.cat(
-        [
-            log,
-            valid[None].to(log),
-            smooth[3:5],
-            told.clamp(-4.0, 4.0),
-            smooth[7:8].clamp(-2.0, 2.0),
-            smooth[8:9],
-            constants[:, None, None].expand(3, height, width),
-            relief.clamp(-3.0, 3.0) * 0.5,
-        ]
+    return NetworkInputs(
+        log=log,
+        valid=valid[None].to(log),
+        tangent=everywhere["tangent"],
+        shows_slope=shows.clamp(-4.0, 4.0),
+        shows_roughness=everywhere["roughness"].clamp(-2.0, 2.0),
+        gloss=everywhere["gloss"],
+        uniform=constants[:, None, None].expand(3, height, width),
+        relief=relief.clamp(-3.0, 3.0) * 0.5,
     )
 
 
-def read_outputs(outputs: Tensor, uniform: Uniform, texel_size: float) -> MapSet:
-    """Maps (..., C, H, W) of the network's outputs (..., >= OUTPUTS, H, W)."""
-    albedo = torch.tensor(uniform.diffuse).to(outputs).log()[:, None, None]
-    return MapSet(
-        diffuse=(albedo + outputs[..., :3, :, :]).exp().clamp(0.001, 0.99),
-        specular=(math.log(uniform.specular) + outputs[..., 3:4, :, :]).exp().clamp(0.005, 0.99),
-        roughness=torch.sigmoid(
-            (roughness_logit(uniform.roughness) + outputs[..., 4:5, :, :]).clamp(-_LOGITS, _LOGITS)
-        ),
-        height=outputs[..., 5:6, :, :] * texel_size,
-        texel_size=texel_size,
-    )
+def _shown_of_slope(uniform: Uniform, light: FlashLight) -> Tensor:
+    """(2, h, w) what log radiance changes by with slope along x and y."""
+    # All at once: small tensors cost by the call.
+    moves = torch.tensor([[_STEP, 0.0], [-_STEP, 0.0], [0.0, _STEP], [0.0, -_STEP]])
+    flat = torch.zeros_like(light.to_light[:1])
+    across, up = (move.to(flat)[:, None, None, None] + flat for move in moves.T)
+    moved = uniform_radiance(uniform, light, (across, up))[0]
+    right, left, above, below = moved.mean(1, keepdim=True).log()
+    return torch.cat([right - left, above - below]) / (2.0 * _STEP)
 
 
-def departures(uniform: Uniform) -> Tensor:
-    """(5,) what outputs depart from: logarithms of albedo and F0, logit of roughness."""
-    albedo = [math.log(value) for value in uniform.diffuse]
-    return torch.tensor([*albedo, math.log(uniform.specular), roughness_logit(uniform.roughness)])
-
-
-def true_outputs(maps: MapSet, uniform: Uniform) -> Tensor:
-    """The inverse of read_outputs: (..., OUTPUTS, H, W) departures of true maps."""
-    albedo = torch.tensor(uniform.diffuse).to(maps.diffuse).log()[:, None, None]
-    return torch.cat(
-        [
-            maps.diffuse.clamp(0.001, 0.99).log() - albedo,
-            maps.specular.clamp(0.005, 0.99).log() - math.log(uniform.specular),
-            maps.roughness.clamp(0.001, 0.999).logit() - roughness_logit(uniform.roughness),
-            maps.height / maps.texel_size,
-        ],
-        dim=-3,
-    )
-
-
-def _shown(uniform: Uniform, points: Tensor, flat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """What log radiance changes by with slope along x and y and with logit roughness, (1, h, w).
-
-    Args:
-        uniform: the coarse fit.
-        points: (3, h, w).
-        flat: (3, h, w) its radiance there.
-    """
-    # One picture above the other: small tensors cost by the call.
-    moves = ((_STEP, 0.0), (-_STEP, 0.0), (0.0, _STEP), (0.0, -_STEP))
-    height = points.shape[-2]
-    x, y = (
-        torch.tensor(v).to(points).repeat_interleave(height)[:, None]
-        for v in zip(*moves, strict=True)
-    )
-    moved = uniform_radiance(uniform, points.repeat(1, len(moves), 1), (x, y))[0]
-    right, left, up, down = moved.mean(0, keepdim=True).log().split(height, dim=-2)
-    duller = uniform_radiance(uniform, points, duller=_STEP)[0].mean(0, keepdim=True).log()
-    middle = flat.mean(0, keepdim=True).log()
-    step = 2.0 * _STEP
-    return (right - left) / step, (up - down) / step, (duller - middle) / _STEP
+def _shown_of_roughness(uniform: Uniform, light: FlashLight, flat: Tensor) -> Tensor:
+    """(1, h, w) likewise with logit roughness, beyond the flat plane's radiance (3, h, w)."""
+    duller = uniform_radiance(uniform, light, duller=_STEP)[0]
+    return (duller.mean(0, keepdim=True).log() - flat.mean(0, keepdim=True).log()) / _STEP
 
 
 def _resized(picture: Tensor, size: tuple[int, ...]) -> Tensor:

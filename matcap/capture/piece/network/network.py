@@ -9,24 +9,23 @@ the features of the way up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-# Channels of the input, in this order (inputs.py).
-INPUTS = (
-    "red", "green", "blue", "valid", "light x", "light y", "shows x", "shows y",
-    "shows roughness", "gloss", "roughness", "f0", "albedo", "relief x", "relief y",
-)  # fmt: skip
-COLOUR, SHOWN = slice(0, 3), slice(6, 8)  # log radiance; what it changes by with slope
-GLOSS = 9  # share of the uniform material's radiance that is mirrored
-_VALID, _GLOSS = slice(3, 4), slice(GLOSS, GLOSS + 1)
-# Channels of the output: departures of log albedo, log F0 and logit roughness, height in texels,
-# and the logarithm of the error to be expected of each (albedo, F0, roughness, slope).
-OUTPUTS = 6
-ERRORS = 4
+from matcap.brdf.maps import CHANNELS
+from matcap.brdf.parameters import SurfaceParameters
+
+# Channels of the input by name, in this order.
+_TOLD = {
+    "log": 3, "valid": 1, "tangent": 2, "shows_slope": 2, "shows_roughness": 1, "gloss": 1,
+    "uniform": 3, "relief": 2,
+}  # fmt: skip
+_DOUBTED = {"albedo": 1, "specular": 1, "roughness": 1, "slope": 1}
+INPUTS, ERRORS = sum(_TOLD.values()), len(_DOUBTED)
+OUTPUTS = sum(CHANNELS.values())
 _WEIGHTINGS = 3  # of the context's means: even, by what shows of relief, by gloss
 _SLOPE = 0.2  # of LeakyReLU
 _GROUPS = 4  # of channels that are normalised together
@@ -50,6 +49,87 @@ class InverseConfig:
         return 2 ** len(self.widths)
 
 
+@dataclass(frozen=True)
+class NetworkInputs:
+    """What the network is told, (..., C, H, W) each (inputs.py).
+
+    Attributes:
+        log: log radiance over the uniform material's, 3 channels.
+        valid: 1 where it was seen and not clipped.
+        tangent: x and y of the way to the light over z.
+        shows_slope: what log radiance changes by with slope along x and y.
+        shows_roughness: likewise with the logit of roughness.
+        gloss: share of the uniform material's radiance that is mirrored.
+        uniform: logit of its roughness, log F0, log albedo, scaled; the same everywhere.
+        relief: slope along x and y that log radiance would mean.
+    """
+
+    log: Tensor
+    valid: Tensor
+    tangent: Tensor
+    shows_slope: Tensor
+    shows_roughness: Tensor
+    gloss: Tensor
+    uniform: Tensor
+    relief: Tensor
+
+    def stacked(self) -> Tensor:
+        """(..., INPUTS, H, W)."""
+        return torch.cat([getattr(self, name) for name in _TOLD], dim=-3)
+
+    @staticmethod
+    def from_stacked(stacked: Tensor) -> NetworkInputs:
+        """The inverse of stacked()."""
+        return NetworkInputs(*stacked.split(list(_TOLD.values()), dim=-3))
+
+
+@dataclass(frozen=True)
+class ExpectedErrors:
+    """Logarithms of what an answer is expected to be off by, (..., 1, H, W) each.
+
+    Attributes:
+        albedo: of log albedo.
+        specular: of log F0.
+        roughness: of its logit.
+        slope: of slopes.
+    """
+
+    albedo: Tensor
+    specular: Tensor
+    roughness: Tensor
+    slope: Tensor
+
+    def stacked(self) -> Tensor:
+        """(..., ERRORS, H, W)."""
+        return torch.cat([getattr(self, name) for name in _DOUBTED], dim=-3)
+
+    @staticmethod
+    def from_stacked(stacked: Tensor) -> ExpectedErrors:
+        """The inverse of stacked()."""
+        return ExpectedErrors(*stacked.split(list(_DOUBTED.values()), dim=-3))
+
+
+@dataclass(frozen=True)
+class NetworkAnswer:
+    """What the network answers.
+
+    Attributes:
+        departures: of the maps from the uniform material.
+        errors: to be expected of them.
+    """
+
+    departures: SurfaceParameters
+    errors: ExpectedErrors
+
+    @staticmethod
+    def from_stacked(stacked: Tensor) -> NetworkAnswer:
+        """Of the network's output (..., OUTPUTS + ERRORS, H, W)."""
+        departures, errors = stacked.split([OUTPUTS, ERRORS], dim=-3)
+        return NetworkAnswer(
+            SurfaceParameters.from_stacked(departures), ExpectedErrors.from_stacked(errors)
+        )
+
+
 class Inverse(nn.Module):
     """The network; see the module."""
 
@@ -57,7 +137,7 @@ class Inverse(nn.Module):
         super().__init__()
         self.config = config
         widths = config.widths
-        self.stem = nn.Conv2d(4 * len(INPUTS), widths[0], 3, padding=1)
+        self.stem = nn.Conv2d(4 * INPUTS, widths[0], 3, padding=1)
         before = (widths[0], *widths[:-1])
         self.down = nn.ModuleList(
             _ResidualBlock(last, width) for last, width in zip(before, widths, strict=True)
@@ -77,7 +157,7 @@ class Inverse(nn.Module):
         self.heights = nn.ModuleList(nn.Conv2d(width, 1, 3, padding=1) for width in widths[:-1])
         fine = 16
         self.head = nn.Conv2d(widths[0], 4 * fine, 3, padding=1)
-        self.fine = nn.Conv2d(fine + len(INPUTS), fine, 3, padding=1)
+        self.fine = nn.Conv2d(fine + INPUTS, fine, 3, padding=1)
         self.out = nn.Conv2d(fine, OUTPUTS + ERRORS, 3, padding=1)
         with torch.no_grad():
             for layer in (self.out, *self.heights, *self.told):
@@ -89,12 +169,13 @@ class Inverse(nn.Module):
         """Read pictures.
 
         Args:
-            inputs: (B, len(INPUTS), H, W), sides multiples of config.multiple.
+            inputs: (B, INPUTS, H, W), sides multiples of config.multiple.
 
         Returns:
-            (B, OUTPUTS + ERRORS, H, W); see the names above.
+            (B, OUTPUTS + ERRORS, H, W), as NetworkAnswer reads them.
         """
-        weights = _weightings(inputs)
+        told = NetworkInputs.from_stacked(inputs)
+        weights = _weightings(told)
         x = self.stem(F.pixel_unshuffle(inputs, 2))
         levels, context = [], 0.0
         for index, (block, pooled) in enumerate(zip(self.down, self.pooled, strict=True)):
@@ -120,11 +201,12 @@ class Inverse(nn.Module):
         assert height is not None
         fine = F.pixel_shuffle(self.head(x), 2)
         fine = F.leaky_relu(self.fine(torch.cat([fine, inputs], dim=1)), _SLOPE)
-        out = self.out(fine)
+        answer = NetworkAnswer.from_stacked(self.out(fine))
         coarse = F.interpolate(height, scale_factor=2.0, mode="bilinear", align_corners=False)
         # The photograph's own departure is the first guess of albedo's.
-        albedo = out[:, :3] + inputs[:, COLOUR]
-        return torch.cat([albedo, out[:, 3:5], out[:, 5:6] + coarse, out[:, 6:]], dim=1)
+        first = answer.departures
+        departures = replace(first, diffuse=first.diffuse + told.log, height=first.height + coarse)
+        return torch.cat([departures.stacked(), answer.errors.stacked()], dim=1)
 
 
 class _ResidualBlock(nn.Module):
@@ -146,11 +228,11 @@ class _ResidualBlock(nn.Module):
         return self.shortcut(x) + y
 
 
-def _weightings(inputs: Tensor) -> Tensor:
+def _weightings(told: NetworkInputs) -> Tensor:
     """(B, _WEIGHTINGS, H, W): even, by what shows of relief, by gloss; of valid texels."""
-    valid = inputs[:, _VALID] + 1e-3
-    relief = inputs[:, SHOWN].square().sum(1, keepdim=True)
-    return torch.cat([valid, valid * relief, valid * inputs[:, _GLOSS]], dim=1)
+    valid = told.valid + 1e-3
+    relief = told.shows_slope.square().sum(1, keepdim=True)
+    return torch.cat([valid, valid * relief, valid * told.gloss], dim=1)
 
 
 def _means(features: Tensor, weights: Tensor) -> Tensor:

@@ -1,0 +1,161 @@
+"""The one light of flash photographs, against its formula written out and in float64."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.flash.coarse import CoarseFit, render_coarse
+from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points, unproject
+from matcap.flash.light import FlashLight, log_vignette
+from matcap.flash.render import render_flash
+from matcap.flash.uniform import Uniform, uniform_radiance
+
+SETUP = FlashSetup(
+    fov=65.0, offset=(0.08, 0.04, 0.0), tilt=(0.05, -0.03), intensity=(6.0, 5.0, 4.0),
+    vignetting=0.3, vignetting_quartic=0.2,
+)  # fmt: skip
+WIDTH, HEIGHT = 24, 18
+ALL = slice(None)
+
+
+def _points(dtype: torch.dtype = torch.float64) -> torch.Tensor:
+    return plane_points(0, 0, WIDTH, HEIGHT, (WIDTH, HEIGHT), dtype=dtype)
+
+
+def _maps(dtype: torch.dtype = torch.float64, smoothest: float = 0.06) -> MapSet:
+    generator = torch.Generator().manual_seed(3)
+    draw = lambda n: torch.rand(n, HEIGHT, WIDTH, generator=generator, dtype=torch.float64)  # noqa: E731
+    return MapSet(
+        0.05 + 0.8 * draw(3), 0.02 + 0.5 * draw(1), smoothest + 0.9 * draw(1),
+        0.01 * draw(1), 2.0 / WIDTH,
+    ).map(lambda m: m.to(dtype))  # fmt: skip
+
+
+def _written_out(maps: MapSet, setup: FlashSetup, row: int, column: int) -> list[float]:
+    """Radiance of one texel by the formulas as they are printed, in Python's numbers."""
+    point = _points()[:, row, column].tolist()
+    camera, flash = (place.tolist() for place in camera_in_plane(setup))
+    normal = maps.normal[:, row, column].tolist()
+
+    def towards(place: list[float]) -> tuple[list[float], float]:
+        way = [a - b for a, b in zip(place, point, strict=True)]
+        length = math.sqrt(sum(w * w for w in way))
+        return [w / length for w in way], length
+
+    def dot(a: list[float], b: list[float]) -> float:
+        return sum(x * y for x, y in zip(a, b, strict=True))
+
+    (light, distance), (view, _) = towards(flash), towards(camera)
+    half = [a + b for a, b in zip(light, view, strict=True)]
+    half = [h / math.sqrt(dot(half, half)) for h in half]
+    n_l, n_v, n_h, l_h = dot(normal, light), dot(normal, view), dot(normal, half), dot(light, half)
+    alpha = float(maps.roughness[0, row, column]) ** 2
+    f0 = float(maps.specular[0, row, column])
+    ggx = alpha**2 / (math.pi * (n_h**2 * (alpha**2 - 1.0) + 1.0) ** 2)
+
+    def smith(cosine: float) -> float:
+        return (math.sqrt(1.0 + alpha**2 * (1.0 / cosine**2 - 1.0)) - 1.0) / 2.0
+
+    shadowing = 1.0 / (1.0 + smith(n_l) + smith(n_v))
+    fresnel = f0 + (1.0 - f0) * (1.0 - l_h) ** 5
+    lobe = ggx * shadowing * fresnel / (4.0 * n_l * n_v)
+    axis = [a / math.sqrt(dot(camera, camera)) for a in camera]
+    depth = math.sqrt(dot(camera, camera)) - dot(axis, point)
+    aside = dot(point, point) - dot(axis, point) ** 2
+    squared = aside * (setup.distance / depth) ** 2 / 1.25**2
+    lens = math.exp(-setup.vignetting * squared - setup.vignetting_quartic * squared**2)
+    return [
+        (float(maps.diffuse[channel, row, column]) / math.pi + lobe)
+        * setup.intensity[channel] * n_l / distance**2 * lens
+        for channel in range(3)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_radiance_is_the_formula_written_out(exact: bool) -> None:
+    maps = _maps()
+    incidence = FlashLight.of(SETUP, _points()).onto(maps.normal, exact=exact)
+    picture = incidence.radiance(maps.diffuse, maps.specular, maps.roughness)
+    for row, column in ((0, 0), (5, 20), (9, 12), (17, 3)):
+        expected = _written_out(maps, SETUP, row, column)
+        assert picture[:, row, column].tolist() == pytest.approx(expected, rel=1e-9)
+
+
+def test_single_precision_is_double_precision() -> None:
+    maps = _maps()
+    exact = render_flash(maps, SETUP, _points())
+    single = render_flash(_maps(torch.float32), SETUP, _points(torch.float32))
+    assert torch.allclose(single.double(), exact, rtol=2e-4)
+    light = FlashLight.of(SETUP, _points(torch.float32)).onto(_maps(torch.float32).normal)
+    quick = light.radiance(*(m.float() for m in (maps.diffuse, maps.specular, maps.roughness)))
+    assert torch.allclose(quick.double(), exact, rtol=1e-2)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_gradients_are_the_formulas(exact: bool) -> None:
+    maps = _maps(smoothest=0.2).crop(8, 6, 4, 3)
+    light = FlashLight.of(SETUP, _points()).cut(slice(6, 9), slice(8, 12))
+
+    def picture(diffuse, specular, roughness, height):
+        normal = MapSet(diffuse, specular, roughness, height, maps.texel_size).normal
+        return light.onto(normal, exact=exact).radiance(diffuse, specular, roughness)
+
+    given = [m.clone().requires_grad_() for m in maps.stacked().split([3, 1, 1, 1])]
+    assert torch.autograd.gradcheck(picture, given)
+
+
+def test_parts_add_up_and_places_and_batches_are_lit_alone() -> None:
+    maps, light = _maps(), FlashLight.of(SETUP, _points())
+    incidence = light.onto(maps.normal)
+    parts = incidence.diffuse(maps.diffuse), incidence.specular(maps.specular, maps.roughness)
+    picture = incidence.radiance(maps.diffuse, maps.specular, maps.roughness)
+    assert torch.equal(sum(parts), picture)
+    here = (slice(2, 7), slice(3, 9))
+    cut = light.cut(*here).onto(maps.normal[(ALL, *here)])
+    assert torch.equal(cut.diffuse(maps.diffuse[(ALL, *here)]), parts[0][(ALL, *here)])
+    stacked = [torch.stack([m, 0.9 * m]) for m in (maps.diffuse, maps.specular, maps.roughness)]
+    both = light.onto(maps.normal.expand(2, 3, HEIGHT, WIDTH)).radiance(*stacked)
+    assert torch.equal(both[0], picture)
+
+
+def test_a_surface_that_turns_away_is_dark_or_all_but() -> None:
+    away = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)[:, None, None]
+    light, maps = FlashLight.of(SETUP, _points()), _maps()
+    surface = maps.diffuse, maps.specular, maps.roughness
+    assert (
+        float(light.onto(away.expand(3, HEIGHT, WIDTH), exact=True).radiance(*surface).max()) == 0
+    )
+    assert 0 < float(light.onto(away.expand(3, HEIGHT, WIDTH)).diffuse(maps.diffuse).max()) < 1e-2
+
+
+def test_a_coarse_fit_and_a_uniform_material_look_as_their_flat_maps_do() -> None:
+    """Three ways to the same picture: maps, the uniform material, the fit in the camera's frame."""
+    grey = SETUP.with_intensity((6.0,) * 3)
+    fit = CoarseFit((0.3, 0.25, 0.2), 0.04, 0.37, grey, residual=0.0)
+    u = (torch.arange(WIDTH, dtype=torch.float64) + 0.5) / WIDTH * 2.0 - 1.0
+    v = (1.0 - (torch.arange(HEIGHT, dtype=torch.float64) + 0.5) / HEIGHT * 2.0) * HEIGHT / WIDTH
+    image = torch.stack([u.expand(HEIGHT, WIDTH), v[:, None].expand(HEIGHT, WIDTH)])
+    points = unproject(image, grey)
+    one = torch.ones(1, HEIGHT, WIDTH, dtype=torch.float64)
+    flat = MapSet(
+        torch.tensor(fit.diffuse).double()[:, None, None] * one, 0.04 * one, 0.37 * one, 0.0 * one,
+        2.0 / WIDTH,
+    )  # fmt: skip
+    picture = render_flash(flat, grey, points)
+    coarse = torch.from_numpy(render_coarse(fit, WIDTH, HEIGHT)).permute(2, 0, 1)
+    uniform, _ = uniform_radiance(Uniform(*_of(fit)), FlashLight.of(grey, points))
+    assert torch.allclose(coarse, picture, rtol=1e-6)
+    assert torch.allclose(uniform, picture, rtol=1e-6)
+
+
+def _of(fit: CoarseFit):
+    return fit.diffuse, fit.specular, fit.roughness, fit.setup
+
+
+def test_vignetting_in_logarithms() -> None:
+    corner = torch.tensor([[1.0], [0.75]])
+    assert float(log_vignette(corner, 0.4, 0.2)) == pytest.approx(-0.6)
