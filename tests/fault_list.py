@@ -157,20 +157,24 @@ _FIND = (exemplar("find"), "-k", "hole or holes or units")
 
 CAPTURE = (
     Fault(
-        "vignetting: its sign", "flash/render.py", "torch.exp(-setup", "torch.exp(setup", _RENDER
+        "vignetting: its sign",
+        "flash/light.py",
+        "return -squared * (",
+        "return squared * (",
+        _RENDER,
     ),
     Fault(
         "vignetting: linear in the radius",
-        "flash/render.py",
-        "image.square().sum(0).unsqueeze",
-        "image.square().sum(0).sqrt().unsqueeze",
+        "flash/light.py",
+        "squared = image.square().sum(0)",
+        "squared = image.square().sum(0).sqrt()",
         _RENDER,
     ),
     Fault(
         "flash: falls off with distance alone",
-        "flash/render.py",
-        "* intensity / squared_distance",
-        "* intensity / squared_distance.sqrt()",
+        "flash/light.py",
+        "intensity / squared_distance",
+        "intensity / squared_distance.sqrt()",
         _RENDER,
     ),
     Fault(
@@ -225,22 +229,22 @@ CAPTURE = (
     Fault(
         "coarse fit: a known tilt is not held",
         "flash/coarse.py",
-        "deviation[8:10] = 1e-4",
-        "deviation[8:10] = 1.0",
+        "tilt=_numbers(1e-4, 1e-4)",
+        "tilt=_numbers(1.0, 1.0)",
         ("tests/flash/test_coarse.py", "-k", "held"),
     ),
     Fault(
         "refine: clipped texels say nothing",
         "capture/piece/refine.py",
-        "observed - found\n    return torch.where(valid, residual, residual.clamp_min(0.0))",
-        "observed - found\n    return torch.where(valid, residual, 0.0 * residual)",
+        "observed - log\n    return torch.where(valid, residual, residual.clamp_min(0.0))",
+        "observed - log\n    return torch.where(valid, residual, 0.0 * residual)",
         (exemplar("refine"), "-k", "clipped"),
     ),
     Fault(
         "refine: clipped texels are as they look",
         "capture/piece/refine.py",
-        "observed - found\n    return torch.where(valid, residual, residual.clamp_min(0.0))",
-        "observed - found\n    return residual",
+        "observed - log\n    return torch.where(valid, residual, residual.clamp_min(0.0))",
+        "observed - log\n    return residual",
         (exemplar("refine"), "-k", "clipped"),
     ),
     Fault(
@@ -260,29 +264,29 @@ CAPTURE = (
     Fault(
         "flatten: means of what is not trusted",
         "capture/piece/refine.py",
-        "weight = confidence[max(0, channel - 2)].square() + 1e-3",
-        "weight = torch.ones_like(confidence[0])",
+        "confidence[name].square() + 1e-3",
+        "torch.ones_like(confidence[name])",
         (exemplar("refine"), "-k", "trusted"),
     ),
     Fault(
         "flatten: by another map's trust",
         "capture/piece/refine.py",
-        "confidence[max(0, channel - 2)]",
-        "confidence[0]",
+        "confidence[name]",
+        "confidence['diffuse']",
         (exemplar("refine"), "-k", "trusted"),
     ),
     Fault(
         "flatten: what follows the highlight stays",
         "capture/piece/refine.py",
-        "outputs[channel] -= torch.from_numpy(_following(",
-        "outputs[channel] -= 0.0 * torch.from_numpy(_following(",
+        "channel - torch.from_numpy(_following(",
+        "channel - 0.0 * torch.from_numpy(_following(",
         (exemplar("refine"), "-k", "stationary"),
     ),
     Fault(
         "flatten: what drifts stays",
         "capture/piece/refine.py",
-        "+= mean - torch.from_numpy(slow)",
-        "+= 0.0 * mean",
+        "channel + (mean - torch.from_numpy(slow))",
+        "channel + 0.0 * mean",
         (exemplar("refine"), "-k", "stationary or trusted"),
     ),
     Fault(
@@ -302,15 +306,15 @@ CAPTURE = (
     Fault(
         "equalise: however little it is trusted",
         "capture/piece/believed.py",
-        "/ (doubt[:, None] + _LEAST)",
-        "/ _LEAST",
+        "doubt[:, None] + STRENGTH.least_energy",
+        "STRENGTH.least_energy",
         (exemplar("equalise"), "-k", "trusted"),
     ),
     Fault(
         "equalise: weaker for stronger",
         "capture/piece/equalise.py",
-        "np.sqrt(wanted / found)",
-        "np.sqrt(found / wanted)",
+        "np.sqrt(wanted / drawn)",
+        "np.sqrt(drawn / wanted)",
         (exemplar("equalise"), "-k", "trusted"),
     ),
     Fault(
@@ -330,8 +334,8 @@ CAPTURE = (
     Fault(
         "adapt: albedo's levels stand still",
         "capture/piece/adapt.py",
-        "self._means + offsets + gains * apart",
-        "self._means + gains * apart",
+        "self._means + offsets[:, None, None] + gain",
+        "self._means + gain",
         (exemplar("adapt"), "-k", "come_back"),
     ),
     Fault(
@@ -344,8 +348,8 @@ CAPTURE = (
     Fault(
         "confidence: one map's units for another's",
         "capture/piece/find.py",
-        "np.array(_DOUBTED, np.float32)",
-        "np.array(_DOUBTED[::-1], np.float32)",
+        "np.array(units, np.float32)",
+        "np.array(units[::-1], np.float32)",
         _FIND,
     ),
     Fault(
@@ -379,8 +383,8 @@ CAPTURE = (
     Fault(
         "contrast: fainter for stronger",
         "capture/piece/contrast.py",
-        "(wanted / np.maximum(here, _LEAST))",
-        "(np.maximum(here, _LEAST) / wanted)",
+        "wanted / np.maximum(here, ADAPT.contrast_faintest)",
+        "np.maximum(here, ADAPT.contrast_faintest) / wanted",
         (exemplar("contrast"),),
     ),
     Fault(

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -24,30 +24,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.brdf.parameters import REFLECTANCE
 from matcap.capture.piece.smooth import split
 from matcap.capture.piece.ties import ties
+from matcap.capture.piece.tuned import ADAPT
 from matcap.flash.adam import Adam
 from matcap.flash.likeness import PhotographTarget, compare_windows, render_windows, shuffled
-from matcap.flash.penalty import Penalties, price
+from matcap.flash.penalty import price
 from matcap.flash.schedule import Schedule
-
-_RATE = 0.06  # of Adam, in logits and in logarithms of gains
-_BETAS = (0.8, 0.95)  # of Adam: short memories, for there are few steps
-_PLACES = 3  # windows a step, of exemplar and of photograph
-_HELD = 0.5  # share of the steps after which the rate falls to nothing, and numbers are averaged
-# How far the numbers are believed to be off: offsets in logits of albedo, F0 and roughness;
-# logarithms of gains of the same, of all relief, and of its bands beside.
-_OFFSETS = (0.3, 0.3, 0.3, 0.5, 0.5)
-_GAINS = (0.3, 0.7, 0.7)
-_RELIEF, _BANDS = 0.5, 0.3
-_LEAST_DOUBT = 0.03  # of the logarithm of relief's strength, however well it is told
-_HELD_BACK, _FEWEST_HELD = 12, 3  # windows that what is found is judged on
-_JUDGING_SEED = 1
-_BELIEF = 0.005  # of the distance of statistics, for a number that is off by its deviation
-_LOGIT_EPSILON = 1e-4  # of albedo, F0 and roughness: bounds the logit at 0 and 1
-_SEEN = 0.95  # share of a window that must have been seen; of the best windows, if none has
-# Specks are what was photographed, here.
-_PENALTIES = Penalties(outlier=0.0)
 
 
 @dataclass(frozen=True)
@@ -115,51 +99,84 @@ def adapt(
     """
     if not steps:
         return Adapted(maps)
-    schedule = Schedule(steps, seconds, None)
-    scaled = _Scaled(maps, reach, doubt)
-    size = scene.windows.size
-    places_seen = corners(seen, size)
+    scaled = _ScaledMaps(maps, reach, doubt)
+    seen_corners = corners(seen, scene.windows.size)
     fitted, held = _parted(scene.windows.count, seed)
-    order = shuffled(len(fitted), seed)
-    draw = np.random.default_rng(seed)
-    adam = Adam([scaled.numbers], _BETAS)
-    total, taken = torch.zeros_like(scaled.numbers), 0
-    interrupted = False
-    try:
-        while not schedule.over(math.inf):
-            places = fitted[[next(order) for _ in range(_PLACES)]]
-            step = schedule.step
-            cuts = _cut(scaled, places_seen, draw, _PLACES, size)
-            windows = MapSet.from_stacked(torch.stack([c.stacked() for c in cuts]), maps.texel_size)
-            loss = _distance(cuts, scene, places, step)
-            loss = loss + price(windows, scene.expected, _PENALTIES, schedule.share)
-            (scaled.numbers.grad,) = torch.autograd.grad(loss + scaled.price(), [scaled.numbers])
-            if torch.isfinite(scaled.numbers.grad).all():
-                adam.step(reach * _RATE * min(1.0, (1.0 - schedule.share) / _HELD))
-            if schedule.share >= _HELD:
-                total, taken = total + scaled.numbers.detach(), taken + 1
-            schedule.step += 1
-            if tell is not None:
-                tell(min(1.0, schedule.step / steps))
-    except KeyboardInterrupt:
-        interrupted = True
+    fit = _Fit(scaled, scene, seen_corners, fitted, reach)
+    interrupted = fit.run(steps, seconds, seed, tell)
     with torch.no_grad():
-        if taken:
-            scaled.numbers.copy_(total / taken)
-        change = _judged(scaled, scene, held, places_seen)
-        whole = scaled(slice(None), slice(None)) if change.kept else maps
-        return Adapted(whole, interrupted, change)
+        change = _judged(scaled, scene, held, seen_corners)
+        return Adapted(scaled.maps() if change.kept else maps, interrupted, change)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Adam on the numbers that maps are scaled by.
+
+    Attributes:
+        scaled: maps and numbers; changed in place.
+        scene: the photograph.
+        corners: where windows of the maps begin.
+        fitted: windows of the photograph that are looked at.
+        reach: of the leg.
+    """
+
+    scaled: _ScaledMaps
+    scene: PhotographTarget
+    corners: NDArray[np.int64]
+    fitted: Tensor
+    reach: float
+
+    def run(
+        self,
+        steps: int,
+        seconds: float | None,
+        seed: int,
+        tell: Callable[[float], None] | None,
+    ) -> bool:
+        """Fit; whether Ctrl-C ended it. The numbers are the mean of those at the end."""
+        numbers, schedule = self.scaled.numbers, Schedule(steps, seconds, None)
+        order, draw = shuffled(len(self.fitted), seed), np.random.default_rng(seed)
+        adam = Adam([numbers], ADAPT.betas)
+        total, averaged = torch.zeros_like(numbers), 0
+        interrupted = False
+        try:
+            while not schedule.over(math.inf):
+                places = self.fitted[[next(order) for _ in range(ADAPT.windows)]]
+                (numbers.grad,) = torch.autograd.grad(self._loss(places, draw, schedule), [numbers])
+                if torch.isfinite(numbers.grad).all():
+                    falling = min(1.0, (1.0 - schedule.share) / ADAPT.held)
+                    adam.step(self.reach * ADAPT.rate * falling)
+                if schedule.share >= ADAPT.held:
+                    total, averaged = total + numbers.detach(), averaged + 1
+                schedule.step += 1
+                if tell is not None:
+                    tell(min(1.0, schedule.step / steps))
+        except KeyboardInterrupt:
+            interrupted = True
+        if averaged:
+            with torch.no_grad():
+                numbers.copy_(total / averaged)
+        return interrupted
+
+    def _loss(self, places: Tensor, draw: np.random.Generator, schedule: Schedule) -> Tensor:
+        cuts = _cut(self.scaled, self.corners, draw, len(places), self.scene.windows.size)
+        stacked = torch.stack([cut.stacked() for cut in cuts])
+        windows = MapSet.from_stacked(stacked, cuts[0].texel_size)
+        distance = _distance(cuts, self.scene, places, schedule.step)
+        paid = price(windows, self.scene.expected, ADAPT.penalties, schedule.share)
+        return distance + paid + self.scaled.price()
 
 
 def _parted(count: int, seed: int) -> tuple[Tensor, Tensor]:
     """Numbers of windows that are fitted to, and of those held back; the same ones if few."""
     mixed = torch.randperm(count, generator=torch.Generator().manual_seed(seed))
-    held = min(_HELD_BACK, count // 3)
-    return (mixed[held:], mixed[:held]) if held >= _FEWEST_HELD else (mixed, mixed)
+    held = min(ADAPT.held_back, count // 3)
+    return (mixed[held:], mixed[:held]) if held >= ADAPT.fewest_held else (mixed, mixed)
 
 
 def _cut(
-    scaled: _Scaled,
+    scaled: _ScaledMaps,
     corners_seen: NDArray[np.int64],
     draw: np.random.Generator,
     count: int,
@@ -167,7 +184,7 @@ def _cut(
 ) -> list[MapSet]:
     """Windows of the maps, anywhere they were seen."""
     return [
-        scaled(slice(y, y + size), slice(x, x + size))
+        scaled.maps(slice(y, y + size), slice(x, x + size))
         for y, x in corners_seen[draw.integers(len(corners_seen), size=count)]
     ]
 
@@ -182,15 +199,15 @@ def _distance(cuts: list[MapSet], scene: PhotographTarget, places: Tensor, step:
 
 
 def _judged(
-    scaled: _Scaled, scene: PhotographTarget, held: Tensor, corners_seen: NDArray[np.int64]
+    scaled: _ScaledMaps, scene: PhotographTarget, held: Tensor, corners_seen: NDArray[np.int64]
 ) -> Change:
     """What numbers change on windows that they were not fitted to."""
     found = scaled.numbers.clone()
 
     def distance() -> float:
-        draw = np.random.default_rng(_JUDGING_SEED)  # the same places, whatever the numbers
+        draw = np.random.default_rng(ADAPT.judging_seed)  # the same places, whatever the numbers
         parts = []
-        for places in held.split(_PLACES):
+        for places in held.split(ADAPT.windows):
             cuts = _cut(scaled, corners_seen, draw, len(places), scene.windows.size)
             parts.append(float(_distance(cuts, scene, places, 0)) * len(places))
         return sum(parts) / len(held)
@@ -199,57 +216,114 @@ def _judged(
     scaled.numbers.zero_()
     before = distance()
     scaled.numbers.copy_(found)
-    numbers = found.tolist()
+    scaling = scaled.scaling(found)
     return Change(
         before=before,
         after=after,
         kept=after < before,
-        relief=math.exp(numbers[len(_OFFSETS) + len(_GAINS)]),
-        albedo=sum(numbers[:3]) / 3.0,
-        specular=numbers[3],
-        roughness=numbers[4],
+        relief=math.exp(float(scaling.relief)),
+        albedo=sum(scaling.offset_diffuse.tolist()) / 3.0,
+        specular=float(scaling.offset_specular),
+        roughness=float(scaling.offset_roughness),
     )
 
 
-class _Scaled:
+@dataclass(frozen=True)
+class Scaling:
+    """What maps are scaled by, (N,) each; zeros leave them as they are.
+
+    Attributes:
+        offset_diffuse, offset_specular, offset_roughness: added to logits, by channel.
+        gain_diffuse, gain_specular, gain_roughness: logarithms of factors on how far logits are
+            from their mean; one of all of albedo's channels.
+        relief: logarithm of the factor on heights.
+        bands: likewise on each band beside.
+        tie_specular, tie_roughness: added to logits, for a deviation of every feature (ties.py).
+    """
+
+    offset_diffuse: Tensor
+    offset_specular: Tensor
+    offset_roughness: Tensor
+    gain_diffuse: Tensor
+    gain_specular: Tensor
+    gain_roughness: Tensor
+    relief: Tensor
+    bands: Tensor
+    tie_specular: Tensor
+    tie_roughness: Tensor
+
+    def vector(self) -> Tensor:
+        """All of them, one after the other."""
+        return torch.cat([getattr(self, f.name) for f in fields(self)])
+
+    @staticmethod
+    def of(vector: Tensor, bands: int, features: int) -> Scaling:
+        """The inverse of vector() for so many bands and features."""
+        return Scaling(*vector.split([3, 1, 1, 1, 1, 1, 1, bands, features, features]))
+
+
+class _ScaledMaps:
     """Maps as a function of the numbers they are scaled by."""
 
     def __init__(self, maps: MapSet, reach: float, doubt: Sequence[float] = ()) -> None:
-        stacked = torch.cat([maps.diffuse, maps.specular, maps.roughness])
         self._maps = maps
-        self._logits = torch.logit(stacked, eps=_LOGIT_EPSILON)
+        reflectance = torch.cat([maps.diffuse, maps.specular, maps.roughness])
+        self._logits = torch.logit(reflectance, eps=ADAPT.logit_epsilon)
         self._means = self._logits.mean((1, 2), keepdim=True)
         self._bands = torch.from_numpy(np.stack(split(maps.height[0].numpy())))
-        tied = ties(maps.diffuse, self._bands)
-        self._features = tied.features
-        bands = [_BANDS] * len(self._bands)
-        bands[: len(doubt)] = [min(_BANDS, max(one, _LEAST_DOUBT)) for one in doubt]
-        relief = min(_RELIEF, max(min(doubt), _LEAST_DOUBT)) if doubt else _RELIEF
-        deviations = (*_OFFSETS, *_GAINS, relief, *bands, *tied.deviations())
-        self._deviations = reach * torch.tensor(deviations)
-        self.numbers = torch.zeros(len(deviations), requires_grad=True)
+        self._ties = ties(maps.diffuse, self._bands)
+        self._deviations = reach * self._believed(doubt).vector()
+        self.numbers = torch.zeros(len(self._deviations), requires_grad=True)
 
-    def __call__(self, rows: slice, columns: slice) -> MapSet:
-        """Maps of a rectangle."""
-        count = len(self._features)
-        offsets, gains, relief, bands, *gloss = self.numbers[:, None, None].split(
-            [len(_OFFSETS), len(_GAINS), 1, len(self._bands), count, count]
+    def _believed(self, doubt: Sequence[float]) -> Scaling:
+        """How far each number is believed to be off; relief's doubt is told band by band."""
+        bands = torch.full((len(self._bands),), ADAPT.band)
+        for index, each in enumerate(doubt):
+            bands[index] = min(ADAPT.band, max(each, ADAPT.least_doubt))
+        relief = max(min(doubt), ADAPT.least_doubt) if doubt else ADAPT.relief
+        tie_specular, tie_roughness = self._ties.deviations()
+        return Scaling(
+            offset_diffuse=torch.full((3,), ADAPT.offset_albedo),
+            offset_specular=torch.tensor([ADAPT.offset_specular]),
+            offset_roughness=torch.tensor([ADAPT.offset_roughness]),
+            gain_diffuse=torch.tensor([ADAPT.gain_albedo]),
+            gain_specular=torch.tensor([ADAPT.gain_specular]),
+            gain_roughness=torch.tensor([ADAPT.gain_roughness]),
+            relief=torch.tensor([min(ADAPT.relief, relief)]),
+            bands=bands,
+            tie_specular=torch.tensor(tie_specular),
+            tie_roughness=torch.tensor(tie_roughness),
         )
-        albedo = len(_OFFSETS) - len(_GAINS) + 1
-        gains = torch.cat([gains[:1].expand(albedo, 1, 1), gains[1:]]).exp()
+
+    def scaling(self, numbers: Tensor) -> Scaling:
+        """Numbers by name."""
+        return Scaling.of(numbers, len(self._bands), len(self._ties.features))
+
+    def maps(self, rows: slice = slice(None), columns: slice = slice(None)) -> MapSet:
+        """Maps of a rectangle."""
+        by = self.scaling(self.numbers)
+        features = self._ties.features[:, rows, columns]
+        # All channels at once, which is quicker.
+        offsets = torch.cat([by.offset_diffuse, by.offset_specular, by.offset_roughness])
+        gains = torch.cat([by.gain_diffuse.expand(3), by.gain_specular, by.gain_roughness]).exp()
         apart = self._logits[:, rows, columns] - self._means
-        tied = [(tie * self._features[:, rows, columns]).sum(0, keepdim=True) for tie in gloss]
-        logits = self._means + offsets + gains * apart
-        logits = torch.cat([logits[:albedo], logits[albedo:] + torch.cat(tied)])
-        diffuse, specular, roughness = torch.sigmoid(logits).split([albedo, 1, 1])
-        height = ((relief + bands).exp() * self._bands[:, rows, columns]).sum(0, keepdim=True)
+        logits = self._means + offsets[:, None, None] + gains[:, None, None] * apart
+        tied = [
+            (tie[:, None, None] * features).sum(0, keepdim=True)
+            for tie in (by.tie_specular, by.tie_roughness)
+        ]
+        diffuse, gloss = logits.split([3, 2])
+        reflectance = torch.sigmoid(torch.cat([diffuse, gloss + torch.cat(tied)]))
+        heights = (by.relief + by.bands).exp()[:, None, None] * self._bands[:, rows, columns]
         return replace(
-            self._maps, diffuse=diffuse, specular=specular, roughness=roughness, height=height
+            self._maps,
+            **dict(zip(REFLECTANCE, reflectance.split(list(REFLECTANCE.values())), strict=True)),
+            height=heights.sum(0, keepdim=True),
         )
 
     def price(self) -> Tensor:
         """What the numbers pay for being off."""
-        return _BELIEF * (self.numbers / self._deviations).square().sum()
+        return ADAPT.belief * (self.numbers / self._deviations).square().sum()
 
 
 def corners(seen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
@@ -257,5 +331,5 @@ def corners(seen: NDArray[np.bool_], size: int) -> NDArray[np.int64]:
     total = np.pad(seen.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
     windows = total[size:, size:] - total[:-size, size:] - total[size:, :-size]
     windows = (windows + total[:-size, :-size]) / size**2
-    least = min(_SEEN, float(np.quantile(windows, 0.75)))
+    least = min(ADAPT.seen, float(np.quantile(windows, 0.75)))
     return np.argwhere(windows >= least)

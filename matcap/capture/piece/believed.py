@@ -11,14 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Doubles = NDArray[np.float64]
+from matcap.capture.piece.tuned import STRENGTH
 
-# Deviations of the logarithm of energies that networks draw from true ones: of all bands together,
-# and of each beside. Found on simulated materials (docs/notes/exemplar.md); results hardly change
-# with half or twice as much.
-_TOGETHER, _EACH = 1.5, 1.0
-_REACH, _FINENESS = 5.0, 0.05  # of logarithms that are tried
-_LEAST = 1e-8  # squared slope
+Doubles = NDArray[np.float64]
 
 
 def believed(drawn: Doubles, told: Doubles, doubt: Doubles) -> Doubles:
@@ -29,11 +24,13 @@ def believed(drawn: Doubles, told: Doubles, doubt: Doubles) -> Doubles:
         told: (bands,) as the photograph tells them, not negative.
         doubt: (bands,) standard deviations of what is told.
     """
-    logs = np.arange(-_REACH, _REACH + _FINENESS / 2.0, _FINENESS)
-    off = np.square((drawn[:, None] * np.exp(logs) - told[:, None]) / (doubt[:, None] + _LEAST))
+    reach, step = STRENGTH.believed_reach, STRENGTH.believed_fineness
+    logs = np.arange(-reach, reach + step / 2.0, step)
+    scatter = doubt[:, None] + STRENGTH.least_energy
+    off = np.square((drawn[:, None] * np.exp(logs) - told[:, None]) / scatter)
     # (common, band, own): what the drawing is off by on the whole, and a band in all.
-    apart = np.square((logs - logs[:, None]) / _EACH)[:, None, :]
+    apart = np.square((logs - logs[:, None]) / STRENGTH.each_band)[:, None, :]
     price = apart + off
     best = price.argmin(-1)
-    total = price.min(-1).sum(1) + np.square(logs / _TOGETHER)
+    total = price.min(-1).sum(1) + np.square(logs / STRENGTH.together)
     return np.asarray(drawn * np.exp(logs[best[total.argmin()]]))

@@ -10,13 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.capture.piece.smooth import smoothed, split
+from matcap.capture.piece.tuned import ADAPT
 
 Floats = NDArray[np.float32]
-
-_AROUND = 64.0  # texels: deviation of a neighbourhood
-_GAINS = (0.5, 3.0)  # contrast is not lowered or raised more than this
-_LEAST = 1e-4  # of log albedo
-_LEAST_SEEN = 0.05  # of the weight of a place, for what is there
 
 
 def even_contrast(albedo: Floats, weight: Floats) -> Floats:
@@ -26,15 +22,16 @@ def even_contrast(albedo: Floats, weight: Floats) -> Floats:
         albedo: as the network gives it.
         weight: (H, W) how far it is seen, in [0, 1].
     """
-    local = weight + np.float32(_LEAST_SEEN)
-    under = smoothed(local, _AROUND)
+    local = weight + np.float32(ADAPT.contrast_unseen)
+    under = smoothed(local, ADAPT.contrast_around)
     grey = split(albedo.mean(0))
     channels = [split(channel) for channel in albedo]
     even = np.stack([bands[-1] for bands in channels])
     for index, band in enumerate(grey[:-1]):
         squared = np.square(band)
         wanted = np.sqrt((squared * weight).sum() / max(float(weight.sum()), 1e-9))
-        here = np.sqrt(smoothed(squared * local, _AROUND) / under)
-        gain = (wanted / np.maximum(here, _LEAST)).clip(*_GAINS)
+        here = np.sqrt(smoothed(squared * local, ADAPT.contrast_around) / under)
+        gain = wanted / np.maximum(here, ADAPT.contrast_faintest)
+        gain = gain.clip(ADAPT.contrast_least, ADAPT.contrast_most)
         even += gain * np.stack([bands[index] for bands in channels])
     return even

@@ -18,15 +18,10 @@ from matcap.capture.piece.believed import believed
 from matcap.capture.piece.integrate import integrate, steps
 from matcap.capture.piece.smooth import coarse_smoothed, enlarged, split
 from matcap.capture.piece.strengths import Strengths, slope_strengths
+from matcap.capture.piece.tuned import STRENGTH
 
 Height = NDArray[np.float32]
 Doubles = NDArray[np.float64]
-
-_AROUND = 64.0  # texels: deviation of a neighbourhood, as long as the longest waves
-_GAINS = (0.25, 5.0)  # slopes are not weakened or strengthened more than this by their place
-_ROUNDS = 3  # of bringing bands to their strengths: they share waves at their borders
-_STRONGEST = 30.0  # a band's factor: beyond, it has nothing of its own
-_LEAST = 1e-4  # slope
 
 
 def equalise(height: Height, strengths: Strengths | None) -> Height:
@@ -42,9 +37,10 @@ def equalise(height: Height, strengths: Strengths | None) -> Height:
         even = np.stack(list(pool.map(_evened, bands)))
     wanted = _wanted(height, strengths)
     factors: Doubles = np.ones(len(even))
-    for _ in range(_ROUNDS):
-        found = _energies(_sum(factors, even))
-        factors = (factors * np.sqrt(wanted / found)).clip(1.0 / _STRONGEST, _STRONGEST)
+    most = STRENGTH.strongest
+    for _ in range(STRENGTH.even_rounds):
+        drawn = _energies(_sum(factors, even))
+        factors = (factors * np.sqrt(wanted / drawn)).clip(1.0 / most, most)
     return _sum(factors, even)
 
 
@@ -73,15 +69,15 @@ def _between(plane: Height, axis: int) -> Height:
 
 def _energies(height: Height) -> Doubles:
     """(len(BANDS),) of slopes."""
-    return np.square(slope_strengths(height)).sum(1).clip(_LEAST**2)
+    return np.square(slope_strengths(height)).sum(1).clip(STRENGTH.least_slope**2)
 
 
 def _wanted(height: Height, strengths: Strengths | None) -> Doubles:
     """(len(BANDS),) energies as the photograph says, as far as its word is to be trusted."""
-    found = _energies(height)
+    drawn = _energies(height)
     if strengths is None:
-        return found
-    return believed(found, np.square(strengths.slope).sum(1), strengths.doubt)
+        return drawn
+    return believed(drawn, np.square(strengths.slope).sum(1), strengths.doubt)
 
 
 def _own(x: Height, y: Height) -> Doubles:
@@ -95,7 +91,7 @@ def _own(x: Height, y: Height) -> Doubles:
 def _covariance(x: Height, y: Height) -> Doubles:
     """(3, h, w) xx, xy and yy of slopes in every neighbourhood, on a coarser grid."""
     products = (x * x, x * y, y * y)
-    return np.stack([coarse_smoothed(p, _AROUND) for p in products]).astype(np.float64)
+    return np.stack([coarse_smoothed(p, STRENGTH.even_around) for p in products]).astype(np.float64)
 
 
 def _gain(local: Doubles, wanted: Doubles, shape: tuple[int, ...]) -> Height:
@@ -108,7 +104,7 @@ def _gain(local: Doubles, wanted: Doubles, shape: tuple[int, ...]) -> Height:
     middle, _ = _roots(_sandwich(half, target))
     gain = _sandwich(inverse, middle)
     values, vectors = _eigen(gain)
-    gain = _compose(np.clip(values, *_GAINS), vectors)
+    gain = _compose(np.clip(values, STRENGTH.even_least, STRENGTH.even_most), vectors)
     return np.stack([enlarged(g.astype(np.float32), shape) for g in gain])
 
 
@@ -130,7 +126,7 @@ def _compose(values: Doubles, vectors: Doubles) -> Doubles:
 def _roots(matrix: Doubles) -> tuple[Doubles, Doubles]:
     """Square root and its inverse."""
     values, vectors = _eigen(matrix)
-    values = np.sqrt(np.maximum(values, _LEAST**2))
+    values = np.sqrt(np.maximum(values, STRENGTH.least_slope**2))
     return _compose(values, vectors), _compose(1.0 / values, vectors)
 
 

@@ -36,6 +36,7 @@ from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.told import noise_level, plane_strengths
 from matcap.capture.piece.transport import transport
+from matcap.capture.piece.tuned import ADAPT, LEND, READ, REFINE
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.flash.coarse import CoarseFit
@@ -44,20 +45,6 @@ from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
 from matcap.statistics.lattice import Wave
-
-# Expected errors at which confidence has fallen to 1/e: log albedo, log F0, logit roughness, slope.
-_DOUBTED = (0.3, 0.6, 0.6, 0.15)
-_LEAST_NOISE = 0.01  # of log radiance: what is not explained, where the sensor's is less
-# Legs of adaptation and how far each reaches; in between, what relief no longer explains goes back
-# to albedo. Short steps at the end: long ones stray by a tenth of relief's strength.
-_LEGS = (1.0, 0.35)
-_TRIED, _TRIED_AT_ONCE = 250, 40  # blocks for a place under glare: adapted, or at once
-_BESIDE = 1.5  # texels: how far light spreads into what lies beside
-_AROUND = 12.0  # the long side over the deviation of a neighbourhood's confidence
-# Where a neighbourhood (deviation in texels) has less light than this, of 1 at clipping, a
-# photograph of 8 bits has its last codes, and a RAW the sensor's noise.
-_UNLIT, _UNLIT_AROUND = 1e-3, 8.0
-
 
 Stage = Callable[[str], AbstractContextManager[None]]
 
@@ -208,7 +195,8 @@ def find_piece(
     except KeyboardInterrupt:
         interrupted = True
     with stage("lend"):
-        exemplar = lent(sight, reading, _TRIED if steps and not interrupted else _TRIED_AT_ONCE)
+        tried = LEND.tried if steps and not interrupted else LEND.tried_at_once
+        exemplar = lent(sight, reading, tried)
         whole = plane if fine is None else fine
         if whole.size != plane.size:
             exemplar = finest(exemplar, whole, coarse)
@@ -277,8 +265,8 @@ def legs(
     tell: Callable[[float], None] | None,
 ) -> Iterator[Leg]:
     """The legs of so many steps and seconds in all."""
-    count = len(_LEGS)
-    for number, reach in enumerate(_LEGS):
+    count = len(ADAPT.legs)
+    for number, reach in enumerate(ADAPT.legs):
         yield Leg(
             -(-steps // count),
             reach,
@@ -335,7 +323,7 @@ def _even(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Surf
 
 def _explained(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:
     """Albedo and gloss moved until they re-render to the photograph."""
-    least = max(sight.noise, _LEAST_NOISE)
+    least = max(sight.noise, REFINE.least_noise)
     linear = sight.plane.linear
     refined = refine(departures, reading.errors, linear, sight.shown, sight.light, noise=least)
     return replace(reading, departures=_even(sight, reading, refined.departures))
@@ -343,7 +331,7 @@ def _explained(sight: Sight, reading: Reading, departures: SurfaceParameters) ->
 
 def _shared(tell: Callable[[float], None], leg: int) -> Callable[[float], None]:
     """Tells of one leg's share as part of all."""
-    return lambda share: tell((leg + share) / len(_LEGS))
+    return lambda share: tell((leg + share) / len(ADAPT.legs))
 
 
 def piece_maps(exemplar: Exemplar) -> MapSet:
@@ -359,8 +347,11 @@ def confidence(errors: ExpectedErrors, seen: NDArray[np.float32]) -> NDArray[np.
     material's features are easily read, or only its plain places would be believed.
     """
     doubt = errors.stacked().clamp(-8.0, 4.0).exp().numpy()
-    doubt = doubt / np.array(_DOUBTED, np.float32)[:, None, None]
-    around = max(seen.shape) / _AROUND
+    units = (
+        READ.doubted_albedo, READ.doubted_specular, READ.doubted_roughness, READ.doubted_slope,
+    )  # fmt: skip
+    doubt = doubt / np.array(units, np.float32)[:, None, None]
+    around = max(seen.shape) / READ.confidence_around
     believed = np.stack([np.exp(-smoothed(plane, around)) for plane in doubt])
     return np.ascontiguousarray(believed * seen, dtype=np.float32)
 
@@ -372,13 +363,13 @@ def seen_share(measured: Tensor) -> NDArray[np.float32]:
     that is burnt out, wide as it is, is not seen at all.
     """
     share = measured.float().mean(0).numpy()
-    around = cv2.GaussianBlur(share, (0, 0), _BESIDE, borderType=cv2.BORDER_REFLECT)
+    around = cv2.GaussianBlur(share, (0, 0), READ.beside, borderType=cv2.BORDER_REFLECT)
     return np.asarray(np.minimum(share, np.clip(2.0 * around - 1.0, 0.0, 1.0)), np.float32)
 
 
 def lit(linear: Tensor) -> Tensor:
     """(H, W) bool: where radiance (3, H, W) tells anything, and is not black all around."""
-    return torch.from_numpy(smoothed(linear.mean(0).numpy(), _UNLIT_AROUND) > _UNLIT)
+    return torch.from_numpy(smoothed(linear.mean(0).numpy(), READ.unlit_around) > READ.unlit)
 
 
 def _read(network: Inverse, inputs: Tensor) -> Tensor:

@@ -23,6 +23,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS
 from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.smooth import split
+from matcap.capture.piece.tuned import FINEST
 from matcap.example.exemplar import Exemplar
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
@@ -30,13 +31,7 @@ from matcap.flash.uniform import Uniform
 
 Floats = NDArray[np.float32]
 
-_DARKEST = 1e-5  # linear radiance
-_MOST = 1.0  # of log radiance, that is detail
-_HIDDEN = 0.1  # squared share of matte light at which half of what shows is taken for albedo's
-_ROUNDS = 2  # of bringing albedo to the photograph
-_RELIEF_AT_MOST = 0.25  # share of the finest bands' energy that is relief's
 _OCTAVES = (slice(2, 3), slice(3, 4), slice(4, 6))  # of strengths.BANDS: 16-8, 8-4, 4-2 texels
-_LEAST_RATIO, _MOST_RATIO = 0.05, 1.0  # of an octave's energy of slopes to the one before
 
 
 @torch.no_grad()
@@ -55,10 +50,10 @@ def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
     grain = _unshown(maps, plane, light, exemplar.size)
     relief = _relief(exemplar, grain.mean(0).numpy(), maps, light)
     maps = replace(maps, height=maps.height + torch.from_numpy(relief)[None] * plane.texel_size)
-    for _ in range(_ROUNDS):
+    for _ in range(FINEST.rounds):
         left = _unshown(maps, plane, light, exemplar.size)
         share = light.logs(maps, light.flash.onto(maps.normal))[1]
-        more = left * share / (share.square() + _HIDDEN)
+        more = left * share / (share.square() + FINEST.hidden)
         maps = replace(maps, diffuse=(maps.diffuse * more.exp()).clamp(*ALBEDO_LIMITS))
     return Exemplar(
         diffuse=maps.diffuse.numpy(),
@@ -79,7 +74,7 @@ def sharpness(maps: MapSet, plane: Plane, uniform: Uniform) -> float:
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     light = PieceLight.of(uniform, points)
     found = light.logs(maps, light.flash.onto(maps.normal))[0]
-    observed = plane.linear.clamp_min(_DARKEST).log()
+    observed = plane.linear.clamp_min(FINEST.darkest).log()
     half = ((width + 1) // 2, (height + 1) // 2)
     seen = plane.valid
     if not bool(seen.any()):
@@ -107,8 +102,8 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
 def _unshown(maps: MapSet, plane: Plane, light: PieceLight, coarse: tuple[int, int]) -> Tensor:
     """(3, H, W) what the photograph's log radiance has beyond maps', finer than `coarse` texels."""
     found = light.logs(maps, light.flash.onto(maps.normal))[0]
-    left = plane.linear.clamp_min(_DARKEST).log() - found
-    left = torch.where(plane.measured, left, left.clamp_min(0.0)).clamp(-_MOST, _MOST)
+    left = plane.linear.clamp_min(FINEST.darkest).log() - found
+    left = torch.where(plane.measured, left, left.clamp_min(0.0)).clamp(-FINEST.most, FINEST.most)
     return _beyond(left, coarse)
 
 
@@ -127,12 +122,12 @@ def _relief(exemplar: Exemplar, grain: Floats, maps: MapSet, light: PieceLight) 
     bands = split(texels)
     energies = [_steepness(np.sum(bands[which], axis=0)) for which in _OCTAVES]
     ratio = energies[2] / max(energies[1], 1e-12)
-    ratio = float(np.clip(ratio, _LEAST_RATIO, _MOST_RATIO))
+    ratio = float(np.clip(ratio, FINEST.least_ratio, FINEST.most_ratio))
     wanted = energies[2] * sum(
         ratio**k * min(1.0, octaves - k + 1.0) for k in range(1, math.ceil(octaves) + 1)
     )
     shows = light.shows_relief(maps).square().sum(0).mean()
-    most = _RELIEF_AT_MOST * float(np.square(grain).mean()) / max(0.5 * float(shows), 1e-6)
+    most = FINEST.relief_at_most * float(np.square(grain).mean()) / max(0.5 * float(shows), 1e-6)
     drawn = max(_steepness(grain), 1e-12)
     return _sign(exemplar, bands) * np.float32(math.sqrt(min(wanted, most) / drawn)) * grain
 

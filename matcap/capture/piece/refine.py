@@ -26,28 +26,9 @@ from matcap.brdf.normals import normals_from_slopes
 from matcap.brdf.parameters import REFLECTANCE, ROUGHNESS_LIMITS, Reflectance, SurfaceParameters
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.smooth import smoothed
+from matcap.capture.piece.tuned import REFINE
 from matcap.flash.light import FlashLight, Incidence
 from matcap.flash.uniform import Uniform
-
-_STEPS = 3  # of refinement; what is left falls little further
-_STEP = 0.03  # of log F0 and logit roughness, for differences of log radiance
-_SLOPE = 0.03  # likewise, of slopes
-_LEAST_ERROR, _MOST_ERROR = 0.02, 1.0  # expected errors believed in
-_DARKEST = 1e-5  # linear radiance
-_SLOW = 12.0  # the picture's long side over the deviation of what counts as slow
-_MOST = 0.5  # of log radiance a step explains
-_GLARE = 0.5  # of log radiance: what a highlight's fit leaves where all light is mirrored
-_CHROMA = 0.3  # deviation of albedo's colour as a share of its lightness's
-_LEVEL_STEPS = 4
-# Deviations of what is off on the whole: log albedo, log F0, logit roughness.
-_LEVELS = (0.5, 0.5, 0.5, 0.3, 0.4)
-_LEVEL_NOISE = 0.1  # of log radiance: what a cell's mean is off by for other reasons
-_LEVEL_CELLS = 100.0  # that count as independent: what the model lacks is smooth
-_CELL = 16  # texels
-_SEEN = 0.95  # share of a cell that must be valid, or it is a lower bound
-_STATIONARY = 8.0  # the long side over the deviation of what a stationary sample is even over
-_THINNED = 3  # texels a side of which one is looked at, where things are smooth
-_HUBER = 0.2  # of log radiance
 
 
 @dataclass(frozen=True)
@@ -106,7 +87,7 @@ class PieceLight:
         """(3, H, W) log radiance of maps, and the diffuse share of the radiance."""
         diffuse = incidence.diffuse(maps.diffuse)
         mirrored = incidence.specular(maps.specular, maps.roughness)
-        radiance = (diffuse + mirrored).clamp_min(_DARKEST)
+        radiance = (diffuse + mirrored).clamp_min(REFINE.darkest)
         return radiance.log(), diffuse / radiance
 
     def shows_relief(self, maps: MapSet) -> Tensor:
@@ -117,19 +98,19 @@ class PieceLight:
             incidence = self.flash.onto(normals_from_slopes(x * one, y * one))
             return self.logs(maps, incidence)[0].mean(0)
 
-        across = tilted(_SLOPE, 0.0) - tilted(-_SLOPE, 0.0)
-        up = tilted(0.0, _SLOPE) - tilted(0.0, -_SLOPE)
-        return torch.stack([across, up]) / (2.0 * _SLOPE)
+        across = tilted(REFINE.slope_step, 0.0) - tilted(-REFINE.slope_step, 0.0)
+        up = tilted(0.0, REFINE.slope_step) - tilted(0.0, -REFINE.slope_step)
+        return torch.stack([across, up]) / (2.0 * REFINE.slope_step)
 
     def shows_gloss(self, maps: MapSet, incidence: Incidence, log: Tensor) -> GlossResponse:
         """What gloss changes of the log radiance (3, H, W) that maps have."""
         grey = log.mean(0, keepdim=True)
-        brighter = replace(maps, specular=maps.specular * math.exp(_STEP))
+        brighter = replace(maps, specular=maps.specular * math.exp(REFINE.step))
         logit = maps.roughness.clamp(*ROUGHNESS_LIMITS).logit()
-        duller = replace(maps, roughness=torch.sigmoid(logit + _STEP))
+        duller = replace(maps, roughness=torch.sigmoid(logit + REFINE.step))
         return GlossResponse(
             *(
-                (self.logs(moved, incidence)[0].mean(0, keepdim=True) - grey) / _STEP
+                (self.logs(moved, incidence)[0].mean(0, keepdim=True) - grey) / REFINE.step
                 for moved in (brighter, duller)
             )
         )
@@ -149,19 +130,24 @@ def level(
         departures: of the piece.
         linear, valid, light: as for refine.
     """
-    cell = min(_CELL, *linear.shape[-2:])
-    seen = F.avg_pool2d(valid.expand_as(linear).float(), cell) > _SEEN
-    observed = F.avg_pool2d(linear, cell).clamp_min(_DARKEST).log()
-    prior = torch.tensor(_LEVELS).square().reciprocal()
+    cell = min(REFINE.cell, *linear.shape[-2:])
+    seen = F.avg_pool2d(valid.expand_as(linear).float(), cell) > REFINE.seen
+    observed = F.avg_pool2d(linear, cell).clamp_min(REFINE.darkest).log()
+    deviations = Reflectance(
+        torch.full((3,), REFINE.level_albedo),
+        torch.tensor([REFINE.level_specular]),
+        torch.tensor([REFINE.level_roughness]),
+    )
+    prior = torch.cat(deviations).square().reciprocal()
     moved = torch.zeros_like(prior)
-    scale = _LEVEL_CELLS / observed.numel() / _LEVEL_NOISE**2
+    scale = REFINE.level_cells / observed.numel() / REFINE.level_noise**2
     incidence = light.flash.onto(light.maps(departures).normal)
-    for _ in range(_LEVEL_STEPS):
+    for _ in range(REFINE.level_steps):
         maps = light.maps(departures)
         log, shares = light.logs(maps, incidence)
         radiance = log.exp().clamp_max(1.0)
         mean = F.avg_pool2d(radiance, cell)
-        residual = observed - mean.clamp_min(_DARKEST).log()
+        residual = observed - mean.clamp_min(REFINE.darkest).log()
         residual = torch.where(seen, residual, residual.clamp_min(0.0))
         # What shows of a cell is what shows of its light.
         by_albedo = F.avg_pool2d(shares * radiance, cell) / mean
@@ -172,7 +158,7 @@ def level(
         normal, gradient = _normal_equations(residual, by_albedo, by_gloss)
         step = torch.linalg.solve(
             normal * scale + torch.diag(prior), gradient * scale - prior * moved
-        ).clamp(-_MOST, _MOST)
+        ).clamp(-REFINE.most, REFINE.most)
         moved += step
         departures = departures + SurfaceParameters.from_levels(step)
     return departures
@@ -194,7 +180,7 @@ def _normal_equations(
         albedo[channel] = own
         column = torch.cat([albedo, by_gloss]).flatten(1)
         r = residual[channel].flatten()
-        weight = _HUBER / r.abs().clamp_min(_HUBER)
+        weight = REFINE.huber / r.abs().clamp_min(REFINE.huber)
         equations.append(((column * weight) @ column.T, column @ (weight * r)))
     normals, gradients = zip(*equations, strict=True)
     return sum(normals[1:], normals[0]), sum(gradients[1:], gradients[0])
@@ -218,7 +204,7 @@ def flatten(
     def even(channel: Tensor, weight: Tensor) -> Tensor:
         mean = (channel * weight).sum() / weight.sum()
         channel = channel - torch.from_numpy(_following(channel.numpy(), shape))
-        slow = smoothed(channel.numpy(), max(channel.shape) / _STATIONARY)
+        slow = smoothed(channel.numpy(), max(channel.shape) / REFINE.stationary)
         return channel + (mean - torch.from_numpy(slow))
 
     return replace(
@@ -237,9 +223,10 @@ def _following(plane: NDArray[np.float32], shape: NDArray[np.float32]) -> NDArra
 
     Sums are NumPy's own, on one thread: the same bits whatever the machine is doing.
     """
-    thin = shape[:, ::_THINNED, ::_THINNED].astype(np.float64)
+    every = slice(None, None, REFINE.thinned)
+    thin = shape[:, every, every].astype(np.float64)
     products = np.einsum("nhw,mhw->nm", thin, thin, optimize=False)
-    projected = np.einsum("nhw,hw->n", thin, plane[::_THINNED, ::_THINNED], optimize=False)
+    projected = np.einsum("nhw,hw->n", thin, plane[every, every], optimize=False)
     weights = np.linalg.lstsq(products, projected, rcond=1e-9)[0].astype(np.float32)
     return np.asarray(np.einsum("n,nhw->hw", weights, shape, optimize=False), np.float32)
 
@@ -264,27 +251,27 @@ def refine(
         light: the photograph's own.
         noise: deviation of log radiance that is not explained.
     """
-    observed = linear.clamp_min(_DARKEST).log()
+    observed = linear.clamp_min(REFINE.darkest).log()
     valid = valid.expand_as(linear)
     albedo, specular, roughness = (
-        doubt.exp().clamp(_LEAST_ERROR, _MOST_ERROR).square()
+        doubt.exp().clamp(REFINE.least_error, REFINE.most_error).square()
         for doubt in (errors.albedo, errors.specular, errors.roughness)
     )
-    colour = albedo * _CHROMA**2
+    colour = albedo * REFINE.chroma**2
     maps = light.maps(departures)
     incidence = light.flash.onto(maps.normal)
     log, shares = light.logs(maps, incidence)
     shows = light.shows_gloss(maps, incidence, log)  # hardly changes from step to step
     by_gloss = shows.specular.square() * specular + shows.roughness.square() * roughness
-    for step in range(_STEPS):
+    for step in range(REFINE.steps):
         if step:
             log, shares = light.logs(light.maps(departures), incidence)
         residual = _unexplained(observed, log, valid)
-        residual = (residual - _slow(residual, valid)).clamp(-_MOST, _MOST)
+        residual = (residual - _slow(residual, valid)).clamp(-REFINE.most, REFINE.most)
         tells = valid | (residual > 0.0)
         share = shares.mean(0, keepdim=True)
         grey = (residual * tells).sum(0, keepdim=True) / tells.sum(0, keepdim=True).clamp_min(1)
-        unknown = noise**2 + (_GLARE * (1.0 - share)).square()
+        unknown = noise**2 + (REFINE.glare * (1.0 - share)).square()
         common = grey / (share.square() * albedo + by_gloss + unknown)
         # A bound that holds says nothing of the colour.
         apart = torch.where(tells, residual - grey, 0.0)
@@ -304,7 +291,7 @@ def remaining(
     """Departures and what their re-rendering leaves; arguments as for refine."""
     maps = light.maps(departures)
     log, _ = light.logs(maps, light.flash.onto(maps.normal))
-    residual = _unexplained(linear.clamp_min(_DARKEST).log(), log, valid)
+    residual = _unexplained(linear.clamp_min(REFINE.darkest).log(), log, valid)
     return Refined(departures, residual, _slow(residual, valid))
 
 
@@ -316,7 +303,7 @@ def _unexplained(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:
 
 def _slow(residual: Tensor, valid: Tensor) -> Tensor:
     """What of a residual (3, H, W) varies slowly, by valid texels."""
-    deviation = max(valid.shape) / _SLOW
+    deviation = max(valid.shape) / REFINE.slow
     weights = valid.expand_as(residual).numpy().astype(np.float32) + np.float32(1e-4)
     planes = [
         smoothed(plane * weight, deviation) / smoothed(weight, deviation)

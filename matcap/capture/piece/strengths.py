@@ -20,24 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.capture.piece.tuned import STRENGTH
+
 Doubles = NDArray[np.float64]
 
 # Waves of these lengths in texels, longest and shortest of each band.
 BANDS = ((64.0, 32.0), (32.0, 16.0), (16.0, 8.0), (8.0, 4.0), (4.0, 2.8), (2.8, 2.0))
 DIRECTIONS = 6
-_WINDOW, _STRIDE = 128, 64  # texels
-_SEEN = 0.75  # share of a window that must be seen; energies are raised by what is not
-# Of g: where radiance bends so much with slope, a window counts half. It is far from linear there,
-# and near a highlight's middle g turns within a window.
-_LINEAR = 1.2
-_ROUNDS = 4  # of reweighting: energies scatter in proportion to themselves
-_FEWEST = 8  # windows, for three unknowns
-# Windows overlap and all directions look at the same ones: errors are larger than residuals say.
-_SCATTER = 2.0
-# Of albedo's energy: what may vary over the picture for other reasons than relief and then passes
-# for it (streaks that are stronger at the rim). Relief must stand out of it.
-_UNEVEN = 0.1
-_DISAGREED = 0.5  # of what two responses to slope tell differently, that is doubt
 
 
 @dataclass(frozen=True)
@@ -109,19 +98,20 @@ def measure_strengths(
     """
     whole = _windows(log.shape)
     seen = _seen(use, whole)
-    cuts = [cut for cut, share in zip(whole, seen, strict=True) if share >= _SEEN]
-    if len(cuts) < _FEWEST:
+    cuts = [cut for cut, share in zip(whole, seen, strict=True) if share >= STRENGTH.seen]
+    if len(cuts) < STRENGTH.fewest:
         return None
     # What is filled is smooth, and lacks the energy of what it stands for.
-    energy = _window_energies(log, cuts) / seen[seen >= _SEEN, None, None]
-    white = noise**2 * _sums(np.ones((_WINDOW, _WINDOW)), _kinds()) / _WINDOW**2
+    energy = _window_energies(log, cuts) / seen[seen >= STRENGTH.seen, None, None]
+    window = STRENGTH.window
+    white = noise**2 * _sums(np.ones((window, window)), _kinds()) / window**2
     energy = np.maximum(energy - white, 0.0)
     albedo, slope, error, uneven = _told(energy, _slants(shows, use, cuts))
     apart = 0.0
     if also is not None:
         apart = np.abs(slope - _told(energy, _slants(also, use, cuts))[1]).sum(1)
     # Scatter of directions cancels; what is wrong with the model goes the same way in all of them.
-    doubt = np.hypot(np.sqrt(np.square(error).sum(1)), uneven.sum(1) + _DISAGREED * apart)
+    doubt = np.hypot(np.sqrt(np.square(error).sum(1)), uneven.sum(1) + STRENGTH.disagreed * apart)
     own = np.square(error) + np.square(uneven)
     return Strengths(
         albedo=np.sqrt(albedo),
@@ -175,7 +165,7 @@ def _told(energy: Doubles, slants: Doubles) -> Doubles:
         slants: (windows, 5) as _slants has them.
     """
     x, y, xx, xy, yy = slants.T
-    linear = 1.0 / (1.0 + (xx + yy) / _LINEAR**2)
+    linear = 1.0 / (1.0 + (xx + yy) / STRENGTH.linear**2)
     found = np.zeros((4, len(BANDS), DIRECTIONS))
     for direction in range(DIRECTIONS):
         angle = direction * np.pi / DIRECTIONS
@@ -186,7 +176,7 @@ def _told(energy: Doubles, slants: Doubles) -> Doubles:
             albedo, slope, error = _regress(
                 c * x + s * y, squared, energy[:, band, direction], linear
             )
-            found[:, band, direction] = albedo, slope, error, _UNEVEN * albedo / most
+            found[:, band, direction] = albedo, slope, error, STRENGTH.uneven * albedo / most
     return found
 
 
@@ -206,27 +196,29 @@ def slope_strengths(height: NDArray[np.float32]) -> Doubles:
 
 
 def _hann() -> Doubles:
-    return np.asarray(np.hanning(_WINDOW)[:, None] * np.hanning(_WINDOW), np.float64)
+    hann = np.hanning(STRENGTH.window)
+    return np.asarray(hann[:, None] * hann, np.float64)
 
 
 def _windows(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
-    rows = range(0, shape[0] - _WINDOW + 1, _STRIDE)
-    columns = range(0, shape[1] - _WINDOW + 1, _STRIDE)
-    return [(slice(y, y + _WINDOW), slice(x, x + _WINDOW)) for y in rows for x in columns]
+    side, stride = STRENGTH.window, STRENGTH.stride
+    rows = range(0, shape[0] - side + 1, stride)
+    columns = range(0, shape[1] - side + 1, stride)
+    return [(slice(y, y + side), slice(x, x + side)) for y in rows for x in columns]
 
 
 def _sums(spectrum: Doubles, kinds: NDArray[np.int64]) -> Doubles:
-    """(len(BANDS), DIRECTIONS) of a spectrum (_WINDOW, _WINDOW)."""
+    """(len(BANDS), DIRECTIONS) of a spectrum (window, window)."""
     sums = np.bincount(kinds.ravel(), spectrum.ravel(), len(BANDS) * DIRECTIONS + 1)
     return np.asarray(sums[:-1].reshape(len(BANDS), DIRECTIONS), np.float64)
 
 
 def _kinds() -> NDArray[np.int64]:
-    """(_WINDOW, _WINDOW) DIRECTIONS * band + direction of every wave, y upwards; last: none.
+    """(window, window) DIRECTIONS * band + direction of every wave, y upwards; last: none.
 
     Both halves of the plane have the same.
     """
-    frequency = np.fft.fftfreq(_WINDOW)
+    frequency = np.fft.fftfreq(STRENGTH.window)
     fx, fy = np.meshgrid(frequency, -frequency)
     radius, angle = np.hypot(fx, fy), np.arctan2(fy, fx)
     direction = np.rint(angle / (np.pi / DIRECTIONS)).astype(np.int64) % DIRECTIONS
@@ -251,7 +243,7 @@ def _regress(
     columns = np.stack([np.ones_like(slant), 2.0 * slant, squared], axis=1)
     own = np.sqrt(counts)
     weight, solution = own, np.zeros(3)
-    for _ in range(_ROUNDS):
+    for _ in range(STRENGTH.rounds):
         solution = np.linalg.lstsq(columns * weight[:, None], energy * weight, rcond=None)[0]
         solution[[0, 2]] = solution[[0, 2]].clip(0.0)
         weight = own / np.maximum(columns @ solution, 0.2 * energy.mean() + 1e-12)
@@ -259,5 +251,5 @@ def _regress(
     rest = np.square((energy - columns @ solution) * weight).sum()
     scatter = rest / max(float(counts.sum()) - 3.0, 1.0)
     inverse = np.linalg.pinv(weighted.T @ weighted)
-    error = _SCATTER * float(np.sqrt(scatter * max(inverse[2, 2], 0.0)))
+    error = STRENGTH.scatter * float(np.sqrt(scatter * max(inverse[2, 2], 0.0)))
     return float(solution[0]), float(solution[2]), error

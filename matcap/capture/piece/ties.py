@@ -11,12 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-_DARKEST = 1e-4  # of albedo
-_FARTHEST = 3.0  # deviations: a speck's gloss is not far beyond the others'
-# Logits of F0 and of roughness believed to go with a logarithm of lightness, with one of colour,
-# with a deviation of a band of relief. What hardly varies tells next to nothing: a plaster has no
-# colours to go with.
-_GLOSS = ((0.3, 1.0, 0.1), (0.8, 1.0, 0.3))
+from matcap.capture.piece.tuned import ADAPT
 
 
 @dataclass(frozen=True)
@@ -32,18 +27,14 @@ class Ties:
     lightness: float
     colour: float
 
-    def deviations(self) -> list[float]:
-        """How far a deviation of every feature is believed to move F0, then roughness (logits)."""
+    def deviations(self) -> tuple[list[float], list[float]]:
+        """How far a deviation of every feature is believed to move F0, and roughness (logits)."""
         bands = len(self.features) - 2
-        return [
-            deviation
-            for by_light, by_colour, by_band in _GLOSS
-            for deviation in (
-                by_light * self.lightness,
-                by_colour * self.colour,
-                *[by_band] * bands,
-            )
-        ]
+        of_specular, of_roughness = (
+            [by_light * self.lightness, by_colour * self.colour, *[by_band] * bands]
+            for by_light, by_colour, by_band in (ADAPT.tie_specular, ADAPT.tie_roughness)
+        )
+        return of_specular, of_roughness
 
 
 def ties(diffuse: Tensor, bands: Tensor | None = None) -> Ties:
@@ -51,7 +42,7 @@ def ties(diffuse: Tensor, bands: Tensor | None = None) -> Ties:
 
     Colour is what varies most of the channels' logarithms beside lightness.
     """
-    logs = diffuse.clamp_min(_DARKEST).log()
+    logs = diffuse.clamp_min(ADAPT.tie_darkest).log()
     lightness = logs.mean(0)
     colours = (logs - lightness).flatten(1)
     colours = colours - colours.mean(1, keepdim=True)
@@ -62,5 +53,5 @@ def ties(diffuse: Tensor, bands: Tensor | None = None) -> Ties:
     stacked = torch.stack(planes)
     stacked = stacked - stacked.mean((1, 2), keepdim=True)
     spread = stacked.std((1, 2), keepdim=True)
-    features = (stacked / spread.clamp_min(1e-6)).clamp(-_FARTHEST, _FARTHEST)
+    features = (stacked / spread.clamp_min(1e-6)).clamp(-ADAPT.tie_farthest, ADAPT.tie_farthest)
     return Ties(features, float(spread[0]), float(spread[1]))

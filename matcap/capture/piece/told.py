@@ -11,12 +11,11 @@ from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import NetworkInputs
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import Strengths, measure_strengths
+from matcap.capture.piece.tuned import STRENGTH
 from matcap.flash.coarse import fit_coarse
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane, read_plane
 from matcap.photo.photo import Photo
-
-_AROUND = 24.0  # texels: deviation of the neighbourhood whose slopes show alike
 
 
 @torch.no_grad()
@@ -67,7 +66,7 @@ def plane_strengths(
 
 def _even(shown: Tensor) -> NDArray[np.float32]:
     """Responses (2, H, W) of neighbourhoods."""
-    return np.stack([smoothed(s, _AROUND) for s in shown.numpy()])
+    return np.stack([smoothed(s, STRENGTH.response_around) for s in shown.numpy()])
 
 
 def noise_level(plane: Plane) -> float:

@@ -21,27 +21,11 @@ from torch import Tensor
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.brdf.parameters import REFLECTANCE, Reflectance
 from matcap.capture.piece.refine import PieceLight
+from matcap.capture.piece.tuned import LEND
 from matcap.example.exemplar import Exemplar
 
 Floats = NDArray[np.float32]
 BlockPlaces = NDArray[np.int64]
-
-_BLOCK = 48  # texels a side: long enough for pieces of a drawing, short enough to be found
-_OVERLAP = 12  # texels that neighbours share
-_SHARPNESS = 8.0  # of the border between two: the nearer block's texels, hardly mixed
-_TRUSTED = 0.93  # confidence of albedo, as a share of the well seen places', that lends
-_WELL_SEEN = 0.75  # quantile of confidence that counts as well seen
-_MOST_HIDDEN = 0.2  # share of the picture: more than this no flash hides
-_WHOLE = 0.95  # share of a block that must be trusted
-_WANTED = 0.25  # share of a place that is not, for a block to be laid there
-_LEAST = 2e-4  # share of all texels below which nothing is worth lending
-_LIKENESS = 0.7  # what a drawing's correlation counts beside the overlap's continuity
-_UNLIKE = 0.35  # one less the correlation, beyond which a place keeps what is there ...
-_SHOWN = 0.5  # ... if so large a share of it shows at all
-_THINNED = 4  # texels a side of which one is lit; overlaps are compared on every second
-_FARTHEST = 4.0  # squared, in deviations: differences beyond it are edges that do not meet
-_EDGE = 4.0  # texels: deviation of the soft edge towards what is kept
-_DARKEST = 1e-4  # linear radiance
 
 
 @dataclass(frozen=True)
@@ -76,14 +60,14 @@ def transport(
         The same object if nothing is hidden, or nothing well enough seen to be lent.
     """
     trusted = exemplar.confidence[0] / max(
-        float(np.quantile(exemplar.confidence[0], _WELL_SEEN)), 1e-6
+        float(np.quantile(exemplar.confidence[0], LEND.well_seen)), 1e-6
     )
-    hidden = trusted < min(_TRUSTED, float(np.quantile(trusted, _MOST_HIDDEN)) + 1e-6)
+    hidden = trusted < min(LEND.trusted, float(np.quantile(trusted, LEND.most_hidden)) + 1e-6)
     lenders = _lenders(~hidden)
-    if hidden.mean() < _LEAST or not len(lenders):
+    if hidden.mean() < LEND.least or not len(lenders):
         return exemplar
     drawn = _drawn(exemplar, ~hidden)
-    places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED]
+    places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > LEND.wanted]
     # From well seen surroundings inwards, so that drawings go on.
     places.sort(key=lambda p: -float(trusted[_block(p)].mean()))
     photograph = _Photograph(exemplar, linear, valid, light)
@@ -105,7 +89,7 @@ class _Photograph:
     def __init__(
         self, exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PieceLight
     ) -> None:
-        self._log = linear.clamp_min(_DARKEST).log()
+        self._log = linear.clamp_min(LEND.darkest).log()
         self._valid = valid
         self._light = light
         maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
@@ -122,10 +106,10 @@ class _Photograph:
 
         0 where nothing of the place was seen.
         """
-        inner = np.arange(0, _BLOCK, _THINNED)
+        inner = np.arange(0, LEND.block, LEND.thinned)
         rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
         reflectance, normal = _lent(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
-        here = tuple(slice(start, start + _BLOCK, _THINNED) for start in place)
+        here = tuple(slice(start, start + LEND.block, LEND.thinned) for start in place)
         light = self._light.cut(*here)
         log = light.logs(reflectance, light.flash.onto(normal))[0]
         seen = self._valid[here].to(log)
@@ -174,10 +158,11 @@ def _choose(
             blocks = np.concatenate([blocks, np.array(follow)])
         unlike = photograph.unlikeness(place, blocks)
         share = photograph.share(place)
-        cost = _discontinuity(place, blocks, drawn.seen, seen, known) + _LIKENESS * share * unlike
+        torn = _discontinuity(place, blocks, drawn.seen, seen, known)
+        cost = torn + LEND.likeness * share * unlike
         best = int(cost.argmin())
         source = (int(blocks[best][0]), int(blocks[best][1]))
-        if share > _SHOWN and unlike[best] > _UNLIKE:
+        if share > LEND.shown and unlike[best] > LEND.unlike:
             source = place  # nothing looks like it: a scratch stays, be it ever so bright
         else:
             chosen[place] = source
@@ -191,7 +176,7 @@ def _continued(
     place: tuple[int, int], chosen: dict[tuple[int, int], tuple[int, int]]
 ) -> list[tuple[int, int]]:
     """Where the blocks laid around a place would go on."""
-    step = _BLOCK - _OVERLAP
+    step = LEND.block - LEND.overlap
     around = [(dy, dx) for dy in (-step, 0, step) for dx in (-step, 0, step) if dy or dx]
     found = []
     for dy, dx in around:
@@ -209,28 +194,29 @@ def _discontinuity(
     known: NDArray[np.bool_],
 ) -> Floats:
     """(N,) mean squared difference from what is known at a place, in deviations."""
-    here = tuple(slice(start, start + _BLOCK, 2) for start in place)
+    here = tuple(slice(start, start + LEND.block, 2) for start in place)
     rows, columns = 2 * np.array(np.nonzero(known[here]))
     if not rows.size:
         return np.zeros(len(blocks), np.float32)
     there = lent[blocks[:, :1] + rows, blocks[:, 1:] + columns]
     difference = np.square(there - seen[place[0] + rows, place[1] + columns])
-    return np.asarray(difference.clip(0.0, _FARTHEST).mean((1, 2)), np.float32)
+    return np.asarray(difference.clip(0.0, LEND.farthest).mean((1, 2)), np.float32)
 
 
 def _laid(
     chosen: dict[tuple[int, int], tuple[int, int]], maps: Floats, hidden: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
     """(6, H, W) blocks side by side, and (H, W) the share of them in the result."""
-    inside = np.minimum(np.arange(_BLOCK) + 1, _BLOCK - np.arange(_BLOCK)) / _OVERLAP
+    texels = np.arange(LEND.block)
+    inside = np.minimum(texels + 1, LEND.block - texels) / LEND.overlap
     ramp = np.minimum(inside, 1.0)
-    weight = (np.outer(ramp, ramp) ** _SHARPNESS + 1e-6).astype(np.float32)
+    weight = (np.outer(ramp, ramp) ** LEND.sharpness + 1e-6).astype(np.float32)
     total, weights = np.zeros_like(maps), np.zeros(maps.shape[-2:], np.float32)
     for place, source in chosen.items():
         total[:, *_block(place)] += weight * maps[:, *_block(source)]
         weights[_block(place)] += weight
     covered = weights > 0.0
-    share = cv2.GaussianBlur((hidden & covered).astype(np.float32), (0, 0), _EDGE) * covered
+    share = cv2.GaussianBlur((hidden & covered).astype(np.float32), (0, 0), LEND.edge) * covered
     laid = total / np.maximum(weights, np.float32(1e-9))
     return np.asarray(laid, np.float32), np.asarray(share, np.float32)
 
@@ -238,7 +224,7 @@ def _laid(
 def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
     stacked = exemplar.stacked().astype(np.float32)
     height = exemplar.height[0] / exemplar.texel_size
-    fine = height - cv2.GaussianBlur(height, (0, 0), _BLOCK / 1.5)
+    fine = height - cv2.GaussianBlur(height, (0, 0), LEND.block / 1.5)
     laid = stacked.copy()
     laid[HEIGHT] = fine * exemplar.texel_size
     down, across = np.gradient(fine)
@@ -252,20 +238,20 @@ def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
 def _lenders(trusted: NDArray[np.bool_]) -> BlockPlaces:
     """(N, 2) corners of blocks that are trusted nearly all over."""
     rows, columns = trusted.shape
-    if min(rows, columns) <= _BLOCK:
+    if min(rows, columns) <= LEND.block:
         return np.zeros((0, 2), np.int64)
     sums = cv2.integral(trusted.astype(np.uint8)).astype(np.int64)
-    n = _BLOCK
+    n = LEND.block
     count = sums[n:, n:] - sums[:-n, n:] - sums[n:, :-n] + sums[:-n, :-n]
-    return np.argwhere(count >= _WHOLE * n * n)
+    return np.argwhere(count >= LEND.whole * n * n)
 
 
 def _grid(shape: tuple[int, ...]) -> list[tuple[int, int]]:
     """Corners of blocks that overlap and reach the border."""
-    step = _BLOCK - _OVERLAP
-    rows, columns = ([*range(0, side - _BLOCK, step), side - _BLOCK] for side in shape)
+    step = LEND.block - LEND.overlap
+    rows, columns = ([*range(0, side - LEND.block, step), side - LEND.block] for side in shape)
     return [(row, column) for row in rows for column in columns]
 
 
 def _block(corner: tuple[int, int]) -> tuple[slice, slice]:
-    return slice(corner[0], corner[0] + _BLOCK), slice(corner[1], corner[1] + _BLOCK)
+    return slice(corner[0], corner[0] + LEND.block), slice(corner[1], corner[1] + LEND.block)

@@ -15,14 +15,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.capture.piece.network.network import NetworkInputs
+from matcap.capture.piece.tuned import READ
 from matcap.flash.geometry import camera_in_plane
 from matcap.flash.light import FlashLight
 from matcap.flash.uniform import Uniform, uniform_radiance
-
-_FARTHEST = 3.0  # log radiance beyond this from the uniform material's tells no more
-_STEP = 0.03  # of slope and of logit roughness, for differences of radiance
-_COARSER = 4  # what a uniform material shows is smooth: worked out on every fourth texel
-_DAMPING = 0.1  # slope told per log radiance: bounded where relief does not show
 
 
 def network_inputs(
@@ -37,7 +33,7 @@ def network_inputs(
         points: (3, H, W) plane points of the texels (flash.geometry.plane_points).
     """
     height, width = linear.shape[-2:]
-    size = tuple(max(2, -(-side // _COARSER)) for side in (height, width))
+    size = tuple(max(2, -(-side // READ.coarser)) for side in (height, width))
     # From the first texel to the last one, whose points lie on a grid.
     thin = _resized(points, size)
     light = FlashLight.of(uniform.setup, thin)
@@ -53,10 +49,11 @@ def network_inputs(
     channels = [len(plane) for plane in smooth.values()]
     planes = _resized(torch.cat(list(smooth.values())), (height, width)).split(channels)
     everywhere = dict(zip(smooth, planes, strict=True))
-    log = (linear.clamp_min(1e-6).log() - everywhere["flat"]).clamp(-_FARTHEST, _FARTHEST)
+    log = (linear.clamp_min(1e-6).log() - everywhere["flat"]).clamp(-READ.farthest, READ.farthest)
     shows = everywhere["slope"]
     # To first order: the slope along what shows that this departure in brightness would mean.
-    relief = log.mean(0, keepdim=True) * shows / (shows.square().sum(0, keepdim=True) + _DAMPING**2)
+    steep = shows.square().sum(0, keepdim=True) + READ.damping**2
+    relief = log.mean(0, keepdim=True) * shows / steep
     constants = torch.tensor(
         [
             float(uniform.parameters().roughness) / 2.0,
@@ -79,18 +76,18 @@ def network_inputs(
 def _shown_of_slope(uniform: Uniform, light: FlashLight) -> Tensor:
     """(2, h, w) what log radiance changes by with slope along x and y."""
     # All at once: small tensors cost by the call.
-    moves = torch.tensor([[_STEP, 0.0], [-_STEP, 0.0], [0.0, _STEP], [0.0, -_STEP]])
+    moves = torch.tensor([[READ.step, 0.0], [-READ.step, 0.0], [0.0, READ.step], [0.0, -READ.step]])
     flat = torch.zeros_like(light.to_light[:1])
     across, up = (move.to(flat)[:, None, None, None] + flat for move in moves.T)
     moved = uniform_radiance(uniform, light, (across, up))[0]
     right, left, above, below = moved.mean(1, keepdim=True).log()
-    return torch.cat([right - left, above - below]) / (2.0 * _STEP)
+    return torch.cat([right - left, above - below]) / (2.0 * READ.step)
 
 
 def _shown_of_roughness(uniform: Uniform, light: FlashLight, flat: Tensor) -> Tensor:
     """(1, h, w) likewise with logit roughness, beyond the flat plane's radiance (3, h, w)."""
-    duller = uniform_radiance(uniform, light, duller=_STEP)[0]
-    return (duller.mean(0, keepdim=True).log() - flat.mean(0, keepdim=True).log()) / _STEP
+    duller = uniform_radiance(uniform, light, duller=READ.step)[0]
+    return (duller.mean(0, keepdim=True).log() - flat.mean(0, keepdim=True).log()) / READ.step
 
 
 def _resized(picture: Tensor, size: tuple[int, ...]) -> Tensor:

@@ -1,0 +1,289 @@
+"""What is tuned in finding the piece: one frozen dataclass a stage.
+
+Each number with its unit and what it trades. Measured on simulated and on artists' materials:
+docs/notes/exemplar.md, unless another note is named. Bands are strengths.BANDS, longest first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from matcap.flash.penalty import Penalties
+
+
+@dataclass(frozen=True)
+class ReadSettings:
+    """What the network is told, and how far its answer is believed.
+
+    Attributes:
+        farthest: log radiance; departures beyond it from the uniform material tell no more.
+        step: slope, and logit of roughness, for differences of radiance.
+        coarser: texels a side of which one is worked out: what a uniform material shows is smooth.
+        damping: bounds the slope told per log radiance where relief does not show.
+        doubted_albedo, doubted_specular, doubted_roughness, doubted_slope: expected errors (log,
+            log, logit, slope) at which confidence has fallen to 1/e. More trusts what is guessed.
+        confidence_around: the long side over the deviation of a neighbourhood's confidence. More
+            follows single features, and only plain places are believed.
+        beside: texels, deviation: how far light spreads into what lies beside a clipped texel.
+        unlit, unlit_around: where a neighbourhood (deviation in texels) has less light than this,
+            of 1 at clipping, a photograph of 8 bits has its last codes, a RAW the sensor's noise.
+    """
+
+    farthest: float = 3.0
+    step: float = 0.03
+    coarser: int = 4
+    damping: float = 0.1
+    doubted_albedo: float = 0.3
+    doubted_specular: float = 0.6
+    doubted_roughness: float = 0.6
+    doubted_slope: float = 0.15
+    confidence_around: float = 12.0
+    beside: float = 1.5
+    unlit: float = 1e-3
+    unlit_around: float = 8.0
+
+
+@dataclass(frozen=True)
+class StrengthSettings:
+    """What the photograph says outright of strengths, and how far it is followed.
+
+    Attributes:
+        window, stride: texels. Larger windows tell long waves, and fewer fit.
+        seen: share of a window that must be seen; energies are raised by what is not. At 0.98 a
+            photograph with sparkles tells nothing.
+        linear: of the response to slope: where radiance bends so much, a window counts half. It
+            is far from linear there, and near a highlight's middle it turns within a window. A
+            cut-off at 0.8 or 2 instead is the same within 1 %.
+        rounds: of reweighting: energies scatter in proportion to themselves.
+        fewest: windows, for three unknowns.
+        scatter: factor on errors: windows overlap and all directions look at the same ones.
+        uneven: share of albedo's energy that may vary over the picture for other reasons than
+            relief and pass for it (streaks that are stronger at the rim). Relief stands out of it.
+        disagreed: share of what two responses to slope tell differently, that is doubt.
+        response_around: texels, deviation of the neighbourhood whose slopes show alike.
+        together, each_band: deviations of the logarithm of energies that networks draw from true
+            ones: of all bands, and of each beside. Half or twice as much hardly matters.
+        believed_reach, believed_fineness: logarithms of energy that are tried, and their step.
+        least_energy: squared slope.
+        even_around: texels, deviation of a neighbourhood, as long as the longest waves.
+        even_least, even_most: slopes are not weakened or strengthened more by their place.
+        even_rounds: of bringing bands to their strengths: they share waves at their borders.
+        strongest: a band's factor; beyond, it has nothing of its own. At 5 leather's finest octave,
+            which needed 11, stayed weak.
+        least_slope: slope.
+    """
+
+    window: int = 128
+    stride: int = 64
+    seen: float = 0.75
+    linear: float = 1.2
+    rounds: int = 4
+    fewest: int = 8
+    scatter: float = 2.0
+    uneven: float = 0.1
+    disagreed: float = 0.5
+    response_around: float = 24.0
+    together: float = 1.5
+    each_band: float = 1.0
+    believed_reach: float = 5.0
+    believed_fineness: float = 0.05
+    least_energy: float = 1e-8
+    even_around: float = 64.0
+    even_least: float = 0.25
+    even_most: float = 5.0
+    even_rounds: int = 3
+    strongest: float = 30.0
+    least_slope: float = 1e-4
+
+
+@dataclass(frozen=True)
+class RefineSettings:
+    """Levels and texels moved until they re-render to the photograph.
+
+    Attributes:
+        steps: of refinement; what is left falls little further.
+        step: of log F0 and logit roughness, for differences of log radiance.
+        slope_step: likewise, of slopes.
+        least_error, most_error: expected errors believed in.
+        least_noise: of log radiance: what is not explained, where the sensor's is less. Less draws
+            the sensor's grain into the maps.
+        darkest: linear radiance.
+        slow: the picture's long side over the deviation of what counts as slow and stays out.
+        most: of log radiance a step explains.
+        glare: of log radiance: what a highlight's fit leaves where all light is mirrored.
+        chroma: deviation of albedo's colour as a share of its lightness's.
+        level_steps: of the levels' fit.
+        level_albedo, level_specular, level_roughness: deviations of what is off on the whole (log,
+            log, logit).
+        level_noise: of log radiance: what a cell's mean is off by for other reasons.
+        level_cells: that count as independent: what the model lacks is smooth.
+        huber: of log radiance; beyond it a residual counts linearly.
+        cell: texels a side.
+        seen: share of a cell that must be valid, or it is a lower bound.
+        stationary: the long side over the deviation of what a stationary sample is even over.
+        thinned: texels a side of which one is looked at, where things are smooth.
+    """
+
+    steps: int = 3
+    step: float = 0.03
+    slope_step: float = 0.03
+    least_error: float = 0.02
+    most_error: float = 1.0
+    least_noise: float = 0.01
+    darkest: float = 1e-5
+    slow: float = 12.0
+    most: float = 0.5
+    glare: float = 0.5
+    chroma: float = 0.3
+    level_steps: int = 4
+    level_albedo: float = 0.5
+    level_specular: float = 0.3
+    level_roughness: float = 0.4
+    level_noise: float = 0.1
+    level_cells: float = 100.0
+    huber: float = 0.2
+    cell: int = 16
+    seen: float = 0.95
+    stationary: float = 8.0
+    thinned: int = 3
+
+
+@dataclass(frozen=True)
+class AdaptSettings:
+    """A few numbers moved until windows look like the photograph everywhere.
+
+    Attributes:
+        legs: how far each leg reaches; in between, what relief no longer explains goes back to
+            albedo. Short steps at the end: long ones stray by a tenth of relief's strength.
+        rate: of Adam, in logits and in logarithms of gains.
+        betas: of Adam: short memories, for there are few steps.
+        windows: a step, of exemplar and of photograph.
+        held: share of the steps after which the rate falls to nothing and numbers are averaged.
+        offset_albedo, offset_specular, offset_roughness: how far means are believed to be off,
+            logits.
+        gain_albedo, gain_specular, gain_roughness: how far logarithms of contrasts are.
+        relief, band: how far the logarithm of relief's strength is, and of each band's beside.
+        least_doubt: of that logarithm, however well it is told.
+        held_back, fewest_held: windows that what is found is judged on.
+        judging_seed: of their places.
+        belief: of the distance of statistics, for a number that is off by its deviation.
+        logit_epsilon: of albedo, F0 and roughness: bounds the logit at 0 and 1.
+        seen: share of a window that must have been seen; of the best windows, if none has.
+        penalties: specks are what was photographed, here.
+        tie_specular, tie_roughness: logits of F0 and roughness believed to go with a logarithm of
+            lightness, with one of colour, with a deviation of a band of relief. What hardly varies
+            tells next to nothing: a plaster has no colours to go with.
+        tie_darkest: albedo.
+        tie_farthest: deviations: a speck's gloss is not far beyond the others'.
+        contrast_around: texels, deviation of a neighbourhood of albedo's contrast.
+        contrast_least, contrast_most: contrast is not lowered or raised more.
+        contrast_faintest: of log albedo.
+        contrast_unseen: weight of a place for what is there, seen or not.
+    """
+
+    legs: tuple[float, ...] = (1.0, 0.35)
+    rate: float = 0.06
+    betas: tuple[float, float] = (0.8, 0.95)
+    windows: int = 3
+    held: float = 0.5
+    offset_albedo: float = 0.3
+    offset_specular: float = 0.5
+    offset_roughness: float = 0.5
+    gain_albedo: float = 0.3
+    gain_specular: float = 0.7
+    gain_roughness: float = 0.7
+    relief: float = 0.5
+    band: float = 0.3
+    least_doubt: float = 0.03
+    held_back: int = 12
+    fewest_held: int = 3
+    judging_seed: int = 1
+    belief: float = 0.005
+    logit_epsilon: float = 1e-4
+    seen: float = 0.95
+    penalties: Penalties = Penalties(outlier=0.0)
+    tie_specular: tuple[float, float, float] = (0.3, 1.0, 0.1)
+    tie_roughness: tuple[float, float, float] = (0.8, 1.0, 0.3)
+    tie_darkest: float = 1e-4
+    tie_farthest: float = 3.0
+    contrast_around: float = 64.0
+    contrast_least: float = 0.5
+    contrast_most: float = 3.0
+    contrast_faintest: float = 1e-4
+    contrast_unseen: float = 0.05
+
+
+@dataclass(frozen=True)
+class LendSettings:
+    """Blocks lent to where glare hides the maps.
+
+    Attributes:
+        tried, tried_at_once: blocks for a place of a piece that was adapted, or was not. More finds
+            likelier ones and takes as much longer.
+        block: texels a side: long enough for pieces of a drawing, short enough to be found.
+        overlap: texels that neighbours share.
+        sharpness: of the border between two: the nearer block's texels, hardly mixed.
+        trusted: confidence of albedo, as a share of the well seen places', that lends.
+        well_seen: quantile of confidence that counts as well seen.
+        most_hidden: share of the picture: more than this no flash hides.
+        whole: share of a block that must be trusted.
+        wanted: share of a place that is not, for a block to be laid there.
+        least: share of all texels below which nothing is worth lending.
+        likeness: what a drawing's correlation counts beside the overlap's continuity.
+        unlike, shown: one less the correlation, beyond which a place keeps what is there, if so
+            large a share of it shows at all: a scratch stays.
+        thinned: texels a side of which one is lit.
+        farthest: squared, in deviations: differences beyond it are edges that do not meet.
+        edge: texels, deviation of the soft edge towards what is kept.
+        darkest: linear radiance.
+    """
+
+    tried: int = 250
+    tried_at_once: int = 40
+    block: int = 48
+    overlap: int = 12
+    sharpness: float = 8.0
+    trusted: float = 0.93
+    well_seen: float = 0.75
+    most_hidden: float = 0.2
+    whole: float = 0.95
+    wanted: float = 0.25
+    least: float = 2e-4
+    likeness: float = 0.7
+    unlike: float = 0.35
+    shown: float = 0.5
+    thinned: int = 4
+    farthest: float = 4.0
+    edge: float = 4.0
+    darkest: float = 1e-4
+
+
+@dataclass(frozen=True)
+class FinestSettings:
+    """The finest bands, carried over from the photograph.
+
+    Attributes:
+        darkest: linear radiance.
+        most: of log radiance, that is detail.
+        hidden: squared share of matte light at which half of what shows is taken for albedo's.
+        rounds: of bringing albedo to the photograph.
+        relief_at_most: share of the finest bands' energy that is relief's. Half of it instead:
+            leather 8.1 floors for 7.4, and sharper than photographed.
+        least_ratio, most_ratio: of an octave's energy of slopes to the one before.
+    """
+
+    darkest: float = 1e-5
+    most: float = 1.0
+    hidden: float = 0.1
+    rounds: int = 2
+    relief_at_most: float = 0.25
+    least_ratio: float = 0.05
+    most_ratio: float = 1.0
+
+
+READ = ReadSettings()
+STRENGTH = StrengthSettings()
+REFINE = RefineSettings()
+ADAPT = AdaptSettings()
+LEND = LendSettings()
+FINEST = FinestSettings()
