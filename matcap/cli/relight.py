@@ -274,7 +274,8 @@ def _report(plan: Plan, out: Path, *, as_json: bool, explain: bool) -> None:
 
 def bench(
     scenes: Annotated[
-        list[Path] | None, typer.Argument(help="Scene files; without any, the named scenes.")
+        list[Path] | None,
+        typer.Argument(help="Scene files, or studio, sunset, turntable; these without any."),
     ] = None,
     json: JsonOption = False,
     tolerances: Annotated[

@@ -115,7 +115,12 @@ class Block:
 
     def ran(self, effect: str, where: Array | None = None) -> None:
         """Note that an effect ran, in all pixels or in some."""
-        self.context.tally.ran(effect, self.tiles if where is None else self.tiles[where])
+        self.context.tally.ran(effect, self._all_tiles if where is None else self.tiles[where])
+
+    @cached_property
+    def _all_tiles(self) -> Array:
+        """The tiles, once for each run of pixels in a tile."""
+        return self.tiles[np.flatnonzero(np.diff(self.tiles, prepend=-1))]
 
     @cached_property
     def _told(self) -> tuple[CPixels, HeldArrays]:
@@ -136,11 +141,12 @@ class Block:
             n_dot_v=kept.of(self.n_dot_v),
             alpha=kept.of(sample.alpha),
             facing=kept.of(self.facing, np.uint8),
-            wide=kept.of(self.context.sampler.covered(hits.footprint)),
             diffuse=vector(sample.diffuse),
             specular=vector(sample.specular),
             total=tuple(one.ctypes.data for one in self.total),
         )
+        if self.plan.on("shadows"):
+            told.wide = kept.of(self.context.sampler.covered(hits.footprint))
         if hits.frame is not None:
             told.frame = tuple(kept.of(one) for axis in hits.frame for one in axis)
         if self.flow is not None:

@@ -1,9 +1,10 @@
 """What relighting costs, and what leaving effects out saves.
 
 Speed: one megapixel, one point light, flat. Saving: each scene with its automatic plan against
-`--effects all`. Mitsuba, where it is installed: the time it takes to render a diffuse plane under
-a rectangular light to the same error. Times are of the processor, all
-cores together, so that other programs do not count; the megapixel also by the wall's clock.
+`--effects all`, both by the same loops; and the next picture of a sequence against the first, for
+which horizons are known. Mitsuba, where it is installed: the time it takes to render a diffuse
+plane under a rectangular light to the same error. Times are of the processor, all cores together,
+so that other programs do not count; the megapixel also by the wall's clock.
 """
 
 from __future__ import annotations
@@ -37,12 +38,14 @@ class Saving:
         scene: its name.
         automatic: seconds with the automatic plan.
         everything: seconds with every effect.
+        next: seconds of the plan's next picture of the same surface.
         running: how many of the effects the plan runs.
     """
 
     scene: str
     automatic: float
     everything: float
+    next: float
     running: int
 
     @property
@@ -64,17 +67,16 @@ def megapixel_milliseconds(repeats: int = 15) -> tuple[float, float]:
 
 
 def savings(scenes: Sequence[Path], *, width: int | None = None, repeats: int = 3) -> list[Saving]:
-    """Every scene file, or the named scenes without any, with the plan and with everything.
+    """Every scene, with the plan and with everything.
 
     Args:
-        scenes: the files.
+        scenes: see chosen_scenes().
         width: of the pictures, instead of the scenes' own.
         repeats: of which the median counts; reading the maps is not counted, horizons are.
     """
-    chosen = [(path.stem, read_scene(path)) for path in scenes] or list(SCENES.items())
     texture = leather(1024)
     found = []
-    for name, scene in chosen:
+    for name, scene in chosen_scenes(scenes):
         film = scene.film or Film()
         if width is not None:
             height = max(1, round(width * film.height / film.width))
@@ -87,16 +89,24 @@ def savings(scenes: Sequence[Path], *, width: int | None = None, repeats: int = 
         def everything(scene: Scene = scene) -> object:
             return Renderer(texture, scene).render(effects="all")
 
-        running = len(Renderer(texture, scene).render().plan.running)
+        kept = Renderer(texture, scene)
+        running = len(kept.render().plan.running)
         found.append(
             Saving(
                 name,
                 median_seconds(automatic, repeats),
                 median_seconds(everything, repeats),
+                median_seconds(kept.render, repeats),
                 running,
             )
         )
     return found
+
+
+def chosen_scenes(scenes: Sequence[Path]) -> list[tuple[str, Scene]]:
+    """Names and scenes: of scene files, or of scenes that have names; all these without any."""
+    named = [(path.stem, SCENES.get(str(path)) or read_scene(path)) for path in scenes]
+    return named or list(SCENES.items())
 
 
 def mitsuba_ratio(size: int = 256) -> dict[str, float]:
@@ -145,6 +155,7 @@ def report(scenes: Sequence[Path]) -> dict[str, Any]:
                 "automatic_s": one.automatic,
                 "all_s": one.everything,
                 "ratio": one.ratio,
+                "next_s": one.next,
                 "effects": one.running,
             }
             for one in found
@@ -165,10 +176,10 @@ def table(result: dict[str, Any]) -> str:
         f"one megapixel, one point light, flat: {wall:.1f} ms, {processor:.1f} ms of the processor",
         "",
     ]
-    lines.append(f"{'scene':<14}{'effects':>8}{'plan s':>9}{'all s':>9}{'ratio':>8}")
+    lines.append(f"{'scene':<14}{'effects':>8}{'plan s':>9}{'all s':>9}{'ratio':>8}{'next s':>9}")
     lines += [
         f"{one['scene']:<14}{one['effects']:>8}{one['automatic_s']:>9.3f}{one['all_s']:>9.3f}"
-        f"{one['ratio']:>8.2f}"
+        f"{one['ratio']:>8.2f}{one['next_s']:>9.3f}"
         for one in result["scenes"]
     ]
     lines += [f"median ratio {result['median_ratio']:.2f}", ""]

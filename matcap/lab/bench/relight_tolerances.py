@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 from matcap.files.srgb import srgb_encode
 from matcap.files.staging import check_writable
 from matcap.lab.bench.plot import draw
-from matcap.lab.bench.relight import leather, median_seconds
+from matcap.lab.bench.relight import chosen_scenes, leather, median_seconds
 from matcap.lab.bench.table import Measurement, append, front, machine, points
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE
-from matcap.relight.named import SCENES
 from matcap.relight.render import Renderer
 from matcap.relight.scene import Film, Scene
-from matcap.relight.scenefile import read_scene
 
 # Of the plan, in steps of 8 bits; the default is half of one.
 TOLERANCES = (0.03, 0.125, 0.5, 2.0, 8.0, 32.0)
@@ -49,19 +47,18 @@ def measure_tolerances(
     repeats: int = 3,
     tell: Callable[[str], None] = lambda _line: None,
 ) -> list[Measurement]:
-    """Every scene file, or the named scenes without any, at every point.
+    """Every scene, at every point.
 
     Args:
-        scenes: the files.
+        scenes: see chosen_scenes().
         width: of the pictures.
         texels: across the leather that is lit.
         repeats: of which the median counts.
         tell: hears of every measurement.
     """
-    chosen = [(path.stem, read_scene(path)) for path in scenes] or list(SCENES.items())
     texture, by = leather(texels), machine()
     measured = []
-    for name, given in chosen:
+    for name, given in chosen_scenes(scenes):
         film = given.film or Film()
         film = replace(film, width=width, height=max(1, round(width * film.height / film.width)))
         scene = replace(given, film=film)

@@ -130,10 +130,13 @@ def _told(
 
 
 def _rule(rule: Rule, order: int, kept: HeldArrays) -> CRule:
-    more = -len(rule.weights) % LANES
-    places = (kept.of(np.pad(one, (0, more), mode="edge")) for one in rule.places)
-    weights, cells = (np.pad(one, (0, more)) for one in (rule.weights, rule.cell))
-    return CRule(*places, kept.of(weights), kept.of(cells, np.int32), len(weights), order)
+    count = len(rule.weights)
+    size = count + -count % LANES
+    # Points too many are the last one again, and weigh nothing.
+    which = np.minimum(np.arange(size), count - 1)
+    places = (kept.of(one[which]) for one in rule.places)
+    weights = rule.weights[which] * (np.arange(size) < count)
+    return CRule(*places, kept.of(weights), kept.of(rule.cell[which], np.int32), size, order)
 
 
 def _half(light: AreaLight) -> float:
@@ -151,21 +154,29 @@ def rule(light: AreaLight, order: int, *, parts: bool = False) -> Rule:
         parts: make each of the 16 parts of which shadows are known weigh what it measures; the
             order is then a multiple of 4.
     """
-    pieces = 1 if not parts else 2 if isinstance(light, SphereLight) else 4
+    first, second, weights, cell = _points(isinstance(light, SphereLight), order, parts)
+    if isinstance(light, SphereLight):
+        return Rule((first, np.cos(second), np.sin(second)), weights, cell)
+    across, along, _ = _axes(light)
+    one, two = (first - 0.5) * light.size[0], (second - 0.5) * light.size[1]
+    px, py, pz = (light.position[k] + across[k] * one + along[k] * two for k in range(3))
+    return Rule((px, py, pz), weights, cell)
+
+
+@lru_cache(maxsize=32)
+def _points(around: bool, order: int, parts: bool) -> tuple[Array, Array, Array, Array]:
+    """Points of [0, 1] x [0, 1], or of [0, 1] and a turn, their weights and parts."""
+    pieces = 1 if not parts else 2 if around else 4
     x, weights = np.polynomial.legendre.leggauss(order // pieces)
     x = ((x + 1.0) / 2.0 + np.arange(pieces)[:, None]).ravel() / pieces
     weights = np.tile(weights / (2.0 * pieces), pieces)
-    if isinstance(light, SphereLight):
-        turns = 2 * len(x)
-        i, turn = (grid.ravel() for grid in np.mgrid[: len(x), :turns])
-        angle = 2.0 * math.pi * (turn + 0.5 * (i % 2)) / turns
-        places = x[i], np.cos(angle), np.sin(angle)
-        return Rule(places, 2.0 * math.pi * weights[i] / turns, _cells(x[i], turn / turns, 2, 8))
-    across, along, _ = _axes(light)
-    a, b = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
-    one, two = (a - 0.5) * light.size[0], (b - 0.5) * light.size[1]
-    px, py, pz = (light.position[k] + across[k] * one + along[k] * two for k in range(3))
-    return Rule((px, py, pz), np.outer(weights, weights).ravel(), _cells(a, b, 4, 4))
+    if not around:
+        a, b = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
+        return a, b, np.outer(weights, weights).ravel(), _cells(a, b, 4, 4)
+    turns = 2 * len(x)
+    i, turn = (grid.ravel() for grid in np.mgrid[: len(x), :turns])
+    angle = 2.0 * math.pi * (turn + 0.5 * (i % 2)) / turns
+    return x[i], angle, 2.0 * math.pi * weights[i] / turns, _cells(x[i], turn / turns, 2, 8)
 
 
 def _cells(first: Array, second: Array, rows: int, columns: int) -> Array:
