@@ -36,8 +36,8 @@ from matcap.relight.texture import Texture
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
-# Pixels shaded together: their two dozen arrays should stay in a core's own cache.
-_BLOCK = 16384
+# Pixels shaded together: so many that what each block costs to begin with does not count.
+_BLOCK = 32768
 # Top, bottom, left and right; half open.
 Cut = tuple[int, int, int, int]
 Item = TypeVar("Item")
@@ -269,7 +269,7 @@ def _needed(scene: Scene) -> tuple[float, float]:
 
 
 def _blocks(size: tuple[int, int], *, whole_tiles: bool) -> Iterator[Cut]:
-    """Rectangles of a picture of some size, of so many pixels that a core's cache holds them."""
+    """Rectangles of a picture of some size, of about so many pixels."""
     width, height = size
     columns = TILE * max(1, _BLOCK // TILE**2) if whole_tiles else width
     rows = TILE if whole_tiles else max(1, _BLOCK // width)

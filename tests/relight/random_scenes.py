@@ -139,7 +139,8 @@ def times(count: int, larger: int) -> None:
     found = sorted(time_ratio(seed, larger) for seed in range(count))
     low, high = found[count // 10], found[count - 1 - count // 10]
     print(
-        f"{count} scenes, {larger} times as large, all effects over the plan: median {statistics.median(found):.1f}, "
+        f"{count} scenes, {larger} times as large, all effects over the plan: "
+        f"median {statistics.median(found):.1f}, "
         f"a tenth below {low:.1f}, a tenth above {high:.1f}, least {found[0]:.2f}"
     )
 
