@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from matcap.files.digest import DIGEST, is_whole
 from matcap.files.names import made_plain
 from matcap.files.note import note
 from matcap.files.values import bounded
+from matcap.flash.geometry import FlashSetup
 
 FORMAT = "matcap-material"
 # Of the file: with a decoder, with one that reads structured noise, and without any.
@@ -122,6 +124,17 @@ def _checked(about: dict[str, Any]) -> dict[str, Any]:
         "setup": stated_setup(about["setup"]),
         "provenance": known_provenance(about["provenance"]),
     }
+
+
+def setup_entry(setup: FlashSetup) -> dict[str, Any]:
+    """A flash as a file states it; `stated_setup` reads it.
+
+    A loss of light by r^4 of nothing is left out, as in files of before there was one.
+    """
+    entry = asdict(setup)
+    if not setup.vignetting_quartic:
+        del entry["vignetting_quartic"]
+    return entry
 
 
 def stated_setup(stated: Mapping[str, Any]) -> dict[str, Any]:

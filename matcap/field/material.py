@@ -33,7 +33,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -44,7 +44,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.field.field import Field
-from matcap.field.header import FORMAT, opened
+from matcap.field.header import FORMAT, opened, setup_entry
 from matcap.field.source import FieldGenerator, Generator
 from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
@@ -152,7 +152,7 @@ class Material:
             "version": min(part.version for part in self.generators.values()),
             "name": self.name,
             "texel_size": self.texel_size,
-            "setup": asdict(self.setup),
+            "setup": setup_entry(self.setup),
             "provenance": dict(self.provenance),
         }
         for part in self.generators.values():
