@@ -362,7 +362,7 @@ CAPTURE = (
     Fault(
         "highlight: the first bright patch",
         "flash/highlight.py",
-        "if _others(blurred, found) < _OTHERS:",
+        "if _others(blurred, found) < HIGHLIGHT.others:",
         "if _others(blurred, found) < 1e3:",
         ("tests/flash/test_coarse_highlight.py", "-k", "patches"),
     ),

@@ -7,7 +7,6 @@ where the photographed piece's own maps are asked for, too.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 from matcap.capture.ending import judged, provenance
@@ -24,7 +23,7 @@ from matcap.space.decoder import DecoderConfig
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.anytime import Forecaster, self_difference
 from matcap.space.tuning.audition import begin
-from matcap.space.tuning.finetune import TuneSettings, finetune
+from matcap.space.tuning.finetune import TellStep, Tuned, TuneSettings, finetune
 from matcap.space.tuning.match import match_photograph
 
 
@@ -47,45 +46,17 @@ def capture_by_decoder(
     Raises:
         MatcapError: the prior cannot be read, or the picture is too small for a target.
     """
-    photo, coarse, plane, waves = shot.photo, shot.coarse, shot.plane, shot.waves
+    photo, coarse, plane = shot.photo, shot.coarse, shot.plane
     with clock.stage("statistics"):
         most = None if effort.steps or (settings.aligned and effort.adapted) else 1
         target, joined = photograph_target(shot, settings, method, most)
         own = self_difference(target.windows, target.weights)
         tune = _tune(settings, effort, method, own, photo.name)
 
-    with clock.stage("start"):
-        shape = method.decoder or DecoderConfig()
-        start = begin(
-            photo.pixels,
-            coarse,
-            plane,
-            target,
-            tune,
-            settings.prior,
-            shape,
-            hurried=settings.time_limit is not None,
-        )
-
-    with clock.stage("fine-tuning"):
-        limit = clock.left_for("fine-tuning")
-        tune = replace(
-            tune,
-            seconds=limit if math.isfinite(limit) else None,
-            learning_rate=start.rate,
-        )
-        tuned = finetune(start.decoder, start.code, target, tune, _told(clock, own))
-    clock.interrupted |= tuned.interrupted
-
-    decoder = TunedDecoder(
-        tuned.decoder.eval().requires_grad_(False),
-        start.code,
-        tuned.moments,
-        waves,
-        plane.texel_size,
-    )
-    told = provenance(photo, settings, coarse, effort, joined)
-    material = decoder.material(photo.stem, coarse.setup, told)
+    tell = _told(clock, own)
+    decoder, tuned = _tuned_decoder(shot, settings, method, target, tune, clock, tell)
+    about = provenance(photo, settings, coarse, effort, joined)
+    material = decoder.material(photo.stem, coarse.setup, about)
     if tuned.history and effort.matched:
         # To the first photograph, if there are others.
         with clock.stage("matching"), postponed() as stopped:
@@ -94,7 +65,39 @@ def capture_by_decoder(
 
     found = _piece(shot, target, settings, effort, clock) if settings.aligned else None
     went = Tuning(tuned.history, own)
-    return judged(photo, material, plane, waves, settings, clock, found, went)
+    return judged(photo, material, plane, shot.waves, settings, clock, found, went)
+
+
+def _tuned_decoder(
+    shot: CaptureStart,
+    settings: CaptureSettings,
+    method: Method,
+    target: PhotographTarget,
+    tune: TuneSettings,
+    clock: CaptureClock,
+    tell: TellStep,
+) -> tuple[TunedDecoder, Tuned]:
+    """The decoder from where it starts to how it was tuned."""
+    with clock.stage("start"):
+        start = begin(
+            shot.photo.pixels,
+            shot.coarse,
+            shot.plane,
+            target,
+            tune,
+            settings.prior,
+            method.decoder or DecoderConfig(),
+            hurried=settings.time_limit is not None,
+        )
+    with clock.stage("fine-tuning"):
+        limit = clock.left_for("fine-tuning")
+        seconds = limit if math.isfinite(limit) else None
+        tune = replace(tune, seconds=seconds, learning_rate=start.rate)
+        tuned = finetune(start.decoder, start.code, target, tune, tell)
+    clock.interrupted |= tuned.interrupted
+    network = tuned.decoder.eval().requires_grad_(False)
+    decoder = TunedDecoder(network, start.code, tuned.moments, shot.waves, shot.plane.texel_size)
+    return decoder, tuned
 
 
 def _tune(
@@ -110,7 +113,7 @@ def _tune(
     )
 
 
-def _told(clock: CaptureClock, own: float) -> Callable[[float, float, float], None]:
+def _told(clock: CaptureClock, own: float) -> TellStep:
     """What tells a step of fine-tuning."""
     ahead = Forecaster(own)
     return lambda share, error, seconds: clock.tuning(share, *ahead.after(error, seconds))

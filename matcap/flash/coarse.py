@@ -33,49 +33,80 @@ from matcap.flash.light import FlashLight, log_vignette
 from matcap.flash.uniform import Uniform
 from matcap.photo.photo import Photo
 
-# Cells across the long side, enough for what is smooth; first all starts are tried on the former.
-_CELLS = (24, 32)
-# Cells across the highlight's patch, which reaches this many of its half widths from its centre.
-_PATCH_CELLS, _PATCH_REACH = (10, 16), 2.0
-# What the patch weighs beside the whole picture, however small it is.
-_PATCH_WEIGHT = 0.5
-# A developed picture compresses its brightest tones before it clips them; above this share of the
-# clip level its cells are lower bounds. RAW is linear up to the clip level itself.
-_KNEE_DEVELOPED, _KNEE_RADIOMETRIC = 0.6, 0.95
-_CLIPPING = 0.95  # a clipped pixel's channels above this did it
-_HUBER = 0.1  # in log radiance: beyond 10 % a residual counts linearly
-_ITERATIONS = (6, 30)  # of Levenberg-Marquardt, at most: of every start, and of those worth it
-_KEPT = 2  # starts that are worth finishing
-_STEP = 1e-5  # of a parameter, all of which are of order 1
-# A developed picture's tone curve deepens the falloff; a RAW's numbers are the light's own, and
-# only what a lens profile left undone remains.
-_VIGNETTING_RADIOMETRIC = (0.0, 0.05)
-_QUARTIC_RADIOMETRIC = (0.0, 1e-4)  # one term is enough there, and the other would pass for gloss
-# Nor does a tone curve of its own pass for a tilt.
-_TILT_RADIOMETRIC = 0.1
-_BRIGHTEST = 0.8  # mean albedo or F0 of the brightest material believed in
-_MOST_ALBEDO = 0.98  # or F0, under a known flash: no surface gives back all
-# One prior deviation weighs like residuals of _HUBER in this share of the cells where a picture
-# was developed: what the model lacks there (tone mapping) is smooth. In a RAW it weighs like
-# the residuals themselves in so many cells, found by trial: about as many as there are, for their
-# whitened channels are independent, and a blotch fills several.
-_PRIOR_SHARE_DEVELOPED, _CELLS_THAT_COUNT = 0.15, 600.0
-# Deviation of a found highlight's centre from where the plane mirrors the flash: plane units, and
-# share of its half width.
-_CENTRE_DEVIATION = (0.006, 0.1)
-_MIDDLE_DEVIATION = (0.004, 0.03)  # likewise of the middle of its half-way ring
-# What one deviation of the highlight's own measures weighs, likewise: a tone curve bends what is
-# around it, while in a RAW they only show the way.
-_EVIDENCE_DEVELOPED, _EVIDENCE_RADIOMETRIC = 1.0, 0.005
-_LEVEL_DEVIATION = 0.1  # log radiance, of the highlight's peak, half-way level and surroundings
-_DIRECTIONS = 12  # points of a ring
-# Log radiance: no two channels are believed to agree better; larger residuals count as this large.
-_COLOUR_NOISE, _TEXTURE_AT_MOST = 0.01, 0.5
-_CELLS_THAT_TELL_COLOUR = 30  # at least, for nine numbers
-# Between knee and clip level a developed picture is darker than light, but not by any amount: a
-# model above it is blamed this much.
-_ABOVE_KNEE = 0.25
+_STEP = 1e-5  # of a parameter, all of which are of order 1, for differences
 _DARKEST = 1e-12  # radiance, so that there is a logarithm
+
+
+@dataclass(frozen=True)
+class CoarseSettings:
+    """What is tuned of the coarse fit; docs/notes/coarse-fit.md has what was measured.
+
+    Attributes:
+        cells: across the long side, enough for what is smooth; all starts are tried on the former.
+        patch_cells: across the highlight's patch, likewise.
+        patch_reach: of the patch, in half widths of the highlight from its centre.
+        patch_weight: what the patch weighs beside the whole picture, however small it is.
+        knee_developed, knee_radiometric: shares of the clip level above which cells are lower
+            bounds: a developed picture compresses its brightest tones before it clips them, RAW is
+            linear up to the clip level itself.
+        above_knee: what a model is blamed for being brighter than such a cell, of 1: it is darker
+            than light was, but not by any amount.
+        clipping: a clipped pixel's channels above this did it.
+        huber: log radiance; beyond it a residual counts linearly.
+        iterations: of Levenberg-Marquardt, at most: of every start, and of those worth it.
+        kept: starts that are worth finishing.
+        vignetting_radiometric, quartic_radiometric: mean and deviation in a RAW, whose numbers are
+            the light's own: what a lens profile left undone. A tone curve deepens the falloff of a
+            developed one, while in a RAW a second term would pass for gloss.
+        tilt_radiometric: radians, deviation: nor does a tone curve pass for a tilt there.
+        brightest: mean albedo or F0 of the brightest material believed in.
+        most_albedo: or F0, under a known flash: no surface gives back all.
+        prior_share_developed: share of the cells in which residuals of `huber` weigh like one
+            deviation of the prior: what the model lacks there (tone mapping) is smooth.
+        cells_that_count: likewise of residuals themselves in a RAW, found by trial: about as many
+            as there are, for their whitened channels are independent and a blotch fills several.
+        centre_deviation: of a highlight's centre from where the plane mirrors the flash: plane
+            units, and share of its half width.
+        middle_deviation: likewise of the middle of its half-way ring.
+        level_deviation: log radiance, of its peak, half-way level and surroundings.
+        evidence_developed, evidence_radiometric: what one deviation of the highlight's measures
+            weighs: a tone curve bends what is around it, in a RAW they only show the way.
+        directions: points of a ring.
+        colour_noise: log radiance: no two channels are believed to agree better.
+        texture_at_most: log radiance: larger residuals count as this large.
+        cells_that_tell_colour: at least, for nine numbers.
+    """
+
+    cells: tuple[int, int] = (24, 32)
+    patch_cells: tuple[int, int] = (10, 16)
+    patch_reach: float = 2.0
+    patch_weight: float = 0.5
+    knee_developed: float = 0.6
+    knee_radiometric: float = 0.95
+    above_knee: float = 0.25
+    clipping: float = 0.95
+    huber: float = 0.1
+    iterations: tuple[int, int] = (6, 30)
+    kept: int = 2
+    vignetting_radiometric: tuple[float, float] = (0.0, 0.05)
+    quartic_radiometric: tuple[float, float] = (0.0, 1e-4)
+    tilt_radiometric: float = 0.1
+    brightest: float = 0.8
+    most_albedo: float = 0.98
+    prior_share_developed: float = 0.15
+    cells_that_count: float = 600.0
+    centre_deviation: tuple[float, float] = (0.006, 0.1)
+    middle_deviation: tuple[float, float] = (0.004, 0.03)
+    level_deviation: float = 0.1
+    evidence_developed: float = 1.0
+    evidence_radiometric: float = 0.005
+    directions: int = 12
+    colour_noise: float = 0.01
+    texture_at_most: float = 0.5
+    cells_that_tell_colour: int = 30
+
+
+COARSE = CoarseSettings()
 
 
 @dataclass(frozen=True)
@@ -210,39 +241,44 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
     highlight = find_highlight(light_of(photo.pixels))
     centre, deviation = _PRIOR_MEAN, _PRIOR_DEVIATION
     if photo.radiometric:
-        means, scatters = zip(_VIGNETTING_RADIOMETRIC, _QUARTIC_RADIOMETRIC, strict=True)
+        means, scatters = zip(
+            COARSE.vignetting_radiometric, COARSE.quartic_radiometric, strict=True
+        )
         centre = replace(centre, vignetting=_numbers(*means))
-        leaning = _numbers(_TILT_RADIOMETRIC, _TILT_RADIOMETRIC)
+        leaning = _numbers(COARSE.tilt_radiometric, COARSE.tilt_radiometric)
         deviation = replace(deviation, vignetting=_numbers(*scatters), tilt=leaning)
     if tilt is not None:
         centre = replace(centre, tilt=_numbers(*tilt))
         deviation = replace(deviation, tilt=_numbers(1e-4, 1e-4))
-    precision = _PRIOR_SHARE_DEVELOPED * _HUBER**2 / deviation.vector().square()
+    precision = COARSE.prior_share_developed * COARSE.huber**2 / deviation.vector().square()
 
     def problem(level: int) -> _Problem:
         cells = _see(photo, highlight, level)
-        evidence = _EVIDENCE_RADIOMETRIC if photo.radiometric else _EVIDENCE_DEVELOPED
+        evidence = COARSE.evidence_radiometric if photo.radiometric else COARSE.evidence_developed
         return _Problem(
             cells, distance, highlight, evidence, _rings(highlight), centre.vector(), precision
         )
 
     first, last = problem(0), problem(1)
     starts = _starts(first.cells.observed, centre, highlight, distance, held=tilt is not None)
-    tried = [_levenberg_marquardt(first, start, _ITERATIONS[0]) for start in starts]
+    tried = [_levenberg_marquardt(first, start, COARSE.iterations[0]) for start in starts]
     tried.sort(key=lambda found: found[0])
     if photo.radiometric:
         last = last.whitened(tried[0][1]).trusting(tried[0][1])
     single = min(
-        (_levenberg_marquardt(last, start, _ITERATIONS[1]) for _, start in tried[:_KEPT]),
+        (
+            _levenberg_marquardt(last, start, COARSE.iterations[1])
+            for _, start in tried[: COARSE.kept]
+        ),
         key=lambda found: found[0],
     )[1]
     # Two lobes tell the place better; then one lobe does what it can there.
     two = last.with_two_lobes()
-    both = Unknowns.of(_levenberg_marquardt(two, _parted(single), _ITERATIONS[1])[1])
+    both = Unknowns.of(_levenberg_marquardt(two, _parted(single), COARSE.iterations[1])[1])
     start = replace(
         Unknowns.of(single), offset=both.offset, tilt=both.tilt, vignetting=both.vignetting
     )
-    best = _levenberg_marquardt(last.at(both), start.vector(), _ITERATIONS[1])[1]
+    best = _levenberg_marquardt(last.at(both), start.vector(), COARSE.iterations[1])[1]
     difference = _log_radiance(best, last.cells.image, distance) - last.cells.observed
     rest = difference[last.cells.above == 1.0]
     return _coarse_fit(
@@ -258,7 +294,7 @@ def _coarse_fit(
 ) -> CoarseFit:
     albedo, specular = best.albedo.tolist(), float(best.specular)
     # Only ratios are seen: albedos brighter than paper mean a brighter flash.
-    excess = max(0.0, max(*albedo, specular) - math.log(_BRIGHTEST))
+    excess = max(0.0, max(*albedo, specular) - math.log(COARSE.brightest))
     red, green, blue = (math.exp(value - excess) for value in albedo)
     across, up = best.offset.tolist()
     tilt_x, tilt_y = best.tilt.tolist()
@@ -291,11 +327,11 @@ def under_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
     if intensity is None:
         return coarse
     dimmer = coarse.setup.intensity[1] / intensity
-    red, green, blue = (min(value * dimmer, _MOST_ALBEDO) for value in coarse.diffuse)
+    red, green, blue = (min(value * dimmer, COARSE.most_albedo) for value in coarse.diffuse)
     return replace(
         coarse,
         diffuse=(red, green, blue),
-        specular=min(coarse.specular * dimmer, _MOST_ALBEDO),
+        specular=min(coarse.specular * dimmer, COARSE.most_albedo),
         setup=coarse.setup.with_intensity((intensity,) * 3),
     )
 
@@ -321,18 +357,18 @@ def _see(photo: Photo, highlight: Highlight | None, level: int) -> _Cells:
     """The whole photograph in coarse cells, and its highlight in fine ones instead of those."""
     rows, columns = photo.pixels.shape[:2]
     pixel = 2.0 / columns
-    across = min(_CELLS[level], columns)
+    across = min(COARSE.cells[level], columns)
     whole = _cells(photo, (0, 0, columns, rows), (across, max(4, round(across * rows / columns))))
     if highlight is None:
         return whole
-    reach = _PATCH_REACH * highlight.width
+    reach = COARSE.patch_reach * highlight.width
     u, v = highlight.centre
     left, right = (round((u + side + 1.0) / pixel) for side in (-reach, reach))
     top, bottom = (round((rows / columns - v + side) / pixel) for side in (-reach, reach))
     left, top, right, bottom = max(0, left), max(0, top), min(columns, right), min(rows, bottom)
     if right - left < 4 or bottom - top < 4:
         return whole
-    fine = _PATCH_CELLS[level] / (2.0 * reach / pixel)
+    fine = COARSE.patch_cells[level] / (2.0 * reach / pixel)
     size = (
         min(right - left, max(4, round(fine * (right - left)))),
         min(bottom - top, max(4, round(fine * (bottom - top)))),
@@ -350,7 +386,7 @@ def _see(photo: Photo, highlight: Highlight | None, level: int) -> _Cells:
         torch.cat([whole.observed[:, outside], patch.observed], dim=1),
         torch.cat([whole.above[:, outside], patch.above], dim=1),
         torch.cat(
-            [whole.weight[outside], patch.weight * max(1.0 - share, _PATCH_WEIGHT)],
+            [whole.weight[outside], patch.weight * max(1.0 - share, COARSE.patch_weight)],
         ),
     )
 
@@ -361,10 +397,10 @@ def _cells(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) 
     rows, columns = photo.pixels.shape[:2]
     pixels = photo.pixels[top:bottom, left:right]
     small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float64)
-    full = photo.clipped[top:bottom, left:right, None] & (pixels > _CLIPPING)
+    full = photo.clipped[top:bottom, left:right, None] & (pixels > COARSE.clipping)
     clipped = cv2.resize(full.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.02
-    knee = _KNEE_RADIOMETRIC if photo.radiometric else _KNEE_DEVELOPED
-    above = np.where(clipped, 0.0, np.where(small > knee, _ABOVE_KNEE, 1.0))
+    knee = COARSE.knee_radiometric if photo.radiometric else COARSE.knee_developed
+    above = np.where(clipped, 0.0, np.where(small > knee, COARSE.above_knee, 1.0))
     if photo.radiometric:
         above = np.where(above < 1.0, 0.0, 1.0)
     floor = 1e-3 * float(np.median(photo.pixels[::8, ::8])) + 1e-9
@@ -386,7 +422,9 @@ def _cells(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) 
 
 def _circle() -> Tensor:
     """(2, directions) unit vectors all around."""
-    turn = torch.arange(_DIRECTIONS, dtype=torch.float64) * (2.0 * math.pi / _DIRECTIONS)
+    turn = torch.arange(COARSE.directions, dtype=torch.float64) * (
+        2.0 * math.pi / COARSE.directions
+    )
     return torch.stack([turn.cos(), turn.sin()])
 
 
@@ -442,7 +480,7 @@ class _Problem:
         """
         cells = self.cells
         whole = (cells.above == 1.0).all(0)
-        if int(whole.sum()) < _CELLS_THAT_TELL_COLOUR:
+        if int(whole.sum()) < COARSE.cells_that_tell_colour:
             return self
         rest = _log_radiance(parameters, cells.image, self.distance) - cells.observed
         return replace(self, whitening=_whitening(rest[:, whole], cells.weight[whole]))
@@ -452,8 +490,8 @@ class _Problem:
         count = self.cells.observed.numel()
         rest = self.residuals(parameters)[:count].clamp(-0.5, 0.5)
         variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
-        now = _PRIOR_SHARE_DEVELOPED * _HUBER**2
-        return replace(self, precision=self.precision * (variance / _CELLS_THAT_COUNT / now))
+        now = COARSE.prior_share_developed * COARSE.huber**2
+        return replace(self, precision=self.precision * (variance / COARSE.cells_that_count / now))
 
     def with_two_lobes(self) -> _Problem:
         """The same with the share of the narrow lobe, and how much wider the other is."""
@@ -490,19 +528,21 @@ class _Problem:
         wide highlight's middle only about; and by the ring being as bright on all sides.
         """
         centre = torch.tensor(highlight.centre, dtype=parameters.dtype)
-        deviation = _CENTRE_DEVIATION[0] + _CENTRE_DEVIATION[1] * highlight.width
+        deviation = COARSE.centre_deviation[0] + COARSE.centre_deviation[1] * highlight.width
         away = (_mirror(parameters, self.distance) - centre) / deviation
         radiance = _log_radiance(parameters, self.rings, self.distance).exp()
         light = radiance.clamp_max(max(1.0, highlight.peak)).mean(0).log()  # as the camera clips
-        rings = light.unflatten(0, (3, _DIRECTIONS))
+        rings = light.unflatten(0, (3, COARSE.directions))
         circle = _circle()
         slope = math.log(highlight.contrast) / (2.0 * highlight.width)
         middle_away = 2.0 * (rings[1] * circle).mean(1) / slope
         levels = rings.mean(1)
         middle = 0.5 * (highlight.peak + highlight.surroundings)
         expected = torch.tensor([highlight.peak, middle, highlight.surroundings]).double().log()
-        difference = (levels - expected) / _LEVEL_DEVIATION
-        aside = middle_away / (_MIDDLE_DEVIATION[0] + _MIDDLE_DEVIATION[1] * highlight.width)
+        difference = (levels - expected) / COARSE.level_deviation
+        aside = middle_away / (
+            COARSE.middle_deviation[0] + COARSE.middle_deviation[1] * highlight.width
+        )
         return torch.cat([away, aside, difference])
 
     def residuals(self, parameters: Tensor) -> Tensor:
@@ -517,12 +557,14 @@ class _Problem:
         difference = bounded.flatten()
         if self.highlight is None:
             return difference
-        return torch.cat([difference, _HUBER * self._evidence(parameters, self.highlight)])
+        return torch.cat([difference, COARSE.huber * self._evidence(parameters, self.highlight)])
 
     def cost(self, parameters: Tensor) -> float:
         """To be minimised."""
         r = self.residuals(parameters).abs()
-        huber = torch.where(r < _HUBER, 0.5 * r.square(), _HUBER * (r - 0.5 * _HUBER))
+        huber = torch.where(
+            r < COARSE.huber, 0.5 * r.square(), COARSE.huber * (r - 0.5 * COARSE.huber)
+        )
         prior = 0.5 * ((parameters - self.prior).square() * self.precision).sum()
         return float((self.weight * huber).sum() + prior)
 
@@ -534,10 +576,10 @@ def _whitening(residuals: Tensor, weight: Tensor) -> Tensor:
     is not fitted yet does no harm.
     """
     share = weight / weight.sum()
-    kept = residuals.clamp(-_TEXTURE_AT_MOST, _TEXTURE_AT_MOST)
+    kept = residuals.clamp(-COARSE.texture_at_most, COARSE.texture_at_most)
     kept = kept - (kept * share).sum(1, keepdim=True)
     covariance = (kept * share) @ kept.T
-    covariance = covariance + _COLOUR_NOISE**2 * torch.eye(3, dtype=covariance.dtype)
+    covariance = covariance + COARSE.colour_noise**2 * torch.eye(3, dtype=covariance.dtype)
     values, vectors = torch.linalg.eigh(covariance)
     scale = (covariance.trace() / 3.0).sqrt()
     return scale * (vectors * values.rsqrt()) @ vectors.T
@@ -628,7 +670,7 @@ def _levenberg_marquardt(problem: _Problem, start: Tensor, iterations: int) -> t
     for _ in range(iterations):
         r = problem.residuals(parameters)
         jacobian = _jacobian(problem.residuals, parameters, r)
-        weight = each * _HUBER / r.abs().clamp_min(_HUBER)
+        weight = each * COARSE.huber / r.abs().clamp_min(COARSE.huber)
         normal = (jacobian * weight[:, None]).T @ jacobian + torch.diag(precision)
         gradient = jacobian.T @ (weight * r) + precision * (parameters - prior)
         candidate, new = parameters, math.inf

@@ -16,17 +16,38 @@ from numpy.typing import NDArray
 Luminance = NDArray[np.float64]
 
 CELLS = 256  # across the long side: a spot of four pixels in a thousand is still a cell
-_SEED_BLUR = 0.04  # plane units, deviation: a glint is smaller, a highlight is not
-_RINGS = 0.02  # plane units a ring
 SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlights
-_WIDEST = 0.5  # a half width beyond this is the falloff itself
-_FAINTEST = 1.3  # the faintest highlight's peak over what of the surroundings ...
-_USUAL = 0.9  # ... so large a share is darker than: a white square of a plaid is no highlight
-_TOP = 0.3  # of the way down from the peak, what its centre is the centroid of
-_ROUNDS = 8
-# Plane units, deviations: how far texture is blurred away until the spot is the only one.
-_TEXTURES = (0.0, 0.015, 0.03, 0.06, 0.12)
-_OTHERS = 0.25  # area as bright beyond two half widths, of the spot's own, that makes it texture
+
+
+@dataclass(frozen=True)
+class HighlightSettings:
+    """What is tuned of finding a highlight; docs/notes/coarse-fit.md.
+
+    Attributes:
+        seed_blur: plane units, deviation: a glint is smaller, a highlight is not.
+        ring: plane units, width of one.
+        widest: plane units: a half width beyond this is the falloff itself.
+        faintest, usual: the faintest highlight's peak over what of the surroundings so large a
+            share is darker than: a white square of a plaid is no highlight.
+        top: of the way down from the peak, what its centre is the centroid of.
+        rounds: of moving the centre.
+        textures: plane units, deviations: how far texture is blurred away until the spot is the
+            only one.
+        others: area as bright beyond two half widths, of the spot's own, that makes it texture.
+    """
+
+    seed_blur: float = 0.04
+    ring: float = 0.02
+    widest: float = 0.5
+    faintest: float = 1.3
+    usual: float = 0.9
+    top: float = 0.3
+    rounds: int = 8
+    textures: tuple[float, ...] = (0.0, 0.015, 0.03, 0.06, 0.12)
+    others: float = 0.25
+
+
+HIGHLIGHT = HighlightSettings()
 
 
 @dataclass(frozen=True)
@@ -67,13 +88,13 @@ def find_highlight(light: Luminance) -> Highlight | None:
     """
     cell = 2.0 / light.shape[1]
     found = None
-    for texture in _TEXTURES:
+    for texture in HIGHLIGHT.textures:
         blurred = _blur(light, texture / cell) if texture else light
         wider = _brightest(blurred)
         if wider is None:
             break
         found = wider
-        if _others(blurred, found) < _OTHERS:
+        if _others(blurred, found) < HIGHLIGHT.others:
             break
     return found
 
@@ -99,11 +120,11 @@ def _brightest(light: Luminance) -> Highlight | None:
     width = light.shape[1]
     cell = 2.0 / width
     u, v = (c.ravel() for c in _coordinates(light))
-    smooth = _blur(light, _SEED_BLUR / cell)
+    smooth = _blur(light, HIGHLIGHT.seed_blur / cell)
     row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
     centre, found = np.array([u[column], v[row]]), None
-    reach = 2.0 * _RINGS
-    for _ in range(_ROUNDS):
+    reach = 2.0 * HIGHLIGHT.ring
+    for _ in range(HIGHLIGHT.rounds):
         away = np.hypot(u[None, :] - centre[0], v[:, None] - centre[1])
         found = _profile(light, away, reach)
         if found is None:
@@ -111,7 +132,7 @@ def _brightest(light: Luminance) -> Highlight | None:
         peak, surroundings, half = found
         # Light near the top, none of it counting for more than the peak: lower down, what is around
         # the highlight pulls it to the brighter side.
-        high = peak - _TOP * (peak - surroundings)
+        high = peak - HIGHLIGHT.top * (peak - surroundings)
         over = np.clip(_blur(light, 0.25 * half / cell) - high, 0.0, peak - high)
         over = over * (away < 1.2 * half + 2.0 * cell)
         if over.sum() <= 0.0:
@@ -126,7 +147,7 @@ def _brightest(light: Luminance) -> Highlight | None:
         return None
     peak, surroundings, half = found[0], max(found[1], 1e-6), found[2]
     ring = (away > SURROUNDINGS[0]) & (away < SURROUNDINGS[1])
-    if peak < _FAINTEST * float(np.quantile(light[ring], _USUAL)):
+    if peak < HIGHLIGHT.faintest * float(np.quantile(light[ring], HIGHLIGHT.usual)):
         return None
     return Highlight((float(centre[0]), float(centre[1])), half, peak, surroundings)
 
@@ -142,8 +163,8 @@ def _profile(light: Luminance, away: Luminance, reach: float) -> tuple[float, fl
     middle = 0.5 * (peak + surroundings)
     # Medians of rings, the first of them a disc, from the middle outwards.
     last_radius, last = 0.0, peak
-    step = min(_RINGS, 0.5 * max(reach, _RINGS / 2.0))
-    for k in range(1, int(_WIDEST / step) + 1):
+    step = min(HIGHLIGHT.ring, 0.5 * max(reach, HIGHLIGHT.ring / 2.0))
+    for k in range(1, int(HIGHLIGHT.widest / step) + 1):
         radius = k * step
         inside = (away >= radius - 0.5 * step) & (away < radius + 0.5 * step)
         if not inside.any():

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -179,40 +179,65 @@ def find_piece(
     with stage("strengths"):
         strengths = tell_strengths(sight, reading)
         reading = strengthened(reading, strengths)
-    interrupted, changes = False, list[Change]()
+    explained = _Explained(reading)
     try:
         with stage("refine"):
-            reading = levelled(sight, reading)
+            explained.reading = levelled(sight, reading)
         if target is not None and steps:
             with stage("adapt"):
-                wanted, limit = target(), seconds() if seconds else None
                 doubt = strengths.doubts() if strengths else ()
+                wanted, limit = target(), seconds() if seconds else None
                 for each in legs(steps, limit, seed, doubt, tell):
-                    reading, told = adapted(sight, reading, wanted, each)
-                    changes += [told.change] if told.change else []
-                    if told.interrupted:
-                        raise KeyboardInterrupt  # with what was reached
+                    explained.adapt(sight, wanted, each)
     except KeyboardInterrupt:
-        interrupted = True
+        explained.interrupted = True
+    whole = plane if fine is None else fine
     with stage("lend"):
-        tried = LEND.tried if steps and not interrupted else LEND.tried_at_once
-        exemplar = lent(sight, reading, tried)
-        whole = plane if fine is None else fine
+        tried = LEND.tried if steps and not explained.interrupted else LEND.tried_at_once
+        exemplar = lent(sight, explained.reading, tried)
         if whole.size != plane.size:
             exemplar = finest(exemplar, whole, coarse)
     with stage("index"):
         longer = whole.size[0] / plane.size[0]
         example = Example.of(exemplar, tuple((w.fx / longer, w.fy / longer) for w in waves))
-    left = remaining(reading.departures, sight.plane.linear, sight.plane.measured, sight.light)
-    seen = left.residual[:, sight.plane.valid]
+    return _found(sight, whole, explained, strengths, example)
+
+
+@dataclass
+class _Explained:
+    """What was reached when re-rendering and adaptation end, or are interrupted."""
+
+    reading: Reading
+    changes: list[Change] = field(default_factory=list)
+    interrupted: bool = False
+
+    def adapt(self, sight: Sight, target: PhotographTarget, leg: Leg) -> None:
+        """One leg more; interrupts with what it reached."""
+        self.reading, result = adapted(sight, self.reading, target, leg)
+        self.changes += [result.change] if result.change else []
+        if result.interrupted:
+            raise KeyboardInterrupt
+
+
+def _found(
+    sight: Sight,
+    fine: Plane,
+    explained: _Explained,
+    strengths: Strengths | None,
+    example: Example,
+) -> FoundPiece:
+    """The piece, and what its re-rendering leaves of the photograph."""
+    departures, plane = explained.reading.departures, sight.plane
+    left = remaining(departures, plane.linear, plane.measured, sight.light)
+    seen = left.residual[:, plane.valid]
     return FoundPiece(
         example=example,
         strengths=strengths,
         error=float(seen.abs().median()) if seen.numel() else 0.0,
         slow=float(left.slow.abs().mean()),
-        sharpness=sharpness(piece_maps(exemplar), whole, coarse),
-        adaptation=tuple(changes),
-        interrupted=interrupted,
+        sharpness=sharpness(piece_maps(example.exemplar), fine, sight.coarse),
+        adaptation=tuple(explained.changes),
+        interrupted=explained.interrupted,
     )
 
 
