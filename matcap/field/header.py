@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from safetensors import SafetensorError, safe_open
 
@@ -20,7 +20,9 @@ from matcap.files.digest import DIGEST, is_whole
 from matcap.files.names import made_plain
 from matcap.files.note import note
 from matcap.files.values import bounded
-from matcap.flash.geometry import FlashSetup
+
+if TYPE_CHECKING:
+    from matcap.flash.geometry import FlashSetup
 
 FORMAT = "matcap-material"
 # Of the file: with a decoder, with one that reads structured noise, and without any.
