@@ -9,6 +9,8 @@ docs/notes/capture.md and exemplar.md.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +22,26 @@ from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Lattice, Wave, find_lattice
 
 DETAIL = 1024  # texels; docs/capture.md has what more and less of them buy
-_SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # texels: deviations of the blurs between the bands
-_MOST_COARSE = 0.08  # share of the variance in the last band: waves from some 100 to 200 texels
-_FAINTEST, _STRONGEST = 1e-4, 3.0  # linear; in log radiance from the median
+
+
+@dataclass(frozen=True)
+class DetailSettings:
+    """What is tuned of telling coarse textures; docs/notes/capture.md.
+
+    Attributes:
+        scales: texels: deviations of the blurs between the bands.
+        most_coarse: share of the variance in the last band, waves from some 100 to 200 texels.
+        faintest: linear: bounds the logarithm in the dark.
+        strongest: log radiance from the median: larger departures count as this large.
+    """
+
+    scales: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+    most_coarse: float = 0.08
+    faintest: float = 1e-4
+    strongest: float = 3.0
+
+
+COARSENESS = DetailSettings()
 
 
 def coarse_share(linear: Tensor, valid: Tensor) -> float:
@@ -37,11 +56,11 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
     seen = valid.numpy().astype(np.float32)
     if not seen.any():
         return 0.0
-    log = np.log(np.maximum(linear.mean(0).numpy(), _FAINTEST))
+    log = np.log(np.maximum(linear.mean(0).numpy(), COARSENESS.faintest))
     middle = float(np.median(log[seen > 0.0]))
-    finer = (log - middle).clip(-_STRONGEST, _STRONGEST)
+    finer = (log - middle).clip(-COARSENESS.strongest, COARSENESS.strongest)
     variances = []
-    for scale in _SCALES:
+    for scale in COARSENESS.scales:
         # What is left varies over as much as the last blur's deviation, half this one's: from
         # 2 texels on every other texel says as much.
         if scale > 2.0:
@@ -68,7 +87,7 @@ def _halved(picture: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def detail_for(linear: Tensor, valid: Tensor) -> int:
     """Texels across to read a texture without a lattice on: DETAIL, or half of it if coarse."""
-    return DETAIL // 2 if coarse_share(linear, valid) > _MOST_COARSE else DETAIL
+    return DETAIL // 2 if coarse_share(linear, valid) > COARSENESS.most_coarse else DETAIL
 
 
 def plane_in_detail(

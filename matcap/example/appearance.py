@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.features import LIMIT, PLANES, FeatureMap
+from matcap.example.tuned import APPEARANCE
 
 DIMENSIONS = 8
 # Of an appearance: three times a difference of two fits 16 bits, and the sum of its squares over
@@ -21,10 +22,6 @@ DIMENSIONS = 8
 LARGEST = 700
 _RADIUS = 2
 TAPS = (2 * _RADIUS + 1) ** 2 * PLANES  # 200 * 127 * 127 < 2^24
-_FALL_OFF = 8.0  # of the weights, in squared steps of the neighbourhood
-_SAMPLES = 20_000  # neighbourhoods that the components are taken from
-_CLIPPED = 0.002  # share of the largest component that may exceed LARGEST
-_ROWS = 32  # projected at a time: they stay in the cache
 
 Appearance = NDArray[np.int16]
 
@@ -48,7 +45,7 @@ def choose_basis(features: FeatureMap, step: int) -> Basis:
     """Principal components of the neighbourhoods of (PLANES, H, W) features."""
     taps = _taps(features, step)
     places = features.shape[1] * features.shape[2]
-    chosen = np.arange(0, places, max(1, places // _SAMPLES))
+    chosen = np.arange(0, places, max(1, places // APPEARANCE.samples))
     rows, columns = np.divmod(chosen, features.shape[2])
     found = np.concatenate([tap[:, rows, columns] for tap in taps]).astype(np.float64)
     weight = np.repeat(_tap_weights(), PLANES)
@@ -57,7 +54,7 @@ def choose_basis(features: FeatureMap, step: int) -> Basis:
     components = components[:, : -DIMENSIONS - 1 : -1].T * weight
     weights = np.rint(components * (LIMIT / np.abs(components).max())).astype(np.int8)
     sums = np.abs(weights[0].astype(np.float64) @ found)
-    large = max(float(np.quantile(sums, 1.0 - _CLIPPED)), 1.0)
+    large = max(float(np.quantile(sums, 1.0 - APPEARANCE.clipped)), 1.0)
     return Basis(weights, max(0, math.ceil(math.log2(large / LARGEST))), step)
 
 
@@ -67,8 +64,8 @@ def project(features: FeatureMap, basis: Basis) -> Appearance:
     around = padded(features, basis).astype(np.float32)
     weights = basis.weights.astype(np.float32).reshape(DIMENSIONS, -1, PLANES)
     found = np.empty((rows, columns, DIMENSIONS), np.int16)
-    for top in range(0, rows, _ROWS):
-        some = min(_ROWS, rows - top)
+    for top in range(0, rows, APPEARANCE.rows):
+        some = min(APPEARANCE.rows, rows - top)
         sums = np.zeros((DIMENSIONS, some * columns), np.float32)
         for index, (y, x) in enumerate(_offsets(basis.step)):
             part = around[:, top + y : top + y + some, x : x + columns]
@@ -103,4 +100,4 @@ def _padded(features: FeatureMap, reach: int) -> FeatureMap:
 def _tap_weights() -> NDArray[np.float64]:
     side = np.arange(-_RADIUS, _RADIUS + 1)
     squares = side[:, None] ** 2 + side[None, :] ** 2
-    return np.exp(-squares / _FALL_OFF).ravel()
+    return np.exp(-squares / APPEARANCE.fall_off).ravel()

@@ -21,17 +21,12 @@ from matcap.example.hashing import Hashes, draw, hash_places
 from matcap.example.lookup import Level, Lookup, two_phases
 from matcap.example.order import Cells, Integers, Order, Phases, cells_of
 from matcap.example.plain import Places, margin
+from matcap.example.tuned import PLACEMENT
 from matcap.field.plane import Period, Rectangle
 
 Correct = Callable[
     [Places, Level, NDArray[np.bool_], NDArray[np.bool_], int, Phases | None], Places
 ]
-
-# Texels along a side of the pieces that the coarsest level begins with, and of the exemplar's
-# shorter side the part that they are at most.
-_PIECE, _PART = 128, 2
-_DRAWS = 4  # pieces that each is the cheapest of
-_PASSES = (1, 2)  # of correction at the finest level, and at every coarser one
 
 
 def coordinates(
@@ -81,7 +76,7 @@ def coordinates_down_to(
 
 
 def _passes(depth: int) -> int:
-    return _PASSES[min(depth, 1)]
+    return PLACEMENT.passes[min(depth, 1)]
 
 
 def _wrapped(area: Rectangle, depth: int, period: Period | None) -> tuple[Integers, Integers]:
@@ -120,7 +115,7 @@ def begin(
     frame = _inset(level.frame, side // 2)
     best_x, best_y = _drawn(hashes, 0, frame)
     best = _price(level, best_x, best_y)
-    for attempt in range(1, _DRAWS):
+    for attempt in range(1, PLACEMENT.draws):
         x_drawn, y_drawn = _drawn(hashes, attempt, frame)
         cost = _price(level, x_drawn, y_drawn)
         better = cost < best
@@ -135,7 +130,7 @@ def begin(
 def _piece_bits(frame: Frame) -> int:
     """Pieces are squares of 2^bits texels."""
     shorter = min(frame.right - frame.left, frame.bottom - frame.top)
-    return min(_PIECE, shorter // _PART).bit_length() - 1
+    return min(PLACEMENT.piece, shorter // PLACEMENT.part).bit_length() - 1
 
 
 def _drawn(hashes: Hashes, attempt: int, frame: Frame) -> tuple[Integers, Integers]:

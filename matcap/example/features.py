@@ -15,17 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.exemplar import Exemplar
+from matcap.example.tuned import FEATURE
 
 FeatureMap = NDArray[np.int16]
 
 PLANES = 8
 LIMIT = 127  # of a feature
-_UNIT = 32.0  # features to a standard deviation: four of them fit
-# What is fainter than this is not seen, and must not be amplified: in each plane's own numbers.
-# Slopes show from about a degree on; height only as their sum over some ten texels.
-_UNSEEN = (0.01, 0.01, 0.01, 0.02, 0.02, 0.02, 0.02, 0.2)
-# Height is seen by its slopes alone; it counts so that what is joined lies equally high.
-_WEIGHTS = (1.0, 1.0, 1.0, 0.7, 1.0, 1.0, 1.0, 0.5)
 
 
 @dataclass(frozen=True)
@@ -55,11 +50,11 @@ def planes_of(exemplar: Exemplar) -> NDArray[np.float32]:
 def choose_scale(planes: NDArray[np.float32]) -> Scale:
     """The scale that makes the planes of an exemplar comparable with each other."""
     flat = planes.reshape(PLANES, -1)
-    spread = np.maximum(flat.std(axis=1), _UNSEEN)
+    spread = np.maximum(flat.std(axis=1), FEATURE.unseen)
     # Colours keep their proportions, and so do slopes.
     spread[:3] = spread[:3].max()
     spread[5:7] = spread[5:7].max()
-    factors = _UNIT * np.array(_WEIGHTS) / spread
+    factors = FEATURE.unit * np.array(FEATURE.weights) / spread
     return Scale(flat.mean(axis=1).astype(np.float32), factors.astype(np.float32))
 
 

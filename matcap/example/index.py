@@ -41,17 +41,8 @@ from matcap.example.grids import (
 from matcap.example.order import GRID, Frequency, Order, measure_order
 from matcap.example.packed import pack, unpack
 from matcap.example.similar import Similar, find_similar
+from matcap.example.tuned import INDEX
 
-_APART = 4  # steps of its grid between a place and what is similar to it, and
-_APART_TEXELS = 8  # texels at least
-_FINENESS = 16  # places of the coarsest level along the shorter side of a lattice's piece
-_UNIQUE = 12.0  # times the median distance to what is most similar: a mark that occurs once
-_UNIQUE_LEVEL = 2  # it is told at, of some twenty texels
-_LEAST_TRUST = 0.02  # of a map: what was not seen is drawn by example (capture/piece/transport.py)
-_TRUSTED = 0.8  # quantile of confidence that a place is held against
-# Confidence below that up to which a place is as good, for steps of it lie between most parts of a
-# photograph, and at which it is as reluctant as can be.
-_SLACK, _DOUBTED = 0.05, 0.35
 _MOST = 255
 
 Project = Callable[[FeatureMap, Basis], Appearance]
@@ -156,7 +147,7 @@ def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...], project: Proje
         bases = list(pool.map(choose_basis, grids, steps))
         appearances = list(pool.map(project, grids, bases))
         found = list(pool.map(partial(_similar, width, height), range(count), appearances))
-    unique = _unique(found[min(_UNIQUE_LEVEL, count - 1)])
+    unique = _unique(found[min(INDEX.unique_level, count - 1)])
     reluctance = np.maximum(_doubt(exemplar), _MOST * _resized(unique, width, height))
     places = [
         (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
@@ -174,7 +165,7 @@ def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...], project: Proje
 
 def _ordered_levels(order: Order) -> int:
     """Levels that pieces of a lattice are drawn finely enough at."""
-    return max(1, math.floor(math.log2(order.piece / _FINENESS)) + 1)
+    return max(1, math.floor(math.log2(order.piece / INDEX.fineness)) + 1)
 
 
 def _similar(width: int, height: int, level: int, appearance: Appearance) -> Similar:
@@ -186,24 +177,26 @@ def _similar(width: int, height: int, level: int, appearance: Appearance) -> Sim
         slice(-(-frame.left >> bits), (frame.right >> bits) + 1),
     )
     some = np.ascontiguousarray(appearance[::skip, ::skip])
-    return find_similar(some, max(_APART, _APART_TEXELS >> bits), allowed)
+    return find_similar(some, max(INDEX.apart, INDEX.apart_texels >> bits), allowed)
 
 
 def _unique(similar: Similar) -> NDArray[np.bool_]:
     """Places that nothing else is like."""
     distances = similar.distances.astype(np.float64)
-    return distances > _UNIQUE * max(float(np.median(distances)), 1.0)
+    return distances > INDEX.unique * max(float(np.median(distances)), 1.0)
 
 
 def _doubt(exemplar: Exemplar) -> NDArray[np.float64]:
     """Reluctance of places that are less trusted than most."""
     side = 1 << PRICE_BITS
     # A place is worth no more than its worst maps: the geometric mean.
-    trust = np.exp(np.log(exemplar.confidence + _LEAST_TRUST).mean(axis=0, dtype=np.float64))
+    trust = np.exp(np.log(exemplar.confidence + INDEX.least_trust).mean(axis=0, dtype=np.float64))
     rows, columns = trust.shape
     whole = np.pad(trust, ((0, -rows % side), (0, -columns % side)), mode="edge")
     means = whole.reshape(whole.shape[0] // side, side, -1, side).mean(axis=(1, 3))
-    short = (np.quantile(means, _TRUSTED) - means - _SLACK) / (_DOUBTED - _SLACK)
+    short = (np.quantile(means, INDEX.trusted) - means - INDEX.slack) / (
+        INDEX.doubted - INDEX.slack
+    )
     return np.rint(_MOST * short.clip(0.0, 1.0))
 
 

@@ -18,11 +18,7 @@ from matcap.example.features import features_of, planes_of
 from matcap.example.grids import Frame, frame_of, grid_bits, grids_of, similar_bits
 from matcap.example.index import Index, Project
 from matcap.example.order import Order, Phases
-
-_ORDERED = 1  # levels from this one on keep to the order
-# Bits: a place of full reluctance costs 255^2 * 2^11 = 1.3e8, more than any seam; a place that is
-# a little less trusted than most, 14 of 255, 4e5, as a common seam.
-_DEAR = 11
+from matcap.example.tuned import LOOKUP
 
 
 @dataclass(frozen=True)
@@ -71,7 +67,7 @@ def prepare(exemplar: Exemplar, index: Index, project: Project) -> Lookup:
     grids = grids_of(features, len(index.bases))
     with ThreadPoolExecutor() as pool:
         appearances = list(pool.map(project, grids, index.bases))
-    price = np.square(index.reluctance, dtype=np.int32) << _DEAR
+    price = np.square(index.reluctance, dtype=np.int32) << LOOKUP.dear
     levels = tuple(
         Level(
             spacing=1 << level,
@@ -89,7 +85,7 @@ def prepare(exemplar: Exemplar, index: Index, project: Project) -> Lookup:
 
 
 def _phases(order: Order | None, level: int, appearance: Appearance) -> Phases | None:
-    if order is None or level < _ORDERED:
+    if order is None or level < LOOKUP.ordered:
         return None
     rows, columns = (np.arange(n) << grid_bits(level) for n in appearance.shape[:2])
     return two_phases(order.phases(columns[None, :], rows[:, None]))

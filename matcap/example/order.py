@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.hashing import scramble
+from matcap.example.tuned import ORDER
 from matcap.field.plane import Period
 
 Phases = NDArray[np.int16]
@@ -24,14 +25,6 @@ Frequency = tuple[float, float]  # cycles per texel along x (right) and y (down)
 
 GRID = 4  # bits: phases are stored every 16 texels
 _TURN = 1 << 16
-_BINS = 24  # to a turn, where cells are compared
-_SLOPES = (5, 6)  # planes that vary most at joints, which are edges, and so hide them
-_PIECE = 48  # texels: cells smaller than this are laid several together
-_WINDOW = 1.5  # periods: standard deviation of the window that a phase is measured in
-_FAINT = 1e-9  # of squared features: a plane may be flat
-_LAG = 2.0  # windows' deviations: so far apart they hardly see the same cells
-_STEADIEST = 0.98  # a plane alone must not be believed without end
-_ROUNDS = 3  # a window smooths bends away: what is left of them is measured again
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
 _PHASES = 0x94D049BB133111EB  # sets its seeds apart from those of places
 
@@ -179,13 +172,13 @@ def cells_of(order: Order, seed: int, x: Integers, y: Integers, period: Period) 
 
 def _together(wave: Frequency) -> int:
     """Turns of a wave that one piece is long."""
-    return max(1, round(_PIECE * math.hypot(*wave)))
+    return max(1, round(ORDER.piece * math.hypot(*wave)))
 
 
 def _across(wave: Frequency) -> Frequency:
     """A wave at right angles, as long as pieces are."""
     length = math.hypot(*wave)
-    return (-wave[1] / (length * _PIECE), wave[0] / (length * _PIECE))
+    return (-wave[1] / (length * ORDER.piece), wave[0] / (length * ORDER.piece))
 
 
 def _whole_turns(columns: list[int], step: int, y: Integers) -> Integers:
@@ -241,7 +234,7 @@ def measure_order(planes: NDArray[np.floating], waves: tuple[Frequency, ...]) ->
         return None
     found = [one for one in measured if one is not None]
     order = Order(tuple(wave for wave, _ in found), np.stack([bend for _, bend in found]))
-    joints = _joints(np.delete(planes, _SLOPES, axis=0), order)
+    joints = _joints(np.delete(planes, ORDER.slopes, axis=0), order)
     return Order(order.waves, order.bends - joints[:, None, None])
 
 
@@ -250,10 +243,10 @@ def _joints(planes: NDArray[np.floating], order: Order) -> NDArray[np.int32]:
     high, wide = planes.shape[1:]
     x, y = np.arange(0, wide, 2), np.arange(0, high, 2)
     phases = order.phases(x[None, :], y[:, None]).astype(np.int64) % _TURN
-    bins = phases * _BINS // _TURN
-    place = bins[..., 0] if bins.shape[-1] == 1 else bins[..., 0] * _BINS + bins[..., 1]
+    bins = phases * ORDER.bins // _TURN
+    place = bins[..., 0] if bins.shape[-1] == 1 else bins[..., 0] * ORDER.bins + bins[..., 1]
     place = place.ravel()
-    size = _BINS ** bins.shape[-1]
+    size = ORDER.bins ** bins.shape[-1]
     count = np.maximum(np.bincount(place, minlength=size), 1)
     spread = np.zeros(size)
     for plane in planes[:, ::2, ::2].reshape(len(planes), -1):
@@ -261,10 +254,10 @@ def _joints(planes: NDArray[np.floating], order: Order) -> NDArray[np.int32]:
         spread += np.bincount(place, plane * plane, size) / count - mean * mean
     found = []
     for axis in range(bins.shape[-1]):
-        grid = spread.reshape((_BINS,) * bins.shape[-1])
+        grid = spread.reshape((ORDER.bins,) * bins.shape[-1])
         line = grid if grid.ndim == 1 else grid.mean(axis=1 - axis)
         smooth = np.roll(line, 1) + 2 * line + np.roll(line, -1)
-        found.append((2 * int(np.argmin(smooth)) + 1) * _TURN // (2 * _BINS))
+        found.append((2 * int(np.argmin(smooth)) + 1) * _TURN // (2 * ORDER.bins))
     return np.array(found, np.int32)
 
 
@@ -273,7 +266,7 @@ def _measured(
 ) -> tuple[Frequency, NDArray[np.int32]] | None:
     """The mean wave, and its bends."""
     high, wide = planes.shape[1:]
-    deviation = _WINDOW / math.hypot(*wave)
+    deviation = ORDER.window / math.hypot(*wave)
     if 4 * deviation > min(high, wide):
         return None
     x, y = np.arange(wide)[None, :], np.arange(high)[:, None]
@@ -283,9 +276,9 @@ def _measured(
         _windows(n, at, deviation).astype(np.complex64) for n, at in ((high, rows), (wide, columns))
     )
     straight = wave[0] * x + wave[1] * y
-    lag = max(1, round(_LAG * deviation) >> GRID)
+    lag = max(1, round(ORDER.lag * deviation) >> GRID)
     bend = np.zeros((len(rows), len(columns)))
-    for _ in range(_ROUNDS):
+    for _ in range(ORDER.rounds):
         turns = straight + _bent(np.rint(bend * _TURN).astype(np.int64), x, y) / _TURN
         carrier = np.exp(-2j * np.pi * (turns - np.floor(turns))).astype(np.complex64)
         local = np.stack([(down @ (plane * carrier)) @ across.T for plane in planes])
@@ -304,12 +297,12 @@ def _joined(local: NDArray[np.complexfloating], lag: int) -> NDArray[np.complexf
     to cell at random, as colours of tiles do, tells no phase. A bend hardly changes it `lag` places
     on.
     """
-    power = (np.abs(local) ** 2).mean(axis=(1, 2)) + _FAINT
+    power = (np.abs(local) ** 2).mean(axis=(1, 2)) + ORDER.faint
     on = (
         np.abs((local[:, lag:] * local[:, :-lag].conj()).mean(axis=(1, 2))),
         np.abs((local[:, :, lag:] * local[:, :, :-lag].conj()).mean(axis=(1, 2))),
     )
-    steady = np.minimum(0.5 * (on[0] + on[1]) / power, _STEADIEST)
+    steady = np.minimum(0.5 * (on[0] + on[1]) / power, ORDER.steadiest)
     reference = local[np.argmax(steady)]
     relation = (local * reference.conj()).mean(axis=(1, 2))
     weights = relation.conj() / (power * (1.0 - steady))

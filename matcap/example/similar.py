@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 
 from matcap.example.appearance import Appearance
 from matcap.example.hashing import draw, hash_places
+from matcap.example.tuned import SIMILAR
 
-_ROUNDS = 4
-_LINES = 2  # of a round
-_STEEPEST = 100  # components of a line's direction
 _NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 _SEED = 0x51417
 
@@ -82,8 +80,8 @@ def find_similar(
     first_rows, first_columns = best_rows.copy(), best_columns.copy()
     attempt(first_rows, first_columns)
     line = hash_places(_SEED, 1, np.arange(flat.shape[1]), np.zeros(1, np.int64))
-    for index in range(_ROUNDS * _LINES):
-        directions = draw(line, index, 2 * _STEEPEST + 1) - _STEEPEST
+    for index in range(SIMILAR.rounds * SIMILAR.lines):
+        directions = draw(line, index, 2 * SIMILAR.steepest + 1) - SIMILAR.steepest
         order = np.argsort(flat.astype(np.int32) @ directions.astype(np.int32), kind="stable")
         for before, after in ((order[:-1], order[1:]), (order[1:], order[:-1])):
             beside = np.empty_like(order)
@@ -91,7 +89,7 @@ def find_similar(
             beside[order[-1] if before[0] == order[0] else order[0]] = after[0]
             rows, columns = np.divmod(beside.reshape(high, wide).astype(np.int32), wide)
             attempt(rows, columns)
-        if index % _LINES == _LINES - 1:
+        if index % SIMILAR.lines == SIMILAR.lines - 1:
             for y, x in _NEIGHBOURS:
                 rows, columns = (np.roll(one, (y, x), (0, 1)) for one in (best_rows, best_columns))
                 attempt(rows + np.int32(y), columns + np.int32(x))

@@ -4,10 +4,25 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass
 
-WARM_UP = 10  # steps
-_FLOOR = 0.05  # of the learning rate, at the end of the cosine
-_FROZEN_SHARE = 0.15  # of the work, at the end, done with frozen statistics
+
+@dataclass(frozen=True)
+class ScheduleSettings:
+    """What is tuned of every run of descent; docs/notes/capture.md.
+
+    Attributes:
+        warm_up: steps.
+        floor: of the learning rate, at the end of the cosine.
+        frozen_share: of the work, at the end, done with frozen statistics.
+    """
+
+    warm_up: int = 10
+    floor: float = 0.05
+    frozen_share: float = 0.15
+
+
+SCHEDULE = ScheduleSettings()
 
 
 class Schedule:
@@ -27,8 +42,8 @@ class Schedule:
 
     def over(self, error: float) -> bool:
         """Look where the run is, by the clock and by its running error; whether it is done."""
-        if self._target is not None and error <= self._target and self.step >= WARM_UP:
-            self._steps = min(self._steps, math.ceil(self.step / (1.0 - _FROZEN_SHARE)))
+        if self._target is not None and error <= self._target and self.step >= SCHEDULE.warm_up:
+            self._steps = min(self._steps, math.ceil(self.step / (1.0 - SCHEDULE.frozen_share)))
         self.share = self.step / self._steps
         if self._limit is not None:
             self.share = max(self.share, self.seconds / self._limit)
@@ -42,10 +57,12 @@ class Schedule:
     @property
     def freezes(self) -> bool:
         """Whether what is left is done with frozen statistics."""
-        return self.share >= 1.0 - _FROZEN_SHARE
+        return self.share >= 1.0 - SCHEDULE.frozen_share
 
     @property
     def pace(self) -> float:
-        """Share of the learning rate: a warm-up, then a cosine down to _FLOOR."""
-        warm = min(1.0, (self.step + 1) / WARM_UP)
-        return warm * (_FLOOR + (1.0 - _FLOOR) * (0.5 + 0.5 * math.cos(math.pi * self.share)))
+        """Share of the learning rate: a warm-up, then a cosine down to SCHEDULE.floor."""
+        warm = min(1.0, (self.step + 1) / SCHEDULE.warm_up)
+        return warm * (
+            SCHEDULE.floor + (1.0 - SCHEDULE.floor) * (0.5 + 0.5 * math.cos(math.pi * self.share))
+        )

@@ -17,11 +17,27 @@ from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
 from matcap.statistics.compare import UNSEEN, Descriptor, Features, describe
 
-_HISS = 2e-3  # of the clip level
-_TOGETHER = 4  # windows described at a time: more outgrow the processor's caches
-_PAIRS = 64  # of windows that tell how much statistics scatter
-_LEAST_SCALE = 0.7  # of a target: more than that is no scatter
-_LEAST_SEEN = 0.3  # share of a window's texels that must be inside the picture and not clipped
+
+@dataclass(frozen=True)
+class WindowSettings:
+    """What is tuned of comparing place by place; docs/notes/capture.md.
+
+    Attributes:
+        hiss: of the clip level, added to what shot noise grows with: sensors hiss in the dark.
+        together: windows described at a time: more outgrow the processor's caches.
+        pairs: of windows that tell how much statistics scatter.
+        least_scale: of a target: more than that is no scatter.
+        least_seen: share of a window's texels that must be inside the picture and not clipped.
+    """
+
+    hiss: float = 2e-3
+    together: int = 4
+    pairs: int = 64
+    least_scale: float = 0.7
+    least_seen: float = 0.3
+
+
+WINDOWS = WindowSettings()
 
 
 @dataclass(frozen=True)
@@ -64,12 +80,12 @@ def cut_windows(plane: Plane, bank: Features, size: int, *, most: int | None = N
     seen = [
         (x, y)
         for x, y in places
-        if float(plane.valid[y : y + size, x : x + size].float().mean()) >= _LEAST_SEEN
+        if float(plane.valid[y : y + size, x : x + size].float().mean()) >= WINDOWS.least_seen
     ]
     places = (seen or places)[:most]
     cut = torch.stack([plane.linear[:, y : y + size, x : x + size] for x, y in places])
     with torch.no_grad():
-        described = [describe(some, plane.encoding, bank) for some in cut.split(_TOGETHER)]
+        described = [describe(some, plane.encoding, bank) for some in cut.split(WINDOWS.together)]
     points = [
         plane_points(x, y, size, size, (width, height), dtype=torch.float32) for x, y in places
     ]
@@ -105,7 +121,7 @@ def _raised(found: Descriptor, first: Tensor, second: Tensor) -> Descriptor:
     """
     if not len(first):
         return found
-    some = torch.randperm(len(first), generator=torch.Generator().manual_seed(0))[:_PAIRS]
+    some = torch.randperm(len(first), generator=torch.Generator().manual_seed(0))[: WINDOWS.pairs]
 
     def raised(level: Tensor) -> Tensor:
         return level / _best_scale(level[first[some]], level[second[some]])
@@ -119,7 +135,7 @@ def _raised(found: Descriptor, first: Tensor, second: Tensor) -> Descriptor:
 
 
 def _best_scale(found: Tensor, target: Tensor) -> float:
-    """The s, of _LEAST_SCALE to 1, for which the mean of |s found - target| is least.
+    """The s, of WINDOWS.least_scale to 1, for which the mean of |s found - target| is least.
 
     A weighted median: every quotient target / found counts by what it is a quotient of.
     """
@@ -129,12 +145,12 @@ def _best_scale(found: Tensor, target: Tensor) -> float:
     ordered, order = quotient.sort()
     heavier = weight[order].double().cumsum(0)
     middle = int(torch.searchsorted(heavier, 0.5 * heavier[-1]))
-    return min(1.0, max(_LEAST_SCALE, float(ordered[min(middle, len(ordered) - 1)])))
+    return min(1.0, max(WINDOWS.least_scale, float(ordered[min(middle, len(ordered) - 1)])))
 
 
 def shot_deviation(linear: Tensor) -> Tensor:
     """What shot noise grows with: the root of radiance; not 0 in the dark, where sensors hiss."""
-    return (linear.clamp_min(0.0) + _HISS).sqrt()
+    return (linear.clamp_min(0.0) + WINDOWS.hiss).sqrt()
 
 
 def _steps(length: int, size: int) -> list[int]:

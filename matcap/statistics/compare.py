@@ -25,9 +25,24 @@ from matcap.statistics.filterbank import pyramid
 from matcap.statistics.gram import moments
 from matcap.statistics.spectrum import autocorrelation
 
-_REACH = 12  # lags of the autocorrelation at every level, in that level's texels
-_QUANTILES = 64  # of each channel's values
-_LARGEST = 144  # texels a side of what is looked at on one level
+
+@dataclass(frozen=True)
+class CompareSettings:
+    """What is tuned of descriptors; docs/notes/capture.md.
+
+    Attributes:
+        reach: lags of the autocorrelation at every level, in that level's texels.
+        quantiles: of each channel's values.
+        largest: texels a side of what is looked at on one level.
+    """
+
+    reach: int = 12
+    quantiles: int = 64
+    largest: int = 144
+
+
+COMPARE = CompareSettings()
+
 # Mean size below which a target's statistic cannot be seen, and is not what others are measured
 # by: a tenth of the faintest found in photographs of textures. Without it a plain photograph's
 # error is a division by nothing.
@@ -118,7 +133,8 @@ def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
         grams=grams,
         crosses=crosses,
         spectra=tuple(
-            autocorrelation(level, min(_REACH, min(level.shape[-2:]) // 2 - 1)) for level in levels
+            autocorrelation(level, min(COMPARE.reach, min(level.shape[-2:]) // 2 - 1))
+            for level in levels
         ),
         quantiles=tuple(_quantiles(level) for level in levels),
     )
@@ -141,8 +157,8 @@ def distance(found: Descriptor, target: Descriptor, weights: Weights) -> Tensor:
 def _middle(level: Tensor) -> Tensor:
     """The middle of a pyramid level: fine levels hold more texels than their statistics need."""
     height, width = level.shape[-2:]
-    y, x = max(0, height - _LARGEST) // 2, max(0, width - _LARGEST) // 2
-    return level[..., y : y + min(height, _LARGEST), x : x + min(width, _LARGEST)]
+    y, x = max(0, height - COMPARE.largest) // 2, max(0, width - COMPARE.largest) // 2
+    return level[..., y : y + min(height, COMPARE.largest), x : x + min(width, COMPARE.largest)]
 
 
 def _relative(found: Tensor, target: Tensor) -> Tensor:
@@ -154,7 +170,7 @@ def _relative(found: Tensor, target: Tensor) -> Tensor:
 def _quantiles(level: Tensor) -> Tensor:
     """(B, 3, Q) evenly spaced quantiles of the colours about their mean."""
     flat = level.flatten(2)
-    count = min(_QUANTILES, flat.shape[2])
+    count = min(COMPARE.quantiles, flat.shape[2])
     chunk = flat.shape[2] // count
     ordered = (flat - flat.mean(dim=2, keepdim=True)).gather(2, _order(flat))
     return ordered[..., : chunk * count].unflatten(2, (count, chunk)).mean(dim=3)

@@ -13,16 +13,30 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-# Radiances this far below the photograph's median all look black: bounds the logarithm's slope.
-_TOE = 0.05
-# Colour directions fainter than this share of the strongest are not amplified further.
-_FAINTEST = 0.2
-# A texture of smaller log contrast than this is not amplified to full scale: it is noise.
-_LEAST_CONTRAST = 0.02
-# Share of a colour direction's variance that is signal: counted as no less than this.
-_LEAST_SIGNAL = 0.05
-_LEAST_TEXELS = 64  # fewer have no covariance worth the name
-_SHADING_SCALE = 48  # texels; variation slower than this is shading, not texture
+
+@dataclass(frozen=True)
+class EncodingSettings:
+    """What is tuned of the colours textures are compared in; docs/notes/capture.md.
+
+    Attributes:
+        toe: of the photograph's median: radiances so far below it all look black.
+        faintest: colour directions fainter than this share of the strongest are not amplified
+            further.
+        least_contrast: log: a texture of less is noise, and not amplified to full scale.
+        least_signal: share of a colour direction's variance that counts as signal at least.
+        least_texels: fewer have no covariance worth the name.
+        shading_scale: texels: what varies more slowly is shading, not texture.
+    """
+
+    toe: float = 0.05
+    faintest: float = 0.2
+    least_contrast: float = 0.02
+    least_signal: float = 0.05
+    least_texels: int = 64
+    shading_scale: int = 48
+
+
+ENCODING = EncodingSettings()
 
 
 @dataclass(frozen=True)
@@ -43,7 +57,9 @@ class Encoding:
 
     def log(self, linear: Tensor) -> Tensor:
         """(B, 3, H, W) bounded logarithm of radiance: 0 at the median, slope bounded at 0."""
-        return torch.log((linear.clamp(0.0, 1.0) / self.median + _TOE) / (1.0 + _TOE))
+        return torch.log(
+            (linear.clamp(0.0, 1.0) / self.median + ENCODING.toe) / (1.0 + ENCODING.toe)
+        )
 
 
 def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> Encoding:
@@ -56,7 +72,7 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
         noise: (3, H, W) another draw of what the picture holds of it; colour directions that
             hold little else count for little.
     """
-    if int(valid.sum()) < _LEAST_TEXELS:
+    if int(valid.sum()) < ENCODING.least_texels:
         valid = torch.ones_like(valid)
     seen = linear[:, valid]
     median = max(float(seen.mean(0).median()), 1e-6)
@@ -64,17 +80,19 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
     log = plain.log(linear[None])
     texture = (log - shading(log))[0][:, valid]
     values, vectors = torch.linalg.eigh(torch.cov(texture.double()))
-    strongest = values[-1].clamp_min(_LEAST_CONTRAST**2)
-    scale = torch.rsqrt(values.clamp_min(_FAINTEST**2 * strongest))
+    strongest = values[-1].clamp_min(ENCODING.least_contrast**2)
+    scale = torch.rsqrt(values.clamp_min(ENCODING.faintest**2 * strongest))
     if noise is not None:
         added = (plain.log((linear + noise)[None]) - log)[0][:, valid]
         noisy = (vectors * (torch.cov(added.double()) @ vectors)).sum(dim=0)
-        scale = scale * (1.0 - noisy / values.clamp_min(1e-12)).clamp_min(_LEAST_SIGNAL).sqrt()
+        scale = (
+            scale * (1.0 - noisy / values.clamp_min(1e-12)).clamp_min(ENCODING.least_signal).sqrt()
+        )
     return Encoding(median, (vectors * scale).T.float().contiguous())
 
 
 def shading(image: Tensor) -> Tensor:
     """What of an image (B, C, H, W) varies slower than texture does."""
-    size = min(_SHADING_SCALE, *image.shape[-2:])
+    size = min(ENCODING.shading_scale, *image.shape[-2:])
     small = F.avg_pool2d(image, size, stride=max(1, size // 2))
     return F.interpolate(small, size=image.shape[-2:], mode="bilinear", align_corners=False)

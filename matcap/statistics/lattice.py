@@ -18,20 +18,45 @@ from torch import Tensor
 
 from matcap.statistics.spectrum import power_spectrum
 
-_WINDOW = 256  # texels a side: what spectra are taken of
-_PEAK_RATIO = 8.0  # a peak stands this far above the median of its surroundings
-_LEAST_SHARE = 0.004  # and holds this share of the texture's power
-_MOST_PEAKS = 12  # of the spectrum, the strongest
-_LONGEST = 80.0  # texels: longer periods repeat too few times to be called regular
+
+@dataclass(frozen=True)
+class LatticeSettings:
+    """What is tuned of finding regular order; docs/notes/capture.md.
+
+    Attributes:
+        window: texels a side: what spectra are taken of.
+        peak_ratio: a peak stands this far above the median of its surroundings, ...
+        least_share: ... and holds this share of the texture's power.
+        most_peaks: of the spectrum, the strongest.
+        longest: texels: longer periods repeat too few times to be called regular.
+        tolerance: spectral bins by which a peak may miss its lattice point.
+        least_variance: of the encoded picture; what is fainter is rounding.
+        multiples: of a peak's period that the texture's own may be.
+        clearly: by how much more the texture must be like itself after a longer shift.
+        reach: of the picture's sides: longer shifts have too little left to compare.
+        near: texels that a shift may miss, as lattices bend.
+        shading: texels: what varies more slowly is shading.
+        least_explained: of the texture's power, or there is no order worth keeping.
+    """
+
+    window: int = 256
+    peak_ratio: float = 8.0
+    least_share: float = 0.004
+    most_peaks: int = 12
+    longest: float = 80.0
+    tolerance: float = 0.9
+    least_variance: float = 1e-4
+    multiples: tuple[int, ...] = (1, 2, 3, 4)
+    clearly: float = 0.05
+    reach: float = 0.4
+    near: int = 2
+    shading: int = 255
+    least_explained: float = 0.05
+
+
+LATTICE = LatticeSettings()
+
 _ORDERS = range(-4, 5)
-_TOLERANCE = 0.9  # spectral bins by which a peak may miss its lattice point
-_LEAST_VARIANCE = 1e-4  # of the encoded picture; what is fainter is rounding
-_MULTIPLES = (1, 2, 3, 4)  # of a peak's period that the texture's own may be
-_CLEARLY = 0.05  # by how much more the texture must be like itself after a longer shift
-_REACH = 0.4  # of the picture's sides: longer shifts have too little left to compare
-_NEAR = 2  # texels that a shift may miss, as lattices bend
-_SHADING = 255  # texels: what varies more slowly is shading
-_LEAST_EXPLAINED = 0.05  # of the texture's power, or there is no order worth keeping
 
 
 @dataclass(frozen=True)
@@ -81,9 +106,9 @@ def find_lattice(colour: Tensor, valid: Tensor) -> Lattice:
         cost = 0.02 * (len(basis) - 1) + 0.01 / _cell(basis)
         if explained - cost > best[0]:
             best = (explained - cost, basis, explained)
-    if best[2] < _LEAST_EXPLAINED:
+    if best[2] < LATTICE.least_explained:
         return Lattice((), best[2])
-    waves = tuple(Wave(fx / _WINDOW, fy / _WINDOW) for fx, fy in best[1])
+    waves = tuple(Wave(fx / LATTICE.window, fy / LATTICE.window) for fx, fy in best[1])
     return Lattice(_whole_periods(waves, colour, valid), best[2])
 
 
@@ -108,8 +133,8 @@ def _whole_periods(waves: tuple[Wave, ...], colour: Tensor, valid: Tensor) -> tu
     alike = _alike(colour, valid)
     found = []
     for wave, (x, y) in zip(waves, _periods(waves), strict=True):
-        likeness = {m: alike(m * x, m * y) for m in _MULTIPLES}
-        times = max(_MULTIPLES, key=lambda m: likeness[m] - _CLEARLY * (m > 1))
+        likeness = {m: alike(m * x, m * y) for m in LATTICE.multiples}
+        times = max(LATTICE.multiples, key=lambda m: likeness[m] - LATTICE.clearly * (m > 1))
         found.append(Wave(wave.fx / times, wave.fy / times))
     return tuple(found)
 
@@ -142,36 +167,36 @@ def _alike(colour: Tensor, valid: Tensor) -> Callable[[float, float], float]:
     variance = float(correlation[0, 0].clamp_min(1e-12))
 
     def likeness(x: float, y: float) -> float:
-        if abs(x) > width * _REACH or abs(y) > height * _REACH:
+        if abs(x) > width * LATTICE.reach or abs(y) > height * LATTICE.reach:
             return -1.0
-        rows = torch.arange(round(y) - _NEAR, round(y) + _NEAR + 1) % size[0]
-        columns = torch.arange(round(x) - _NEAR, round(x) + _NEAR + 1) % size[1]
+        rows = torch.arange(round(y) - LATTICE.near, round(y) + LATTICE.near + 1) % size[0]
+        columns = torch.arange(round(x) - LATTICE.near, round(x) + LATTICE.near + 1) % size[1]
         return float(correlation[rows[:, None], columns].max()) / variance
 
     return likeness
 
 
 def _around(planes: Tensor) -> Tensor:
-    """Means over squares of _SHADING texels; beyond the border lies nothing."""
-    half = _SHADING // 2
-    rows = F.avg_pool2d(planes, (_SHADING, 1), stride=1, padding=(half, 0))
-    return F.avg_pool2d(rows, (1, _SHADING), stride=1, padding=(0, half))
+    """Means over squares of LATTICE.shading texels; beyond the border lies nothing."""
+    half = LATTICE.shading // 2
+    rows = F.avg_pool2d(planes, (LATTICE.shading, 1), stride=1, padding=(half, 0))
+    return F.avg_pool2d(rows, (1, LATTICE.shading), stride=1, padding=(0, half))
 
 
 def _mean_spectrum(colour: Tensor, valid: Tensor) -> Tensor | None:
-    """(_WINDOW, _WINDOW // 2 + 1) mean power over windows, or None if the picture is too small."""
+    """(W, W // 2 + 1) mean power over windows, or None if the picture is too small."""
     height, width = colour.shape[-2:]
-    if min(height, width) < _WINDOW:
+    if min(height, width) < LATTICE.window:
         return None
-    step = _WINDOW // 2
+    step = LATTICE.window // 2
     spectra = []
-    for y in range(0, height - _WINDOW + 1, step):
-        for x in range(0, width - _WINDOW + 1, step):
-            if float(valid[y : y + _WINDOW, x : x + _WINDOW].float().mean()) < 0.9:
+    for y in range(0, height - LATTICE.window + 1, step):
+        for x in range(0, width - LATTICE.window + 1, step):
+            if float(valid[y : y + LATTICE.window, x : x + LATTICE.window].float().mean()) < 0.9:
                 continue
-            window = colour[None, :, y : y + _WINDOW, x : x + _WINDOW]
+            window = colour[None, :, y : y + LATTICE.window, x : x + LATTICE.window]
             spectrum = power_spectrum(window)[0].sum(0)
-            if float(spectrum.mean()) < _LEAST_VARIANCE:
+            if float(spectrum.mean()) < LATTICE.least_variance:
                 continue
             spectra.append(spectrum / spectrum[2:-1, 2:].mean().clamp_min(1e-12))
     return torch.stack(spectra).mean(0) if spectra else None
@@ -182,15 +207,15 @@ def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
     # Full plane, zero frequency in the middle, so that neighbourhoods are whole.
     full = torch.cat([spectrum, _mirror(spectrum)], dim=1)
     full = torch.fft.fftshift(full)
-    middle = _WINDOW // 2
+    middle = LATTICE.window // 2
     around = F.pad(full[None, None], (7, 7, 7, 7), mode="circular")
-    patches = F.unfold(around, 15).view(225, _WINDOW, _WINDOW)
+    patches = F.unfold(around, 15).view(225, LATTICE.window, LATTICE.window)
     highest = F.max_pool2d(full[None, None], 5, stride=1, padding=2)[0, 0]
     rows, columns = torch.meshgrid(
-        torch.arange(_WINDOW) - middle, torch.arange(_WINDOW) - middle, indexing="ij"
+        torch.arange(LATTICE.window) - middle, torch.arange(LATTICE.window) - middle, indexing="ij"
     )
     radius = (rows.square() + columns.square()).sqrt()
-    texture = radius >= _WINDOW / _LONGEST
+    texture = radius >= LATTICE.window / LATTICE.longest
     total = float(full[texture].sum())
     sums = F.avg_pool2d(full[None, None], 3, stride=1, padding=1)[0, 0] * 9.0
     half = (columns > 0) | ((columns == 0) & (rows > 0))
@@ -198,13 +223,15 @@ def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
     # A median is dear: only where there is a maximum.
     background = patches[:, row, column].median(dim=0).values
     mass = sums[row, column] - 9.0 * background
-    found = (full[row, column] > _PEAK_RATIO * background) & (2.0 * mass > _LEAST_SHARE * total)
+    found = (full[row, column] > LATTICE.peak_ratio * background) & (
+        2.0 * mass > LATTICE.least_share * total
+    )
     peaks = []
     for y, x, power in zip(*(v[found].tolist() for v in (row, column, mass)), strict=True):
         fy, fx = _refine(full, y, x)
         peaks.append((fx - middle, fy - middle, 2.0 * power))
     peaks.sort(key=lambda peak: -peak[2])
-    return peaks[:_MOST_PEAKS], total
+    return peaks[: LATTICE.most_peaks], total
 
 
 def _mirror(spectrum: Tensor) -> Tensor:
@@ -236,7 +263,7 @@ def _candidates(peaks: list[tuple[float, float]]) -> list[tuple[float, float]]:
     for (ax, ay), (bx, by) in itertools.combinations(peaks[:6], 2):
         found += [((ax + bx) / 2.0, (ay + by) / 2.0), ((ax - bx) / 2.0, (ay - by) / 2.0)]
         found += [(ax - bx, ay - by)]
-    least = _WINDOW / _LONGEST
+    least = LATTICE.window / LATTICE.longest
     return [(fx, fy) for fx, fy in found if (fx * fx + fy * fy) ** 0.5 >= least]
 
 
@@ -263,7 +290,7 @@ def _explained(
     points[lonely[:, None] & (orders[:, 0] == 0)] = math.inf
     hit = torch.zeros(len(bases), len(peaks), dtype=torch.bool)
     for index, place in enumerate(places):
-        hit[:, index] = ((points - place).square().sum(dim=2) < _TOLERANCE**2).any(dim=1)
+        hit[:, index] = ((points - place).square().sum(dim=2) < LATTICE.tolerance**2).any(dim=1)
     # Nearly one direction: two waves would beat, not weave.
     (ax, ay), (bx, by) = waves[:, 0].T, waves[:, 1].T
     lengths = waves[:, 0].norm(dim=1) * waves[:, 1].norm(dim=1)

@@ -10,13 +10,14 @@ from matcap.example import compiled, plain
 from matcap.example.appearance import DIMENSIONS, LARGEST, TAPS, Basis, project
 from matcap.example.features import LIMIT, PLANES
 from matcap.example.grids import PRICE_BITS, Frame
-from matcap.example.lookup import _DEAR, Level
+from matcap.example.lookup import Level
 from matcap.example.plain import _DIAGONALS, PHASE_SHIFT, SIMILAR_TIMES
 from matcap.example.relief import BANDS, FRACTION, REACH, bands_of, joined
+from matcap.example.tuned import LOOKUP
 
 INT16, INT32 = 2**15 - 1, 2**31 - 1
 SIDE = 1024  # places of a draw: a million of them
-MOST_PRICE = 255**2 << _DEAR
+MOST_PRICE = 255**2 << LOOKUP.dear
 MOST_TURN = 2**15 >> PHASE_SHIFT
 KERNEL = pytest.param(
     compiled, marks=pytest.mark.skipif(compiled.kernel() is None, reason="the kernel was not built")

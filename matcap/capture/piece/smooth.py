@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.capture.piece.strengths import BANDS
+from matcap.capture.piece.tuned import BAND
 
 ChannelPlane = NDArray[np.float32]
-
-_COARSER = 8  # texels a side that are one
-_SOFT = 0.25  # octaves: half of what bands share at their borders
 
 
 def smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
@@ -22,9 +20,9 @@ def smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
 def coarse_smoothed(plane: ChannelPlane, deviation: float) -> ChannelPlane:
     """The same on a coarser grid."""
     rows, columns = plane.shape
-    size = (max(1, columns // _COARSER), max(1, rows // _COARSER))
+    size = (max(1, columns // BAND.coarser), max(1, rows // BAND.coarser))
     thin = cv2.resize(plane, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.GaussianBlur(thin, (0, 0), deviation / _COARSER), np.float32)
+    return np.asarray(cv2.GaussianBlur(thin, (0, 0), deviation / BAND.coarser), np.float32)
 
 
 def enlarged(plane: ChannelPlane, shape: tuple[int, ...]) -> ChannelPlane:
@@ -71,4 +69,6 @@ def split(plane: ChannelPlane) -> list[ChannelPlane]:
 
 def _ramp(octave: ChannelPlane) -> ChannelPlane:
     """0 below a border between bands and 1 above it, octaves counted from there."""
-    return np.asarray(0.5 + 0.5 * np.sin(np.pi / 2 * (octave / _SOFT).clip(-1.0, 1.0)), np.float32)
+    return np.asarray(
+        0.5 + 0.5 * np.sin(np.pi / 2 * (octave / BAND.soft).clip(-1.0, 1.0)), np.float32
+    )

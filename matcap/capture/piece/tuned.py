@@ -287,3 +287,19 @@ REFINE = RefineSettings()
 ADAPT = AdaptSettings()
 LEND = LendSettings()
 FINEST = FinestSettings()
+
+
+@dataclass(frozen=True)
+class BandSettings:
+    """How planes are parted into bands; docs/notes/exemplar.md.
+
+    Attributes:
+        coarser: texels a side that are one, for wide blurs. More is quicker, and shows as cells.
+        soft: octaves: half of what bands share at their borders. Less rings.
+    """
+
+    coarser: int = 8
+    soft: float = 0.25
+
+
+BAND = BandSettings()

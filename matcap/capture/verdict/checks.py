@@ -18,26 +18,58 @@ from matcap.flash.highlight import Highlight
 # Where severities 1, 2 and 3 are reached.
 Limits = tuple[float, float, float]
 
-# A highlight that is plain to see: narrower than the falloff, and so much over its surroundings.
-_WIDEST, _FAINTEST = 0.34, 2.0
-_APART: Limits = (0.03, 0.08, 0.15)  # plane units between centres, ...
-_APART_OF_WIDTH = (0.1, 0.25, 0.5)  # ... and shares of the width more: wide ones have no place
-_WIDER: Limits = (math.log(1.3), math.log(1.8), math.log(3.0))  # either way
-_BRIGHTER: Limits = (math.log(1.3), math.log(1.8), math.log(3.0))  # peak over surroundings
-_FLASH: Limits = (-1.5, -1.25, -1.12)  # hot spot over border, negative: less is worse
-_COLOUR: Limits = (0.06, 0.15, 0.35)  # log: 6 % is just seen side by side
-_LIGHT: Limits = (0.12, 0.22, 0.4)  # log, of what is smooth
-_TEXTURE: Limits = (1.1, 1.5, 2.3)  # in the photograph's own differences: 1 is a perfect copy
-_CONTRAST: Limits = (math.log(1.25), math.log(1.6), math.log(2.5))  # either way
-_UNSEEN_CONTRAST = 0.01  # log luminance that the eye does not see in a surface
-_ORDER: Limits = (0.3, 0.5, 0.75)  # share of the likeness a period further that is lost
-_PLAIN_ORDER = 0.15  # likeness of a photograph whose order is plain to see
-_PIECE: Limits = (0.12, 0.22, 0.4)  # log radiance, of the photographed piece's own maps
-_GUESSED: Limits = (0.6, 0.75, 0.9)  # mean of what confidence lacks
-_UNEVEN: Limits = (2.0, 3.2, 4.5)  # the first two are photo/inspect.py's
-_TILTED: Limits = (8.0, 14.0, 25.0)  # degrees; likewise
-_PLACED: Limits = (0.25, 0.35, 0.6)  # plane units: a flash sits one or two centimetres off
-_CLIPPED: Limits = (0.02, 0.08, 0.25)  # share
+
+@dataclass(frozen=True)
+class VerdictLimits:
+    """What a person minds, as three severities' limits or one; docs/notes/verdict.md.
+
+    Attributes:
+        widest: plane units, half width: a highlight plain to see is narrower than the falloff, ...
+        faintest: ... and so much over its surroundings.
+        apart: plane units between centres of highlights, and ...
+        apart_of_width: ... shares of the width more: wide ones have no place.
+        wider: log of widths, either way.
+        brighter: log of peak over surroundings, either way.
+        flash: hot spot over border, negative: less is worse.
+        colour: log: 6 % is just seen side by side.
+        light: log, of what is smooth.
+        texture: in the photograph's own differences: 1 is a perfect copy.
+        contrast: log, either way.
+        unseen_contrast: log luminance that the eye does not see in a surface.
+        order: share of the likeness a period further that is lost.
+        plain_order: likeness of a photograph whose order is plain to see.
+        piece: log radiance, of the photographed piece's own maps.
+        guessed: mean of what confidence lacks.
+        uneven: of parts of the photograph; the first two are photo/inspect.py's.
+        tilted: degrees; likewise.
+        placed: plane units: a flash sits one or two centimetres off.
+        clipped: share of the photograph.
+    """
+
+    widest: float = 0.34
+    faintest: float = 2.0
+    apart: Limits = (0.03, 0.08, 0.15)
+    apart_of_width: Limits = (0.1, 0.25, 0.5)
+    wider: Limits = (math.log(1.3), math.log(1.8), math.log(3.0))
+    brighter: Limits = (math.log(1.3), math.log(1.8), math.log(3.0))
+    flash: Limits = (-1.5, -1.25, -1.12)
+    colour: Limits = (0.06, 0.15, 0.35)
+    light: Limits = (0.12, 0.22, 0.4)
+    texture: Limits = (1.1, 1.5, 2.3)
+    contrast: Limits = (math.log(1.25), math.log(1.6), math.log(2.5))
+    unseen_contrast: float = 0.01
+    order: Limits = (0.3, 0.5, 0.75)
+    plain_order: float = 0.15
+    piece: Limits = (0.12, 0.22, 0.4)
+    guessed: Limits = (0.6, 0.75, 0.9)
+    uneven: Limits = (2.0, 3.2, 4.5)
+    tilted: Limits = (8.0, 14.0, 25.0)
+    placed: Limits = (0.25, 0.35, 0.6)
+    clipped: Limits = (0.02, 0.08, 0.25)
+
+
+LIMITS = VerdictLimits()
+
 
 _TRY = "try --preset high"
 _SHOOT = "photograph again, squarely from above, in the dark, a stop darker, RAW if you can"
@@ -100,7 +132,7 @@ def all_checks(seen: Evidence) -> Iterator[QualityCheck]:
 
 
 def _flash(seen: Evidence) -> QualityCheck:
-    rated = severity(-seen.flash_ratio, _FLASH)
+    rated = severity(-seen.flash_ratio, LIMITS.flash)
     # Files err, and a matt material under a flash far away has little falloff; both together tell.
     rated += 1.5 * (seen.flash_fired is False)
     says = f"the photograph's middle is {seen.flash_ratio:.1f} times as bright as its border"
@@ -112,7 +144,11 @@ def _flash(seen: Evidence) -> QualityCheck:
 
 
 def _plain(highlight: Highlight | None) -> bool:
-    return highlight is not None and highlight.width < _WIDEST and highlight.contrast > _FAINTEST
+    return (
+        highlight is not None
+        and highlight.width < LIMITS.widest
+        and highlight.contrast > LIMITS.faintest
+    )
 
 
 def _highlight(seen: Evidence) -> QualityCheck:
@@ -128,8 +164,8 @@ def _highlight(seen: Evidence) -> QualityCheck:
             "gloss was taken for light, or the flash for elsewhere",
             remedy,
         )
-    own = _FAINTEST if before is None else before.contrast
-    more = severity(math.log(after.contrast / own), _BRIGHTER)
+    own = LIMITS.faintest if before is None else before.contrast
+    more = severity(math.log(after.contrast / own), LIMITS.brighter)
     # Between a highlight that is just plain to see and one that just is not there is no step.
     new = 0.0 if _plain(before) else 1.0 if before is None else min(more, 1.0)
     worst, says, cause = _unlike(before, after) if before is not None else (more, "", "")
@@ -143,7 +179,8 @@ def _unlike(before: Highlight, after: Highlight) -> tuple[float, str, str]:
     """What differs most between two highlights: its severity, what is seen, the likely cause."""
     apart = math.dist(before.centre, after.centre)
     first, second, third = (
-        limit + share * before.width for limit, share in zip(_APART, _APART_OF_WIDTH, strict=True)
+        limit + share * before.width
+        for limit, share in zip(LIMITS.apart, LIMITS.apart_of_width, strict=True)
     )
     wider, brighter = after.width / before.width, after.contrast / before.contrast
     found = (
@@ -153,12 +190,12 @@ def _unlike(before: Highlight, after: Highlight) -> tuple[float, str, str]:
             "the light's place or the field of view is wrong",
         ),
         (
-            severity(abs(math.log(wider)), _WIDER),
+            severity(abs(math.log(wider)), LIMITS.wider),
             f"the highlight is {wider:.1f} times as wide as in the photograph",
             "roughness is wrong",
         ),
         (
-            severity(abs(math.log(brighter)), _BRIGHTER),
+            severity(abs(math.log(brighter)), LIMITS.brighter),
             f"the highlight stands out {brighter:.1f} times as much as in the photograph",
             "gloss is wrong",
         ),
@@ -169,7 +206,7 @@ def _unlike(before: Highlight, after: Highlight) -> tuple[float, str, str]:
 def _light(seen: Evidence) -> QualityCheck:
     return QualityCheck(
         "light",
-        severity(seen.light, _LIGHT),
+        severity(seen.light, LIMITS.light),
         f"brightness is distributed otherwise than in the photograph, by {_percent(seen.light)}",
         "other light in the room, or a strong tone curve",
         f"{_SHOOT}, with other lights off",
@@ -180,7 +217,7 @@ def _colour(seen: Evidence) -> QualityCheck:
     worst = max(map(abs, seen.colour))
     return QualityCheck(
         "colour",
-        severity(worst, _COLOUR),
+        severity(worst, LIMITS.colour),
         f"colours are off by {_percent(worst)}",
         "light of another colour in the room, or a strong tone curve",
         f"{_TRY}, or {_SHOOT}",
@@ -190,7 +227,7 @@ def _colour(seen: Evidence) -> QualityCheck:
 def _texture(seen: Evidence) -> QualityCheck:
     return QualityCheck(
         "texture",
-        severity(seen.likeness, _TEXTURE),
+        severity(seen.likeness, LIMITS.texture),
         f"the texture differs from the photograph's by {seen.likeness:.1f} times what the "
         "photograph's own parts differ by"
         if math.isfinite(seen.likeness)
@@ -202,14 +239,14 @@ def _texture(seen: Evidence) -> QualityCheck:
 
 def _contrast(seen: Evidence) -> QualityCheck:
     changes = {
-        band: math.log((after + _UNSEEN_CONTRAST) / (before + _UNSEEN_CONTRAST))
+        band: math.log((after + LIMITS.unseen_contrast) / (before + LIMITS.unseen_contrast))
         for band, (before, after) in seen.contrast.items()
     }
     band = max(changes, key=lambda name: abs(changes[name]))
     more = "stronger" if changes[band] > 0.0 else "weaker"
     return QualityCheck(
         "contrast",
-        severity(abs(changes[band]), _CONTRAST),
+        severity(abs(changes[band]), LIMITS.contrast),
         f"{band} is {math.exp(abs(changes[band])):.1f} times {more} than in the photograph",
         "relief is wrong",
         _TRY,
@@ -220,13 +257,13 @@ def _order(seen: Evidence) -> Iterator[QualityCheck]:
     if seen.order is None:
         return
     before, after = seen.order
-    if before < _PLAIN_ORDER:
+    if before < LIMITS.plain_order:
         yield QualityCheck("order", 0.0, "the regular order is too faint to be seen")
         return
     kept = max(after, 0.0) / before
     yield QualityCheck(
         "order",
-        severity(1.0 - kept, _ORDER),
+        severity(1.0 - kept, LIMITS.order),
         f"{100.0 * min(kept, 1.0):.0f} % of the photograph's regular order is kept",
         "the pattern's period was not found exactly, or it bends",
         f"{_TRY}, or photograph it flat and from nearer",
@@ -239,7 +276,7 @@ def _piece(seen: Evidence) -> Iterator[QualityCheck]:
     error = seen.piece["error"]
     yield QualityCheck(
         "piece",
-        severity(error, _PIECE),
+        severity(error, LIMITS.piece),
         f"maps of the photographed piece leave {_percent(error)} of its light unexplained",
         "other light, or a surface that is not flat",
         f"{_TRY}, or {_SHOOT}",
@@ -249,7 +286,7 @@ def _piece(seen: Evidence) -> Iterator[QualityCheck]:
     guessed = 1.0 - sum(trusted.values()) / len(trusted)
     yield QualityCheck(
         "seen",
-        severity(guessed, _GUESSED),
+        severity(guessed, LIMITS.guessed),
         f"{100.0 * guessed:.0f} % of the maps is guessed, most of {least}",
         "clipped, dark or dull parts tell little",
         _SHOOT,
@@ -259,9 +296,9 @@ def _piece(seen: Evidence) -> Iterator[QualityCheck]:
 def _sameness(seen: Evidence) -> QualityCheck:
     return QualityCheck(
         "sameness",
-        severity(seen.unevenness, _UNEVEN),
+        severity(seen.unevenness, LIMITS.uneven),
         "the sample looks the same all over"
-        if seen.unevenness < _UNEVEN[0]
+        if seen.unevenness < LIMITS.uneven[0]
         else "the sample does not look the same all over",
         "several materials, stains, a picture or shadows",
         "fill the picture with one material",
@@ -269,7 +306,7 @@ def _sameness(seen: Evidence) -> QualityCheck:
 
 
 def _camera(seen: Evidence) -> QualityCheck:
-    tilted, placed = severity(seen.tilt, _TILTED), severity(seen.offset, _PLACED)
+    tilted, placed = severity(seen.tilt, LIMITS.tilted), severity(seen.offset, LIMITS.placed)
     if placed > tilted:
         return QualityCheck(
             "camera",
@@ -291,7 +328,7 @@ def _camera(seen: Evidence) -> QualityCheck:
 def _clipping(seen: Evidence) -> QualityCheck:
     return QualityCheck(
         "clipping",
-        severity(seen.clipped, _CLIPPED),
+        severity(seen.clipped, LIMITS.clipped),
         f"{_percent(seen.clipped)} of the photograph is clipped",
         "it was exposed too long",
         "photograph again a stop darker",

@@ -28,15 +28,37 @@ from matcap.statistics.lattice import Wave, likeness_after_a_period
 
 Picture = NDArray[np.float32]
 
-_CELLS = 64  # across the long side, of what is smooth
-_SMOOTH = 2.0  # cells, deviation: a sixteenth of the picture is light, less is texture
-_TOE = 0.02  # of the median: bounds logarithms in the dark
-# Bands of texture, texels: deviations of the blurs on either side of them.
-_BANDS = {"fine": (1.0, 3.0), "coarse": (4.0, 16.0)}
-_COLOURED, _CHROMA = "coloured", (2.0, 16.0)  # log red and blue over green, likewise
-_BRIGHT = 0.2  # share of tiles that are looked at by themselves, the brightest
-# Windows that tell texture: texels a side, how many across and down, share of them to be seen.
-_WINDOW, _PLACES, _LEAST_SEEN = 160, (4, 3), 0.5
+
+@dataclass(frozen=True)
+class EvidenceSettings:
+    """How photograph and re-rendering are looked at; docs/notes/verdict.md.
+
+    Attributes:
+        cells: across the long side, of what is smooth.
+        smooth: cells, deviation: a sixteenth of the picture is light, less is texture.
+        toe: of the median: bounds logarithms in the dark.
+        fine: texels, deviations of the blurs on either side of a band of texture.
+        coarse: likewise.
+        chroma: likewise, of log red and blue over green.
+        bright: share of tiles that are looked at by themselves, the brightest.
+        window: texels a side that tell texture.
+        places: windows across and down.
+        least_seen: share of a window that must be seen.
+    """
+
+    cells: int = 64
+    smooth: float = 2.0
+    toe: float = 0.02
+    fine: tuple[float, float] = (1.0, 3.0)
+    coarse: tuple[float, float] = (4.0, 16.0)
+    chroma: tuple[float, float] = (2.0, 16.0)
+    bright: float = 0.2
+    window: int = 160
+    places: tuple[int, int] = (4, 3)
+    least_seen: float = 0.5
+
+
+LOOK = EvidenceSettings()
 
 
 @dataclass(frozen=True)
@@ -127,10 +149,10 @@ def smooth_difference(seen: Picture, again: Picture) -> tuple[tuple[float, float
         differs by.
     """
     before, after = _smooth(seen), _smooth(again)
-    toe = _TOE * np.median(before, axis=(0, 1)) + 1e-6
+    toe = LOOK.toe * np.median(before, axis=(0, 1)) + 1e-6
     ratio = np.median(np.log((after + toe) / (before + toe)), axis=(0, 1))
     light, lit = before.mean(axis=2), after.mean(axis=2)
-    floor = _TOE * float(np.median(light)) + 1e-6
+    floor = LOOK.toe * float(np.median(light)) + 1e-6
     difference = np.log((lit + floor) / (light + floor))
     rest = difference - np.median(difference)
     return (float(ratio[0]), float(ratio[1]), float(ratio[2])), float(np.sqrt(np.mean(rest**2)))
@@ -144,7 +166,7 @@ def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, f
     """
     light = _tiles(seen.mean(axis=2))
     bright = np.zeros(light.shape, bool)
-    bright.flat[light.argsort(axis=None)[-math.ceil(_BRIGHT * light.size) :]] = True
+    bright.flat[light.argsort(axis=None)[-math.ceil(LOOK.bright * light.size) :]] = True
     before, after = (_tile_contrasts(picture) for picture in (seen, again))
 
     def of(tiles: Picture, region: NDArray[np.bool_]) -> float:
@@ -160,11 +182,12 @@ def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, f
 def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
     luminance = picture.mean(axis=2)
-    log = np.log(luminance + _TOE * float(np.median(luminance)) + 1e-6)
-    tiles = {band: _tiles(np.square(_band(log, *reach))) for band, reach in _BANDS.items()}
-    whole = np.log(picture + _TOE * float(np.median(luminance)) + 1e-6)
-    chroma = _band(whole[..., ::2] - whole[..., 1:2], *_CHROMA)
-    return {**tiles, _COLOURED: _tiles(np.square(chroma).mean(axis=2))}
+    log = np.log(luminance + LOOK.toe * float(np.median(luminance)) + 1e-6)
+    bands = {"fine": LOOK.fine, "coarse": LOOK.coarse}
+    tiles = {band: _tiles(np.square(_band(log, *reach))) for band, reach in bands.items()}
+    whole = np.log(picture + LOOK.toe * float(np.median(luminance)) + 1e-6)
+    chroma = _band(whole[..., ::2] - whole[..., 1:2], *LOOK.chroma)
+    return {**tiles, "coloured": _tiles(np.square(chroma).mean(axis=2))}
 
 
 def _band(log: Picture, least: float, most: float) -> Picture:
@@ -178,9 +201,9 @@ def _tiles(picture: Picture) -> Picture:
 
 
 def _smooth(picture: Picture) -> NDArray[np.float64]:
-    rows = max(4, round(_CELLS * picture.shape[0] / picture.shape[1]))
-    small = cv2.resize(picture, (_CELLS, rows), interpolation=cv2.INTER_AREA)
-    blurred = cv2.GaussianBlur(small, (0, 0), _SMOOTH, borderType=cv2.BORDER_REFLECT)
+    rows = max(4, round(LOOK.cells * picture.shape[0] / picture.shape[1]))
+    small = cv2.resize(picture, (LOOK.cells, rows), interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(small, (0, 0), LOOK.smooth, borderType=cv2.BORDER_REFLECT)
     return np.asarray(blurred, np.float64)
 
 
@@ -199,20 +222,21 @@ def texture_difference(plane: Plane, rendering: Tensor) -> float:
     width, height = plane.size
     places = [
         (x, y)
-        for y in _spread(height - _WINDOW, _PLACES[1])
-        for x in _spread(width - 2 * _WINDOW, _PLACES[0])
-        if plane.valid[y : y + _WINDOW, x : x + 2 * _WINDOW].float().mean() > _LEAST_SEEN
+        for y in _spread(height - LOOK.window, LOOK.places[1])
+        for x in _spread(width - 2 * LOOK.window, LOOK.places[0])
+        if plane.valid[y : y + LOOK.window, x : x + 2 * LOOK.window].float().mean()
+        > LOOK.least_seen
     ]
     if not places:
         return math.nan
     bank, weights = FilterBank(FEATURES), Weights(mean=0.0)
 
     def described(picture: Tensor, shift: int) -> Descriptor:
-        cut = [picture[:, y : y + _WINDOW, x + shift :][..., :_WINDOW] for x, y in places]
+        cut = [picture[:, y : y + LOOK.window, x + shift :][..., : LOOK.window] for x, y in places]
         return describe(torch.stack(cut), plane.encoding, bank)
 
     with torch.inference_mode():
-        here, beside = described(plane.linear, 0), described(plane.linear, _WINDOW)
+        here, beside = described(plane.linear, 0), described(plane.linear, LOOK.window)
         there = described(rendering, 0)
         own = float(distance(beside, here, weights).median())
         return float(distance(there, here, weights).median()) / max(own, 1e-6)

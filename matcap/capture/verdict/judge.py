@@ -9,10 +9,22 @@ from matcap.capture.verdict.checks import QualityCheck, all_checks
 from matcap.capture.verdict.evidence import Evidence
 from matcap.capture.verdict.rating import Rating
 
-# Severities are joined by this norm: the worst counts most, several small ones a little more than
-# one (three of 1.8 are one of 2.2).
-_NORM = 6.0
-_TOLD = 2  # checks in a sentence, the worst
+
+@dataclass(frozen=True)
+class JudgeSettings:
+    """How checks become one verdict; docs/notes/verdict.md.
+
+    Attributes:
+        norm: that joins severities: the worst counts most, several small ones a little more than
+            one (three of 1.8 are one of 2.2).
+        told: checks in a sentence, the worst.
+    """
+
+    norm: float = 6.0
+    told: int = 2
+
+
+JUDGE = JudgeSettings()
 
 
 @dataclass(frozen=True)
@@ -28,7 +40,7 @@ class CaptureVerdict:
     @property
     def severity(self) -> float:
         """Of all checks together, on their scale."""
-        return float(sum(check.severity**_NORM for check in self.checks) ** (1.0 / _NORM))
+        return float(sum(check.severity**JUDGE.norm for check in self.checks) ** (1.0 / JUDGE.norm))
 
     @property
     def rating(self) -> Rating:
@@ -44,7 +56,7 @@ class CaptureVerdict:
     def faults(self) -> tuple[QualityCheck, ...]:
         """The worst checks that are not good, the worst first."""
         bad = [check for check in self.checks if check.rating is not Rating.GOOD]
-        return tuple(sorted(bad, key=lambda check: -check.severity)[:_TOLD])
+        return tuple(sorted(bad, key=lambda check: -check.severity)[: JUDGE.told])
 
     def sentence(self) -> str:
         """The verdict in one line: the word, what was found, the likely cause and what to do."""

@@ -1,0 +1,163 @@
+"""What is tuned of the field by example: one frozen dataclass a stage.
+
+Each number with its unit and what it trades; measured in docs/notes/by-example.md. Sizes that the
+stored index or the integers of kernel.c are laid out by stand where they are used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class FeatureSettings:
+    """What pieces are compared by.
+
+    Attributes:
+        unit: features to a standard deviation: four of them fit.
+        unseen: what is fainter is not seen and not amplified, in each plane's own numbers: slopes
+            show from about a degree on, height only as their sum over some ten texels.
+        weights: of planes. Height is seen by its slopes alone; it counts so that what is joined
+            lies equally high.
+    """
+
+    unit: float = 32.0
+    unseen: tuple[float, ...] = (0.01, 0.01, 0.01, 0.02, 0.02, 0.02, 0.02, 0.2)
+    weights: tuple[float, ...] = (1.0, 1.0, 1.0, 0.7, 1.0, 1.0, 1.0, 0.5)
+
+
+FEATURE = FeatureSettings()
+
+
+@dataclass(frozen=True)
+class AppearanceSettings:
+    """How neighbourhoods become a few numbers.
+
+    Attributes:
+        fall_off: of the weights, in squared steps of the neighbourhood.
+        samples: neighbourhoods that the components are taken from.
+        clipped: share of the largest component that may exceed appearance.LARGEST.
+        rows: projected at a time: they stay in the cache.
+    """
+
+    fall_off: float = 8.0
+    samples: int = 20_000
+    clipped: float = 0.002
+    rows: int = 32
+
+
+APPEARANCE = AppearanceSettings()
+
+
+@dataclass(frozen=True)
+class SimilarSettings:
+    """How similar places are looked for.
+
+    Attributes:
+        rounds: more find nearer ones, and take longer.
+        lines: of a round.
+        steepest: components of a line's direction.
+    """
+
+    rounds: int = 4
+    lines: int = 2
+    steepest: int = 100
+
+
+SIMILAR = SimilarSettings()
+
+
+@dataclass(frozen=True)
+class OrderSettings:
+    """How regular order is measured where it bends.
+
+    Attributes:
+        bins: to a turn, where cells are compared.
+        slopes: planes that vary most at joints, which are edges, and so hide them.
+        piece: texels: cells smaller than this are laid several together.
+        window: periods: standard deviation of the window that a phase is measured in.
+        faint: of squared features: a plane may be flat.
+        lag: windows' deviations: so far apart they hardly see the same cells.
+        steadiest: a plane alone must not be believed without end.
+        rounds: a window smooths bends away: what is left of them is measured again.
+    """
+
+    bins: int = 24
+    slopes: tuple[int, int] = (5, 6)
+    piece: int = 48
+    window: float = 1.5
+    faint: float = 1e-9
+    lag: float = 2.0
+    steadiest: float = 0.98
+    rounds: int = 3
+
+
+ORDER = OrderSettings()
+
+
+@dataclass(frozen=True)
+class IndexSettings:
+    """What the index says of places.
+
+    Attributes:
+        apart: steps of its grid between a place and what is similar to it, and ...
+        apart_texels: ... texels at least.
+        fineness: places of the coarsest level along the shorter side of a lattice's piece.
+        unique: times the median distance to what is most similar: a mark that occurs once, ...
+        unique_level: ... told at this level, of some twenty texels.
+        least_trust: of a map: what was not seen is drawn by example.
+        trusted: quantile of confidence that a place is held against.
+        slack: confidence below it up to which a place is as good: steps of it lie between most
+            parts of a photograph.
+        doubted: likewise, at which it is as reluctant as can be.
+    """
+
+    apart: int = 4
+    apart_texels: int = 8
+    fineness: int = 16
+    unique: float = 12.0
+    unique_level: int = 2
+    least_trust: float = 0.02
+    trusted: float = 0.8
+    slack: float = 0.05
+    doubted: float = 0.35
+
+
+INDEX = IndexSettings()
+
+
+@dataclass(frozen=True)
+class LookupSettings:
+    """What a place costs beside how well it fits.
+
+    Attributes:
+        ordered: levels from this one on keep to the order.
+        dear: bits: a place of full reluctance costs 255^2 * 2^11 = 1.3e8, more than any seam; one a
+            little less trusted than most, 14 of 255, 4e5, as a common seam.
+    """
+
+    ordered: int = 1
+    dear: int = 11
+
+
+LOOKUP = LookupSettings()
+
+
+@dataclass(frozen=True)
+class PlacementSettings:
+    """How pieces are laid and corrected.
+
+    Attributes:
+        piece: texels along a side of the pieces that the coarsest level begins with, ...
+        part: ... at most the exemplar's shorter side over this.
+        draws: pieces that each is the cheapest of.
+        passes: of correction at the finest level, and at every coarser one.
+    """
+
+    piece: int = 128
+    part: int = 2
+    draws: int = 4
+    passes: tuple[int, int] = (1, 2)
+
+
+PLACEMENT = PlacementSettings()
