@@ -17,6 +17,7 @@ from matcap.cli.options import (
     Normals,
     OverwriteOption,
     QuietOption,
+    VarietyOption,
     WorkflowName,
     in_range,
     seeded,
@@ -85,6 +86,7 @@ def export(
     ] = None,
     generator: GeneratorOption = None,
     adjust: AdjustOption = None,
+    variety: VarietyOption = None,
     bits: Annotated[
         Bits | None,
         typer.Option(
@@ -181,6 +183,8 @@ def export(
     changes = parse_adjustments(adjust)
     if onnx and changes.changes:
         raise UsageError("a network is not adjusted", where="--adjust", remedy="leave it out")
+    if onnx and variety is not None:
+        raise UsageError("a network has no pieces", where="--variety", remedy="leave it out")
     if udim is not None and changes.changes:
         raise UsageError("a texture set is not adjusted", where="--adjust", remedy="leave it out")
     if onnx:
@@ -196,15 +200,18 @@ def export(
     tiles, around = None, None
     if udim is not None:
         side = (largest.width, largest.height)
-        tiles, stem = open_set(path, (udim.width, udim.height), side, seed or 0, which)
+        tiles, stem = open_set(path, (udim.width, udim.height), side, seed or 0, which, variety)
         inner, around = tiles.tile(0, 0)
         found = OpenedMaps(inner, stem, dict(tiles.material.provenance))
     else:
         asked_size = (size.width, size.height) if size else None
-        found = open_tile(path, size=asked_size, seed=seed, generator=which, adjust=changes)
+        found = open_tile(
+            path, size=asked_size, seed=seed, generator=which, adjust=changes, variety=variety
+        )
     asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
     asked_for += f"_udim{udim}" * (udim is not None)
     asked_for += f"_{changes.file_part}" * changes.changes
+    asked_for += f"_variety{variety}" * (variety is not None)
     folder = out or Path(f"{found.name}_{target}{asked_for}")
     sidecar = folder / sidecar_name(found.name, target)
     if sidecar.exists() and not overwrite:

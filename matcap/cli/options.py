@@ -102,6 +102,17 @@ AdjustOption = Annotated[
         "(.json) that tells it.",
     ),
 ]
+VarietyOption = Annotated[
+    float | None,
+    typer.Option(
+        "--variety",
+        parser=in_range(0.0, 1.0),
+        metavar="0..1",
+        show_default="what capture chose",
+        help="How far the photographed piece is taken apart: 0 repeats it whole, its borders "
+        "healed; 1 makes many small pieces of it.",
+    ),
+]
 NormalOption = Annotated[Normal, typer.Option(help="Normals with +Y up (gl) or down (dx).")]
 PngOption = Annotated[bool, typer.Option("--png", help="16-bit PNGs beside the EXR files.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,12 +12,12 @@ import typer
 from matcap.cli.inputs import files_read
 from matcap.cli.options import (
     AdjustOption,
-    GeneratorName,
     GeneratorOption,
     JsonOption,
     Normal,
     QuietOption,
     ReplaceOption,
+    VarietyOption,
     in_range,
     seeded,
     typed,
@@ -24,7 +25,9 @@ from matcap.cli.options import (
 from matcap.files import values
 
 if TYPE_CHECKING:
-    from matcap.brdf.adjust import Adjustments
+    from matcap.brdf.maps import MapSet
+    from matcap.field.material import Material
+    from matcap.field.opened import AdjustedMaterial
     from matcap.relight.plan import Plan
     from matcap.relight.render import Renderer
     from matcap.relight.scene import Scene
@@ -84,6 +87,7 @@ def relight(
     ] = 0,
     generator: GeneratorOption = None,
     adjust: AdjustOption = None,
+    variety: VarietyOption = None,
     effects: Annotated[
         str,
         typer.Option(metavar="auto|all|none|+x,-y", help="Which effects run (see --explain)."),
@@ -133,11 +137,13 @@ def relight(
     quiet: QuietOption = False,
 ) -> None:
     """Show a material under another light."""
+    from functools import partial
     from itertools import chain
 
     from matcap.brdf.adjust import parse_adjustments
     from matcap.cli.relight_display import shown
     from matcap.errors import UsageError
+    from matcap.field.opened import open_source
     from matcap.files.mark import check_replaceable
     from matcap.files.memory import check_memory
     from matcap.files.staging import check_writable
@@ -162,6 +168,8 @@ def relight(
     changes = parse_adjustments(adjust)
     if changes.changes and maps_from is not None:
         raise UsageError("maps of others are not adjusted", where="--adjust", remedy="leave it out")
+    if variety is not None and maps_from is not None:
+        raise UsageError("maps of others have no pieces", where="--variety", remedy="leave it out")
     if explain_map is not None and (animate is not None or sheet is not None):
         raise UsageError("this is of one picture", where="--explain-map", remedy="leave it out")
     check_path(out, moving=animate is not None)
@@ -176,7 +184,8 @@ def relight(
     if light == ["flash"] and maps_from is None:
         chosen = _photographed(path, size) or chosen
     limit = DEFAULT_TOLERANCE if tolerance is None else tolerance
-    renderer = _renderer(path, maps_from, normal, chosen, seed, generator, changes, quiet=quiet)
+    source = partial(open_source, path, generator and generator.value, changes, variety)
+    renderer = _renderer(source, maps_from, normal, chosen, seed, quiet=quiet)
     film = renderer.film
     pictures = frames if animate else sheet.width * sheet.height if sheet else 1
     check_writable(out.parent, 16 * film.width * film.height * pictures)
@@ -239,22 +248,19 @@ def _photographed(path: Path, size: values.Size | None) -> Scene | None:
 
 
 def _renderer(
-    path: Path,
+    source: Callable[[], MapSet | Material | AdjustedMaterial],
     maps_from: Path | None,
     normal: Normal | None,
     scene: Scene,
     seed: int,
-    generator: GeneratorName | None,
-    adjust: Adjustments,
     *,
     quiet: bool,
 ) -> Renderer:
-    from matcap.field.opened import open_source
     from matcap.relight.foreign import read_foreign
     from matcap.relight.render import Renderer
 
     if maps_from is None:
-        return Renderer(open_source(path, generator and generator.value, adjust), scene, seed=seed)
+        return Renderer(source(), scene, seed=seed)
     foreign = read_foreign(maps_from, normal=normal.value if normal else None)
     if not quiet:
         for note in foreign.notes:

@@ -22,6 +22,7 @@ from matcap.cli.options import (
     PngOption,
     QuietOption,
     SpreadOption,
+    VarietyOption,
     seeded,
     typed,
 )
@@ -155,6 +156,7 @@ def synth(
     ] = None,
     generator: GeneratorOption = None,
     adjust: AdjustOption = None,
+    variety: VarietyOption = None,
     precision: Annotated[
         PrecisionName,
         typer.Option(help="auto: as much bf16 as changes no map by half an 8-bit step."),
@@ -207,7 +209,7 @@ def synth(
     axes: Axes | None = tile.value if tile else None
     asked = SynthRequest(
         subject, area, seed, name, files, axes, growth, precision.value, device.value,
-        generator and generator.value, parse_adjustments(adjust),
+        generator and generator.value, parse_adjustments(adjust), variety,
     )  # fmt: skip
     told_apart = _told_apart(asked)
     folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}{told_apart}")
@@ -253,6 +255,7 @@ def _told_apart(asked: SynthRequest) -> str:
         f"{asked.generator}": asked.generator is not None,
         f"{asked.precision}": asked.precision != "fp32",
         asked.adjust.file_part: asked.adjust.changes,
+        f"variety{asked.variety}": asked.variety is not None,
         "single": files.single,
         "mip": files.mipmap,
         "png": files.png,

@@ -12,6 +12,7 @@ from matcap.cli.options import (
     GeneratorOption,
     QuietOption,
     ReplaceOption,
+    VarietyOption,
     seeded,
 )
 
@@ -39,6 +40,7 @@ def view(
     ] = 0,
     generator: GeneratorOption = None,
     adjust: AdjustOption = None,
+    variety: VarietyOption = None,
     port: Annotated[
         int, typer.Option(min=0, max=65535, show_default="a free one", help="Of the server.")
     ] = 0,
@@ -92,11 +94,11 @@ def view(
                 raise UsageError(
                     "this folder has several materials", where=option, remedy="name one of them"
                 )
-        library = Library(files, generator and generator.value, changes)
+        library = Library(files, generator and generator.value, changes, variety)
         name = path.resolve().name
         serve_library(library, name, port=port, opens=opens, announce=announce)
         return
-    subject = open_subject(path, blend, seed, generator and generator.value)
+    subject = open_subject(path, blend, seed, generator and generator.value, variety)
     material = subject.first if isinstance(subject, Materials) else None
     beside = find_beside(path, subject.facts.name, photo, material)
     if html is not None:

@@ -16,10 +16,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.grids import PRICE_BITS, Frame
-from matcap.example.hashing import Hashes, draw, hash_places
+from matcap.example.grids import Frame
+from matcap.example.hashing import hash_places
 from matcap.example.lookup import Level, Lookup, two_phases
 from matcap.example.order import Cells, Integers, Order, Phases, cells_of
+from matcap.example.pieces import Axis, cheapest, inset, laid
 from matcap.example.plain import Places, margin
 from matcap.example.tuned import PLACEMENT
 from matcap.field.plane import Period, Rectangle
@@ -100,49 +101,41 @@ def begin(
     """
     depth, level = len(lookup.levels) - 1, lookup.levels[-1]
     x, y = columns << depth, rows << depth
-    if lookup.order is None:
-        bits = _piece_bits(level.frame)
-        side = 1 << bits
+    if lookup.order is not None:
+        best_x, best_y, apart_x, apart_y = _ordered(lookup, lookup.order, seed, x, y, period)
+    elif lookup.sizes.loose:
+        side = lookup.sizes.width
         # Middles of pieces, from which places are counted.
         apart_x, apart_y = x % side - side // 2, (y % side - side // 2)[:, None]
-        hashes = hash_places(seed, depth, x >> bits, (y >> bits)[:, None])
+        hashes = hash_places(seed, depth, x // side, (y // side)[:, None])
+        # As much around the middle of a piece as it is wide.
+        best_x, best_y = cheapest(level, hashes, inset(level.frame, side // 2, side // 2))
     else:
-        side = round(lookup.order.piece)
-        cells = cells_of(lookup.order, seed, x, y, period or (None, None))
-        apart_x, apart_y = x - cells.middle_x, y[:, None] - cells.middle_y
-        hashes = hash_places(seed, depth, cells.column, cells.row)
-    # As much around the middle of a piece as it is wide.
-    frame = _inset(level.frame, side // 2)
-    best_x, best_y = _drawn(hashes, 0, frame)
-    best = _price(level, best_x, best_y)
-    for attempt in range(1, PLACEMENT.draws):
-        x_drawn, y_drawn = _drawn(hashes, attempt, frame)
-        cost = _price(level, x_drawn, y_drawn)
-        better = cost < best
-        best_x, best_y = np.where(better, x_drawn, best_x), np.where(better, y_drawn, best_y)
-        best = np.where(better, cost, best)
-    if lookup.order is not None:
-        best_x, best_y = _in_phase(lookup.order, seed, best_x, best_y, cells, period)
+        along_x, along_y = period or (None, None)
+        across, down = (
+            Axis.of(x, lookup.sizes.width, along_x),
+            Axis.of(y, lookup.sizes.height, along_y),
+        )
+        best_x, best_y = laid(level, depth, seed, across, down)
+        apart_x, apart_y = across.apart, down.apart[:, None]
     places = np.stack(np.broadcast_arrays(best_x + apart_x, best_y + apart_y), axis=-1)
     return _clamped(places, level.frame)
 
 
-def _piece_bits(frame: Frame) -> int:
-    """Pieces are squares of 2^bits texels."""
-    shorter = min(frame.right - frame.left, frame.bottom - frame.top)
-    return min(PLACEMENT.piece, shorter // PLACEMENT.part).bit_length() - 1
-
-
-def _drawn(hashes: Hashes, attempt: int, frame: Frame) -> tuple[Integers, Integers]:
-    """A random place within a frame for every hash."""
-    return (
-        frame.left + draw(hashes, 2 * attempt, frame.right - frame.left + 1),
-        frame.top + draw(hashes, 2 * attempt + 1, frame.bottom - frame.top + 1),
-    )
-
-
-def _price(level: Level, x: Integers, y: Integers) -> NDArray[np.int32]:
-    return level.price[y >> PRICE_BITS, x >> PRICE_BITS]
+def _ordered(
+    lookup: Lookup, order: Order, seed: int, x: Integers, y: Integers, period: Period | None
+) -> tuple[Integers, Integers, Integers, Integers]:
+    """Places of cells' middles in phase with the order, and how far texels are from those."""
+    depth, level = len(lookup.levels) - 1, lookup.levels[-1]
+    together = lookup.sizes.cells
+    wide = high = round(order.piece(together))
+    if not lookup.sizes.loose:
+        wide, high = (round(side) for side in order.extent(together))
+    cells = cells_of(order, seed, x, y, period or (None, None), together)
+    hashes = hash_places(seed, depth, cells.column, cells.row)
+    best_x, best_y = cheapest(level, hashes, inset(level.frame, wide // 2, high // 2))
+    best_x, best_y = _in_phase(order, seed, best_x, best_y, cells, period)
+    return best_x, best_y, x - cells.middle_x, y[:, None] - cells.middle_y
 
 
 def _in_phase(
@@ -156,12 +149,6 @@ def _in_phase(
         x = x + ((apart @ turns[0] + (1 << 23)) >> 24)
         y = y + ((apart @ turns[1] + (1 << 23)) >> 24)
     return x, y
-
-
-def _inset(frame: Frame, by: int) -> Frame:
-    """A frame with less room on every side, but with some."""
-    by = min(by, (frame.right - frame.left) // 2, (frame.bottom - frame.top) // 2)
-    return Frame(frame.left + by, frame.top + by, frame.right - by, frame.bottom - by)
 
 
 def _wanted(

@@ -26,7 +26,8 @@ from matcap.example.lookup import Lookup, prepare
 from matcap.example.order import Frequency
 from matcap.example.plain import Places
 from matcap.field.blocks import RING, Grid
-from matcap.field.plane import Period, Rectangle, check_period, check_seed
+from matcap.field.plane import Period, Rectangle, check_period, check_seed, check_variety
+from matcap.files.values import bounded
 
 if TYPE_CHECKING:
     import torch
@@ -63,10 +64,12 @@ class Example:
     Attributes:
         exemplar: as a file gives it back (Exemplar.rounded).
         index: of the exemplar on its grid.
+        variety: of its field, from 0, the piece itself repeated, to 1, of many small pieces.
     """
 
     exemplar: Exemplar
     index: Index
+    variety: float = 1.0
 
     @staticmethod
     def of(exemplar: Exemplar, waves: tuple[Frequency, ...] = ()) -> Example:
@@ -120,7 +123,9 @@ class Example:
         chosen, about_index = self.index.stored()
         tensors = {f"exemplar.{name}": data for name, data in maps.items()}
         tensors |= {f"index.{name}": data for name, data in chosen.items()}
-        return tensors, {"exemplar": about, "index": about_index}
+        described: dict[str, Any] = {"exemplar": about, "index": about_index}
+        # As in files of before there was one, whose fields are of full variety.
+        return tensors, described | ({} if self.variety == 1.0 else {"variety": self.variety})
 
     def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Tensors and an entry of a material's description (stored.py reads them)."""
@@ -143,7 +148,18 @@ class Example:
         index = Index.read(
             about["index"], lambda name: tensor(f"index.{name}"), (width >> bits, height >> bits)
         )
-        return Example(exemplar, index)
+        return Example(exemplar, index, bounded(about.get("variety", 1.0), "variety", 0.0, 1.0))
+
+    def varied(self, variety: float | None) -> Example:
+        """The same read with another variety; itself where none is named.
+
+        Raises:
+            UsageError: one out of range.
+        """
+        if variety is None or variety == self.variety:
+            return self
+        check_variety(variety)
+        return Example(self.exemplar, self.index, variety)
 
     def maps(self, seed: int, area: Rectangle, period: Period | None) -> Floats:
         """(6, height, width) stacked maps of an area of the field, a pure function of texels.
@@ -205,7 +221,7 @@ class Example:
         with ThreadPoolExecutor() as pool:
             bands = pool.submit(lambda: relief.bands_of(exemplar.height_codes()))
             coarse = coarsened(exemplar, detail_bits(exemplar))
-            lookup = prepare(coarse, self.index, loops()[0])
+            lookup = prepare(coarse, self.index, loops()[0], self.variety)
             maps = (exemplar.diffuse, exemplar.specular, exemplar.roughness)
             planes = tuple(plane.ravel() for planes in maps for plane in planes)
             return _Ready(lookup, planes, bands.result())

@@ -165,7 +165,7 @@ def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...], project: Proje
 
 def _ordered_levels(order: Order) -> int:
     """Levels that pieces of a lattice are drawn finely enough at."""
-    return max(1, math.floor(math.log2(order.piece / INDEX.fineness)) + 1)
+    return max(1, math.floor(math.log2(order.piece() / INDEX.fineness)) + 1)
 
 
 def _similar(width: int, height: int, level: int, appearance: Appearance) -> Similar:

@@ -18,6 +18,7 @@ from matcap.example.features import features_of, planes_of
 from matcap.example.grids import Frame, frame_of, grid_bits, grids_of, similar_bits
 from matcap.example.index import Index, Project
 from matcap.example.order import Order, Phases
+from matcap.example.piece_sizes import PieceSizes
 from matcap.example.tuned import LOOKUP
 
 
@@ -48,19 +49,21 @@ class Level:
 
 @dataclass(frozen=True)
 class Lookup:
-    """Levels, the finest first, and the order they keep."""
+    """Levels, the finest first, the order they keep, and the pieces they begin with."""
 
     levels: tuple[Level, ...]
     order: Order | None
+    sizes: PieceSizes
 
 
-def prepare(exemplar: Exemplar, index: Index, project: Project) -> Lookup:
+def prepare(exemplar: Exemplar, index: Index, project: Project, variety: float = 1.0) -> Lookup:
     """What an exemplar and its index are looked up in.
 
     Args:
         exemplar: that the index is of.
         index: of it.
         project: appearance.project, or the compiled one.
+        variety: of the field, in [0, 1].
     """
     width, height = exemplar.size
     features = features_of(planes_of(exemplar), index.scale)
@@ -81,7 +84,8 @@ def prepare(exemplar: Exemplar, index: Index, project: Project) -> Lookup:
         )
         for level, (appearance, similar) in enumerate(zip(appearances, index.similar, strict=True))
     )
-    return Lookup(levels, index.order)
+    sizes = PieceSizes.of(levels[-1].frame, levels[-1].spacing, index.order, variety)
+    return Lookup(levels, index.order, sizes)
 
 
 def _phases(order: Order | None, level: int, appearance: Appearance) -> Phases | None:

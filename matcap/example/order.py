@@ -52,10 +52,29 @@ class Order:
             area, found = ax * by - ay * bx, [[by, -ay], [-bx, ax]]
         return np.rint(256.0 * np.array(found) / area).astype(np.int64)
 
-    @property
-    def piece(self) -> float:
-        """The least width of a piece in texels."""
-        return min(_together(wave) / math.hypot(*wave) for wave in self.waves)
+    def piece(self, cells: float = ORDER.piece) -> float:
+        """The least width of a piece in texels, where cells of so many are laid together."""
+        return min(_together(wave, cells) / math.hypot(*wave) for wave in self.waves)
+
+    def extent(self, cells: float) -> tuple[float, float]:
+        """(width, height) in texels of a piece, and of a cell more, as it is moved into phase."""
+        waves = _two(self, cells)
+        (ax, ay), (bx, by) = waves
+        area = ax * by - ay * bx
+        counts = [_together(wave, cells) + 1 for wave in waves]
+        return (
+            (abs(by) * counts[0] + abs(ay) * counts[1]) / abs(area),
+            (abs(bx) * counts[0] + abs(ax) * counts[1]) / abs(area),
+        )
+
+    def fitting(self, cells: float, width: float, height: float) -> float:
+        """At most so many texels of cells together that pieces fit into a rectangle."""
+        while cells > ORDER.piece:
+            wide, high = self.extent(cells)
+            if wide <= width and high <= height:
+                return cells
+            cells *= ORDER.smaller
+        return ORDER.piece
 
     def phases(self, x: Integers, y: Integers) -> Phases:
         """(..., len(waves)) at places (x, y) of the exemplar, of shapes that broadcast."""
@@ -137,12 +156,14 @@ class Cells:
     middle_y: Integers
 
 
-def cells_of(order: Order, seed: int, x: Integers, y: Integers, period: Period) -> Cells:
+def cells_of(
+    order: Order, seed: int, x: Integers, y: Integers, period: Period, cells: float = ORDER.piece
+) -> Cells:
     """The pieces that texels (columns x, rows y), as vectors, lie in.
 
-    A lattice of one wave is cut across, too.
+    A lattice of one wave is cut across, too. Cells of so many texels are laid together.
     """
-    waves = order.waves if len(order.waves) == 2 else (order.waves[0], _across(order.waves[0]))
+    waves = _two(order, cells)
     starts = _starts(seed)
     counts, firsts, repeats = [], [], []
     for wave, start in zip(waves, starts, strict=True):
@@ -156,7 +177,7 @@ def cells_of(order: Order, seed: int, x: Integers, y: Integers, period: Period) 
     names = _same(counts[0], counts[1], repeats[0], repeats[1])
     middles = []
     for wave, count, name, start in zip(waves, counts, names, starts, strict=True):
-        together = _together(wave)
+        together = _together(wave, cells)
         first = count - name % together
         middles.append(first + 0.5 * together - start / 2**64)
         firsts.append(name // together)
@@ -170,15 +191,18 @@ def cells_of(order: Order, seed: int, x: Integers, y: Integers, period: Period) 
     )
 
 
-def _together(wave: Frequency) -> int:
+def _together(wave: Frequency, cells: float) -> int:
     """Turns of a wave that one piece is long."""
-    return max(1, round(ORDER.piece * math.hypot(*wave)))
+    return max(1, round(cells * math.hypot(*wave)))
 
 
-def _across(wave: Frequency) -> Frequency:
-    """A wave at right angles, as long as pieces are."""
+def _two(order: Order, cells: float) -> tuple[Frequency, Frequency]:
+    """Its waves; of one alone, with another at right angles, as long as pieces are."""
+    if len(order.waves) == 2:
+        return order.waves[0], order.waves[1]
+    (wave,) = order.waves
     length = math.hypot(*wave)
-    return (-wave[1] / (length * ORDER.piece), wave[0] / (length * ORDER.piece))
+    return wave, (-wave[1] / (length * cells), wave[0] / (length * cells))
 
 
 def _whole_turns(columns: list[int], step: int, y: Integers) -> Integers:

@@ -75,6 +75,7 @@ class OrderSettings:
         bins: to a turn, where cells are compared.
         slopes: planes that vary most at joints, which are edges, and so hide them.
         piece: texels: cells smaller than this are laid several together.
+        smaller: pieces of cells that are too large for the exemplar shrink by this.
         window: periods: standard deviation of the window that a phase is measured in.
         faint: of squared features: a plane may be flat.
         lag: windows' deviations: so far apart they hardly see the same cells.
@@ -85,6 +86,7 @@ class OrderSettings:
     bins: int = 24
     slopes: tuple[int, int] = (5, 6)
     piece: int = 48
+    smaller: float = 0.8
     window: float = 1.5
     faint: float = 1e-9
     lag: float = 2.0
@@ -151,12 +153,18 @@ class PlacementSettings:
         piece: texels along a side of the pieces that the coarsest level begins with, ...
         part: ... at most the exemplar's shorter side over this.
         draws: pieces that each is the cheapest of.
+        fitted: pieces that each larger one is the best continuation of its neighbours of.
+        along: places that a border is compared at, at most.
+        overlap: steps of the coarsest level that the largest pieces leave of the exemplar's frame.
         passes: of correction at the finest level, and at every coarser one.
     """
 
     piece: int = 128
     part: int = 2
     draws: int = 4
+    fitted: int = 24
+    along: int = 32
+    overlap: int = 3
     passes: tuple[int, int] = (1, 2)
 
 

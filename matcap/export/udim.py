@@ -101,6 +101,7 @@ def open_set(
     size: tuple[int, int],
     seed: int = 0,
     generator: Generator | None = None,
+    variety: float | None = None,
 ) -> tuple[TextureSet, str]:
     """A texture set of a material file, or of a folder's one material, and its name.
 
@@ -110,6 +111,7 @@ def open_set(
         size: (width, height) of a tile in texels.
         seed: which realisation.
         generator: "example" or "decoder"; by default by example where there is an exemplar.
+        variety: that its piece is rearranged with, instead of its own.
 
     Raises:
         UsageError: a map set, which has one tile; or too many tiles.
@@ -122,4 +124,6 @@ def open_set(
             remedy="give the material (.matcap), or leave it out",
         )
     file, material = open_material(path)
-    return TextureSet(material.by(generator), *grid, size, seed), kept_plain(file.stem)
+    return TextureSet(material.by(generator).varied(variety), *grid, size, seed), kept_plain(
+        file.stem
+    )

@@ -105,6 +105,21 @@ class Material:
             raise lacking(generator)
         return replace(self, generators={generator: self.generators[generator]})
 
+    def varied(self, variety: float | None) -> Material:
+        """The same, its piece rearranged with another variety; itself where none is named.
+
+        Args:
+            variety: from 0, the piece itself repeated, to 1, of many small pieces.
+
+        Raises:
+            UsageError: it has no exemplar, or a variety out of range.
+        """
+        if variety is None:
+            return self
+        name = next(name for name in GENERATORS if name in self.generators)
+        varied = self.generators[name].varied(variety)
+        return replace(self, generators={**self.generators, name: varied})
+
     @property
     def alignment(self) -> int:
         """What periods of its field are multiples of, in texels."""

@@ -68,6 +68,7 @@ def open_tile(
     seed: int | None = None,
     generator: Generator | None = None,
     adjust: Adjustments = NONE,
+    variety: float | None = None,
 ) -> OpenedMaps:
     """As open_maps, but a material's maps repeat without a seam where their size allows it.
 
@@ -79,28 +80,34 @@ def open_tile(
         seed: the realisation of a material, 0 by default.
         generator: of a material.
         adjust: what is changed of the maps; the provenance tells it.
+        variety: that a material's piece is rearranged with, instead of its own.
 
     Raises:
-        UsageError: a size, seed or generator is asked of a map set, which has its own.
+        UsageError: a size, seed, generator or variety is asked of a map set, which has its own.
         MatcapError: as open_maps.
     """
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
         size, seed = size or (1024, 1024), seed or 0
-        material = _material(path).by(generator)
+        material = _material(path).by(generator).varied(variety)
         repeat = material.alignment
         period = None if size[0] % repeat or size[1] % repeat else size
         maps = material.maps(*size, seed=seed, period=period)
         return _told(maps, kept_plain(path.stem), dict(material.provenance), adjust)
-    for option, asked in (("--size", size), ("--seed", seed), ("--generator", generator)):
+    given = {"--size": size, "--seed": seed, "--generator": generator, "--variety": variety}
+    for option, asked in given.items():
         if asked is not None:
-            raise UsageError(
-                f"this is a map set ({path}), which has its own",
-                where=option,
-                remedy="give the material (.matcap), or leave it out",
-            )
+            raise _own(path, option)
     maps, document = read_mapset(path)
     return _told(maps, document["name"], document["provenance"], adjust)
+
+
+def _own(path: Path, option: str) -> UsageError:
+    return UsageError(
+        f"this is a map set ({path}), which has its own",
+        where=option,
+        remedy="give the material (.matcap), or leave it out",
+    )
 
 
 def _told(maps: MapSet, name: str, provenance: dict[str, Any], adjust: Adjustments) -> OpenedMaps:
@@ -193,18 +200,23 @@ class AdjustedMaterial:
 
 
 def open_source(
-    path: Path, generator: Generator | None = None, adjust: Adjustments = NONE
+    path: Path,
+    generator: Generator | None = None,
+    adjust: Adjustments = NONE,
+    variety: float | None = None,
 ) -> MapSet | Material | AdjustedMaterial:
     """A map set's maps, or a material itself, to be read where it is seen; by one generator alone
-    where one is named, and adjusted.
+    where one is named, with a variety where one is named, and adjusted.
 
     Raises:
         MatcapError: nothing to open, more than one thing, or a broken file.
     """
     path = _resolved(path)
     if path.suffix.lower() != ".matcap":
+        if variety is not None:
+            raise _own(path, "--variety")
         return adjusted(read_mapset(path)[0], adjust)
-    material = _material(path).by(generator)
+    material = _material(path).by(generator).varied(variety)
     return AdjustedMaterial(material, adjust) if adjust.changes else material
 
 

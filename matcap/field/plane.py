@@ -43,6 +43,15 @@ def check_seed(seed: int) -> int:
     return seed
 
 
+def check_variety(variety: float) -> float:
+    """The variety, or a UsageError when it is out of range."""
+    if not 0.0 <= variety <= 1.0:
+        raise UsageError(
+            f"a variety of {variety:g}", where="--variety", remedy="give a number from 0 to 1"
+        )
+    return variety
+
+
 def check_period(period: Period | None, alignment: int) -> Period | None:
     """The period, or a UsageError when an axis is no positive multiple of the alignment."""
     for length in period or ():

@@ -84,6 +84,14 @@ class FieldGenerator(Protocol):
         """Of a file that holds it."""
         ...
 
+    def varied(self, variety: float) -> FieldGenerator:
+        """The same with pieces of another size, from 0, the whole one repeated, to 1.
+
+        Raises:
+            UsageError: out of range, or it has no pieces.
+        """
+        ...
+
     def source(self, seed: int, period: Period | None, device: torch.device) -> Source:
         """Its field.
 

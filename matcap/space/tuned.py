@@ -12,6 +12,7 @@ import torch
 from safetensors import safe_open
 from torch import Tensor
 
+from matcap.errors import UsageError
 from matcap.field.header import REMEDY
 from matcap.field.material import Material
 from matcap.field.plane import Period, check_period, check_seed
@@ -85,6 +86,18 @@ class TunedDecoder:
         check_period(period, ALIGNMENT)
         decoder = self.folded().to(device)
         return DecoderSource(decoder, self.waves, self.texel_size, seed, period)
+
+    def varied(self, variety: float) -> TunedDecoder:
+        """There are no pieces of a size.
+
+        Raises:
+            UsageError: always.
+        """
+        raise UsageError(
+            f"a decoder rearranges no pieces, so has no variety of {variety:g}",
+            where="--variety",
+            remedy="leave it out",
+        )
 
     def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Tensors by name and entries of a material's description, from which read() makes it."""

@@ -30,6 +30,7 @@ class Wanted:
         generator: "example" or "decoder"; None: by example where there is an exemplar.
         precision: of the network.
         device: where the network computes.
+        variety: that an exemplar is rearranged with, instead of its material's own.
     """
 
     seed: int = 0
@@ -37,6 +38,7 @@ class Wanted:
     generator: Generator | None = None
     precision: Precision = "fp32"
     device: DeviceName = "cpu"
+    variety: float | None = None
 
 
 @dataclass(frozen=True)
@@ -71,13 +73,13 @@ def open_field(material: Path | Material, wanted: Wanted) -> OpenedField:
     if isinstance(material, Path) and wanted.generator != "decoder":
         held = read_exemplified(material)
         if held is not None:
-            source = held.example.source(wanted.seed, wanted.period)
+            source = held.example.varied(wanted.variety).source(wanted.seed, wanted.period)
             return OpenedField(source, held.name, held.provenance)
     from matcap.field.field import Field
     from matcap.field.source import Network
     from matcap.synth.precision import choose
 
-    subject = _loaded(material)
+    subject = _loaded(material, wanted)
     field = Field(
         subject, wanted.seed, wanted.period, device=wanted.device, generator=wanted.generator
     ).source
@@ -108,7 +110,7 @@ def open_blend(
     from matcap.synth.mask import read_mask
     from matcap.synth.precision import choose
 
-    start, end = _loaded(first), _loaded(second)
+    start, end = _loaded(first, wanted), _loaded(second, wanted)
     between = blend_source(
         start, end, read_mask(mask, over, wanted.period), wanted.seed, wanted.period,
         find_device(wanted.device), wanted.generator,
@@ -118,7 +120,8 @@ def open_blend(
     return OpenedField(choice.source, start.name, dict(start.provenance) | told, choice)
 
 
-def _loaded(material: Path | Material) -> Material:
+def _loaded(material: Path | Material, wanted: Wanted) -> Material:
     from matcap.field.material import Material
 
-    return Material.load(material) if isinstance(material, Path) else material
+    found = Material.load(material) if isinstance(material, Path) else material
+    return found.by(wanted.generator).varied(wanted.variety)

@@ -60,6 +60,8 @@ class SynthRequest:
         device: of the decoder: "cpu", "cuda", or "auto" for CUDA where it is there.
         generator: "example" or "decoder"; None: by example where there is an exemplar.
         adjust: what is changed of the maps; the sidecar's provenance tells it.
+        variety: from 0, the photographed piece itself repeated, to 1, of many small pieces; None
+            for the material's own. The sidecar's provenance tells it.
     """
 
     material: Material | Path
@@ -73,6 +75,7 @@ class SynthRequest:
     device: DeviceName = "auto"
     generator: Generator | None = None
     adjust: Adjustments = NONE
+    variety: float | None = None
 
 
 def synthesise(
@@ -102,7 +105,7 @@ def synthesise(
     device = "cpu" if work.scheduler and asked.device == "auto" else asked.device
     whole = asked.files.whole(asked.area)
     period = _period(asked.tile, whole)
-    wanted = Wanted(asked.seed, period, asked.generator, asked.precision, device)
+    wanted = Wanted(asked.seed, period, asked.generator, asked.precision, device, asked.variety)
     growth = asked.growth
     if growth is None:
         found = open_field(asked.material, wanted)
@@ -115,6 +118,8 @@ def synthesise(
     provenance = found.provenance
     if asked.adjust.changes:
         provenance = provenance | {KEY: asked.adjust.text}
+    if asked.variety is not None:
+        provenance = provenance | {"variety": asked.variety}
     info = MapSetInfo(asked.name or found.name, asked.seed, origin, provenance)
     source = adjusted_source(found.source, asked.adjust)
     return write_field(Request(source, asked.area, info, asked.files), folder, work)

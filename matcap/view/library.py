@@ -49,6 +49,7 @@ class Library:
         files: of the materials.
         generator: how their fields are made.
         adjust: what is changed of all of them first.
+        variety: that their pieces are rearranged with, instead of their own.
     """
 
     def __init__(
@@ -56,9 +57,10 @@ class Library:
         files: Sequence[Path],
         generator: Generator | None = None,
         adjust: Adjustments = NONE,
+        variety: float | None = None,
     ) -> None:
         self.files, self.adjust = tuple(files), adjust
-        self._generator = generator
+        self._generator, self._variety = generator, variety
         self._kept = lru_cache(_OPENED)(self._open)
 
     def shelf(self) -> list[dict[str, str]]:
@@ -102,7 +104,7 @@ class Library:
         from matcap.field.material import Material
 
         def load(index: int) -> Material:
-            return Material.load(self.files[index]).by(self._generator)
+            return Material.load(self.files[index]).by(self._generator).varied(self._variety)
 
         return Materials(load(first), None if second is None else load(second))
 

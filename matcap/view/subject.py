@@ -261,6 +261,7 @@ def open_subject(
     second: Path | None = None,
     seed: int = 0,
     generator: Generator | None = None,
+    variety: float | None = None,
 ) -> Viewable:
     """What a path holds.
 
@@ -270,6 +271,7 @@ def open_subject(
         second: a material to blend with.
         seed: the realisation shown first.
         generator: "example" or "decoder"; what lies between two materials is the decoder's.
+        variety: that the first one's piece is rearranged with, instead of its own.
 
     Raises:
         MatcapError: nothing to open, more than one thing, a broken file, or materials that cannot
@@ -280,15 +282,18 @@ def open_subject(
 
     file = _material_in(path)
     if file is not None:
-        return Materials(
-            Material.load(file).by(generator), Material.load(second) if second else None, seed
-        )
+        first = Material.load(file).by(generator).varied(variety)
+        return Materials(first, Material.load(second) if second else None, seed)
     from matcap.brdf.folder import read_mapset
 
     maps, document = read_mapset(path)
     if second is not None:
         raise UsageError(
             "a map set cannot be blended", where=str(path), remedy="give the .matcap file"
+        )
+    if variety is not None:
+        raise UsageError(
+            "a map set has no pieces", where="--variety", remedy="give the .matcap file"
         )
     if seed != 0:
         raise UsageError(

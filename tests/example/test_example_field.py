@@ -20,7 +20,12 @@ from matcap.field.blocks import Grid
 from matcap.field.field import read_source
 from matcap.field.plane import Rectangle
 
-EXAMPLES = pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])
+_HALF = 0.4
+EXAMPLES = pytest.mark.parametrize(
+    "example",
+    [an_example(), ordered(), an_example().varied(_HALF), ordered().varied(_HALF)],
+    ids=["blobs", "bricks", "large-blobs", "large-bricks"],
+)
 
 
 @EXAMPLES
@@ -187,7 +192,7 @@ def test_detail_is_read_at_the_exemplars_own_resolution(monkeypatch):
 
 @EXAMPLES
 def test_the_plain_form_is_the_field(example):
-    lookup = prepare(example.exemplar, example.index, project)
+    lookup = prepare(example.exemplar, example.index, project, example.variety)
     draws = random.Random(3)
     for period in (None, (80, 48), (None, 112), None):
         far = draws.choice([100, 2**40 - 100])

@@ -54,13 +54,15 @@ _EFFECTS = ("auto", "all", "none", "+x", "none,+diffuse", "", ",")
 COMMANDS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
     "relight": (1, {
         "-o": _OUTPUTS, "--size": _SIZES, "--seed": _NUMBERS, "--tolerance": _NUMBERS,
-        "--light": _LIGHTS, "--effects": _EFFECTS, "--adjust": _ADJUST, "--scene": _NAMES,
+        "--light": _LIGHTS, "--effects": _EFFECTS, "--adjust": _ADJUST,
+        "--variety": _NUMBERS, "--scene": _NAMES,
         "--explain-map": _OUTPUTS, "--maps-from": _INPUTS, "--overwrite": (),
     }),
     "export": (1, {
         "--to": _TARGETS, "--preset": _TARGETS, "-o": _NAMES, "--size": _SIZES, "--seed": _NUMBERS,
         "--udim": ("1x1", "11x1", "0x0", "nan", "2x1"), "--unit": _NUMBERS, "--name": _PATTERNS,
         "--maps": ("diffuse", "", "x,y"), "--normal": ("gl", "both", "zz"), "--adjust": _ADJUST,
+        "--variety": _NUMBERS,
         "--bits": ("8", "16", "half", "float", "7"), "--format": ("png", "jpg", "exr", "tx", "bmp"),
         "--overwrite": (), "--json": (),
     }),
@@ -68,7 +70,8 @@ COMMANDS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
         "-o": _NAMES, "--size": _SIZES, "--seed": _NUMBERS, "--region": ("0,0,16,16", "1,1,0,0",
         "9e9,0,1,1", f"{2**40},0,16,16"), "--udim": ("1x1", "11x1", "0x0", "nan"), "--png": (),
         "--tile": ("x", "y", "both", "z"), "--single": (), "--mip": (), "--mask": _INPUTS,
-        "--blend": _INPUTS, "--adjust": _ADJUST, "--export": _TARGETS, "--overwrite": (),
+        "--blend": _INPUTS, "--adjust": _ADJUST,
+        "--variety": _NUMBERS, "--export": _TARGETS, "--overwrite": (),
         "--scheduler": ("x", "", "nonsense"),
     }),
     "blend": (2, {
@@ -77,7 +80,8 @@ COMMANDS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
     }),
     "view": (1, {
         "--html": _OUTPUTS, "--seed": _NUMBERS, "--tile": ("16", "0", "17", "99999999"),
-        "--adjust": _ADJUST, "--photo": _INPUTS, "--overwrite": (),
+        "--adjust": _ADJUST,
+        "--variety": _NUMBERS, "--photo": _INPUTS, "--overwrite": (),
     }),
     "compare": (2, {"-o": _OUTPUTS, "--photo": _INPUTS, "--overwrite": ()}),
     "inspect": (1, {"--fov": _NUMBERS, "--detail": _NUMBERS, "--json": ()}),

@@ -1,0 +1,131 @@
+"""How far a field takes its piece apart: from the piece repeated to many small ones."""
+
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from exemplars import an_example, ordered
+from materials import a_material
+
+from matcap.brdf.folder import read_mapset
+from matcap.cli.main import main
+from matcap.errors import UsageError
+from matcap.example.example import Example
+from matcap.example.piece_sizes import PieceSizes
+from matcap.field.blocks import Grid
+from matcap.field.field import read_source
+from matcap.field.material import Material
+from matcap.field.plane import Rectangle
+from matcap.flash.geometry import FlashSetup
+
+
+def joined(example, side=384):
+    """The share of texels that continue their left neighbour in the exemplar."""
+    places = example.places(9, Rectangle(0, 0, side, side), None).astype(int)
+    return float((np.diff(places, axis=1) == [1, 0]).all(-1).mean())
+
+
+@pytest.mark.parametrize("place", [0, 2**40 - 500, -(2**31)])
+def test_the_piece_repeated_is_the_same_bits_in_any_rectangle(place):
+    source = replace(an_example().varied(0.0).source(5), grid=Grid(96, 64))
+    area = Rectangle(place, 50, 260, 170)
+    whole = read_source(source, area, 1).stacked()
+    draws = random.Random(place)
+    for _ in range(4):
+        x, y = draws.randrange(area.width), draws.randrange(area.height)
+        width, height = draws.randint(1, area.width - x), draws.randint(1, area.height - y)
+        part = Rectangle(area.x + x, area.y + y, width, height)
+        found = read_source(source, part, 2).stacked()
+        assert torch.equal(found, whole[:, y : y + height, x : x + width])
+
+
+@pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])
+def test_less_variety_is_larger_pieces(example):
+    shares = [joined(example.varied(variety)) for variety in (0.0, 0.3, 1.0)]
+    assert shares[0] > shares[1] > shares[2]
+    assert shares[0] > 0.97
+
+
+def test_pieces_shrink_from_the_whole_frame_to_those_of_full_variety():
+    lookup = an_example().lookup
+    level = lookup.levels[-1]
+    sizes = [PieceSizes.of(level.frame, level.spacing, None, one / 8) for one in range(9)]
+    for larger, smaller in zip(sizes, sizes[1:], strict=False):
+        assert larger.width >= smaller.width and larger.height >= smaller.height
+    assert sizes[0].width > 0.5 * (level.frame.right - level.frame.left)
+    assert sizes[-1].loose and not sizes[-2].loose
+    assert lookup.sizes == sizes[-1]
+
+
+@pytest.mark.parametrize("variety", [0.0, 0.5])
+@pytest.mark.parametrize("period", [(80, 48), (416, 304), (None, 304)])
+def test_larger_pieces_repeat_exactly_too(variety, period):
+    maps = an_example().varied(variety).maps(3, Rectangle(-33, 7, 500, 350), period)
+    columns, rows = period
+    if columns:
+        assert np.array_equal(maps[:, :, :-columns], maps[:, :, columns:])
+    assert np.array_equal(maps[:, :-rows], maps[:, rows:])
+
+
+def test_a_variety_is_stored_and_full_variety_is_as_before_there_was_one():
+    tensors, about = an_example().varied(0.25).stored()
+    again = Example.read(about, tensors.__getitem__)
+    assert again.variety == 0.25
+    area = Rectangle(0, 0, 64, 64)
+    assert np.array_equal(again.maps(1, area, None), an_example().varied(0.25).maps(1, area, None))
+    assert "variety" not in an_example().stored()[1]
+    del about["variety"]
+    assert Example.read(about, tensors.__getitem__).variety == 1.0
+    with pytest.raises(ValueError, match="variety"):
+        Example.read(about | {"variety": 1.5}, tensors.__getitem__)
+
+
+def test_a_material_is_read_with_another_variety():
+    example = an_example()
+    material = Material("blobs", {"example": example}, example.exemplar.texel_size, FlashSetup())
+    one = material.varied(0.0).maps(96, 64, seed=2)
+    assert not torch.equal(one.stacked(), material.maps(96, 64, seed=2).stacked())
+    assert torch.equal(one.stacked(), material.varied(0.0).maps(96, 64, seed=2).stacked())
+    assert material.varied(None) is material
+    with pytest.raises(UsageError, match="variety of 2"):
+        material.varied(2.0)
+
+
+def test_every_command_that_reads_a_material_takes_a_variety(tmp_path, capsys):
+    a_material("blobs", example=an_example()).save(tmp_path / "blobs.matcap")
+    file, small = str(tmp_path / "blobs.matcap"), ["--size", "64x48", "-q"]
+    for name, variety in (("own", []), ("one", ["--variety", "1"]), ("less", ["--variety", "0"])):
+        words = ["synth", file, *small, *variety, "-o", str(tmp_path / name)]
+        assert main(words) == 0
+    own, one, less = (read_mapset(tmp_path / name) for name in ("own", "one", "less"))
+    assert torch.equal(own[0].stacked(), one[0].stacked())
+    assert not torch.equal(own[0].stacked(), less[0].stacked())
+    assert less[1]["provenance"]["variety"] == 0.0 and "variety" not in own[1]["provenance"]
+    asked = ["--variety", "0"]
+    textures, picture, page = (str(tmp_path / name) for name in ("textures", "a.png", "a.html"))
+    assert main(["export", file, *small, "--to", "gltf-textures", *asked, "-o", textures]) == 0
+    assert main(["relight", file, *small, *asked, "-o", picture]) == 0
+    assert main(["view", file, "-q", "--tile", "64", *asked, "--html", page]) == 0
+    capsys.readouterr()
+    assert main(["relight", str(tmp_path / "own"), *asked, "-o", picture]) == 2
+    assert "has its own" in capsys.readouterr().err
+    assert main(["synth", file, "--variety", "1.5"]) == 2
+    plain = a_material("plain", seed=5)
+    plain.save(tmp_path / "plain.matcap")
+    assert main(["synth", str(tmp_path / "plain.matcap"), *asked]) == 2
+    assert "no pieces" in capsys.readouterr().err
+
+
+def test_a_lattice_keeps_its_phase_in_larger_pieces():
+    example = ordered().varied(0.3)
+    order = example.index.order
+    for x, y in ((0, 0), (16384, -16384), (2**40 - 128, 2**39)):
+        places = example.places(3, Rectangle(x, y, 96, 96), None).astype(np.int64)
+        columns, rows = np.arange(x, x + 96)[None, :], np.arange(y, y + 96)[:, None]
+        apart = order.phases(places[..., 0], places[..., 1]) - order.wanted(
+            3, columns, rows, (None, None)
+        )
+        turns = apart.astype(float) / 2**16
+        assert abs(turns.mean()) < 0.03 and np.sqrt((turns**2).mean()) < 0.06
