@@ -59,12 +59,15 @@ def identity(
 
 
 def prior_hash(prior: str) -> str:
-    """Of a prior as the settings name it: "auto", "none" or a file."""
-    if prior == "none":
-        return "none"
-    from matcap.space.prior.store import SHIPPED
+    """Of a prior as the settings name it: "auto", "none" or a file.
 
-    return file_hash(SHIPPED if prior == "auto" else Path(prior))
+    Raises:
+        MatcapError: a file that is no prior.
+    """
+    from matcap.capture.named_prior import prior_file
+
+    file = prior_file(prior)
+    return "none" if file is None else file_hash(file)
 
 
 def file_hash(path: Path) -> str:

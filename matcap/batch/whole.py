@@ -58,11 +58,7 @@ def prepare(
     Raises:
         MatcapError: no such folder, no photographs in it, no such prior, an unwritable output.
     """
-    if settings.capture.prior not in ("auto", "none"):
-        from matcap.space.prior.store import load_prior
-
-        # One that is broken would fail for every photograph.
-        load_prior(Path(settings.capture.prior))
+    prior = prior_hash(settings.capture.prior)
     group = cast(Grouping, settings.group)
     cards = _cards(shoot, settings.card, out)
     samples = find_samples(shoot, group=group, gap=settings.gap, without=(out, *cards))
@@ -73,7 +69,7 @@ def prepare(
         samples,
         out,
         settings,
-        prior=prior_hash(settings.capture.prior),
+        prior=prior,
         card=card.digest if card else "",
         force=policy.force,
         retry_failed=policy.retry_failed,

@@ -101,9 +101,9 @@ def _fault(error: MatcapError) -> Fault:
 
 
 def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
+    from matcap.capture.inspection import photograph_quality
     from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_photo, read_photograph
-    from matcap.flash.coarse import fit_coarse
     from matcap.photo.inspect import inspect_photo
 
     started = time.perf_counter()
@@ -123,8 +123,8 @@ def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
     result = capture_photo(photos[0], chosen, progress, others=photos[1:])
     tell("writing", 0.95)
     # One tilt for all that is told of a photograph: the capture's own.
-    tilts = [result.material.setup.tilt, *(fit_coarse(photo).setup.tilt for photo in photos[1:])]
-    looked_at = [inspect_photo(*both) for both in zip(photos, tilts, strict=True)]
+    first = inspect_photo(photos[0], result.material.setup.tilt)
+    looked_at = [first, *map(photograph_quality, photos[1:])]
     stage = job.run.stage(job.name)
     write_outputs(result, stage, settings.outputs)
     about = _about(job, looked_at, result)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from matcap.capture.settings import CaptureSettings, Method
+from matcap.capture.vgg_weights import load_vgg19
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.joint import join
 from matcap.flash.likeness import PhotographTarget
@@ -16,7 +17,6 @@ from matcap.photo.photo import Photo
 from matcap.statistics.compare import Features
 from matcap.statistics.filterbank import FilterBank
 from matcap.statistics.lattice import Wave
-from matcap.statistics.vgg import Vgg19
 
 
 @dataclass(frozen=True)
@@ -68,4 +68,4 @@ def photograph_target(
 def _features(settings: CaptureSettings, method: Method) -> Features:
     """What textures are compared by."""
     weights = settings.statistics.weights
-    return FilterBank(method.features) if weights is None else Vgg19.load(weights)
+    return FilterBank(method.features) if weights is None else load_vgg19(weights)

@@ -70,16 +70,12 @@ def inspect(
 
 def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], str]:
     """What is found, for JSON and as text."""
-    from matcap.capture.piece.told import photographed_strengths
-    from matcap.flash.coarse import fit_coarse
-    from matcap.photo.inspect import inspect_photo
-    from matcap.photo.load import load_photo
+    from matcap.capture.inspection import inspect_file
 
-    photo = load_photo(path, long_side=detail, fov=fov, noise=False)
-    found = inspect_photo(photo, fit_coarse(photo).setup.tilt)
+    inspected = inspect_file(path, detail, fov)
+    found, told = inspected.quality, inspected.strengths
     lines = [f"{path}: {found.verdict.value}"]
     lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in found.findings]
-    told = photographed_strengths(photo, photo.pixels.shape[1])
     strengths = told.document() if told else None
     lines += [f"     {name:<13} {says}" for name, says in _strengths(strengths)]
     document = found.document() | {"strengths": strengths}

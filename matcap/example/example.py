@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
+    from matcap.brdf.maps import MapSet
 PREFIX = "example."  # what the names of its tensors in a file begin with
 _GRID = 1536  # texels of the longer side of the grid at most
 # Wider than a decoder's: places around a block are most of what a small one costs.
@@ -99,6 +100,16 @@ class Example:
     def piece_size(self) -> tuple[int, int]:
         """(width, height) in texels of the photographed piece."""
         return self.exemplar.size
+
+    def piece(self) -> MapSet:
+        """Maps of the photographed piece."""
+        import torch
+
+        from matcap.brdf.maps import MapSet
+
+        return MapSet.from_stacked(
+            torch.from_numpy(self.exemplar.stacked()), self.exemplar.texel_size
+        )
 
     @property
     def version(self) -> int:

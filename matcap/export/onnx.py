@@ -20,14 +20,14 @@ from torch import Tensor
 from matcap.brdf.maps import CHANNELS
 from matcap.errors import MatcapError
 from matcap.field.material import lacking
-from matcap.field.plane import Rectangle
+from matcap.field.plane import Rectangle, Span
 from matcap.files.staging import staged_file
 from matcap.space.decoder import DEPTH, OUTPUTS, maps_from_raw
 from matcap.space.freeze import FoldedDecoder, FoldedLayer
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, random_field
 from matcap.space.regular_order import WAVE_CHANNELS
-from matcap.space.spans import Span, spans_of
+from matcap.space.spans import spans_of
 from matcap.space.tuned import TunedDecoder
 
 if TYPE_CHECKING:

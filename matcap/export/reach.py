@@ -5,8 +5,6 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
-
 from matcap.errors import MatcapError
 from matcap.export.job import roomy
 
@@ -23,16 +21,15 @@ def material_reach(path: Path, name: str) -> float | None:
     Returns:
         None where there is no material with an exemplar: the maps themselves must tell.
     """
-    from matcap.example.example import Example
     from matcap.field.material import Material
 
     folder = path if path.is_dir() else path.parent
     file = path if path.suffix.lower() == ".matcap" else folder / f"{name}.matcap"
-    example = None
+    piece = None
     if file.is_file():
         # What is exported was read; a material beside it that is broken only has no say.
         with suppress(MatcapError):
-            example = Material.load(file).part(Example)
-    if example is None:
+            piece = Material.load(file).generator.piece()
+    if piece is None:
         return None
-    return roomy(float(np.abs(example.exemplar.height).max(initial=0.0)))
+    return roomy(float(piece.height.abs().amax()))

@@ -61,3 +61,28 @@ def check_period(period: Period | None, alignment: int) -> Period | None:
                 remedy=f"round it to a multiple of {alignment}",
             )
     return period
+
+
+@dataclass(frozen=True)
+class Span:
+    """Texels start to stop along one axis."""
+
+    start: int
+    stop: int
+
+    def grown(self, margin: int) -> Span:
+        """With `margin` texels more at both ends."""
+        return Span(self.start - margin, self.stop + margin)
+
+    def doubled(self) -> Span:
+        """The same texels of the next finer level."""
+        return Span(2 * self.start, 2 * self.stop)
+
+    @property
+    def size(self) -> int:
+        """How many texels."""
+        return self.stop - self.start
+
+    def within(self, outer: Span) -> slice:
+        """Where this span lies in an array that covers `outer`."""
+        return slice(self.start - outer.start, self.stop - outer.start)

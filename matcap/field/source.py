@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
+    from matcap.brdf.maps import MapSet
+
 # How a field is made: by rearranging the photographed piece, or by the paper's network.
 Generator = Literal["example", "decoder"]
 MAP_CHANNELS = 6  # diffuse (3), specular, roughness, height
@@ -77,6 +79,10 @@ class FieldGenerator(Protocol):
     @property
     def piece_size(self) -> tuple[int, int] | None:
         """(width, height) in texels of the photographed piece, where it holds that."""
+        ...
+
+    def piece(self) -> MapSet | None:
+        """Maps of the photographed piece, where it holds that."""
         ...
 
     @property

@@ -14,9 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
-from matcap.example.example import Example
 from matcap.field.header import DAMAGED
 from matcap.field.material import Material
 from matcap.flash.coarse import CoarseFit
@@ -72,7 +70,7 @@ def tuned_of(material: Material, prior: Prior | None = None) -> TunedDecoder:
 
 
 def _seen(material: Material) -> _Seen:
-    example = material.part(Example)
+    maps = next((m for m in (g.piece() for g in material.generators.values()) if m), None)
     try:
         told = material.provenance["coarse"]
         red, green, blue = (float(v) for v in told["diffuse"])
@@ -85,10 +83,8 @@ def _seen(material: Material) -> _Seen:
         )
     except DAMAGED as error:
         raise _unplaced(material) from error
-    if example is None:
+    if maps is None:
         raise _unplaced(material)
-    exemplar = example.exemplar
-    maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
     with torch.inference_mode():
         linear = render_rectified(maps, material.setup).clamp(0.0, 1.0)
     plane = plane_of(linear.clone(), (linear < 1.0).all(0))

@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.field.plane import Rectangle
+from matcap.field.plane import Rectangle, Span
 from matcap.space.convolve import CHANNELS_LAST, Steps
 from matcap.space.decoder import (
     DEPTH,
@@ -28,7 +28,7 @@ from matcap.space.decoder import (
 )
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, random_field
-from matcap.space.spans import Span, Spans
+from matcap.space.spans import Spans
 from matcap.statistics.lattice import Wave
 
 REFERENCE_SIZE = 512  # texels a side of the reference field

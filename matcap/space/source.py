@@ -13,14 +13,14 @@ from torch import Tensor
 from matcap.brdf.stated import NormalStyle
 from matcap.field.blocks import RING, Grid
 from matcap.field.device import repeatable
-from matcap.field.plane import Period, Rectangle
+from matcap.field.plane import Period, Rectangle, Span
 from matcap.field.source import planes_of
 from matcap.space.decoder import maps_from_raw
 from matcap.space.freeze import FoldedDecoder
 from matcap.space.patch import Patch
 from matcap.space.random_field import RandomField, noise_of
 from matcap.space.regular_order import order_field
-from matcap.space.spans import Span, Spans, spans_of
+from matcap.space.spans import Spans, spans_of
 from matcap.statistics.lattice import Wave
 
 

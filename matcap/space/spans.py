@@ -9,32 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from matcap.field.plane import Span
 from matcap.space.decoder import DEPTH
-
-
-@dataclass(frozen=True)
-class Span:
-    """Texels start to stop."""
-
-    start: int
-    stop: int
-
-    def grown(self, margin: int) -> Span:
-        """With `margin` texels more at both ends."""
-        return Span(self.start - margin, self.stop + margin)
-
-    def doubled(self) -> Span:
-        """The same texels of the next finer level."""
-        return Span(2 * self.start, 2 * self.stop)
-
-    @property
-    def size(self) -> int:
-        """How many texels."""
-        return self.stop - self.start
-
-    def within(self, outer: Span) -> slice:
-        """Where this span lies in an array that covers `outer`."""
-        return slice(self.start - outer.start, self.stop - outer.start)
 
 
 @dataclass(frozen=True)

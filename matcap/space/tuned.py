@@ -55,6 +55,10 @@ class TunedDecoder:
         """It shows no piece of anything photographed."""
         return None
 
+    def piece(self) -> None:
+        """Nor maps of one."""
+        return None
+
     @property
     def version(self) -> int:
         """Of a file that holds it: 2 where the decoder reads structured noise, else 1."""

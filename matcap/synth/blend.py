@@ -24,9 +24,8 @@ from torch import Tensor
 from matcap.brdf.stated import NormalStyle
 from matcap.field.blocks import RING, Grid
 from matcap.field.material import Material
-from matcap.field.plane import Period, Rectangle
+from matcap.field.plane import Period, Rectangle, Span
 from matcap.field.source import Generator, Network, Source, planes_of
-from matcap.space.spans import Span
 from matcap.synth.mask import Mask
 
 _HEIGHT = 5  # among the stacked maps

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from matcap.errors import MatcapError, UsageError
 from matcap.field.blocks import check_rectangle
-from matcap.field.plane import Period, Rectangle
-from matcap.space.spans import Span
+from matcap.field.plane import Period, Rectangle, Span
 
 
 @dataclass(frozen=True)

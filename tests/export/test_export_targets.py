@@ -62,13 +62,12 @@ def test_a_known_size_goes_into_every_export(tmp_path, made):
 
 
 def test_a_material_fixes_the_range_of_its_heights(tmp_path, made, monkeypatch):
-    height = made["leather"].height.numpy()
-    example = SimpleNamespace(exemplar=SimpleNamespace(height=height))
-    there = SimpleNamespace(part=lambda _: example)
+    height = made["leather"].height
+    there = SimpleNamespace(generator=SimpleNamespace(piece=lambda: made["leather"]))
     monkeypatch.setattr("matcap.field.material.Material.load", lambda _: there)
     (tmp_path / "tiny.matcap").touch()
     reach = material_reach(tmp_path / "tiny.matcap", "anything")
-    assert 1.2 * abs(height).max() < reach < 1.6 * abs(height).max()
+    assert 1.2 * height.abs().max() < reach < 1.6 * height.abs().max()
     assert material_reach(tmp_path, "tiny") == reach  # of a map set beside it
     assert material_reach(tmp_path, "other") is None
 

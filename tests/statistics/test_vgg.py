@@ -6,6 +6,7 @@ from safetensors.torch import save_file
 
 from matcap.capture.settings import CaptureSettings, Method, Statistics
 from matcap.capture.target import _features
+from matcap.capture.vgg_weights import load_vgg19
 from matcap.errors import MatcapError, UsageError
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import fit_encoding
@@ -66,7 +67,7 @@ def test_weights_are_read_by_name_and_anything_else_is_refused(network, tmp_path
     other.write_bytes(b"something else")
     for wrong, why in [(path, "not VGG-19"), (other, "SHA-256"), (tmp_path / "none", "no such")]:
         with pytest.raises(MatcapError, match=why):
-            Vgg19.load(wrong)
+            load_vgg19(wrong)
 
 
 @pytest.mark.parametrize("statistics", ["vgg19", "vgg16", ""])

@@ -12,7 +12,8 @@ import numpy as np
 
 from matcap.field.field import Field
 from matcap.field.material import Material
-from matcap.space.spans import Span, spans_of
+from matcap.field.plane import Span
+from matcap.space.spans import spans_of
 from matcap.space.tuned import TunedDecoder
 
 

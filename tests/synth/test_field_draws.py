@@ -8,7 +8,7 @@ from repetition import correlations
 
 from matcap.field.blocks import BLOCK
 from matcap.field.field import Field, read_source
-from matcap.field.plane import Rectangle
+from matcap.field.plane import Rectangle, Span
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
 from matcap.synth.blend import blend_source
@@ -94,7 +94,6 @@ def test_a_periodic_blend_repeats(material, wavy):
 
 
 def test_masks_are_stretched_and_go_on_beyond_their_border():
-    from matcap.space.spans import Span
 
     mask = Mask(np.array([[0, 255]], np.uint8), Rectangle(10, 0, 8, 4))
     shares = mask.shares(6, 0, Span(0, 16), Span(0, 16))[0]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from matcap.field.plane import Rectangle
-from matcap.space.spans import Span
+from matcap.field.plane import Rectangle, Span
 from matcap.synth.blend import BlendSource
 from matcap.synth.mask import Mask
 

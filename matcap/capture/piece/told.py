@@ -12,24 +12,21 @@ from matcap.capture.piece.network.network import NetworkInputs
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import Strengths, measure_strengths
 from matcap.capture.piece.tuned import STRENGTH
-from matcap.flash.coarse import fit_coarse
+from matcap.flash.coarse import CoarseFit
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane, read_plane
 from matcap.photo.photo import Photo
 
 
 @torch.no_grad()
-def photographed_strengths(photo: Photo, detail: int) -> Strengths | None:
+def photographed_strengths(photo: Photo, coarse: CoarseFit, detail: int) -> Strengths | None:
     """Strengths of relief and albedo; None where too little of the photograph can be used.
 
     Args:
         photo: the photograph.
+        coarse: its fit.
         detail: texels across its long side, in which bands are counted.
-
-    Raises:
-        MatcapError: nothing can be fitted to it.
     """
-    coarse = fit_coarse(photo)
     plane = read_plane(photo, coarse.setup, detail)
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)

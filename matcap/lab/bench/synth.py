@@ -32,7 +32,7 @@ from torch import Tensor
 
 from matcap.field.blocks import Grid
 from matcap.field.field import read_source
-from matcap.field.plane import Rectangle
+from matcap.field.plane import Rectangle, Span
 from matcap.field.single import single_threaded
 from matcap.files.staging import staged
 from matcap.lab.bench.by_example import ExampleCost, example_costs, example_table
@@ -49,7 +49,6 @@ from matcap.space.patch import Patch
 from matcap.space.random_field import noise_of
 from matcap.space.regular_order import WAVE_CHANNELS
 from matcap.space.source import BlockSpans, DecoderSource, spans_of_block
-from matcap.space.spans import Span
 from matcap.space.tuned import TunedDecoder
 from matcap.synth.precision import multiplies_bfloat16
 from matcap.synth.workers import keep_memory

@@ -15,6 +15,7 @@ from matcap.capture.piece.strengths import slope_strengths
 from matcap.capture.piece.told import photographed_strengths
 from matcap.cli.main import app
 from matcap.files.srgb import srgb_encode
+from matcap.flash.coarse import fit_coarse
 from matcap.photo.load import photo_from_array
 
 
@@ -37,7 +38,7 @@ def _inspected(path: Path, linear: np.ndarray, *options: str) -> str:
 def test_relief_is_told_without_knowing_anything_but_the_photograph() -> None:
     linear, true = _shot(768, 576)
     photo = photo_from_array(linear, long_side=768, fov=65.0, radiometric=True, name="bumps")
-    told = photographed_strengths(photo, 768)
+    told = photographed_strengths(photo, fit_coarse(photo), 768)
     assert told is not None
     assert told.relief == pytest.approx(true, rel=0.1)
 

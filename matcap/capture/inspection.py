@@ -1,0 +1,53 @@
+"""What can be said of a photograph before it is captured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from matcap.capture.piece.strengths import Strengths
+from matcap.capture.piece.told import photographed_strengths
+from matcap.flash.coarse import CoarseFit, fit_coarse
+from matcap.photo.inspect import Inspection, inspect_photo
+from matcap.photo.load import load_photo
+from matcap.photo.photo import Photo
+
+
+@dataclass(frozen=True)
+class InspectedPhotograph:
+    """A photograph looked at.
+
+    Attributes:
+        quality: how good it is, and what to do at the next shot.
+        strengths: of relief and albedo, where they are told outright.
+    """
+
+    quality: Inspection
+    strengths: Strengths | None
+
+
+def inspect_file(path: Path, detail: int, fov: float | None = None) -> InspectedPhotograph:
+    """Look at a photograph as a capture would.
+
+    Args:
+        path: of the photograph.
+        detail: pixels across its long side.
+        fov: field of view along that side, degrees; None for what the file says.
+
+    Raises:
+        MatcapError: it cannot be read, or nothing can be fitted to it.
+    """
+    photo = load_photo(path, long_side=detail, fov=fov, noise=False)
+    coarse = fit_coarse(photo)
+    strengths = photographed_strengths(photo, coarse, photo.pixels.shape[1])
+    return InspectedPhotograph(photograph_quality(photo, coarse), strengths)
+
+
+def photograph_quality(photo: Photo, coarse: CoarseFit | None = None) -> Inspection:
+    """How good a photograph is.
+
+    Args:
+        photo: read at the detail it is captured at.
+        coarse: its fit, or None to find it.
+    """
+    return inspect_photo(photo, (coarse or fit_coarse(photo)).setup.tilt)
