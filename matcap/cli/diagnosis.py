@@ -14,13 +14,12 @@ from time import perf_counter
 from typing import Any
 
 from matcap.errors import MatcapError
-from matcap.example.compiled import kernel
+from matcap.example import library as example_loops
 from matcap.files.maker import MAKER_VERSION
-from matcap.relight.loops.library import built
+from matcap.relight.loops import library as relighting_loops
 
 _PLACE = Path(__file__).parents[1]  # the installed package
 _COMPILED = "compiled loops"
-_PLAIN = "plain loops, slow; for compiled ones install matcap again where there is a C compiler"
 _MISSING = "not built, it cannot run; install matcap again where there is a C compiler"
 _SIDE = 256  # texels of the self-test's maps
 
@@ -87,9 +86,8 @@ class Diagnosis:
         place: where matcap is installed.
         cores: this process may use.
         devices: what torch can compute on.
-        compiled: whether the inner loops of the field by example were built; without them it is
-            the same bits, slowly.
-        compiled_relighting: whether those of relighting were; it does not run without them.
+        compiled: whether the inner loops of the field by example were built, and
+        compiled_relighting: those of relighting; neither runs without them.
         prior: bytes of the trained prior that comes along, or None where it is missing.
         packages: what matcap cannot do without.
         extras: what it can.
@@ -128,7 +126,7 @@ class Diagnosis:
             f"matcap {self.matcap} in {self.place}",
             f"Python {self.python}, {self.system}",
             f"{self.cores} cores; devices: {', '.join(self.devices) or 'unknown'}",
-            "field by example: " + (_COMPILED if self.compiled else _PLAIN),
+            "field by example: " + (_COMPILED if self.compiled else _MISSING),
             "relighting: " + (_COMPILED if self.compiled_relighting else _MISSING),
             "prior " + ("MISSING" if self.prior is None else f"{self.prior / 1e6:.1f} MB"),
             "",
@@ -164,8 +162,8 @@ def diagnose(*, self_test: bool = True) -> Diagnosis:
         place=str(_PLACE),
         cores=_cores(),
         devices=_devices(),
-        compiled=kernel() is not None,
-        compiled_relighting=built() is not None,
+        compiled=example_loops.built() is not None,
+        compiled_relighting=relighting_loops.built() is not None,
         prior=_prior(),
         packages=packages,
         extras=extras,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.features import LIMIT, PLANES, FeatureMap
+from matcap.example.library import address, loops
 from matcap.example.tuned import APPEARANCE
 
 DIMENSIONS = 8
@@ -59,20 +60,18 @@ def choose_basis(features: FeatureMap, step: int) -> Basis:
 
 
 def project(features: FeatureMap, basis: Basis) -> Appearance:
-    """(H, W, DIMENSIONS) of (PLANES, H, W) features, which continue mirrored at the borders."""
+    """(H, W, DIMENSIONS) of (PLANES, H, W) features, which continue mirrored at the borders.
+
+    Raises:
+        MatcapError: the loops were not built.
+    """
     rows, columns = features.shape[1:]
-    around = padded(features, basis).astype(np.float32)
-    weights = basis.weights.astype(np.float32).reshape(DIMENSIONS, -1, PLANES)
+    around = np.ascontiguousarray(padded(features, basis).transpose(1, 2, 0))
+    weights = np.ascontiguousarray(basis.weights, np.int16)
     found = np.empty((rows, columns, DIMENSIONS), np.int16)
-    for top in range(0, rows, APPEARANCE.rows):
-        some = min(APPEARANCE.rows, rows - top)
-        sums = np.zeros((DIMENSIONS, some * columns), np.float32)
-        for index, (y, x) in enumerate(_offsets(basis.step)):
-            part = around[:, top + y : top + y + some, x : x + columns]
-            sums += weights[:, index] @ part.reshape(PLANES, -1)
-        shifted = sums.astype(np.int32) >> basis.shift
-        np.clip(shifted, -LARGEST, LARGEST, out=shifted)
-        found[top : top + some] = shifted.T.reshape(some, columns, DIMENSIONS)
+    loops().matcap_project(
+        address(around), address(weights), basis.step, basis.shift, columns, rows, address(found)
+    )
     return found
 
 
@@ -81,7 +80,7 @@ def padded(features: FeatureMap, basis: Basis) -> FeatureMap:
     return _padded(features, _RADIUS * basis.step)
 
 
-def _offsets(step: int) -> list[tuple[int, int]]:
+def offsets(step: int) -> list[tuple[int, int]]:
     """(y, x) of every tap from the left top one."""
     side = range(0, (2 * _RADIUS + 1) * step, step)
     return [(y, x) for y in side for x in side]
@@ -90,7 +89,7 @@ def _offsets(step: int) -> list[tuple[int, int]]:
 def _taps(features: FeatureMap, step: int) -> list[FeatureMap]:
     rows, columns = features.shape[1:]
     around = _padded(features, _RADIUS * step)
-    return [around[:, y : y + rows, x : x + columns] for y, x in _offsets(step)]
+    return [around[:, y : y + rows, x : x + columns] for y, x in offsets(step)]
 
 
 def _padded(features: FeatureMap, reach: int) -> FeatureMap:

@@ -1,9 +1,9 @@
 """Which place of the exemplar every texel of the endless field shows.
 
 Coarse to fine: the coarsest level begins with pieces of the exemplar at random; each finer one
-takes over, and corrects (plain.py). What is random is a hash of seed and place, and a correction
-looks a fixed number of places around itself: so a rectangle needs some more places around it at
-every level, and then is a part of the endless whole, to the bit.
+takes over, and corrects (correction.py). What is random is a hash of seed and place, and a
+correction looks a fixed number of places around itself: so a rectangle needs some more places
+around it at every level, and then is a part of the endless whole, to the bit.
 
 Lefebvre and Hoppe (2005) also move places at random on every level. That breaks up what is longer
 than some ten texels, and repetition is not what it mends (docs/notes/by-example.md).
@@ -11,23 +11,17 @@ than some ten texels, and repetition is not what it mends (docs/notes/by-example
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.example.correction import Places, correct, margin
 from matcap.example.grids import Frame
 from matcap.example.hashing import hash_places
 from matcap.example.lookup import Level, Lookup, two_phases
 from matcap.example.order import Cells, Integers, Order, Phases, cells_of
 from matcap.example.pieces import Axis, cheapest, inset, laid
-from matcap.example.plain import Places, margin
 from matcap.example.tuned import PLACEMENT
 from matcap.field.plane import Period, Rectangle
-
-Correct = Callable[
-    [Places, Level, NDArray[np.bool_], NDArray[np.bool_], int, Phases | None], Places
-]
 
 
 def coordinates(
@@ -35,7 +29,6 @@ def coordinates(
     seed: int,
     area: Rectangle,
     period: Period | None,
-    correct: Correct,
 ) -> Places:
     """(height, width, 2) int16 places of an area of the field.
 
@@ -44,9 +37,8 @@ def coordinates(
         seed: in [-2^63, 2^63).
         area: in texels.
         period: that the field repeats in, multiples of 2^(levels - 1).
-        correct: plain.correct, or the compiled one.
     """
-    return coordinates_down_to(lookup, seed, area, 0, period, correct)
+    return coordinates_down_to(lookup, seed, area, 0, period)
 
 
 def coordinates_down_to(
@@ -55,7 +47,6 @@ def coordinates_down_to(
     area: Rectangle,
     finest: int,
     period: Period | None,
-    correct: Correct,
 ) -> Places:
     """Places of a level, found no finer; the area is in steps of that level, 2^finest texels."""
     areas = {finest: area.grown(margin(_passes(finest)))}

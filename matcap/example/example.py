@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.stated import NormalStyle
-from matcap.example import appearance, compiled, plain, relief
-from matcap.example.coordinates import Correct, coordinates
+from matcap.example import relief
+from matcap.example.coordinates import coordinates
+from matcap.example.correction import Places
 from matcap.example.exemplar import Exemplar, Floats
 from matcap.example.grids import level_count
-from matcap.example.index import Index, Project, build_index
+from matcap.example.index import Index, build_index
 from matcap.example.lookup import Lookup, prepare
 from matcap.example.order import Frequency
-from matcap.example.plain import Places
 from matcap.field.blocks import RING, Grid
 from matcap.field.plane import Period, Rectangle, check_period, check_seed, check_variety
 from matcap.files.values import bounded
@@ -89,7 +89,7 @@ class Example:
         if not level_count(*coarse.size):
             raise ValueError(f"an exemplar of {exemplar.size} texels")
         scaled = tuple((fx * 2**bits, fy * 2**bits) for fx, fy in waves)
-        return Example(exemplar, build_index(coarse, scaled, loops()[0]))
+        return Example(exemplar, build_index(coarse, scaled))
 
     @property
     def alignment(self) -> int:
@@ -205,7 +205,7 @@ class Example:
         repeat = None
         if period is not None:
             repeat = (period[0] and period[0] >> bits, period[1] and period[1] >> bits)
-        found = coordinates(self._ready.lookup, seed, coarse, repeat, loops()[1])
+        found = coordinates(self._ready.lookup, seed, coarse, repeat)
         if not bits:
             return found
         side = 1 << bits
@@ -232,7 +232,7 @@ class Example:
         with ThreadPoolExecutor() as pool:
             bands = pool.submit(lambda: relief.bands_of(exemplar.height_codes()))
             coarse = coarsened(exemplar, detail_bits(exemplar))
-            lookup = prepare(coarse, self.index, loops()[0], self.variety)
+            lookup = prepare(coarse, self.index, self.variety)
             maps = (exemplar.diffuse, exemplar.specular, exemplar.roughness)
             planes = tuple(plane.ravel() for planes in maps for plane in planes)
             return _Ready(lookup, planes, bands.result())
@@ -240,13 +240,6 @@ class Example:
     def __getstate__(self) -> dict[str, Any]:
         """Without what can be made again."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
-
-
-def loops() -> tuple[Project, Correct]:
-    """The inner loops: compiled where they were built."""
-    if compiled.kernel() is None:
-        return appearance.project, plain.correct
-    return compiled.project, compiled.correct
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.appearance import DIMENSIONS, TAPS, Appearance, Basis, choose_basis
+from matcap.example.appearance import DIMENSIONS, TAPS, Appearance, Basis, choose_basis, project
 from matcap.example.exemplar import Exemplar
 from matcap.example.features import (
     PLANES,
-    FeatureMap,
     Scale,
     choose_scale,
     features_of,
@@ -44,8 +43,6 @@ from matcap.example.similar import Similar, find_similar
 from matcap.example.tuned import INDEX
 
 _MOST = 255
-
-Project = Callable[[FeatureMap, Basis], Appearance]
 
 
 @dataclass(frozen=True)
@@ -124,13 +121,12 @@ class Index:
         )
 
 
-def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...], project: Project) -> Index:
+def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...]) -> Index:
     """The index of an exemplar.
 
     Args:
         exemplar: of at least 14 texels a side.
         waves: about where those of its regular order are; none for most materials.
-        project: appearance.project, or the compiled one.
     """
     width, height = exemplar.size
     planes = planes_of(exemplar)

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.appearance import Appearance
+from matcap.example.appearance import Appearance, project
 from matcap.example.exemplar import Exemplar
 from matcap.example.features import features_of, planes_of
 from matcap.example.grids import Frame, frame_of, grid_bits, grids_of, similar_bits
-from matcap.example.index import Index, Project
+from matcap.example.index import Index
 from matcap.example.order import Order, Phases
 from matcap.example.piece_sizes import PieceSizes
 from matcap.example.tuned import LOOKUP
@@ -56,13 +56,12 @@ class Lookup:
     sizes: PieceSizes
 
 
-def prepare(exemplar: Exemplar, index: Index, project: Project, variety: float = 1.0) -> Lookup:
+def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
     """What an exemplar and its index are looked up in.
 
     Args:
         exemplar: that the index is of.
         index: of it.
-        project: appearance.project, or the compiled one.
         variety: of the field, in [0, 1].
     """
     width, height = exemplar.size

@@ -37,13 +37,11 @@ class AppearanceSettings:
         fall_off: of the weights, in squared steps of the neighbourhood.
         samples: neighbourhoods that the components are taken from.
         clipped: share of the largest component that may exceed appearance.LARGEST.
-        rows: projected at a time: they stay in the cache.
     """
 
     fall_off: float = 8.0
     samples: int = 20_000
     clipped: float = 0.002
-    rows: int = 32
 
 
 APPEARANCE = AppearanceSettings()

@@ -20,9 +20,9 @@ from matcap.field.plane import Rectangle
 from matcap.view.moments import PLANES, RING, Planes, edged, halved, moments_of, wrapped
 
 if TYPE_CHECKING:
+    from matcap.example.correction import Places
     from matcap.example.example import Example
     from matcap.example.exemplar import Exemplar
-    from matcap.example.plain import Places
     from matcap.field.material import Material
     from matcap.field.source import Source
 

@@ -4,14 +4,15 @@ Every reference is in int64, where nothing of this could.
 """
 
 import numpy as np
+import plain_loops as plain
 import pytest
+from plain_loops import DIAGONALS, PHASE_SHIFT, SIMILAR_TIMES
 
-from matcap.example import compiled, plain
 from matcap.example.appearance import DIMENSIONS, LARGEST, TAPS, Basis, project
+from matcap.example.correction import correct
 from matcap.example.features import LIMIT, PLANES
 from matcap.example.grids import PRICE_BITS, Frame
 from matcap.example.lookup import Level
-from matcap.example.plain import _DIAGONALS, PHASE_SHIFT, SIMILAR_TIMES
 from matcap.example.relief import BANDS, FRACTION, REACH, bands_of, joined
 from matcap.example.tuned import LOOKUP
 
@@ -19,15 +20,12 @@ INT16, INT32 = 2**15 - 1, 2**31 - 1
 SIDE = 1024  # places of a draw: a million of them
 MOST_PRICE = 255**2 << LOOKUP.dear
 MOST_TURN = 2**15 >> PHASE_SHIFT
-KERNEL = pytest.param(
-    compiled, marks=pytest.mark.skipif(compiled.kernel() is None, reason="the kernel was not built")
-)
 
 
 def test_the_largest_sums_fit() -> None:
     difference = 3 * 2 * LARGEST
     assert difference <= INT16
-    seams = SIMILAR_TIMES * len(_DIAGONALS) * DIMENSIONS * difference**2
+    seams = SIMILAR_TIMES * len(DIAGONALS) * DIMENSIONS * difference**2
     assert seams + 2 * MOST_TURN**2 + MOST_PRICE < INT32
     assert TAPS * LIMIT * LIMIT < 2**24  # exact in float32, too
     # Four taps of a filter, of a band that is a difference of two.
@@ -55,13 +53,13 @@ def test_a_million_costs_are_those_of_wider_integers() -> None:
     places = draw.integers(8, SIDE - 9, (SIDE, SIDE, 2)).astype(np.int32)
     wanted = [
         draw.choice(np.array([-3, 3], np.int32) * LARGEST, (SIDE, SIDE, DIMENSIONS))
-        for _ in _DIAGONALS
+        for _ in DIAGONALS
     ]
     ordered = draw.choice(np.array([0, -(2**15)], np.int16), (SIDE, SIDE, 2))
     found = plain._cost(level, places, wanted, ordered, similar=True)
     x, y = places[..., 0], places[..., 1]
     expected = np.full((SIDE, SIDE), MOST_PRICE, np.int64)
-    for (down, across), target in zip(_DIAGONALS, wanted, strict=True):
+    for (down, across), target in zip(DIAGONALS, wanted, strict=True):
         there = level.appearance[y + 2 * down, x + 2 * across].astype(np.int64)
         expected += SIMILAR_TIMES * np.square(3 * there - target).sum(-1)
     assert level.phases is not None
@@ -71,21 +69,21 @@ def test_a_million_costs_are_those_of_wider_integers() -> None:
     assert 0.5 * INT32 < expected.max() < INT32  # draws come near the bound
 
 
-@pytest.mark.parametrize("form", [plain, KERNEL])
+@pytest.mark.parametrize("form", [plain.correct, correct])
 def test_correction_at_the_bounds_stays_where_places_may_lie(form) -> None:
     draw = np.random.default_rng(1)
     level = extreme(draw)
     places = draw.integers(8, SIDE - 9, (96, 96, 2)).astype(np.int16)
     odd = np.arange(96) % 2 == 1
     phases = draw.choice(np.array([0, -(2**15)], np.int16), (96, 96, 2))
-    found = form.correct(places, level, odd, odd, 1, phases)
+    found = form(places, level, odd, odd, 1, phases)
     assert np.array_equal(found, plain.correct(places, level, odd, odd, 1, phases))
     frame = level.frame
     assert frame.left <= found[..., 0].min() and found[..., 0].max() <= frame.right
     assert frame.top <= found[..., 1].min() and found[..., 1].max() <= frame.bottom
 
 
-@pytest.mark.parametrize("project", [project, pytest.param(compiled.project, marks=KERNEL.marks)])
+@pytest.mark.parametrize("project", [project, plain.project])
 def test_the_largest_features_are_projected_exactly(project) -> None:
     draw = np.random.default_rng(2)
     basis = Basis(np.full((DIMENSIONS, TAPS), LIMIT, np.int8), 0, 1)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import CHANNELS
-from matcap.example import compiled
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.field import read_source
@@ -87,9 +86,8 @@ def example_costs(
 
 def example_table(costs: list[ExampleCost]) -> list[str]:
     """The lines of a table."""
-    loops = "compiled" if compiled.kernel() is not None else "plain"
     return [
-        f"| by example ({loops} loops) | s | s of all cores | s of one core a megatexel |",
+        "| by example | s | s of all cores | s of one core a megatexel |",
         "|---|---:|---:|---:|",
         *(
             f"| {one.step} | {one.seconds:.2f} | {one.processor_seconds:.2f} "

@@ -1,26 +1,39 @@
-"""Correction, plainly: what compiled.py does faster, in NumPy and to the same bits."""
-
-from __future__ import annotations
+"""The loops of kernel.c, plainly: in NumPy and to the same bits."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.example.appearance import DIMENSIONS, LARGEST, Appearance, Basis, offsets, padded
+from matcap.example.correction import REACH, SUBPASSES, Places, margin
+from matcap.example.features import PLANES, FeatureMap
 from matcap.example.grids import PRICE_BITS
 from matcap.example.lookup import Level
 from matcap.example.order import Phases
 
-Places = NDArray[np.int16]  # (rows, columns, 2): x, y of the exemplar
-
-SUBPASSES = ((0, 0), (1, 1), (0, 1), (1, 0))  # (row, column) parity of the places each one corrects
-REACH = 2  # places that a sub-pass looks around itself
-_DIAGONALS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+DIAGONALS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 _AROUND = ((0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
-# A tenth of a turn costs as much as a seam that is seen.
 PHASE_SHIFT = 2
-# What is merely similar must fit so many times better than what continues a piece: pieces stay
-# large, and what is drawn whole.
 SIMILAR_TIMES = 2
 _NEVER = np.int32(2**31 - 1)
+_ROWS = 32  # projected at a time: they stay in the cache
+
+
+def project(features: FeatureMap, basis: Basis) -> Appearance:
+    """(H, W, DIMENSIONS) of (PLANES, H, W) features, which continue mirrored at the borders."""
+    rows, columns = features.shape[1:]
+    around = padded(features, basis).astype(np.float32)
+    weights = basis.weights.astype(np.float32).reshape(DIMENSIONS, -1, PLANES)
+    found = np.empty((rows, columns, DIMENSIONS), np.int16)
+    for top in range(0, rows, _ROWS):
+        some = min(_ROWS, rows - top)
+        sums = np.zeros((DIMENSIONS, some * columns), np.float32)
+        for index, (y, x) in enumerate(offsets(basis.step)):
+            part = around[:, top + y : top + y + some, x : x + columns]
+            sums += weights[:, index] @ part.reshape(PLANES, -1)
+        shifted = sums.astype(np.int32) >> basis.shift
+        np.clip(shifted, -LARGEST, LARGEST, out=shifted)
+        found[top : top + some] = shifted.T.reshape(some, columns, DIMENSIONS)
+    return found
 
 
 def correct(
@@ -31,24 +44,7 @@ def correct(
     passes: int,
     phases: Phases | None = None,
 ) -> Places:
-    """Places that fit their neighbours better.
-
-    A place whose neighbours all continue it stays. Any other takes the best of what its
-    neighbours and it itself would be continued by, and of what is most similar to those, by the
-    appearance of its diagonal neighbours; each of these is the mean of three neighbours that
-    would continue to there. Of equals the first wins, and what continues a neighbour before what
-    is similar.
-
-    Args:
-        places: (rows, columns, 2).
-        level: what to look up.
-        odd_columns, odd_rows: parity of every column and row of the field.
-        passes: of four sub-passes each.
-        phases: (rows, columns, 2) of the order that the field is to have.
-
-    Returns:
-        (rows - 2 m, columns - 2 m, 2) with m = margin(passes).
-    """
+    """As correction.correct."""
     assert (phases is None) == (level.phases is None)
     places = places.copy()
     for row_parity, column_parity in SUBPASSES * passes:
@@ -60,11 +56,6 @@ def correct(
         places[np.ix_(rows, columns)] = _corrected(before, level, rows, columns, phases)
     cut = margin(passes)
     return places[cut : places.shape[0] - cut, cut : places.shape[1] - cut]
-
-
-def margin(passes: int) -> int:
-    """Places that a correction reads beyond those it gives, on every side."""
-    return REACH * len(SUBPASSES) * passes
 
 
 def _corrected(
@@ -86,7 +77,7 @@ def _corrected(
     for y, x in _AROUND[1:]:
         settled &= (continued(y, x) == own).all(-1)
     wanted = []  # three times the appearance of each diagonal neighbour
-    for y, x in _DIAGONALS:
+    for y, x in DIAGONALS:
         total = np.zeros((*own.shape[:2], level.appearance.shape[2]), np.int32)
         for further_y, further_x in ((0, 0), (y, 0), (0, x)):
             from_there = continued(y + further_y, x + further_x)
@@ -138,7 +129,7 @@ def _cost(
     inside = _inside(level, places)
     safe = np.where(inside[..., None], places, [level.frame.left, level.frame.top])
     cost = np.zeros(places.shape[:2], np.int32)
-    for (y, x), target in zip(_DIAGONALS, wanted, strict=True):
+    for (y, x), target in zip(DIAGONALS, wanted, strict=True):
         step = np.array([x * level.spacing, y * level.spacing], np.int32)
         cost += np.square(3 * _looked_up(level, safe + step) - target).sum(-1, dtype=np.int32)
     if similar:
