@@ -22,32 +22,12 @@ for _package in ("capture", "relight"):
     import_module(f"matcap.{_package}")
 
 from matcap import api  # noqa: E402  # after the packages, see above
-from matcap.api import MatcapError, __version__, capture, relight  # noqa: E402
 
 if TYPE_CHECKING:
-    from matcap.api import (
-        Field,
-        MapSet,
-        MapSetInfo,
-        Material,
-        load_photo,
-        read_mapset,
-        write_mapset,
-    )
+    from matcap.api import *  # noqa: F403
 
-__all__ = [
-    "Field",
-    "MapSet",
-    "MapSetInfo",
-    "MatcapError",
-    "Material",
-    "__version__",
-    "capture",
-    "load_photo",
-    "read_mapset",
-    "relight",
-    "write_mapset",
-]
+__all__ = api.__all__
+__version__, capture, relight = api.__version__, api.capture, api.relight
 
 
 def __getattr__(name: str) -> object:

@@ -10,6 +10,7 @@ import time
 from typing import Any
 
 from matcap.batch.crew import DoWork, Event, Prepare
+from matcap.files.progress import nobody
 from matcap.synth.scheduler import connect
 
 _LOOK_EVERY = 0.1  # seconds; samples take minutes
@@ -67,8 +68,4 @@ class Cluster:
 
 def _there(work: DoWork, prepare: Prepare, job: Any) -> Any:  # noqa: ANN401
     prepare()
-    return work(job, _untold)
-
-
-def _untold(stage: str, share: float) -> None:
-    """Nobody listens."""
+    return work(job, nobody)

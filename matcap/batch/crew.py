@@ -19,9 +19,9 @@ from multiprocessing.context import SpawnProcess
 from typing import Any, Literal, Protocol
 
 from matcap.files.interrupts import settle_child, starting_children
+from matcap.files.progress import Progress, TellProgress
 
-Tell = Callable[[str, float], None]
-DoWork = Callable[[Any, Tell], Any]
+DoWork = Callable[[Any, TellProgress], Any]
 Prepare = Callable[[], None]
 
 
@@ -152,8 +152,8 @@ def _serve(pipe: Connection, work: DoWork, prepare: Prepare) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     prepare()
 
-    def tell(stage: str, share: float) -> None:
-        pipe.send(("progress", (stage, share)))
+    def tell(now: Progress) -> None:
+        pipe.send(("progress", now))
 
     while True:
         try:

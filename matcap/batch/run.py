@@ -20,6 +20,7 @@ from matcap.batch.settings import BatchSettings
 from matcap.batch.work import BatchJob, Failure
 from matcap.batch.workspace import Run
 from matcap.errors import ExitCode
+from matcap.files.progress import Progress
 from matcap.photo.calibrate import Calibration
 
 _POLL = 1.0  # seconds between two looks at what another run is doing
@@ -56,7 +57,7 @@ class Show(Protocol):
     def started(self, entry: BatchEntry) -> None:
         """Work on a sample begins."""
 
-    def progress(self, entry: BatchEntry, stage: str, share: float) -> None:
+    def progress(self, entry: BatchEntry, now: Progress) -> None:
         """It has come this far."""
 
     def ended(self, entry: BatchEntry) -> None:
@@ -198,7 +199,7 @@ class Batch:
     def _happened(self, event: Event) -> None:
         task = self._tasks[event.job.name]
         if event.kind == "progress":
-            self._show.progress(task.entry, *event.value)
+            self._show.progress(task.entry, event.value)
             return
         del self._tasks[event.job.name]
         if event.kind == "died":

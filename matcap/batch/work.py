@@ -7,7 +7,7 @@ import os
 import resource
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,16 +16,15 @@ from matcap.batch.record import write_record
 from matcap.batch.settings import BatchSettings
 from matcap.batch.workspace import Run
 from matcap.errors import MatcapError
+from matcap.files.progress import Progress, TellProgress
 from matcap.files.staging import write_error
 from matcap.photo.calibrate import Calibration, calibrated
 
 if TYPE_CHECKING:
-    from matcap.capture.progress import CaptureProgress
     from matcap.capture.result import CaptureResult
     from matcap.capture.settings import CaptureSettings
     from matcap.photo.inspect import Inspection
 
-Tell = Callable[[str, float], None]  # stage, share of the whole
 Fault = Literal["photograph", "memory", "disk", "crash"]
 _THUMBNAIL = 192  # pixels along the long side
 _DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
@@ -69,7 +68,7 @@ class Failure:
     sentence: str
 
 
-def do_job(job: BatchJob, tell: Tell) -> dict[str, Any] | Failure:
+def do_job(job: BatchJob, tell: TellProgress) -> dict[str, Any] | Failure:
     """Make a material, put it in its place, and return its record's summary.
 
     Whatever goes wrong with this sample comes back as a Failure.
@@ -100,14 +99,14 @@ def _fault(error: MatcapError) -> Fault:
     return "photograph"
 
 
-def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
+def _do(job: BatchJob, tell: TellProgress) -> dict[str, Any]:
     from matcap.capture.inspection import photograph_quality
     from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_photo, read_photograph
     from matcap.photo.inspect import inspect_photo
 
     started = time.perf_counter()
-    tell("reading", 0.0)
+    tell(Progress("reading", 0.0))
     settings = job.settings
     chosen = measured(settings.capture, job.card)
     if job.detail != chosen.most_detail:
@@ -117,11 +116,8 @@ def _do(job: BatchJob, tell: Tell) -> dict[str, Any]:
         photo = read_photograph(path, chosen)
         photos.append(photo if job.card is None else calibrated(photo, path, job.card))
 
-    def progress(now: CaptureProgress) -> None:
-        tell(now.stage, now.fraction)
-
-    result = capture_photo(photos[0], chosen, progress, others=photos[1:])
-    tell("writing", 0.95)
+    result = capture_photo(photos[0], chosen, tell, others=photos[1:])
+    tell(Progress("writing", 0.95))
     # One tilt for all that is told of a photograph: the capture's own.
     first = inspect_photo(photos[0], result.material.setup.tilt)
     looked_at = [first, *map(photograph_quality, photos[1:])]

@@ -33,7 +33,7 @@ from matcap.photo.refusals import SHORTEST_SIDE
 
 _WINDOW_STEP = 16  # texels that windows' sides are multiples of: a decoder's alignment
 
-TellProgress = Callable[[CaptureProgress], None]
+TellCapture = Callable[[CaptureProgress], None]
 
 
 def read_photograph(
@@ -53,7 +53,7 @@ def read_photograph(
 def capture_file(
     path: str | Path,
     settings: CaptureSettings,
-    progress: TellProgress | None = None,
+    progress: TellCapture | None = None,
     others: Sequence[str | Path] = (),
 ) -> CaptureResult:
     """A photograph's file to a material; or those of several photographs of one sample.
@@ -68,7 +68,7 @@ def capture_into(
     paths: Sequence[str | Path],
     settings: CaptureSettings,
     outputs: OutputSettings,
-    progress: TellProgress | None = None,
+    progress: TellCapture | None = None,
 ) -> CaptureResult:
     """The whole way: photographs of one sample to a folder with everything that is left of it.
 
@@ -100,7 +100,7 @@ def _read_and_captured(
 def capture_photo(
     photo: Photo,
     settings: CaptureSettings,
-    progress: TellProgress | None = None,
+    progress: TellCapture | None = None,
     method: Method | None = None,
     others: Sequence[Photo] = (),
 ) -> CaptureResult:
@@ -120,7 +120,7 @@ def capture_photo(
     return capture_under(photo, settings, clock_of(settings, progress), method or Method(), others)
 
 
-def clock_of(settings: CaptureSettings, progress: TellProgress | None) -> CaptureClock:
+def clock_of(settings: CaptureSettings, progress: TellCapture | None) -> CaptureClock:
     """The clock of a capture with these settings; `write` is the caller's last stage."""
     stages = DECODER_STAGES if settings.generator == "decoder" else PIECE_STAGES
     return CaptureClock(progress, stages, settings.time_limit)

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+from matcap.files.progress import Progress, nobody
+
 # Stages of a capture in their order, and the share of the time that each takes of a `standard` one
 # of 12 megapixels (report.json's stage_seconds).
 PIECE_STAGES: Mapping[str, float] = MappingProxyType(
@@ -39,24 +41,16 @@ DECODER_STAGES: Mapping[str, float] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class CaptureProgress:
+class CaptureProgress(Progress):
     """How far a capture is.
 
     Attributes:
-        stage: its name.
-        fraction: of the whole capture, in [0, 1].
-        seconds: since the start.
-        seconds_left: expected, or None where it is too early to say.
         error: of fine-tuning a decoder, in multiples of what the photograph's own windows differ
             by; else None.
         in_a_minute: that error after another minute, or None.
         interrupted: what there is is being finished.
     """
 
-    stage: str
-    fraction: float
-    seconds: float
-    seconds_left: float | None
     error: float | None = None
     in_a_minute: float | None = None
     interrupted: bool = False
@@ -85,7 +79,7 @@ class CaptureClock:
         """
         self.seconds: dict[str, float] = {}
         self.interrupted = False
-        self._tell = tell or _nobody
+        self._tell = tell or nobody
         self._stages, self._limit = stages, limit
         self._started = time.monotonic()
 
@@ -141,7 +135,3 @@ class CaptureClock:
         elapsed = self.elapsed
         left = elapsed * (1.0 - fraction) / fraction if fraction > 0.15 else None
         return CaptureProgress(name, fraction, elapsed, left, interrupted=self.interrupted)
-
-
-def _nobody(progress: CaptureProgress) -> None:
-    """Listens."""

@@ -14,6 +14,7 @@ from matcap.files.values import spoken_duration
 
 if TYPE_CHECKING:
     from matcap.batch.entries import BatchEntry
+    from matcap.files.progress import Progress as WorkProgress
 
 _FIT = ("good", "usable")  # verdicts
 
@@ -49,12 +50,12 @@ class BatchDisplay:
         if self._bars is not None and name not in self._tasks:
             self._tasks[name] = self._bars.add_task(name, total=1.0, stage="waiting", left="")
 
-    def progress(self, entry: BatchEntry, stage: str, share: float) -> None:
+    def progress(self, entry: BatchEntry, now: WorkProgress) -> None:
         """It has come this far."""
         name = entry.sample.name
-        self._shares[name] = share
+        self._shares[name] = now.fraction
         if self._bars is not None and name in self._tasks:
-            self._bars.update(self._tasks[name], completed=share, stage=stage)
+            self._bars.update(self._tasks[name], completed=now.fraction, stage=now.stage)
             if self._whole is not None:
                 self._bars.update(self._whole, left=self._left())
 
@@ -76,7 +77,7 @@ class BatchDisplay:
                 verdict = record["verdict"]["rating"]
                 doubt = ", doubtful shot" if record["doubtful"] and verdict in _FIT else ""
                 left = self._left()
-                said = f"{count} {name}: {record['seconds']:.0f} s, {verdict}{doubt}"
+                said = f"{count} {name}: {spoken_duration(record['seconds'])}, {verdict}{doubt}"
                 self._say(f"{said}{f', {left}' if left else ''}")
         elif entry.state == "failed":
             self._say(f"{count} {name}: failed")

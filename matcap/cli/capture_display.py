@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
+from matcap.files.values import spoken_duration
+
 if TYPE_CHECKING:
     from matcap.capture.progress import CaptureProgress
 
@@ -41,21 +43,22 @@ class Display:
     def progress(self, now: CaptureProgress) -> None:
         """The work has come this far."""
         error = ""
+        left = "" if now.seconds_left is None else spoken_duration(now.seconds_left)
         if now.error is not None:
             error = f"{now.error:.2f} times as unlike the photograph as its own parts"
         if now.in_a_minute is not None:
             error += f" ({now.in_a_minute:.2f} after another minute)"
         if self._bars is not None and self._task is not None:
-            left = f"{now.seconds_left:.0f} s left" if now.seconds_left is not None else ""
+            to_go = left and f"{left} left"
             self._bars.update(
-                self._task, completed=now.fraction, stage=now.stage, error=error, left=left
+                self._task, completed=now.fraction, stage=now.stage, error=error, left=to_go
             )
         elif not self._quiet and now.stage not in (self._stage, "read"):
             # What cannot be read has a sentence of its own, and nothing before it.
             self._say(f"  {now.seconds:6.1f} s  {now.stage}  {error}".rstrip())
         if now.interrupted and not self._interrupted and not self._quiet:
-            left = "" if now.seconds_left is None else f", in about {now.seconds_left:.0f} s"
-            self._say(f"  interrupted: the best so far is being finished{left}")
+            soon = left and f", in about {left}"
+            self._say(f"  interrupted: the best so far is being finished{soon}")
         self._stage, self._interrupted = now.stage, now.interrupted
 
     def finished(self, photo: Path, done: dict[str, Any]) -> None:
@@ -63,7 +66,7 @@ class Display:
         self._end_bar()
         if not self._quiet:
             early = " (interrupted: the best so far)" if done["status"] == "interrupted" else ""
-            self._say(f"{photo.name}: {done['folder']}, {done['seconds']:.0f} s{early}")
+            self._say(f"{photo.name}: {done['folder']}, {spoken_duration(done['seconds'])}{early}")
             self._say(f"  {done['verdict']['sentence']}")
 
     def note(self, sentence: str) -> None:

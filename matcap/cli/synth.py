@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matcap.field.material import Material
     from matcap.field.plane import Rectangle
     from matcap.synth.precision import ChosenPrecision
-    from matcap.synth.request import Progress as SynthProgress
+    from matcap.synth.request import SynthProgress
     from matcap.synth.synthesise import Axes, Growth, SynthRequest
 
 _STRIP = values.Size(4096, 256)  # the paper's own example
@@ -321,7 +321,7 @@ def _progress(*, quiet: bool) -> Iterator[Callable[[SynthProgress], None]]:
             nonlocal said
             if not quiet and time.monotonic() - said >= _EVERY:
                 said = time.monotonic()
-                typer.echo(f"  {now.texels / now.total:6.1%}  {_rate(now)}", err=True)
+                typer.echo(f"  {now.fraction:6.1%}  {_rate(now)}", err=True)
 
         yield tell
         return
@@ -332,7 +332,7 @@ def _progress(*, quiet: bool) -> Iterator[Callable[[SynthProgress], None]]:
     )
     with Progress(*columns, console=console, transient=True) as bars:
         task = bars.add_task("texels", total=1.0, rate="")
-        yield lambda now: bars.update(task, completed=now.texels / now.total, rate=_rate(now))
+        yield lambda now: bars.update(task, completed=now.fraction, rate=_rate(now))
 
 
 def _rate(now: SynthProgress) -> str:

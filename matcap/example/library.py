@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
-from matcap.errors import MatcapError
+from matcap.files.compiled import find_library, not_built
 
 _FORM = 2  # of kernel.c
 
@@ -18,16 +17,7 @@ _FORM = 2  # of kernel.c
 @cache
 def built() -> Any | None:  # noqa: ANN401
     """The library, or None where it was not built, or from another form of its file."""
-    for suffix in EXTENSION_SUFFIXES:
-        path = Path(__file__).with_name(f"kernel{suffix}")
-        if path.is_file():
-            try:
-                library = ctypes.CDLL(str(path))
-                if library.matcap_form() == _FORM:
-                    return library
-            except (OSError, AttributeError):
-                continue
-    return None
+    return find_library(Path(__file__).parent, ("matcap_form", _FORM))
 
 
 def loops() -> Any:  # noqa: ANN401
@@ -38,10 +28,7 @@ def loops() -> Any:  # noqa: ANN401
     """
     library = built()
     if library is None:
-        raise MatcapError(
-            "the compiled loops of fields by example were not built when matcap was installed",
-            remedy="install a C compiler (gcc, clang or MSVC) and then matcap again",
-        )
+        raise not_built("fields by example")
     return library
 
 

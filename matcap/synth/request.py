@@ -27,6 +27,7 @@ from matcap.field.blocks import Piece, check_rectangle, pieces_of
 from matcap.field.plane import Rectangle
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
+from matcap.files.progress import Progress, nobody
 from matcap.synth.pictures import PictureFile, channels_of, pictures_of
 
 if TYPE_CHECKING:
@@ -65,33 +66,14 @@ class Files:
 
 
 @dataclass(frozen=True)
-class Progress:
+class SynthProgress(Progress):
     """How far a run has come.
 
     Attributes:
-        texels: done, of `total`, counting what was resumed.
-        resumed: texels that were there before.
-        seconds: since the beginning.
+        rate: texels a second, what was resumed left out.
     """
 
-    texels: int
-    total: int
-    resumed: int
-    seconds: float
-
-    @property
-    def rate(self) -> float:
-        """Texels a second."""
-        return (self.texels - self.resumed) / max(self.seconds, 1e-9)
-
-    @property
-    def seconds_left(self) -> float | None:
-        """At this rate; None before there is one."""
-        return (self.total - self.texels) / self.rate if self.texels > self.resumed else None
-
-
-def _silent(_now: Progress) -> None:
-    """Progress that nobody looks at."""
+    rate: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -110,7 +92,7 @@ class Work:
     workers: int = 1
     scheduler: str | None = None
     resume: bool = False
-    progress: Callable[[Progress], None] = _silent
+    progress: Callable[[SynthProgress], None] = nobody
     overwrite: bool = True
     inputs: tuple[Path, ...] = ()
 

@@ -23,7 +23,7 @@ from matcap.files.staging import check_writable
 from matcap.synth.assembly import Assembly, assembly
 from matcap.synth.jobs import Crew, Job
 from matcap.synth.levels import write_levels
-from matcap.synth.request import PlannedMapSet, Progress, Request, Work
+from matcap.synth.request import PlannedMapSet, Request, SynthProgress, Work
 from matcap.synth.strips import height_coding, write_pngs
 from matcap.synth.unfinished import files_of, unfinished, unfinished_bytes
 from matcap.synth.workers import crew
@@ -98,7 +98,7 @@ def _fill(
 class _Clock:
     """Counts texels and tells of them."""
 
-    def __init__(self, total: int, tell: Callable[[Progress], None]) -> None:
+    def __init__(self, total: int, tell: Callable[[SynthProgress], None]) -> None:
         self._total, self._tell = total, tell
         self._texels = self._resumed = 0
         self._start = time.monotonic()
@@ -112,4 +112,6 @@ class _Clock:
         """These are there now."""
         self._texels += texels
         seconds = time.monotonic() - self._start
-        self._tell(Progress(self._texels, self._total, self._resumed, seconds))
+        rate = (self._texels - self._resumed) / max(seconds, 1e-9)
+        left = (self._total - self._texels) / rate if rate else None
+        self._tell(SynthProgress("", self._texels / self._total, seconds, left, rate))

@@ -6,13 +6,14 @@ import pytest
 
 from matcap.batch.cluster import Cluster
 from matcap.errors import MatcapError
+from matcap.files.progress import Progress
 
 distributed = pytest.importorskip("distributed", reason='needs pip install "matcap[cluster]"')
 pytestmark = pytest.mark.filterwarnings("ignore")  # dask's own, about ports and threads
 
 
 def work(job, tell):
-    tell("begun", 0.5)
+    tell(Progress("begun", 0.5))
     if job == "fault":
         raise RuntimeError("a lost worker looks like this")
     return f"did {job}"

@@ -18,6 +18,7 @@ from matcap.capture.progress import CaptureProgress
 from matcap.cli.batch_display import BatchDisplay
 from matcap.cli.main import main
 from matcap.errors import MatcapError
+from matcap.files.progress import Progress
 
 
 @pytest.fixture
@@ -123,7 +124,7 @@ def test_on_a_dumb_terminal_a_line_tells_of_each_end(tmp_path):
     bad = BatchEntry(ShotSample("c", (tmp_path / "c.jpg",)), "i", "failed", "black.")
     for entry in (good, bad):
         shown.started(entry)
-        shown.progress(entry, "fine-tuning", 0.5)
+        shown.progress(entry, Progress("fine-tuning", 0.5))
         shown.ended(entry)
     lines = said.getvalue().splitlines()
     assert lines[0].startswith("[1/2] a [b]: 12 s, usable, doubtful shot") and "left" in lines[0]

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from matcap.batch.crew import Processes
+from matcap.files.progress import Progress
 
 
 def prepare():
@@ -18,7 +19,7 @@ def prepare():
 
 def work(job, tell):
     """Module-level, so that a spawned process finds it."""
-    tell("begun", 0.5)
+    tell(Progress("begun", 0.5))
     if job == "kill":
         os.kill(os.getpid(), signal.SIGKILL)
     if job == "exit":
@@ -62,7 +63,7 @@ def test_a_killed_worker_takes_no_other_job_along(crew):
 def test_close_stops_work_at_once(crew):
     crew.start("sleep")
     began = time.monotonic()
-    assert [event.value for event in crew.wait(20.0)] == [("begun", 0.5)]
+    assert [event.value for event in crew.wait(20.0)] == [Progress("begun", 0.5)]
     crew.close()
     assert crew.busy() == 0 and time.monotonic() - began < 20.0
 

@@ -15,6 +15,7 @@ from matcap.batch.shoot import find_samples
 from matcap.batch.work import Failure, do_job
 from matcap.batch.workspace import open_run
 from matcap.capture import pipeline
+from matcap.files.progress import Progress
 
 SETTINGS = BatchSettings.of({"detail": 512, "size": (64, 64)})
 
@@ -37,7 +38,7 @@ class FakeCrew:
 
     def wait(self, seconds):
         job = self.open.pop(0)
-        told = [Event(job, "progress", ("fine-tuning", 0.5))]
+        told = [Event(job, "progress", Progress("fine-tuning", 0.5))]
         answer = self.answer(job)
         if isinstance(answer, int) and not isinstance(answer, bool):
             return [*told, Event(job, "died", answer)]
@@ -63,8 +64,8 @@ class Watcher:
     def started(self, entry):
         pass
 
-    def progress(self, entry, stage, share):
-        assert 0.0 <= share <= 1.0
+    def progress(self, entry, now):
+        assert 0.0 <= now.fraction <= 1.0
 
     def ended(self, entry):
         self.ends.append((entry.sample.name, entry.state))
@@ -262,7 +263,7 @@ def test_whatever_goes_wrong_in_a_worker_comes_back_as_a_failure(batch, monkeypa
 
     monkeypatch.setattr(pipeline, "load_photo", fail)
     _, crew, _ = batch()
-    failure = do_job(crew.jobs[0], lambda stage, share: None)
+    failure = do_job(crew.jobs[0], lambda now: None)
     assert failure.kind == kind and failure.sentence.endswith(".")
 
 
