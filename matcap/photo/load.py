@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -102,9 +103,8 @@ def _read(path: Path, long_side: int | None, noise: bool) -> tuple[Decoded, Exif
     if kind in (FileKind.PNG, FileKind.TIFF):
         return read_png_or_tiff(path, kind.value, long_side)
     corrections = read_corrections(path) if kind is FileKind.DNG else Corrections()
-    if corrections.jpeg_xl:
-        return read_jxl(path, long_side, corrections), read_exif(path)
-    return read_raw(path, long_side, corrections, noise=noise), read_exif(path)
+    read = partial(read_raw, long_side=long_side, corrections=corrections, noise=noise)
+    return (read_jxl(path, read) if corrections.jpeg_xl else read(path)), read_exif(path)
 
 
 def _photo(

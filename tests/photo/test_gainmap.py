@@ -7,17 +7,11 @@ import pytest
 from dng_files import BLACK, WHITE, color_matrix, gain_map, mosaic, opcode_list, write_dng
 
 from matcap.errors import MatcapError
-from matcap.photo.dng import read_corrections
 from matcap.photo.gainmap import Shading, parse_opcodes
-from matcap.photo.jxl import read_with_tifffile
 from matcap.photo.load import load_photo
 
 SIZE = (96, 128)
 PLACES = [(0, 0), (0, 1), (1, 0), (1, 1)]
-
-
-def tiff_reader(path):
-    return read_with_tifffile(path, None, read_corrections(path))
 
 
 @pytest.fixture
@@ -113,11 +107,11 @@ def test_linear_dng_by_plane(tmp_path, grid, option):
     options = {option: opcode_list(gain_map(tinted, SIZE, planes=3))}
     options["color_matrix"] = color_matrix(mixing)
     path = write_dng(tmp_path / "a.dng", samples, **options)
-    for picture in (load_photo(path), tiff_reader(path)):
-        assert picture.gain_map_applied
-        inside = picture.pixels[~picture.clipped]
-        assert len(inside) > 0.9 * picture.clipped.size
-        np.testing.assert_allclose(inside, np.tile(rec709, (len(inside), 1)), rtol=2e-2)
+    picture = load_photo(path)
+    assert picture.gain_map_applied
+    inside = picture.pixels[~picture.clipped]
+    assert len(inside) > 0.9 * picture.clipped.size
+    np.testing.assert_allclose(inside, np.tile(rec709, (len(inside), 1)), rtol=2e-2)
 
 
 @pytest.mark.parametrize("long_side", [None, 64])
@@ -145,8 +139,7 @@ def test_after_demosaicing_by_colour_and_past_white(tmp_path):
         assert not photo.clipped.any()
 
 
-@pytest.mark.parametrize("read", [load_photo, tiff_reader])
-def test_places_count_from_the_active_area(tmp_path, grid, read):
+def test_places_count_from_the_active_area(tmp_path, grid):
     """Behind an odd margin of masked pixels, which LibRaw makes even."""
     maps = [gain_map(grid * (1.5 if p == (0, 0) else 1.0), SIZE, offset=p, pitch=2) for p in PLACES]
     opcodes = opcode_list(*maps)
@@ -155,7 +148,7 @@ def test_places_count_from_the_active_area(tmp_path, grid, read):
     stored = np.zeros((96 + 3, 128 + 5), np.uint16)
     stored[3:, 5:] = np.rint(active)
     path = write_dng(tmp_path / "a.dng", stored, opcodes2=opcodes, active_area=(3, 5, 99, 133))
-    picture = read(path)
+    picture = load_photo(path)
     assert min(picture.pixels.shape[:2]) >= SIZE[0] - 1
     np.testing.assert_allclose(picture.pixels, 0.5, rtol=4e-3)
 
