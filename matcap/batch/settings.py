@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -129,9 +129,9 @@ def read_settings(file: Path) -> dict[str, Any]:
     for name, plain in (("prior", ("auto", "none")), ("card", ("auto", "none"))):
         if name in read and read[name] not in plain:
             read[name] = str(file.parent / read[name])
-    weights = read.get("statistics", Statistics()).weights
-    if weights is not None:
-        read["statistics"] = Statistics(file.parent / weights)
+    statistics = read.get("statistics", Statistics())
+    if statistics.weights is not None:
+        read["statistics"] = replace(statistics, weights=file.parent / statistics.weights)
     return read
 
 

@@ -13,6 +13,9 @@ from typing import Any
 
 from matcap.errors import UsageError
 
+# Statistics by name (target.py makes each), and whether a file of weights goes with them.
+STATISTICS: Mapping[str, bool] = MappingProxyType({"filterbank": False, "vgg19": True})
+STATISTICS_WORDS = "|".join(f"{name}=FILE" if file else name for name, file in STATISTICS.items())
 PRESET_NAMES = ("instant", "draft", "standard", "high", "reference")
 
 
@@ -75,7 +78,7 @@ CHOICES: Mapping[str, Choice] = MappingProxyType(
             metavar="auto|none|PATH",
         ),
         "statistics": Choice(
-            (str,), "What textures are compared by.", metavar="filterbank|vgg19=FILE",
+            (str,), "What textures are compared by.", metavar=STATISTICS_WORDS,
         ),
         "generator": Choice(
             (str,), "What the material is made by: the photographed piece, rearranged (example), "

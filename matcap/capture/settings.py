@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from matcap.capture.choices import CHOICES, check
+from matcap.capture.choices import CHOICES, STATISTICS, STATISTICS_WORDS, check
 from matcap.capture.detail import DETAIL
 from matcap.errors import UsageError
 from matcap.field.source import Generator
@@ -62,35 +62,36 @@ UNLIMITED = "reference"
 
 @dataclass(frozen=True)
 class Statistics:
-    """What textures are compared by: VGG-19, or the filter bank.
+    """What textures are compared by.
 
     Attributes:
-        weights: torchvision's file of VGG-19's; None for the filter bank.
+        name: a key of choices.STATISTICS.
+        weights: a file that goes with it, torchvision's of VGG-19; None for the filter bank.
     """
 
+    name: str = "filterbank"
     weights: Path | None = None
 
     def __str__(self) -> str:
-        return "filterbank" if self.weights is None else f"vgg19={self.weights}"
+        return self.name if self.weights is None else f"{self.name}={self.weights}"
 
     @staticmethod
     def parse(text: str | Statistics) -> Statistics:
         """The statistics that "filterbank" or "vgg19=FILE" means.
 
         Raises:
-            UsageError: neither.
+            UsageError: there is none of this name, or a file is missing or too many.
         """
         if isinstance(text, Statistics):
             return text
-        name, _, path = text.partition("=")
-        if name == "vgg19" and path:
-            return Statistics(Path(path))
-        if text != "filterbank":
+        name, given, path = text.partition("=")
+        wanted = STATISTICS.get(name)
+        if wanted is None or bool(wanted) != bool(given and path) or bool(given) != bool(path):
             raise UsageError(
                 f"there are no statistics {text!r}",
-                remedy="choose filterbank, or vgg19=FILE with torchvision's weights",
+                remedy=f"choose {STATISTICS_WORDS.replace('|', ' or ')}",
             )
-        return Statistics()
+        return Statistics(name, Path(path) if path else None)
 
 
 @dataclass(frozen=True)

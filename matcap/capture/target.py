@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from matcap.capture.settings import CaptureSettings, Method
@@ -67,5 +68,16 @@ def photograph_target(
 
 def _features(settings: CaptureSettings, method: Method) -> Features:
     """What textures are compared by."""
-    weights = settings.statistics.weights
-    return FilterBank(method.features) if weights is None else load_vgg19(weights)
+    return _STATISTICS[settings.statistics.name](method, settings.statistics.weights)
+
+
+def _vgg19(_: Method, weights: Path | None) -> Features:
+    assert weights is not None
+    return load_vgg19(weights)
+
+
+# By name, as choices.STATISTICS has them; what is made of a method and a file.
+_STATISTICS: Mapping[str, Callable[[Method, Path | None], Features]] = {
+    "filterbank": lambda method, _: FilterBank(method.features),
+    "vgg19": _vgg19,
+}

@@ -44,7 +44,9 @@ def test_a_prior_is_found_beside_the_file(tmp_path):
 
 def test_weights_are_found_beside_the_file(tmp_path):
     (tmp_path / "matcap.toml").write_text('statistics = "vgg19=mine.pth"\n')
-    assert settings_of(tmp_path, {}).capture.statistics == Statistics(tmp_path / "mine.pth")
+    assert settings_of(tmp_path, {}).capture.statistics == Statistics(
+        "vgg19", tmp_path / "mine.pth"
+    )
 
 
 @pytest.mark.parametrize(

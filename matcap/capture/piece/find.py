@@ -8,7 +8,7 @@ photograph.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -180,7 +180,7 @@ def find_piece(
         strengths = tell_strengths(sight, reading)
         reading = strengthened(reading, strengths)
     explained = _Explained(reading)
-    try:
+    with explained.until_interrupted():
         with stage("refine"):
             explained.reading = levelled(sight, reading)
         if target is not None and steps:
@@ -189,8 +189,6 @@ def find_piece(
                 wanted, limit = target(), seconds() if seconds else None
                 for each in legs(steps, limit, seed, doubt, tell):
                     explained.adapt(sight, wanted, each)
-    except KeyboardInterrupt:
-        explained.interrupted = True
     whole = plane if fine is None else fine
     with stage("lend"):
         tried = LEND.tried if steps and not explained.interrupted else LEND.tried_at_once
@@ -210,6 +208,14 @@ class _Explained:
     reading: Reading
     changes: list[Change] = field(default_factory=list)
     interrupted: bool = False
+
+    @contextmanager
+    def until_interrupted(self) -> Iterator[None]:
+        """What is done in the block, up to an interrupt."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            self.interrupted = True
 
     def adapt(self, sight: Sight, target: PhotographTarget, leg: Leg) -> None:
         """One leg more; interrupts with what it reached."""
@@ -267,7 +273,7 @@ def levelled(sight: Sight, reading: Reading) -> Reading:
     """Levels of the whole, then albedo and gloss of every texel, as the photograph has them."""
     flat = _even(sight, reading, reading.departures)
     plane = sight.plane
-    return _explained(sight, reading, level(flat, plane.linear, sight.shown, sight.light))
+    return _rerendered(sight, reading, level(flat, plane.linear, sight.shown, sight.light))
 
 
 @dataclass(frozen=True)
@@ -323,7 +329,7 @@ def adapted(
     )
     if found.change is None or not found.change.kept:
         return reading, found
-    return _explained(sight, reading, sight.light.departures(found.maps)), found
+    return _rerendered(sight, reading, sight.light.departures(found.maps)), found
 
 
 def lent(sight: Sight, reading: Reading, tried: int) -> Exemplar:
@@ -346,7 +352,7 @@ def _even(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Surf
     return flatten(departures, trusted, sight.glare)
 
 
-def _explained(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:
+def _rerendered(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:
     """Albedo and gloss moved until they re-render to the photograph."""
     least = max(sight.noise, REFINE.least_noise)
     linear = sight.plane.linear
