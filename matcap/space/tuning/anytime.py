@@ -14,12 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from matcap.flash.windows import Windows, side_by_side
+from matcap.space.tuning.tuned import FORECAST
 from matcap.statistics.compare import Weights, distance
 
 History = Sequence[tuple[float, int, float]]  # seconds, step, running error
-
-_FORECAST_EVERY = 20  # steps
-_LEAST_STEPS = 20  # fewer do not show where the error is going
 
 
 def self_difference(windows: Windows, weights: Weights) -> float:
@@ -57,7 +55,7 @@ def forecast(history: History, seconds: float) -> float | None:
     if not history:
         return None
     later = [point for point in history if point[0] >= 0.5 * history[-1][0]]
-    if len(later) < _LEAST_STEPS:
+    if len(later) < FORECAST.least_steps:
         return None
     times = np.log([max(point[0], 1e-3) for point in later])
     errors = np.array([point[2] for point in later])
@@ -79,7 +77,7 @@ class Forecaster:
     def after(self, error: float, seconds: float) -> tuple[float | None, float | None]:
         """The error after one more step, and what another minute would bring it to."""
         self._history.append((seconds, len(self._history) + 1, error))
-        if len(self._history) % _FORECAST_EVERY == 0:
+        if len(self._history) % FORECAST.every == 0:
             self._ahead = forecast(self._history, 60.0)
         return self._scaled(error), self._scaled(self._ahead)
 

@@ -10,12 +10,7 @@ from torch import Tensor
 
 from matcap.flash.adam import Adam
 from matcap.space.decoder import Decoder
-
-_SMOOTHING = 0.05  # of the running error
-_EXPLODED = 4.0  # times the running error
-_LEAST_ERROR = 0.1  # that the running error counts as at least, when it is asked what explodes
-_SNAPSHOT_EVERY = 20  # steps
-_LONGEST_GRADIENT = 1.0  # norm over all weights, beyond which it is shortened
+from matcap.space.tuning.tuned import GUARD
 
 
 class Guard:
@@ -50,19 +45,19 @@ class Guard:
         self._step += 1
         value = float(loss.detach())
         slope = math.nan
-        if math.isfinite(value) and not value > _EXPLODED * max(self.error, _LEAST_ERROR):
+        if math.isfinite(value) and not value > GUARD.exploded * max(self.error, GUARD.least_error):
             self.decoder.zero_grad(set_to_none=True)
             (loss + penalty).backward()
             parameters = self.decoder.parameters()
-            slope = float(torch.nn.utils.clip_grad_norm_(parameters, _LONGEST_GRADIENT))
+            slope = float(torch.nn.utils.clip_grad_norm_(parameters, GUARD.longest_gradient))
         if not math.isfinite(slope):
             self._back()
             return False
         self._optimiser.step(self._rate * pace)
-        smoothing = max(_SMOOTHING, 1.0 / self._step)
+        smoothing = max(GUARD.smoothing, 1.0 / self._step)
         before = value if math.isnan(self.error) else self.error
         self.error = before + smoothing * (value - before)
-        if self._step % _SNAPSHOT_EVERY == 0 and self.error < self._best_error:
+        if self._step % GUARD.snapshot_every == 0 and self.error < self._best_error:
             self._best = copy.deepcopy(self.decoder.state_dict())
             self._best_error = self.error
         return True

@@ -28,18 +28,9 @@ from matcap.flash.render import render_flash
 from matcap.flash.windows import shot_deviation
 from matcap.space.decoder import OUTPUTS
 from matcap.space.tuned import TunedDecoder
+from matcap.space.tuning.tuned import MATCH
 from matcap.statistics.encoding import shading
 
-_ROUNDS = 3  # of comparing and moving
-_BLOCK = 32  # texels a side over which light is averaged before means are compared
-_CLIPPED = 0.97  # of the clip level: brighter than this may be cut off
-_LEAST_SEEN = 0.05  # share of the texels; of fewer nothing is concluded
-# Of a shift, beside a squared share of diffuse light: where most light is mirrored, what is
-# missing of it says little about the diffuse albedo.
-_DAMPING = 0.1
-# One round's bounds and those of all together: more is another material's doing.
-_GAIN_STEP, _GAIN = (0.7, 1.4), (0.6, 1.7)
-_SHIFT = 1.0  # logits of diffuse albedo
 _LOGIT_EPSILON = 1e-5  # of albedo: bounds the logit at 0 and 1
 _DIFFUSE, _HEIGHT = slice(0, 3), slice(5, 6)  # of the raw outputs
 
@@ -95,21 +86,23 @@ def correction(material: Material, plane: Plane, seed: int) -> Correction:
         maps = material.maps(width, height, seed=seed)
         logit = torch.logit(maps.diffuse, eps=_LOGIT_EPSILON)
         moved, share = Correction(1.0, torch.zeros(3)), None
-        for _ in range(_ROUNDS):
+        for _ in range(MATCH.rounds):
             now = _moved(maps, logit, middle[_DIFFUSE], moved)
             clean = render_flash(now, material.setup, points)
             if share is None:
                 share = _diffuse_share(now, clean, material, points)
             seen = clean if hiss is None else clean + hiss * shot_deviation(clean)
-            unclipped = (plane.linear.amax(0) < _CLIPPED) & (seen.amax(0) < _CLIPPED)
+            unclipped = (plane.linear.amax(0) < MATCH.clipped) & (seen.amax(0) < MATCH.clipped)
             compared = plane.valid & unclipped
-            if float(compared.float().mean()) < _LEAST_SEEN:
+            if float(compared.float().mean()) < MATCH.least_seen:
                 break
             log = plane.encoding.log(seen[None])
             blocks = _Blocks(compared)
             moved = Correction(
-                _bounded(moved.gain * _gain(contrast, _contrast(log), blocks), _GAIN),
-                _shift((true - log)[0], share, moved.shift, blocks).clamp(-_SHIFT, _SHIFT),
+                _bounded(moved.gain * _gain(contrast, _contrast(log), blocks), MATCH.gain),
+                _shift((true - log)[0], share, moved.shift, blocks).clamp(
+                    -MATCH.shift, MATCH.shift
+                ),
             )
     return moved
 
@@ -126,7 +119,7 @@ class _Blocks:
 
     def __init__(self, compared: Tensor) -> None:
         self._compared = compared
-        self._size = min(_BLOCK, *compared.shape)
+        self._size = min(MATCH.block, *compared.shape)
         self.weight = F.avg_pool2d(compared.float()[None], self._size)
 
     def __call__(self, values: Tensor) -> Tensor:
@@ -166,7 +159,7 @@ def _gain(wanted: Tensor, found: Tensor, blocks: _Blocks) -> float:
         for measure in (torch.mean, torch.median)
     ]
     least, most = min(ratios), max(ratios)
-    return _bounded(_bounded(1.0, (least, most)), _GAIN_STEP)
+    return _bounded(_bounded(1.0, (least, most)), MATCH.gain_step)
 
 
 def _bounded(value: float, limits: tuple[float, float]) -> float:
@@ -181,4 +174,4 @@ def _shift(apart: Tensor, share: Tensor, already: Tensor, blocks: _Blocks) -> Te
     """
     apart, share, weight = blocks(apart), blocks(share), blocks.weight
     explained = weight * share * (apart + share * already[:, None, None])
-    return explained.sum((1, 2)) / (weight * (share.square() + _DAMPING)).sum((1, 2))
+    return explained.sum((1, 2)) / (weight * (share.square() + MATCH.damping)).sum((1, 2))

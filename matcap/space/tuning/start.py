@@ -17,11 +17,8 @@ from torch import Tensor
 from matcap.flash.coarse import CoarseFit
 from matcap.space.decoder import Decoder, DecoderConfig, with_cells
 from matcap.space.regular_order import CELL_CHANNELS
+from matcap.space.tuning.tuned import HEAD
 from matcap.statistics.encoding import shading
-
-_CONTRAST_GAIN = 1.2  # a sigmoid's slope below 1/2 is under 1: logits must swing a little further
-_SPECULAR_CONTRAST, _ROUGHNESS_CONTRAST = 0.1, 0.1  # logits
-_RELIEF = 0.15  # texels
 
 
 def head_start(coarse: CoarseFit, contrast: Tensor) -> tuple[Tensor, Tensor]:
@@ -35,8 +32,8 @@ def head_start(coarse: CoarseFit, contrast: Tensor) -> tuple[Tensor, Tensor]:
         torch.cat([coarse.logits(), torch.zeros(1)]),
         torch.cat(
             [
-                contrast * _CONTRAST_GAIN,
-                torch.tensor([_SPECULAR_CONTRAST, _ROUGHNESS_CONTRAST, _RELIEF]),
+                contrast * HEAD.contrast_gain,
+                torch.tensor([HEAD.specular_contrast, HEAD.roughness_contrast, HEAD.relief]),
             ]
         ),
     )
