@@ -1,4 +1,7 @@
-"""Files know each other one way: nobody imports, by whatever way round, who imports it."""
+"""Files know each other one way: nobody imports, by whatever way round, who imports it.
+
+`python tests/test_rooms.py` counts the arrows: which room names anything of which other, types too.
+"""
 
 import ast
 from collections.abc import Iterator
@@ -16,12 +19,12 @@ def name_of(file: Path) -> str:
     return ".".join(parts).removesuffix(".__init__")
 
 
-def imports(tree: ast.Module, known: set[str]) -> Iterator[str]:
-    """Modules that a file imports when it runs, also inside its functions; not what types name."""
+def imports(tree: ast.Module, known: set[str], *, types: bool = False) -> Iterator[str]:
+    """Modules that a file imports when it runs, inside functions too; or also what types name."""
     for_types = {
         id(inner)
         for node in ast.walk(tree)
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        if not types and isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
         for inner in ast.walk(node)
     }
     for node in ast.walk(tree):
@@ -34,15 +37,39 @@ def imports(tree: ast.Module, known: set[str]) -> Iterator[str]:
             yield from (alias.name for alias in node.names if alias.name in known)
 
 
-def test_no_files_go_in_circles() -> None:
+def graph_of(*, types: bool = False) -> dict[str, set[str]]:
+    """What each module imports."""
     files = {name_of(file): file for file in ROOT.rglob("*.py")}
     known = set(files)
-    graph = {
-        name: set(imports(ast.parse(file.read_text(encoding="utf-8")), known)) - {name}
-        for name, file in files.items()
-    }
+
+    def of(name: str) -> set[str]:
+        tree = ast.parse(files[name].read_text(encoding="utf-8"))
+        return set(imports(tree, known, types=types)) - {name}
+
+    return {name: of(name) for name in files}
+
+
+def test_no_files_go_in_circles() -> None:
+    graph = graph_of()
     assert sum(map(len, graph.values())) > 1000
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         raise AssertionError(" -> ".join(error.args[1])) from None
+
+
+def room(name: str) -> str:
+    """A package or file of the top level, or the package itself."""
+    return name.split(".")[1] if "." in name else "__init__"
+
+
+if __name__ == "__main__":
+    arrows = {
+        (room(one), room(other))
+        for one, others in graph_of(types=True).items()
+        for other in others
+        if room(one) != room(other)
+    }
+    print(len(arrows), "arrows")
+    for one, other in sorted(arrows):
+        print(one, "->", other)
