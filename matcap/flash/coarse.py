@@ -30,6 +30,7 @@ from torch import Tensor
 from matcap.flash.geometry import FlashSetup, rotation
 from matcap.flash.highlight import SURROUNDINGS, Highlight, find_highlight, light_of
 from matcap.flash.light import FlashLight, log_vignette
+from matcap.flash.rectify import CLIPPING
 from matcap.flash.uniform import Uniform
 from matcap.photo.photo import Photo
 
@@ -51,7 +52,6 @@ class CoarseSettings:
             linear up to the clip level itself.
         above_knee: what a model is blamed for being brighter than such a cell, of 1: it is darker
             than light was, but not by any amount.
-        clipping: a clipped pixel's channels above this did it.
         huber: log radiance; beyond it a residual counts linearly.
         iterations: of Levenberg-Marquardt, at most: of every start, and of those worth it.
         kept: starts that are worth finishing.
@@ -84,7 +84,6 @@ class CoarseSettings:
     knee_developed: float = 0.6
     knee_radiometric: float = 0.95
     above_knee: float = 0.25
-    clipping: float = 0.95
     huber: float = 0.1
     iterations: tuple[int, int] = (6, 30)
     kept: int = 2
@@ -397,7 +396,7 @@ def _cells(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) 
     rows, columns = photo.pixels.shape[:2]
     pixels = photo.pixels[top:bottom, left:right]
     small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float64)
-    full = photo.clipped[top:bottom, left:right, None] & (pixels > COARSE.clipping)
+    full = photo.clipped[top:bottom, left:right, None] & (pixels > CLIPPING)
     clipped = cv2.resize(full.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.02
     knee = COARSE.knee_radiometric if photo.radiometric else COARSE.knee_developed
     above = np.where(clipped, 0.0, np.where(small > knee, COARSE.above_knee, 1.0))

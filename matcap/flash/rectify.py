@@ -17,7 +17,7 @@ from matcap.flash.geometry import FlashSetup, setup_rotation
 from matcap.photo.photo import Photo
 
 _FINER = 2  # places a texel's side is seen at, where the photograph has more pixels than texels
-_CLIPPING = 0.95  # a clipped pixel's channels above this did it
+CLIPPING = 0.95  # a clipped pixel's channels above this did it
 MOST_CLIPPED = 0.25  # share of a texel that may have been clipped
 
 
@@ -45,7 +45,7 @@ def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
 
     A sparkle that clips in red still tells green and blue.
     """
-    full = photo.clipped[..., None] & (photo.pixels > _CLIPPING)
+    full = photo.clipped[..., None] & (photo.pixels > CLIPPING)
     clipped = _resampled(full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
     seen = inside(clipped.shape[:2], setup)[..., None] & (clipped < MOST_CLIPPED)
     return torch.from_numpy(seen).permute(2, 0, 1).contiguous()

@@ -22,21 +22,58 @@ from matcap.photo.photo import Photo
 
 Values = NDArray[np.float64]
 
-_TOE = 0.02  # of the median: bounds logarithms in the dark
-# The hot spot is the summit of a paraboloid fitted to log brightness around it.
-_HOT_CELLS, _HOT_BLUR, _HOT_REACH, _HOT_ROUNDS = 128, 0.08, 0.14, 4
-_HOT_EDGE = 0.12  # nearer the border than this part of a side, the highlight is cut off
-_FALLOFF = 1.12  # the hot spot over the border: less is no light beside the lens
-# Clipped shares (of the whole picture) that are worth a word, and that hurt.
-_CLIPPED, _MUCH_CLIPPED = 0.01, 0.05
-_TILTED, _MUCH_TILTED = 8.0, 14.0  # degrees; real lenses shift the branch by a few
-_SOFT, _BLURRED = 1.5, 2.6  # pixels of the photograph as it is used
-_SHARPEST = 0.25  # quantile over tiles: what is smooth by nature says nothing of focus
-_DETAIL = 1e-5  # squared slope of log light, per pixel, of tiles that have anything in them
-_UNEVEN, _MIXED = 2.0, 3.2  # in deviations of _USUAL
-# Usual differences from tile to tile: log contrast of fine and coarser bands, and two log hues.
-_USUAL = (0.4, 0.6, 0.15, 0.15)
-_TILES = 8  # along the long side
+
+@dataclass(frozen=True)
+class ShotSettings:
+    """How a shot is looked at, and when there is something to say; docs/notes/verdict.md.
+
+    Attributes:
+        toe: of the median: bounds logarithms in the dark.
+        hot_cells: across; the hot spot is the summit of a paraboloid fitted to log brightness
+            around it.
+        hot_blur: share of the width: deviation of the blur in which the brightest place is looked
+            for.
+        hot_reach: plane units: deviation of the weights of that fit.
+        hot_rounds: of moving it.
+        hot_edge: nearer the border than this part of a side, the highlight is cut off.
+        falloff: the hot spot over the border: less is no light beside the lens.
+        clipped: share of the whole picture that is worth a word, and ...
+        much_clipped: ... that hurts.
+        tilted: degrees; real lenses shift what is found by a few.
+        much_tilted: degrees; that hurts.
+        soft: pixels of the photograph as it is used.
+        blurred: likewise; that hurts.
+        sharpest: quantile over tiles: what is smooth by nature says nothing of focus.
+        least_detail: squared slope of log light, per pixel, of tiles that have anything in them.
+        uneven: in deviations of `usual`.
+        mixed: likewise; that hurts.
+        usual: differences from tile to tile: log contrast of fine and coarser bands, and two log
+            hues.
+        tiles: along the long side.
+    """
+
+    toe: float = 0.02
+    hot_cells: int = 128
+    hot_blur: float = 0.08
+    hot_reach: float = 0.14
+    hot_rounds: int = 4
+    hot_edge: float = 0.12
+    falloff: float = 1.12
+    clipped: float = 0.01
+    much_clipped: float = 0.05
+    tilted: float = 8.0
+    much_tilted: float = 14.0
+    soft: float = 1.5
+    blurred: float = 2.6
+    sharpest: float = 0.25
+    least_detail: float = 1e-5
+    uneven: float = 2.0
+    mixed: float = 3.2
+    usual: tuple[float, float, float, float] = (0.4, 0.6, 0.15, 0.15)
+    tiles: int = 8
+
+
+SHOT = ShotSettings()
 
 
 class Verdict(Enum):
@@ -141,16 +178,16 @@ def hot_spot(photo: Photo) -> tuple[tuple[float, float], float]:
         (x, y) in shares of the width and height of photo.pixels, from the left top; and the ratio
         of the blurred brightness there to that along the picture's border.
     """
-    light = _small(photo.pixels, _HOT_CELLS).mean(axis=-1)
-    light = np.log(light + _TOE * float(np.median(light)) + 1e-9)
+    light = _small(photo.pixels, SHOT.hot_cells).mean(axis=-1)
+    light = np.log(light + SHOT.toe * float(np.median(light)) + 1e-9)
     height, width = light.shape
-    blurred = cv2.GaussianBlur(light, (0, 0), _HOT_BLUR * width)
+    blurred = cv2.GaussianBlur(light, (0, 0), SHOT.hot_blur * width)
     row, column = np.unravel_index(int(blurred.argmax()), blurred.shape)
     y, x = float(row), float(column)
     rows, columns = np.mgrid[:height, :width].astype(np.float64)
-    for _ in range(_HOT_ROUNDS):
+    for _ in range(SHOT.hot_rounds):
         u, v = (columns - x) / width, (rows - y) / width
-        weight = np.exp(-(u**2 + v**2) / (4.0 * _HOT_REACH**2)).ravel()  # root of a Gaussian's
+        weight = np.exp(-(u**2 + v**2) / (4.0 * SHOT.hot_reach**2)).ravel()  # root of a Gaussian's
         terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(-1, 6)
         c = np.linalg.lstsq(terms * weight[:, None], light.ravel() * weight, rcond=None)[0]
         bend = np.array([[2.0 * c[3], c[4]], [c[4], 2.0 * c[5]]])
@@ -173,18 +210,18 @@ def softness(pixels: NDArray[np.float32]) -> float:
     """
     light = _log_light(pixels)
     one, two = (_tiles(_gradient_energy(light, scale)) for scale in (1.0, 2.0))
-    if float(np.quantile(one, 1.0 - _SHARPEST)) < _DETAIL:
+    if float(np.quantile(one, 1.0 - SHOT.sharpest)) < SHOT.least_detail:
         return math.nan
     ratio = np.clip(two / np.maximum(one, 1e-12), 0.0, 0.99)
     blur = np.sqrt(np.maximum(4.0 * ratio - 1.0, 0.0) / (1.0 - ratio))
-    return float(np.quantile(blur, _SHARPEST))
+    return float(np.quantile(blur, SHOT.sharpest))
 
 
 def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Values:
     """(rows, columns) how far tiles differ from what a uniform material would show there.
 
     Compared are contrast in two bands and hue, after what changes evenly with the distance from
-    the hot spot has been taken away: that is the flash's work. 1 is usual, see _USUAL.
+    the hot spot has been taken away: that is the flash's work. 1 is usual, see SHOT.usual.
 
     Args:
         pixels: (H, W, 3) linear.
@@ -193,7 +230,7 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
     light = _log_light(pixels)
     width = light.shape[1]
     fine, middle = (cv2.GaussianBlur(light, (0, 0), width / s) for s in (128.0, 32.0))
-    colour = np.log(pixels + _TOE * float(np.median(pixels)) + 1e-9)
+    colour = np.log(pixels + SHOT.toe * float(np.median(pixels)) + 1e-9)
     looks = [
         0.5 * np.log(_tiles((light - fine) ** 2) + 1e-6),
         0.5 * np.log(_tiles((fine - middle) ** 2) + 1e-6),
@@ -206,14 +243,14 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
     squared += (((y + 0.5) / rows - place[1]) * pixels.shape[0] / width) ** 2
     terms = np.stack([np.ones_like(x), squared, np.exp(-40.0 * squared)], axis=-1).reshape(-1, 3)
     total = np.zeros_like(x)
-    for look, usual in zip(looks, _USUAL, strict=True):
+    for look, usual in zip(looks, SHOT.usual, strict=True):
         even = terms @ np.linalg.lstsq(terms, look.ravel(), rcond=None)[0]
         total += ((look - even.reshape(look.shape)) / usual) ** 2
     return np.sqrt(total)
 
 
 def _flash(photo: Photo, falloff: float) -> Finding:
-    name, fired, shows = "flash", photo.flash_fired, falloff > _FALLOFF
+    name, fired, shows = "flash", photo.flash_fired, falloff > SHOT.falloff
     if fired is False:
         return Finding(
             name,
@@ -240,10 +277,10 @@ def _flash(photo: Photo, falloff: float) -> Finding:
 def _clipped(photo: Photo) -> Finding:
     share = photo.clipped_share
     says = f"{_percent(share)} of the picture is clipped."
-    if share < _CLIPPED:
+    if share < SHOT.clipped:
         return Finding("clipped", share, Verdict.GOOD, says)
-    verdict = Verdict.POOR if share >= _MUCH_CLIPPED else Verdict.DOUBTFUL
-    stops = "two stops" if share >= 2.0 * _MUCH_CLIPPED else "one stop"
+    verdict = Verdict.POOR if share >= SHOT.much_clipped else Verdict.DOUBTFUL
+    stops = "two stops" if share >= 2.0 * SHOT.much_clipped else "one stop"
     return Finding("clipped", share, verdict, says, f"Lower the exposure by {stops}.")
 
 
@@ -252,7 +289,7 @@ def _hot_spot(photo: Photo, place: tuple[float, float]) -> Finding:
     value = [round(x, 4), round(y, 4)]
     edge = min(x, 1.0 - x, y, 1.0 - y)
     says = f"The hot spot is {_whereabouts(x, y)}, at {x:.0%} from the left and {y:.0%} from above."
-    if edge >= _HOT_EDGE:
+    if edge >= SHOT.hot_edge:
         return Finding("hot_spot", value, Verdict.GOOD, says)
     return Finding(
         "hot_spot",
@@ -272,14 +309,14 @@ def _tilt(photo: Photo, tilt: tuple[float, float] | None) -> Finding:
         right, up = up, -right
     degrees = math.hypot(right, up)
     value = {"degrees": round(degrees, 2), "right": round(right, 2), "up": round(up, 2)}
-    if degrees < _TILTED:
+    if degrees < SHOT.tilted:
         says = f"The phone was square enough to the sample: {degrees:.1f} degrees off."
         return Finding("tilt", value, Verdict.GOOD, says)
     side = _side(right, up)
     return Finding(
         "tilt",
         value,
-        Verdict.POOR if degrees >= _MUCH_TILTED else Verdict.DOUBTFUL,
+        Verdict.POOR if degrees >= SHOT.much_tilted else Verdict.DOUBTFUL,
         f"The phone was tilted by {degrees:.0f} degrees: the sample's {side} side was nearer.",
         f"Stand squarer: lift the phone's {side} side until it is parallel to the sample.",
     )
@@ -293,9 +330,9 @@ def _sharpness(photo: Photo) -> Finding:
         remedy = "Check by eye that the focus was on the sample."
         return Finding("sharpness", None, Verdict.NOTE, says, remedy)
     value = round(blur, 3)
-    if blur < _SOFT:
+    if blur < SHOT.soft:
         return Finding("sharpness", value, Verdict.GOOD, f"Sharp at {width} pixels across.")
-    soft = blur < _BLURRED
+    soft = blur < SHOT.blurred
     return Finding(
         "sharpness",
         value,
@@ -309,7 +346,7 @@ def _sharpness(photo: Photo) -> Finding:
 def _stationarity(photo: Photo) -> Finding:
     tiles = unevenness(photo.pixels, hot_spot(photo)[0])
     value = float(np.sqrt(np.mean(tiles**2)))
-    if value < _UNEVEN:
+    if value < SHOT.uneven:
         return Finding(
             "stationarity", round(value, 3), Verdict.GOOD, "The sample looks the same all over."
         )
@@ -319,7 +356,7 @@ def _stationarity(photo: Photo) -> Finding:
     return Finding(
         "stationarity",
         round(value, 3),
-        Verdict.DOUBTFUL if value < _MIXED else Verdict.POOR,
+        Verdict.DOUBTFUL if value < SHOT.mixed else Verdict.POOR,
         f"The sample does not look the same all over; it differs most {where}.",
         "Fill the picture with one material: no edges, stains, labels or shadows.",
     )
@@ -394,7 +431,7 @@ def _percent(share: float) -> str:
 
 def _log_light(pixels: NDArray[np.float32]) -> NDArray[np.float32]:
     light = pixels.mean(axis=-1)
-    logarithm: NDArray[np.float32] = np.log(light + _TOE * float(np.median(light)) + 1e-9)
+    logarithm: NDArray[np.float32] = np.log(light + SHOT.toe * float(np.median(light)) + 1e-9)
     return logarithm
 
 
@@ -412,5 +449,5 @@ def _small(picture: NDArray[np.float32], columns: int) -> Values:
 
 
 def _tiles(picture: NDArray[np.float32]) -> Values:
-    """Means over about square tiles, _TILES along the long side."""
-    return _small(picture, _TILES)
+    """Means over about square tiles, SHOT.tiles along the long side."""
+    return _small(picture, SHOT.tiles)

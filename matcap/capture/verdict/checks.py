@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from matcap.capture.verdict.evidence import Evidence
 from matcap.capture.verdict.rating import Rating
 from matcap.flash.highlight import Highlight
+from matcap.photo.inspect import SHOT
 
 # Where severities 1, 2 and 3 are reached.
 Limits = tuple[float, float, float]
@@ -40,8 +41,8 @@ class VerdictLimits:
         plain_order: likeness of a photograph whose order is plain to see.
         piece: log radiance, of the photographed piece's own maps.
         guessed: mean of what confidence lacks.
-        uneven: of parts of the photograph; the first two are photo/inspect.py's.
-        tilted: degrees; likewise.
+        uneven: of parts of the photograph.
+        tilted: degrees.
         placed: plane units: a flash sits one or two centimetres off.
         clipped: share of the photograph.
     """
@@ -52,7 +53,7 @@ class VerdictLimits:
     apart_of_width: Limits = (0.1, 0.25, 0.5)
     wider: Limits = (math.log(1.3), math.log(1.8), math.log(3.0))
     brighter: Limits = (math.log(1.3), math.log(1.8), math.log(3.0))
-    flash: Limits = (-1.5, -1.25, -1.12)
+    flash: Limits = (-1.5, -1.25, -SHOT.falloff)
     colour: Limits = (0.06, 0.15, 0.35)
     light: Limits = (0.12, 0.22, 0.4)
     texture: Limits = (1.1, 1.5, 2.3)
@@ -62,8 +63,8 @@ class VerdictLimits:
     plain_order: float = 0.15
     piece: Limits = (0.12, 0.22, 0.4)
     guessed: Limits = (0.6, 0.75, 0.9)
-    uneven: Limits = (2.0, 3.2, 4.5)
-    tilted: Limits = (8.0, 14.0, 25.0)
+    uneven: Limits = (SHOT.uneven, SHOT.mixed, 4.5)
+    tilted: Limits = (SHOT.tilted, SHOT.much_tilted, 25.0)
     placed: Limits = (0.25, 0.35, 0.6)
     clipped: Limits = (0.02, 0.08, 0.25)
 
@@ -143,7 +144,8 @@ def _flash(seen: Evidence) -> QualityCheck:
     )
 
 
-def _plain(highlight: Highlight | None) -> bool:
+def plain(highlight: Highlight | None) -> bool:
+    """Whether a highlight is plain to see."""
     return (
         highlight is not None
         and highlight.width < LIMITS.widest
@@ -154,7 +156,7 @@ def _plain(highlight: Highlight | None) -> bool:
 def _highlight(seen: Evidence) -> QualityCheck:
     before, after = seen.highlights
     remedy = f"{_TRY}, give --fov if you know it, or {_SHOOT}"
-    if not _plain(before) and not _plain(after):
+    if not plain(before) and not plain(after):
         return QualityCheck("highlight", 0.0, "no highlight is plain to see in either")
     if after is None:
         return QualityCheck(
@@ -167,7 +169,7 @@ def _highlight(seen: Evidence) -> QualityCheck:
     own = LIMITS.faintest if before is None else before.contrast
     more = severity(math.log(after.contrast / own), LIMITS.brighter)
     # Between a highlight that is just plain to see and one that just is not there is no step.
-    new = 0.0 if _plain(before) else 1.0 if before is None else min(more, 1.0)
+    new = 0.0 if plain(before) else 1.0 if before is None else min(more, 1.0)
     worst, says, cause = _unlike(before, after) if before is not None else (more, "", "")
     if new == 1.0:
         says = "the re-rendering has a highlight that the photograph has not"

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.verdict.checks import plain
 from matcap.files.picture import write_picture
 from matcap.flash.coarse import CoarseFit, fit_coarse, render_coarse
 from matcap.flash.geometry import FlashSetup
@@ -27,8 +28,6 @@ from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
 from matcap.photo.photo import DEFAULT_FOV, Photo
 
-# A highlight that is plain to see: narrower than the falloff, and so much over its surroundings.
-_WIDEST, _FAINTEST = 0.34, 2.0
 # What keeping it means: plane units between centres, and shares of width and of contrast.
 CENTRE, WIDTH, CONTRAST = 0.03, 0.2, 0.2
 # Simulated photographs: degrees across, plane units of offset, degrees of tilt.
@@ -95,15 +94,10 @@ class Placed:
     tilt: float
 
 
-def visible(highlight: Highlight | None) -> bool:
-    """Whether a highlight is plain to see."""
-    return highlight is not None and highlight.width < _WIDEST and highlight.contrast > _FAINTEST
-
-
 def keep(photo: Photo) -> tuple[Kept | None, CoarseFit | None]:
     """Fit a photograph and compare highlights; None where none is plain to see."""
     found = find_highlight(light_of(photo.pixels))
-    if found is None or not visible(found):
+    if found is None or not plain(found):
         return None, None
     start = time.process_time()
     fit = fit_coarse(photo)
@@ -170,7 +164,7 @@ def place(kind: str, photo: Photo, truth: FlashSetup) -> Placed:
     found = fit.setup
     return Placed(
         kind,
-        visible(find_highlight(light_of(photo.pixels))),
+        plain(find_highlight(light_of(photo.pixels))),
         math.dist(found.offset[:2], truth.offset[:2]),
         math.degrees(math.dist(found.tilt, truth.tilt)),
     )
