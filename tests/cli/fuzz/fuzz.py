@@ -23,7 +23,8 @@ from pathlib import Path
 
 from inputs import spoil, write_inputs
 
-from matcap.batch.crew import Processes, Tell
+from matcap.batch.crew import Processes
+from matcap.files.progress import TellProgress
 
 LONGEST = 10.0  # seconds
 LARGEST = 2 << 30  # bytes
@@ -53,7 +54,7 @@ class Fault:
     what: str
 
 
-def read(job: Input, tell: Tell) -> tuple[str, str]:
+def read(job: Input, tell: TellProgress) -> tuple[str, str]:
     """Read an input, in a worker: ("good" or "refused" or "fault", details)."""
     from matcap.errors import MatcapError
 
