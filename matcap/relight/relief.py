@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from ctypes import byref, c_int64
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +18,9 @@ from matcap.relight.vectors import Array
 
 # How far above the surface a ray must start, as a share of the relief, against rounding.
 _LIFT = 2e-6
+# Texels around one within which slopes bound what hides a ray; the outer rims of rings beyond.
+_NEAR, _RINGS = 2, (5, 10, 20, 40)
+_ROUNDING = 1.0 + 1e-5
 
 
 @dataclass(frozen=True)
@@ -71,11 +75,22 @@ class Relief:
     @cached_property
     def field(self) -> CField:
         """As the loops know it; the heights live as long as this."""
+        return self._field()
+
+    @cached_property
+    def swift(self) -> CField:
+        """The same for loops that follow many rays from each place: none that are clear."""
+        told = self._field()
+        told.clear = self.clear.ctypes.data
+        return told
+
+    def _field(self) -> CField:
         width, height = self.texture.size
-        lift = _LIFT * (self.high - self.low)
-        place = self.heights.ctypes.data
-        ends = int(not self.endless)
-        return CField(place, width, height, ends, lift, self.high, self.low, self.texel_size)
+        lift, ends = _LIFT * (self.high - self.low), int(not self.endless)
+        return CField(
+            self.heights.ctypes.data, width, height, ends, lift, self.high, self.low,
+            self.texel_size,
+        )  # fmt: skip
 
     def at(self, u: Array, v: Array) -> Array:
         """Heights at places (u, v) in plane units, float32."""
@@ -92,6 +107,33 @@ class Relief:
     def around(self) -> Literal["wrap", "edge"]:
         """What np.pad puts around its texels."""
         return "wrap" if self.endless else "edge"
+
+    @cached_property
+    def clear(self) -> Array:
+        """(H W,) tangents of elevation: no ray above them meets the surface.
+
+        A texel's holds for rays that start on the surface within half a texel of it. Near by the
+        surface rises no faster than it is steep; farther away, within each ring, it is no higher
+        than the highest texel there and no nearer than the ring.
+        """
+        width, height = self.texture.size
+        field = self.heights.reshape(height, width) / np.float32(self.texel_size)
+        wide = np.pad(field, 1, mode=self.around)
+        across, down = np.abs(np.diff(wide, axis=1)), np.abs(np.diff(wide, axis=0))
+        # Of the cells between four texels, and then of the four cells around a texel.
+        cells = np.hypot(np.maximum(across[:-1], across[1:]), np.maximum(down[:, :-1], down[:, 1:]))
+        steep = np.maximum(cells[:-1], cells[1:])
+        steep = np.maximum(steep[:, :-1], steep[:, 1:])
+        lowest = field - steep * np.float32(math.sqrt(0.5))
+        found = _highest(steep, _NEAR, self.around)
+        nearest = float(_NEAR)
+        for reach in _RINGS:
+            peaks = self.peaks(reach).reshape(height, width) / np.float32(self.texel_size)
+            found = np.maximum(found, (peaks - lowest) / nearest)
+            nearest = reach - 0.5
+        highest = np.float32(self.high / self.texel_size)
+        found = np.maximum(found, (highest - lowest) / nearest) * np.float32(_ROUNDING)
+        return np.ascontiguousarray(found, dtype=np.float32).ravel()
 
     def peaks(self, reach: int) -> Array:
         """(H W,) the highest texel within so many texels of each, along either axis."""

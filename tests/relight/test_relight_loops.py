@@ -1,5 +1,7 @@
 """The compiled loops are the plain ones of tests/relight/plain."""
 
+from dataclasses import replace
+
 import numpy as np
 import plain.area
 import plain.environment
@@ -16,6 +18,7 @@ from relight_samples import bumpy
 from matcap.errors import MatcapError
 from matcap.files.exr import write_exr
 from matcap.relight.block import Block, ShadingContext
+from matcap.relight.budget import Budget
 from matcap.relight.clock import Clock
 from matcap.relight.effects import area, direct, environment, parallax, shadows
 from matcap.relight.environment_map import environment_of
@@ -133,6 +136,24 @@ def test_shadows(relief, far):
     assert (found != expected).mean() <= 1e-3
 
 
+@pytest.mark.parametrize("endless", [False, True])
+def test_no_ray_is_hidden_above_a_clear_tangent(relief, endless):
+    """From anywhere in a texel, along any azimuth; and half as high some are."""
+    relief = replace(relief, endless=endless)
+    (u, v), generator = scattered(6000)
+    column, row = (np.rint(one).astype(int) for one in relief.texels(u, v))
+    inside = (column >= 0) & (column < 44) & (row >= 0) & (row < 32)
+    u, v, at = u[inside], v[inside], (row * 44 + column)[inside]
+    tangent, turn = relief.clear[at], generator.uniform(0.0, 2.0 * np.pi, u.size)
+    hidden = []
+    for share in (1.0001, 0.5):
+        towards = unit((np.cos(turn), np.sin(turn), share * tangent))
+        towards = tuple(one.astype(np.float32) for one in towards)
+        hidden.append(~shadows.lit(relief, (u, v), relief.at(u, v), towards, None))
+    assert not hidden[0].any()
+    assert hidden[1].mean() > 0.03
+
+
 def test_heights(relief):
     (u, v), _ = scattered(4000)
     np.testing.assert_allclose(relief.at(u, v), plain.relief.at(relief, u, v), atol=1e-7)
@@ -198,6 +219,19 @@ def test_lights_with_a_size(relief, light, framed, shaded):
         assert np.quantile(off / np.abs(total).mean(), 0.97) <= 5e-4
         off = np.abs(block.flow[:, orders == order] / 2.0 - flow).max(axis=0)
         assert np.quantile(off / np.abs(flow).mean(), 0.97) <= 5e-4
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_lights_with_a_size_where_pixels_choose(relief, light):
+    """As fine as a pixel asks for is as good as as fine as can be, for neighbours, too."""
+    plain, chosen = (pixels(relief, np.random.default_rng(2), rough=(0.3, 1.0)) for _ in range(2))
+    chosen.context = replace(chosen.context, budget=Budget(1e-3, Film(), frozenset()))
+    area.add(plain, light)
+    area.add(chosen, light)
+    for found, expected in ((chosen.total, plain.total), (chosen.flow, plain.flow)):
+        off = np.abs(found - expected).max(axis=0) / np.abs(expected).mean()
+        assert np.quantile(off, 0.9) <= 2e-3
+        assert off.max() <= 0.1
 
 
 def test_a_light_too_large_for_rules_in_a_near_mirror_is_sampled(relief):

@@ -6,8 +6,9 @@ of each pixel, from 3 x 3 to 16 x 16 points. Where even that is too coarse (a la
 near-mirror) the specular lobe is sampled instead, at 144 visible normals, each of which sees the
 light or does not. Where tiles are decided on their own, each pixel has the rule that its own lobe
 asks for, as far from its peak as the light is. Where relief hides a part of a light the rule is put
-together from rules for its 16 parts. A light that sets behind the horizon of a point makes the
-integrand bend, which costs accuracy there.
+together from rules for its 16 parts, each as dark as the rays to it find it; rays that are steeper
+than anything around are not followed (Relief.clear). A light that sets behind the horizon of a
+point makes the integrand bend, which costs accuracy there, and takes 12 x 12 points.
 
 Left out: all light comes from the light's middle, with the intensity of the whole. Cost: 9 to 256
 point lights.
@@ -94,10 +95,12 @@ def add(block: Block, light: AreaLight) -> None:
         diffuse=plan.on("diffuse"),
         specular=plan.on("specular"),
     )
-    ran = np.zeros(block.tiles.size, dtype=np.uint8)
+    ran, field = np.zeros(block.tiles.size, dtype=np.uint8), None
+    if plan.on("shadows"):
+        field = byref(relief.swift if block.thrifty else relief.field)
     with block.context.clock.on("area"):
         loops().matcap_relight_area(
-            byref(block.told), byref(told), byref(relief.field) if plan.on("shadows") else None,
+            byref(block.told), byref(told), field,
             byref(directions(SAMPLES)[0]), Whole(block.thrifty), address(ran),
         )  # fmt: skip
     block.ran("area", ran > 0)
@@ -123,7 +126,7 @@ def _told(
     # Beyond the last order the lobe is sampled, and this is for diffuse light.
     for number, order in enumerate((*ORDERS, 6), start=1):
         told.plain[number] = _rule(rule(light, order), order, kept)
-        parted = max(4 * math.ceil(order / 4), 12)
+        parted = 12 if number > len(ORDERS) else max(4 * math.ceil(order / 4), 8)
         told.parted[number] = _rule(rule(light, parted, parts=True), parted, kept)
     told.probe = _rule(rule(light, 4), 4, kept)
     return told, kept

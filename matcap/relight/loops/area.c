@@ -2,7 +2,8 @@
 
 #include "loops.h"
 
-enum { RULES = 7, SAMPLED = 7 }; /* the last number has no rule for the lobe */
+/* The last number has no rule for the lobe; where a light sets its parts take so fine a one. */
+enum { RULES = 7, SAMPLED = 7, SETTING = 5 };
 
 typedef struct {
     /* A rectangle's nodes: places x, y, z. A sphere's: height on the cap, cosine and sine of the
@@ -81,6 +82,16 @@ INLINE int number(const AreaLight *l, float needed) {
     return one;
 }
 
+/* How far a light reaches along an axis of the material's frame, from its middle. */
+INLINE float extent(const AreaLight *l, const float side[2][3], const float axis[3]) {
+    if (l->radius > 0.0f) return l->radius;
+    float reach = 0.0f;
+    for (int k = 0; k < 2; k++)
+        reach += 0.5f * l->size[k] *
+                 fabsf(side[k][0] * axis[0] + side[k][1] * axis[1] + side[k][2] * axis[2]);
+    return reach;
+}
+
 /* The rule that a pixel needs, 0 where the light is below; `sets` where it does. Wherever the lobe
    points, as many points as the light is wide for it; where `thrifty`, as many as it needs as far
    from its peak as the light is: GGX is (alpha^2 + t^2)^-2 in the tangent t between normal and
@@ -89,25 +100,32 @@ static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int thrifty, i
     float o[3], h[3], distance = 0.0f, nl = 0.0f, squared = 0.0f, alpha = p->alpha[i];
     for (int k = 0; k < 3; k++) o[k] = l->place[k] - p->point[k][i], distance += o[k] * o[k];
     distance = sqrtf(distance);
-    for (int k = 0; k < 3; k++) o[k] /= distance;
-    to_frame(p, i, o);
-    float angle = atan2f(l->half, larger(distance - l->half, 1e-6f));
+    float angle = arctangent(l->half / larger(distance - l->half, 1e-6f));
     float needed = 3.0f + ceilf(l->density * angle / (2.0f * larger(alpha, 1e-6f)) + 6.0f * angle);
     int plain = number(l, needed);
     *sets = 1;
     if (!thrifty) return plain;
+    float n[3], up[3] = {0.0f, 0.0f, 1.0f}, side[2][3];
+    to_frame(p, i, o);
     for (int k = 0; k < 3; k++) {
-        nl += p->normal[k][i] * o[k], h[k] = o[k] + p->view[k][i], squared += h[k] * h[k];
+        n[k] = p->normal[k][i], side[0][k] = l->across[k], side[1][k] = l->along[k];
+        nl += n[k] * o[k];
     }
-    float cosine = nl + p->n_dot_v[i];
-    float away = atan2f(sqrtf(larger(squared - cosine * cosine, 0.0f)), larger(cosine, 1e-6f));
-    /* The microfacet turns half as far as the light, and a little more at grazing views. */
-    float clear = tanf(smaller(larger(away - angle * l->turn, 0.0f), 1.5f));
-    float sharp = sqrtf(alpha * alpha + clear * clear), sine = sinf(smaller(angle, HALF_PI));
-    float lowest = smaller(nl, o[2]);
-    *sets = lowest < sine;
-    if (lowest < -sine) return 0;
+    to_frame(p, i, side[0]), to_frame(p, i, side[1]);
+    float tilted = extent(l, side, n), level = extent(l, side, up);
+    if (o[2] + level < 0.0f) return 0;
+    *sets = o[2] < level;
+    /* What the normal does not face lights neighbours. */
+    if (nl + tilted < 0.0f) return p->flow[0] ? 1 : 0;
+    *sets |= nl < tilted;
     if (*sets || plain >= SAMPLED) return plain;
+    for (int k = 0; k < 3; k++)
+        h[k] = o[k] / distance + p->view[k][i], squared += h[k] * h[k];
+    float cosine = larger(nl / distance + p->n_dot_v[i], 1e-6f);
+    /* The microfacet turns half as far as the light, and a little more at grazing views. */
+    float away = sqrtf(larger(squared - cosine * cosine, 0.0f)) / cosine;
+    float near = tanf(angle * l->turn), clear = larger((away - near) / (1.0f + away * near), 0.0f);
+    float sharp = sqrtf(alpha * alpha + clear * clear);
     int fewer = number(l, 2.0f + l->rate * angle / sharp + l->spread * angle);
     return fewer < plain ? fewer : plain;
 }
@@ -118,11 +136,16 @@ static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int thrifty, i
 INLINE int parts_lit(const AreaLight *l, const Pixels *p, int64_t i, const Field *f, Seen *s,
                      float *arriving) {
     int risen[CELLS] = {0}, lit[CELLS] = {0}, clear = 1;
+    float above = 1.0f;
+    if (f->clear) {
+        float tangent = f->clear[nearest(f->columns, f->rows, p->column[i], p->row[i])];
+        above = tangent / sqrtf(1.0f + tangent * tangent);
+    }
     look_at(l, &l->probe, p, i, s);
     for (int n = 0; n < l->probe.nodes; n++) {
         /* What has set behind the surface itself is no matter of shadows. */
         if (!(s->z[n] > 0.0f) || l->probe.weight[n] == 0.0f) continue;
-        int one = arrives(f, p->column[i], p->row[i], p->height[i], s->x[n], s->y[n], s->z[n],
+        int one = s->z[n] > above || arrives(f, p->column[i], p->row[i], p->height[i], s->x[n], s->y[n], s->z[n],
                           s->distance[n]);
         risen[l->probe.cell[n]]++, lit[l->probe.cell[n]] += one, clear &= one;
     }
@@ -237,7 +260,8 @@ WIDE void matcap_relight_area(const Pixels *p, const AreaLight *l, const Field *
             squared += (l->place[k] - p->point[k][i]) * (l->place[k] - p->point[k][i]);
         float fading = l->even > 0.0f ? squared * l->even : 1.0f;
         int lobe = l->specular && which != SAMPLED;
-        integrate(l, parted ? &l->parted[which] : &l->plain[which], p, i, parted ? shadow : NULL,
+        int fine = sets && which < SETTING ? SETTING : which;
+        integrate(l, parted ? &l->parted[fine] : &l->plain[which], p, i, parted ? shadow : NULL,
                   lobe, fading, &s);
         for (int c = 0; c < CELLS && parted; c++) seen += shadow[c] / CELLS;
         if (l->specular && which == SAMPLED) sampled(l, at, p, i, parted ? seen : 1.0f);

@@ -15,7 +15,7 @@ from matcap.errors import MatcapError
 from matcap.relight.vectors import Array
 
 # Of loops.h, as are the three below.
-_FORM = 2
+_FORM = 3
 LANES, CHANNELS, AZIMUTHS = 8, 9, 16
 
 Pointer, Whole, Real = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float

@@ -22,7 +22,7 @@
 
 enum {
     /* Raised with every change of results or arguments, here and in loops/library.py. */
-    FORM = 2,
+    FORM = 3,
     LANES = 8,     /* numbers added up side by side */
     NODES = 512,   /* of a rule, at most: 16 rings of 32 */
     POINTS = 4184, /* of a lattice, at most, and LANES - 1 more */
@@ -41,6 +41,7 @@ typedef struct {
     int32_t ends; /* beyond its border it goes on as it is there; else it repeats */
     float lift;   /* how far above the surface rays start */
     double high, low, texel;
+    const float *clear; /* of each texel, the tangent above which no ray is hidden; or NULL */
 } Field;
 
 /* Pixels of a block, arrays of `count`; pointers that are NULL mean that nobody asks. */

@@ -20,6 +20,7 @@ class CField(ctypes.Structure):
     _fields_ = (
         ("heights", Pointer), ("columns", Whole), ("rows", Whole), ("ends", Whole), ("lift", Real),
         ("high", ctypes.c_double), ("low", ctypes.c_double), ("texel", ctypes.c_double),
+        ("clear", Pointer),
     )  # fmt: skip
 
 
