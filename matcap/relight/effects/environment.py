@@ -60,6 +60,8 @@ def bound(facts: Facts) -> Bound:
     # The share of a tilted normal's hemisphere that lies below the plane, diffuse and specular.
     tilt = 1.0 if facts.slope > 0.0 else 0.0
     reason = f"radiance differs by up to {facts.sky_varying:.2g} from its mean"
+    if facts.sky_varying == 0.0:
+        reason = "tilted normals face what lies below the surface"
     return Bound(facts.sky_varying * both + tilt * facts.sky * both, reason)
 
 
