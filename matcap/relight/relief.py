@@ -128,7 +128,7 @@ class Relief:
         found = _highest(steep, _NEAR, self.around)
         nearest = float(_NEAR)
         for reach in _RINGS:
-            peaks = self.peaks(reach).reshape(height, width) / np.float32(self.texel_size)
+            peaks = _highest(field, reach, self.around)
             found = np.maximum(found, (peaks - lowest) / nearest)
             nearest = reach - 0.5
         highest = np.float32(self.high / self.texel_size)

@@ -45,6 +45,8 @@ _DENSITY = 1.5
 # between softboxes, without shadows: with three quarters of these, no code is off by more than 0.4
 # of half a step.
 _RATE, _SPREAD, _TURN = 1.0, 2.0, 0.6
+# Where rays are clear takes 0.04 microseconds a texel to find, and saves 0.2 a pixel and more.
+_TEXELS_A_PIXEL = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +99,9 @@ def add(block: Block, light: AreaLight) -> None:
     )
     ran, field = np.zeros(block.tiles.size, dtype=np.uint8), None
     if plan.on("shadows"):
-        field = byref(relief.swift if block.thrifty else relief.field)
+        pixels, texels = math.prod(block.context.tally.size), len(relief.heights)
+        swift = block.thrifty and texels <= _TEXELS_A_PIXEL * pixels
+        field = byref(relief.swift if swift else relief.field)
     with block.context.clock.on("area"):
         loops().matcap_relight_area(
             byref(block.told), byref(told), field,
