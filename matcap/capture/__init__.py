@@ -1,1 +1,1 @@
-"""From a photograph to a material: coarse fit, fine-tuning, freezing, report."""
+"""From a photograph to a piece to a material to a folder: one named stage after another."""

@@ -71,9 +71,11 @@ class SynthProgress(Progress):
 
     Attributes:
         rate: texels a second, what was resumed left out.
+        resumed: share of the whole that was there before.
     """
 
     rate: float = 0.0
+    resumed: float = 0.0
 
 
 @dataclass(frozen=True)

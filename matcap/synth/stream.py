@@ -114,4 +114,5 @@ class _Clock:
         seconds = time.monotonic() - self._start
         rate = (self._texels - self._resumed) / max(seconds, 1e-9)
         left = (self._total - self._texels) / rate if rate else None
-        self._tell(SynthProgress("", self._texels / self._total, seconds, left, rate))
+        share, resumed = (texels / self._total for texels in (self._texels, self._resumed))
+        self._tell(SynthProgress("", share, seconds, left, rate, resumed))
