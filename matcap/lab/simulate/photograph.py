@@ -94,7 +94,7 @@ def take(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> Shot:
     blurred = cv2.GaussianBlur(picture, (0, 0), camera.blur * fine)
     size = (camera.width, camera.height)
     linear = np.asarray(cv2.resize(blurred, size, interpolation=cv2.INTER_AREA), np.float64)
-    gain = _exposure(linear, camera)
+    gain = sensor_exposure(linear, camera)
     return Shot(linear * gain, setup.with_intensity((gain, gain, gain)), camera)
 
 
@@ -197,7 +197,7 @@ def _through_lens(
     )
 
 
-def _exposure(linear: NDArray[np.float64], camera: PhoneCamera) -> float:
+def sensor_exposure(linear: NDArray[np.float64], camera: PhoneCamera) -> float:
     """Gain that brings the mean to the camera's brightness, or the brightest pixels to 1."""
     brightest = float(np.quantile(linear.max(axis=-1), 1.0 - camera.clipped))
     return min(camera.brightness / float(linear.mean()), 1.0 / brightest)

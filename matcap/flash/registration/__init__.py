@@ -1,0 +1,1 @@
+"""Where the cameras of several photographs of one flat piece stood."""

@@ -1,0 +1,251 @@
+"""Bundle adjustment: all cameras and the lens they share, over all matches at once.
+
+Every other photograph's matches are with the first one, whose view of the plane is its own: what
+is unknown of it is how the plane leans. Levenberg and Marquardt's steps on Huber's cost; residuals
+of a photograph depend on its own six numbers and the common ones alone, so derivatives are few.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.registration.camera import Lens, PosedCamera
+
+Doubles = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AdjustSettings:
+    """What is believed before anything is measured, and how long it is looked for.
+
+    Attributes:
+        huber: pixels beyond which a residual counts linearly.
+        counted: matches of a photograph that count as independent, however many there are: relief
+            shifts those that lie together by its parallax, all the same way.
+        relief: deviation of a feature's height, plane units: a match may lie that far along its
+            parallax for nothing.
+        steps: of Levenberg and Marquardt.
+        known_focal, assumed_focal: deviation of the logarithm of d where EXIF told the field of
+            view, and where nobody did.
+        bent: deviations of k1 and k2.
+        tilt: deviation of the first camera's tilt, radians.
+    """
+
+    huber: float = 1.0
+    counted: float = 40.0
+    relief: float = 0.01
+    steps: int = 30
+    known_focal: float = 0.01
+    assumed_focal: float = 0.1
+    bent: tuple[float, float] = (0.03, 0.01)
+    tilt: float = 0.15
+
+
+@dataclass(frozen=True)
+class Pair:
+    """What a photograph has in common with the first.
+
+    Attributes:
+        first, second: (2, n) image coordinates in both.
+        pixel: of the second, in image coordinates.
+        focal: d of the second as its file or nobody tells it, over the first's.
+    """
+
+    first: Doubles
+    second: Doubles
+    pixel: float
+    focal: float = 1.0
+
+
+_COMMON = 5  # log focal, k1, k2, the first camera's two tilts
+_OWN = 6  # Rodrigues' vector and place
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Cameras that explain all matches.
+
+    Attributes:
+        first: setup of the first, its tilt and field of view as found.
+        cameras: of all photographs, the first one's first.
+        off: (photographs - 1,) median distance of its matches, in pixels.
+    """
+
+    first: FlashSetup
+    cameras: tuple[PosedCamera, ...]
+    off: tuple[float, ...]
+
+
+def adjust(
+    setup: FlashSetup,
+    pairs: Sequence[Pair],
+    *,
+    known: bool,
+    settings: AdjustSettings | None = None,
+) -> Adjusted:
+    """Cameras of photographs that have something in common with the first.
+
+    Args:
+        setup: of the first, as its coarse fit tells it.
+        pairs: of every other one.
+        known: whether the field of view was told by EXIF.
+        settings: see AdjustSettings.
+    """
+    settings = settings or AdjustSettings()
+    focal = settings.known_focal if known else settings.assumed_focal
+    deviation = np.array([focal, *settings.bent, settings.tilt, settings.tilt])
+    common = np.array([0.0, 0.0, 0.0, *setup.tilt])
+    prior = common.copy()
+    own = [_first_guess(_first_camera(setup, common), pair) for pair in pairs]
+    damping, cost = 1e-3, math.inf
+    for _ in range(settings.steps):
+        system = _System(setup, pairs, common, own, settings)
+        now = system.cost + float(np.square((common - prior) / deviation).sum()) / 2.0
+        step = system.step((prior - common) / deviation**2, deviation**-2, damping)
+        moved = common + step[:_COMMON]
+        theirs = [each + part for each, part in zip(own, _parts(step), strict=True)]
+        after = _cost(setup, pairs, moved, theirs, settings)
+        after += float(np.square((moved - prior) / deviation).sum()) / 2.0
+        if after < now:
+            common, own, damping = moved, theirs, max(damping / 8.0, 1e-9)
+            if cost - after < 1e-7 * after:
+                break
+            cost = after
+        else:
+            damping *= 8.0
+            if damping > 1e6:
+                break
+    first = replace(
+        setup,
+        fov=2.0 * math.degrees(math.atan(1.0 / (setup.distance * math.exp(common[0])))),
+        tilt=(float(common[3]), float(common[4])),
+    )
+    cameras = [_first_camera(setup, common)]
+    cameras += [_camera(setup, common, each, pair) for each, pair in zip(own, pairs, strict=True)]
+    off = tuple(
+        float(np.median(np.hypot(*_residuals(setup, pair, common, each, settings))))
+        for pair, each in zip(pairs, own, strict=True)
+    )
+    return Adjusted(first, tuple(cameras), off)
+
+
+def _first_camera(setup: FlashSetup, common: Doubles) -> PosedCamera:
+    distance = setup.distance * math.exp(common[0])
+    fov = 2.0 * math.degrees(math.atan(1.0 / distance))
+    tilted = replace(setup, fov=fov, tilt=(float(common[3]), float(common[4])))
+    return PosedCamera.of(tilted, (float(common[1]), float(common[2])))
+
+
+def _camera(setup: FlashSetup, common: Doubles, own: Doubles, pair: Pair) -> PosedCamera:
+    focal = setup.distance * math.exp(common[0]) * pair.focal
+    turn = np.asarray(cv2.Rodrigues(own[:3])[0], np.float64)
+    return PosedCamera(turn, own[3:], Lens(focal, (float(common[1]), float(common[2]))))
+
+
+def _residuals(
+    setup: FlashSetup, pair: Pair, common: Doubles, own: Doubles, settings: AdjustSettings
+) -> Doubles:
+    """(2, n) pixels that matches lie beside each other, less what relief may explain."""
+    first, camera = _first_camera(setup, common), _camera(setup, common, own, pair)
+    points = first.on_plane(pair.first)
+    seen = camera.sees(points)
+    # Seen by the first where it was, a feature off the plane lies nearer to the first camera.
+    raised = points + settings.relief * (first.place[:, None] - points) / first.place[2]
+    parallax = (camera.sees(raised) - seen) / pair.pixel
+    residual = (seen - pair.second) / pair.pixel
+    squared = np.square(parallax).sum(0)
+    along = (1.0 - 1.0 / np.sqrt(1.0 + squared)) / np.maximum(squared, 1e-12)
+    left = residual - along * (residual * parallax).sum(0) * parallax
+    return np.nan_to_num(left, nan=1e3)
+
+
+def _huber(residuals: Doubles, settings: AdjustSettings) -> tuple[float, Doubles]:
+    """Cost of residuals (2, n) in pixels, and what each weighs."""
+    size, threshold = np.hypot(*residuals), settings.huber
+    each = min(1.0, settings.counted / max(1, len(size)))
+    cost = np.where(size < threshold, size**2 / 2.0, threshold * (size - threshold / 2.0))
+    return each * float(cost.sum()), each * threshold / np.maximum(size, threshold)
+
+
+def _cost(
+    setup: FlashSetup,
+    pairs: Sequence[Pair],
+    common: Doubles,
+    own: Sequence[Doubles],
+    settings: AdjustSettings,
+) -> float:
+    return sum(
+        _huber(_residuals(setup, pair, common, each, settings), settings)[0]
+        for pair, each in zip(pairs, own, strict=True)
+    )
+
+
+class _System:
+    """The normal equations of all photographs at some numbers."""
+
+    def __init__(
+        self,
+        setup: FlashSetup,
+        pairs: Sequence[Pair],
+        common: Doubles,
+        own: Sequence[Doubles],
+        settings: AdjustSettings,
+    ) -> None:
+        size = _COMMON + _OWN * len(pairs)
+        self.normal, self.gradient, self.cost = np.zeros((size, size)), np.zeros(size), 0.0
+        for number, (pair, each) in enumerate(zip(pairs, own, strict=True)):
+            here = _residuals(setup, pair, common, each, settings)
+            cost, weight = _huber(here, settings)
+            whole = np.concatenate([common, each])
+            columns = []
+            for index in range(len(whole)):
+                moved = whole.copy()
+                moved[index] += 1e-6
+                there = _residuals(setup, pair, moved[:_COMMON], moved[_COMMON:], settings)
+                columns.append(((there - here) / 1e-6).ravel())
+            jacobian = np.stack(columns, 1)
+            weights = np.tile(weight, 2)
+            block = (jacobian * weights[:, None]).T @ jacobian
+            told = jacobian.T @ (weights * here.ravel())
+            first = _COMMON + _OWN * number
+            places = np.r_[0:_COMMON, first : first + _OWN]
+            self.normal[np.ix_(places, places)] += block
+            self.gradient[places] += told
+            self.cost += cost
+
+    def step(self, pull: Doubles, precision: Doubles, damping: float) -> Doubles:
+        """Of all numbers, with a prior that pulls at the common ones."""
+        normal, gradient = self.normal.copy(), -self.gradient
+        normal[range(_COMMON), range(_COMMON)] += precision
+        gradient[:_COMMON] += pull
+        normal += damping * np.diag(normal.diagonal()) + 1e-12 * np.eye(len(normal))
+        return np.asarray(np.linalg.solve(normal, gradient))
+
+
+def _parts(step: Doubles) -> list[Doubles]:
+    return list(step[_COMMON:].reshape(-1, _OWN))
+
+
+def _first_guess(first: PosedCamera, pair: Pair) -> Doubles:
+    """(6,) of a camera by its view of the plane (Collins and Bartoli 2014), from the first's."""
+    points = first.on_plane(pair.first)
+    focal = first.lens.focal * pair.focal
+    # OpenCV's camera looks along +z with y downwards.
+    seen = np.stack([pair.second[0], -pair.second[1]]).T.copy()
+    matrix = np.diag([focal, focal, 1.0])
+    flip = np.diag([1.0, -1.0, -1.0])
+    _, turns, shifts, errors = cv2.solvePnPGeneric(
+        points.T.copy(), seen, matrix, None, flags=cv2.SOLVEPNP_IPPE
+    )
+    best = int(np.argmin(np.ravel(errors)))
+    turn = cv2.Rodrigues(turns[best])[0]
+    place = -turn.T @ shifts[best].ravel()
+    vector = np.asarray(cv2.Rodrigues(flip @ turn)[0], np.float64).ravel()
+    return np.concatenate([vector, place])

@@ -1,0 +1,172 @@
+"""What two photographs of a piece have in common: keypoints by SIFT (Lowe 2004) on even contrast.
+
+The flash moves with the camera, so light differs and texture does not: contrast is made even
+before anything is looked for, by its mean size around, or where that finds little by histograms.
+Materials repeat themselves: a match is the best both ways, however good the next best is, and it
+is geometry that decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.files.srgb import srgb_encode
+from matcap.photo.photo import Photo
+
+Doubles = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class KeypointSettings:
+    """How features are found and matched; trades matches for time.
+
+    Attributes:
+        long_side: pixels across that are looked at.
+        most: features of a photograph.
+        contrast: least contrast of a feature; low, for materials are faint.
+        ratio: a match's distance over the next best's, at most (Lowe 2004).
+        off: pixels that a match may lie beside a homography.
+        enough: matches that agree, below which contrast is made even in the other way, too.
+        fine, slow, around: pixels: deviations of noise, of light, and of what contrast is the mean
+            of.
+        faint: log radiance: contrast below this stays low.
+    """
+
+    long_side: int = 1600
+    most: int = 6000
+    contrast: float = 0.01
+    ratio: float = 0.95
+    off: float = 2.5
+    enough: int = 200
+    fine: float = 0.8
+    slow: float = 24.0
+    around: float = 40.0
+    faint: float = 0.01
+
+
+@dataclass(frozen=True)
+class Keypoints:
+    """Keypoints of a photograph.
+
+    Attributes:
+        image: (2, n) image coordinates.
+        described: (n, 128) by SIFT, roots of shares (Arandjelovic and Zisserman 2012).
+        pixel: a pixel's side in image coordinates.
+    """
+
+    image: Doubles
+    described: NDArray[np.float32]
+    pixel: float
+
+
+class KeypointFinder:
+    """Keypoints of photographs, each looked for once and only when asked for."""
+
+    def __init__(self, settings: KeypointSettings | None = None) -> None:
+        """With settings."""
+        self._settings = settings or KeypointSettings()
+        self._found: dict[tuple[int, int], Keypoints] = {}
+
+    def matched(self, first: Photo, second: Photo) -> tuple[Doubles, Doubles, float]:
+        """(2, n) image coordinates in both of features that agree, and the second one's pixel."""
+        best: tuple[Doubles, Doubles, float] | None = None
+        for number in range(len(_EVEN)):
+            one, other = (self._keypoints(photo, number) for photo in (first, second))
+            found = (*matched(one, other, self._settings), other.pixel)
+            if best is None or found[0].shape[1] > best[0].shape[1]:
+                best = found
+            if best[0].shape[1] >= self._settings.enough:
+                break
+        assert best is not None
+        return best
+
+    def _keypoints(self, photo: Photo, number: int) -> Keypoints:
+        key = (id(photo), number)
+        if key not in self._found:
+            self._found[key] = find_keypoints(photo, _EVEN[number], self._settings)
+        return self._found[key]
+
+
+def find_keypoints(
+    photo: Photo,
+    even: Callable[[NDArray[np.float32], KeypointSettings], NDArray[np.uint8]],
+    settings: KeypointSettings,
+) -> Keypoints:
+    """Keypoints of a photograph whose contrast is made even by a function."""
+    rows, columns = photo.pixels.shape[:2]
+    shrunk = min(1.0, settings.long_side / columns)
+    size = (round(columns * shrunk), round(rows * shrunk))
+    grey = cv2.resize(photo.pixels.mean(2), size, interpolation=cv2.INTER_AREA)
+    sift = cv2.SIFT.create(settings.most, contrastThreshold=settings.contrast)
+    points, described = sift.detectAndCompute(even(np.asarray(grey, np.float32), settings), None)
+    if described is None:
+        points, described = (), np.zeros((0, 128), np.float32)
+    share = described / np.maximum(described.sum(1, keepdims=True), 1e-6)
+    places = np.array([point.pt for point in points], np.float64).reshape(-1, 2).T
+    half = size[0] / 2.0
+    image = np.stack([places[0] + 0.5 - half, size[1] / 2.0 - places[1] - 0.5]) / half
+    return Keypoints(image, np.sqrt(share, dtype=np.float32), 1.0 / half)
+
+
+def even_contrast(grey: NDArray[np.float32], settings: KeypointSettings) -> NDArray[np.uint8]:
+    """Log radiance, less what is slow, over its size around."""
+    log = np.log(np.maximum(grey, 1e-5))
+    fine = cv2.GaussianBlur(log, (0, 0), settings.fine) - cv2.GaussianBlur(
+        log, (0, 0), settings.slow
+    )
+    size = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), settings.around)) + settings.faint
+    return np.asarray((128.0 + 48.0 * fine / size).clip(0, 255).round().astype(np.uint8))
+
+
+def even_histogram(grey: NDArray[np.float32], settings: KeypointSettings) -> NDArray[np.uint8]:
+    """Codes of even histograms, limited in contrast, block by block (CLAHE, Zuiderveld 1994)."""
+    # A dark photograph's features are as good as a bright one's.
+    level = 0.25 / max(float(np.median(grey)), 1e-6)
+    codes = (255.0 * srgb_encode((grey * level).clip(0.0, 1.0))).round().astype(np.uint8)
+    return np.asarray(cv2.createCLAHE(3.0, (12, 12)).apply(codes))
+
+
+_EVEN = (even_contrast, even_histogram)
+
+
+def matched(
+    first: Keypoints, second: Keypoints, settings: KeypointSettings
+) -> tuple[Doubles, Doubles]:
+    """(2, n) image coordinates in both of features that agree with one homography.
+
+    Robust by MAGSAC (Barath et al. 2020).
+    """
+    nothing = np.zeros((2, 0))
+    if min(len(first.described), len(second.described)) < 8:
+        return nothing, nothing
+    nearest = cv2.BFMatcher().knnMatch(first.described, second.described, k=2)
+    back = {
+        m.queryIdx: m.trainIdx for m in cv2.BFMatcher().match(second.described, first.described)
+    }
+    pairs = [
+        a
+        for a, b in nearest
+        if a.distance < settings.ratio * b.distance and back.get(a.trainIdx) == a.queryIdx
+    ]
+    if len(pairs) < 8:
+        return nothing, nothing
+    one = first.image[:, [pair.queryIdx for pair in pairs]]
+    other = second.image[:, [pair.trainIdx for pair in pairs]]
+    # In pixels: its thresholds know no other scale.
+    _, kept = cv2.findHomography(
+        one.T / first.pixel,
+        other.T / second.pixel,
+        cv2.USAC_MAGSAC,
+        settings.off,
+        maxIters=20000,
+        confidence=0.9999,
+    )
+    if kept is None:
+        return nothing, nothing
+    chosen = kept.ravel() > 0
+    return one[:, chosen], other[:, chosen]

@@ -1,0 +1,213 @@
+"""Photographs of one piece, each with its camera; those that do not belong are named."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.registration.adjust import Adjusted, Pair, adjust
+from matcap.flash.registration.camera import PosedCamera
+from matcap.flash.registration.keypoints import KeypointFinder
+from matcap.photo.photo import DEFAULT_FOV, Photo
+
+
+@dataclass(frozen=True)
+class RegisterSettings:
+    """When a photograph belongs to a piece; stricter leaves more out.
+
+    Attributes:
+        matches: least number that agree.
+        off: pixels that its matches lie beside each other, at most (median).
+        steepest: degrees that a camera may lean.
+        alike: least correlation of what both show, fine texture over even contrast, at the found
+            place; by chance it is 0, of the same piece 0.2 to 0.9.
+        compared: texels across that are compared.
+        shifted: texels to all sides where the correlation must be lower.
+    """
+
+    matches: int = 30
+    off: float = 2.0
+    steepest: float = 65.0
+    alike: float = 0.12
+    compared: int = 384
+    shifted: int = 5
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A photograph that is not used.
+
+    Attributes:
+        name: its file's.
+        why: the rest of a sentence.
+    """
+
+    name: str
+    why: str
+
+
+@dataclass(frozen=True)
+class RegisteredView:
+    """A photograph and its camera.
+
+    Attributes:
+        photo: the photograph.
+        camera: in the plane's frame.
+        matches: with the first photograph that agree; 0 of the first itself.
+        off: pixels that they lie beside each other (median).
+        alike: correlation with the first photograph.
+    """
+
+    photo: Photo
+    camera: PosedCamera
+    matches: int = 0
+    off: float = 0.0
+    alike: float = 1.0
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Photographs of one piece.
+
+    Attributes:
+        setup: of the first one, its field of view and tilt as all of them tell.
+        views: those that belong, the first one first.
+        left_out: those that do not.
+    """
+
+    setup: FlashSetup
+    views: tuple[RegisteredView, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def register(
+    photos: Sequence[Photo], setup: FlashSetup, settings: RegisterSettings | None = None
+) -> Registration:
+    """Find where the cameras of all photographs stood; the first one's frame is the piece's.
+
+    Args:
+        photos: two or more; any exposure, white balance and orientation.
+        setup: of the first, as its coarse fit tells it.
+        settings: see RegisterSettings.
+    """
+    settings = settings or RegisterSettings()
+    finder = KeypointFinder()
+    pairs, left_out = dict[int, Pair](), dict[int, str]()
+    for index in range(1, len(photos)):
+        first, second, pixel = finder.matched(photos[0], photos[index])
+        if first.shape[1] < settings.matches:
+            left_out[index] = (
+                f"too little of it is found in {photos[0].name} ({first.shape[1]} matches)"
+            )
+            continue
+        ratio = FlashSetup(fov=photos[index].fov).distance / FlashSetup(fov=photos[0].fov).distance
+        pairs[index] = Pair(first, second, pixel, ratio)
+    known = photos[0].fov_source != "assumed" and photos[0].fov != DEFAULT_FOV
+    while True:
+        adjusted = adjust(setup, list(pairs.values()), known=known)
+        wrong = _wrong(photos, dict(zip(pairs, range(len(pairs)), strict=True)), adjusted, settings)
+        if not wrong:
+            break
+        # The worst goes first: it may have misled the others.
+        index, why = wrong[0]
+        left_out[index] = why
+        del pairs[index]
+    views = [RegisteredView(photos[0], adjusted.cameras[0])]
+    for number, (index, pair) in enumerate(pairs.items()):
+        camera = adjusted.cameras[number + 1]
+        alike = likeness(views[0], RegisteredView(photos[index], camera), settings)
+        views.append(
+            RegisteredView(photos[index], camera, pair.first.shape[1], adjusted.off[number], alike)
+        )
+    names = tuple(LeftOut(photos[index].name, why) for index, why in sorted(left_out.items()))
+    return Registration(adjusted.first, tuple(views), names)
+
+
+def _wrong(
+    photos: Sequence[Photo], numbers: dict[int, int], found: Adjusted, settings: RegisterSettings
+) -> list[tuple[int, str]]:
+    """Photographs whose camera cannot be right, the worst first, each with why."""
+    wrong = []
+    first = RegisteredView(photos[0], found.cameras[0])
+    for index, number in numbers.items():
+        camera, off = found.cameras[number + 1], found.off[number]
+        if not np.isfinite(camera.place).all() or camera.place[2] <= 0.05:
+            wrong.append((math.inf, index, "no camera could have taken it of a flat piece"))
+        elif off > settings.off:
+            why = f"its matches lie {off:.1f} pixels beside each other: is the piece flat?"
+            wrong.append((off / settings.off, index, why))
+        elif math.degrees(camera.tilt) > settings.steepest:
+            why = f"its camera would lean by {math.degrees(camera.tilt):.0f} degrees"
+            wrong.append((1.0, index, why))
+        else:
+            alike = likeness(first, RegisteredView(photos[index], camera), settings)
+            if alike < settings.alike:
+                why = f"where it was found it does not look like {photos[0].name}, or it is blurred"
+                wrong.append((1.0 + settings.alike - alike, index, why))
+    return [(index, why) for _, index, why in sorted(wrong, reverse=True)]
+
+
+def likeness(first: RegisteredView, second: RegisteredView, settings: RegisterSettings) -> float:
+    """Correlation of the fine texture of two photographs where both show the piece.
+
+    -1 where they do not show the same, or fit better a few texels beside.
+    """
+    across = settings.compared
+    down = round(across * first.photo.pixels.shape[0] / first.photo.pixels.shape[1])
+    seen = [_texture(view, across, down) for view in (first, second)]
+    both = seen[0][1] & seen[1][1]
+    if both.mean() < 0.05:
+        return -1.0
+
+    def correlation(x: int, y: int) -> float:
+        moved = np.roll(seen[1][0], (y, x), (0, 1))
+        a, b = seen[0][0][both], moved[both]
+        return float((a * b).mean() / max(float(np.sqrt((a * a).mean() * (b * b).mean())), 1e-9))
+
+    here = correlation(0, 0)
+    far = settings.shifted
+    beside = max(correlation(x, y) for x, y in ((far, 0), (-far, 0), (0, far), (0, -far)))
+    return here if here > beside else -1.0
+
+
+def _texture(
+    view: RegisteredView, across: int, down: int
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """(H, W) fine texture of log radiance over even contrast on the plane's grid, and its mask."""
+    rows, columns = view.photo.pixels.shape[:2]
+    size = (across, round(across * rows / columns))
+    grey = cv2.resize(view.photo.pixels.mean(2), size, interpolation=cv2.INTER_AREA)
+    log = np.log(np.maximum(grey, 1e-5)).astype(np.float32)
+    image = view.camera.sees(grid_points(across, down))
+    x, y = to_pixels(image, size[0], size[1])
+    inside = (x > 1) & (x < size[0] - 2) & (y > 1) & (y < size[1] - 2)
+    there = cv2.remap(log, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+    fine = cv2.GaussianBlur(there, (0, 0), 1.0) - cv2.GaussianBlur(there, (0, 0), 6.0)
+    around = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), 12.0)) + 1e-4
+    return (fine / around).astype(np.float32), np.asarray(inside)
+
+
+def grid_points(across: int, down: int) -> NDArray[np.float64]:
+    """(3, down, across) plane points of the first photograph's grid (geometry.plane_points)."""
+    texel = 2.0 / across
+    x = (np.arange(across) + 0.5 - across / 2.0) * texel
+    y = (down / 2.0 - np.arange(down) - 0.5) * texel
+    return np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((down, across))])
+
+
+def to_pixels(
+    image: NDArray[np.float64], columns: int, rows: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Columns and rows of image coordinates (2, ...), as cv2.remap wants them; far off for NaN."""
+    x = (image[0] + 1.0) * columns / 2.0 - 0.5
+    y = (rows - image[1] * columns) / 2.0 - 0.5
+    return (
+        np.nan_to_num(x, nan=-1e6).astype(np.float32),
+        np.nan_to_num(y, nan=-1e6).astype(np.float32),
+    )

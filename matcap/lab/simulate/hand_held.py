@@ -1,0 +1,251 @@
+"""Several photographs of one piece, as a hand takes them: each from elsewhere, its flash along.
+
+The first one's frame is the plane's. Relief has parallax: a pixel shows the point of the surface
+that its ray meets, not the plane's. Distances, tilts, exposure and white balance scatter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from matcap.brdf.maps import MapSet
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.light import CORNER_SQUARED
+from matcap.flash.registration.camera import Lens, PosedCamera
+from matcap.flash.registration.register import grid_points
+from matcap.flash.render import shade
+from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, sensor_exposure
+
+Doubles = NDArray[np.float64]
+
+_ROWS = 64  # shaded at a time: float64 of a whole picture would take gigabytes
+_MEETINGS = 3  # rounds in which a ray finds the relief; slopes are below 1 nearly everywhere
+
+
+@dataclass(frozen=True)
+class Hand:
+    """How a hand holds a phone.
+
+    Attributes:
+        aside: how far the phone is moved, over its distance.
+        shaken: deviation of its place, over its distance.
+        turned: deviation of where it looks, radians.
+        flash: place of the flash beside the lens, plane units.
+        bent: (k1, k2) of the lens.
+        balanced: deviation of the logarithm of white balance, by channel.
+        vignetting: of lens and flash, with r^2.
+    """
+
+    aside: float = 0.35
+    shaken: float = 0.03
+    turned: float = 0.03
+    flash: tuple[float, float, float] = (0.04, -0.07, 0.0)
+    bent: tuple[float, float] = (0.0, 0.0)
+    balanced: float = 0.03
+    vignetting: float = 0.0
+
+
+@dataclass(frozen=True)
+class HeldShot:
+    """One of several photographs.
+
+    Attributes:
+        shot: what reached the sensor; its setup is true of the first one alone.
+        camera: where it stood.
+    """
+
+    shot: Shot
+    camera: PosedCamera
+
+
+def hold(phone: PhoneCamera, hand: Hand, count: int, seed: int) -> list[PosedCamera]:
+    """Cameras: the first above the middle, the others moved to the sides, all looking there."""
+    rng = np.random.default_rng(seed)
+    distance = 1.0 / math.tan(math.radians(phone.fov) / 2.0)
+    tilt = rng.normal(0.0, 0.02, 2)
+    cameras = [
+        PosedCamera.of(FlashSetup(fov=phone.fov, tilt=(float(tilt[0]), float(tilt[1]))), hand.bent)
+    ]
+    for number in range(1, count):
+        ring = 1.0 if number <= 4 else 0.6
+        angle = (number - 1) * math.pi / 2.0 + (0.0 if number <= 4 else math.pi / 4.0)
+        aside = ring * hand.aside * np.array([math.cos(angle), math.sin(angle), 0.0])
+        place = distance * (np.array([0.0, 0.0, 1.0]) + aside + rng.normal(0.0, hand.shaken, 3))
+        aim = np.append(distance * rng.normal(0.0, hand.turned, 2) + 0.25 * place[:2], 0.0)
+        roll = rng.normal(0.0, 2.0 * hand.turned)
+        cameras.append(PosedCamera(_looking(place, aim, roll), place, Lens(distance, hand.bent)))
+    return cameras
+
+
+def take_several(
+    realise: Realise,
+    phone: PhoneCamera,
+    cameras: Sequence[PosedCamera],
+    hand: Hand,
+    seed: int = 0,
+) -> list[HeldShot]:
+    """Photograph one piece from several places; every exposure is automatic.
+
+    Args:
+        realise: the piece.
+        phone: that takes the photographs.
+        cameras: where it is held.
+        hand: what else is known of it.
+        seed: of white balance.
+    """
+    rng = np.random.default_rng(seed)
+    maps = _piece(realise, phone, cameras)
+    shots = []
+    for camera in cameras:
+        balance = np.exp(rng.normal(0.0, hand.balanced, 3))
+        linear = _picture(maps, camera, phone, hand) * balance
+        gain = sensor_exposure(linear, phone)
+        setup = FlashSetup(
+            fov=phone.fov,
+            offset=hand.flash,
+            intensity=tuple(float(v) for v in gain * balance),  # type: ignore[arg-type]
+            vignetting=hand.vignetting,
+        )
+        shots.append(HeldShot(Shot(linear * gain, setup, phone), camera))
+    first = shots[0]
+    tilted = replace(first.shot.setup, tilt=_tilt(first.camera))
+    shots[0] = HeldShot(replace(first.shot, setup=tilted), first.camera)
+    return shots
+
+
+def held_on(
+    realise: Realise,
+    phone: PhoneCamera,
+    cameras: Sequence[PosedCamera],
+    setup: FlashSetup,
+    bent: tuple[float, float] = (0.0, 0.0),
+) -> Callable[[int, int], MapSet]:
+    """True maps of the very piece that take_several photographs, on a plane that was found.
+
+    A camera that is found leaning by half a degree more has its plane's texels elsewhere: truth is
+    looked up along the rays of the pixels that each texel was drawn from.
+
+    Args:
+        realise, phone, cameras: as of take_several.
+        setup: of the first camera, as it was found.
+        bent: of its lens, as it was found.
+
+    Returns:
+        (columns, rows) of the plane to its maps.
+    """
+    maps = _piece(realise, phone, cameras)
+    believed, first = PosedCamera.of(setup, bent), cameras[0]
+    texel, side = maps.texel_size, maps.size[0]
+
+    def on(columns: int, rows: int) -> MapSet:
+        blur = 0.4 * 2.0 / columns / texel
+        stacked = [
+            np.asarray(cv2.GaussianBlur(channel, (0, 0), blur), np.float32)
+            for channel in maps.stacked().float().numpy()
+        ]
+        points = first.on_plane(believed.sees(grid_points(columns, rows)))
+        ray = points - first.place[:, None, None]
+
+        def looked_up(channel: NDArray[np.float32]) -> NDArray[np.float32]:
+            x, y = points[0] / texel + side / 2.0 - 0.5, side / 2.0 - 0.5 - points[1] / texel
+            there = cv2.remap(
+                channel,
+                x.astype(np.float32),
+                y.astype(np.float32),
+                cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_REFLECT,
+            )
+            return np.asarray(there, np.float32)
+
+        for _ in range(_MEETINGS):
+            share = (looked_up(stacked[-1]) - first.place[2]) / ray[2]
+            points = first.place[:, None, None] + share * ray
+        found = np.stack([looked_up(channel) for channel in stacked])
+        return MapSet.from_stacked(torch.from_numpy(found), 2.0 / columns)
+
+    return on
+
+
+def _piece(realise: Realise, phone: PhoneCamera, cameras: Sequence[PosedCamera]) -> MapSet:
+    """A square of the plane, its middle the origin, that holds what all cameras see."""
+    reach = max(_reach(camera, phone) for camera in cameras)
+    side = 2 * math.ceil(reach * phone.width * phone.supersampling / 2.0)
+    return realise(side, side, 2.0 / (phone.width * phone.supersampling))
+
+
+def _picture(maps: MapSet, camera: PosedCamera, phone: PhoneCamera, hand: Hand) -> Doubles:
+    fine = phone.supersampling
+    radiance = _shaded(maps, camera, hand)
+    size = (phone.width * fine, phone.height * fine)
+    columns, rows = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
+    half = size[0] / 2.0
+    image = np.stack([columns - half, size[1] / 2.0 - rows]) / half
+    points = camera.on_plane(image)
+    ray = points - camera.place[:, None, None]
+    height = maps.height[0].numpy().astype(np.float32)
+    side = height.shape[0]
+
+    def texels(p: Doubles) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        texel = maps.texel_size
+        x, y = p[0] / texel + side / 2.0 - 0.5, side / 2.0 - 0.5 - p[1] / texel
+        return x.astype(np.float32), y.astype(np.float32)
+
+    for _ in range(_MEETINGS):
+        there = cv2.remap(height, *texels(points), cv2.INTER_LINEAR)
+        share = (there - camera.place[2]) / ray[2]
+        points = camera.place[:, None, None] + share * ray
+    seen = cv2.remap(radiance, *texels(points), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    squared = np.square(image).sum(0) / CORNER_SQUARED
+    seen = seen * np.exp(-hand.vignetting * squared)[..., None]
+    blurred = cv2.GaussianBlur(seen, (0, 0), phone.blur * fine)
+    shrunk = cv2.resize(blurred, (phone.width, phone.height), interpolation=cv2.INTER_AREA)
+    return np.asarray(shrunk, np.float64)
+
+
+def _shaded(maps: MapSet, camera: PosedCamera, hand: Hand) -> NDArray[np.float32]:
+    """(H, W, 3) radiance of the whole plane towards a camera."""
+    width, height = maps.size
+    texel = maps.texel_size
+    light = torch.from_numpy(camera.flash(hand.flash))
+    strips = []
+    for top in range(0, height, _ROWS):
+        first, last = max(0, top - 1), min(height, top + _ROWS + 1)
+        strip = maps.crop(0, first, width, last - first)
+        x = (torch.arange(width, dtype=torch.float64) + 0.5 - width / 2.0) * texel
+        y = (height / 2.0 - torch.arange(first, last, dtype=torch.float64) - 0.5) * texel
+        points = torch.stack(
+            [x.expand(last - first, -1), y[:, None].expand(-1, width), strip.height[0].double()]
+        )
+        lit = shade(strip, points, torch.from_numpy(camera.place), light, torch.ones(3))
+        strips.append(lit[:, top - first : min(height, top + _ROWS) - first].float())
+    return np.ascontiguousarray(torch.cat(strips, 1).permute(1, 2, 0).numpy())
+
+
+def _reach(camera: PosedCamera, phone: PhoneCamera) -> float:
+    """Half the side of the square of the plane that a camera sees."""
+    up = phone.height / phone.width
+    corners = camera.on_plane(np.array([[-1.0, 1.0, -1.0, 1.0], [up, up, -up, -up]]))
+    return 1.05 * float(np.abs(corners[:2]).max())
+
+
+def _looking(place: Doubles, aim: Doubles, roll: float) -> Doubles:
+    """(3, 3) rotation of a camera at a place that looks at a point."""
+    back = (place - aim) / np.linalg.norm(place - aim)
+    right = np.cross([0.0, 1.0, 0.0], back)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(back, right), back])
+    c, s = math.cos(roll), math.sin(roll)
+    return np.asarray(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ axes)
+
+
+def _tilt(camera: PosedCamera) -> tuple[float, float]:
+    """Of a camera made by PosedCamera.of: R = Ry(tilt_y) Rx(tilt_x)."""
+    turn = camera.turn
+    return (float(np.arctan2(-turn[1, 2], turn[1, 1])), float(np.arctan2(-turn[2, 0], turn[0, 0])))
