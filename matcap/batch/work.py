@@ -113,7 +113,7 @@ def _do(job: BatchJob, tell: TellProgress) -> dict[str, Any]:
         chosen = replace(chosen, detail=job.detail)
     photos = []
     for path in job.photos:
-        photo = read_photograph(path, chosen)
+        photo = read_photograph(path, chosen, several=len(job.photos) > 1)
         photos.append(photo if job.card is None else calibrated(photo, path, job.card))
 
     result = capture_photo(photos[0], chosen, tell, others=photos[1:])

@@ -10,14 +10,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from matcap.capture.detail import plane_in_detail, to_be_read
 from matcap.capture.ending import judged, provenance
 from matcap.capture.outputs import OutputSettings, write_outputs
 from matcap.capture.piece.find import find_piece
 from matcap.capture.piece.network.store import load_inverse
-from matcap.capture.progress import DECODER_STAGES, PIECE_STAGES, CaptureClock, CaptureProgress
+from matcap.capture.progress import (
+    DECODER_STAGES,
+    PIECE_STAGES,
+    TOGETHER_STAGES,
+    CaptureClock,
+    CaptureProgress,
+)
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings, Method, resolve
 from matcap.capture.target import CaptureStart, photograph_target
@@ -31,15 +36,20 @@ from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
 from matcap.photo.refusals import SHORTEST_SIDE
 
+_MATCHED = 1600  # pixels along the long side that photographs of one piece are matched on
 _WINDOW_STEP = 16  # texels that windows' sides are multiples of: a decoder's alignment
 
 TellCapture = Callable[[CaptureProgress], None]
 
 
 def read_photograph(
-    path: str | Path, settings: CaptureSettings, method: Method | None = None
+    path: str | Path,
+    settings: CaptureSettings,
+    method: Method | None = None,
+    *,
+    several: bool = False,
 ) -> Photo:
-    """A photograph as a capture with these settings, done so, needs it.
+    """A photograph as a capture with these settings, done so, needs it; of several, or alone.
 
     Raises:
         UsageError: an unknown preset.
@@ -47,7 +57,8 @@ def read_photograph(
     """
     # What is compared with the photograph must know its noise.
     noise = resolve(settings, method).work(settings.generator) > 0
-    return load_photo(path, long_side=settings.most_detail, fov=settings.fov, noise=noise)
+    detail = max(settings.most_detail, _MATCHED) if several else settings.most_detail
+    return load_photo(path, long_side=detail, fov=settings.fov, noise=noise)
 
 
 def capture_file(
@@ -60,7 +71,9 @@ def capture_file(
 
     Args, Raises: as of read_photograph and capture_photo.
     """
-    return _read_and_captured([path, *others], settings, clock_of(settings, progress))
+    return _read_and_captured(
+        [path, *others], settings, clock_of(settings, progress, 1 + len(others))
+    )
 
 
 def capture_into(
@@ -82,7 +95,7 @@ def capture_into(
     Raises:
         UsageError, MatcapError: as capture_photo; a full disk, an unwritable folder.
     """
-    clock = clock_of(settings, progress)
+    clock = clock_of(settings, progress, len(paths))
     result = _read_and_captured(paths, settings, clock)
     with clock.stage("write"), postponed() as stopped:
         write_outputs(result, folder, outputs)
@@ -93,7 +106,8 @@ def _read_and_captured(
     paths: Sequence[str | Path], settings: CaptureSettings, clock: CaptureClock
 ) -> CaptureResult:
     with clock.stage("read"):
-        photo, *more = (read_photograph(path, settings) for path in paths)
+        several = len(paths) > 1
+        photo, *more = (read_photograph(path, settings, several=several) for path in paths)
     return capture_under(photo, settings, clock, Method(), more)
 
 
@@ -117,12 +131,17 @@ def capture_photo(
         UsageError: an unknown preset.
         MatcapError: a photograph nothing can be made of, or a prior that cannot be read.
     """
-    return capture_under(photo, settings, clock_of(settings, progress), method or Method(), others)
+    return capture_under(
+        photo, settings, clock_of(settings, progress, 1 + len(others)), method or Method(), others
+    )
 
 
-def clock_of(settings: CaptureSettings, progress: TellCapture | None) -> CaptureClock:
-    """The clock of a capture with these settings; `write` is the caller's last stage."""
-    stages = DECODER_STAGES if settings.generator == "decoder" else PIECE_STAGES
+def clock_of(
+    settings: CaptureSettings, progress: TellCapture | None, photographs: int = 1
+) -> CaptureClock:
+    """The clock of a capture of so many photographs; `write` is the caller's last stage."""
+    by_example = TOGETHER_STAGES if photographs > 1 else PIECE_STAGES
+    stages = DECODER_STAGES if settings.generator == "decoder" else by_example
     return CaptureClock(progress, stages, settings.time_limit)
 
 
@@ -134,6 +153,8 @@ def capture_under(
     others: Sequence[Photo],
 ) -> CaptureResult:
     """The stages between reading and writing; see capture_photo."""
+    if others and settings.generator == "example":
+        return _captured_together([photo, *others], settings, clock)
     effort = resolve(settings, method)
     with clock.stage("coarse fit"):
         coarse = under_flash(fit_coarse(photo), photo.flash_intensity)
@@ -147,12 +168,8 @@ def capture_under(
 
         return capture_by_decoder(shot, settings, effort, method, clock)
 
-    joined: list[dict[str, Any]] = []
-
     def target() -> PhotographTarget:
-        found, told = photograph_target(shot, settings, method)
-        joined.extend(told)
-        return found
+        return photograph_target(shot, settings, method)[0]
 
     found = find_piece(
         read,
@@ -172,9 +189,36 @@ def capture_under(
         generators={"example": found.example},
         texel_size=plane.texel_size,
         setup=coarse.setup,
-        provenance=provenance(photo, settings, coarse, effort, joined),
+        provenance=provenance(photo, settings, coarse, effort, []),
     )
     return judged(photo, material, plane, lattice.waves, settings, clock, found)
+
+
+def _captured_together(
+    photos: Sequence[Photo], settings: CaptureSettings, clock: CaptureClock
+) -> CaptureResult:
+    """Several photographs of one piece to a material; see capture_photo."""
+    from matcap.capture.together.find import find_together
+
+    together = find_together(
+        photos, load_inverse(), settings.detail, stage=clock.stage, tell=clock.within
+    )
+    found, coarse, plane = together.found, together.coarse, together.plane
+    several = found.several
+    material = Material(
+        name=photos[0].stem,
+        generators={"example": found.example},
+        texel_size=plane.texel_size,
+        setup=coarse.setup,
+        provenance=provenance(
+            photos[0],
+            settings,
+            coarse,
+            resolve(settings),
+            [] if several is None else several.document()["photographs"][1:],
+        ),
+    )
+    return judged(photos[0], material, plane, together.waves, settings, clock, found)
 
 
 def _window(plane: Plane, wanted: int, name: str) -> int:

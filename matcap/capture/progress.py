@@ -26,6 +26,24 @@ PIECE_STAGES: Mapping[str, float] = MappingProxyType(
         "write": 0.08,
     }
 )
+# Of five photographs of one piece.
+TOGETHER_STAGES: Mapping[str, float] = MappingProxyType(
+    {
+        "read": 0.14,
+        "coarse fit": 0.02,
+        "register": 0.10,
+        "piece": 0.05,
+        "strengths": 0.01,
+        "refine": 0.05,
+        "align": 0.20,
+        "solve": 0.27,
+        "predict": 0.06,
+        "lend": 0.02,
+        "index": 0.02,
+        "verdict": 0.03,
+        "write": 0.03,
+    }
+)
 DECODER_STAGES: Mapping[str, float] = MappingProxyType(
     {
         "read": 0.04,

@@ -33,6 +33,11 @@ Keys:
         re-rendering over photograph), `adaptation` (of each leg: what it changed, how near it was
         before and after on windows held back, and whether it was kept), `confidence` (mean, by
         map).
+    several: of several photographs of one piece, or null: `photographs` (name, `matches` with the
+        first, `likeness`, `place` in plane units, tilt, `residual` of its re-rendering, and
+        `predicted`, the same where all others alone decided), `left_out` (name and why),
+        `measured_share` (by map: what photographs tell rather than the network), flash offset and
+        lens distortion.
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.
 """
@@ -118,6 +123,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "stage_seconds": dict(result.stage_seconds),
         "tuning": _tuning(result.tuning),
         "exemplar": _exemplar(result.found),
+        "several": _several(result.found),
         "provenance": result.material.provenance,
         "versions": {
             "matcap": MAKER_VERSION,
@@ -126,6 +132,10 @@ def report(result: CaptureResult) -> dict[str, Any]:
             **{name: version(name) for name in _LIBRARIES},
         },
     }
+
+
+def _several(found: FoundPiece | None) -> dict[str, Any] | None:
+    return None if found is None or found.several is None else found.several.document()
 
 
 def _tuning(tuning: Tuning | None) -> dict[str, Any] | None:
@@ -170,6 +180,9 @@ def warnings(result: CaptureResult) -> Iterable[str]:
             f"{100 * photo.clipped_share:.0f} % of the photograph is clipped: "
             "lower the exposure by a stop."
         )
+    if result.found is not None and result.found.several is not None:
+        for one in result.found.several.left_out:
+            yield f"{one.name} was left out: {one.why}."
     if photo.flash_fired is False:
         yield "The file says that the flash did not fire: photograph again with the flash on."
     if result.found is not None and result.found.strengths is None:

@@ -113,6 +113,12 @@ def floors(
     ] = 0.0,
     jpeg: Annotated[bool, typer.Option("--jpeg", help="Photographs are JPEGs, not RAW.")] = False,
     preset: Annotated[str, typer.Option(help="Of the captures.")] = "standard",
+    photographs: Annotated[
+        list[int] | None,
+        typer.Option(
+            min=1, max=12, help="Of one piece, from so many places; may be given several times."
+        ),
+    ] = None,
     weights: Annotated[
         Path | None, typer.Option(help="SqueezeNet 1.1 by ncnn, instead of what comes along.")
     ] = None,
@@ -135,6 +141,15 @@ def floors(
         CaptureSettings(preset, detail=detail), judged, judged // 2, stops=stops, jpeg=jpeg
     )
     measure = Measure(SqueezeNet.load(weights or WEIGHTS))
+    command = shlex.join(["matcap", *sys.argv[1:]])
+    if photographs:
+        from matcap.lab.floors.several import run_several, several_markdown
+
+        several = run_several(
+            subjects(material or (), sets), photographs, out, settings, measure, tell=typer.echo
+        )
+        typer.echo(several_markdown(several, command))
+        return
     rows = run_floors(
         subjects(material or (), sets),
         out,

@@ -93,7 +93,8 @@ def capture(
         bool,
         typer.Option(
             "--together",
-            help="All photographs show one sample: one material, called as the first of them.",
+            help="All photographs show the same piece from several places: one material of all of "
+            "them, called as the first, which gives it its frame.",
         ),
     ] = False,
     aligned: AlignedOption = None,

@@ -44,7 +44,7 @@ def test_each_photograph_keeps_its_own_geometry_and_gain():
         for index, setup in enumerate(SETUPS)
     )
     darker = replace(second, pixels=second.pixels * 0.5)
-    settings = CaptureSettings(steps=2, detail=128, prior="none")
+    settings = CaptureSettings(steps=2, detail=128, prior="none", generator="decoder")
     result = capture_photo(first, settings, others=[second, darker])
     assert type(result.material.setup) is FlashSetup
     others = result.material.provenance["others"]

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -46,6 +47,9 @@ from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
 from matcap.statistics.lattice import Wave
 
+if TYPE_CHECKING:
+    from matcap.capture.together.set_report import SetReport
+
 Stage = Callable[[str], AbstractContextManager[None]]
 
 
@@ -62,6 +66,7 @@ class FoundPiece:
         sharpness: strength of the finest octave of log radiance, re-rendering over photograph.
         adaptation: what every leg of it came to; none where it was not asked for.
         interrupted: ended by Ctrl-C.
+        several: what was found of several photographs, where there were.
     """
 
     example: Example
@@ -71,6 +76,7 @@ class FoundPiece:
     sharpness: float = 1.0
     adaptation: tuple[Change, ...] = ()
     interrupted: bool = False
+    several: SetReport | None = None
 
     @property
     def exemplar(self) -> Exemplar:
@@ -271,7 +277,7 @@ def strengthened(reading: Reading, strengths: Strengths | None) -> Reading:
 
 def levelled(sight: Sight, reading: Reading) -> Reading:
     """Levels of the whole, then albedo and gloss of every texel, as the photograph has them."""
-    flat = _even(sight, reading, reading.departures)
+    flat = evened(sight, reading, reading.departures)
     plane = sight.plane
     return _rerendered(sight, reading, level(flat, plane.linear, sight.shown, sight.light))
 
@@ -332,22 +338,28 @@ def adapted(
     return _rerendered(sight, reading, sight.light.departures(found.maps)), found
 
 
-def lent(sight: Sight, reading: Reading, tried: int) -> Exemplar:
-    """The exemplar, what glare hides lent from elsewhere in it; `tried` blocks for a place."""
-    plane = sight.plane
-    maps = sight.light.maps(reading.departures, plane.texel_size)
-    exemplar = Exemplar(
+def exemplar_of(sight: Sight, reading: Reading) -> Exemplar:
+    """The maps as they are, and how far they are trusted."""
+    maps = sight.light.maps(reading.departures, sight.plane.texel_size)
+    return Exemplar(
         diffuse=maps.diffuse.numpy(),
         specular=maps.specular.numpy(),
         roughness=maps.roughness.numpy(),
         height=maps.height.numpy(),
         confidence=reading.trusted,
-        texel_size=plane.texel_size,
+        texel_size=sight.plane.texel_size,
     )
+
+
+def lent(sight: Sight, reading: Reading, tried: int) -> Exemplar:
+    """The exemplar, what glare hides lent from elsewhere in it; `tried` blocks for a place."""
+    plane = sight.plane
+    exemplar = exemplar_of(sight, reading)
     return transport(exemplar, plane.linear, plane.valid, sight.light, tried=tried)
 
 
-def _even(sight: Sight, reading: Reading, departures: SurfaceParameters) -> SurfaceParameters:
+def evened(sight: Sight, reading: Reading, departures: SurfaceParameters) -> SurfaceParameters:
+    """Departures whose albedo and gloss do not drift over the piece."""
     trusted = {name: torch.from_numpy(plane) for name, plane in reading.confidence.items()}
     return flatten(departures, trusted, sight.glare)
 
@@ -357,7 +369,7 @@ def _rerendered(sight: Sight, reading: Reading, departures: SurfaceParameters) -
     least = max(sight.noise, REFINE.least_noise)
     linear = sight.plane.linear
     refined = refine(departures, reading.errors, linear, sight.shown, sight.light, noise=least)
-    return replace(reading, departures=_even(sight, reading, refined.departures))
+    return replace(reading, departures=evened(sight, reading, refined.departures))
 
 
 def _shared(tell: Callable[[float], None], leg: int) -> Callable[[float], None]:

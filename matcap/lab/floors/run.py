@@ -173,13 +173,13 @@ def judge_capture(
     photo = as_photo(shot, subject.seed, subject.name)
     albedo = photo_as_albedo(photo, shot.setup, settings.detail)
     piece = piece_maps(result.found.exemplar)
-    side = _side(piece.texel_size, settings)
+    side = side_of(piece.texel_size, settings)
     endless = result.material.maps(side, side, seed=0)
     own = result.material.setup.intensity
     seconds = sum(result.stage_seconds.values())
 
     def row(method: str, maps: MapSet, intensity: tuple[float, float, float]) -> FloorRow:
-        middle = _middle(maps, _side(maps.texel_size, settings))
+        middle = middle_of(maps, side_of(maps.texel_size, settings))
         told, true = MapNumbers.of(middle), judge.true_numbers(maps.texel_size)
         return FloorRow(
             subject.name, method, judge.floors(middle, intensity),
@@ -268,12 +268,12 @@ def _line(row: FloorRow) -> str:
     return f"{row.material:12} {row.method:20} {row.floors:5.2f} floors"
 
 
-def _side(texel_size: float, settings: FloorSettings) -> int:
+def side_of(texel_size: float, settings: FloorSettings) -> int:
     """Texels of a size along the side of what is compared."""
     return round(settings.size * 2.0 / settings.detail / texel_size)
 
 
-def _middle(maps: MapSet, side: int) -> MapSet:
+def middle_of(maps: MapSet, side: int) -> MapSet:
     """The middle square.
 
     Raises:

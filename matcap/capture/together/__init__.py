@@ -1,0 +1,1 @@
+"""Several photographs of one piece: what one flash leaves open, several close."""

@@ -1,0 +1,209 @@
+"""Photographs brought over each other to a tenth of a texel, by what the maps look like in each.
+
+Features are found to half a pixel, and shift with relief and light. So maps are solved coarsely
+and, texels answering, every photograph but the first is moved until all explain it best
+(shared.py), coarse to fine; relief's parallax goes along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.together.shared import shared_light, shared_step
+from matcap.capture.together.stereo import stereo
+from matcap.capture.together.surface import surface_of
+from matcap.capture.together.texels import SLOPES, SolveSettings, numbers_of, spread_of, stepped
+from matcap.capture.together.views import PieceView, SetLight, ViewPlace
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.registration.adjust import AdjustSettings, Pair, adjust
+from matcap.flash.registration.camera import Doubles, PosedCamera
+from matcap.flash.registration.register import RegisteredView, Registration, grid_points
+
+
+@dataclass(frozen=True)
+class AlignSettings:
+    """How photographs are brought over each other; trades time for texels.
+
+    Attributes:
+        levels: texels across of the grids, coarse to fine, over the piece's.
+        finest: texels across at most.
+        rounds: of moving on each.
+        steps: of all texels' numbers on each, for relief's parallax; on the finest level only the
+            texels that are sampled move.
+        pixel: plane units that photographs are expected to lie beside their places.
+    """
+
+    levels: tuple[float, ...] = (0.25, 0.5, 1.0)
+    finest: int = 768
+    rounds: tuple[int, ...] = (3, 4, 4)
+    steps: tuple[int, ...] = (2, 1, 0)
+    pixel: float = 1e-3
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """Photographs brought over each other.
+
+    Attributes:
+        setup: of the first, its tilt and field of view as found.
+        views: photographs with their cameras, the first one first.
+        places: where each is looked up.
+        light: of all of them.
+    """
+
+    setup: FlashSetup
+    views: tuple[RegisteredView, ...]
+    places: tuple[ViewPlace, ...]
+    light: SetLight
+
+    @staticmethod
+    def of(registration: Registration, setup: FlashSetup, light: SetLight) -> Aligned:
+        """Where features lie."""
+        place = ViewPlace(np.eye(3), None, registration.views[0].camera.place)
+        views = registration.views
+        return Aligned(setup, views, (place,) * len(views), light)
+
+
+@torch.no_grad()
+def aligned(
+    registration: Registration,
+    prior: MapSet,
+    doubt: Tensor,
+    light: SetLight,
+    *,
+    radiometric: bool,
+    settings: AlignSettings | None = None,
+    tell: Callable[[float], None] | None = None,
+) -> Aligned:
+    """Cameras, and where every photograph is to be looked up, the first one where it is.
+
+    Args:
+        registration: by features.
+        prior, doubt, light, radiometric: as for solve, on the registration's plane.
+        settings: see AlignSettings.
+        tell: called with the share that is done.
+    """
+    settings = settings or AlignSettings()
+    solving = SolveSettings()
+    views, setup = list(registration.views), registration.setup
+    # Maps were read on the plane of a lens without distortion.
+    start = PosedCamera.of(setup)
+    places = [ViewPlace(np.eye(3), None, start.place) for _ in views]
+    width, height = prior.size
+    finest = min(width, settings.finest)
+    numbers = relief = None
+    done, effort = 0, len(settings.levels) * (1 + max(settings.rounds))
+    schedule = zip(settings.levels, settings.rounds, settings.steps, strict=True)
+    for level, rounds, steps in schedule:
+        across = max(64, round(level * finest))
+        down = max(8, round(height * across / width))
+        small, unsure = shrunk(prior, doubt, (down, across))
+        small = reframed(small, start, views[0].camera)
+        believed, spread = numbers_of(small), spread_of(unsure, solving)
+        for turn in range(rounds):
+            seen = [PieceView.of(v, across, down, p) for v, p in zip(views, places, strict=True)]
+            if turn == 0 or numbers is None:
+                numbers = _begun(seen, numbers, believed, spread, light, radiometric, steps)
+                relief = surface_of(numbers[SLOPES], small.texel_size)[0].numpy()
+            light, moves = shared_step(
+                seen, numbers, believed, spread, light, radiometric, solving, moving=True
+            )
+            first = views[0].camera.place
+            places = [
+                ViewPlace(p.nudge @ m, relief, first) for p, m in zip(places, moves, strict=True)
+            ]
+            setup, views, places = _posed(registration.setup, views, places, settings)
+            done += 1
+            if tell:
+                tell(done / effort)
+    return Aligned(setup, tuple(views), tuple(places), light)
+
+
+def _begun(
+    seen: Sequence[PieceView],
+    numbers: Tensor | None,
+    believed: Tensor,
+    spread: Tensor,
+    light: SetLight,
+    radiometric: bool,
+    steps: int,
+) -> Tensor:
+    """Numbers of a level's texels."""
+    solving = SolveSettings()
+    if numbers is not None:
+        numbers = F.interpolate(numbers[None], size=believed.shape[1:], mode="bilinear")[0]
+    else:
+        light = shared_light(seen, believed, believed, spread, light, radiometric, solving)
+        numbers = believed if len(seen) < 3 else stereo(seen, believed, light, solving)
+    for _ in range(steps):
+        numbers, _ = stepped(seen, numbers, believed, spread, light, solving)
+    return numbers
+
+
+def _posed(
+    setup: FlashSetup,
+    views: Sequence[RegisteredView],
+    places: Sequence[ViewPlace],
+    settings: AlignSettings,
+) -> tuple[FlashSetup, list[RegisteredView], list[ViewPlace]]:
+    """Cameras that see the plane where photographs were found to lie."""
+    points = grid_points(24, 18).reshape(3, -1)
+    first = views[0].camera.sees(points)
+    inside = np.abs(first).max(0) < 1.0
+    pairs = []
+    for view, place in zip(views[1:], places[1:], strict=True):
+        seen = view.camera.sees(_moved(place.nudge, points))
+        both = inside & (np.abs(seen).max(0) < 1.0)
+        ratio = view.camera.lens.focal / views[0].camera.lens.focal
+        pairs.append(Pair(first[:, both], seen[:, both], settings.pixel, ratio))
+    known = AdjustSettings(relief=0.0)
+    found = adjust(setup, pairs, known=True, settings=known)
+    cameras = [replace(v, camera=c) for v, c in zip(views, found.cameras, strict=True)]
+    return (
+        found.first,
+        cameras,
+        [replace(p, nudge=np.eye(3), first=cameras[0].camera.place) for p in places],
+    )
+
+
+def _moved(homography: Doubles, points: Doubles) -> Doubles:
+    there = homography @ np.stack([points[0], points[1], np.ones_like(points[0])])
+    return np.stack([there[0] / there[2], there[1] / there[2], np.zeros_like(points[0])])
+
+
+def reframed(maps: MapSet, old: PosedCamera, new: PosedCamera) -> MapSet:
+    """Maps on the plane of a camera as it is now believed to stand, on its rays as they were."""
+    across, down = maps.size
+    points = old.on_plane(new.sees(grid_points(across, down)))
+    x = (points[0] + 1.0) * across / 2.0 - 0.5
+    y = (down - points[1] * across) / 2.0 - 0.5
+    return MapSet.from_stacked(
+        torch.stack([_looked_up(channel, x, y) for channel in maps.stacked().float()]),
+        maps.texel_size,
+    )
+
+
+def _looked_up(channel: Tensor, x: Doubles, y: Doubles) -> Tensor:
+    found = cv2.remap(
+        channel.numpy(),
+        x.astype(np.float32),
+        y.astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REFLECT_101,
+    )
+    return torch.from_numpy(found)
+
+
+def shrunk(prior: MapSet, doubt: Tensor, size: tuple[int, int]) -> tuple[MapSet, Tensor]:
+    """What was read, and its doubts, on fewer texels."""
+    stacked = F.interpolate(prior.stacked()[None], size=size, mode="area")[0]
+    unsure = F.interpolate(doubt[None], size=size, mode="area")[0]
+    return MapSet.from_stacked(stacked, 2.0 / size[1]), unsure

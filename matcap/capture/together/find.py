@@ -1,0 +1,250 @@
+"""From several photographs to the photographed piece: named stages, from values to values.
+
+The first photograph is read as one alone would be; cameras are found; then all photographs are
+brought over each other, and together decide what one left open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.detail import plane_in_detail, to_be_read
+from matcap.capture.piece.find import (
+    FoundPiece,
+    Reading,
+    Sight,
+    confidence,
+    evened,
+    exemplar_of,
+    lent,
+    levelled,
+    piece_maps,
+    read_piece,
+    strengthened,
+    tell_strengths,
+)
+from matcap.capture.piece.finest import finest, sharpness
+from matcap.capture.piece.network.network import ExpectedErrors, Inverse
+from matcap.capture.piece.strengths import Strengths
+from matcap.capture.piece.tuned import LEND
+from matcap.capture.together.align import Aligned, aligned, reframed, shrunk
+from matcap.capture.together.predict import predictions
+from matcap.capture.together.set_report import SetReport
+from matcap.capture.together.solve import Solved, solve
+from matcap.capture.together.texels import SolveSettings
+from matcap.capture.together.views import PieceView, SetLight
+from matcap.errors import MatcapError
+from matcap.example.example import Example
+from matcap.flash.coarse import CoarseFit, fit_coarse, under_flash
+from matcap.flash.plane import Plane
+from matcap.flash.registration.camera import PosedCamera
+from matcap.flash.registration.register import Registration, register
+from matcap.photo.photo import Photo
+from matcap.statistics.lattice import Wave
+
+Stage = Callable[[str], AbstractContextManager[None]]
+Tell = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class FoundTogether:
+    """A piece that several photographs show.
+
+    Attributes:
+        found: the piece.
+        coarse: fit of the first photograph, with its camera as all of them tell.
+        plane: the first photograph on it.
+        waves: of its regular order.
+    """
+
+    found: FoundPiece
+    coarse: CoarseFit
+    plane: Plane
+    waves: tuple[Wave, ...]
+
+
+@dataclass(frozen=True)
+class _Single:
+    """What the first photograph alone is read as.
+
+    Attributes:
+        maps: on the plane's texels.
+        errors: (4, H, W) log of what they are expected to be off by.
+        strengths: what the photograph says outright.
+    """
+
+    maps: MapSet
+    errors: Tensor
+    strengths: Strengths | None
+
+
+@torch.no_grad()
+def find_together(
+    photos: Sequence[Photo],
+    network: Inverse,
+    detail: int | None,
+    *,
+    stage: Stage,
+    tell: Tell,
+) -> FoundTogether:
+    """The piece of several photographs; an interrupt ends with the best so far.
+
+    Args:
+        photos: two or more, the first of which gives the piece its frame.
+        network: reads the first (piece/network/store.py).
+        detail: texels across, or None for as many as by default.
+        stage: entered with the name of each stage.
+        tell: called with a stage and the share of it that is done.
+
+    Raises:
+        MatcapError: no other photograph shows the same piece.
+    """
+    registration, coarse, plane = _registered(photos, detail, stage)
+    single = _read_alone(plane, coarse, network, stage)
+    radiometric = all(view.photo.radiometric for view in registration.views)
+    light = SetLight.of(coarse.setup, len(registration.views))
+    found, interrupted = Aligned.of(registration, coarse.setup, light), False
+    try:
+        with stage("align"):
+            found = aligned(
+                replace(registration, setup=coarse.setup),
+                single.maps,
+                single.errors,
+                light,
+                radiometric=radiometric,
+                tell=partial(tell, "align"),
+            )
+    except KeyboardInterrupt:
+        interrupted = True
+    plane, lattice = plane_in_detail(photos[0], found.setup, detail)
+    with stage("solve"):
+        prior = reframed(single.maps, PosedCamera.of(registration.setup), found.views[0].camera)
+        views, solved = _solved(
+            found, prior, single.errors, plane.size, radiometric, partial(tell, "solve")
+        )
+    interrupted |= solved.interrupted
+    coarse = replace(coarse, setup=solved.light.onto(found.setup))
+    with stage("predict"):
+        ahead: tuple[float, ...] = ()
+        if not interrupted:
+            ahead = predictions(found, prior, single.errors, solved, radiometric)
+    told = SetReport.of(registration, found, solved, ahead)
+    sight = Sight.of(plane, coarse)
+    with stage("lend"):
+        exemplar = lent(sight, _reading(sight, solved, views), LEND.tried_at_once)
+    with stage("index"):
+        example = Example.of(exemplar, tuple((w.fx, w.fy) for w in lattice.waves))
+    sharp = sharpness(piece_maps(example.exemplar), plane, coarse)
+    piece = FoundPiece(
+        example, single.strengths, solved.residual[0], 0.0, sharp, (), interrupted, told
+    )
+    return FoundTogether(piece, coarse, plane, lattice.waves)
+
+
+def _registered(
+    photos: Sequence[Photo], detail: int | None, stage: Stage
+) -> tuple[Registration, CoarseFit, Plane]:
+    """Cameras by what photographs have in common; with them the coarse fit, and the plane."""
+    first = photos[0]
+    with stage("coarse fit"):
+        coarse = under_flash(fit_coarse(first), first.flash_intensity)
+    with stage("register"):
+        registration = register(photos, coarse.setup)
+        if len(registration.views) < 2:
+            raise _none_fits(registration)
+        setup = registration.setup
+        again = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
+        coarse = under_flash(again, first.flash_intensity)
+        # What the fit hardly moved at all is the camera still.
+        camera = replace(coarse.setup, fov=setup.fov, tilt=setup.tilt)
+        plane, _ = plane_in_detail(first, camera, detail)
+    return registration, replace(coarse, setup=camera), plane
+
+
+def _solved(
+    found: Aligned,
+    prior: MapSet,
+    doubt: Tensor,
+    size: tuple[int, int],
+    radiometric: bool,
+    tell: Callable[[float], None],
+) -> tuple[list[PieceView], Solved]:
+    """All photographs on the piece's grid, and what they make of it: coarse, then fine."""
+    begun: Solved | None = None
+    light, rounds = found.light, SolveSettings().rounds
+    across, down = size
+    if across >= 2 * SolveSettings().coarse:
+        half = (round(down / 2), round(across / 2))
+        small, unsure = shrunk(prior, doubt, half)
+        views = _on_grid(found, half[1], half[0])
+        begun = solve(
+            views,
+            small,
+            unsure,
+            light,
+            radiometric=radiometric,
+            tell=lambda share: tell(0.4 * share),
+        )
+        light, rounds = begun.light, SolveSettings().finer
+    views = _on_grid(found, across, down)
+    solved = solve(
+        views,
+        prior,
+        doubt,
+        light,
+        radiometric=radiometric,
+        settings=replace(SolveSettings(), rounds=rounds),
+        tell=lambda share: tell(share if begun is None else 0.4 + 0.6 * share),
+        begun=begun,
+    )
+    return views, solved
+
+
+def _on_grid(found: Aligned, across: int, down: int) -> list[PieceView]:
+    both = zip(found.views, found.places, strict=True)
+    return [PieceView.of(view, across, down, place) for view, place in both]
+
+
+def _none_fits(registration: Registration) -> MatcapError:
+    each = "; ".join(f"{one.name}: {one.why}" for one in registration.left_out)
+    return MatcapError(
+        f"no other photograph can be laid over {registration.views[0].photo.name} ({each})",
+        remedy="photograph the same piece from the same distance, moved by a third of it each time",
+    )
+
+
+def _read_alone(plane: Plane, coarse: CoarseFit, network: Inverse, stage: Stage) -> _Single:
+    """The first photograph read alone, on the plane's texels."""
+    with stage("piece"):
+        read, _ = to_be_read(plane)
+        sight = Sight.of(read, coarse)
+        reading = read_piece(sight, network)
+    with stage("strengths"):
+        strengths = tell_strengths(sight, reading)
+        reading = strengthened(reading, strengths)
+    with stage("refine"), torch.no_grad():
+        reading = levelled(sight, reading)
+        exemplar = exemplar_of(sight, reading)
+        if plane.size != read.size:
+            exemplar = finest(exemplar, plane, coarse)
+    errors = reading.errors.stacked()
+    wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
+    return _Single(piece_maps(exemplar), wide, strengths)
+
+
+def _reading(sight: Sight, solved: Solved, views: Sequence[PieceView]) -> Reading:
+    """What was solved, as what is lent goes by it."""
+    seen = torch.stack([view.seen.float().mean(0) for view in views]).amax(0)
+    errors = ExpectedErrors.from_stacked(solved.errors)
+    trusted = confidence(errors, np.asarray(seen.numpy(), np.float32))
+    reading = Reading(sight.light.departures(solved.maps), errors, trusted)
+    return replace(reading, departures=evened(sight, reading, reading.departures))

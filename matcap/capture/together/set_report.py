@@ -1,0 +1,75 @@
+"""What is told of several photographs of one piece."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from matcap.capture.together.align import Aligned
+from matcap.capture.together.solve import Solved
+from matcap.flash.registration.register import LeftOut, RegisteredView, Registration
+
+
+@dataclass(frozen=True)
+class SetReport:
+    """What was found of photographs that were solved together.
+
+    Attributes:
+        views: those that were used, each with its camera, the first one first.
+        residuals: median difference of log radiance between each and its re-rendering.
+        predicted: the same of each when all the others alone decide; empty where nobody asked.
+        left_out: those that were not used, and why.
+        told: share of maps that was measured rather than read: albedo, F0, roughness, relief.
+        flash_offset: of all photographs.
+        bent: the lens's distortion.
+    """
+
+    views: tuple[RegisteredView, ...]
+    residuals: tuple[float, ...]
+    predicted: tuple[float, ...]
+    left_out: tuple[LeftOut, ...]
+    told: tuple[float, float, float, float]
+    flash_offset: tuple[float, float]
+    bent: tuple[float, float]
+
+    @staticmethod
+    def of(
+        registration: Registration, found: Aligned, solved: Solved, predicted: Sequence[float]
+    ) -> SetReport:
+        """Of what was found."""
+        x, y = solved.light.offset.tolist()
+        return SetReport(
+            found.views,
+            solved.residual,
+            tuple(predicted),
+            registration.left_out,
+            solved.told,
+            (x, y),
+            found.views[0].camera.lens.bent,
+        )
+
+    def document(self) -> dict[str, Any]:
+        """JSON: angles in degrees, places in plane units."""
+        predicted = self.predicted or (None,) * len(self.views)
+        return {
+            "photographs": [
+                {
+                    "name": view.photo.name,
+                    "matches": view.matches,
+                    "likeness": view.alike,
+                    "place": view.camera.place.tolist(),
+                    "tilt_degrees": math.degrees(view.camera.tilt),
+                    "residual": residual,
+                    "predicted": ahead,
+                }
+                for view, residual, ahead in zip(self.views, self.residuals, predicted, strict=True)
+            ],
+            "left_out": [{"name": one.name, "why": one.why} for one in self.left_out],
+            "measured_share": dict(
+                zip(("diffuse", "specular", "roughness", "height"), self.told, strict=True)
+            ),
+            "flash_offset": list(self.flash_offset),
+            "lens_distortion": list(self.bent),
+        }

@@ -1,0 +1,311 @@
+"""What all texels share: gains, the flash's place, vignetting, and where photographs lie.
+
+A photograph that is looked up beside its place is explained by slopes that are not there, and then
+nothing seems wrong. So texels may answer to every step (variable projection, Golub and Pereyra
+1973): their numbers are eliminated from the normal equations of some of them, and only what no
+texel's own numbers could explain moves anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.capture.together.texels import (
+    NUMBERS,
+    SolveSettings,
+    matte_share,
+    points_of,
+    rendered,
+    weights,
+)
+from matcap.capture.together.views import PieceView, SetLight, light_at
+from matcap.flash.light import FlashLight
+from matcap.flash.registration.camera import Doubles
+
+_LIGHT = 4  # flash's offset, vignetting
+_GAINS = 3
+_MOVES = 8  # of a homography near the identity
+
+
+@dataclass(frozen=True)
+class SharedSettings:
+    """How what is shared is found; docs/notes/several.md.
+
+    Attributes:
+        sampled: texels that it is found from.
+        steps: Gauss-Newton steps.
+        counted: what a texel weighs: neighbours lie beside their truth together.
+        offset: deviation of the flash's place from where it is expected, plane units.
+        vignetting: deviations of its exponents.
+        gain: deviation of a photograph's gain, log.
+        astray: deviation of a photograph's place, plane units.
+        farthest: of a step, texels.
+    """
+
+    sampled: int = 6000
+    steps: int = 4
+    counted: float = 0.02
+    offset: float = 0.06
+    vignetting: tuple[float, float] = (0.4, 0.6)
+    gain: float = 1.5
+    astray: float = 0.004
+    farthest: float = 2.0
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Some texels in all photographs; (..., 1, N) each."""
+
+    points: Tensor
+    logs: list[Tensor]
+    seen: list[Tensor]
+    steep: list[Tensor]
+    along: list[Tensor]  # (MOVES, 3, 1, N): what a move of a photograph changes
+
+
+def shared_light(
+    views: Sequence[PieceView],
+    numbers: Tensor,
+    believed: Tensor,
+    spread: Tensor,
+    light: SetLight,
+    radiometric: bool,
+    settings: SolveSettings,
+    shared: SharedSettings | None = None,
+) -> SetLight:
+    """The light of all photographs, where they lie as they do."""
+    found, _ = shared_step(
+        views, numbers, believed, spread, light, radiometric, settings, shared, moving=False
+    )
+    return found
+
+
+def shared_step(
+    views: Sequence[PieceView],
+    numbers: Tensor,
+    believed: Tensor,
+    spread: Tensor,
+    light: SetLight,
+    radiometric: bool,
+    settings: SolveSettings,
+    shared: SharedSettings | None = None,
+    *,
+    moving: bool,
+) -> tuple[SetLight, list[Doubles]]:
+    """The light of all photographs, and (3, 3) each by which they are to be looked up elsewhere.
+
+    Args:
+        views: of the piece, the first photograph, which stays where it is, first.
+        numbers: (NUMBERS, H, W) of its texels so far.
+        believed, spread: their prior and its deviations, likewise.
+        light: so far.
+        radiometric: vignetting is held where it is.
+        settings, shared: see there.
+        moving: whether photographs may move; else all are the identity.
+    """
+    shared = shared or SharedSettings()
+    texel = 2.0 / numbers.shape[-1]
+    generator = torch.Generator().manual_seed(0)
+    chosen = torch.randint(numbers[0].numel(), (1, shared.sampled), generator=generator)
+    samples = _sampled(views, chosen, moving)
+    some, prior, held = (each.flatten(1)[:, chosen] for each in (numbers, believed, spread))
+    own = _GAINS + (_MOVES if moving else 0)
+    count = _LIGHT + own * (len(views) - 1)
+    # Offset and vignetting, then of every photograph but the first its gains and its move.
+    start = torch.cat([light.offset, light.vignetting, torch.zeros(count - _LIGHT)]).double()
+    for k in range(1, len(views)):
+        first = _LIGHT + own * (k - 1)
+        start[first : first + _GAINS] = light.gain[k]
+    deviation = _deviations(count, own, radiometric, shared)
+    values, some = start.clone(), some.clone()
+    for _ in range(shared.steps):
+        system = _eliminated(views, samples, some, prior, held, values, light, own, settings)
+        normal = shared.counted * system.normal + torch.diag(deviation**-2)
+        gradient = shared.counted * system.gradient + (start - values) / deviation**2
+        step = torch.linalg.solve(normal, gradient)
+        if moving:
+            step = _limited(step, own, shared.farthest * texel)
+        values = values + step.clamp(-1.5, 1.5)
+        some = some + system.texels(step)
+    moves = [np.eye(3)]
+    for k in range(1, len(views)):
+        first = _LIGHT + own * (k - 1) + _GAINS
+        moves.append(_homography(values[first : first + _MOVES].numpy()) if moving else np.eye(3))
+    return _light_of(values, light, own), moves
+
+
+def _sampled(views: Sequence[PieceView], chosen: Tensor, moving: bool) -> _Samples:
+    size = views[0].log.shape[-2:]
+    points = points_of(size).flatten(1)[:, chosen]
+    along = []
+    for view in views:
+        dx, dy = (
+            (plane.flatten(1)[:, chosen] for plane in _gradient(view.log))
+            if moving
+            else (
+                torch.zeros(3, *chosen.shape),
+                torch.zeros(3, *chosen.shape),
+            )
+        )
+        x, y = points[0], points[1]
+        radial = x * dx + y * dy
+        along.append(torch.stack([dx, dx * x, dx * y, dy, dy * x, dy * y, x * radial, y * radial]))
+    return _Samples(
+        points,
+        [view.log.flatten(1)[:, chosen] for view in views],
+        [view.seen.flatten(1)[:, chosen] for view in views],
+        [view.steep.flatten()[chosen] for view in views],
+        along,
+    )
+
+
+def _gradient(log: Tensor) -> tuple[Tensor, Tensor]:
+    """(3, H, W) each: what log radiance gains by plane units to the right, and up."""
+    scale = 0.125 / (2.0 / log.shape[-1])
+    found: tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]] = ([], [])
+    for plane in log.numpy():
+        smooth = cv2.GaussianBlur(plane, (0, 0), 0.7)
+        found[0].append(np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3, scale=scale)))
+        found[1].append(np.asarray(-cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3, scale=scale)))
+    return torch.from_numpy(np.stack(found[0])), torch.from_numpy(np.stack(found[1]))
+
+
+@dataclass(frozen=True)
+class _Eliminated:
+    """Normal equations of what is shared, and what texels answer with."""
+
+    normal: Tensor
+    gradient: Tensor
+    alone: Tensor  # (N, NUMBERS) texels' step if nothing shared moves
+    answer: Tensor  # (N, NUMBERS, count) what it loses by a step of what is shared
+
+    def texels(self, step: Tensor) -> Tensor:
+        """(NUMBERS, 1, N) step of texels' numbers with one of what is shared."""
+        return (self.alone - self.answer @ step.float()).clamp(-0.7, 0.7).T[:, None]
+
+
+def _eliminated(
+    views: Sequence[PieceView],
+    samples: _Samples,
+    some: Tensor,
+    prior: Tensor,
+    held: Tensor,
+    values: Tensor,
+    light: SetLight,
+    own: int,
+    settings: SolveSettings,
+) -> _Eliminated:
+    count, texels = len(values), some.shape[-1]
+    precision = held[:, 0].T.square().reciprocal()
+    within = torch.diag_embed(precision)
+    between = torch.zeros(texels, NUMBERS, count)
+    right = precision * (prior - some)[:, 0].T
+    normal = torch.zeros(count, count, dtype=torch.float64)
+    gradient = torch.zeros(count, dtype=torch.float64)
+    now = _light_of(values, light, own)
+    for k, view in enumerate(views):
+        lit = light_at(k, view, now, samples.points)
+        here = rendered(some, [lit])[0]
+        log = here.log()
+        first = _LIGHT + own * (k - 1)
+        moved = values[first + _GAINS : first + own].float() if k and own > _GAINS else None
+        seen_log = samples.logs[k]
+        if moved is not None:
+            seen_log = seen_log + torch.einsum("i,icxn->cxn", moved, samples.along[k])
+        residual = seen_log - log
+        weight = weights(residual, samples.seen[k], samples.steep[k], settings)[:, 0]
+        own_numbers = _by_numbers(some, lit, here, settings)
+        columns, places = _by_shared(view, k, samples, some, log, values, light, own, first)
+        weighted = own_numbers * weight
+        within += torch.einsum("icn,jcn->nij", weighted, own_numbers)
+        right += torch.einsum("icn,cn->ni", weighted, residual[:, 0])
+        between[:, :, places] += torch.einsum("icn,jcn->nij", weighted, columns)
+        wide = (columns * weight).double()
+        normal[places[:, None], places] += torch.einsum("icn,jcn->ij", wide, columns.double())
+        gradient[places] += torch.einsum("icn,cn->i", wide, residual[:, 0].double())
+    factor, _ = torch.linalg.cholesky_ex(within)
+    alone = torch.cholesky_solve(right[..., None], factor)[..., 0].nan_to_num(0.0)
+    answer = torch.cholesky_solve(between, factor).nan_to_num(0.0)
+    return _Eliminated(
+        normal - torch.einsum("nij,nik->jk", between.double(), answer.double()),
+        gradient - torch.einsum("nij,ni->j", between.double(), alone.double()),
+        alone,
+        answer,
+    )
+
+
+def _by_numbers(some: Tensor, lit: FlashLight, here: Tensor, settings: SolveSettings) -> Tensor:
+    """(NUMBERS, 3, N) what log radiance gains by texels' numbers."""
+    log = here.log()
+    shown = torch.zeros(NUMBERS, 3, some.shape[-1])
+    share = matte_share(some, lit, here)
+    for channel in range(3):
+        shown[channel, channel] = share[channel, 0]
+    for number in range(3, NUMBERS):
+        other = some.clone()
+        other[number] += settings.step
+        shown[number] = (rendered(other, [lit])[0].log() - log)[:, 0] / settings.step
+    return shown
+
+
+def _by_shared(
+    view: PieceView,
+    k: int,
+    samples: _Samples,
+    some: Tensor,
+    log: Tensor,
+    values: Tensor,
+    light: SetLight,
+    own: int,
+    first: int,
+) -> tuple[Tensor, Tensor]:
+    """(columns, 3, N) what residuals lose by what is shared, and which of it."""
+    columns = []
+    for index in range(_LIGHT):
+        other = values.clone()
+        other[index] += 1e-2
+        lit = light_at(k, view, _light_of(other, light, own), samples.points)
+        columns.append((rendered(some, [lit])[0].log() - log)[:, 0] / 1e-2)
+    places = list(range(_LIGHT))
+    if k:
+        for channel in range(_GAINS):
+            gain = torch.zeros_like(columns[0])
+            gain[channel] = 1.0
+            columns.append(gain)
+        if own > _GAINS:
+            columns += list(-samples.along[k][:, :, 0])
+        places += range(first, first + own)
+    return torch.stack(columns), torch.tensor(places)
+
+
+def _deviations(count: int, own: int, radiometric: bool, shared: SharedSettings) -> Tensor:
+    vignetting = (1e-3, 1e-3) if radiometric else shared.vignetting
+    each = [shared.gain] * _GAINS + [shared.astray] * (own - _GAINS)
+    whole = [shared.offset, shared.offset, *vignetting] + each * ((count - _LIGHT) // own)
+    return torch.tensor(whole, dtype=torch.float64)
+
+
+def _limited(step: Tensor, own: int, most: float) -> Tensor:
+    """A step by which no photograph moves farther."""
+    step = step.clone()
+    for first in range(_LIGHT + _GAINS, len(step), own):
+        step[first : first + _MOVES] = step[first : first + _MOVES].clamp(-most, most)
+    return step
+
+
+def _homography(move: NDArray[np.float64]) -> Doubles:
+    a, b, c, d, e, f, g, h = move
+    return np.array([[1.0 + b, c, a], [e, 1.0 + f, d], [-g, -h, 1.0]])
+
+
+def _light_of(values: Tensor, light: SetLight, own: int) -> SetLight:
+    gains = values[_LIGHT:].reshape(-1, own)[:, :_GAINS]
+    gain = torch.cat([torch.zeros(1, 3), gains.float()])
+    return replace(light, offset=values[:2].float(), vignetting=values[2:4].float(), gain=gain)

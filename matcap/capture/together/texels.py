@@ -1,0 +1,229 @@
+"""Numbers of every texel, and a step of them towards what all photographs show.
+
+Seven a texel: logarithms of albedo by channel and of F0, logit of roughness, two slopes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.brdf.normals import normals_from_height, normals_from_slopes
+from matcap.capture.together.views import PieceView, SetLight, light_at, radiance, strips
+from matcap.flash.geometry import plane_points
+from matcap.flash.light import FlashLight
+
+ALBEDO, F0, ROUGH, SLOPES = slice(0, 3), 3, 4, slice(5, 7)
+NUMBERS = 7
+
+
+@dataclass(frozen=True)
+class SolveSettings:
+    """How several photographs are solved; docs/notes/several.md.
+
+    Attributes:
+        rounds: (per-texel steps of each round, a common fit before each); none leaves the maps as
+            they were read, and finds their light alone.
+        finer: likewise, of a grid whose texels begin at half as many across.
+        coarse: texels across that are solved from the beginning.
+        robust: log radiance at which a residual counts half.
+        noise: of log radiance, of one channel of one photograph: what re-rendering is off by at
+            best.
+        beside: texels that photographs lie beside each other at last: where log radiance is steep
+            it is off by as much more.
+        albedo, gloss, slope: least deviations of what the network read: log albedo, log F0 and
+            logit roughness, slope. Smaller holds more to it.
+        steepest: slope.
+        step: of finite differences.
+        damping: share of what is told of a number that holds it where it is; a step that is too
+            bold overshoots, a timid one leaves what trades albedo for slope where it began.
+        around: texels' deviation, as a share of the long side, over which gloss is told to others.
+        slow: deviation of what counts as slow in slopes, as a share of the long side.
+        rows: solved at a time; memory is in proportion.
+    """
+
+    rounds: tuple[int, ...] = (2, 1, 1)
+    finer: tuple[int, ...] = (1, 1)
+    coarse: int = 320
+    robust: float = 0.25
+    noise: float = 0.02
+    beside: float = 0.35
+    albedo: float = 0.5
+    gloss: float = 0.2
+    slope: float = 0.07
+    steepest: float = 3.0
+    step: float = 0.02
+    damping: float = 0.005
+    around: float = 0.02
+    slow: float = 0.08
+    rows: int = 48
+
+
+def numbers_of(maps: MapSet) -> Tensor:
+    """(NUMBERS, H, W) of maps."""
+    slopes = slopes_of(maps.height, maps.texel_size)
+    return torch.cat(
+        [
+            maps.diffuse.clamp(1e-3, 0.98).log(),
+            maps.specular.clamp(5e-3, 0.98).log(),
+            maps.roughness.clamp(0.03, 0.98).logit(),
+            slopes,
+        ]
+    ).float()
+
+
+def maps_of(numbers: Tensor, height: Tensor, texel_size: float) -> MapSet:
+    """Maps of numbers, and of the height (1, H, W) whose slopes they hold."""
+    return MapSet(
+        diffuse=numbers[ALBEDO].exp().clamp(1e-3, 0.98),
+        specular=numbers[F0 : F0 + 1].exp().clamp(5e-3, 0.98),
+        roughness=torch.sigmoid(numbers[ROUGH : ROUGH + 1]).clamp(0.03, 0.98),
+        height=height,
+        texel_size=texel_size,
+    )
+
+
+def slopes_of(height: Tensor, texel_size: float) -> Tensor:
+    """(2, H, W) central slopes of a height (1, H, W)."""
+    normal = normals_from_height(height, texel_size)
+    return -normal[:2] / normal[2:]
+
+
+def points_of(size: torch.Size | tuple[int, ...], rows: slice | None = None) -> Tensor:
+    """(3, h, w) plane points of a grid, or of some rows of it."""
+    height, width = size
+    rows = rows or slice(0, height)
+    return plane_points(
+        0, rows.start, width, rows.stop - rows.start, (width, height), dtype=torch.float32
+    )
+
+
+def spread_of(doubt: Tensor, settings: SolveSettings) -> Tensor:
+    """(NUMBERS, H, W) deviations of the prior, of what the network doubts (4, H, W)."""
+    off = doubt.clamp(-8.0, 2.0).exp()
+    albedo = off[:1].clamp_min(settings.albedo).expand(3, -1, -1)
+    gloss = off[1:3].clamp_min(settings.gloss)
+    return torch.cat([albedo, gloss, off[3:4].clamp_min(settings.slope).expand(2, -1, -1)])
+
+
+def rendered(numbers: Tensor, lights: Sequence[FlashLight]) -> list[Tensor]:
+    """Radiance (3, h, w) of numbers (NUMBERS, h, w) in each light."""
+    normal = normals_from_slopes(numbers[5:6], numbers[6:7])
+    matte, f0 = numbers[ALBEDO].exp(), numbers[F0 : F0 + 1].exp()
+    rough = torch.sigmoid(numbers[ROUGH : ROUGH + 1])
+    return [radiance(light, matte, f0, rough, normal) for light in lights]
+
+
+def weights(residual: Tensor, seen: Tensor, steep: Tensor, settings: SolveSettings) -> Tensor:
+    """What residuals of log radiance weigh (Geman and McClure 1985)."""
+    kept = 1.0 / (1.0 + (residual / settings.robust).square()).square()
+    return seen * kept / (settings.noise**2 + (settings.beside * steep).square())
+
+
+def cost_of(
+    views: Sequence[PieceView],
+    rows: slice,
+    numbers: Tensor,
+    lights: Sequence[FlashLight],
+    settings: SolveSettings,
+) -> Tensor:
+    """(h, w) robust cost of what numbers leave."""
+    total = torch.zeros(numbers.shape[1:])
+    for view, found in zip(views, rendered(numbers, lights), strict=True):
+        squared = ((view.log[:, rows] - found.log()) / settings.robust).square()
+        total += (squared / (1.0 + squared) * view.seen[:, rows]).sum(0)
+    return total
+
+
+def stepped(
+    views: Sequence[PieceView],
+    numbers: Tensor,
+    believed: Tensor,
+    spread: Tensor,
+    light: SetLight,
+    settings: SolveSettings,
+) -> tuple[Tensor, Tensor]:
+    """A Gauss-Newton step of every texel, and the precision (NUMBERS, H, W) of what it tells."""
+    moved, told = torch.empty_like(numbers), torch.empty_like(numbers)
+    for rows in strips(numbers.shape[1], settings.rows):
+        part = slice(None), rows
+        points = points_of(numbers.shape[-2:], rows)
+        system = _system(views, rows, numbers[part], light, points, settings)
+        moved[part], told[part] = _solved(
+            *system, numbers[part], believed[part], spread[part], settings.damping
+        )
+    steep = settings.steepest
+    moved[SLOPES] = moved[SLOPES].clamp(-steep, steep)
+    moved[ALBEDO] = moved[ALBEDO].clamp(math.log(1e-3), math.log(0.98))
+    moved[F0] = moved[F0].clamp(math.log(5e-3), math.log(0.98))
+    moved[ROUGH] = moved[ROUGH].clamp(-3.5, 3.9)
+    return moved, told
+
+
+def _system(
+    views: Sequence[PieceView],
+    rows: slice,
+    numbers: Tensor,
+    light: SetLight,
+    points: Tensor,
+    settings: SolveSettings,
+) -> tuple[Tensor, Tensor]:
+    """Normal equations (N, 7, 7) and right-hand sides (N, 7) of some rows."""
+    count = numbers[0].numel()
+    normal = torch.zeros(NUMBERS, NUMBERS, count)
+    gradient = torch.zeros(NUMBERS, count)
+    step = settings.step
+    for index, view in enumerate(views):
+        seen = view.seen[:, rows]
+        if not seen.any():
+            continue
+        lit = [light_at(index, view, light, points)]
+        here = rendered(numbers, lit)[0]
+        log = here.log()
+        residual = view.log[:, rows] - log
+        weight = weights(residual, seen, view.steep[rows], settings)
+        shown = torch.zeros(NUMBERS, 3, count)
+        for number in range(3, NUMBERS):
+            other = numbers.clone()
+            other[number] += step
+            shown[number] = ((rendered(other, lit)[0].log() - log) / step).flatten(1)
+        lobeless = matte_share(numbers, lit[0], here)
+        for channel in range(3):
+            shown[channel, channel] = lobeless[channel].flatten()
+        weighted = shown * weight.flatten(1)
+        normal += torch.einsum("icn,jcn->ijn", weighted, shown)
+        gradient += (weighted * residual.flatten(1)).sum(1)
+    return normal.permute(2, 0, 1), gradient.T
+
+
+def matte_share(numbers: Tensor, light: FlashLight, whole: Tensor) -> Tensor:
+    """(3, h, w) share of radiance that is diffuse: what log radiance gains by log albedo's."""
+    normal = normals_from_slopes(numbers[5:6], numbers[6:7])
+    cosine = (normal * light.to_light).sum(0, keepdim=True).clamp_min(1e-3)
+    return numbers[ALBEDO].exp() / math.pi * light.power * cosine / whole
+
+
+def _solved(
+    normal: Tensor,
+    gradient: Tensor,
+    numbers: Tensor,
+    believed: Tensor,
+    spread: Tensor,
+    damping: float,
+) -> tuple[Tensor, Tensor]:
+    """Numbers after a step, and what was told of each alone, both (NUMBERS, h, w)."""
+    shape = numbers.shape
+    here, prior = numbers.flatten(1).T, believed.flatten(1).T
+    held = spread.flatten(1).T.square().reciprocal()
+    told = normal.diagonal(dim1=1, dim2=2).clone()
+    whole = normal + torch.diag_embed(held + damping * told)
+    factor, _ = torch.linalg.cholesky_ex(whole)
+    right = gradient + held * (prior - here)
+    step = torch.cholesky_solve(right[..., None], factor)[..., 0]
+    step = step.nan_to_num(0.0).clamp(-0.7, 0.7)
+    return (here + step).T.reshape(shape), told.T.reshape(shape)

@@ -1,0 +1,199 @@
+"""Photographs of one piece on its own grid, each with its camera and its light at every texel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.light import FlashLight, log_vignette
+from matcap.flash.registration.camera import PosedCamera
+from matcap.flash.registration.register import RegisteredView, grid_points, to_pixels
+
+_FINER = 2  # places a texel's side is seen at
+_CLIPPING = 0.95  # a clipped pixel's channels above this did it
+_MOST_CLIPPED = 0.25  # share of a texel that may have been clipped
+_DARKEST = 1e-5  # linear radiance
+_SLOW = 0.06  # share of the long side: deviation of what is slow in heights
+_BORDER = 2.0  # pixels at a photograph's border that are not used
+
+
+Doubles = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SetLight:
+    """What all photographs of a piece share, and what each has of its own.
+
+    Attributes:
+        offset: (2,) of the flash beside the lens, camera frame, plane units.
+        vignetting: (2,) exponents with r^2 and r^4 (flash/geometry.py).
+        gain: (photographs, 3) logarithm of what a channel is brighter by than the first's.
+        intensity: (3,) of the first one's flash.
+    """
+
+    offset: Tensor
+    vignetting: Tensor
+    gain: Tensor
+    intensity: Tensor
+
+    @staticmethod
+    def of(setup: FlashSetup, count: int) -> SetLight:
+        """A first guess for so many photographs."""
+        return SetLight(
+            torch.tensor(setup.offset[:2]).float(),
+            torch.tensor([setup.vignetting, setup.vignetting_quartic]),
+            torch.zeros(count, 3),
+            torch.tensor(setup.intensity).float(),
+        )
+
+    def onto(self, setup: FlashSetup) -> FlashSetup:
+        """The first photograph's setup, under this light."""
+        x, y = self.offset.tolist()
+        lost, more = self.vignetting.tolist()
+        return replace(
+            setup, offset=(x, y, setup.offset[2]), vignetting=lost, vignetting_quartic=more
+        )
+
+    def of_some(self, kept: Sequence[int]) -> SetLight:
+        """Of some of the photographs, the first of which is the first."""
+        gain = self.gain[list(kept)]
+        return replace(self, gain=gain - gain[:1], intensity=self.intensity * gain[0].exp())
+
+
+@dataclass(frozen=True)
+class ViewPlace:
+    """Where a photograph is looked up for a texel.
+
+    Attributes:
+        nudge: (3, 3) homography of the plane (align.py).
+        relief: (h, w) height of the piece on any grid, plane units, which has parallax; None for
+            none.
+        first: (3,) place of the first camera, on whose rays the piece's texels lie.
+    """
+
+    nudge: Doubles
+    relief: NDArray[np.float32] | None
+    first: Doubles
+
+    def points(self, across: int, down: int) -> Doubles:
+        """(3, down, across) points of a grid's texels."""
+        points = grid_points(across, down)
+        height = np.zeros((down, across), np.float32)
+        if self.relief is not None:
+            wide = cv2.resize(self.relief, (across, down), interpolation=cv2.INTER_LINEAR)
+            height = np.asarray(wide, np.float32)
+            # What is slow in a surface made of slopes is not known.
+            slow = max(across, down) * _SLOW
+            height = height - cv2.GaussianBlur(height, (0, 0), slow)
+        share = height / self.first[2]
+        points = points + share * (self.first[:, None, None] - points)
+        raised = points[2].copy()
+        points[2] = 1.0
+        points = np.tensordot(self.nudge, points, 1)
+        points /= points[2].copy()
+        points[2] = raised
+        return points
+
+
+@dataclass(frozen=True)
+class PieceView:
+    """A photograph on the piece's grid.
+
+    Attributes:
+        name: its file's.
+        log: (3, H, W) logarithm of its radiance.
+        seen: (3, H, W) bool, by channel: in the picture and not clipped.
+        steep: (H, W) how much log radiance changes from a texel to the next: what a texel that is
+            looked up beside its place is off by.
+        camera: where it stood.
+    """
+
+    name: str
+    log: Tensor
+    seen: Tensor
+    steep: Tensor
+    camera: PosedCamera
+
+    @staticmethod
+    def of(
+        view: RegisteredView, across: int, down: int, place: ViewPlace | None = None
+    ) -> PieceView:
+        """A registered photograph on a grid of (down, across) texels.
+
+        Args:
+            view: the photograph.
+            across, down: texels.
+            place: where it is looked up; None for where features lie.
+        """
+        photo = view.photo
+        rows, columns = photo.pixels.shape[:2]
+        shrink = min(1.0, _FINER * across / columns)
+        size = (round(columns * shrink), round(rows * shrink))
+        pixels = _shrunk(photo.pixels, size)
+        full = (photo.clipped[..., None] & (photo.pixels > _CLIPPING)).astype(np.float32)
+        clipped = _shrunk(full, size)
+        fine = (across * _FINER, down * _FINER)
+        points = grid_points(*fine) if place is None else place.points(*fine)
+        x, y = to_pixels(view.camera.sees(points), *size)
+        inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)
+
+        def on_grid(picture: NDArray[np.float32], how: int) -> NDArray[np.float32]:
+            there = cv2.remap(picture, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
+            return np.asarray(cv2.resize(there, (across, down), interpolation=cv2.INTER_AREA))
+
+        linear = on_grid(pixels, cv2.INTER_CUBIC).clip(_DARKEST)
+        hidden = on_grid(clipped, cv2.INTER_LINEAR) > _MOST_CLIPPED
+        whole = cv2.resize(inside.astype(np.float32), (across, down), interpolation=cv2.INTER_AREA)
+        seen = ~hidden & (whole[..., None] > 0.99)
+        log = np.log(linear)
+        return PieceView(
+            photo.name,
+            torch.from_numpy(np.ascontiguousarray(log.transpose(2, 0, 1))),
+            torch.from_numpy(np.ascontiguousarray(seen.transpose(2, 0, 1))),
+            torch.from_numpy(_steepness(log.mean(2))),
+            view.camera,
+        )
+
+
+def _shrunk(picture: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _steepness(log: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(H, W) root of the mean square around of what (H, W) changes by from texel to texel."""
+    dx = cv2.Sobel(log, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
+    dy = cv2.Sobel(log, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
+    return np.asarray(np.sqrt(cv2.GaussianBlur(dx * dx + dy * dy, (0, 0), 1.5)), np.float32)
+
+
+def light_at(number: int, view: PieceView, light: SetLight, points: Tensor) -> FlashLight:
+    """Of a photograph's number, the light at plane points (3, h, w)."""
+    camera = view.camera
+    turn = torch.from_numpy(camera.turn).to(points)
+    place = torch.from_numpy(camera.place).to(points)
+    flash = place + turn.T @ torch.cat([light.offset, light.offset.new_zeros(1)]).to(points)
+    seen = torch.tensordot(turn, points - place[:, None, None], dims=1)
+    image = camera.lens.focal * seen[:2] / -seen[2:]
+    lost = log_vignette(image, light.vignetting[0], light.vignetting[1])
+    strength = (light.intensity.log() + light.gain[number]).to(points)
+    return FlashLight.between(points, place, flash, (strength[:, None, None] + lost).exp())
+
+
+def radiance(
+    light: FlashLight, matte: Tensor, specular: Tensor, rough: Tensor, normal: Tensor
+) -> Tensor:
+    """(3, h, w) of albedo, F0 and roughness with normals (3, h, w)."""
+    return light.onto(normal).radiance(matte, specular, rough).clamp_min(_DARKEST)
+
+
+def strips(height: int, rows: int) -> Iterator[slice]:
+    """Rows of a picture, so many at a time: what all photographs say of all texels is large."""
+    for top in range(0, height, rows):
+        yield slice(top, min(height, top + rows))

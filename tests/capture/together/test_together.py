@@ -1,0 +1,212 @@
+"""Several photographs of one piece: cameras, places, maps, and what is said of them."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.outputs import OutputSettings, write_outputs
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.progress import TOGETHER_STAGES
+from matcap.capture.report import warnings
+from matcap.capture.settings import CaptureSettings
+from matcap.capture.together.shared import shared_step
+from matcap.capture.together.solve import predicted, solve
+from matcap.capture.together.texels import (
+    SolveSettings,
+    numbers_of,
+    points_of,
+    rendered,
+    spread_of,
+)
+from matcap.capture.together.views import PieceView, SetLight, light_at
+from matcap.errors import MatcapError
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.registration.register import register
+from matcap.lab.simulate.hand_held import Hand, hold
+from matcap.lab.simulate.photograph import PhoneCamera
+
+PHONE = PhoneCamera(width=640, height=480)
+SIZE = (48, 64)
+OFFSET = (0.04, -0.07)
+
+
+def _true(seed=0):
+    """Maps of a rough relief, whose albedo has blots that know nothing of it."""
+    rng = np.random.default_rng(seed)
+    import cv2
+
+    def grain(deviation):
+        noise = cv2.GaussianBlur(rng.normal(size=SIZE), (0, 0), deviation)
+        return torch.from_numpy(noise / noise.std()).float()[None]
+
+    texel = 2.0 / SIZE[1]
+    return MapSet(
+        diffuse=(0.3 * (0.2 * grain(3.0)).exp()).expand(3, -1, -1).contiguous(),
+        specular=torch.full((1, *SIZE), 0.04),
+        roughness=torch.full((1, *SIZE), 0.6),
+        height=0.25 * texel * grain(2.0),
+        texel_size=texel,
+    )
+
+
+def _views(maps, count, noise=0.0):
+    """Photographs of maps by the renderer itself, on the maps' own grid."""
+    cameras = hold(PHONE, Hand(), count, 1)
+    light = SetLight(
+        torch.tensor(OFFSET), torch.zeros(2), torch.zeros(count, 3), torch.full((3,), 5.0)
+    )
+    generator = torch.Generator().manual_seed(3)
+    views = []
+    for number, camera in enumerate(cameras):
+        empty = torch.zeros(3, *SIZE)
+        view = PieceView("made", empty, empty == 0.0, torch.zeros(SIZE), camera)
+        lit = light_at(number, view, light, points_of(SIZE))
+        log = rendered(numbers_of(maps), [lit])[0].log()
+        views.append(replace(view, log=log + noise * torch.randn(log.shape, generator=generator)))
+    return views, light
+
+
+def _flat(maps):
+    """What says nothing: the mean of everything, and no relief."""
+    mean = maps.diffuse.mean((1, 2), keepdim=True).expand(3, *SIZE).contiguous()
+    return replace(maps, diffuse=mean, height=torch.zeros(1, *SIZE))
+
+
+NOTHING_KNOWN = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.15]))[:, None, None].expand(4, *SIZE)
+
+
+def _degrees(one, other):
+    return float((one.normal * other.normal).sum(0).clamp(-1.0, 1.0).acos().rad2deg().mean())
+
+
+def test_five_photographs_tell_relief_that_nothing_else_does():
+    maps = _true()
+    views, light = _views(maps, 5, 0.005)
+    found = solve(views, _flat(maps), NOTHING_KNOWN, light, radiometric=True)
+    assert _degrees(found.maps, maps) < 0.2 * _degrees(_flat(maps), maps)
+    off = (found.maps.diffuse.log() - maps.diffuse.log()).abs().mean()
+    assert off < 0.03
+    assert max(found.residual) < 0.02
+    assert found.told[3] > 0.5
+
+
+def test_more_photographs_tell_more():
+    maps = _true(1)
+    off = []
+    for count in (2, 3, 5):
+        views, light = _views(maps, count, 0.01)
+        found = solve(views, _flat(maps), NOTHING_KNOWN, light, radiometric=True)
+        off.append(_degrees(found.maps, maps))
+    assert off[0] > 1.2 * off[1] and off[1] > 1.2 * off[2]
+
+
+def test_a_photograph_is_predicted_from_the_others():
+    maps = _true(2)
+    views, light = _views(maps, 5, 0.01)
+    some = light.of_some([0, 1, 2, 4])
+    kept = [views[k] for k in (0, 1, 2, 4)]
+    found = solve(kept, _flat(maps), NOTHING_KNOWN, some, radiometric=True)
+    assert predicted(views[3], found) < 3.0 * max(found.residual)
+    flat = replace(found, maps=_flat(maps))
+    assert predicted(views[3], flat) > 3.0 * predicted(views[3], found)
+
+
+def test_the_flash_is_found_beside_the_lens():
+    maps = _true(3)
+    views, light = _views(maps, 5)
+    numbers, spread = numbers_of(maps), spread_of(NOTHING_KNOWN, SolveSettings())
+    begun = replace(light, offset=torch.zeros(2))
+    found, _ = shared_step(
+        views, numbers, numbers, spread, begun, True, SolveSettings(), moving=False
+    )
+    assert np.abs(found.offset.numpy() - OFFSET).max() < 0.01
+
+
+def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it():
+    """The maps that are begun with are what the shifted photograph made of them."""
+    maps = _true(4)
+    views, light = _views(maps, 5)
+    # By two texels to the right: what is looked up there lay two texels further left.
+    shifted = [*views[:3], replace(views[3], log=views[3].log.roll(2, dims=2)), *views[4:]]
+    settings = SolveSettings()
+    flat = _flat(maps)
+    found = solve(shifted, flat, NOTHING_KNOWN, light, radiometric=True)
+    _, moves = shared_step(
+        shifted,
+        numbers_of(found.maps),
+        numbers_of(flat),
+        spread_of(NOTHING_KNOWN, settings),
+        found.light,
+        True,
+        settings,
+        moving=True,
+    )
+    texel = maps.texel_size
+    assert moves[3][0, 2] > 0.6 * texel
+    for number in (1, 2, 4):
+        assert abs(moves[number][0, 2]) < 0.7 * moves[3][0, 2]
+    assert (moves[0] == np.eye(3)).all()
+
+
+def test_slopes_stay_finite_where_nothing_is_seen():
+    maps = _true(5)
+    views, light = _views(maps, 3)
+    blind = [replace(view, seen=torch.zeros_like(view.seen)) for view in views]
+    found = solve(blind, maps, NOTHING_KNOWN, light, radiometric=False)
+    for channel in found.maps.stacked():
+        assert torch.isfinite(channel).all()
+    assert (found.maps.normal - maps.normal).abs().max() < 0.02
+    assert torch.isfinite(found.errors).all()
+
+
+def test_cameras_are_found_and_a_foreign_photograph_is_named(held, foreign):
+    cameras, photos = held
+    found = register([photos[0], foreign, *photos[1:]], FlashSetup(fov=PHONE.fov))
+    assert [view.photo.name for view in found.views] == [photo.name for photo in photos]
+    assert [one.name for one in found.left_out] == ["leather_9"]
+    assert found.left_out[0].why
+    for view, camera in zip(found.views[1:], cameras[1:], strict=True):
+        apart = np.linalg.norm(view.camera.place - camera.place)
+        assert apart < 0.03 * np.linalg.norm(camera.place)
+
+
+def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
+    _, photos = held
+    told = []
+    settings = CaptureSettings(preset="instant", detail=192)
+    result = capture_photo(photos[0], settings, told.append, others=[photos[1], foreign, photos[2]])
+    stages = [name for name in TOGETHER_STAGES if name not in ("read", "write")]
+    assert list(dict.fromkeys(now.stage for now in told)) == stages
+    assert sum(TOGETHER_STAGES.values()) == pytest.approx(1.0)
+    fractions = [now.fraction for now in told]
+    assert fractions == sorted(fractions)
+    assert any("leather_9 was left out" in warning for warning in warnings(result))
+    assert result.found is not None and result.found.error < 0.1
+
+    write_outputs(result, tmp_path / "plaster", OutputSettings((32, 32)))
+    report = json.loads((tmp_path / "plaster/report.json").read_text())
+    several = report["several"]
+    assert [one["name"] for one in several["photographs"]] == [photo.name for photo in photos]
+    assert [one["name"] for one in several["left_out"]] == ["leather_9"]
+    for one in several["photographs"]:
+        assert 0.0 < one["residual"] < 0.1 and math.isfinite(one["predicted"])
+    assert all(0.0 <= share <= 1.0 for share in several["measured_share"].values())
+
+
+def test_nothing_in_common_is_refused(held, foreign):
+    _, photos = held
+    with pytest.raises(MatcapError, match=r"leather_9.*photograph the same piece"):
+        capture_photo(photos[0], CaptureSettings(preset="instant", detail=192), others=[foreign])
+
+
+def test_a_hand_holds_the_phone_as_it_is_told():
+    cameras = hold(PHONE, Hand(shaken=0.0, turned=0.0, aside=0.3), 5, 0)
+    distance = 1.0 / math.tan(math.radians(PHONE.fov / 2.0))
+    for camera in cameras[1:]:
+        assert np.hypot(*camera.place[:2]) == pytest.approx(0.3 * distance, rel=1e-6)
+        assert 5.0 < math.degrees(camera.tilt) < 25.0
