@@ -160,7 +160,9 @@ def test_slopes_stay_finite_where_nothing_is_seen():
     found = solve(blind, maps, NOTHING_KNOWN, light, radiometric=False)
     for channel in found.maps.stacked():
         assert torch.isfinite(channel).all()
-    assert (found.maps.normal - maps.normal).abs().max() < 0.02
+    # As it was read, but for what is slow.
+    assert _degrees(found.maps, maps) < 0.4 * _degrees(_flat(maps), maps)
+    torch.testing.assert_close(found.maps.diffuse, maps.diffuse, atol=0.01, rtol=0.0)
     assert torch.isfinite(found.errors).all()
 
 
