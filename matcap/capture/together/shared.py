@@ -20,13 +20,12 @@ from torch import Tensor
 from matcap.capture.together.texels import (
     NUMBERS,
     SolveSettings,
-    matte_share,
+    derivatives,
     points_of,
     rendered,
     weights,
 )
 from matcap.capture.together.views import PieceView, SetLight, light_at
-from matcap.flash.light import FlashLight
 from matcap.flash.registration.camera import Doubles
 
 _LIGHT = 4  # flash's offset, vignetting
@@ -212,8 +211,7 @@ def _eliminated(
     now = _light_of(values, light, own)
     for k, view in enumerate(views):
         lit = light_at(k, view, now, samples.points)
-        here = rendered(some, [lit])[0]
-        log = here.log()
+        log, own_numbers = derivatives(some, lit, settings.step)
         first = _LIGHT + own * (k - 1)
         moved = values[first + _GAINS : first + own].float() if k and own > _GAINS else None
         seen_log = samples.logs[k]
@@ -221,7 +219,6 @@ def _eliminated(
             seen_log = seen_log + torch.einsum("i,icxn->cxn", moved, samples.along[k])
         residual = seen_log - log
         weight = weights(residual, samples.seen[k], samples.steep[k], settings)[:, 0]
-        own_numbers = _by_numbers(some, lit, here, settings)
         columns, places = _by_shared(view, k, samples, some, log, values, light, own, first)
         weighted = own_numbers * weight
         within += torch.einsum("icn,jcn->nij", weighted, own_numbers)
@@ -239,20 +236,6 @@ def _eliminated(
         alone,
         answer,
     )
-
-
-def _by_numbers(some: Tensor, lit: FlashLight, here: Tensor, settings: SolveSettings) -> Tensor:
-    """(NUMBERS, 3, N) what log radiance gains by texels' numbers."""
-    log = here.log()
-    shown = torch.zeros(NUMBERS, 3, some.shape[-1])
-    share = matte_share(some, lit, here)
-    for channel in range(3):
-        shown[channel, channel] = share[channel, 0]
-    for number in range(3, NUMBERS):
-        other = some.clone()
-        other[number] += settings.step
-        shown[number] = (rendered(other, [lit])[0].log() - log)[:, 0] / settings.step
-    return shown
 
 
 def _by_shared(

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
-from matcap.capture.together.views import PieceView, SetLight, light_at, radiance, strips
+from matcap.capture.together.views import PieceView, SetLight, light_at, logarithm, radiance, strips
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight
 
@@ -177,35 +177,52 @@ def _system(
     count = numbers[0].numel()
     normal = torch.zeros(NUMBERS, NUMBERS, count)
     gradient = torch.zeros(NUMBERS, count)
-    step = settings.step
     for index, view in enumerate(views):
         seen = view.seen[:, rows]
         if not seen.any():
             continue
-        lit = [light_at(index, view, light, points)]
-        here = rendered(numbers, lit)[0]
-        log = here.log()
+        log, shown = derivatives(numbers, light_at(index, view, light, points), settings.step)
         residual = view.log[:, rows] - log
-        weight = weights(residual, seen, view.steep[rows], settings)
-        shown = torch.zeros(NUMBERS, 3, count)
-        for number in range(3, NUMBERS):
-            other = numbers.clone()
-            other[number] += step
-            shown[number] = ((rendered(other, lit)[0].log() - log) / step).flatten(1)
-        lobeless = matte_share(numbers, lit[0], here)
+        weight = weights(residual, seen, view.steep[rows], settings).flatten(1)
+        weighted = shown * weight
+        # Albedo's channels show in themselves alone.
         for channel in range(3):
-            shown[channel, channel] = lobeless[channel].flatten()
-        weighted = shown * weight.flatten(1)
-        normal += torch.einsum("icn,jcn->ijn", weighted, shown)
+            own = weighted[channel, channel]
+            normal[channel, channel] += own * shown[channel, channel]
+            normal[3:, channel] += own * shown[3:, channel]
+        for number in range(3, NUMBERS):
+            normal[number:, number] += (weighted[number] * shown[number:]).sum(1)
         gradient += (weighted * residual.flatten(1)).sum(1)
+    for number in range(NUMBERS):
+        normal[number, number + 1 :] = normal[number + 1 :, number]
     return normal.permute(2, 0, 1), gradient.T
 
 
-def matte_share(numbers: Tensor, light: FlashLight, whole: Tensor) -> Tensor:
-    """(3, h, w) share of radiance that is diffuse: what log radiance gains by log albedo's."""
-    normal = normals_from_slopes(numbers[5:6], numbers[6:7])
-    cosine = (normal * light.to_light).sum(0, keepdim=True).clamp_min(1e-3)
-    return numbers[ALBEDO].exp() / math.pi * light.power * cosine / whole
+def derivatives(numbers: Tensor, light: FlashLight, step: float) -> tuple[Tensor, Tensor]:
+    """Log radiance (3, h, w) of numbers, and what it gains by each of them (NUMBERS, 3, h * w).
+
+    By differences of a step, but for albedo, which adds its own share.
+    """
+    matte, f0 = numbers[ALBEDO].exp(), numbers[F0 : F0 + 1].exp()
+    rough = torch.sigmoid(numbers[ROUGH : ROUGH + 1])
+    x, y = numbers[5:6], numbers[6:7]
+    incidence = light.onto(normals_from_slopes(x, y))
+    diffuse = incidence.diffuse(matte)
+    log = logarithm(diffuse + incidence.specular(f0, rough))
+    rougher = torch.sigmoid(numbers[ROUGH : ROUGH + 1] + step)
+    moved = [
+        diffuse + incidence.specular(f0 * math.exp(step), rough),
+        diffuse + incidence.specular(f0, rougher),
+        light.onto(normals_from_slopes(x + step, y)).radiance(matte, f0, rough),
+        light.onto(normals_from_slopes(x, y + step)).radiance(matte, f0, rough),
+    ]
+    shown = torch.zeros(NUMBERS, 3, log[0].numel())
+    for number, each in enumerate(moved, start=F0):
+        shown[number] = ((logarithm(each) - log) / step).flatten(1)
+    share = (diffuse / log.exp()).flatten(1)
+    for channel in range(3):
+        shown[channel, channel] = share[channel]
+    return log, shown
 
 
 def _solved(

@@ -193,6 +193,11 @@ def radiance(
     return light.onto(normal).radiance(matte, specular, rough).clamp_min(_DARKEST)
 
 
+def logarithm(radiance: Tensor) -> Tensor:
+    """Of radiance, as faint as photographs are taken for at most."""
+    return radiance.clamp_min(_DARKEST).log()
+
+
 def strips(height: int, rows: int) -> Iterator[slice]:
     """Rows of a picture, so many at a time: what all photographs say of all texels is large."""
     for top in range(0, height, rows):
