@@ -14,9 +14,11 @@ import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.shared import shared_light, shared_step
 from matcap.capture.together.stereo import stereo
 from matcap.capture.together.surface import surface_of
@@ -38,6 +40,7 @@ class AlignSettings:
         rounds: of moving on each.
         steps: of all texels' numbers on each, for relief's parallax; on the finest level only the
             texels that are sampled move.
+        slow: deviation of what counts as slow in heights, as a share of the long side.
         pixel: plane units that photographs are expected to lie beside their places.
     """
 
@@ -45,6 +48,7 @@ class AlignSettings:
     finest: int = 768
     rounds: tuple[int, ...] = (3, 4, 4)
     steps: tuple[int, ...] = (2, 1, 0)
+    slow: float = 0.06
     pixel: float = 1e-3
 
 
@@ -112,7 +116,7 @@ def aligned(
             seen = [PieceView.of(v, across, down, p) for v, p in zip(views, places, strict=True)]
             if turn == 0 or numbers is None:
                 numbers = _begun(seen, numbers, believed, spread, light, radiometric, steps)
-                relief = surface_of(numbers[SLOPES], small.texel_size)[0].numpy()
+                relief = _relief(numbers, small.texel_size, settings)
             light, moves = shared_step(
                 seen, numbers, believed, spread, light, radiometric, solving, moving=True
             )
@@ -125,6 +129,12 @@ def aligned(
             if tell:
                 tell(done / effort)
     return Aligned(setup, tuple(views), tuple(places), light)
+
+
+def _relief(numbers: Tensor, texel_size: float, settings: AlignSettings) -> NDArray[np.float32]:
+    """(H, W) height that has parallax; what is slow in a surface made of slopes is not known."""
+    height = surface_of(numbers[SLOPES], texel_size)[0].numpy()
+    return height - smoothed(height, settings.slow * max(height.shape))
 
 
 def _begun(

@@ -20,7 +20,6 @@ _FINER = 2  # places a texel's side is seen at
 _CLIPPING = 0.95  # a clipped pixel's channels above this did it
 _MOST_CLIPPED = 0.25  # share of a texel that may have been clipped
 _DARKEST = 1e-5  # linear radiance
-_SLOW = 0.06  # share of the long side: deviation of what is slow in heights
 _BORDER = 2.0  # pixels at a photograph's border that are not used
 
 
@@ -89,9 +88,6 @@ class ViewPlace:
         if self.relief is not None:
             wide = cv2.resize(self.relief, (across, down), interpolation=cv2.INTER_LINEAR)
             height = np.asarray(wide, np.float32)
-            # What is slow in a surface made of slopes is not known.
-            slow = max(across, down) * _SLOW
-            height = height - cv2.GaussianBlur(height, (0, 0), slow)
         share = height / self.first[2]
         points = points + share * (self.first[:, None, None] - points)
         raised = points[2].copy()
