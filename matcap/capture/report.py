@@ -28,6 +28,7 @@ Keys:
     exemplar: of the maps of the photographed piece, or null: `error` (median difference of log
         radiance between photograph and re-rendering), `slow` (its slow part, not the
         material's), `left_out` (share that matches nothing else in it, and is not rearranged),
+        `variety` (how far its field takes it apart, from 0 to 1), `pieces` (how large, in words),
         `strengths` (root-mean-square slope and log albedo that the photograph tells outright, by
         band; see capture/piece/strengths.py; or null), `sharpness` (power of the finest octave,
         re-rendering over photograph), `adaptation` (of each leg: what it changed, how near it was
@@ -55,6 +56,7 @@ from typing import TYPE_CHECKING, Any
 
 from matcap.capture.settings import CaptureSettings, resolve
 from matcap.example.exemplar import CHANNELS
+from matcap.example.summary import summary
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
 
@@ -163,6 +165,8 @@ def _exemplar(found: FoundPiece | None) -> dict[str, Any] | None:
         "error": found.error,
         "slow": found.slow,
         "left_out": found.example.index.left_out,
+        "variety": found.example.variety,
+        "pieces": summary(found.example).pieces_text(),
         "strengths": None if found.strengths is None else found.strengths.document(),
         "sharpness": found.sharpness,
         "adaptation": [asdict(change) for change in found.adaptation],

@@ -104,10 +104,11 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
     """What a material holds, for JSON and as text."""
     from matcap.example.stored import read_exemplified
     from matcap.example.summary import summary
+    from matcap.export.job import known_scale
 
     held = read_exemplified(path)
     if held is None:
         return {"exemplar": None}, f"{path}: a network alone, without an exemplar"
     about = summary(held.example)
-    lines = [f"     {name:<13} {says}" for name, says in about.lines()]
+    lines = [f"     {name:<13} {says}" for name, says in about.lines(known_scale(held.provenance))]
     return {"exemplar": about.document()}, "\n".join([f"{path}: by example", *lines])

@@ -21,10 +21,11 @@ from matcap.example import relief
 from matcap.example.coordinates import coordinates
 from matcap.example.correction import Places
 from matcap.example.exemplar import Exemplar, Floats
-from matcap.example.grids import level_count
+from matcap.example.grids import frame_of, level_count
 from matcap.example.index import Index, build_index
 from matcap.example.lookup import Lookup, prepare
 from matcap.example.order import Frequency
+from matcap.example.piece_sizes import PieceSizes
 from matcap.field.blocks import RING, Grid
 from matcap.field.plane import Period, Rectangle, check_period, check_seed, check_variety
 from matcap.files.values import bounded
@@ -287,6 +288,14 @@ class ExampleSource:
 
     def _stacked(self, block: Rectangle) -> NDArray[np.float32]:
         return self.example.maps(self.seed, block.grown(RING), self.period)
+
+
+def piece_sizes(example: Example) -> PieceSizes:
+    """Of the pieces that an example's field begins with, on its grid of places."""
+    bits, depth = detail_bits(example.exemplar), len(example.index.bases) - 1
+    width, height = (side >> bits for side in example.exemplar.size)
+    frame = frame_of(depth, width, height)
+    return PieceSizes.of(frame, 1 << depth, example.index.order, example.variety)
 
 
 def detail_bits(exemplar: Exemplar) -> int:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from matcap.example.example import Example, detail_bits
+from matcap.example.example import Example, detail_bits, piece_sizes
 
 
 @dataclass(frozen=True)
@@ -17,19 +17,43 @@ class Summary:
         size: (width, height) in texels.
         periods: of its regular order, in texels.
         left_out: share that matches nothing else in it, as stains do: pieces do not begin there.
+        variety: how far its field takes it apart, from 0 to 1.
+        pieces: (width, height) in texels of the pieces that the field is made of, at most.
+        texel_size: in plane units.
     """
 
     size: tuple[int, int]
     periods: tuple[float, ...]
     left_out: float
+    variety: float
+    pieces: tuple[int, int]
+    texel_size: float
 
     def document(self) -> dict[str, Any]:
         """The same for JSON."""
         periods = [round(period, 2) for period in self.periods]
-        return {"size": list(self.size), "periods": periods, "left_out": self.left_out}
+        return {
+            "size": list(self.size), "periods": periods, "left_out": self.left_out,
+            "variety": self.variety, "pieces": list(self.pieces),
+        }  # fmt: skip
 
-    def lines(self) -> list[tuple[str, str]]:
-        """Names, and a sentence each."""
+    def pieces_text(self, millimetres: float | None = None) -> str:
+        """How large the pieces are, in words.
+
+        Args:
+            millimetres: of a plane unit, where that is known.
+        """
+        longer = max(self.pieces)
+        if millimetres is not None:
+            return f"pieces of about {longer * self.texel_size * millimetres / 10.0:.2g} cm"
+        return f"pieces of about {100 * longer / max(self.size):.0f} % of the photograph's width"
+
+    def lines(self, millimetres: float | None = None) -> list[tuple[str, str]]:
+        """Names, and a sentence each.
+
+        Args:
+            millimetres: of a plane unit, where that is known.
+        """
         width, height = self.size
         order = "No regular order."
         if self.periods:
@@ -38,6 +62,7 @@ class Summary:
         return [
             ("exemplar", f"{width} x {height} texels of the photographed piece."),
             ("order", order),
+            ("variety", f"{self.variety:g}: {self.pieces_text(millimetres)}."),
             ("left out", f"{100 * self.left_out:.1f} % of it matches nothing else in it."),
         ]
 
@@ -48,4 +73,13 @@ def summary(example: Example) -> Summary:
     waves = () if order is None else order.waves
     side = 1 << detail_bits(example.exemplar)
     periods = tuple(side / math.hypot(*wave) for wave in waves)
-    return Summary(example.exemplar.size, periods, example.index.left_out)
+    sizes = piece_sizes(example)
+    wide, high = (sizes.width, sizes.height) if order is None else (round(sizes.cells),) * 2
+    return Summary(
+        example.exemplar.size,
+        periods,
+        example.index.left_out,
+        example.variety,
+        (wide * side, high * side),
+        example.exemplar.texel_size,
+    )

@@ -167,3 +167,32 @@ class PlacementSettings:
 
 
 PLACEMENT = PlacementSettings()
+
+
+@dataclass(frozen=True)
+class TearingSettings:
+    """How the variety of a field is chosen.
+
+    Attributes:
+        tried: varieties, the most random first; the last where all tear too much.
+        level: that blocks are synthesised down to: finer takes longer, coarser sees fewer seams.
+        blocks: of each variety: more are less left to chance, and take longer. One where a lattice
+            calls for a finer level.
+        step: texels that are compared as one.
+        near: texels: shifts as short tell of grain, which pieces of any size keep.
+        torn: mean correlation over longer shifts that may be lost: chance gives 0.02.
+        share: of the exemplar's that may be lost, where it has more.
+        seams: share of texels at borders: what unordered fields of full variety have, 0.012.
+    """
+
+    tried: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)
+    level: int = 2
+    blocks: int = 2
+    step: int = 4
+    near: float = 64.0
+    torn: float = 0.035
+    share: float = 0.5
+    seams: float = 0.015
+
+
+VARIETY = TearingSettings()

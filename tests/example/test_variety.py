@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from exemplars import an_example, ordered
+from exemplars import an_example, blobs, exemplar, ordered
 from materials import a_material
 
 from matcap.brdf.folder import read_mapset
@@ -14,6 +14,8 @@ from matcap.cli.main import main
 from matcap.errors import UsageError
 from matcap.example.example import Example
 from matcap.example.piece_sizes import PieceSizes
+from matcap.example.summary import summary
+from matcap.example.variety import chosen, tried
 from matcap.field.blocks import Grid
 from matcap.field.field import read_source
 from matcap.field.material import Material
@@ -129,3 +131,31 @@ def test_a_lattice_keeps_its_phase_in_larger_pieces():
         )
         turns = apart.astype(float) / 2**16
         assert abs(turns.mean()) < 0.03 and np.sqrt((turns**2).mean()) < 0.06
+
+
+def stripes(width=512, height=384):
+    """Boards as long as the photograph, each of its own colour, some 25 texels wide."""
+    random = np.random.default_rng(4)
+    edges = np.cumsum(random.integers(14, 40, 40))
+    board = np.searchsorted(edges, np.arange(height))[:, None] + np.zeros((1, width), int)
+    colour = random.standard_normal(60)[board]
+    grain = 0.1 * random.standard_normal((4, height, width))
+    return exemplar(np.stack([colour, colour, 0.3 * colour, np.zeros_like(colour)]) + grain)
+
+
+def test_what_has_no_long_structure_is_taken_apart_and_boards_are_not():
+    assert chosen(Example.of(blobs(512, 384))).variety == 1.0
+    boards = Example.of(stripes())
+    long, tries = tried(boards)
+    assert long > 0.1 and tries[-1].torn < 0.8 * tries[0].torn
+    assert chosen(boards).variety < 1.0
+
+
+def test_the_summary_says_how_large_pieces_are():
+    whole, small = summary(an_example().varied(0.0)), summary(an_example())
+    assert whole.pieces[0] > small.pieces[0]
+    assert "% of the photograph" in whole.pieces_text()
+    # Texels of 2 / 1024 units of a metre.
+    length = whole.pieces[0] * 2 / 1024 * 100
+    assert whole.pieces_text(1000.0) == f"pieces of about {length:.2g} cm"
+    assert ("variety", f"0: {whole.pieces_text()}.") in whole.lines()

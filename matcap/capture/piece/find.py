@@ -40,6 +40,7 @@ from matcap.capture.piece.transport import transport
 from matcap.capture.piece.tuned import ADAPT, LEND, READ, REFINE
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
+from matcap.example.variety import chosen
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.geometry import plane_points
 from matcap.flash.likeness import PhotographTarget
@@ -203,7 +204,8 @@ def find_piece(
             exemplar = finest(exemplar, whole, coarse)
     with stage("index"):
         longer = whole.size[0] / plane.size[0]
-        example = Example.of(exemplar, tuple((w.fx / longer, w.fy / longer) for w in waves))
+        ordered = tuple((w.fx / longer, w.fy / longer) for w in waves)
+        example = chosen(Example.of(exemplar, ordered))
     return _found(sight, whole, explained, strengths, example)
 
 

@@ -1,0 +1,148 @@
+"""How far an exemplar may be taken apart: the variety that keeps what is long in it.
+
+Some blocks are synthesised at several varieties, and compared with the exemplar: what of its
+correlation over long shifts they keep, and how much of them lies at borders of pieces. The most
+random one that tears little is chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.coordinates import coordinates_down_to
+from matcap.example.example import Example, coarsened, detail_bits
+from matcap.example.features import features_of, planes_of
+from matcap.example.grids import grid_bits, grids_of
+from matcap.example.lookup import Lookup
+from matcap.example.piece_sizes import PieceSizes
+from matcap.example.tuned import VARIETY
+from matcap.field.plane import Rectangle
+
+Planes = NDArray[np.float32]
+
+_COMPARED = 7  # planes of features: height is its slopes' again
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What a variety came to.
+
+    Attributes:
+        variety: that was tried.
+        torn: mean size of the correlation over long shifts that it loses, in [0, 1].
+        seams: share of texels at borders of pieces.
+    """
+
+    variety: float
+    torn: float
+    seams: float
+
+
+def chosen(example: Example) -> Example:
+    """The example with the most random variety that keeps its long structure."""
+    long, tries = tried(example)
+    limit = max(VARIETY.torn, VARIETY.share * long)
+    found = next(
+        (one.variety for one in tries if one.torn <= limit and one.seams <= VARIETY.seams),
+        VARIETY.tried[-1],
+    )
+    return example.varied(found)
+
+
+def tried(example: Example) -> tuple[float, tuple[Tried, ...]]:
+    """How large the exemplar's correlation over long shifts is, and each variety, most random
+    first.
+    """
+    exemplar, index = example.exemplar, example.index
+    coarse = coarsened(exemplar, detail_bits(exemplar))
+    level = min(VARIETY.level, len(index.bases) - 1)
+    features = features_of(planes_of(coarse), index.scale)
+    planes = _even(grids_of(features, level + 1)[level][:_COMPARED].astype(np.float32))
+    lookup, spacing = example.lookup, 1 << level
+    bits = grid_bits(level)
+    own = _thinned(planes[:, :: spacing >> bits, :: spacing >> bits], spacing)
+    true, shifts = _correlation(own)
+    far = shifts >= VARIETY.near
+    power = float((true[far] ** 2).mean()) if far.any() else 0.0
+    if not power:
+        return 0.0, ()
+
+    def one(variety: float) -> Tried:
+        kept, seams = _blocks(
+            _varied(lookup, variety),
+            level,
+            coarse.size,
+            lambda x, y: _thinned(planes[:, y >> bits, x >> bits], spacing),
+            true * far,
+        )
+        return Tried(variety, power**0.5 * (1.0 - kept), seams)
+
+    return power**0.5, tuple(one(variety) for variety in VARIETY.tried)
+
+
+def _blocks(
+    lookup: Lookup,
+    level: int,
+    size: tuple[int, int],
+    seen: Callable[[NDArray[np.int64], NDArray[np.int64]], Planes],
+    true: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Of blocks as large as the exemplar: the share of a correlation kept, and of seams."""
+    spacing = 1 << level
+    area = Rectangle(0, 0, -(-size[0] // spacing), -(-size[1] // spacing))
+    kept, seams = [], []
+    for seed in range(VARIETY.blocks if level == VARIETY.level else 1):
+        places = coordinates_down_to(lookup, seed, area, level, None).astype(np.int64)
+        found, _ = _correlation(seen(places[..., 0], places[..., 1]))
+        rows, columns = (min(a, b) for a, b in zip(found.shape, true.shape, strict=True))
+        wanted = true[:rows, :columns]
+        kept.append(float((found[:rows, :columns] * wanted).sum() / (wanted**2).sum()))
+        broken = (np.diff(places, axis=1) != [spacing, 0]).any(-1)
+        seams.append(float(broken.mean()) / spacing)
+    return float(np.mean(kept)), float(np.mean(seams))
+
+
+def _varied(lookup: Lookup, variety: float) -> Lookup:
+    coarsest = lookup.levels[-1]
+    sizes = PieceSizes.of(coarsest.frame, coarsest.spacing, lookup.order, variety)
+    return replace(lookup, sizes=sizes)
+
+
+def _even(planes: Planes) -> Planes:
+    """Planes less the quadratic that fits them best: what is so slow is light's."""
+    rows, columns = planes.shape[1:]
+    y, x = np.mgrid[-0.5 : 0.5 : rows * 1j, -0.5 : 0.5 : columns * 1j]
+    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y]).reshape(6, -1).T
+    basis = np.linalg.qr(design)[0].astype(np.float32)
+    flat = planes.reshape(len(planes), -1)
+    even = (flat - (flat @ basis) @ basis.T).astype(np.float32)
+    return np.asarray(even.reshape(planes.shape), np.float32)
+
+
+def _thinned(planes: Planes, spacing: int) -> Planes:
+    """Means over the texels that are compared as one."""
+    side = max(1, VARIETY.step // spacing)
+    rows, columns = (n // side for n in planes.shape[1:])
+    cut = planes[:, : rows * side, : columns * side]
+    found: Planes = cut.reshape(len(planes), rows, side, columns, side).mean(axis=(2, 4))
+    return found
+
+
+def _correlation(planes: Planes) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(half-plane of shifts) how alike planes are after a shift, 1 after none; and its length.
+
+    Of shifts up to half the planes' sides, down and to the right or left.
+    """
+    rows, columns = planes.shape[1:]
+    whole = (2 * rows, 2 * columns)
+    centred = planes - planes.mean(axis=(1, 2), keepdims=True)
+    power = (np.abs(np.fft.rfft2(centred, whole)) ** 2).sum(axis=0)
+    overlap = np.abs(np.fft.rfft2(np.ones((rows, columns)), whole)) ** 2
+    alike = np.fft.irfft2(power, whole) / np.maximum(np.fft.irfft2(overlap, whole), 1.0)
+    down, across = np.arange(rows // 2), np.arange(-(columns // 2), columns // 2)
+    found = alike[np.ix_(down, across)] / max(float(alike[0, 0]), 1e-9)
+    return found, VARIETY.step * np.hypot(down[:, None], across[None, :])
