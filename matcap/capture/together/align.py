@@ -20,7 +20,6 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.shared import shared_light, shared_step
-from matcap.capture.together.stereo import stereo
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import SLOPES, SolveSettings, numbers_of, spread_of, stepped
 from matcap.capture.together.views import PieceView, SetLight, ViewPlace
@@ -152,7 +151,7 @@ def _begun(
         numbers = F.interpolate(numbers[None], size=believed.shape[1:], mode="bilinear")[0]
     else:
         light = shared_light(seen, believed, believed, spread, light, radiometric, solving)
-        numbers = believed if len(seen) < 3 else stereo(seen, believed, light, solving)
+        numbers = believed
     for _ in range(steps):
         numbers, _ = stepped(seen, numbers, believed, spread, light, solving)
     return numbers

@@ -2,10 +2,9 @@
 
 Per texel Gauss-Newton steps on log radiance, robust against shadows, parallax and what no
 reflectance explains (Geman and McClure's weights), held by what the network read from the first
-photograph, with its own doubt (texels.py). From three photographs on slopes begin at photometric
-stereo. Between rounds, what all texels share is found from some of them (shared.py). Gloss shows
-where a highlight crosses: elsewhere it is believed to be as it is around, weighted by what was
-told. At last slopes become a surface, and albedo and gloss follow.
+photograph, with its own doubt (texels.py). Between rounds, what all texels share is found from some
+of them (shared.py). Gloss shows where a highlight crosses: elsewhere it is believed to be as it is
+around, weighted by what was told. At last slopes become a surface, and albedo and gloss follow.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.shared import shared_light
-from matcap.capture.together.stereo import stereo
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
     ALBEDO,
@@ -88,7 +86,7 @@ def solve(
         radiometric: whether all are RAW: vignetting is then held at none.
         settings: see SolveSettings.
         tell: called with the share that is done.
-        begun: the same piece solved on fewer texels: where texels begin, in place of stereo.
+        begun: the same piece solved on fewer texels: where texels begin, in place of what was read.
     """
     settings = settings or SolveSettings()
     believed = numbers_of(prior)
@@ -98,8 +96,6 @@ def solve(
     total, done, interrupted = sum(settings.rounds) + 2, 0, False
     precision = torch.zeros(())
     try:
-        if begun is None and len(views) >= 3 and settings.rounds:
-            numbers = stereo(views, numbers, light, settings)
         for index, steps in enumerate(settings.rounds):
             light = shared_light(views, numbers, believed, spread, light, radiometric, settings)
             for _ in range(steps):

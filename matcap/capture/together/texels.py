@@ -47,7 +47,7 @@ class SolveSettings:
         rows: solved at a time; memory is in proportion.
     """
 
-    rounds: tuple[int, ...] = (2, 1, 1)
+    rounds: tuple[int, ...] = (2, 2, 1)
     finer: tuple[int, ...] = (1, 1)
     coarse: int = 320
     robust: float = 0.25
@@ -123,21 +123,6 @@ def weights(residual: Tensor, seen: Tensor, steep: Tensor, settings: SolveSettin
     """What residuals of log radiance weigh (Geman and McClure 1985)."""
     kept = 1.0 / (1.0 + (residual / settings.robust).square()).square()
     return seen * kept / (settings.noise**2 + (settings.beside * steep).square())
-
-
-def cost_of(
-    views: Sequence[PieceView],
-    rows: slice,
-    numbers: Tensor,
-    lights: Sequence[FlashLight],
-    settings: SolveSettings,
-) -> Tensor:
-    """(h, w) robust cost of what numbers leave."""
-    total = torch.zeros(numbers.shape[1:])
-    for view, found in zip(views, rendered(numbers, lights), strict=True):
-        squared = ((view.log[:, rows] - found.log()) / settings.robust).square()
-        total += (squared / (1.0 + squared) * view.seen[:, rows]).sum(0)
-    return total
 
 
 def stepped(
