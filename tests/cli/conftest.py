@@ -77,7 +77,8 @@ class FakePipeline:
             raise self.failure
         self.calls[-1].settings = settings
         self.calls[-1].others = [other.name for other in others]
-        longest = "fine-tuning" if settings.generator == "decoder" else "adapt"
+        by_example = "solve" if others else "adapt"
+        longest = "fine-tuning" if settings.generator == "decoder" else by_example
         with clock.stage(longest):
             clock.within(longest, 0.5)
         material = FakeMaterial(Path(photo.name).stem)
