@@ -83,6 +83,26 @@ def transport(
     )
 
 
+@dataclass(frozen=True)
+class _Likeness:
+    """What blocks would draw at a place, and what is photographed there.
+
+    Attributes:
+        unlike: (N,) one less the correlation of log radiance; 0 where nothing was seen.
+        stronger: energy of what is photographed over that of the blocks' median.
+        share: of the place that was seen and not clipped.
+    """
+
+    unlike: Floats
+    stronger: float
+    share: float
+
+    @property
+    def tells_more(self) -> bool:
+        """Whether the place shows what no block knows of: a scratch, bare metal in a highlight."""
+        return self.share > LEND.shown and self.stronger > LEND.stronger
+
+
 class _Photograph:
     """What blocks must look like in place."""
 
@@ -101,11 +121,8 @@ class _Photograph:
         upright[2] = 1.0
         self._even = light.logs(even, light.flash.onto(upright))[0]
 
-    def unlikeness(self, place: tuple[int, int], blocks: BlockPlaces) -> Floats:
-        """(N,) one less the correlation of log radiance, of blocks as if they lay at a place.
-
-        0 where nothing of the place was seen.
-        """
+    def likeness(self, place: tuple[int, int], blocks: BlockPlaces) -> _Likeness:
+        """How blocks, as if they lay at a place, compare with what is seen of it."""
         inner = np.arange(0, LEND.block, LEND.thinned)
         rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
         reflectance, normal = _lent(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
@@ -113,17 +130,15 @@ class _Photograph:
         light = self._light.cut(*here)
         log = light.logs(reflectance, light.flash.onto(normal))[0]
         seen = self._valid[here].to(log)
+        share = float(self._valid[_block(place)].float().mean())
         if not seen.any():
-            return np.zeros(len(blocks), np.float32)
+            return _Likeness(np.zeros(len(blocks), np.float32), 0.0, share)
         even, shown = (x[(slice(None), *here)][None] for x in (self._even, self._log))
         a, b = (_centred(x - even, seen) for x in (log, shown))
-        both = (a * b).sum((1, 2, 3))
-        own = (a.square().sum((1, 2, 3)) * b.square().sum((1, 2, 3))).sqrt()
-        return np.asarray(1.0 - both / (own + 1e-6), np.float32)
-
-    def share(self, place: tuple[int, int]) -> float:
-        """Share of a place that was seen and not clipped."""
-        return float(self._valid[_block(place)].float().mean())
+        lit, photographed = (x.square().sum((1, 2, 3)) for x in (a, b))
+        unlike = 1.0 - (a * b).sum((1, 2, 3)) / ((lit * photographed).sqrt() + 1e-6)
+        stronger = float(photographed / (lit.median() + 1e-6))
+        return _Likeness(np.asarray(unlike, np.float32), stronger, share)
 
 
 def _lent(planes: Tensor) -> tuple[Reflectance, Tensor]:
@@ -156,14 +171,12 @@ def _choose(
         follow = [s for s in _continued(place, chosen) if s in allowed]
         if follow:
             blocks = np.concatenate([blocks, np.array(follow)])
-        unlike = photograph.unlikeness(place, blocks)
-        share = photograph.share(place)
+        shown = photograph.likeness(place, blocks)
         torn = _discontinuity(place, blocks, drawn.seen, seen, known)
-        cost = torn + LEND.likeness * share * unlike
-        best = int(cost.argmin())
+        best = int((torn + LEND.likeness * shown.share * shown.unlike).argmin())
         source = (int(blocks[best][0]), int(blocks[best][1]))
-        if share > LEND.shown and unlike[best] > LEND.unlike:
-            source = place  # nothing looks like it: a scratch stays, be it ever so bright
+        if shown.tells_more:
+            source = place
         else:
             chosen[place] = source
         here = _block(place)
