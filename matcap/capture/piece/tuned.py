@@ -223,8 +223,8 @@ class LendSettings:
         block: texels a side: long enough for pieces of a drawing, short enough to be found.
         overlap: texels that neighbours share.
         sharpness: of the border between two: the nearer block's texels, hardly mixed.
-        trusted: confidence of albedo, as a share of the well seen places', that lends. More lends to
-            places that are seen well enough: at 0.93 wood lost 0.4 floors.
+        trusted: confidence of albedo, as a share of the well seen places', that lends. More lends
+            to places that are seen well enough: at 0.93 wood lost 0.4 floors.
         well_seen: quantile of confidence that counts as well seen.
         most_hidden: share of the picture: more than this no flash hides.
         whole: share of a block that must be trusted.
