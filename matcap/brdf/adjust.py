@@ -177,9 +177,11 @@ def adjusted(maps: MapSet, adjustments: Adjustments) -> MapSet:
         return maps
     import torch
 
-    planes = adjusted_planes(maps.stacked().detach().cpu().float().numpy(), adjustments)
-    found = type(maps).from_stacked(torch.from_numpy(planes), maps.texel_size)
-    return replace(found, periodic=maps.periodic)
+    stacked = maps.stacked() if maps.painted is None else torch.cat([maps.stacked(), maps.painted])
+    planes = adjusted_planes(stacked.detach().cpu().float().numpy(), adjustments)
+    found = type(maps).from_stacked(torch.from_numpy(planes[:6]), maps.texel_size)
+    painted = None if maps.painted is None else torch.from_numpy(planes[6:])
+    return replace(found, periodic=maps.periodic, painted=painted)
 
 
 def _number(name: str, value: str) -> float:

@@ -2,8 +2,8 @@
 
 `<name>_diffuse.exr`, `_specular`, `_roughness` and `_normal` in half float, `_height` in 32-bit
 float, and `<name>.json`, which says what the numbers mean. On request also 16-bit PNGs. The folder
-is read back from the EXR files; the normal is derived from the height again, and where the file
-says something else, a note tells (other_normals.py).
+is read back from the EXR files; the normal is derived from the height again. Where the file says
+something else, a note tells, and `--normals file` reads it (other_normals.py).
 
 Keys:
     format: "matcap map set".
@@ -34,7 +34,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,9 +42,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.heights import check_heights
-from matcap.brdf.other_normals import note_other_normals
+from matcap.brdf.other_normals import note_other_normals, painted_normals
 from matcap.brdf.seam import seam_ratio
-from matcap.brdf.stated import NormalStyle, stated_maps
+from matcap.brdf.stated import NormalSource, NormalStyle, stated_maps
 from matcap.errors import MatcapError
 from matcap.files.exr import read_exr, write_exr
 from matcap.files.maker import MAKER_VERSION
@@ -157,11 +157,14 @@ def write_mapset(
     return folder / f"{name}.json"
 
 
-def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
+def read_mapset(
+    path: str | Path, normals: NormalSource = "height"
+) -> tuple[MapSet, dict[str, Any]]:
     """Read a map set back: (maps as float32 on the CPU, the JSON document).
 
     Args:
         path: the set's JSON file, or a folder that holds exactly one set.
+        normals: derived from the "height", or read from their "file", where somebody painted.
 
     Raises:
         MatcapError: no set or several in the folder, a missing, corrupt or misfitting map.
@@ -196,6 +199,9 @@ def read_mapset(path: str | Path) -> tuple[MapSet, dict[str, Any]]:
         maps[kind] = torch.from_numpy(pixels).movedim(-1, 0).contiguous()
     document |= {"name": stated.name, "provenance": stated.provenance}
     found = MapSet(**maps, texel_size=stated.texel_size, periodic=stated.periodic)
+    if normals == "file":
+        painted = painted_normals(document, file.parent, stated.size)
+        return replace(found, painted=painted), document
     note_other_normals(found, document, file.parent)
     return found, document
 

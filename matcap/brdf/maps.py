@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import torch
@@ -33,6 +33,8 @@ class MapSet:
         height: (1, H, W) in plane units (half the photograph's long side).
         texel_size: a texel's side in plane units.
         periodic: the right border continues at the left one and the bottom at the top one.
+        painted: (3, H, W) unit normals that stand instead of the height's, where somebody gave
+            them (other_normals.py); stacked() leaves them out.
 
     Leading batch dimensions are allowed; all four maps share them.
     """
@@ -43,6 +45,7 @@ class MapSet:
     height: Tensor
     texel_size: float
     periodic: bool = False
+    painted: Tensor | None = None
 
     def __post_init__(self) -> None:
         shape = self.height.shape
@@ -56,7 +59,9 @@ class MapSet:
 
     @property
     def normal(self) -> Tensor:
-        """(3, H, W) unit normals derived from the height, +Y up (OpenGL)."""
+        """(3, H, W) unit normals, +Y up (OpenGL): derived from the height, unless painted."""
+        if self.painted is not None:
+            return self.painted
         return normals_from_height(self.height, self.texel_size, periodic=self.periodic)
 
     @property
@@ -83,11 +88,10 @@ class MapSet:
             change(self.height),
             self.texel_size,
             self.periodic,
+            None if self.painted is None else change(self.painted),
         )
 
     def crop(self, x: int, y: int, width: int, height: int) -> MapSet:
         """The rectangle whose left top texel is (x, y), rows counted from the top."""
         cut = self.map(lambda m: m[..., y : y + height, x : x + width])
-        return MapSet(
-            cut.diffuse, cut.specular, cut.roughness, cut.height, self.texel_size, periodic=False
-        )
+        return replace(cut, periodic=False)

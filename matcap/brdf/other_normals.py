@@ -1,6 +1,7 @@
-"""Whether a map set's normal file says what its height says: normals are derived from the height.
+"""A map set's normal file, where it says something else than its height.
 
-Somebody may have painted on it. What was painted is not read; a note tells so.
+Normals follow from the height. Somebody may have painted on their file: a note tells so, and it is
+read where it is asked for (`--normals file`).
 """
 
 from __future__ import annotations
@@ -17,15 +18,19 @@ from matcap.files.names import flaw
 from matcap.files.note import note
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from matcap.brdf.maps import MapSet
 
 _TEXELS = 1_000_000  # about so many are compared, evenly spread rows
 _OFF = math.cos(math.radians(2.0))  # what rounding to half float explains is far less
 _SHARE = 1e-3  # of the texels: fewer are no painting
+_STEEPEST = 0.02  # least z of a unit normal: 89 degrees, whose slope half floats still hold
 _ANSWER = (
-    "it is not read, for normals follow from the height; change the height instead, or give "
-    "relight the pictures with --maps-from"
+    "it is not read, for normals follow from the height; relight and export read it with "
+    "--normals file"
 )
+_WITHOUT = "mend the file, or leave out --normals file"
 
 
 def note_other_normals(maps: MapSet, document: dict[str, Any], folder: Path) -> None:
@@ -49,6 +54,43 @@ def note_other_normals(maps: MapSet, document: dict[str, Any], folder: Path) -> 
     share = _differing(found, maps, down=document.get("normal") == "dx")
     if share > _SHARE:
         note(f"{folder / name}: differs from the height at {share:.1%} of its texels; {_ANSWER}")
+
+
+def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int]) -> Tensor:
+    """(3, H, W) unit normals of the file, +Y up.
+
+    Args:
+        document: the map set's.
+        folder: where its files stand.
+        size: (width, height) in texels that it must have.
+
+    Raises:
+        MatcapError: no such file, of another size, or with what is no normal.
+    """
+    import torch
+
+    about = document["maps"].get("normal")
+    name = about.get("file") if isinstance(about, dict) else None
+    if not isinstance(name, str) or flaw(name):
+        raise MatcapError(
+            "the map set names no file of normals", where=str(folder), remedy=_WITHOUT
+        )
+    where = str(folder / name)
+    found = read_exr(folder / name, size=size)
+    if found.shape[2] != 3:
+        raise MatcapError(
+            f"has {found.shape[2]} channels instead of 3", where=where, remedy=_WITHOUT
+        )
+    length = np.linalg.norm(found, axis=-1, keepdims=True)
+    unit = found / np.maximum(length, np.float32(1e-9))
+    turned = int((unit[..., 2] < _STEEPEST).sum())
+    if turned:
+        raise MatcapError(
+            f"{turned} texels have no normal that faces upwards", where=where, remedy=_WITHOUT
+        )
+    if document.get("normal") == "dx":
+        unit = unit * np.array([1.0, -1.0, 1.0], np.float32)
+    return torch.from_numpy(np.ascontiguousarray(unit.transpose(2, 0, 1), np.float32))
 
 
 def _differing(found: np.ndarray[Any, Any], maps: MapSet, *, down: bool) -> float:

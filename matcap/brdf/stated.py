@@ -20,6 +20,7 @@ from matcap.files.names import flaw, shown
 from matcap.files.values import bounded, whole
 
 NormalStyle = Literal["gl", "dx"]
+NormalSource = Literal["height", "file"]
 _STYLES: tuple[NormalStyle, ...] = ("gl", "dx")
 _LONGEST_SIDE = 2**31 - 1  # texels, of an OpenEXR file
 _MOST_UNIT = 1e9  # millimetres of a plane unit

@@ -15,6 +15,7 @@ from matcap.cli.options import (
     GeneratorOption,
     JsonOption,
     Normals,
+    NormalsFromOption,
     OverwriteOption,
     QuietOption,
     VarietyOption,
@@ -87,6 +88,7 @@ def export(
     generator: GeneratorOption = None,
     adjust: AdjustOption = None,
     variety: VarietyOption = None,
+    normals: NormalsFromOption = None,
     bits: Annotated[
         Bits | None,
         typer.Option(
@@ -185,6 +187,8 @@ def export(
         raise UsageError("a network is not adjusted", where="--adjust", remedy="leave it out")
     if onnx and variety is not None:
         raise UsageError("a network has no pieces", where="--variety", remedy="leave it out")
+    if normals is not None and (onnx or udim is not None):
+        raise UsageError("this is for map sets alone", where="--normals", remedy="leave it out")
     if udim is not None and changes.changes:
         raise UsageError("a texture set is not adjusted", where="--adjust", remedy="leave it out")
     if onnx:
@@ -206,12 +210,19 @@ def export(
     else:
         asked_size = (size.width, size.height) if size else None
         found = open_tile(
-            path, size=asked_size, seed=seed, generator=which, adjust=changes, variety=variety
+            path,
+            size=asked_size,
+            seed=seed,
+            generator=which,
+            adjust=changes,
+            variety=variety,
+            normals=normals and normals.value,
         )
     asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
     asked_for += f"_udim{udim}" * (udim is not None)
     asked_for += f"_{changes.file_part}" * changes.changes
     asked_for += f"_variety{variety}" * (variety is not None)
+    asked_for += "_painted" * (found.maps.painted is not None)
     folder = out or Path(f"{found.name}_{target}{asked_for}")
     sidecar = folder / sidecar_name(found.name, target)
     if sidecar.exists() and not overwrite:

@@ -44,6 +44,13 @@ class Normal(Enum):
     dx = "dx"
 
 
+class NormalsFrom(Enum):
+    """Where a map set's normals come from."""
+
+    height = "height"
+    file = "file"
+
+
 class Normals(Enum):
     """Which normal maps are written."""
 
@@ -111,6 +118,14 @@ VarietyOption = Annotated[
         show_default="what capture chose",
         help="How far the photographed piece is taken apart: 0 repeats it whole, its borders "
         "healed; 1 makes many small pieces of it.",
+    ),
+]
+NormalsFromOption = Annotated[
+    NormalsFrom | None,
+    typer.Option(
+        "--normals",
+        show_default="height",
+        help="Of a map set: normals of its height, or of its normal file, where you painted on it.",
     ),
 ]
 NormalOption = Annotated[Normal, typer.Option(help="Normals with +Y up (gl) or down (dx).")]

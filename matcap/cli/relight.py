@@ -15,6 +15,7 @@ from matcap.cli.options import (
     GeneratorOption,
     JsonOption,
     Normal,
+    NormalsFromOption,
     QuietOption,
     ReplaceOption,
     VarietyOption,
@@ -132,6 +133,7 @@ def relight(
         Normal | None,
         typer.Option(help="Which way green points in normal maps of --maps-from."),
     ] = None,
+    normals: NormalsFromOption = None,
     overwrite: ReplaceOption = False,
     json: JsonOption = False,
     quiet: QuietOption = False,
@@ -170,6 +172,8 @@ def relight(
         raise UsageError("maps of others are not adjusted", where="--adjust", remedy="leave it out")
     if variety is not None and maps_from is not None:
         raise UsageError("maps of others have no pieces", where="--variety", remedy="leave it out")
+    if normals is not None and maps_from is not None:
+        raise UsageError("maps of others have their own", where="--normals", remedy="leave it out")
     if explain_map is not None and (animate is not None or sheet is not None):
         raise UsageError("this is of one picture", where="--explain-map", remedy="leave it out")
     check_path(out, moving=animate is not None)
@@ -184,7 +188,14 @@ def relight(
     if light == ["flash"] and maps_from is None:
         chosen = _photographed(path, size) or chosen
     limit = DEFAULT_TOLERANCE if tolerance is None else tolerance
-    source = partial(open_source, path, generator and generator.value, changes, variety)
+    source = partial(
+        open_source,
+        path,
+        generator and generator.value,
+        changes,
+        variety,
+        normals and normals.value,
+    )
     renderer = _renderer(source, maps_from, normal, chosen, seed, quiet=quiet)
     film = renderer.film
     pictures = frames if animate else sheet.width * sheet.height if sheet else 1

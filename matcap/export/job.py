@@ -121,6 +121,8 @@ class ExportJob:
         from matcap.brdf.normals import normals_of_rows
 
         maps = self.around or self.maps
+        if maps.painted is not None:
+            return self._picture(maps.painted)
         field, (width, height) = maps.height.detach().cpu().float(), maps.size
         made = np.empty((height, width, 3), dtype=np.float32)
         for band in bands(height):

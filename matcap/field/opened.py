@@ -17,6 +17,7 @@ from matcap.files.names import kept_plain
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+    from matcap.brdf.stated import NormalSource
     from matcap.field.material import Material
     from matcap.field.source import Generator
     from matcap.flash.geometry import FlashSetup
@@ -69,6 +70,7 @@ def open_tile(
     generator: Generator | None = None,
     adjust: Adjustments = NONE,
     variety: float | None = None,
+    normals: NormalSource | None = None,
 ) -> OpenedMaps:
     """As open_maps, but a material's maps repeat without a seam where their size allows it.
 
@@ -81,13 +83,15 @@ def open_tile(
         generator: of a material.
         adjust: what is changed of the maps; the provenance tells it.
         variety: that a material's piece is rearranged with, instead of its own.
+        normals: of a map set, see read_mapset; "height" by default.
 
     Raises:
-        UsageError: a size, seed, generator or variety is asked of a map set, which has its own.
+        UsageError: a material's normals are asked for; a size, seed, generator or variety is asked of a map set, which has its own.
         MatcapError: as open_maps.
     """
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
+        _refuse_normals(path, normals)
         size, seed = size or (1024, 1024), seed or 0
         material = _material(path).by(generator).varied(variety)
         repeat = material.alignment
@@ -98,7 +102,7 @@ def open_tile(
     for option, asked in given.items():
         if asked is not None:
             raise _own(path, option)
-    maps, document = read_mapset(path)
+    maps, document = read_mapset(path, normals or "height")
     return _told(maps, document["name"], document["provenance"], adjust)
 
 
@@ -108,6 +112,15 @@ def _own(path: Path, option: str) -> UsageError:
         where=option,
         remedy="give the material (.matcap), or leave it out",
     )
+
+
+def _refuse_normals(path: Path, normals: NormalSource | None) -> None:
+    if normals is not None:
+        raise UsageError(
+            f"this is a material ({path}), whose normals follow from its heights",
+            where="--normals",
+            remedy="give a map set, or leave it out",
+        )
 
 
 def _told(maps: MapSet, name: str, provenance: dict[str, Any], adjust: Adjustments) -> OpenedMaps:
@@ -204,18 +217,21 @@ def open_source(
     generator: Generator | None = None,
     adjust: Adjustments = NONE,
     variety: float | None = None,
+    normals: NormalSource | None = None,
 ) -> MapSet | Material | AdjustedMaterial:
     """A map set's maps, or a material itself, to be read where it is seen; by one generator alone
-    where one is named, with a variety where one is named, and adjusted.
+    where one is named, with a variety where one is named, and adjusted; normals as of open_tile.
 
     Raises:
+        UsageError: as open_tile.
         MatcapError: nothing to open, more than one thing, or a broken file.
     """
     path = _resolved(path)
     if path.suffix.lower() != ".matcap":
         if variety is not None:
             raise _own(path, "--variety")
-        return adjusted(read_mapset(path)[0], adjust)
+        return adjusted(read_mapset(path, normals or "height")[0], adjust)
+    _refuse_normals(path, normals)
     material = _material(path).by(generator).varied(variety)
     return AdjustedMaterial(material, adjust) if adjust.changes else material
 

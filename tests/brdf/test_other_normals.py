@@ -5,8 +5,11 @@ import warnings
 
 import numpy as np
 import pytest
+import torch
 
+from matcap.brdf.adjust import Adjustments, adjusted
 from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
+from matcap.errors import MatcapError
 from matcap.files.exr import read_exr, write_exr
 from matcap.files.note import Note
 
@@ -58,3 +61,42 @@ def test_a_set_without_a_normal_file_is_whole(tmp_path, maps):
     del document["maps"]["normal"]
     file.write_text(json.dumps(document))
     read_mapset(tmp_path)
+
+
+@pytest.mark.parametrize("style", ["gl", "dx"])
+def test_what_was_painted_is_read_where_it_is_asked_for(tmp_path, maps, style):
+    write_mapset(maps, tmp_path, MapSetInfo("moss"), normal=style)
+    file = tmp_path / "moss_normal.exr"
+    normals = read_exr(file)
+    normals[5:15, 5:15] = (0.36, 0.48 if style == "gl" else -0.48, 0.8)
+    write_exr(file, 2.0 * normals, half=False)  # of no unit length
+    found, _ = read_mapset(tmp_path, normals="file")
+    assert torch.allclose(found.normal[:, 10, 10], torch.tensor([0.36, 0.48, 0.8]), atol=1e-3)
+    assert torch.allclose(found.normal[:, :4], maps.normal[:, :4], atol=2e-3)
+    assert torch.equal(found.crop(5, 5, 4, 4).normal[:, 0, 0], found.normal[:, 5, 5])
+
+
+def test_relief_that_is_adjusted_takes_the_painting_along(tmp_path, maps):
+    write_mapset(maps, tmp_path, MapSetInfo("moss"))
+    found, _ = read_mapset(tmp_path, normals="file")
+    steeper = adjusted(found, Adjustments(relief=2.0)).normal
+    assert torch.allclose(
+        steeper[:2] / steeper[2:], 2.0 * found.normal[:2] / found.normal[2:], atol=1e-5
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda normals: normals[:10], "is 31 x 10 texels"),
+        (lambda normals: normals[..., 0], "has 1 channels"),
+        (lambda normals: -normals, "620 texels have no normal that faces upwards"),
+        (lambda normals: 0.0 * normals, "620 texels have no normal"),
+    ],
+)
+def test_what_is_no_normal_is_refused_where_it_is_asked_for(tmp_path, maps, change, said):
+    write_mapset(maps, tmp_path, MapSetInfo("moss"))
+    file = tmp_path / "moss_normal.exr"
+    write_exr(file, change(read_exr(file)).astype(np.float32), half=False)
+    with pytest.raises(MatcapError, match=f"moss_normal.exr.*{said}"):
+        read_mapset(tmp_path, normals="file")

@@ -38,7 +38,7 @@ _SIZES = (
     "16", "32x16", "17x5", "0", "-1", "1x", "9" * 17, "99999999x1", "nan", "1K", "1x2x3", "16X16",
 )  # fmt: skip
 _NAMES = (
-    "out", "a/b", "../out", "..", ".", "/dev/null", "/proc/x", "x" * 300, "a\nb", "\x1b[2J", "a\0b",
+    "out", "a/b", "../out", "..", ".", "/dev/null", "/proc/x", "x" * 300, "a\nb", "\x1b[2J",
     "é木", "small.matcap", "set", "set/set.json", "notes.txt", "-o",
 )  # fmt: skip
 _OUTPUTS = ("new.png", "new.exr", "new.gif", "new.html", "notes.txt", "photo.png", *_NAMES)
@@ -56,14 +56,14 @@ COMMANDS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
     "relight": (1, {
         "-o": _OUTPUTS, "--size": _SIZES, "--seed": _NUMBERS, "--tolerance": _NUMBERS,
         "--light": _LIGHTS, "--effects": _EFFECTS, "--adjust": _ADJUST,
-        "--variety": _NUMBERS, "--scene": _NAMES,
+        "--variety": _NUMBERS, "--scene": _NAMES, "--normals": ("file", "height", "x", ""),
         "--explain-map": _OUTPUTS, "--maps-from": _INPUTS, "--overwrite": (),
     }),
     "export": (1, {
         "--to": _TARGETS, "--preset": _TARGETS, "-o": _NAMES, "--size": _SIZES, "--seed": _NUMBERS,
         "--udim": ("1x1", "11x1", "0x0", "nan", "2x1"), "--unit": _NUMBERS, "--name": _PATTERNS,
         "--maps": ("diffuse", "", "x,y"), "--normal": ("gl", "both", "zz"), "--adjust": _ADJUST,
-        "--variety": _NUMBERS,
+        "--variety": _NUMBERS, "--normals": ("file", "height", "x", ""),
         "--bits": ("8", "16", "half", "float", "7"), "--format": ("png", "jpg", "exr", "tx", "bmp"),
         "--overwrite": (), "--json": (),
     }),
@@ -170,14 +170,17 @@ def run(place: Path, count: int, seed: int) -> tuple[Counter[str], list[str]]:
             shutil.copytree(good, now)
             if chance.random() < 0.1:  # a forged name
                 document = now / "work" / "set" / "set.json"
-                about = json.loads(document.read_text()) | {"name": chance.choice(_NAMES)}
+                # A shell cannot say a null character, a document can.
+                forged = chance.choice((*_NAMES, "a\0b"))
+                about = json.loads(document.read_text()) | {"name": forged}
                 document.write_text(json.dumps(about))
             words = drawn(chance)
             result, said = _within(crew, Line(words, now), first=not number)
             here = sorted(file.name for file in now.iterdir())
             inside = (now / "victim").read_text() == "mine"
-            # `-o ../out` is asked for: everything else beside the folder is nobody's.
-            if result != "fault" and not (inside and set(here) <= {"work", "victim", "out"}):
+            # `-o ../out` and `-o ..` are asked for: everything else beside the folder is nobody's.
+            asked = ".." in words or set(here) <= {"work", "victim", "out"}
+            if result != "fault" and not (inside and asked):
                 result, said = "fault", f"beside the folder stands {here}"
             tally[result] += 1
             tally[f"{words[0]} {result}"] += 1
