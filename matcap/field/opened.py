@@ -86,8 +86,8 @@ def open_tile(
         normals: of a map set, see read_mapset; "height" by default.
 
     Raises:
-        UsageError: a material's normals are asked for; a size, seed, generator or variety is asked of a
-            map set, which has its own.
+        UsageError: a material's normals are asked for; a size, seed, generator or variety is asked
+            of a map set, which has its own.
         MatcapError: as open_maps.
     """
     path = _resolved(path)
