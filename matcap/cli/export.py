@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,6 +30,12 @@ from matcap.files import values
 if TYPE_CHECKING:
     from matcap.export.targets import Exported
     from matcap.field.source import Generator
+
+
+class ExportTile(Enum):
+    """What is read from a material."""
+
+    piece = "piece"
 
 
 _AS_BEFORE = {"gltf": "gltf-textures"}  # what --preset called otherwise than --to
@@ -89,6 +96,13 @@ def export(
     adjust: AdjustOption = None,
     variety: VarietyOption = None,
     normals: NormalsFromOption = None,
+    tile: Annotated[
+        ExportTile | None,
+        typer.Option(
+            show_default="a part of the field",
+            help="piece: the photographed piece itself, made to repeat, at about its own size.",
+        ),
+    ] = None,
     bits: Annotated[
         Bits | None,
         typer.Option(
@@ -191,6 +205,15 @@ def export(
         raise UsageError("this is for map sets alone", where="--normals", remedy="leave it out")
     if udim is not None and changes.changes:
         raise UsageError("a texture set is not adjusted", where="--adjust", remedy="leave it out")
+    given = {"--size": size, "--udim": udim, "--seed": seed, "--variety": variety}
+    for option in (option for option, value in given.items() if value is not None and tile):
+        raise UsageError(
+            "the photographed piece is one, of a size of its own",
+            where=f"{option} with --tile piece",
+            remedy="leave one of the two out",
+        )
+    if onnx and tile:
+        raise UsageError("a network has no piece", where="--tile", remedy="leave it out")
     if onnx:
         _export_onnx(path, out or Path("."), as_json=json, quiet=quiet, overwrite=overwrite)
         return
@@ -217,12 +240,14 @@ def export(
             adjust=changes,
             variety=variety,
             normals=normals and normals.value,
+            piece=tile is not None,
         )
     asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
     asked_for += f"_udim{udim}" * (udim is not None)
     asked_for += f"_{changes.file_part}" * changes.changes
     asked_for += f"_variety{variety}" * (variety is not None)
     asked_for += "_painted" * (found.maps.painted is not None)
+    asked_for += "_tile-piece" * (tile is not None)
     folder = out or Path(f"{found.name}_{target}{asked_for}")
     sidecar = folder / sidecar_name(found.name, target)
     if sidecar.exists() and not overwrite:

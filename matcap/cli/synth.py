@@ -35,18 +35,19 @@ if TYPE_CHECKING:
     from matcap.field.plane import Rectangle
     from matcap.synth.precision import ChosenPrecision
     from matcap.synth.request import SynthProgress
-    from matcap.synth.synthesise import Axes, Growth, SynthRequest
+    from matcap.synth.synthesise import Growth, Repeating, SynthRequest
 
 _STRIP = values.Size(4096, 256)  # the paper's own example
 _EVERY = 10.0  # seconds between lines of progress where there is no terminal
 
 
 class TileAxes(Enum):
-    """Along which axes the maps repeat."""
+    """Along which axes the maps repeat, or the photographed piece itself along both."""
 
     both = "both"
     x = "x"
     y = "y"
+    piece = "piece"
 
 
 class PrecisionName(Enum):
@@ -112,7 +113,10 @@ def synth(
     ] = None,
     tile: Annotated[
         TileAxes | None,
-        typer.Option(help="Repeat exactly along both axes, or along x or y alone."),
+        typer.Option(
+            help="Repeat exactly along both axes, or along x or y alone; piece: the photographed "
+            "piece itself, made to repeat, at about its own size."
+        ),
     ] = None,
     udim: Annotated[
         values.Size | None,
@@ -202,17 +206,25 @@ def synth(
         raise UsageError(
             "a rectangle has a size of its own", where="--region", remedy="leave --size out"
         )
+    is_piece = tile is TileAxes.piece
+    if is_piece and (size is not None or region is not None):
+        raise UsageError(
+            "the photographed piece has a size of its own",
+            where="--tile piece",
+            remedy="leave --size and --region out, or let the field repeat, with --tile alone",
+        )
     sides = size or values.DEFAULT_SIZE
     area = _rectangle(region or values.Region(0, 0, sides.width, sides.height))
     files = Files(png, normal.value, single, mip, (udim.width, udim.height) if udim else None)
     subject, name = _subject(material, seed, like, spread)
-    axes: Axes | None = tile.value if tile else None
+    axes: Repeating | None = tile.value if tile else None
     asked = SynthRequest(
         subject, area, seed, name, files, axes, growth, precision.value, device.value,
         generator and generator.value, parse_adjustments(adjust), variety,
     )  # fmt: skip
     told_apart = _told_apart(asked)
-    folder = out or Path(f"{name}_{area.width}x{area.height}_seed{seed}{told_apart}")
+    which = "" if is_piece else f"_{area.width}x{area.height}_seed{seed}"
+    folder = out or Path(f"{name}{which}{told_apart}")
 
     def told(choice: ChosenPrecision) -> None:
         if precision is PrecisionName.auto and not quiet:

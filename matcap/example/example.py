@@ -24,8 +24,10 @@ from matcap.example.exemplar import Exemplar, Floats
 from matcap.example.grids import frame_of, level_count
 from matcap.example.index import Index, build_index
 from matcap.example.lookup import Lookup, prepare
+from matcap.example.normals import with_normals
 from matcap.example.order import Frequency
 from matcap.example.piece_sizes import PieceSizes
+from matcap.example.repeat.source import RepeatedSource
 from matcap.field.blocks import RING, Grid
 from matcap.field.plane import Period, Rectangle, check_period, check_seed, check_variety
 from matcap.files.values import bounded
@@ -128,6 +130,32 @@ class Example:
         check_seed(seed)
         check_period(period, self.alignment)
         return ExampleSource(self, seed, period, self.exemplar.texel_size)
+
+    def repeating(self) -> MapSet:
+        """Maps of the photographed piece itself, made to repeat, at about its own size.
+
+        Raises:
+            UsageError: it is too small.
+        """
+        import torch
+
+        from matcap.brdf.maps import MapSet
+
+        found = torch.from_numpy(self.repeating_source().stacked)
+        return MapSet.from_stacked(found, self.exemplar.texel_size, periodic=True)
+
+    def repeating_source(self) -> RepeatedSource:
+        """The same to be written, without PyTorch.
+
+        Raises:
+            UsageError: it is too small.
+        """
+        # OpenCV takes a tenth of a second to start, which no field needs.
+        from matcap.example.repeat.repeat import repeated
+
+        exemplar, order = self.exemplar, self.index.order
+        found = repeated(exemplar.stacked(), exemplar.texel_size, order, detail_bits(exemplar))
+        return RepeatedSource(found.maps, exemplar.texel_size)
 
     def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
         """Tensors and a description for JSON, from which read() makes it again."""
@@ -274,17 +302,7 @@ class ExampleSource:
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
         """(9, height, width) of a block: the six maps and the normal."""
-        maps = self._stacked(block)
-        height, size = maps[5], np.float32(2.0 * self.texel_size)
-        across = (height[RING:-RING, 2 * RING :] - height[RING:-RING, : -2 * RING]) / size
-        up = (height[: -2 * RING, RING:-RING] - height[2 * RING :, RING:-RING]) / size
-        upright = np.float32(1.0) / np.sqrt(np.float32(1.0) + across * across + up * up)
-        found = np.empty((9, block.height, block.width), np.float32)
-        found[:6] = maps[:, RING:-RING, RING:-RING]
-        np.multiply(across, -upright, out=found[6])
-        np.multiply(up, upright if normal == "dx" else -upright, out=found[7])
-        found[8] = upright
-        return found
+        return with_normals(self._stacked(block), self.texel_size, normal)
 
     def _stacked(self, block: Rectangle) -> NDArray[np.float32]:
         return self.example.maps(self.seed, block.grown(RING), self.period)

@@ -37,11 +37,18 @@ class Scale:
 
 def planes_of(exemplar: Exemplar) -> NDArray[np.float32]:
     """(PLANES, H, W): what features are made of. Height is in texels."""
-    planes = np.empty((PLANES, *exemplar.height.shape[1:]), np.float32)
-    np.sqrt(exemplar.diffuse, out=planes[:3])
-    np.sqrt(exemplar.specular[0], out=planes[3])
-    planes[4] = exemplar.roughness[0]
-    height = np.divide(exemplar.height[0], np.float32(exemplar.texel_size), out=planes[7])
+    maps = (exemplar.diffuse, exemplar.specular, exemplar.roughness, exemplar.height)
+    return planes_of_maps(maps, exemplar.texel_size)
+
+
+def planes_of_maps(maps: tuple[NDArray[np.float32], ...], texel_size: float) -> NDArray[np.float32]:
+    """The same of maps that no exemplar holds: diffuse (3, H, W); the others (1, H, W)."""
+    diffuse, specular, roughness, heights = maps
+    planes = np.empty((PLANES, *heights.shape[1:]), np.float32)
+    np.sqrt(diffuse, out=planes[:3])
+    np.sqrt(specular[0], out=planes[3])
+    planes[4] = roughness[0]
+    height = np.divide(heights[0], np.float32(texel_size), out=planes[7])
     _difference(height, planes[5])
     _difference(height.T, planes[6].T)
     return planes

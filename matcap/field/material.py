@@ -120,6 +120,14 @@ class Material:
         varied = self.generators[name].varied(variety)
         return replace(self, generators={**self.generators, name: varied})
 
+    def repeating(self) -> MapSet:
+        """Maps of the photographed piece itself, made to repeat, at about its own size.
+
+        Raises:
+            UsageError: it holds no piece, or too small a one.
+        """
+        return self.generator.repeating()
+
     @property
     def alignment(self) -> int:
         """What periods of its field are multiples of, in texels."""

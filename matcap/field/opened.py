@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from matcap.flash.geometry import FlashSetup
 
 
+# What the provenance of maps says that are the photographed piece itself.
+REPEATS = {"tile": "piece"}
+
+
 @dataclass(frozen=True)
 class OpenedMaps:
     """Maps with what is known of them.
@@ -71,6 +75,7 @@ def open_tile(
     adjust: Adjustments = NONE,
     variety: float | None = None,
     normals: NormalSource | None = None,
+    piece: bool = False,
 ) -> OpenedMaps:
     """As open_maps, but a material's maps repeat without a seam where their size allows it.
 
@@ -84,6 +89,7 @@ def open_tile(
         adjust: what is changed of the maps; the provenance tells it.
         variety: that a material's piece is rearranged with, instead of its own.
         normals: of a map set, see read_mapset; "height" by default.
+        piece: the photographed piece itself, made to repeat, at its own size.
 
     Raises:
         UsageError: a material's normals are asked for; a size, seed, generator or variety is asked
@@ -93,13 +99,17 @@ def open_tile(
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
         _refuse_normals(path, normals)
-        size, seed = size or (1024, 1024), seed or 0
         material = _material(path).by(generator).varied(variety)
+        if piece:
+            told = dict(material.provenance) | REPEATS
+            return _told(material.repeating(), kept_plain(path.stem), told, adjust)
+        size, seed = size or (1024, 1024), seed or 0
         repeat = material.alignment
         period = None if size[0] % repeat or size[1] % repeat else size
         maps = material.maps(*size, seed=seed, period=period)
         return _told(maps, kept_plain(path.stem), dict(material.provenance), adjust)
     given = {"--size": size, "--seed": seed, "--generator": generator, "--variety": variety}
+    given |= {"--tile piece": piece or None}
     for option, asked in given.items():
         if asked is not None:
             raise _own(path, option)

@@ -106,6 +106,14 @@ class FieldGenerator(Protocol):
         """
         ...
 
+    def repeating(self) -> MapSet:
+        """Maps of the photographed piece itself, made to repeat, at about its own size.
+
+        Raises:
+            UsageError: it holds no piece, or too small a one.
+        """
+        ...
+
     def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Tensors by name, and entries of the material's description."""
         ...

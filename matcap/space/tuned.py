@@ -12,6 +12,7 @@ import torch
 from safetensors import safe_open
 from torch import Tensor
 
+from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.field.header import REMEDY
 from matcap.field.material import Material
@@ -101,6 +102,18 @@ class TunedDecoder:
             f"a decoder rearranges no pieces, so has no variety of {variety:g}",
             where="--variety",
             remedy="leave it out",
+        )
+
+    def repeating(self) -> MapSet:
+        """There is no piece to repeat.
+
+        Raises:
+            UsageError: always.
+        """
+        raise UsageError(
+            "a decoder holds no photographed piece that could repeat",
+            where="--tile piece",
+            remedy="let its field repeat, with --tile alone, or capture with --generator example",
         )
 
     def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.example.stored import read_exemplified
+from matcap.field.opened import REPEATS
 
 if TYPE_CHECKING:
     from matcap.field.device import DeviceName
@@ -88,6 +89,31 @@ def open_field(material: Path | Material, wanted: Wanted) -> OpenedField:
         return OpenedField(field, subject.name, provenance)
     choice = choose(field, wanted.precision)
     return OpenedField(choice.source, subject.name, provenance, choice)
+
+
+def open_repeating(material: Path | Material, generator: Generator | None) -> OpenedField:
+    """The photographed piece itself, made to repeat: one period of it.
+
+    Args:
+        material: itself, or its file.
+        generator: that it is asked of; only an exemplar holds a piece.
+
+    Raises:
+        MatcapError: the file is missing, damaged, or no material.
+        UsageError: it holds no photographed piece, or too small a one.
+    """
+    if isinstance(material, Path) and generator != "decoder":
+        held = read_exemplified(material)
+        if held is not None:
+            return OpenedField(
+                held.example.repeating_source(), held.name, held.provenance | REPEATS
+            )
+    from matcap.example.repeat.source import RepeatedSource
+
+    subject = _loaded(material, Wanted(generator=generator))
+    maps = subject.repeating()
+    source = RepeatedSource(maps.stacked().numpy(), maps.texel_size)
+    return OpenedField(source, subject.name, dict(subject.provenance) | REPEATS)
 
 
 def open_blend(

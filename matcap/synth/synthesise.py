@@ -7,15 +7,16 @@ longer to start than such a map takes to make.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from matcap.brdf.adjust import KEY, NONE, Adjustments
 from matcap.brdf.folder import MapSetInfo
+from matcap.errors import UsageError
 from matcap.field.plane import Period, Rectangle, check_seed
 from matcap.synth.adjusted import adjusted_source
-from matcap.synth.fields import Wanted, open_blend, open_field
+from matcap.synth.fields import OpenedField, Wanted, open_blend, open_field, open_repeating
 from matcap.synth.request import Files, Request, Work
 from matcap.synth.stream import write_field
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from matcap.synth.precision import ChosenPrecision, Precision
 
 Axes = Literal["both", "x", "y"]
+# Or the photographed piece itself, made to repeat along both, at about its own size.
+Repeating = Axes | Literal["piece"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,9 @@ class SynthRequest:
         seed: which realisation, in [-2^63, 2^63).
         name: of the files; the material's unless given.
         files: how maps are stored.
-        tile: the axes along which the whole of it repeats exactly, or None.
+        tile: the axes along which the whole of it repeats exactly, or None; "piece" for the
+            photographed piece itself, made to repeat, which has a size of its own: `area` is not
+            read then, nor is the seed.
         growth: what it grows into, or None.
         precision: of the decoder: "fp32", "bf16", or "auto" for as much bfloat16 as no eye can
             see.
@@ -69,7 +74,7 @@ class SynthRequest:
     seed: int = 0
     name: str = ""
     files: Files = Files()
-    tile: Axes | None = None
+    tile: Repeating | None = None
     growth: Growth | None = None
     precision: Precision = "fp32"
     device: DeviceName = "auto"
@@ -103,6 +108,12 @@ def synthesise(
     check_seed(asked.seed)
     # A cluster's machines may have no CUDA device, and their blocks must be alike.
     device = "cpu" if work.scheduler and asked.device == "auto" else asked.device
+    if asked.tile == "piece":
+        _check_piece(asked)
+        found = open_repeating(asked.material, asked.generator)
+        width, height = found.source.period or (None, None)
+        asked = replace(asked, area=Rectangle(0, 0, width or 0, height or 0))
+        return _written(asked, found, folder, work)
     whole = asked.files.whole(asked.area)
     period = _period(asked.tile, whole)
     wanted = Wanted(asked.seed, period, asked.generator, asked.precision, device, asked.variety)
@@ -114,6 +125,11 @@ def synthesise(
         found = open_blend(asked.material, growth.material, growth.mask, over, wanted)
     if found.choice is not None:
         told(found.choice)
+    return _written(asked, found, folder, work)
+
+
+def _written(asked: SynthRequest, found: OpenedField, folder: str | Path, work: Work) -> Path:
+    """Write what was found; returns the JSON file."""
     origin = (asked.area.x, asked.area.y)
     provenance = found.provenance
     if asked.adjust.changes:
@@ -123,6 +139,23 @@ def synthesise(
     info = MapSetInfo(asked.name or found.name, asked.seed, origin, provenance)
     source = adjusted_source(found.source, asked.adjust)
     return write_field(Request(source, asked.area, info, asked.files), folder, work)
+
+
+def _check_piece(asked: SynthRequest) -> None:
+    """Raise UsageError for what cannot be asked of the photographed piece itself."""
+    refused = {
+        "--udim": asked.files.udim is not None,
+        "--blend": asked.growth is not None,
+        "--variety": asked.variety is not None,
+        "--seed": asked.seed != 0,
+    }
+    for option, given in refused.items():
+        if given:
+            raise UsageError(
+                "the photographed piece is one, of a size of its own",
+                where=f"{option} with --tile piece",
+                remedy=f"leave {option} out, or let the field repeat, with --tile alone",
+            )
 
 
 def _period(tile: Axes | None, area: Rectangle) -> Period | None:

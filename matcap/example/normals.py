@@ -1,0 +1,24 @@
+"""Normals of a block's heights, without PyTorch."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.brdf.stated import NormalStyle
+from matcap.example.exemplar import Floats
+from matcap.field.blocks import RING
+
+
+def with_normals(maps: Floats, texel_size: float, normal: NormalStyle) -> NDArray[np.float32]:
+    """(9, h, w): six maps (6, h + 2 RING, w + 2 RING) without their ring, and the normal."""
+    height, size = maps[5], np.float32(2.0 * texel_size)
+    across = (height[RING:-RING, 2 * RING :] - height[RING:-RING, : -2 * RING]) / size
+    up = (height[: -2 * RING, RING:-RING] - height[2 * RING :, RING:-RING]) / size
+    upright = np.float32(1.0) / np.sqrt(np.float32(1.0) + across * across + up * up)
+    found = np.empty((9, *across.shape), np.float32)
+    found[:6] = maps[:, RING:-RING, RING:-RING]
+    np.multiply(across, -upright, out=found[6])
+    np.multiply(up, upright if normal == "dx" else -upright, out=found[7])
+    found[8] = upright
+    return found

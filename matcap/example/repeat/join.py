@@ -1,0 +1,75 @@
+"""Maps of places that repeat: what rises from texel to texel is kept, and the whole is closed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.exemplar import Floats
+from matcap.example.repeat.tuned import REPEAT
+
+PieceTexels = NDArray[np.int64]
+
+
+def joined(maps: Floats, x: PieceTexels, y: PieceTexels) -> Floats:
+    """(6, h, w) stacked maps that repeat, of what a piece shows at (h, w) places x, y of it.
+
+    Height is the surface whose steps are nearest to the piece's own, closed in both directions; a
+    slope of the whole is lost by that. Of the others, what differs at a cut is spread over a few
+    texels by the same equation, held to what is shown there.
+    """
+    found = np.stack([_closed(plane, x, y, REPEAT.blur) for plane in maps[:-1]])
+    np.clip(found, 0.0, 1.0, out=found)
+    return np.concatenate([found, _closed(maps[-1], x, y, None)[None]])
+
+
+def is_cut(x: PieceTexels, y: PieceTexels) -> NDArray[np.bool_]:
+    """(h, w) whether a texel and the one right of it or below are of two copies."""
+    return ~(_follows(x, y, 1) & _follows(x, y, 0))
+
+
+def _closed(plane: Floats, x: PieceTexels, y: PieceTexels, blur: float | None) -> Floats:
+    """One map; screened by `blur` texels, or free but for its mean."""
+    shown = plane[y, x].astype(np.float64)
+    divergence = np.zeros_like(shown)
+    for axis in (1, 0):
+        step = _steps(plane, shown, x, y, axis)
+        divergence += step - np.roll(step, 1, axis)
+    turns = [np.cos(2.0 * np.pi * np.fft.fftfreq(shown.shape[0]))[:, None]]
+    turns += [np.cos(2.0 * np.pi * np.fft.rfftfreq(shown.shape[1]))[None, :]]
+    laplacian = 4.0 - 2.0 * turns[0] - 2.0 * turns[1]
+    held = 0.0 if blur is None else 1.0 / blur**2
+    waves = np.fft.rfft2(held * shown - divergence)
+    if blur is None:
+        laplacian[0, 0] = 1.0
+        waves[0, 0] = shown.sum()
+    return np.fft.irfft2(waves / (laplacian + held), s=shown.shape).astype(np.float32)
+
+
+def _steps(
+    plane: Floats, shown: NDArray[np.float64], x: PieceTexels, y: PieceTexels, axis: int
+) -> NDArray[np.float64]:
+    """(h, w) rise from each texel to the next along an axis; over a cut, both sides' mean."""
+    step = np.roll(shown, -1, axis) - shown
+    rows, columns = np.nonzero(~_follows(x, y, axis))
+    high, wide = plane.shape
+    right, down = (1, 0) if axis == 1 else (0, 1)
+    here = y[rows, columns], x[rows, columns]
+    after = (rows + down) % x.shape[0], (columns + right) % x.shape[1]
+    there = y[after], x[after]
+    rise, sides = np.zeros(len(rows)), np.zeros(len(rows))
+    for (row, column), direction in ((here, 1), (there, -1)):
+        other = row + direction * down, column + direction * right
+        known = (other[0] >= 0) & (other[0] < high) & (other[1] >= 0) & (other[1] < wide)
+        other = other[0].clip(0, high - 1), other[1].clip(0, wide - 1)
+        rise += np.where(known, direction * (plane[other] - plane[row, column]), 0.0)
+        sides += known
+    step[rows, columns] = np.where(sides > 0, rise / np.maximum(sides, 1), step[rows, columns])
+    return step
+
+
+def _follows(x: PieceTexels, y: PieceTexels, axis: int) -> NDArray[np.bool_]:
+    """(h, w) whether the next texel along an axis, round the border, is the piece's next."""
+    right, down = (1, 0) if axis == 1 else (0, 1)
+    following = (np.roll(x, -1, axis) - x == right) & (np.roll(y, -1, axis) - y == down)
+    return np.asarray(following)

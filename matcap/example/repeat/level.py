@@ -1,0 +1,58 @@
+"""Takes from a piece's colour and gloss what is slow over it: a tile's would show as a chequer."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.exemplar import Floats
+from matcap.example.repeat.tuned import REPEAT
+
+_BLACK = 1e-3  # of albedo and F0: what is darker is as dark
+_GREYS = 4  # planes that light multiplies: albedo and F0
+_ORDERS = np.arange(REPEAT.slow + 1)
+_COLOURED = 5  # planes that are levelled: all but the height, whose slope closing takes away
+
+
+def levelled(maps: Floats) -> Floats:
+    """(6, H, W) stacked maps without the slow waves that are nearest to the medians of their parts.
+
+    Albedo and F0 are divided by theirs, and roughness is moved; means stay. Medians, so that what
+    stands in one place alone, a stain, is not taken for a slope.
+    """
+    found = maps.copy()
+    for index in range(_COLOURED):
+        if index < _GREYS:
+            logs = np.log(np.maximum(maps[index], _BLACK))
+            found[index] *= np.exp(-_slow(logs))
+        else:
+            found[index] -= _slow(maps[index])
+    np.clip(found[:_COLOURED], 0.0, 1.0, out=found[:_COLOURED])
+    return found
+
+
+def _slow(plane: Floats) -> Floats:
+    """(H, W) the slow waves nearest to medians of parts, of zero mean."""
+    parts = [
+        [part for part in np.array_split(np.arange(side), REPEAT.cells) if part.size]
+        for side in plane.shape
+    ]
+    rows, columns = parts
+    medians = np.array(
+        [[np.median(plane[r[0] : r[-1] + 1, c[0] : c[-1] + 1]) for c in columns] for r in rows]
+    )
+    middles = [
+        [(part.mean() + 0.5) / side for part in some]
+        for some, side in zip(parts, plane.shape, strict=True)
+    ]
+    down, across = (_waves(np.array(some)) for some in middles)
+    amounts = np.linalg.pinv(down) @ medians @ np.linalg.pinv(across).T
+    ends = [_waves((np.arange(side) + 0.5) / side) for side in plane.shape]
+    amounts[_ORDERS[:, None] + _ORDERS[None, :] > REPEAT.slow] = 0.0
+    slow = ends[0] @ amounts @ ends[1].T
+    return (slow - slow.mean()).astype(np.float32)
+
+
+def _waves(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, orders): half waves over a side, at places in [0, 1]."""
+    return np.cos(np.pi * places[:, None] * _ORDERS[None, :])

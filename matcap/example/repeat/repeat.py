@@ -1,0 +1,145 @@
+"""The photographed piece itself, made to repeat: the least of it replaced, nothing rearranged.
+
+What is slow is taken from colour and gloss; regular order is made straight; copies of the piece,
+shifted by what it is most like itself after, are cut into each other where it shows least, all maps
+together; and the steps that are left are closed (join.py). What occurs once occurs once.
+
+Read next: shifts.py, cut.py, join.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import UsageError
+from matcap.example.exemplar import Floats
+from matcap.example.features import choose_scale, planes_of_maps
+from matcap.example.order import Frequency, Order
+from matcap.example.repeat.cut import least_cut
+from matcap.example.repeat.join import PieceTexels, is_cut, joined
+from matcap.example.repeat.level import levelled
+from matcap.example.repeat.shifts import Planes, Shift, best_shift, copies
+from matcap.example.repeat.straighten import straightened, unbent
+from matcap.example.repeat.tuned import REPEAT
+from matcap.example.tuned import FEATURE
+
+_LEAST = 32  # texels a side: less leaves the cut no choice
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """A piece that repeats.
+
+    Attributes:
+        maps: (6, h, w) stacked: diffuse, specular, roughness, height.
+        cut: (h, w) whether a texel and the one right of it or below are of two copies.
+    """
+
+    maps: Floats
+    cut: NDArray[np.bool_]
+
+
+def repeated(
+    maps: Floats, texel_size: float, order: Order | None = None, bits: int = 0
+) -> Repeated:
+    """Maps (6, H, W) of a piece made to repeat, each side about three quarters of what it was.
+
+    Args:
+        maps: stacked: diffuse, specular, roughness, height.
+        texel_size: in plane units.
+        order: where there is one, ...
+        bits: ... of texels 2^bits as large.
+
+    Raises:
+        UsageError: they are too small.
+    """
+    height, width = maps.shape[1:]
+    if min(height, width) < _LEAST:
+        raise UsageError(
+            f"a piece of {width} x {height} texels is too small to repeat",
+            where="--tile piece",
+            remedy=f"capture it with at least {_LEAST} texels a side, or let its field repeat",
+        )
+    level = levelled(maps)
+    seen = _seen(level, texel_size)
+    across, down, cost = _shifts(seen, ())
+    if order is not None:
+        straight = unbent(level, order, bits)
+        waves = tuple((fx / 2**bits, fy / 2**bits) for fx, fy in order.waves)
+        *ordered, ordered_cost = _shifts(_seen(straight, texel_size), waves)
+        if ordered_cost <= REPEAT.disordered * cost:
+            level, (across, down) = straight, ordered
+    straight, along, below = straightened(level, across, down)
+    seen = _seen(straight, texel_size)
+    x, y = _places(seen, along, below)
+    found, cut = joined(straight, x, y), is_cut(x, y)
+    begins = _usual_line(found, 1), _usual_line(found, 2)
+    return Repeated(np.roll(found, begins, (1, 2)), np.roll(cut, begins, (0, 1)))
+
+
+def _shifts(seen: Planes, waves: tuple[Frequency, ...]) -> tuple[Shift, Shift, float]:
+    """Shifts about along x and about along y, as (x, y), and what closing them costs."""
+    turned = _turned(seen)
+    turned_waves = tuple((fy, fx) for fx, fy in waves)
+    across, down = best_shift(seen, waves), best_shift(turned, turned_waves)
+    # What slants both ways alike is turned; more than that would stretch it.
+    if not waves and abs(across.slant + down.slant) > REPEAT.stretch:
+        if abs(across.slant) > abs(down.slant):
+            down = best_shift(turned, (), -across.slant, REPEAT.stretch)
+        else:
+            across = best_shift(seen, (), -down.slant, REPEAT.stretch)
+    return across.shift, (down.shift[1], down.shift[0]), across.cost + down.cost
+
+
+def _places(seen: Planes, along: int, below: int) -> tuple[PieceTexels, PieceTexels]:
+    """(below, along) places x, y of the piece that a tile of the size shows."""
+    rows, columns = np.arange(below), np.arange(seen.shape[2])
+    # First what lies above and below, over the whole width; then what lies left and right.
+    first, second = copies(_turned(seen), below)
+    upper, _ = least_cut(_apart(first, second), REPEAT.length, closed=False)
+    down = rows[:, None] + below * (rows[:, None] < upper[None, :])
+    shown = seen[:, down, columns[None, :]]
+    first, second = copies(shown, along)
+    left, _ = least_cut(_apart(first, second), REPEAT.length, closed=True)
+    across = columns[None, :along] + along * (columns[None, :along] < left[:, None])
+    return across, down[rows[:, None], across]
+
+
+def _usual_line(maps: Floats, axis: int) -> int:
+    """By how much to roll maps so that they meet themselves at a line like any other.
+
+    Where the piece began may be a joint, which is right, and takes whoever looks at steps across
+    the border alone for a seam.
+    """
+    steps = np.abs(np.roll(maps, -1, axis) - maps).mean(axis=3 - axis)
+    usual = steps.mean(axis=1, keepdims=True)
+    worst = (steps / np.maximum(usual, 1e-6 * np.abs(maps).max(axis=(1, 2))[:, None] + 1e-12)).max(
+        0
+    )
+    reach = len(worst) // 2
+    # Step i is between lines i and i + 1, the last one that across the border.
+    away = np.abs(np.arange(-1 - reach, reach) + 1)
+    near = np.arange(-1 - reach, reach)
+    order = np.argsort(away, kind="stable")
+    calm = [int(near[i]) for i in order if worst[near[i]] <= REPEAT.calm]
+    chosen = calm[0] if calm else int(near[np.argmin(worst[near])])
+    return -(chosen + 1)
+
+
+def _seen(maps: Floats, texel_size: float) -> Planes:
+    """(7, H, W) what is compared, in standard deviations: all but the height itself."""
+    planes = planes_of_maps((maps[:3], maps[3:4], maps[4:5], maps[5:]), texel_size)
+    scale = choose_scale(planes)
+    factors = scale.factors / np.float32(FEATURE.unit)
+    return ((planes - scale.offsets[:, None, None]) * factors[:, None, None])[:-1]
+
+
+def _apart(first: Planes, second: Planes) -> NDArray[np.float32]:
+    return np.sqrt(np.square(first - second).mean(axis=0))
+
+
+def _turned(planes: Planes) -> Planes:
+    return np.ascontiguousarray(planes.transpose(0, 2, 1))

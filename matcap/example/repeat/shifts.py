@@ -1,0 +1,202 @@
+"""After which shifts a piece is most like itself: what it is made to repeat in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.order import Frequency
+from matcap.example.repeat.cut import least_cut
+from matcap.example.repeat.tuned import REPEAT
+
+Planes = NDArray[np.float32]
+Shift = tuple[float, float]  # texels along x (right) and y (down)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A shift, and what the least visible cut that closes it costs a line."""
+
+    shift: Shift
+    cost: float
+
+    @property
+    def slant(self) -> float:
+        """How far it goes down for each texel along."""
+        return self.shift[1] / self.shift[0]
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A shift, and the mean square of what the copies differ by where both are."""
+
+    shift: Shift
+    difference: float
+
+
+def best_shift(
+    planes: Planes,
+    waves: tuple[Frequency, ...],
+    slant: float = 0.0,
+    reach: float = REPEAT.turn,
+) -> Found:
+    """The shift along x that the least visible cut can close.
+
+    Args:
+        planes: (C, H, W) that are compared, in standard deviations; straight where there is an
+            order.
+        waves: of the order, in cycles per texel: the shift turns each a whole number of times, as
+            far as that stretches nothing by more than allowed.
+        slant: of what counts as straight, and how far from it a shift without order may be.
+        reach: likewise.
+    """
+    scale = 1 << max(0, math.ceil(math.log2(max(planes.shape[1:]) / REPEAT.search)))
+    small = _shrunk(planes, scale)
+    width = planes.shape[2]
+    table = _differences(small, slant, reach)
+    straight = list(_ordered(table, scale, width, waves)) if waves else []
+    others = []
+    if not straight:
+        straight, others = list(_straight(table, scale, slant)), list(_any(table, scale))
+    usual = float(np.median(table.values)) + 1e-12
+    found = [
+        Found(one.shift, _cost(small, one.shift, scale))
+        for some in (straight, others)
+        for one in _likeliest(some, usual, width, scale)
+    ]
+    middle = float(np.median([one.cost for one in found])) + 1e-12
+    is_straight = {one.shift for one in straight}
+
+    def score(one: Found) -> float:
+        dearer = 1.0 if one.shift in is_straight else REPEAT.slanted
+        return dearer * one.cost / middle - REPEAT.larger * one.shift[0] / width
+
+    best = min(found, key=score)
+    return best if waves else Found(_refined(planes, best.shift, scale), best.cost)
+
+
+def _likeliest(some: list[_Candidate], usual: float, width: int, scale: int) -> list[_Candidate]:
+    """Those whose copies differ least, none beside another."""
+    ranked = sorted(
+        some, key=lambda one: one.difference / usual - REPEAT.larger * one.shift[0] / width
+    )
+    apart: list[_Candidate] = []
+    for one in ranked:
+        if len(apart) == REPEAT.candidates:
+            break
+        if all(_apart(one, other) > scale for other in apart):
+            apart.append(one)
+    return apart
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Mean square differences of copies shifted by (left + column, top + row) texels."""
+
+    values: NDArray[np.float64]
+    left: int
+    top: int
+
+
+def _differences(planes: Planes, slant: float, reach: float) -> _Table:
+    """After all shifts that keep enough, by Fourier transforms."""
+    _, high, wide = planes.shape
+    first, last = math.ceil(REPEAT.least * wide), math.floor(REPEAT.most * wide)
+    sides = (2 * high, 2 * wide)
+    waves = np.fft.rfft2(planes.astype(np.float64), s=sides)
+    squares = np.fft.rfft2(np.square(planes, dtype=np.float64).sum(axis=0), s=sides)
+    ones = np.fft.rfft2(np.ones((high, wide)), s=sides)
+    # Sum over where both are of a(p + s)^2 + a(p)^2 - 2 a(p + s) a(p).
+    both = np.fft.irfft2(squares * ones.conj() + ones * squares.conj(), s=sides)
+    both -= 2.0 * np.fft.irfft2((waves * waves.conj()).sum(axis=0), s=sides)
+    top, bottom = math.floor((slant - reach) * wide), math.ceil((slant + reach) * wide)
+    rows = np.arange(top, bottom + 1)
+    columns = np.arange(first, max(last, first) + 1)
+    count = (high - np.abs(rows))[:, None] * (wide - columns)[None, :]
+    values = both[rows % sides[0]][:, columns] / (count * len(planes))
+    return _Table(np.maximum(values, 0.0), first, top)
+
+
+def _straight(table: _Table, scale: int, slant: float) -> Iterator[_Candidate]:
+    for column in range(table.values.shape[1]):
+        along = table.left + column
+        down = round(slant * along)
+        shift = (float(along * scale), float(down * scale))
+        yield _Candidate(shift, float(table.values[down - table.top, column]))
+
+
+def _any(table: _Table, scale: int) -> Iterator[_Candidate]:
+    for (row, column), value in np.ndenumerate(table.values):
+        shift = (float((table.left + column) * scale), float((row + table.top) * scale))
+        yield _Candidate(shift, float(value))
+
+
+def _ordered(
+    table: _Table, scale: int, width: int, waves: tuple[Frequency, ...]
+) -> Iterator[_Candidate]:
+    """Shifts nearest to straight ones that turn every wave a whole number of times."""
+    turns = np.array(waves)
+    back = np.linalg.pinv(turns)
+    low, high = math.ceil(REPEAT.least * width), math.floor(REPEAT.most * width)
+    seen = set()
+    for along in range(low, high + 1):
+        straight = np.array([along, 0.0])
+        wanted = np.rint(turns @ straight)
+        shift = straight + back @ (wanted - turns @ straight)
+        if np.abs(shift - straight).max() > REPEAT.stretch * along:
+            continue
+        name = (round(shift[0]), round(shift[1]))
+        if name in seen or not low <= shift[0] <= high:
+            continue
+        seen.add(name)
+        row, column = round(shift[1] / scale) - table.top, round(shift[0] / scale) - table.left
+        row, column = (
+            min(max(place, 0), size - 1)
+            for place, size in zip((row, column), table.values.shape, strict=True)
+        )
+        yield _Candidate((float(shift[0]), float(shift[1])), float(table.values[row, column]))
+
+
+def _apart(one: _Candidate, other: _Candidate) -> float:
+    return max(abs(a - b) for a, b in zip(one.shift, other.shift, strict=True))
+
+
+def _cost(planes: Planes, shift: Shift, scale: int) -> float:
+    """Of the least visible cut between a piece and itself shifted, a row."""
+    along, down = round(shift[0] / scale), round(shift[1] / scale)
+    first, second = copies(planes, along, down)
+    apart = np.sqrt(np.square(first - second).mean(axis=0))
+    return least_cut(apart, REPEAT.length, closed=False)[1]
+
+
+def copies(planes: Planes, along: int, down: int = 0) -> tuple[Planes, Planes]:
+    """What a piece shifted by so many whole texels, and the piece, show where both are."""
+    high, wide = planes.shape[1:]
+    top, bottom = max(0, -down), min(high, high - down)
+    return planes[:, top + down : bottom + down, along:], planes[:, top:bottom, : wide - along]
+
+
+def _refined(planes: Planes, shift: Shift, scale: int) -> Shift:
+    """The shift among those nearest to it, in full detail, that the copies differ least after."""
+    if scale == 1:
+        return shift
+    most = planes.shape[2] - 8
+    best = (math.inf, shift)
+    rows = range(-scale, scale + 1) if shift[1] else range(1)
+    for row in rows:
+        for column in range(-scale, scale + 1):
+            along, down = min(round(shift[0]) + column, most), round(shift[1]) + row
+            first, second = copies(planes, along, down)
+            apart = float(np.square(first[:, ::2, ::2] - second[:, ::2, ::2]).mean())
+            best = min(best, (apart, (float(along), float(down))))
+    return best[1]
+
+
+def _shrunk(planes: Planes, scale: int) -> Planes:
+    rows, columns = (side // scale for side in planes.shape[1:])
+    parts = planes[:, : rows * scale, : columns * scale]
+    return parts.reshape(len(planes), rows, scale, columns, scale).mean(axis=(2, 4))

@@ -1,0 +1,61 @@
+"""Blocks of maps that are there whole and repeat: what is written as any field is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.brdf.stated import NormalStyle
+from matcap.example.exemplar import Floats
+from matcap.example.normals import with_normals
+from matcap.field.blocks import RING, Grid
+from matcap.field.plane import Period, Rectangle
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+_BLOCKS = Grid(1024, 256)
+
+
+@dataclass(frozen=True)
+class RepeatedSource:
+    """Maps that repeat in both directions; picklable.
+
+    Attributes:
+        stacked: (6, h, w) maps of what repeats.
+        texel_size: in plane units.
+        grid: the blocks that the plane is cut into.
+    """
+
+    stacked: Floats
+    texel_size: float
+    grid: Grid = _BLOCKS
+
+    @property
+    def period(self) -> Period:
+        """All of it."""
+        return self.stacked.shape[2], self.stacked.shape[1]
+
+    @property
+    def device_type(self) -> str:
+        """It is there already."""
+        return "cpu"
+
+    def maps(self, block: Rectangle) -> Tensor:
+        """Stacked maps (MAP_CHANNELS, height + 2 RING, width + 2 RING) of a block and its ring."""
+        import torch
+
+        return torch.from_numpy(self._around(block))
+
+    def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
+        """(9, height, width) of a block: the six maps and the normal."""
+        return with_normals(self._around(block), self.texel_size, normal)
+
+    def _around(self, block: Rectangle) -> Floats:
+        area = block.grown(RING)
+        rows = np.arange(area.y, area.y + area.height) % self.stacked.shape[1]
+        columns = np.arange(area.x, area.x + area.width) % self.stacked.shape[2]
+        return self.stacked[:, rows[:, None], columns[None, :]]

@@ -1,0 +1,79 @@
+"""Maps in which shifts are straight, and regular order is unbent."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.example.exemplar import Floats
+from matcap.example.order import GRID, Order
+from matcap.example.repeat.shifts import Shift
+
+_TURN = 2.0**16
+_BENT = 0.25  # texels: what bends less is left as it is
+
+
+def unbent(maps: Floats, order: Order, bits: int = 0) -> Floats:
+    """(C, H, W) maps whose regular order is the straight lattice of the same mean waves.
+
+    Every place is moved the least way that puts its phases right; borders are repeated. The
+    order is of texels 2^bits as large.
+    """
+    waves = np.array(order.waves)
+    bends = order.bends / _TURN
+    bends = bends - bends.mean(axis=(1, 2), keepdims=True)
+    # The phase at p is that of the straight lattice at p + move.
+    move = np.einsum("dw,wyx->dyx", np.linalg.pinv(waves), bends) * 2.0**bits
+    if np.abs(move).max() < _BENT:
+        return maps
+    height, width = maps.shape[1:]
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    step = np.float32(1 << (GRID + bits))
+    grid = (x.astype(np.float32) / step, y.astype(np.float32) / step)
+    wide = [cv2.remap(part.astype(np.float32), *grid, cv2.INTER_LINEAR) for part in move]
+    return _read(maps, x - wide[0], y - wide[1])
+
+
+def straightened(maps: Floats, across: Shift, down: Shift) -> tuple[Floats, int, int]:
+    """(C, H, W) maps whose two shifts are straight, and these as whole texels.
+
+    Args:
+        maps: of the piece.
+        across: shift that is to be along x.
+        down: shift that is to be along y, as (x, y).
+    """
+    along, below = round(math.hypot(*across)), round(math.hypot(*down))
+    matrix = np.array([[across[0] / along, down[0] / below], [across[1] / along, down[1] / below]])
+    if np.abs(matrix - np.eye(2)).max() * max(along, below) < _BENT:
+        return maps, along, below
+    height, width = maps.shape[1:]
+    x, y = np.meshgrid(np.arange(width) - 0.5 * (width - 1), np.arange(height) - 0.5 * (height - 1))
+    from_x = matrix[0, 0] * x + matrix[0, 1] * y + 0.5 * (width - 1)
+    from_y = matrix[1, 0] * x + matrix[1, 1] * y + 0.5 * (height - 1)
+    # What lies outside of the piece at its corners is never shown: the borders are cut off.
+    inside = (from_x >= 0) & (from_x <= width - 1) & (from_y >= 0) & (from_y <= height - 1)
+    rows, columns = _inside(inside)
+    found = _read(maps, from_x[rows, columns], from_y[rows, columns])
+    return found, along, below
+
+
+def _inside(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Rows and columns whose middle and ends are inside."""
+    height, width = inside.shape
+    most = min(height, width) // 4
+    for cut in range(most):
+        part = inside[cut : height - cut, cut : width - cut]
+        if part[0].all() and part[-1].all() and part[:, 0].all() and part[:, -1].all():
+            return slice(cut, height - cut), slice(cut, width - cut)
+    return slice(most, height - most), slice(most, width - most)
+
+
+def _read(maps: Floats, x: NDArray[np.floating], y: NDArray[np.floating]) -> Floats:
+    at = np.asarray(x, np.float32), np.asarray(y, np.float32)
+    read = [cv2.remap(p, *at, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE) for p in maps]
+    found = np.stack(read).astype(np.float32, copy=False)
+    np.clip(found[:-1], 0.0, 1.0, out=found[:-1])
+    return found

@@ -1,0 +1,50 @@
+"""What is tuned of the piece made to repeat; measured in docs/notes/by-example.md."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class RepeatSettings:
+    """What is tuned of the piece made to repeat.
+
+    Attributes:
+        cells: medians a side that what is slow is fitted to; fewer follow stains less, and see
+            less of what is slow.
+        slow: half waves over a side that are still slow: more takes away more of what makes repeats
+            show, and of the drawing where that is large.
+        least, most: share of a side that is kept: less lets the cut choose among more, and shows
+            less of the piece.
+        stretch: of whatever closes a lattice, as a share of the side.
+        search: texels of the longer side that shifts are looked for in.
+        turn: how slanting shifts may be: a photograph is held as level as that.
+        slanted: times what a slanting shift's cut costs: straightening it costs a little of the
+            finest detail.
+        disordered: times what cuts cost that keep no order.
+        candidates: shifts whose cuts are compared.
+        larger: what a cut may cost more for the whole side kept instead of none of it.
+        length: what a cut costs a texel where nothing differs, in standard deviations of a
+            feature: straight cuts are shorter.
+        blur: texels over which what still differs at a cut is spread; less shows the cut, more
+            shows a halo.
+        calm: steps across the border in those inside, in any map: more where no line is as calm.
+    """
+
+    cells: int = 16
+    slow: int = 4
+    least: float = 0.66
+    most: float = 0.92
+    stretch: float = 0.02
+    search: int = 320
+    turn: float = 0.06
+    slanted: float = 1.15
+    disordered: float = 1.15
+    candidates: int = 8
+    larger: float = 0.6
+    length: float = 0.1
+    blur: float = 6.0
+    calm: float = 1.0
+
+
+REPEAT = RepeatSettings()
