@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.piece.find import FoundPiece
+from matcap.capture.piece.find import FoundPiece, piece_maps
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, Effort
@@ -50,6 +50,9 @@ def judged(
             rerendered,
             waves,
             None if found is None else _piece_evidence(found),
+            tilt=0.0 if found is None else _mean_tilt(found),
+            # A regular order keeps its pieces together, however small its periods.
+            variety=1.0 if found is None or waves else found.example.variety,
         )
         verdict = judge(seen)
     return CaptureResult(
@@ -97,6 +100,12 @@ def _piece_evidence(found: FoundPiece) -> Mapping[str, float]:
     means = found.exemplar.confidence.mean((1, 2)).tolist()
     trusted = dict(zip(CHANNELS, means, strict=True))
     return {"error": found.error, "slow": found.slow, **trusted}
+
+
+def _mean_tilt(found: FoundPiece) -> float:
+    """Degrees."""
+    upright = piece_maps(found.exemplar).normal[2].clamp(-1.0, 1.0)
+    return float(upright.acos().rad2deg().mean())
 
 
 def _picture(linear: Tensor) -> NDArray[np.float32]:

@@ -5,8 +5,9 @@ Keys:
     name: of the material.
     interrupted: whether it was ended early.
     verdict: `rating` (good, usable, doubtful or failed), `fit` (good or usable), `severity` (up to
-        1 is good, 2 usable, 3 doubtful), `sentence`, and all `checks`: each its rating, severity,
-        finding, likely cause and remedy.
+        1 is good, 2 usable, 3 doubtful), `sentence`, `causes` that the photograph
+        shows, each with its remedy, and all `checks`: each its rating, severity, finding, cause and
+        remedy.
     error: `piece`, median difference of log radiance between the photograph and the re-rendered
         piece; `field`, difference of texture between the photograph and the endless material in
         multiples of what the photograph's own parts differ by; null where there is none.

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from matcap.capture.verdict.causes import FIVE
 from matcap.capture.verdict.evidence import Evidence
 from matcap.capture.verdict.rating import Rating
 from matcap.flash.highlight import Highlight
@@ -84,7 +85,7 @@ class QualityCheck:
         name: of it.
         severity: 0 nothing, up to 1 good, 2 usable, 3 doubtful, beyond failed.
         says: what was found.
-        cause: the likely one, or "".
+        cause: what it comes from where the measure itself says so; causes.py has the others.
         remedy: what to do, or "".
     """
 
@@ -163,7 +164,7 @@ def _highlight(seen: Evidence) -> QualityCheck:
             "highlight",
             4.0,
             "the photograph's highlight is lost",
-            "gloss was taken for light, or the flash for elsewhere",
+            "",
             remedy,
         )
     own = LIMITS.faintest if before is None else before.contrast
@@ -173,7 +174,7 @@ def _highlight(seen: Evidence) -> QualityCheck:
     worst, says, cause = _unlike(before, after) if before is not None else (more, "", "")
     if new == 1.0:
         says = "the re-rendering has a highlight that the photograph has not"
-        cause = "a tone curve or other light passed for gloss"
+        cause = ""
     return QualityCheck("highlight", worst + new, says, cause, remedy)
 
 
@@ -194,12 +195,12 @@ def _unlike(before: Highlight, after: Highlight) -> tuple[float, str, str]:
         (
             severity(abs(math.log(wider)), LIMITS.wider),
             f"the highlight is {wider:.1f} times as wide as in the photograph",
-            "roughness is wrong",
+            "",
         ),
         (
             severity(abs(math.log(brighter)), LIMITS.brighter),
             f"the highlight stands out {brighter:.1f} times as much as in the photograph",
-            "gloss is wrong",
+            "",
         ),
     )
     return max(found)
@@ -210,8 +211,8 @@ def _light(seen: Evidence) -> QualityCheck:
         "light",
         severity(seen.light, LIMITS.light),
         f"brightness is distributed otherwise than in the photograph, by {_percent(seen.light)}",
-        "other light in the room, or a strong tone curve",
-        f"{_SHOOT}, with other lights off",
+        "",
+        FIVE,
     )
 
 
@@ -221,8 +222,8 @@ def _colour(seen: Evidence) -> QualityCheck:
         "colour",
         severity(worst, LIMITS.colour),
         f"colours are off by {_percent(worst)}",
-        "light of another colour in the room, or a strong tone curve",
-        f"{_TRY}, or {_SHOOT}",
+        "",
+        f"{_TRY}, or {FIVE}",
     )
 
 
@@ -234,8 +235,8 @@ def _texture(seen: Evidence) -> QualityCheck:
         "photograph's own parts differ by"
         if math.isfinite(seen.likeness)
         else "the picture is too small to compare textures",
-        "relief and colour were not told apart, or the texture is too coarse",
-        f"{_TRY}, or another --detail",
+        "",
+        f"{_TRY}, or {FIVE}",
     )
 
 
@@ -250,8 +251,8 @@ def _contrast(seen: Evidence) -> QualityCheck:
         "contrast",
         severity(abs(changes[band]), LIMITS.contrast),
         f"{band} is {math.exp(abs(changes[band])):.1f} times {more} than in the photograph",
-        "relief is wrong",
-        _TRY,
+        "",
+        f"{_TRY}, or {FIVE}",
     )
 
 
@@ -280,8 +281,8 @@ def _piece(seen: Evidence) -> Iterator[QualityCheck]:
         "piece",
         severity(error, LIMITS.piece),
         f"maps of the photographed piece leave {_percent(error)} of its light unexplained",
-        "other light, or a surface that is not flat",
-        f"{_TRY}, or {_SHOOT}",
+        "",
+        f"{_TRY}, or {FIVE}",
     )
     trusted = {name: seen.piece[name] for name in seen.piece if name not in ("error", "slow")}
     least = min(trusted, key=lambda name: trusted[name])

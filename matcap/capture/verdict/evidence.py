@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.settings import FEATURES
+from matcap.capture.verdict.signs import Signs, by_place, signs_of
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.plane import Plane, plane_of
@@ -70,7 +71,8 @@ class Evidence:
         flash_ratio: the photograph's hot spot over its border.
         flash_fired: what the file says, or None.
         colour: (3,) log of re-rendering over photograph, median over cells, by channel.
-        light: root-mean-square difference of the smooth part of log luminance, its mean taken off.
+        light: root-mean-square difference of log luminance that goes with place, as light does:
+            across the picture, and with distance from its middle.
         likeness: difference of texture statistics between re-rendering and photograph, in multiples
             of what neighbouring parts of the photograph differ by; NaN where it has none.
         contrast: by band and region, root-mean-square log luminance of the texture of photograph
@@ -83,6 +85,7 @@ class Evidence:
         clipped: share of the photograph.
         piece: of the photographed piece's own maps: `error`, `slow` (log radiance) and confidence
             by map; None where they were not looked for.
+        signs: of what may be the cause of all that.
     """
 
     highlights: tuple[Highlight | None, Highlight | None]
@@ -98,6 +101,7 @@ class Evidence:
     offset: float
     clipped: float
     piece: Mapping[str, float] | None = None
+    signs: Signs = Signs()
 
 
 def evidence(
@@ -107,6 +111,9 @@ def evidence(
     rerendered: Picture,
     waves: tuple[Wave, ...] = (),
     piece: Mapping[str, float] | None = None,
+    *,
+    tilt: float = 0.0,
+    variety: float = 1.0,
 ) -> Evidence:
     """Measure a capture, in about a second.
 
@@ -117,15 +124,18 @@ def evidence(
         rerendered: (H, W, 3) the material under that flash, linear.
         waves: the plane waves of its regular order, cycles a texel.
         piece: of the photographed piece's own maps; see Evidence.
+        tilt, variety: of the piece and its field; see Signs.
     """
     # What the camera would have seen of the re-rendering: clipped where the photograph is.
     seen, again = np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0)
     place, ratio = hot_spot(photo)
-    colour, light = smooth_difference(seen, again)
+    smooth = _smooth(seen), _smooth(again)
+    colour, light = smooth_difference(*smooth)
+    highlights = (find_highlight(light_of(seen)), find_highlight(light_of(again)))
     valid = rectify(photo, setup, seen.shape[1])[1]
     plane, rendering = plane_of(_planes(seen), valid), _planes(again)
     return Evidence(
-        highlights=(find_highlight(light_of(seen)), find_highlight(light_of(again))),
+        highlights=highlights,
         flash_ratio=ratio,
         flash_fired=photo.flash_fired,
         colour=colour,
@@ -138,24 +148,37 @@ def evidence(
         offset=math.hypot(*setup.offset[:2]),
         clipped=photo.clipped_share,
         piece=piece,
+        signs=signs_of(
+            photo.pixels,
+            *smooth,
+            (seen, again),
+            highlights,
+            developed=not photo.radiometric,
+            tilt=tilt,
+            variety=variety,
+        ),
     )
 
 
-def smooth_difference(seen: Picture, again: Picture) -> tuple[tuple[float, float, float], float]:
-    """Differences of what is smooth in two pictures (H, W, 3), linear.
+def smooth_difference(
+    before: NDArray[np.float64], after: NDArray[np.float64]
+) -> tuple[tuple[float, float, float], float]:
+    """Differences of what is smooth in two pictures, (h, w, 3) each.
+
+    Veins, knots and patches are as smooth as light is where they are as large, and lie elsewhere in
+    another piece: what goes with place alone is the light's.
 
     Returns:
         the median log ratio of each channel, and the root-mean-square of what else log luminance
-        differs by.
+        differs by as light does.
     """
-    before, after = _smooth(seen), _smooth(again)
     toe = LOOK.toe * np.median(before, axis=(0, 1)) + 1e-6
     ratio = np.median(np.log((after + toe) / (before + toe)), axis=(0, 1))
     light, lit = before.mean(axis=2), after.mean(axis=2)
     floor = LOOK.toe * float(np.median(light)) + 1e-6
     difference = np.log((lit + floor) / (light + floor))
-    rest = difference - np.median(difference)
-    return (float(ratio[0]), float(ratio[1]), float(ratio[2])), float(np.sqrt(np.mean(rest**2)))
+    rest = by_place(difference)
+    return (float(ratio[0]), float(ratio[1]), float(ratio[2])), float(rest.std())
 
 
 def texture_contrasts(seen: Picture, again: Picture) -> dict[str, tuple[float, float]]:

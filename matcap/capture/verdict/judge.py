@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from matcap.capture.verdict.causes import FIVE, Cause, causes
 from matcap.capture.verdict.checks import QualityCheck, all_checks
 from matcap.capture.verdict.evidence import Evidence
 from matcap.capture.verdict.rating import Rating
@@ -33,9 +34,11 @@ class CaptureVerdict:
 
     Attributes:
         checks: all that was looked at.
+        causes: what the photograph shows of why, the strongest first.
     """
 
     checks: tuple[QualityCheck, ...]
+    causes: tuple[Cause, ...] = ()
 
     @property
     def severity(self) -> float:
@@ -63,8 +66,18 @@ class CaptureVerdict:
         if self.rating is Rating.GOOD or not self.faults:
             return f"{self.rating.value}: looks like the photograph"
         said = "; ".join(fault.says for fault in self.faults)
+        cause, remedy = self.cause()
+        return f"{self.rating.value}: {said}. {cause}. Remedy: {remedy}."
+
+    def cause(self) -> tuple[str, str]:
+        """What the worst fault comes from, as far as the photograph shows it, and what to do."""
         worst = self.faults[0]
-        return f"{self.rating.value}: {said}. Likely cause: {worst.cause}. Remedy: {worst.remedy}."
+        for cause in self.causes:
+            if worst.name in cause.explains:
+                return f"Likely cause: {cause.says}", cause.remedy
+        if worst.cause:
+            return f"Likely cause: {worst.cause}", worst.remedy
+        return "The photograph shows no cause", worst.remedy or FIVE
 
     def document(self) -> dict[str, Any]:
         """As JSON."""
@@ -73,6 +86,9 @@ class CaptureVerdict:
             "fit": self.fit,
             "severity": round(self.severity, 3),
             "sentence": self.sentence(),
+            "causes": [
+                {"name": one.name, "says": one.says, "remedy": one.remedy} for one in self.causes
+            ],
             "checks": {
                 check.name: {
                     "rating": check.rating.value,
@@ -88,4 +104,4 @@ class CaptureVerdict:
 
 def judge(seen: Evidence) -> CaptureVerdict:
     """The verdict on what was measured."""
-    return CaptureVerdict(tuple(all_checks(seen)))
+    return CaptureVerdict(tuple(all_checks(seen)), causes(seen.signs))

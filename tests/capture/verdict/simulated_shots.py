@@ -40,13 +40,35 @@ def without_flash(name):
     return _of(good(name), 0.2 * albedo / albedo.mean(), flash_fired=False)
 
 
-def with_lamp(name):
-    """A lamp at the side, ten times as bright as the flash."""
+def with_lamp(name, strength=10.0):
+    """A lamp at the side, by default ten times as bright as the flash."""
     photo = good(name)
     across = np.linspace(0.0, 1.0, photo.pixels.shape[1], dtype=np.float32)[None, :, None]
     albedo = maps(name).diffuse.movedim(0, -1).numpy()
-    lit = photo.pixels + 10.0 * photo.pixels.mean() * albedo / albedo.mean() * across**2
+    lit = photo.pixels + strength * photo.pixels.mean() * albedo / albedo.mean() * across**2
     return _of(photo, 0.2 * lit / lit.mean())
+
+
+def in_a_lit_room(name):
+    """Twice as much even light as the flash's."""
+    photo = good(name)
+    albedo = maps(name).diffuse.movedim(0, -1).numpy()
+    return _of(photo, 0.4 * (photo.pixels + 2.0 * photo.pixels.mean() * albedo / albedo.mean()))
+
+
+def too_red(name):
+    """Exposed so long that red clips, and little else."""
+    photo = good(name)
+    return _of(photo, photo.pixels * np.array([3.0, 1.0, 1.0]))
+
+
+def with_streak(name):
+    """A highlight three times as long as wide, as of brushed metal."""
+    photo = good(name)
+    height, width = photo.pixels.shape[:2]
+    y, x = (np.mgrid[:height, :width] * 2.0 - [[[height]], [[width]]]) / width
+    streak = 0.35 * np.exp(-0.5 * ((x / 0.07) ** 2 + (y / 0.21) ** 2))
+    return _of(photo, 0.5 * photo.pixels + streak[..., None])
 
 
 def painting():

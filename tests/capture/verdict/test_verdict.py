@@ -10,9 +10,10 @@ import simulated_shots as shots
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.verdict.checks import all_checks, severity
-from matcap.capture.verdict.evidence import Evidence, evidence
+from matcap.capture.verdict.evidence import Evidence, evidence, smooth_difference
 from matcap.capture.verdict.judge import judge
 from matcap.capture.verdict.rating import Rating
+from matcap.capture.verdict.signs import Signs
 from matcap.flash.highlight import Highlight
 from matcap.flash.render import render_rectified
 
@@ -90,14 +91,49 @@ BAD = [
 
 
 @pytest.mark.parametrize(("change", "check", "word"), BAD)
-def test_one_fault_is_enough_and_is_told_with_cause_and_remedy(change, check, word):
+def test_one_fault_is_enough_and_is_told_with_remedy(change, check, word):
     seen = replace(FINE, **change)
     verdict = judge(seen)
     assert verdict.rating.value == word and not verdict.fit
     worst = verdict.faults[0]
-    assert worst.name == check and worst.cause and worst.remedy
+    assert worst.name == check and worst.remedy
     sentence = verdict.sentence()
     assert sentence.startswith(f"{word}: ") and worst.says in sentence and worst.remedy in sentence
+
+
+# A sign, what it is called, and the fault that it explains.
+SHOWN = [
+    ({"streak": 2.0}, "anisotropic highlight", {"highlights": (SPOT, replace(SPOT, width=0.5))}),
+    ({"side": 0.2}, "light from a side", {"light": 0.5}),
+    ({"room": 0.5}, "room light", {"light": 0.5}),
+    ({"curve": 0.3, "developed": True}, "tone curve", {"colour": (0.2, 0.0, -0.25)}),
+    ({"channels": 0.2}, "clipping by channel", {"clipped": 0.2}),
+    ({"tilt": 35.0}, "steep relief", {"likeness": 2.0}),
+    ({"variety": 0.1}, "large drawing", {"order": (0.5, 0.05)}),
+]
+
+
+@pytest.mark.parametrize(("sign", "name", "fault"), SHOWN)
+def test_a_cause_is_named_on_evidence_of_its_own_and_with_what_helps(sign, name, fault):
+    verdict = judge(replace(FINE, **fault, signs=Signs(**sign)))
+    (cause,) = verdict.causes
+    assert cause.name == name
+    assert f"Likely cause: {cause.says}. Remedy: {cause.remedy}." in verdict.sentence()
+    assert judge(replace(FINE, **fault)).causes == ()
+
+
+def test_where_the_photograph_shows_no_cause_none_is_told():
+    sentence = judge(replace(FINE, light=0.5)).sentence()
+    assert "shows no cause" in sentence and "room" not in sentence and "curve" not in sentence
+
+
+def test_a_cause_that_explains_another_fault_is_not_told_of_this_one():
+    verdict = judge(replace(FINE, order=(0.5, 0.05), signs=Signs(room=0.9)))
+    assert "period" in verdict.sentence() and "dark parts" not in verdict.sentence()
+
+
+def test_a_curve_bends_no_raw():
+    assert judge(replace(FINE, signs=Signs(curve=0.5))).causes == ()
 
 
 def test_several_small_faults_make_a_larger_one_but_not_a_failure():
@@ -158,8 +194,35 @@ def captured(photo):
     return capture_photo(photo, settings).verdict
 
 
-def test_a_good_photograph_is_not_called_failed():
-    assert captured(shots.good("leather")).rating is not Rating.FAILED
+def test_a_good_photograph_is_not_called_failed_and_shows_no_cause():
+    verdict = captured(shots.good("leather"))
+    assert verdict.rating is not Rating.FAILED
+    assert verdict.causes == ()
+
+
+ONE_FAULT = {
+    "anisotropic highlight": lambda: shots.with_streak("plaster"),
+    "light from a side": lambda: shots.with_lamp("plaster", 2.0),
+    "room light": lambda: shots.in_a_lit_room("plaster"),
+    "clipping by channel": lambda: shots.too_red("leather"),
+}
+
+
+@pytest.mark.parametrize("fault", ONE_FAULT)
+def test_a_photograph_with_one_fault_shows_it(fault):
+    assert captured(ONE_FAULT[fault]()).causes[0].name == fault
+
+
+def test_another_place_for_veins_is_no_other_light():
+    """Smooth as light, as large as the picture, and elsewhere in another piece of the material."""
+    x = np.linspace(-1.0, 1.0, 64)[None, :, None]
+    y = np.linspace(-0.75, 0.75, 48)[:, None, None]
+    light = np.exp(-(x**2 + y**2)) * np.ones((1, 1, 3))
+    vein, other = (np.exp(np.cos(15.0 * x + 8.0 * y + phase)) for phase in (0.0, 2.0))
+    whole = float(np.log(vein / other).std())
+    assert smooth_difference(light * vein, light * other)[1] < 0.25 * whole
+    assert smooth_difference(light, light * np.exp(0.5 * x))[1] > 0.2
+    assert smooth_difference(light, light**1.5)[1] > 0.2
 
 
 BAD_SHOTS = {

@@ -1,0 +1,198 @@
+"""What a photograph shows of why a capture is not better: each sign has a measure of its own.
+
+Read next: causes.py, which tells them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.flash.highlight import Highlight, light_of
+
+Picture = NDArray[np.float32]
+Cells = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SignSettings:
+    """How signs are looked for; docs/notes/verdict.md.
+
+    Attributes:
+        rings: that what changes with distance from the middle is told by.
+        brightest: of the light: above it a highlight's error would pass for a curve.
+        strip: of a side's length: how wide a border tells of a side.
+        around: plane units, from and to: what is around the middle, its highlight left out.
+        streak_blur: plane units, deviation: a texture's grain is smaller than a highlight.
+        clip: of 1, where a channel counts as clipped.
+    """
+
+    rings: int = 6
+    brightest: float = 0.7
+    strip: float = 0.06
+    around: tuple[float, float] = (0.25, 0.5)
+    streak_blur: float = 0.03
+    clip: float = 0.995
+
+
+SIGNS = SignSettings()
+
+
+@dataclass(frozen=True)
+class Signs:
+    """Measures of a photograph beside its re-rendering; the defaults show nothing.
+
+    Attributes:
+        side: log of the brightest side's light over that around the middle; a flash makes it
+            negative, wherever its beam points.
+        room: radiance that lies over everything, as a share of the photograph's dark parts.
+        curve: log radiance, root-mean-square, that goes with brightness instead of place.
+        streak: how much longer than wide the highlight is, over the re-rendering's.
+        channels: share of the photograph where some channels are clipped and others are not.
+        tilt: mean angle of the piece's relief, degrees.
+        variety: of the field, from 0, the piece repeated because what it shows is as large as the
+            photograph, to 1.
+        developed: whether a tone curve can be in it, as in a JPEG.
+    """
+
+    side: float = -1.0
+    room: float = 0.0
+    curve: float = 0.0
+    streak: float = 1.0
+    channels: float = 0.0
+    tilt: float = 0.0
+    variety: float = 1.0
+    developed: bool = False
+
+
+def signs_of(
+    pixels: Picture,
+    before: Cells,
+    after: Cells,
+    pictures: tuple[Picture, Picture],
+    highlights: tuple[Highlight | None, Highlight | None],
+    *,
+    developed: bool,
+    tilt: float = 0.0,
+    variety: float = 1.0,
+) -> Signs:
+    """Look for all signs.
+
+    Args:
+        pixels: (H, W, 3) the photograph, linear, 1 at clipping.
+        before, after: (h, w, 3) what is smooth of photograph and re-rendering on the plane.
+        pictures: both, whole.
+        highlights: of both.
+        developed: whether the photograph went through a camera's own development.
+        tilt, variety: of the piece and its field; see Signs.
+    """
+    light, model = before.mean(axis=2), after.mean(axis=2)
+    some = (pixels >= SIGNS.clip).any(axis=2) & ~(pixels >= SIGNS.clip).all(axis=2)
+    return Signs(
+        side=_brightest_side(light),
+        room=_laid_over(light, model),
+        curve=_bent(light, model),
+        streak=_streak(pictures, highlights),
+        channels=float(some.mean()),
+        tilt=tilt,
+        variety=variety,
+        developed=developed,
+    )
+
+
+def by_place(difference: Cells) -> Cells:
+    """What of a difference (h, w) changes from one side to the other and with distance from the
+    middle: light does, a drawing does not but for what its few large parts leave of it.
+    """
+    terms = np.concatenate([_plane(difference.shape), _rings(difference.shape)])
+    return _projected(difference, terms)
+
+
+def _brightest_side(light: Cells) -> float:
+    height, width = light.shape
+    rows, columns = (max(1, round(SIGNS.strip * side)) for side in (height, width))
+    sides = (light[:rows], light[-rows:], light[:, :columns], light[:, -columns:])
+    away = np.hypot(*_from_middle(light.shape)) * 2.0
+    around = light[(away > SIGNS.around[0]) & (away < SIGNS.around[1])]
+    brightest = max(float(np.median(side)) for side in sides)
+    return float(np.log((brightest + 1e-6) / (np.median(around) + 1e-6)))
+
+
+def _bent(light: Cells, model: Cells) -> float:
+    """What of the log of light over model goes with brightness, and not from side to side."""
+    floor = 0.02 * float(np.median(light)) + 1e-6
+    difference = np.log((light + floor) / (model + floor))
+    level = np.log(model + floor)
+    level = (level - level.mean()) / max(float(level.std()), 1e-6)
+    bent = np.stack([level, np.square(level)])
+    plane = _plane(difference.shape)
+    terms = np.concatenate([plane, bent, np.ones((1, *difference.shape))])
+    weights = np.linalg.lstsq(terms.reshape(len(terms), -1).T, difference.ravel(), rcond=1e-9)[0]
+    curve = np.einsum("n,nhw->hw", weights[2:4], bent)
+    return float(curve.std())
+
+
+def _laid_over(light: Cells, model: Cells) -> float:
+    """What must be added to a model times a factor, over the light of the darkest tenth."""
+    fit = model < np.quantile(model, SIGNS.brightest)
+    weight = 1.0 / (model[fit] + 1e-6)  # logarithms count alike
+    columns = np.stack([model[fit] * weight, weight], axis=1)
+    added = float(np.linalg.lstsq(columns, light[fit] * weight, rcond=None)[0][1])
+    return max(added, 0.0) / (float(np.quantile(light, 0.1)) + 1e-6)
+
+
+def _streak(
+    pictures: tuple[Picture, Picture], highlights: tuple[Highlight | None, Highlight | None]
+) -> float:
+    first, second = (
+        None if found is None else _elongation(light_of(picture), found)
+        for picture, found in zip(pictures, highlights, strict=True)
+    )
+    if first is None:
+        return 1.0
+    return max(first / (second or 1.0), 1.0)
+
+
+def _elongation(light: Cells, found: Highlight) -> float | None:
+    """A highlight's length over its width."""
+    height, width = light.shape
+    blurred = cv2.GaussianBlur(light, (0, 0), SIGNS.streak_blur * width / 2.0)
+    v, u = np.mgrid[:height, :width].astype(np.float64)
+    u, v = (u + 0.5) * 2.0 / width - 1.0, (height - 2.0 * (v + 0.5)) / width
+    u, v = u - found.centre[0], v - found.centre[1]
+    half = 0.5 * (found.peak + found.surroundings)
+    over = np.clip(blurred - half, 0.0, found.peak - half) * (np.hypot(u, v) < 3.0 * found.width)
+    if over.sum() <= 0.0:
+        return None
+    spread = np.cov(np.stack([u.ravel(), v.ravel()]), aweights=over.ravel())
+    small, large = np.linalg.eigvalsh(spread)
+    return float(np.sqrt(large / max(small, 1e-9)))
+
+
+def _plane(shape: Sequence[int]) -> Cells:
+    """(2, h, w) from -1/2 at one side to 1/2 at the other."""
+    down, across = (np.linspace(-0.5, 0.5, side) for side in shape)
+    return np.stack(np.broadcast_arrays(across[None, :], down[:, None]))
+
+
+def _rings(shape: Sequence[int]) -> Cells:
+    """(rings, h, w) shares of rings around the middle, which add up to 1."""
+    away = np.hypot(*_from_middle(shape))
+    at = away / away.max() * (SIGNS.rings - 1)
+    return np.stack([np.clip(1.0 - np.abs(at - ring), 0.0, 1.0) for ring in range(SIGNS.rings)])
+
+
+def _from_middle(shape: Sequence[int]) -> tuple[Cells, Cells]:
+    """Columns (1, w) and rows (h, 1) from the middle, the long side 1."""
+    down, across = ((np.arange(side) + 0.5 - side / 2.0) / max(shape) for side in shape)
+    return across[None, :], down[:, None]
+
+
+def _projected(plane: Cells, terms: Cells) -> Cells:
+    flat = terms.reshape(len(terms), -1)
+    weights = np.linalg.lstsq(flat.T, plane.ravel(), rcond=1e-9)[0]
+    return np.asarray(np.einsum("n,nhw->hw", weights, terms), np.float64)
