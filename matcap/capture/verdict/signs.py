@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from matcap.flash.highlight import Highlight, light_of
 
 Picture = NDArray[np.float32]
-Cells = NDArray[np.float64]
+SmoothLight = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ class Signs:
 
 def signs_of(
     pixels: Picture,
-    before: Cells,
-    after: Cells,
+    before: SmoothLight,
+    after: SmoothLight,
     pictures: tuple[Picture, Picture],
     highlights: tuple[Highlight | None, Highlight | None],
     *,
@@ -104,7 +104,7 @@ def signs_of(
     )
 
 
-def by_place(difference: Cells) -> Cells:
+def by_place(difference: SmoothLight) -> SmoothLight:
     """What of a difference (h, w) changes from one side to the other and with distance from the
     middle: light does, a drawing does not but for what its few large parts leave of it.
     """
@@ -112,7 +112,7 @@ def by_place(difference: Cells) -> Cells:
     return _projected(difference, terms)
 
 
-def _brightest_side(light: Cells) -> float:
+def _brightest_side(light: SmoothLight) -> float:
     height, width = light.shape
     rows, columns = (max(1, round(SIGNS.strip * side)) for side in (height, width))
     sides = (light[:rows], light[-rows:], light[:, :columns], light[:, -columns:])
@@ -122,7 +122,7 @@ def _brightest_side(light: Cells) -> float:
     return float(np.log((brightest + 1e-6) / (np.median(around) + 1e-6)))
 
 
-def _bent(light: Cells, model: Cells) -> float:
+def _bent(light: SmoothLight, model: SmoothLight) -> float:
     """What of the log of light over model goes with brightness, and not from side to side."""
     floor = 0.02 * float(np.median(light)) + 1e-6
     difference = np.log((light + floor) / (model + floor))
@@ -136,7 +136,7 @@ def _bent(light: Cells, model: Cells) -> float:
     return float(curve.std())
 
 
-def _laid_over(light: Cells, model: Cells) -> float:
+def _laid_over(light: SmoothLight, model: SmoothLight) -> float:
     """What must be added to a model times a factor, over the light of the darkest tenth."""
     fit = model < np.quantile(model, SIGNS.brightest)
     weight = 1.0 / (model[fit] + 1e-6)  # logarithms count alike
@@ -157,7 +157,7 @@ def _streak(
     return max(first / (second or 1.0), 1.0)
 
 
-def _elongation(light: Cells, found: Highlight) -> float | None:
+def _elongation(light: SmoothLight, found: Highlight) -> float | None:
     """A highlight's length over its width."""
     height, width = light.shape
     blurred = cv2.GaussianBlur(light, (0, 0), SIGNS.streak_blur * width / 2.0)
@@ -173,26 +173,26 @@ def _elongation(light: Cells, found: Highlight) -> float | None:
     return float(np.sqrt(large / max(small, 1e-9)))
 
 
-def _plane(shape: Sequence[int]) -> Cells:
+def _plane(shape: Sequence[int]) -> SmoothLight:
     """(2, h, w) from -1/2 at one side to 1/2 at the other."""
     down, across = (np.linspace(-0.5, 0.5, side) for side in shape)
     return np.stack(np.broadcast_arrays(across[None, :], down[:, None]))
 
 
-def _rings(shape: Sequence[int]) -> Cells:
+def _rings(shape: Sequence[int]) -> SmoothLight:
     """(rings, h, w) shares of rings around the middle, which add up to 1."""
     away = np.hypot(*_from_middle(shape))
     at = away / away.max() * (SIGNS.rings - 1)
     return np.stack([np.clip(1.0 - np.abs(at - ring), 0.0, 1.0) for ring in range(SIGNS.rings)])
 
 
-def _from_middle(shape: Sequence[int]) -> tuple[Cells, Cells]:
+def _from_middle(shape: Sequence[int]) -> tuple[SmoothLight, SmoothLight]:
     """Columns (1, w) and rows (h, 1) from the middle, the long side 1."""
     down, across = ((np.arange(side) + 0.5 - side / 2.0) / max(shape) for side in shape)
     return across[None, :], down[:, None]
 
 
-def _projected(plane: Cells, terms: Cells) -> Cells:
+def _projected(plane: SmoothLight, terms: SmoothLight) -> SmoothLight:
     flat = terms.reshape(len(terms), -1)
     weights = np.linalg.lstsq(flat.T, plane.ravel(), rcond=1e-9)[0]
     return np.asarray(np.einsum("n,nhw->hw", weights, terms), np.float64)
