@@ -48,6 +48,8 @@ def identity(
         for key, value in settings.named().items()
         if key not in _NO_MATTER and (key not in _SINCE or value != _SINCE[key])
     }
+    if settings.capture.mask is not None:
+        chosen["mask"] = file_hash(settings.capture.mask)  # whose bytes count
     what: dict[str, Any] = {
         "photographs": [file_hash(photo) for photo in photos],
         "settings": chosen,

@@ -126,7 +126,8 @@ def read_settings(file: Path) -> dict[str, Any]:
             f"the settings cannot be read ({error.strerror})", where=str(file), remedy=remedy
         ) from error
     read = _checked(table, str(file))
-    for name, plain in (("prior", ("auto", "none")), ("card", ("auto", "none"))):
+    plainly = (("prior", ("auto", "none")), ("card", ("auto", "none")), ("mask", ()))
+    for name, plain in plainly:
         if name in read and read[name] not in plain:
             read[name] = str(file.parent / read[name])
     statistics = read.get("statistics", Statistics())
@@ -192,4 +193,4 @@ def _short(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-assert set(_RULES) == set(BatchSettings().named())
+assert set(_RULES) == set(BatchSettings().named()) | {"crop", "mask"}

@@ -84,6 +84,14 @@ CHOICES: Mapping[str, Choice] = MappingProxyType(
             (str,), "What the material is made by: the photographed piece, rearranged (example), "
             "or the paper's network, fine-tuned (decoder).", words=("decoder", "example"),
         ),
+        "crop": Choice(
+            (str,), "What of the photograph is the material, in its own pixels as it is looked at; "
+            "the rest is left out.", metavar="x,y,w,h",
+        ),
+        "mask": Choice(
+            (str,), "A picture of the photograph's size: white is the material, black (a finger, a "
+            "label, the table's edge) is left out.", metavar="FILE.png",
+        ),
         "aligned": Choice(
             (bool,), "Also the maps of the photographed piece itself, NAME_photo, with confidence.",
         ),

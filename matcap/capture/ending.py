@@ -16,7 +16,6 @@ from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, Effort
 from matcap.capture.verdict.evidence import evidence
 from matcap.capture.verdict.judge import judge
-from matcap.example.exemplar import CHANNELS
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.coarse import CoarseFit
@@ -42,14 +41,18 @@ def judged(
         maps = material.maps(*plane.size, seed=settings.seed)
         with torch.inference_mode():
             rerendered = _picture(render_rectified(maps, material.setup))
-        rectified = _picture(plane.linear)
+        rectified = compared = _picture(plane.linear)
+        if plane.left_out is not None:
+            left_out = plane.left_out.numpy()[..., None]
+            compared = np.where(left_out, rerendered, rectified)  # nothing is said of it
+            rectified = np.where(left_out, np.float32(0.0), rectified)
         seen = evidence(
             photo,
             material.setup,
-            rectified,
+            compared,
             rerendered,
             waves,
-            None if found is None else _piece_evidence(found),
+            None if found is None else _piece_evidence(found, photo.kept_share),
             tilt=0.0 if found is None else _mean_tilt(found),
             # A regular order keeps its pieces together, however small its periods.
             variety=1.0 if found is None or waves else found.example.variety,
@@ -95,11 +98,9 @@ def provenance(
     return told | ({"others": joined} if joined else {})
 
 
-def _piece_evidence(found: FoundPiece) -> Mapping[str, float]:
+def _piece_evidence(found: FoundPiece, kept: float) -> Mapping[str, float]:
     """What the verdict is told of a piece."""
-    means = found.exemplar.confidence.mean((1, 2)).tolist()
-    trusted = dict(zip(CHANNELS, means, strict=True))
-    return {"error": found.error, "slow": found.slow, **trusted}
+    return {"error": found.error, "slow": found.slow, **found.mean_confidence(kept)}
 
 
 def _mean_tilt(found: FoundPiece) -> float:

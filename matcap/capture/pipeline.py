@@ -26,12 +26,14 @@ from matcap.capture.progress import (
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings, Method, resolve
 from matcap.capture.target import CaptureStart, photograph_target
-from matcap.errors import MatcapError
+from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.coarse import fit_coarse, under_flash
 from matcap.flash.likeness import PhotographTarget
+from matcap.flash.mirror import lit_mirror
 from matcap.flash.plane import Plane
+from matcap.photo.left_out import leave_out
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
 from matcap.photo.refusals import SHORTEST_SIDE
@@ -52,13 +54,20 @@ def read_photograph(
     """A photograph as a capture with these settings, done so, needs it; of several, or alone.
 
     Raises:
-        UsageError: an unknown preset.
-        MatcapError: the file is not a photograph that can be read.
+        UsageError: an unknown preset; a crop outside of the photograph, or of several.
+        MatcapError: the file is not a photograph that can be read; a mask that does not fit.
     """
     # What is compared with the photograph must know its noise.
     noise = resolve(settings, method).work(settings.generator) > 0
     detail = max(settings.most_detail, _MATCHED) if several else settings.most_detail
-    return load_photo(path, long_side=detail, fov=settings.fov, noise=noise)
+    if several and (settings.crop or settings.mask):
+        raise UsageError(
+            "several photographs of one piece show it in other places",
+            where="--crop" if settings.crop else "--mask",
+            remedy="leave it out: what does not belong is found by itself",
+        )
+    photo = load_photo(path, long_side=detail, fov=settings.fov, noise=noise)
+    return leave_out(photo, settings.crop, settings.mask)
 
 
 def capture_file(
@@ -159,6 +168,7 @@ def capture_under(
     with clock.stage("coarse fit"):
         coarse = under_flash(fit_coarse(photo), photo.flash_intensity)
         plane, lattice = plane_in_detail(photo, coarse.setup, settings.detail)
+        plane = lit_mirror(plane, coarse)
         read, waves = to_be_read(plane, lattice.waves)
         window = _window(read, method.window, photo.name)
         shot = CaptureStart(photo, coarse, read, waves, window, others)

@@ -56,7 +56,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.capture.settings import CaptureSettings, resolve
-from matcap.example.exemplar import CHANNELS
 from matcap.example.summary import summary
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.staging import staged
@@ -125,7 +124,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
         "tuning": _tuning(result.tuning),
-        "exemplar": _exemplar(result.found),
+        "exemplar": _exemplar(result.found, result.photo.kept_share),
         "several": _several(result.found),
         "provenance": result.material.provenance,
         "versions": {
@@ -158,10 +157,9 @@ def _tuning(tuning: Tuning | None) -> dict[str, Any] | None:
     }
 
 
-def _exemplar(found: FoundPiece | None) -> dict[str, Any] | None:
+def _exemplar(found: FoundPiece | None, kept: float) -> dict[str, Any] | None:
     if found is None:
         return None
-    means = found.exemplar.confidence.mean((1, 2)).tolist()
     return {
         "error": found.error,
         "slow": found.slow,
@@ -171,7 +169,7 @@ def _exemplar(found: FoundPiece | None) -> dict[str, Any] | None:
         "strengths": None if found.strengths is None else found.strengths.document(),
         "sharpness": found.sharpness,
         "adaptation": [asdict(change) for change in found.adaptation],
-        "confidence": dict(zip(CHANNELS, means, strict=True)),
+        "confidence": found.mean_confidence(kept),
     }
 
 

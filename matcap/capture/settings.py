@@ -12,6 +12,7 @@ from matcap.capture.choices import CHOICES, STATISTICS, STATISTICS_WORDS, check
 from matcap.capture.detail import DETAIL
 from matcap.errors import UsageError
 from matcap.field.source import Generator
+from matcap.files.values import Region, region
 from matcap.statistics.filterbank import FilterBankConfig
 
 if TYPE_CHECKING:
@@ -114,6 +115,8 @@ class CaptureSettings:
         aligned: the maps of the photographed piece itself are found, too.
         width_cm: what the photograph's long side spans, in centimetres; None where nobody measured
             it.
+        crop: what of the photograph is the material, in its own pixels as it is looked at.
+        mask: a picture of the photograph's size, white where it is the material.
 
     With a time limit or a target, and without steps, the preset is "reference": the limit alone
     decides when to stop.
@@ -134,6 +137,8 @@ class CaptureSettings:
     generator: Generator = "example"
     aligned: bool = False
     width_cm: float | None = None
+    crop: Region | None = None
+    mask: Path | None = None
 
     def __post_init__(self) -> None:
         for name in CHOICES:
@@ -147,12 +152,25 @@ class CaptureSettings:
             TypeError: an unknown setting.
             UsageError: unknown statistics.
         """
-        typed = {"statistics": Statistics.parse(named.get("statistics", Statistics()))}
+        typed: dict[str, Any] = {
+            "statistics": Statistics.parse(named.get("statistics", Statistics()))
+        }
+        if named.get("mask") is not None:
+            typed["mask"] = Path(named["mask"])
+        try:
+            if named.get("crop") is not None:
+                typed["crop"] = region(named["crop"])
+        except ValueError as error:
+            raise UsageError(str(error), where="--crop", remedy="give x,y,w,h") from error
         return CaptureSettings(**{**named, **typed})
 
     def named(self) -> dict[str, Any]:
         """All settings by name, as files tell of them: numbers, words and None."""
-        return asdict(self) | {"statistics": str(self.statistics)}
+        told = asdict(self) | {"statistics": str(self.statistics)}
+        part = {"crop": self.crop, "mask": self.mask}
+        # Unsaid where there is none, as in files of before there were any.
+        told |= {name: str(value) for name, value in part.items() if value is not None}
+        return {name: value for name, value in told.items() if name not in part or value}
 
     @property
     def millimetres_per_unit(self) -> float | None:

@@ -12,11 +12,13 @@ import typer
 from matcap.cli.options import (
     AlignedOption,
     CaptureSeedOption,
+    CropOption,
     DetailOption,
     ExportOption,
     FovOption,
     JsonOption,
     MadeByOption,
+    MaskOption,
     Normal,
     OverwriteOption,
     PresetOption,
@@ -54,6 +56,8 @@ def batch(
     detail: DetailOption = None,
     fov: FovOption = None,
     width_cm: WidthOption = None,
+    crop: CropOption = None,
+    mask: MaskOption = None,
     seed: CaptureSeedOption = None,
     size: Annotated[
         values.Size | None,
@@ -116,7 +120,7 @@ def batch(
     flags = {
         "jobs": jobs, "preset": preset, "steps": steps, "time": time_limit, "detail": detail,
         "fov": fov, "seed": seed, "size": str(size) if size else None, "tile": tile, "png": png,
-        "width_cm": width_cm,
+        "width_cm": width_cm, "crop": crop and str(crop), "mask": mask and str(mask),
         "normal": normal.value if normal else None, "prior": prior, "group": group, "gap": gap,
         "generator": generator.value if generator else None, "aligned": aligned,
         "target": target, "statistics": statistics, "export": export or None, "card": card,

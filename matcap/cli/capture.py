@@ -14,11 +14,13 @@ import typer
 from matcap.cli.options import (
     AlignedOption,
     CaptureSeedOption,
+    CropOption,
     DetailOption,
     ExportOption,
     FovOption,
     JsonOption,
     MadeByOption,
+    MaskOption,
     Normal,
     NormalOption,
     OverwriteOption,
@@ -65,6 +67,8 @@ def capture(
     detail: DetailOption = None,
     fov: FovOption = None,
     width_cm: WidthOption = None,
+    crop: CropOption = None,
+    mask: MaskOption = None,
     seed: CaptureSeedOption = None,
     size: Annotated[
         values.Size,
@@ -118,7 +122,7 @@ def capture(
         "preset": preset, "steps": steps, "time_limit": time_limit, "target": target,
         "detail": detail, "fov": fov, "seed": seed, "prior": prior, "statistics": statistics,
         "generator": generator.value if generator else None, "aligned": aligned,
-        "width_cm": width_cm,
+        "width_cm": width_cm, "crop": crop, "mask": mask,
     }  # fmt: skip
     settings = CaptureSettings.of({k: value for k, value in given.items() if value is not None})
     targets = OutputSettings.known_targets(export or [])

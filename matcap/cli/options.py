@@ -196,6 +196,10 @@ TargetOption = Annotated[float | None, _setting("target")]
 DetailOption = Annotated[int | None, _setting("detail")]
 FovOption = Annotated[float | None, _setting("fov")]
 WidthOption = Annotated[float | None, _setting("width_cm", "--width-cm")]
+CropOption = Annotated[
+    values.Region | None, _setting("crop", "--crop", parser=typed(values.region))
+]
+MaskOption = Annotated[Path | None, _setting("mask", "--mask")]
 CaptureSeedOption = Annotated[int | None, _setting("seed", show_default="0")]
 TrainedPriorOption = Annotated[str | None, _setting("prior", show_default="auto")]
 StatisticsOption = Annotated[str | None, _setting("statistics", show_default="filterbank")]

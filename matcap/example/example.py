@@ -25,7 +25,7 @@ from matcap.example.grids import frame_of, level_count
 from matcap.example.index import Index, build_index
 from matcap.example.lookup import Lookup, prepare
 from matcap.example.normals import with_normals
-from matcap.example.order import Frequency
+from matcap.example.order import GRID, Frequency
 from matcap.example.piece_sizes import PieceSizes
 from matcap.example.repeat.source import RepeatedSource
 from matcap.field.blocks import RING, Grid
@@ -154,8 +154,14 @@ class Example:
         from matcap.example.repeat.repeat import repeated
 
         exemplar, order = self.exemplar, self.index.order
-        found = repeated(exemplar.stacked(), exemplar.texel_size, order, detail_bits(exemplar))
-        return RepeatedSource(found.maps, exemplar.texel_size)
+        bits = detail_bits(exemplar)
+        box = known_part(exemplar, 1 << (GRID + bits))
+        rows, columns = slice(box.y, box.y + box.height), slice(box.x, box.x + box.width)
+        within = order and order.moved(box.x >> bits, box.y >> bits)
+        maps = exemplar.stacked()[:, rows, columns]
+        return RepeatedSource(
+            repeated(maps, exemplar.texel_size, within, bits).maps, exemplar.texel_size
+        )
 
     def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
         """Tensors and a description for JSON, from which read() makes it again."""
@@ -322,6 +328,16 @@ def detail_bits(exemplar: Exemplar) -> int:
     while max(exemplar.size) >> bits > _GRID:
         bits += 1
     return bits
+
+
+def known_part(exemplar: Exemplar, multiple: int) -> Rectangle:
+    """What of an exemplar any map is known in, from such multiples on: the rest was left out."""
+    known = exemplar.confidence.max(axis=0) > 0.0
+    if not known.any():
+        return Rectangle(0, 0, *exemplar.size)
+    rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+    x, y = (-(-int(side[0]) // multiple) * multiple for side in (columns, rows))
+    return Rectangle(x, y, int(columns[-1]) + 1 - x, int(rows[-1]) + 1 - y)
 
 
 def coarsened(exemplar: Exemplar, bits: int) -> Exemplar:

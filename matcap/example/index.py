@@ -190,7 +190,9 @@ def _doubt(exemplar: Exemplar) -> NDArray[np.float64]:
     rows, columns = trust.shape
     whole = np.pad(trust, ((0, -rows % side), (0, -columns % side)), mode="edge")
     means = whole.reshape(whole.shape[0] // side, side, -1, side).mean(axis=(1, 3))
-    short = (np.quantile(means, INDEX.trusted) - means - INDEX.slack) / (
+    # What is none of the material, or was never seen, is no measure of the rest.
+    known = means[means > 1.5 * INDEX.least_trust]
+    short = (np.quantile(known if known.size else means, INDEX.trusted) - means - INDEX.slack) / (
         INDEX.doubted - INDEX.slack
     )
     return np.rint(_MOST * short.clip(0.0, 1.0))

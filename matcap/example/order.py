@@ -10,7 +10,7 @@ Phases are integers of 16 bits to a turn, which wrap as turns do.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,10 @@ class Order:
 
     waves: tuple[Frequency, ...]
     bends: NDArray[np.int32]
+
+    def moved(self, x: int, y: int) -> Order:
+        """Of the part of the exemplar that begins at a texel; multiples of 2^GRID."""
+        return replace(self, bends=self.bends[:, y >> GRID :, x >> GRID :])
 
     def periods(self) -> NDArray[np.int64]:
         """(2, len(waves)) by how much x and y change for a turn of each wave, in 1/256 texels."""

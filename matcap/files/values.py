@@ -29,12 +29,15 @@ class Size:
 
 @dataclass(frozen=True)
 class Region:
-    """A rectangle of the endless field, in texels."""
+    """A rectangle of the endless field, in texels, or of a photograph, in pixels."""
 
     x: int
     y: int
     width: int
     height: int
+
+    def __str__(self) -> str:
+        return f"{self.x},{self.y},{self.width},{self.height}"
 
 
 DEFAULT_SIZE = Size(1024, 1024)

@@ -47,6 +47,7 @@ class CoarseSettings:
         patch_cells: across the highlight's patch, likewise.
         patch_reach: of the patch, in half widths of the highlight from its centre.
         patch_weight: what the patch weighs beside the whole picture, however small it is.
+        left_out: share of a cell that may be none of the material.
         knee_developed, knee_radiometric: shares of the clip level above which cells are lower
             bounds: a developed picture compresses its brightest tones before it clips them, RAW is
             linear up to the clip level itself.
@@ -81,6 +82,7 @@ class CoarseSettings:
     patch_cells: tuple[int, int] = (10, 16)
     patch_reach: float = 2.0
     patch_weight: float = 0.5
+    left_out: float = 0.02
     knee_developed: float = 0.6
     knee_radiometric: float = 0.95
     above_knee: float = 0.25
@@ -411,11 +413,15 @@ def _cells(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) 
     def flat(field: NDArray[np.float64]) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(field.reshape(count, 3).T))
 
+    weight = torch.full((count,), 1.0 / (3.0 * count), dtype=torch.float64)
+    if photo.left_out is not None:
+        part = photo.left_out[top:bottom, left:right].astype(np.float32)
+        share = cv2.resize(part, size, interpolation=cv2.INTER_AREA).ravel()
+        kept = torch.from_numpy(share < COARSE.left_out).double()
+        # What is kept weighs as much as the whole would; a part of which nothing is, nothing.
+        weight = weight * kept * (count / max(float(kept.sum()), 1.0))
     return _Cells(
-        torch.from_numpy(image),
-        flat(np.log(np.maximum(small, floor))),
-        flat(above),
-        torch.full((count,), 1.0 / (3.0 * count), dtype=torch.float64),
+        torch.from_numpy(image), flat(np.log(np.maximum(small, floor))), flat(above), weight
     )
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.rectify import MOST_CLIPPED, measured, rectify, rectify_noise
+from matcap.flash.rectify import MOST_CLIPPED, kept, measured, rectify, rectify_noise
 from matcap.photo.photo import Photo
 from matcap.statistics.encoding import Encoding, fit_encoding
 
@@ -25,6 +26,8 @@ class Plane:
         encoding: the colour space in which its texture is compared.
         channels: (3, H, W) bool, where each channel was seen and not clipped; None where only
             whole texels are known, as `valid` has them.
+        left_out: (H, W) bool, what is not the material and shows a mirror of what is; None where
+            all of it is.
     """
 
     linear: Tensor
@@ -32,6 +35,7 @@ class Plane:
     noise: Tensor | None
     encoding: Encoding
     channels: Tensor | None = None
+    left_out: Tensor | None = None
 
     @property
     def measured(self) -> Tensor:
@@ -72,7 +76,9 @@ class Plane:
 
         linear, valid = mean(self.linear), whole(self.valid[None])[0]
         noise = None if self.noise is None else mean(self.noise)
-        return replace(plane_of(linear, valid, noise), channels=whole(self.measured))
+        left_out = None if self.left_out is None else ~whole(~self.left_out[None])[0]
+        shrunk = plane_of(linear, valid, noise)
+        return replace(shrunk, channels=whole(self.measured), left_out=left_out)
 
 
 def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
@@ -85,7 +91,9 @@ def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
     """
     linear, valid = rectify(photo, setup, detail)
     whole = plane_of(linear, valid, rectify_noise(photo, setup, detail))
-    return replace(whole, channels=measured(photo, setup, detail))
+    part = kept(photo, setup, detail)
+    left_out = None if part is None else ~torch.from_numpy(part)
+    return replace(whole, channels=measured(photo, setup, detail), left_out=left_out)
 
 
 def plane_of(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> Plane:

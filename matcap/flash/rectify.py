@@ -18,6 +18,7 @@ from matcap.photo.photo import Photo
 
 _FINER = 2  # places a texel's side is seen at, where the photograph has more pixels than texels
 CLIPPING = 0.95  # a clipped pixel's channels above this did it
+_LEFT_OUT = 0.02  # share of a texel that may have been left out
 MOST_CLIPPED = 0.25  # share of a texel that may have been clipped
 
 
@@ -37,6 +38,7 @@ def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tenso
     linear = _resampled(photo.pixels, setup, detail, cv2.INTER_CUBIC).clip(0.0)
     clipped = _resampled(photo.clipped.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
     valid = inside(linear.shape[:2], setup) & (clipped < MOST_CLIPPED)
+    valid &= _kept(photo, setup, detail)
     return _planes(linear), torch.from_numpy(valid)
 
 
@@ -48,6 +50,7 @@ def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
     full = photo.clipped[..., None] & (photo.pixels > CLIPPING)
     clipped = _resampled(full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
     seen = inside(clipped.shape[:2], setup)[..., None] & (clipped < MOST_CLIPPED)
+    seen &= _kept(photo, setup, detail)[..., None]
     return torch.from_numpy(seen).permute(2, 0, 1).contiguous()
 
 
@@ -56,6 +59,19 @@ def rectify_noise(photo: Photo, setup: FlashSetup, detail: int) -> Tensor | None
     if photo.noise is None:
         return None
     return _planes(_resampled(photo.noise, setup, detail, cv2.INTER_CUBIC))
+
+
+def kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_] | None:
+    """(H, W) what is the material, wholly; None where all of the photograph is."""
+    if photo.left_out is None:
+        return None
+    share = _resampled(photo.left_out.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
+    return np.asarray(share < _LEFT_OUT)
+
+
+def _kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_]:
+    found = kept(photo, setup, detail)
+    return np.ones((1, 1), np.bool_) if found is None else found
 
 
 def _resampled(

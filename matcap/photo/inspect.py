@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.photo.border import border_crop
 from matcap.photo.photo import Photo
 
 Values = NDArray[np.float64]
@@ -167,6 +168,7 @@ def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Insp
             _radiometric(photo),
             _shading_map(photo),
             _gain_map(photo),
+            *_border(photo),
         ),
     )
 
@@ -282,6 +284,16 @@ def _clipped(photo: Photo) -> Finding:
     verdict = Verdict.POOR if share >= SHOT.much_clipped else Verdict.DOUBTFUL
     stops = "two stops" if share >= 2.0 * SHOT.much_clipped else "one stop"
     return Finding("clipped", share, verdict, says, f"Lower the exposure by {stops}.")
+
+
+def _border(photo: Photo) -> tuple[Finding, ...]:
+    """What to leave out, where the border is another thing."""
+    crop = None if photo.left_out is not None else border_crop(photo)
+    if crop is None:
+        return ()
+    says = "The border differs from the rest, as where a sample ends."
+    remedy = f"If it does, capture it with --crop {crop}."
+    return (Finding("crop", str(crop), Verdict.NOTE, says, remedy),)
 
 
 def _hot_spot(photo: Photo, place: tuple[float, float]) -> Finding:

@@ -36,6 +36,8 @@ class Photo:
         path: where the file was read, absolute; None where there was no file.
         noise: (H, W, 3) float32, what one more draw of the sensor's noise would have added to
             `pixels`; None where it is unknown or has averaged out.
+        left_out: (H, W) bool, what is not the material (left_out.py): nothing is measured there;
+            None where all of it is.
     """
 
     pixels: NDArray[np.float32]
@@ -53,11 +55,17 @@ class Photo:
     flash_intensity: float | None = None
     path: Path | None = None
     noise: NDArray[np.float32] | None = None
+    left_out: NDArray[np.bool_] | None = None
 
     @property
     def stem(self) -> str:
         """The file's name without its ending."""
         return self.name.rsplit(".", 1)[0] or self.name
+
+    @property
+    def kept_share(self) -> float:
+        """Share of the picture that is the material."""
+        return 1.0 if self.left_out is None else 1.0 - float(self.left_out.mean())
 
     @property
     def clipped_share(self) -> float:

@@ -1,5 +1,6 @@
 """The photographed piece made to repeat: no seam, nothing slow, whole periods, no stain moved."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,7 @@ from matcap.brdf.folder import read_mapset
 from matcap.brdf.seam import seam_ratio
 from matcap.cli.main import main
 from matcap.errors import UsageError
-from matcap.example.example import Example
+from matcap.example.example import Example, known_part
 from matcap.example.repeat.cut import least_cut
 from matcap.example.repeat.join import is_cut, joined
 from matcap.example.repeat.level import levelled
@@ -176,3 +177,16 @@ def test_a_decoder_has_no_piece_and_says_what_it_has(tmp_path, capsys):
     a_material("plain", seed=5).save(tmp_path / "plain.matcap")
     assert main(["synth", str(tmp_path / "plain.matcap"), "--tile", "piece"]) == 2
     assert "holds no photographed piece" in capsys.readouterr().err
+
+
+def test_nothing_is_drawn_from_what_is_left_out():
+    piece = blobs()
+    confidence = piece.confidence.copy()
+    confidence[:, :, 120:] = 0.0
+    confidence[:, 40:70, 30:60] = 0.0
+    example = Example.of(replace(piece, confidence=confidence))
+    places = example.places(3, Rectangle(0, 0, 256, 256), None)
+    drawn = confidence[0][places[..., 1], places[..., 0]] == 0.0
+    assert drawn.mean() < 0.002
+    assert known_part(example.exemplar, 16) == Rectangle(0, 0, 120, piece.size[1])
+    assert example.repeating().size[0] <= 120

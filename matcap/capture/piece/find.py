@@ -84,6 +84,11 @@ class FoundPiece:
         """The maps."""
         return self.example.exemplar
 
+    def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
+        """By map, of what is the material: `kept` of the photograph."""
+        means = np.minimum(self.exemplar.confidence.mean((1, 2)) / np.float32(kept), 1.0).tolist()
+        return dict(zip(CHANNELS, means, strict=True))
+
 
 @dataclass(frozen=True)
 class Sight:
@@ -116,10 +121,11 @@ class Sight:
         points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
         # What lies beyond the photograph is its mirror, not glare.
         beyond = torch.from_numpy(~inside((height, width), coarse.setup))
-        inputs = network_inputs(plane.linear, plane.valid | beyond, coarse, points)
+        mirrors = beyond if plane.left_out is None else beyond | plane.left_out
+        inputs = network_inputs(plane.linear, plane.valid | mirrors, coarse, points)
         bright = lit(plane.linear)
         measured = plane.measured & bright
-        shown = (plane.measured | beyond) & bright
+        shown = (plane.measured | mirrors) & bright
         plane = replace(plane, valid=plane.valid & bright, channels=measured)
         glare = inputs.gloss[0].clamp(0.0, 1.0).numpy()
         light = PieceLight.of(coarse, points)
@@ -357,7 +363,10 @@ def lent(sight: Sight, reading: Reading, tried: int) -> Exemplar:
     """The exemplar, what glare hides lent from elsewhere in it; `tried` blocks for a place."""
     plane = sight.plane
     exemplar = exemplar_of(sight, reading)
-    return transport(exemplar, plane.linear, plane.valid, sight.light, tried=tried)
+    left_out = None if plane.left_out is None else plane.left_out.numpy()
+    return transport(
+        exemplar, plane.linear, plane.valid, sight.light, tried=tried, left_out=left_out
+    )
 
 
 def evened(sight: Sight, reading: Reading, departures: SurfaceParameters) -> SurfaceParameters:

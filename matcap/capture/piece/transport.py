@@ -45,7 +45,13 @@ class _Drawn:
 
 @torch.no_grad()
 def transport(
-    exemplar: Exemplar, linear: Tensor, valid: Tensor, light: PieceLight, *, tried: int
+    exemplar: Exemplar,
+    linear: Tensor,
+    valid: Tensor,
+    light: PieceLight,
+    *,
+    tried: int,
+    left_out: NDArray[np.bool_] | None = None,
 ) -> Exemplar:
     """The exemplar with maps lent to where glare hides them.
 
@@ -55,15 +61,20 @@ def transport(
         valid: (H, W) bool, seen and not clipped.
         light: the photograph's, at every texel.
         tried: blocks for a place.
+        left_out: (H, W) what is not the material, or None; lent where material is around it.
 
     Returns:
         The same object if nothing is hidden, or nothing well enough seen to be lent.
     """
-    trusted = exemplar.confidence[0] / max(
-        float(np.quantile(exemplar.confidence[0], LEND.well_seen)), 1e-6
-    )
-    hidden = trusted < min(LEND.trusted, float(np.quantile(trusted, LEND.most_hidden)) + 1e-6)
-    lenders = _lenders(~hidden)
+    confidence = exemplar.confidence[0]
+    known = np.ones(confidence.shape, np.bool_) if left_out is None else ~left_out
+    trusted = confidence / max(float(np.quantile(confidence[known], LEND.well_seen)), 1e-6)
+    most = float(np.quantile(trusted[known], LEND.most_hidden)) + 1e-6
+    hidden = trusted < min(LEND.trusted, most)
+    lenders = _lenders(~hidden & known)
+    if left_out is not None:
+        # Beyond a crop nothing is shown of what would be lent.
+        hidden = (hidden & known) | (_between(known) & ~known)
     if hidden.mean() < LEND.least or not len(lenders):
         return exemplar
     drawn = _drawn(exemplar, ~hidden)
@@ -246,6 +257,12 @@ def _drawn(exemplar: Exemplar, known: NDArray[np.bool_]) -> _Drawn:
     lightness /= lightness[known].std() + 1e-3
     seen = np.stack([lightness, across / steep, down / steep], axis=-1)
     return _Drawn(stacked, laid, seen.astype(np.float32))
+
+
+def _between(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W) rows and columns that hold any of the material."""
+    rows, columns = np.asarray(known.any(axis=1)), np.asarray(known.any(axis=0))
+    return rows[:, None] & columns[None, :]
 
 
 def _lenders(trusted: NDArray[np.bool_]) -> BlockPlaces:

@@ -1,0 +1,137 @@
+"""What of a photograph is not the material: outside of a crop, or black in a mask.
+
+The photograph keeps its size, so that its middle stays the camera's axis and the flash's foot stays
+where it is; nothing is measured where something is left out, and nothing drawn from there. For
+those that look at a whole picture, what is left out shows the mirror of what is beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import MatcapError, UsageError
+from matcap.files.values import Region
+from matcap.photo.orient import quarter_turn
+from matcap.photo.photo import Photo
+from matcap.photo.refusals import SHORTEST_SIDE
+
+_LEAST = 0.04  # of a photograph: less holds no texture
+_GREY = 0.5  # of white: what is darker is left out
+_FOLDED = 0.1  # of the shorter side: so far mirrors reach before they turn back
+
+Marks = NDArray[np.bool_]
+
+
+def leave_out(photo: Photo, crop: Region | None, mask: Path | None) -> Photo:
+    """A photograph of which only a part is the material.
+
+    Args:
+        photo: as read, of any size.
+        crop: what is the material, in pixels of the file's picture, upright, from its left top.
+        mask: a picture of that size: white is the material, black is none of it.
+
+    Raises:
+        UsageError: a crop outside of the photograph, or too small.
+        MatcapError: no mask, one of another size, or one that leaves too little.
+    """
+    if crop is None and mask is None:
+        return photo
+    width, height = photo.original_size
+    kept = np.ones((height, width), np.bool_)
+    if crop is not None:
+        kept &= _cropped(crop, width, height)
+    if mask is not None:
+        kept &= _masked(mask, width, height)
+    if kept.mean() < _LEAST:
+        raise MatcapError(
+            f"the mask leaves {100 * kept.mean():.2g} % of the photograph",
+            where=str(mask or photo.name),
+            remedy="paint the material white and only what is none of it black",
+        )
+    lying = np.ascontiguousarray(quarter_turn(kept) if photo.turned else kept)
+    rows, columns = photo.pixels.shape[:2]
+    share = cv2.resize(lying.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    left_out = share < 1.0 - 1e-3
+    if not left_out.any():
+        return photo
+    places = mirrored(left_out)
+    return replace(
+        photo,
+        pixels=np.ascontiguousarray(photo.pixels[places]),
+        clipped=np.ascontiguousarray(photo.clipped[places]),
+        noise=None if photo.noise is None else np.ascontiguousarray(photo.noise[places]),
+        stored_clipped_share=None,
+        left_out=left_out,
+        notes=(*photo.notes, f"{100 * left_out.mean():.0f} % of the photograph is left out."),
+    )
+
+
+def _cropped(crop: Region, width: int, height: int) -> Marks:
+    """(H, W) what lies in a crop."""
+    right, bottom = crop.x + crop.width, crop.y + crop.height
+    if crop.x < 0 or crop.y < 0 or right > width or bottom > height:
+        raise UsageError(
+            f"{crop.x},{crop.y},{crop.width},{crop.height} reaches beyond the photograph of "
+            f"{width} x {height} pixels",
+            where="--crop",
+            remedy="give x,y,w,h within it, from its left top as it is looked at",
+        )
+    if min(crop.width, crop.height) < SHORTEST_SIDE or crop.width * crop.height < _LEAST * (
+        width * height
+    ):
+        raise UsageError(
+            f"{crop.width} x {crop.height} pixels are too few to hold a texture",
+            where="--crop",
+            remedy=f"keep at least {SHORTEST_SIDE} a side and {100 * _LEAST:.0f} % of the picture",
+        )
+    kept = np.zeros((height, width), np.bool_)
+    kept[crop.y : bottom, crop.x : right] = True
+    return kept
+
+
+def _masked(mask: Path, width: int, height: int) -> Marks:
+    """(H, W) what is white in a mask."""
+    if not mask.is_file():
+        raise MatcapError("there is no such file", where=str(mask), remedy="give a PNG file")
+    grey = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE)
+    if grey is None:
+        raise MatcapError("this is no picture", where=str(mask), remedy="save it as a PNG")
+    if grey.shape != (height, width):
+        raise MatcapError(
+            f"the mask is {grey.shape[1]} x {grey.shape[0]} pixels, the photograph "
+            f"{width} x {height}",
+            where=str(mask),
+            remedy="paint it over the photograph as it is looked at, at its full size",
+        )
+    return np.asarray(grey > 255 * _GREY)
+
+
+def mirrored(left_out: Marks) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """(H, W) rows and columns that each place shows: its own, or where it is left out a mirror's.
+
+    Mirrored at the nearest place that is kept, and back again beyond a tenth of the picture.
+    """
+    rows, columns = left_out.shape
+    _, labels = cv2.distanceTransformWithLabels(
+        left_out.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    y, x = np.indices(left_out.shape)
+    kept = ~left_out
+    nearest = np.zeros(int(labels.max()) + 1, np.int64)
+    nearest[labels[kept]] = np.flatnonzero(kept)
+    at = nearest[labels]
+    near_y, near_x = at // columns, at % columns
+    away = np.hypot(near_y - y, near_x - x)
+    reach = max(1.0, _FOLDED * min(rows, columns))
+    folded = reach - np.abs(away % (2.0 * reach) - reach)
+    share = np.where(left_out, folded / np.maximum(away, 1e-9), 0.0)
+    to_y = np.rint(near_y + share * (near_y - y)).astype(np.intp).clip(0, rows - 1)
+    to_x = np.rint(near_x + share * (near_x - x)).astype(np.intp).clip(0, columns - 1)
+    # A mirror that lands on what is left out, round a thin strip, shows the nearest place itself.
+    lost = left_out[to_y, to_x]
+    return np.where(lost, near_y, to_y), np.where(lost, near_x, to_x)

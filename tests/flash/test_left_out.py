@@ -1,0 +1,159 @@
+"""Crop and mask: what is none of the material is not measured, and the geometry stays."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from uniform import a_setup, photograph
+
+from matcap.batch.settings import read_settings
+from matcap.capture.settings import CaptureSettings
+from matcap.errors import MatcapError, UsageError
+from matcap.files.values import Region
+from matcap.flash.coarse import fit_coarse
+from matcap.flash.mirror import lit_mirror
+from matcap.flash.plane import read_plane
+from matcap.photo.border import border_crop
+from matcap.photo.inspect import inspect_photo
+from matcap.photo.left_out import leave_out
+
+# torch's forward-mode derivatives warn once, when first used.
+pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
+
+LABEL = (9.0, 0.1, 0.1)
+
+
+def a_photo():
+    setup = a_setup(offset=(0.1, 0.05, 0.0), intensity=10.0)
+    return setup, photograph(setup)
+
+
+def labelled(photo, rows, columns):
+    pixels = photo.pixels.copy()
+    pixels[rows, columns] = LABEL
+    return replace(photo, pixels=pixels)
+
+
+def a_mask(path, photo, rows, columns):
+    width, height = photo.original_size
+    mask = np.full((height, width), 255, np.uint8)
+    mask[rows, columns] = 0
+    cv2.imwrite(str(path), mask)
+    return path
+
+
+def test_a_crop_leaves_the_photograph_its_size_and_shows_mirrors():
+    _, photo = a_photo()
+    height, width = photo.pixels.shape[:2]
+    found = leave_out(
+        labelled(photo, slice(None), slice(width - 60, None)),
+        Region(0, 0, photo.original_size[0] - 60, photo.original_size[1]),
+        None,
+    )
+    assert found.pixels.shape == photo.pixels.shape and found.pixels.max() < LABEL[0]
+    assert found.left_out[:, -60:].all() and not found.left_out[:, :-60].any()
+    np.testing.assert_array_equal(found.pixels[:, -55], found.pixels[:, -67])
+    assert found.kept_share == pytest.approx(1.0 - 60 / width)
+    assert leave_out(photo, None, None) is photo
+
+
+def test_a_turned_photograph_is_cropped_as_it_is_looked_at():
+    _, photo = a_photo()
+    height, width = photo.pixels.shape[:2]
+    standing = replace(photo, turned=True, original_size=(height, width))
+    found = leave_out(standing, Region(0, 0, height, width // 2), None)
+    # The top of what stands is to the left of what lies, turned anticlockwise.
+    assert found.left_out[:, width // 2 + 1 :].all() and not found.left_out[:, : width // 2].any()
+
+
+def test_a_fit_beside_a_label_is_that_without_it(tmp_path):
+    setup, photo = a_photo()
+    height, width = photo.pixels.shape[:2]
+    part = slice(height - 90, None), slice(width - 150, None)
+    mask = a_mask(tmp_path / "mask.png", photo, *part)
+    found = leave_out(labelled(photo, *part), None, mask)
+    clean, fit = fit_coarse(photo), fit_coarse(found)
+    assert fit.setup.offset[:2] == pytest.approx(clean.setup.offset[:2], abs=0.02)
+    assert fit.setup.tilt == pytest.approx(clean.setup.tilt, abs=0.01)
+    assert fit.roughness == pytest.approx(clean.roughness, abs=0.02)
+    assert fit.diffuse[0] / fit.diffuse[2] == pytest.approx(
+        clean.diffuse[0] / clean.diffuse[2], rel=0.02
+    )
+
+
+def test_the_plane_knows_what_is_left_out_and_lights_its_mirror(tmp_path):
+    setup, photo = a_photo()
+    height, width = photo.pixels.shape[:2]
+    part = slice(None), slice(width - width // 4, None)
+    mask = a_mask(tmp_path / "mask.png", photo, *part)
+    found = leave_out(labelled(photo, *part), None, mask)
+    coarse = fit_coarse(found)
+    plane = lit_mirror(read_plane(found, coarse.setup, 128), coarse)
+    whole = read_plane(photo, coarse.setup, 128)
+    assert plane.size == whole.size
+    assert not (plane.valid & plane.left_out).any() and plane.left_out[:, 100:].all()
+    assert not plane.measured[:, plane.left_out].any()
+    # A uniform material's mirror, lit as its place is, is the photograph that was left out.
+    again = plane.linear[:, 20:-20, 104:124] / whole.linear[:, 20:-20, 104:124]
+    assert float(again.min()) > 0.85 and float(again.max()) < 1.15
+    assert plane.shrunk(64).left_out[:, 50:].all()
+
+
+@pytest.mark.parametrize(
+    ("crop", "says"),
+    [
+        (Region(100, 0, 10_000, 200), "reaches beyond the photograph"),
+        (Region(-1, 0, 200, 200), "reaches beyond the photograph"),
+        (Region(0, 0, 20, 96), "too few to hold a texture"),
+    ],
+)
+def test_a_crop_that_cannot_be_is_said(crop, says):
+    with pytest.raises(UsageError, match=says):
+        leave_out(a_photo()[1], crop, None)
+
+
+def test_a_mask_that_does_not_fit_is_said(tmp_path):
+    _, photo = a_photo()
+    small = tmp_path / "small.png"
+    cv2.imwrite(str(small), np.zeros((8, 9), np.uint8))
+    black = a_mask(tmp_path / "black.png", photo, slice(None), slice(None))
+    (tmp_path / "text.png").write_text("no picture")
+    for mask, says in (
+        (small, "the mask is 9 x 8 pixels, the photograph"),
+        (black, "the mask leaves 0 % of the photograph"),
+        (tmp_path / "text.png", "this is no picture"),
+        (tmp_path / "none.png", "there is no such file"),
+    ):
+        with pytest.raises(MatcapError, match=says):
+            leave_out(photo, None, mask)
+
+
+def test_settings_say_it_where_it_is_set_alone(tmp_path):
+    assert not {"crop", "mask"} & set(CaptureSettings().named())
+    settings = CaptureSettings.of({"crop": "1,2,300,400", "mask": "a.png"})
+    assert settings.crop == Region(1, 2, 300, 400)
+    assert CaptureSettings.of(settings.named()) == settings
+    (tmp_path / "matcap.toml").write_text('crop = "0,0,640,480"\nmask = "table.png"\n')
+    read = read_settings(tmp_path / "matcap.toml")
+    assert read["crop"] == "0,0,640,480" and read["mask"] == str(tmp_path / "table.png")
+    with pytest.raises(UsageError, match="no rectangle|not a rectangle"):
+        CaptureSettings.of({"crop": "1,2,3"})
+
+
+def test_a_border_that_is_another_thing_is_proposed_to_be_cut_off():
+    _, photo = a_photo()
+    height, width = photo.pixels.shape[:2]
+    assert border_crop(photo) is None
+    edged = labelled(photo, slice(height - 14, None), slice(None))
+    crop = border_crop(edged)
+    assert (crop.x, crop.y, crop.width) == (0, 0, width)
+    assert height - 22 <= crop.height <= height - 14
+    standing = replace(edged, turned=True, original_size=(height, width))
+    crop = border_crop(standing)
+    assert (crop.y, crop.height) == (0, width) and 14 <= crop.x <= 22
+    told = [found for found in inspect_photo(edged).findings if found.name == "crop"]
+    assert "--crop 0,0," in told[0].remedy
+    assert not any(found.name == "crop" for found in inspect_photo(photo).findings)
+    spotted = photo.pixels * (1.0 + 0.4 * (np.indices((height, width)).sum(0) // 8 % 2))[..., None]
+    assert border_crop(replace(photo, pixels=spotted.astype(np.float32))) is None
