@@ -187,6 +187,7 @@ def capture_under(
         load_inverse(),
         waves,
         fine=plane,
+        absolute=photo.flash_intensity is not None,
         target=target if effort.adapted else None,
         steps=effort.adapted,
         seconds=lambda: clock.left_for("adapt"),
@@ -198,7 +199,7 @@ def capture_under(
         name=photo.stem,
         generators={"example": found.example},
         texel_size=plane.texel_size,
-        setup=coarse.setup,
+        setup=coarse.setup.dimmed(found.scale),
         provenance=provenance(photo, settings, coarse, effort, []),
     )
     return judged(photo, material, plane, lattice.waves, settings, clock, found)
@@ -219,7 +220,7 @@ def _captured_together(
         name=photos[0].stem,
         generators={"example": found.example},
         texel_size=plane.texel_size,
-        setup=coarse.setup,
+        setup=coarse.setup.dimmed(found.scale),
         provenance=provenance(
             photos[0],
             settings,

@@ -49,6 +49,11 @@ class FlashSetup:
         """The same setup with another flash."""
         return replace(self, intensity=intensity)
 
+    def dimmed(self, factor: float) -> FlashSetup:
+        """The same setup with a flash so many times weaker."""
+        red, green, blue = (channel / factor for channel in self.intensity)
+        return self.with_intensity((red, green, blue))
+
 
 def rotation(tilt_x: Tensor, tilt_y: Tensor) -> Tensor:
     """(3, 3) R = Ry(tilt_y) Rx(tilt_x), plane frame to camera frame; angles in radians."""

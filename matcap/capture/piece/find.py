@@ -21,6 +21,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.brdf.parameters import SurfaceParameters
+from matcap.capture.piece.absolute import most_probable_scale, scaled
 from matcap.capture.piece.adapt import Adapted, Change, adapt
 from matcap.capture.piece.contrast import even_contrast
 from matcap.capture.piece.equalise import equalise
@@ -68,6 +69,8 @@ class FoundPiece:
         adaptation: what every leg of it came to; none where it was not asked for.
         interrupted: ended by Ctrl-C.
         several: what was found of several photographs, where there were.
+        scale: of albedo and F0, by which the flash is weaker than the coarse fit has it
+            (absolute.py).
     """
 
     example: Example
@@ -78,6 +81,7 @@ class FoundPiece:
     adaptation: tuple[Change, ...] = ()
     interrupted: bool = False
     several: SetReport | None = None
+    scale: float = 1.0
 
     @property
     def exemplar(self) -> Exemplar:
@@ -161,6 +165,7 @@ def find_piece(
     waves: tuple[Wave, ...] = (),
     *,
     fine: Plane | None = None,
+    absolute: bool = False,
     target: Callable[[], PhotographTarget] | None = None,
     steps: int = 0,
     seconds: Callable[[], float] | None = None,
@@ -179,6 +184,7 @@ def find_piece(
         waves: the plane waves of its regular order.
         fine: the same photograph on more texels, as many as the piece is to have (detail.py);
             None for as many as it is read on.
+        absolute: the flash's strength is known, and albedo with it.
         target: gives the photograph's statistics; without them the piece is not adapted.
         steps: of adaptation.
         seconds: of adaptation at most, asked when it begins.
@@ -208,11 +214,12 @@ def find_piece(
         exemplar = lent(sight, explained.reading, tried)
         if whole.size != plane.size:
             exemplar = finest(exemplar, whole, coarse)
+        scale = 1.0 if absolute else most_probable_scale(exemplar)
     with stage("index"):
         longer = whole.size[0] / plane.size[0]
         ordered = tuple((w.fx / longer, w.fy / longer) for w in waves)
-        example = chosen(Example.of(exemplar, ordered))
-    return _found(sight, whole, explained, strengths, example)
+        example = chosen(Example.of(scaled(exemplar, scale), ordered))
+    return replace(_found(sight, whole, explained, strengths, example), scale=scale)
 
 
 @dataclass

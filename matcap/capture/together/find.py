@@ -18,6 +18,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.detail import plane_in_detail, to_be_read
+from matcap.capture.piece.absolute import most_probable_scale, scaled
 from matcap.capture.piece.find import (
     FoundPiece,
     Reading,
@@ -141,11 +142,12 @@ def find_together(
     sight = Sight.of(plane, coarse)
     with stage("lend"):
         exemplar = lent(sight, _reading(sight, solved, views), LEND.tried_at_once)
+    scale = most_probable_scale(exemplar) if photos[0].flash_intensity is None else 1.0
     with stage("index"):
-        example = Example.of(exemplar, tuple((w.fx, w.fy) for w in lattice.waves))
+        example = Example.of(scaled(exemplar, scale), tuple((w.fx, w.fy) for w in lattice.waves))
     sharp = sharpness(piece_maps(example.exemplar), plane, coarse)
     piece = FoundPiece(
-        example, single.strengths, solved.residual[0], 0.0, sharp, (), interrupted, told
+        example, single.strengths, solved.residual[0], 0.0, sharp, (), interrupted, told, scale
     )
     return FoundTogether(piece, coarse, plane, lattice.waves)
 

@@ -1,0 +1,68 @@
+"""The flash's strength, which one photograph does not tell, by what materials are like."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.absolute import most_probable_scale, scaled
+from matcap.example.exemplar import Exemplar
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.render import render_rectified
+
+
+def exemplar(albedo: float, specular: float, *, spread: float = 0.0) -> Exemplar:
+    rng = np.random.default_rng(1)
+    tone = np.exp(spread * rng.standard_normal((1, 32, 48))).astype(np.float32)
+    one = np.ones((1, 32, 48), np.float32)
+    diffuse = (albedo * tone * np.ones((3, 1, 1))).astype(np.float32).clip(0.0, 1.0)
+    return Exemplar(
+        diffuse, specular * one, 0.3 * one, 0.0 * one, np.ones((4, 32, 48), np.float32), 0.01
+    )
+
+
+def told(albedo: float, specular: float) -> tuple[float, float]:
+    factor = most_probable_scale(exemplar(albedo, specular))
+    return albedo * factor, specular * factor
+
+
+def test_black_leather_whose_gloss_is_three_times_its_albedo_is_black() -> None:
+    albedo, specular = told(0.049, 0.132)
+    assert specular == pytest.approx(0.04, rel=0.25) and albedo < 0.02
+
+
+def test_a_metal_stays_one() -> None:
+    assert told(0.003, 0.8)[1] > 0.4
+
+
+def test_what_is_usual_hardly_moves() -> None:
+    assert told(0.3, 0.04) == pytest.approx((0.3, 0.04), rel=0.1)
+
+
+def test_bright_paper_stays_within_the_light_there_is() -> None:
+    piece = exemplar(0.7, 0.02, spread=0.1)
+    bright = scaled(piece, most_probable_scale(piece))
+    assert np.quantile(bright.diffuse, 0.99) < 1.0
+
+
+@pytest.mark.parametrize("albedo", [1e-6, 0.02, 0.9])
+@pytest.mark.parametrize("specular", [1e-6, 0.04, 0.95])
+def test_any_piece_has_a_finite_scale(albedo: float, specular: float) -> None:
+    factor = most_probable_scale(exemplar(albedo, specular))
+    assert math.isfinite(factor) and factor > 0.0
+
+
+def test_the_picture_is_the_same_under_the_weaker_flash() -> None:
+    piece, setup = exemplar(0.05, 0.12), FlashSetup(intensity=(3.0, 3.0, 3.0))
+
+    def seen(one: Exemplar, under: FlashSetup) -> torch.Tensor:
+        maps = MapSet.from_stacked(torch.from_numpy(one.stacked()), one.texel_size)
+        return render_rectified(maps, under)
+
+    before = seen(piece, setup)
+    # Schlick's reflectance is F0 and a little that is not in proportion to it.
+    assert torch.allclose(seen(scaled(piece, 0.3), setup.dimmed(0.3)), before, rtol=0.01)
