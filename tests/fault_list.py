@@ -376,8 +376,8 @@ CAPTURE = (
     Fault(
         "transport: whatever does not look like it",
         "capture/piece/transport.py",
-        "1.0 - both / (own + 1e-6)",
-        "1.0 + both / (own + 1e-6)",
+        "unlike = 1.0 - (a * b)",
+        "unlike = 1.0 + (a * b)",
         (exemplar("transport"),),
     ),
     Fault(

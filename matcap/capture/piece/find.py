@@ -211,9 +211,7 @@ def find_piece(
     whole = plane if fine is None else fine
     with stage("lend"):
         tried = LEND.tried if steps and not explained.interrupted else LEND.tried_at_once
-        exemplar = lent(sight, explained.reading, tried)
-        if whole.size != plane.size:
-            exemplar = finest(exemplar, whole, coarse)
+        exemplar = _in_detail(sight, lent(sight, explained.reading, tried), whole)
         scale = 1.0 if absolute else most_probable_scale(exemplar)
     with stage("index"):
         longer = whole.size[0] / plane.size[0]
@@ -374,6 +372,11 @@ def lent(sight: Sight, reading: Reading, tried: int) -> Exemplar:
     return transport(
         exemplar, plane.linear, plane.valid, sight.light, tried=tried, left_out=left_out
     )
+
+
+def _in_detail(sight: Sight, exemplar: Exemplar, whole: Plane) -> Exemplar:
+    """The exemplar on as many texels as the photograph is to have."""
+    return exemplar if whole.size == sight.plane.size else finest(exemplar, whole, sight.coarse)
 
 
 def evened(sight: Sight, reading: Reading, departures: SurfaceParameters) -> SurfaceParameters:

@@ -19,10 +19,12 @@ class CauseLimits:
     Attributes:
         room, curve, streak, channels, tilt: see Signs.
         side: log: so much brighter a side counts as twice what a flash never does.
+        even: log: up to so much brighter, no side differs from the middle.
         variety: up to it what is drawn hangs together over much of the photograph.
     """
 
     side: float = 0.3
+    even: float = 0.1
     room: float = 0.25
     curve: float = 0.12
     streak: float = 1.35
@@ -76,9 +78,17 @@ def _all(signs: Signs) -> Iterator[Cause]:
         "shade it as anisotropic where you use it",
         frozenset({"highlight", "light", "piece"}),
     )
+    even = 0.0 <= signs.side <= CAUSES.even
+    yield Cause(
+        "no flash",
+        1.0 if even else 0.0,
+        "no flash shows: a side is as bright as the middle",
+        "photograph again with the flash on, in a dark room",
+        _LIGHT,
+    )
     yield Cause(
         "light from a side",
-        1.0 + signs.side / CAUSES.side,
+        0.0 if even else 1.0 + signs.side / CAUSES.side,
         f"one side is {math.exp(signs.side):.1f} times as bright as the middle",
         DARK,
         _LIGHT,

@@ -104,6 +104,7 @@ def test_one_fault_is_enough_and_is_told_with_remedy(change, check, word):
 # A sign, what it is called, and the fault that it explains.
 SHOWN = [
     ({"streak": 2.0}, "anisotropic highlight", {"highlights": (SPOT, replace(SPOT, width=0.5))}),
+    ({"side": 0.05}, "no flash", {"light": 0.5}),
     ({"side": 0.2}, "light from a side", {"light": 0.5}),
     ({"room": 0.5}, "room light", {"light": 0.5}),
     ({"curve": 0.3, "developed": True}, "tone curve", {"colour": (0.2, 0.0, -0.25)}),
