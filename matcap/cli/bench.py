@@ -27,6 +27,18 @@ def _bench() -> None:
     require_laboratory()
 
 
+# Texels and degrees of what `bench fields --phases` measures.
+_LATTICES = (
+    (2.5, 0.0),
+    (4.3, 7.0),
+    (8.0, 45.0),
+    (17.3, 21.0),
+    (60.0, 33.0),
+    (120.0, 3.0),
+    (300.0, 0.0),
+)
+
+
 @app.command()
 def quality(
     out: Annotated[
@@ -160,6 +172,41 @@ def floors(
     out.mkdir(parents=True, exist_ok=True)
     (out / "floors.csv").write_text(floors_csv(rows))
     typer.echo(floors_markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
+
+
+@app.command()
+def fields(
+    material: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MATERIAL]...",
+            help="Simulated materials by name, kinds (weave, or weave:7 for another), map sets.",
+        ),
+    ] = None,
+    sets: Annotated[
+        Path | None,
+        typer.Option(help="Folder of artists' map sets; without names, all of them are taken."),
+    ] = None,
+    phases: Annotated[
+        bool,
+        typer.Option("--phases", help="Also lattices of 2.5 to 300 texels, turned by some angle."),
+    ] = False,
+) -> None:
+    """How far fields and repeated pieces of true maps are from the truth.
+
+    The exemplar is the truth, so that only how it is rearranged, or made to repeat, is judged: in
+    floors as `bench floors` counts them, by the length of joints for the truth's, and by how far a
+    lattice's phase is off 16384 texels away. Prints a table, with the means of each group.
+    """
+    from matcap.lab.floors.fields import fields_markdown, grating, phase_off, run_fields
+    from matcap.lab.floors.subjects import subjects
+
+    rows = run_fields(subjects(material or (), sets), tell=lambda line: typer.echo(line, err=True))
+    typer.echo(fields_markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
+    for period, angle in _LATTICES if phases else ():
+        off = phase_off(grating(period, angle))
+        told = "no order" if off is None else f"{off:.4f} of a turn off"
+        typer.echo(f"period {period:g} at {angle:g} degrees: {told}")
 
 
 @app.command()

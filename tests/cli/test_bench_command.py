@@ -93,3 +93,17 @@ def test_bench_highlight_tells_what_was_kept_and_where_things_were(monkeypatch, 
     said = matcap("bench", "highlight", "--simulated", 2)
     assert said.code == 0
     assert "| all | 2 | 0.020 | 0.020 | 1.25° | 1.25° | 0 |" in said.out
+
+
+def test_fields_of_true_maps_are_printed(matcap, monkeypatch):
+    from matcap.lab.floors.fields import FieldRow
+
+    row = FieldRow("leather", 1.0, 1.18, 1.2, 1.15, None, 0.01)
+    asked = []
+    monkeypatch.setattr(
+        "matcap.lab.floors.fields.run_fields", lambda chosen, tell: asked.extend(chosen) or [row]
+    )
+    said = matcap("bench", "fields", "leather")
+    assert said.code == 0 and [one.name for one in asked] == ["leather"]
+    assert "| leather | 1 | 1.18 | 1.20 | 1.15 |  | 0.010 |" in said.out
+    assert matcap("bench", "fields", "nothing").code == 2
