@@ -395,6 +395,13 @@ CAPTURE = (
         (exemplar("strengths"), "-k", "goes_with"),
     ),
     Fault(
+        "strengths: albedo shows alike everywhere",
+        "capture/piece/strengths.py",
+        "[STRENGTH.common * np.eye(windows), drift]",
+        "[0.0 * np.eye(windows), 0.0 * drift]",
+        (exemplar("strengths"), "-k", "dilutes"),
+    ),
+    Fault(
         "strengths: noise is added, not taken off",
         "capture/piece/strengths.py",
         "np.maximum(energy - white, 0.0)",

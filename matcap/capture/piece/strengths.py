@@ -5,11 +5,14 @@ changes with slope (inputs.py): nothing under the flash's foot, more the further
 more again where gloss shows. A stationary sample has the same spectra everywhere, so in a window
 whose mean g along a direction is s, the energy of the band's waves in that direction is
 
-    E(s) = A + 2 C s + S s^2,
+    E(s) = A m + 2 C s + S s^2,
 
-A albedo's energy, S the slopes', C how both go together. Windows differ in s, and a regression
-over them recovers A and S, and how far S is to be doubted: by its scatter, by albedo that is not
-as strong everywhere, and by what two opinions of g tell differently (docs/notes/exemplar.md).
+A albedo's energy, S the slopes', C how both go together, and m, near 1, what a window has of albedo
+in all directions alike: mirrored light dilutes it, dark gaps more than all, the lens is soft at its
+rim, and streaks end. Where the flash stands m is small, and so is s: taken for 1 it makes relief of
+albedo. But relief shows along the light and not across. Windows differ in s, and a regression over
+them and all directions recovers A and S, and how far S is to be doubted: by its scatter, and by
+what two opinions of g tell differently (docs/notes/exemplar.md).
 """
 
 from __future__ import annotations
@@ -84,6 +87,7 @@ def measure_strengths(
     use: NDArray[np.bool_] | NDArray[np.float32],
     noise: float = 0.0,
     *,
+    matte: NDArray[np.float32] | None = None,
     also: NDArray[np.float32] | None = None,
 ) -> Strengths | None:
     """Strengths of a photograph; None where too little of it can be used.
@@ -93,6 +97,7 @@ def measure_strengths(
         shows: (2, H, W) change of log radiance with slope along x and y (upwards).
         use: (H, W) share of a texel that was seen and not clipped.
         noise: standard deviation of log radiance that is the sensor's.
+        matte: (H, W) diffuse share of the radiance; None for all of it.
         also: (2, H, W) another opinion of `shows`: where the two tell different strengths, what is
             told is doubted.
     """
@@ -106,17 +111,17 @@ def measure_strengths(
     window = STRENGTH.window
     white = noise**2 * _sums(np.ones((window, window)), _kinds()) / window**2
     energy = np.maximum(energy - white, 0.0)
-    albedo, slope, error, uneven = _told(energy, _slants(shows, use, cuts))
+    matte = np.ones_like(log) if matte is None else matte
+    albedo, slope, error = _told(energy, _responses(matte, shows, use, cuts))
     apart = 0.0
     if also is not None:
-        apart = np.abs(slope - _told(energy, _slants(also, use, cuts))[1]).sum(1)
+        apart = np.abs(slope - _told(energy, _responses(matte, also, use, cuts))[1]).sum(1)
     # Scatter of directions cancels; what is wrong with the model goes the same way in all of them.
-    doubt = np.hypot(np.sqrt(np.square(error).sum(1)), uneven.sum(1) + STRENGTH.disagreed * apart)
-    own = np.square(error) + np.square(uneven)
+    doubt = np.hypot(np.sqrt(np.square(error).sum(1)), STRENGTH.disagreed * apart)
     return Strengths(
         albedo=np.sqrt(albedo),
         slope=np.sqrt(slope),
-        trust=np.square(slope) / (np.square(slope) + own + 1e-12),
+        trust=np.square(slope) / (np.square(slope) + np.square(error) + 1e-12),
         doubt=doubt,
     )
 
@@ -139,12 +144,14 @@ def _window_energies(log: NDArray[np.float32], cuts: list[tuple[slice, slice]]) 
     return np.array(energies)
 
 
-def _slants(
+def _responses(
+    matte: NDArray[np.float32],
     shows: NDArray[np.float32],
     use: NDArray[np.bool_] | NDArray[np.float32],
     cuts: list[tuple[slice, slice]],
 ) -> Doubles:
-    """(windows, 5) means of a response's x, y, xx, xy and yy over what is used of each window.
+    """(windows, 6) means over what is used of each window: of the squared diffuse share, and of a
+    response's x, y, xx, xy and yy.
 
     Around a highlight the response turns within a window: its mean is little and its square is not.
     """
@@ -152,32 +159,27 @@ def _slants(
     found = []
     for cut in cuts:
         weight = counts * use[cut]
-        x, y = shows[(slice(None), *cut)]
-        found.append([(weight * v).sum() / weight.sum() for v in (x, y, x * x, x * y, y * y)])
+        d, (x, y) = matte[cut], shows[(slice(None), *cut)]
+        found.append(
+            [(weight * v).sum() / weight.sum() for v in (d * d, x, y, x * x, x * y, y * y)]
+        )
     return np.array(found, np.float64)
 
 
-def _told(energy: Doubles, slants: Doubles) -> Doubles:
-    """(4, len(BANDS), DIRECTIONS) A, S, S's standard error, and what of A may pass for S.
+def _told(energy: Doubles, responses: Doubles) -> Doubles:
+    """(3, len(BANDS), DIRECTIONS) A, S and S's standard error.
 
     Args:
         energy: (windows, len(BANDS), DIRECTIONS).
-        slants: (windows, 5) as _slants has them.
+        responses: (windows, 6) as _responses has them.
     """
-    x, y, xx, xy, yy = slants.T
-    linear = 1.0 / (1.0 + (xx + yy) / STRENGTH.linear**2)
-    found = np.zeros((4, len(BANDS), DIRECTIONS))
-    for direction in range(DIRECTIONS):
-        angle = direction * np.pi / DIRECTIONS
-        c, s = np.cos(angle), np.sin(angle)
-        squared = c * c * xx + 2.0 * c * s * xy + s * s * yy
-        most = max(float(np.quantile(squared, 0.9)), 1e-6)
-        for band in range(len(BANDS)):
-            albedo, slope, error = _regress(
-                c * x + s * y, squared, energy[:, band, direction], linear
-            )
-            found[:, band, direction] = albedo, slope, error, STRENGTH.uneven * albedo / most
-    return found
+    matte, x, y, xx, xy, yy = responses.T
+    counts = 1.0 / (1.0 + (xx + yy) / STRENGTH.linear**2)
+    angle = np.arange(DIRECTIONS)[:, None] * np.pi / DIRECTIONS
+    c, s = np.cos(angle), np.sin(angle)
+    slant, squared = c * x + s * y, c * c * xx + 2.0 * c * s * xy + s * s * yy
+    bands = [_regress(slant, squared, matte, band.T, counts) for band in energy.swapaxes(0, 1)]
+    return np.array(bands).swapaxes(0, 1)
 
 
 def slope_strengths(height: NDArray[np.float32]) -> Doubles:
@@ -230,26 +232,40 @@ def _kinds() -> NDArray[np.int64]:
 
 
 def _regress(
-    slant: Doubles, squared: Doubles, energy: Doubles, counts: Doubles
-) -> tuple[float, float, float]:
-    """A, S and S's standard error, A and S not negative, by weighted least squares.
+    slant: Doubles, squared: Doubles, matte: Doubles, energy: Doubles, counts: Doubles
+) -> Doubles:
+    """(3, DIRECTIONS) A, S and S's standard error of a band, A and S not negative.
+
+    Weighted least squares of all directions together: what windows have in common is unknown too,
+    near 0 before anything is seen, and linear where A is taken from the round before.
 
     Args:
-        slant: (N,) of windows.
-        squared: (N,) mean of its square.
-        energy: (N,) theirs.
+        slant: (DIRECTIONS, N) of windows.
+        squared: (DIRECTIONS, N) mean of its square.
+        matte: (N,) mean squared diffuse share.
+        energy: (DIRECTIONS, N) theirs.
         counts: (N,) what each counts for, at most 1.
     """
-    columns = np.stack([np.ones_like(slant), 2.0 * slant, squared], axis=1)
-    own = np.sqrt(counts)
-    weight, solution = own, np.zeros(3)
+    kinds, windows = energy.shape
+    each = np.eye(kinds)[:, None, :]
+    terms = (np.ones_like(slant), 2.0 * slant, squared)
+    own = np.concatenate([each * term[..., None] for term in terms], axis=2).reshape(-1, 3 * kinds)
+    drift = STRENGTH.diluted * (matte - matte.mean())[:, None]
+    common = np.tile(np.concatenate([STRENGTH.common * np.eye(windows), drift], axis=1), (kinds, 1))
+    prior = np.eye(own.shape[1] + common.shape[1])[own.shape[1] :]
+    spread = np.tile(np.sqrt(counts), kinds)
+    least = np.repeat(0.2 * energy.mean(1) + 1e-12, windows)
+    albedo, expected = energy.mean(1), np.full(energy.size, energy.mean() + 1e-12)
     for _ in range(STRENGTH.rounds):
-        solution = np.linalg.lstsq(columns * weight[:, None], energy * weight, rcond=None)[0]
-        solution[[0, 2]] = solution[[0, 2]].clip(0.0)
-        weight = own / np.maximum(columns @ solution, 0.2 * energy.mean() + 1e-12)
-    weighted = columns * weight[:, None]
-    rest = np.square((energy - columns @ solution) * weight).sum()
-    scatter = rest / max(float(counts.sum()) - 3.0, 1.0)
-    inverse = np.linalg.pinv(weighted.T @ weighted)
-    error = STRENGTH.scatter * float(np.sqrt(scatter * max(inverse[2, 2], 0.0)))
-    return float(solution[0]), float(solution[2]), error
+        weight = spread / expected
+        columns = np.concatenate([own, common * np.repeat(albedo, windows)[:, None]], axis=1)
+        matrix = np.concatenate([columns * weight[:, None], prior])
+        aim = np.concatenate([energy.ravel() * weight, np.zeros(len(prior))])
+        solution = np.linalg.lstsq(matrix, aim, rcond=None)[0]
+        expected = np.maximum(columns @ solution, least)
+        albedo = solution[:kinds].clip(0.0)
+    scatter = np.square(aim - matrix @ solution).sum() / max(kinds * (counts.sum() - 3.0), 1.0)
+    slopes = slice(2 * kinds, 3 * kinds)
+    variance = np.linalg.pinv(matrix.T @ matrix).diagonal()[slopes].clip(0.0)
+    error = STRENGTH.scatter * np.sqrt(scatter * variance)
+    return np.stack([albedo, solution[slopes].clip(0.0), error])

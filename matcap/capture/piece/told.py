@@ -57,6 +57,7 @@ def plane_strengths(
         _even(inputs.shows_slope),
         use.mean(0, dtype=np.float32),
         noise_level(plane),
+        matte=(1.0 - inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
         also=None if read is None else _even(read),
     )
 

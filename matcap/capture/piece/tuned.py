@@ -57,8 +57,10 @@ class StrengthSettings:
         rounds: of reweighting: energies scatter in proportion to themselves.
         fewest: windows, for three unknowns.
         scatter: factor on errors: windows overlap and all directions look at the same ones.
-        uneven: share of albedo's energy that may vary over the picture for other reasons than
-            relief and pass for it (streaks that are stronger at the rim). Relief stands out of it.
+        common: share of albedo's energy that windows differ by in all directions alike. At 0 what
+            light dilutes passes for relief (a weave's slopes are told three times too large).
+        diluted: likewise with the squared diffuse share, for all windows together. Dark gaps are
+            diluted far more than by the share itself.
         disagreed: share of what two responses to slope tell differently, that is doubt.
         response_around: texels, deviation of the neighbourhood whose slopes show alike.
         together, each_band: deviations of the logarithm of energies that networks draw from true
@@ -80,7 +82,8 @@ class StrengthSettings:
     rounds: int = 4
     fewest: int = 8
     scatter: float = 2.0
-    uneven: float = 0.1
+    common: float = 1.0
+    diluted: float = 5.0
     disagreed: float = 0.5
     response_around: float = 24.0
     together: float = 1.5
@@ -111,7 +114,8 @@ class RefineSettings:
         slow: the picture's long side over the deviation of what counts as slow and stays out.
         most: of log radiance a step explains.
         glare: of log radiance: what a highlight's fit leaves where all light is mirrored.
-        chroma: deviation of albedo's colour as a share of its lightness's.
+        chroma: deviation of albedo's colour as a share of its lightness's. More takes a highlight's
+            colour for the material's.
         level_steps: of the levels' fit.
         level_albedo, level_specular, level_roughness: deviations of what is off on the whole (log,
             log, logit).
@@ -134,7 +138,7 @@ class RefineSettings:
     slow: float = 12.0
     most: float = 0.5
     glare: float = 0.5
-    chroma: float = 0.3
+    chroma: float = 0.6
     level_steps: int = 4
     level_albedo: float = 0.5
     level_specular: float = 0.3

@@ -91,6 +91,29 @@ def test_streaks_that_are_stronger_at_the_rim_are_no_sure_relief() -> None:
     assert (np.square(found.slope).sum(1) < 2.5 * found.doubt).all()
 
 
+def test_albedo_that_mirrored_light_dilutes_is_no_relief() -> None:
+    """Its drawing is fainter around the flash's foot in all directions; slopes' along the light."""
+    rows, columns = (np.linspace(-1.0, 1.0, side) for side in (384, 640))
+    shows = np.stack(np.broadcast_arrays(columns[None, :], 0.6 * rows[:, None])).astype(np.float32)
+    share = (1.0 - 0.5 * np.exp(-np.square(shows).sum(0) / 0.25)).astype(np.float32)
+    grain, height = (
+        cv2.GaussianBlur(np.random.default_rng(seed).standard_normal(share.shape), (0, 0), 2.0 + k)
+        for k, seed in enumerate((1, 11))
+    )
+    albedo = share * (0.3 * grain / grain.std()).astype(np.float32)
+    slopes = np.stack([np.gradient(height, axis=1), -np.gradient(height, axis=0)])
+    slopes *= 0.1 / np.sqrt(np.square(slopes).sum(0).mean())
+    relief = (shows * slopes).sum(0).astype(np.float32)
+    seen = np.ones(share.shape, bool)
+    # Gaps are diluted more than the mean of the light is.
+    diluted, both = (
+        measure_strengths(log, shows, seen, matte=1.0 - 0.3 * (1.0 - share))
+        for log in (albedo, albedo + relief)
+    )
+    assert diluted.relief < 0.12  # 0.25 where every window has as much albedo
+    assert both.relief == pytest.approx(0.1, rel=0.35)
+
+
 def test_too_little_to_look_at_says_nothing() -> None:
     nothing = np.zeros((256, 256), np.float32)
     shows = np.zeros((2, 256, 256), np.float32)
