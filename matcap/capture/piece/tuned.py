@@ -114,8 +114,8 @@ class RefineSettings:
         slow: the picture's long side over the deviation of what counts as slow and stays out.
         most: of log radiance a step explains.
         glare: of log radiance: what a highlight's fit leaves where all light is mirrored.
-        chroma: deviation of albedo's colour as a share of its lightness's. More takes a highlight's
-            colour for the material's.
+        chroma: deviation of albedo's colour as a share of its lightness's. More takes the sensor's
+            noise for the material's.
         level_steps: of the levels' fit.
         level_albedo, level_specular, level_roughness: deviations of what is off on the whole (log,
             log, logit).
@@ -138,7 +138,7 @@ class RefineSettings:
     slow: float = 12.0
     most: float = 0.5
     glare: float = 0.5
-    chroma: float = 0.6
+    chroma: float = 0.3
     level_steps: int = 4
     level_albedo: float = 0.5
     level_specular: float = 0.3
