@@ -104,7 +104,8 @@ class RefineSettings:
     """Levels and texels moved until they re-render to the photograph.
 
     Attributes:
-        steps: of refinement; what is left falls little further.
+        steps: of refinement. More is sharper, and takes as much longer: of granite's finest octave
+            0.66, 0.74 and 0.74 are there after 3, 4 and 6.
         step: of log F0 and logit roughness, for differences of log radiance.
         slope_step: likewise, of slopes.
         least_error, most_error: expected errors believed in.
@@ -112,7 +113,8 @@ class RefineSettings:
             the sensor's grain into the maps.
         darkest: linear radiance.
         slow: the picture's long side over the deviation of what counts as slow and stays out.
-        most: of log radiance a step explains.
+        most: of log radiance a step explains. Gaps between threads are darker than read by more
+            than 0.5.
         glare: of log radiance: what a highlight's fit leaves where all light is mirrored.
         chroma: deviation of albedo's colour as a share of its lightness's. More takes the sensor's
             noise for the material's.
@@ -128,7 +130,7 @@ class RefineSettings:
         thinned: texels a side of which one is looked at, where things are smooth.
     """
 
-    steps: int = 3
+    steps: int = 5
     step: float = 0.03
     slope_step: float = 0.03
     least_error: float = 0.02
@@ -136,7 +138,7 @@ class RefineSettings:
     least_noise: float = 0.01
     darkest: float = 1e-5
     slow: float = 12.0
-    most: float = 0.5
+    most: float = 1.5
     glare: float = 0.5
     chroma: float = 0.3
     level_steps: int = 4
