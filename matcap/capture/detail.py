@@ -22,6 +22,7 @@ from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Lattice, Wave, find_lattice
 
 DETAIL = 1024  # texels; docs/capture.md has what more and less of them buy
+FINE_DETAIL = 2048  # likewise, of photographs that have so many
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def read_photograph(
     """
     # What is compared with the photograph must know its noise.
     noise = resolve(settings, method).work(settings.generator) > 0
-    detail = max(settings.most_detail, _MATCHED) if several else settings.most_detail
+    detail = max(settings.detail or 0, _MATCHED) if several else settings.most_detail
     if several and (settings.crop or settings.mask):
         raise UsageError(
             "several photographs of one piece show it in other places",
@@ -167,7 +167,8 @@ def capture_under(
     effort = resolve(settings, method)
     with clock.stage("coarse fit"):
         coarse = under_flash(fit_coarse(photo), photo.flash_intensity)
-        plane, lattice = plane_in_detail(photo, coarse.setup, settings.detail)
+        detail = settings.detail_of(max(photo.pixels.shape))
+        plane, lattice = plane_in_detail(photo, coarse.setup, detail)
         plane = lit_mirror(plane, coarse)
         read, waves = to_be_read(plane, lattice.waves)
         window = _window(read, method.window, photo.name)

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from matcap.capture.choices import CHOICES, STATISTICS, STATISTICS_WORDS, check
-from matcap.capture.detail import DETAIL
+from matcap.capture.detail import DETAIL, FINE_DETAIL
 from matcap.errors import UsageError
 from matcap.field.source import Generator
 from matcap.files.values import Region, region
@@ -31,6 +31,7 @@ class Effort:
         steps: of fine-tuning, where a decoder is asked for.
         places: windows a step of it; all see the same maps, so one more costs a fifth more.
         matched: mean and contrast moved to the photograph's at the end (space/tuning/match.py).
+        detail: texels across of the piece, of a photograph that has so many.
     """
 
     preset: str
@@ -38,6 +39,7 @@ class Effort:
     steps: int
     places: int = 2
     matched: bool = True
+    detail: int = FINE_DETAIL
 
     def work(self, generator: Generator) -> int:
         """Steps of what makes a generator."""
@@ -49,8 +51,8 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
     {
         effort.preset: effort
         for effort in (
-            Effort("instant", 0, 0),
-            Effort("draft", 16, 32, matched=False),
+            Effort("instant", 0, 0, detail=DETAIL),
+            Effort("draft", 16, 32, matched=False, detail=DETAIL),
             Effort("standard", 40, 160, places=3),
             Effort("high", 120, 320, places=3),
             Effort("reference", 320, 800),
@@ -59,6 +61,7 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
 )
 # Where a time limit or a target alone decides when to stop: as many steps as there are.
 UNLIMITED = "reference"
+TIME_FOR_FINEST = 60.0  # seconds: with less, the finest texels would take it all
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,8 @@ class CaptureSettings:
         time_limit: for the whole work in seconds, or None.
         target: error of a decoder to end at, as a multiple of what the photograph's own windows
             differ by.
-        detail: texels across the photograph's long side; by default DETAIL (detail.py).
+        detail: texels across the photograph's long side, instead of the preset's where the
+            photograph has so many pixels, and DETAIL where it has not or a decoder is made.
         fov: field of view across the long side in degrees, instead of the photograph's.
         seed: of everything random.
         prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
@@ -179,8 +183,17 @@ class CaptureSettings:
 
     @property
     def most_detail(self) -> int:
-        """Texels along the long side that a photograph has to be read with."""
-        return self.detail or DETAIL
+        """Texels along the long side that a photograph has to be read with.
+
+        Raises:
+            UsageError: an unknown preset.
+        """
+        by_default = DETAIL if self.generator == "decoder" else resolve(self).detail
+        return self.detail or by_default
+
+    def detail_of(self, pixels: int) -> int:
+        """Texels across a photograph that was read with so many pixels along its long side."""
+        return self.detail or (self.most_detail if pixels >= self.most_detail else DETAIL)
 
 
 @dataclass(frozen=True)
@@ -228,6 +241,8 @@ def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
         effort = replace(effort, steps=settings.steps, adapted=settings.steps)
     elif settings.time_limit is not None or settings.target is not None:
         effort = PRESETS[UNLIMITED]
+        if settings.time_limit is not None and settings.time_limit < TIME_FOR_FINEST:
+            effort = replace(effort, detail=DETAIL)
     if method is not None and method.places is not None:
         effort = replace(effort, places=method.places)
     if method is not None and method.matched is not None:

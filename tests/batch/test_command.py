@@ -109,7 +109,9 @@ def test_memory_grows_with_photograph_detail_and_map_set(shoot):
     base = worker_bytes(BatchSettings(), 12_000_000, raw=False)
     assert worker_bytes(BatchSettings(), 48_000_000, raw=False) > base
     assert worker_bytes(BatchSettings(), 12_000_000, raw=True) > base
-    assert worker_bytes(BatchSettings.of({"detail": 2048}), 12_000_000, raw=False) > base
+    fine, usual = (BatchSettings.of({"detail": texels}) for texels in (4000, 1024))
+    assert worker_bytes(fine, 12_000_000, raw=False) > base
+    assert worker_bytes(usual, 12_000_000, raw=False) < base
     assert worker_bytes(BatchSettings.of({"size": (4096, 4096)}), 12_000_000, raw=False) > base
     assert photo_pixels(shoot / "leather.jpg") == (128 * 96, False)
     assert photo_pixels(shoot / "leather.dng") == (128 * 96, True)

@@ -18,8 +18,28 @@ def test_a_preset_is_its_effort_unless_steps_are_given(preset, generator):
 @pytest.mark.parametrize("limit", [{"time_limit": 20.0}, {"target": 1.3}])
 def test_a_limit_alone_may_take_all_the_steps_there_are(limit):
     asked = {"preset": "draft", "generator": "decoder", **limit}
-    assert resolve(CaptureSettings(**asked)) is PRESETS["reference"]
+    effort = resolve(CaptureSettings(**asked))
+    assert (effort.preset, effort.steps) == ("reference", PRESETS["reference"].steps)
     assert resolve(CaptureSettings(**asked, steps=7)).steps == 7
+
+
+@pytest.mark.parametrize(
+    ("asked", "wanted"),
+    [
+        ({}, 2048),
+        ({"preset": "instant"}, 1024),
+        ({"preset": "high", "generator": "decoder"}, 1024),
+        ({"time_limit": 20.0}, 1024),
+        ({"time_limit": 90.0}, 2048),
+        ({"detail": 640}, 640),
+        ({"preset": "instant", "detail": 4000}, 4000),
+    ],
+)
+def test_the_piece_has_the_finest_texels_where_there_is_time_for_them(asked, wanted):
+    settings = CaptureSettings(**asked)
+    assert settings.most_detail == settings.detail_of(4032) == wanted
+    # A photograph of fewer pixels is enlarged only where that was asked for.
+    assert settings.detail_of(1600) == (settings.detail or 1024)
 
 
 def test_a_target_is_the_decoders():

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS
+from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS, Reflectance
 from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.smooth import split
 from matcap.capture.piece.tuned import FINEST
@@ -47,12 +47,11 @@ def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     light = PieceLight.of(uniform, points)
     maps = _enlarged(exemplar, plane)
-    grain = _unshown(maps, plane, light, exemplar.size)
+    grain, _ = _unshown(maps, plane, light, exemplar.size)
     relief = _relief(exemplar, grain.mean(0).numpy(), maps, light)
     maps = replace(maps, height=maps.height + torch.from_numpy(relief)[None] * plane.texel_size)
     for _ in range(FINEST.rounds):
-        left = _unshown(maps, plane, light, exemplar.size)
-        share = light.logs(maps, light.flash.onto(maps.normal))[1]
+        left, share = _unshown(maps, plane, light, exemplar.size)
         more = left * share / (share.square() + FINEST.hidden)
         maps = replace(maps, diffuse=(maps.diffuse * more.exp()).clamp(*ALBEDO_LIMITS))
     return Exemplar(
@@ -99,12 +98,16 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
     )
 
 
-def _unshown(maps: MapSet, plane: Plane, light: PieceLight, coarse: tuple[int, int]) -> Tensor:
-    """(3, H, W) what the photograph's log radiance has beyond maps', finer than `coarse` texels."""
-    found = light.logs(maps, light.flash.onto(maps.normal))[0]
+def _unshown(
+    maps: MapSet, plane: Plane, light: PieceLight, coarse: tuple[int, int]
+) -> tuple[Tensor, Tensor]:
+    """(3, H, W) each: what the photograph's log radiance has beyond maps', finer than `coarse`
+    texels, and the diffuse share of theirs.
+    """
+    found, share = light.logs(maps, light.flash.onto(maps.normal))
     left = plane.linear.clamp_min(FINEST.darkest).log() - found
     left = torch.where(plane.measured, left, left.clamp_min(0.0)).clamp(-FINEST.most, FINEST.most)
-    return _beyond(left, coarse)
+    return _beyond(left, coarse), share
 
 
 def _beyond(picture: Tensor, coarse: tuple[int, int]) -> Tensor:
@@ -126,7 +129,11 @@ def _relief(exemplar: Exemplar, grain: Floats, maps: MapSet, light: PieceLight) 
     wanted = energies[2] * sum(
         ratio**k * min(1.0, octaves - k + 1.0) for k in range(1, math.ceil(octaves) + 1)
     )
-    shows = light.shows_relief(maps).square().sum(0).mean()
+    some = slice(None, None, FINEST.thinned)
+    reflectance = Reflectance(
+        *(p[:, some, some] for p in (maps.diffuse, maps.specular, maps.roughness))
+    )
+    shows = light.cut(some, some).shows_relief(reflectance).square().sum(0).mean()
     most = FINEST.relief_at_most * float(np.square(grain).mean()) / max(0.5 * float(shows), 1e-6)
     drawn = max(_steepness(grain), 1e-12)
     return _sign(exemplar, bands) * np.float32(math.sqrt(min(wanted, most) / drawn)) * grain

@@ -90,7 +90,7 @@ class PieceLight:
         radiance = (diffuse + mirrored).clamp_min(REFINE.darkest)
         return radiance.log(), diffuse / radiance
 
-    def shows_relief(self, maps: MapSet) -> Tensor:
+    def shows_relief(self, maps: MapSet | Reflectance) -> Tensor:
         """(2, H, W) what dh/dx and dh/dy change of grey log radiance, were all maps flat."""
         one = torch.ones_like(maps.roughness)
 

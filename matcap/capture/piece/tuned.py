@@ -278,6 +278,7 @@ class FinestSettings:
         relief_at_most: share of the finest bands' energy that is relief's. Half of it instead:
             leather 8.1 floors for 7.4, and sharper than photographed.
         least_ratio, most_ratio: of an octave's energy of slopes to the one before.
+        thinned: texels a side of which one is looked at, where things are smooth.
     """
 
     darkest: float = 1e-5
@@ -287,6 +288,7 @@ class FinestSettings:
     relief_at_most: float = 0.25
     least_ratio: float = 0.05
     most_ratio: float = 1.0
+    thinned: int = 4
 
 
 READ = ReadSettings()
