@@ -109,7 +109,7 @@ def predict(prepared: Prepared) -> Prediction:
             if seconds is not None:
                 break
             try:
-                seconds, size = _trial(entry.sample.photos[0], settings)
+                seconds, size = _trial(entry.sample.photos, settings)
                 how = f"measured on {entry.sample.photos[0].name}"
             except MatcapError:
                 continue
@@ -141,8 +141,8 @@ def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
     return seconds, max(size for _, size in found), f"as the {len(found)} made before"
 
 
-def _trial(photo: Path, settings: BatchSettings) -> tuple[float, int]:
-    """Seconds and bytes that the whole will take, from a few steps of one photograph.
+def _trial(photos: Sequence[Path], settings: BatchSettings) -> tuple[float, int]:
+    """Seconds and bytes that the whole will take, from a few steps of one sample.
 
     What is tried is what will be run: the same stages, but with fewer steps of the longest one.
     """
@@ -161,7 +161,7 @@ def _trial(photo: Path, settings: BatchSettings) -> tuple[float, int]:
             ticks.append(now.seconds)
 
     short = replace(wanted, steps=steps, time_limit=None, target=None)
-    result = capture_file(photo, short, told)
+    result = capture_file(photos[0], short, told, others=photos[1:])
     with tempfile.TemporaryDirectory(prefix="matcap-") as folder:
         write_outputs(result, Path(folder) / "trial", settings.outputs)
         size = sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())

@@ -16,7 +16,7 @@ from matcap.errors import MatcapError, UsageError
 from matcap.files import values
 
 FILE = "matcap.toml"
-_GROUPS = ("none", "dir", "time")
+_GROUPS = ("none", "name", "dir", "time")
 _MOST_BYTES = 1_000_000  # of a settings file; nobody writes more
 
 
@@ -31,7 +31,7 @@ class BatchSettings:
     Attributes:
         capture: of every sample.
         outputs: of every sample.
-        group: "none", "dir" or "time".
+        group: "none", "name", "dir" or "time".
         gap: seconds between two photographs of one sample, where grouped by time.
         jobs: worker processes, or None for as many as cores and memory allow.
         card: a photograph of a calibration card, "auto" for the one in the shoot whose name begins
@@ -40,7 +40,7 @@ class BatchSettings:
 
     capture: CaptureSettings = CaptureSettings()
     outputs: OutputSettings = OutputSettings()
-    group: str = "none"
+    group: str = "name"
     gap: float = 10.0
     jobs: int | None = None
     card: str = "auto"

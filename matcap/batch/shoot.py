@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Literal
 
 from matcap.errors import MatcapError
-from matcap.files.names import kept_plain
+from matcap.files.names import kept_plain, series
 
-Grouping = Literal["none", "dir", "time"]
+Grouping = Literal["none", "name", "dir", "time"]
 Taken = Callable[[Path], float | None]
 
 _RAW = (
@@ -58,7 +58,8 @@ def find_samples(
 
     Args:
         shoot: the folder.
-        group: "none": each photograph is a sample; "dir": those of one folder are one sample;
+        group: "none": each photograph is a sample; "name": those of one folder that are numbered
+            parts of one name (oak_1, oak_2); "dir": those of one folder are one sample;
             "time": those of one folder taken within `gap` seconds of the one before.
         gap: in seconds.
         without: files and folders that are not looked at.
@@ -82,7 +83,10 @@ def find_samples(
             label = "-".join(inside.parts) or shoot.resolve().name or "shoot"
             grouped.append((inside, label, *_joined(shots)))
             continue
-        runs = _runs(shots, gap, taken or taken_at) if group == "time" else [[s] for s in shots]
+        if group == "time":
+            runs = _runs(shots, gap, taken or taken_at)
+        else:
+            runs = _by_name(shots) if group == "name" else [[s] for s in shots]
         for run in runs:
             label = kept_plain("-".join((*inside.parts, run[0][0].stem)))
             grouped.append((inside / run[0][0].name, label, *_joined(run)))
@@ -165,6 +169,14 @@ def _runs(shots: Sequence[_Shot], gap: float, taken: Taken) -> list[list[_Shot]]
             runs.append([shot])
         last = when
     return sorted(runs, key=lambda run: run[0][0])
+
+
+def _by_name(shots: Sequence[_Shot]) -> list[list[_Shot]]:
+    """Shots whose names are numbered parts of one, together; the others alone."""
+    sets = series([shot[0].stem for shot in shots])
+    taken = {position for each in sets for position in each}
+    sets += [[position] for position in range(len(shots)) if position not in taken]
+    return [[shots[position] for position in each] for each in sorted(sets, key=min)]
 
 
 def _joined(shots: Sequence[_Shot]) -> tuple[tuple[Path, ...], tuple[Path, ...]]:

@@ -15,13 +15,15 @@ from matcap.batch.memory import crew_size, largest_worker
 from matcap.batch.overview import write_index
 from matcap.batch.run import Batch, Policy, Show, exit_code
 from matcap.batch.settings import BatchSettings
-from matcap.batch.shoot import Grouping, find_samples
+from matcap.batch.shoot import Grouping, ShotSample, find_samples
 from matcap.batch.work import do_job, settle_threads
 from matcap.batch.workspace import open_run
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.memory import free_bytes
 from matcap.files.staging import check_writable
 from matcap.photo.calibrate import Calibration, card_sentence, read_card
+
+_SETS_SAID = 12  # sets that are named before a batch starts
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,8 @@ def prepare(
     group = cast(Grouping, settings.group)
     cards = _cards(shoot, settings.card, out)
     samples = find_samples(shoot, group=group, gap=settings.gap, without=(out, *cards))
+    for sentence in group_sentences(samples):
+        show.note(sentence)
     card = read_card(cards[0], fov=settings.capture.fov) if cards else None
     show.note(card_sentence(card))
     check_writable(out, settings.outputs.room)
@@ -84,6 +88,19 @@ def prepare(
             f"and {free_bytes() / 1e9:.1f} GB are free."
         )
     return Prepared(out, settings, entries, each, workers, card)
+
+
+def group_sentences(samples: Sequence[ShotSample]) -> list[str]:
+    """Which photographs become one material together, before anything starts."""
+    sets = [sample for sample in samples if len(sample.photos) > 1]
+    said = [
+        f"{sample.name}: {len(sample.photos)} photographs of one piece "
+        f"({', '.join(photo.name for photo in sample.photos)})."
+        for sample in sets[:_SETS_SAID]
+    ]
+    if len(sets) > _SETS_SAID:
+        said.append(f"And {len(sets) - _SETS_SAID} sets more; --dry-run names them all.")
+    return [*said, "If they are not, use --group none."] if sets else []
 
 
 def _cards(shoot: Path, wanted: str, out: Path) -> list[Path]:

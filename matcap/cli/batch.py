@@ -79,7 +79,7 @@ def batch(
     aligned: AlignedOption = None,
     group: Annotated[
         str | None,
-        typer.Option(metavar="none|dir|time", help="Which photographs show one sample."),
+        typer.Option(metavar="none|name|dir|time", help="Which photographs show one sample."),
     ] = None,
     gap: Annotated[
         float | None, typer.Option(min=0.0, help="Seconds between two shots, with --group time.")

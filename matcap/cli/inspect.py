@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,14 +34,25 @@ def inspect(
             help="Field of view along the long side, degrees.",
         ),
     ] = None,
+    together: Annotated[
+        bool | None,
+        typer.Option(
+            "--together/--no-together",
+            show_default="where the names are a set's: oak_1, oak_2",
+            help="All photographs show the same piece: say also what they show and lack together.",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Say how good photographs are, and what to do at the next shot.
 
     Flash, clipping, hot spot, tilt, sharpness, sameness all over, what kind of file it is, and how
     strong relief and albedo's contrast are, where that is told outright. Lines marked "!" hurt,
-    "?" may hurt. Of a material: its exemplar, and what of it is left out.
+    "?" may hurt. Of several photographs of one piece: which do not belong, from where nothing is
+    lit, which are nearly the same. Of a material: its exemplar, and what of it is left out.
     """
+    from matcap.files.names import are_a_series
+
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
     failures = 0
@@ -60,11 +72,24 @@ def inspect(
         documents.append({kind: str(path), **document})
         if not as_json:
             typer.echo(text)
+    pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
+    told: dict[str, Any] = {"photographs": photographs}
+    told |= {"materials": materials} if materials else {}
+    if together if together is not None else are_a_series([path.stem for path in pictures]):
+        try:
+            told["together"], text = _set(pictures, fov)
+        except MatcapError as error:
+            failures += 1
+            told["together"] = {"reason": str(error)}
+            typer.echo(f"matcap: {error}", err=True)
+        else:
+            typer.echo("" if as_json else text, nl=not as_json)
     if as_json:
-        told = {"photographs": photographs} | ({"materials": materials} if materials else {})
         typer.echo(json.dumps(told, indent=2, allow_nan=False))
     if failures:
-        some = failures < len(photos)
+        some = len(photographs) + len(materials) > sum(
+            "reason" in d for d in photographs + materials
+        )
         raise typer.Exit(ExitCode.SOME_FAILED if some else ExitCode.NOTHING_SUCCEEDED)
 
 
@@ -80,6 +105,16 @@ def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], 
     lines += [f"     {name:<13} {says}" for name, says in _strengths(strengths)]
     document = found.document() | {"strengths": strengths}
     return document, "\n".join(lines)
+
+
+def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]:
+    """What photographs of one piece show and lack, for JSON and as text."""
+    from matcap.capture.together.look import look_at_files
+
+    found = look_at_files(paths, fov)
+    lines = [f"{len(paths)} photographs together: {found.verdict.value}"]
+    lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in found.findings]
+    return found.document(), "\n".join(lines)
 
 
 def _strengths(told: dict[str, Any] | None) -> list[tuple[str, str]]:

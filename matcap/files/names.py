@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Sequence
 from pathlib import Path, PosixPath
 
 from matcap.errors import MatcapError, UsageError
@@ -16,6 +17,47 @@ LONGEST = 200  # bytes, so that there is room for what is written after a name
 _HIDES = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # Unicode's kinds of what does not print, or hides
 _SEPARATORS = "/\\"
 _UNUSUAL = re.compile(r"[^\w .,()+-]+")
+
+
+_NUMBERED = re.compile(r"(.*[^\W\d_].*?)[_\- .]+(\d{1,2})")
+_LONGEST_SERIES = 24  # names; more are a camera's count
+
+
+def series(stems: Sequence[str]) -> list[list[int]]:
+    """Which names are numbered parts of one thing: oak_1, oak_2, oak_3.
+
+    A series counts from 0 or 1 without a gap, with a mark before numbers of at most two digits:
+    what cameras count (IMG_0412) is none.
+
+    Args:
+        stems: names of files without their endings.
+
+    Returns:
+        Positions of the names of each series, in the order of their numbers.
+    """
+    found: dict[str, dict[int, int]] = {}
+    twice = set()
+    for position, stem in enumerate(stems):
+        match = _NUMBERED.fullmatch(stem)
+        if match is None:
+            continue
+        name, number = match[1].casefold(), int(match[2])
+        if number in found.setdefault(name, {}):
+            twice.add(name)
+        found[name][number] = position
+    return [
+        [at[number] for number in sorted(at)]
+        for name, at in found.items()
+        if name not in twice
+        and 2 <= len(at) <= _LONGEST_SERIES
+        and min(at) <= 1
+        and max(at) - min(at) == len(at) - 1
+    ]
+
+
+def are_a_series(stems: Sequence[str]) -> bool:
+    """Whether all names are numbered parts of one thing."""
+    return any(len(each) == len(stems) for each in series(stems))
 
 
 def flaw(name: object) -> str:

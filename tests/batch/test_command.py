@@ -66,7 +66,7 @@ def test_what_is_predicted_is_what_a_capture_takes(chosen, steps, seconds, monke
     """A trial of twelve steps at most, a second each, that takes no time besides."""
     asked = []
 
-    def trial(path, settings, told):
+    def trial(path, settings, told, others=()):
         asked.append(settings)
         stage = "fine-tuning" if settings.generator == "decoder" else "adapt"
         for step in range(settings.steps + 2):
@@ -74,7 +74,7 @@ def test_what_is_predicted_is_what_a_capture_takes(chosen, steps, seconds, monke
 
     monkeypatch.setattr(pipeline, "capture_file", trial)
     monkeypatch.setattr(outputs, "write_outputs", lambda *_: None)
-    found, _ = _trial(Path("a.jpg"), BatchSettings.of(chosen))
+    found, _ = _trial([Path("a.jpg")], BatchSettings.of(chosen))
     tried = min(steps, 12)
     assert asked[0].steps == tried
     assert found == pytest.approx(min(seconds, steps - tried), abs=0.5)

@@ -55,7 +55,7 @@ def test_weights_are_found_beside_the_file(tmp_path):
         ("prest = 'draft'", "'preset'"),
         ("Detail = 512", "'detail'"),
         ("preset = 'drafd'", "'draft'"),
-        ("group = 'folder'", "none, dir, time"),
+        ("group = 'folder'", "none, name, dir, time"),
         ("detail = '512'", "a whole number"),
         ("detail = true", "a whole number"),
         ("detail = 10", "between 64 and 8192"),

@@ -5,6 +5,7 @@ import os
 import pytest
 
 from matcap.batch.shoot import WORKSPACE, find_samples, taken_at
+from matcap.batch.whole import group_sentences
 from matcap.errors import MatcapError
 
 
@@ -59,6 +60,27 @@ def test_grouped_by_folder(tmp_path):
     assert [len(sample.photos) for sample in found] == [1, 2, 1]
     assert names(found) == [tmp_path.name, "one", "two"]
     assert found[2].beside == (tmp_path / "two/a.jpg",)
+
+
+def test_grouped_by_name(tmp_path):
+    touch(tmp_path, "oak_2.jpg", "oak_1.jpg", "oak_10.dng", "elm-1.dng", "elm-1.jpg", "elm-2.dng")
+    touch(tmp_path, "IMG_0001.jpg", "IMG_0002.jpg", "sub/oak_3.jpg", "ash_4.jpg", "ash_5.jpg")
+    groups = [[p.name for p in s.photos] for s in find_samples(tmp_path, group="name")]
+    assert ["elm-1.dng", "elm-2.dng"] in groups
+    assert ["oak_1.jpg"] in groups  # 1, 2 and 10 are no count
+    assert all(len(group) == 1 for group in groups if not group[0].startswith("elm"))
+    (tmp_path / "oak_10.dng").unlink()
+    groups = [[p.name for p in s.photos] for s in find_samples(tmp_path, group="name")]
+    assert ["oak_1.jpg", "oak_2.jpg"] in groups
+    assert len(groups) == 7
+
+
+def test_sets_are_told_before_anything_starts(tmp_path):
+    touch(tmp_path, "oak_1.jpg", "oak_2.jpg", "elm.jpg")
+    said = group_sentences(find_samples(tmp_path, group="name"))
+    assert said[0] == "oak_1: 2 photographs of one piece (oak_1.jpg, oak_2.jpg)."
+    assert "--group none" in said[-1]
+    assert group_sentences(find_samples(tmp_path)) == []
 
 
 def test_grouped_by_time(tmp_path):

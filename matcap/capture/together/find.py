@@ -45,6 +45,7 @@ from matcap.capture.together.texels import SolveSettings
 from matcap.capture.together.views import PieceView, SetLight
 from matcap.errors import MatcapError
 from matcap.example.example import Example
+from matcap.example.exemplar import Exemplar
 from matcap.flash.coarse import CoarseFit, fit_coarse, under_flash
 from matcap.flash.plane import Plane
 from matcap.flash.registration.camera import PosedCamera
@@ -142,14 +143,19 @@ def find_together(
     sight = Sight.of(plane, coarse)
     with stage("lend"):
         exemplar = lent(sight, _reading(sight, solved, views), LEND.tried_at_once)
-    scale = most_probable_scale(exemplar) if photos[0].flash_intensity is None else 1.0
     with stage("index"):
-        example = Example.of(scaled(exemplar, scale), tuple((w.fx, w.fy) for w in lattice.waves))
+        example, scale = _indexed(photos[0], exemplar, lattice.waves)
     sharp = sharpness(piece_maps(example.exemplar), plane, coarse)
     piece = FoundPiece(
         example, single.strengths, solved.residual[0], 0.0, sharp, (), interrupted, told, scale
     )
     return FoundTogether(piece, coarse, plane, lattice.waves)
+
+
+def _indexed(photo: Photo, exemplar: Exemplar, waves: tuple[Wave, ...]) -> tuple[Example, float]:
+    """The exemplar to be rearranged, and what its albedo and F0 were scaled by."""
+    scale = most_probable_scale(exemplar) if photo.flash_intensity is None else 1.0
+    return Example.of(scaled(exemplar, scale), tuple((w.fx, w.fy) for w in waves)), scale
 
 
 def _registered(

@@ -10,8 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.adjust import Adjusted, Pair, adjust
+from matcap.flash.registration.ambient import without_flash
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.keypoints import KeypointFinder
 from matcap.photo.photo import DEFAULT_FOV, Photo
@@ -95,11 +97,22 @@ def register(
         photos: two or more; any exposure, white balance and orientation.
         setup: of the first, as its coarse fit tells it.
         settings: see RegisterSettings.
+
+    Raises:
+        MatcapError: the first was taken without the flash that the others show.
     """
     settings = settings or RegisterSettings()
     finder = KeypointFinder()
-    pairs, left_out = dict[int, Pair](), dict[int, str]()
+    pairs, left_out = dict[int, Pair](), without_flash(photos)
+    if 0 in left_out:
+        raise MatcapError(
+            f"it was photographed without the flash ({left_out[0]})",
+            where=photos[0].name,
+            remedy="name a photograph with flash first, from the middle",
+        )
     for index in range(1, len(photos)):
+        if index in left_out:
+            continue
         first, second, pixel = finder.matched(photos[0], photos[index])
         if first.shape[1] < settings.matches:
             left_out[index] = (

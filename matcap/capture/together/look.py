@@ -1,0 +1,173 @@
+"""What several photographs of one piece show and lack, before anything is made of them.
+
+Cameras are found as a capture finds them, and nothing is solved. Directions are those of the first
+photograph as it is looked at, upright.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import MatcapError
+from matcap.flash.coarse import fit_coarse
+from matcap.flash.registration.register import (
+    RegisteredView,
+    Registration,
+    grid_points,
+    register,
+)
+from matcap.photo.inspect import Finding, Inspection, Verdict
+from matcap.photo.load import load_photo
+
+_SIDES = ("left", "right", "top", "bottom")
+
+
+@dataclass(frozen=True)
+class LookSettings:
+    """When a set lacks something.
+
+    Attributes:
+        aside: of its height, that a camera must stand to a side for the piece to be lit from
+            there; a third is asked for.
+        apart: of the distance, below which two cameras count as the same place.
+        steep: degrees of tilt, beyond which the far side is told by few pixels.
+        alone: share of the piece that one photograph alone may see.
+        grid: points across that are looked at.
+        detail: pixels across that keypoints are looked for in.
+    """
+
+    aside: float = 0.15
+    apart: float = 0.08
+    steep: float = 50.0
+    alone: float = 0.25
+    grid: int = 64
+    detail: int = 1600
+
+
+LOOK = LookSettings()
+
+
+def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection:
+    """Look at the files of a set, as a capture of all of them would.
+
+    Args:
+        paths: two or more, the first of which gives the piece its frame.
+        fov: field of view along the long side, degrees; None for what the files say.
+
+    Raises:
+        MatcapError: one cannot be read, nothing can be fitted to the first, or it has no flash.
+    """
+    if len(paths) < 2:
+        raise MatcapError(
+            "one photograph is no set", where=str(paths[0]), remedy="give two or more of one piece"
+        )
+    photos = [load_photo(path, long_side=LOOK.detail, fov=fov, noise=False) for path in paths]
+    return set_quality(register(photos, fit_coarse(photos[0]).setup))
+
+
+def set_quality(found: Registration) -> Inspection:
+    """What photographs show and lack whose cameras are found."""
+    first = found.views[0].photo.name
+    return Inspection(
+        first, (_belong(found), *_sides(found.views), _places(found.views), _common(found.views))
+    )
+
+
+def _belong(found: Registration) -> Finding:
+    used, out = len(found.views), found.left_out
+    says = f"{used} photographs show the same piece."
+    if used < 2:
+        says = f"No other photograph shows the piece of {found.views[0].photo.name}."
+    says = " ".join([says, *(f"{one.name} does not belong: {one.why.rstrip('.')}." for one in out)])
+    value = {"used": used, "left_out": [one.name for one in out]}
+    if not out and used > 1:
+        return Finding("belong", value, Verdict.GOOD, says)
+    remedy = "Leave it out" if len(out) == 1 else "Leave them out"
+    remedy += (
+        ", or photograph again: the same piece, sharp, with flash, two thirds of it in common."
+    )
+    return Finding("belong", value, Verdict.POOR if used < 2 else Verdict.DOUBTFUL, says, remedy)
+
+
+def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
+    """Where light came from; nothing is said of a single photograph."""
+    if len(views) < 2:
+        return ()
+    leaning = np.stack([view.camera.place[:2] / view.camera.place[2] for view in views])
+    if views[0].photo.turned:  # pixels' right is the upright picture's bottom, their top its right
+        leaning = np.stack([leaning[:, 1], -leaning[:, 0]], 1)
+    reach = (-leaning[:, 0].min(), leaning[:, 0].max(), leaning[:, 1].max(), -leaning[:, 1].min())
+    value = {side: round(float(far), 3) for side, far in zip(_SIDES, reach, strict=True)}
+    dark = [side for side, far in zip(_SIDES, reach, strict=True) if far < LOOK.aside]
+    if not dark:
+        says = "The piece is lit from all four sides."
+        return (Finding("lit_from", value, Verdict.GOOD, says),)
+    each = "" if len(dark) == 1 else ", once for each"
+    return (
+        Finding(
+            "lit_from",
+            value,
+            Verdict.NOTE if len(dark) < len(_SIDES) else Verdict.DOUBTFUL,
+            f"Nothing is lit from the {_listed(dark, 'or')}.",
+            f"Photograph again with the phone moved by a third of its distance to the "
+            f"{_listed(dark, 'and')}{each}.",
+        ),
+    )
+
+
+def _places(views: Sequence[RegisteredView]) -> Finding:
+    same, nearest = [], math.inf
+    for number, one in enumerate(views):
+        for other in views[number + 1 :]:
+            apart = np.linalg.norm(one.camera.place - other.camera.place)
+            share = float(apart / np.linalg.norm(one.camera.place))
+            nearest = min(nearest, share)
+            if share < LOOK.apart:
+                same.append(f"{one.photo.name} and {other.photo.name}")
+    steep = [v for v in views if math.degrees(v.camera.tilt) > LOOK.steep]
+    value = None if math.isinf(nearest) else round(nearest, 3)
+    said = [f"{pair} are nearly the same." for pair in same]
+    said += [
+        f"{v.photo.name} was taken at {math.degrees(v.camera.tilt):.0f} degrees." for v in steep
+    ]
+    if not said:
+        return Finding("places", value, Verdict.GOOD, "All were taken from different places.")
+    remedy = "Move the phone by a third of its distance from one to the next." if same else ""
+    remedy += " Stay within 45 degrees: the far side is told by few pixels." if steep else ""
+    return Finding("places", value, Verdict.DOUBTFUL, " ".join(said), remedy.strip())
+
+
+def _common(views: Sequence[RegisteredView]) -> Finding:
+    seen = np.stack([_seen(view, views[0]) for view in views]).sum(0)
+    alone = float((seen < 2).mean())
+    says = f"{1.0 - alone:.0%} of the piece is in two photographs or more."
+    if alone <= LOOK.alone:
+        return Finding("common", round(alone, 3), Verdict.GOOD, says)
+    return Finding(
+        "common",
+        round(alone, 3),
+        Verdict.DOUBTFUL,
+        says,
+        "Turn the phone towards the middle of the piece each time, so that all of it is seen.",
+    )
+
+
+def _seen(view: RegisteredView, first: RegisteredView) -> NDArray[np.bool_]:
+    """(h, w) whether points of the first photograph's piece are in a photograph."""
+    rows, columns = first.photo.pixels.shape[:2]
+    image = view.camera.sees(grid_points(LOOK.grid, round(LOOK.grid * rows / columns)))
+    rows, columns = view.photo.pixels.shape[:2]
+    inside = (np.abs(image[0]) < 1.0) & (np.abs(image[1]) < rows / columns)
+    return np.asarray(inside)
+
+
+def _listed(words: Sequence[str], joint: str) -> str:
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} {joint} {words[-1]}"

@@ -1,0 +1,60 @@
+"""Photographs taken without the flash among flash photographs, told by their file or their light.
+
+A flash beside the lens is brightest about its foot and fades to the border; a room's light does
+not. What the file says counts first; light decides only where it says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from matcap.photo.inspect import hot_spot
+from matcap.photo.photo import Photo
+
+
+@dataclass(frozen=True)
+class AmbientSettings:
+    """When a photograph counts as one without flash.
+
+    Attributes:
+        faint: its middle over its border, at most, where its file says nothing; trades ambient
+            photographs that are taken for flash against flash photographs that are left out.
+        shown: the same of a photograph whose flash surely shows, at least; without one there is
+            nothing to tell by.
+    """
+
+    faint: float = 1.15
+    shown: float = 1.3
+
+
+def without_flash(
+    photos: Sequence[Photo], settings: AmbientSettings | None = None
+) -> dict[int, str]:
+    """Numbers of photographs that the flash did not light, each with the rest of a sentence.
+
+    Where no photograph shows a flash, none is named: files of ring lights and flashes that are
+    not the phone's own say that none fired.
+
+    Args:
+        photos: of one piece.
+        settings: see AmbientSettings.
+    """
+    settings = settings or AmbientSettings()
+    falloff = [hot_spot(photo)[1] for photo in photos]
+    lit = [
+        photo.flash_fired is True or (photo.flash_fired is None and bright >= settings.shown)
+        for photo, bright in zip(photos, falloff, strict=True)
+    ]
+    if not any(lit):
+        return {}
+    told = {}
+    for number, (photo, bright) in enumerate(zip(photos, falloff, strict=True)):
+        if photo.flash_fired is False:
+            told[number] = "its file says that the flash did not fire"
+        elif photo.flash_fired is None and bright < settings.faint:
+            told[number] = (
+                "no flash shows in it: its middle is hardly brighter than its border "
+                f"({bright:.2f} times)"
+            )
+    return told

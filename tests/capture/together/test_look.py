@@ -1,0 +1,86 @@
+"""What is said of a set before it is captured."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from matcap.capture.together.look import LOOK, look_at_files, set_quality
+from matcap.cli.main import main
+from matcap.errors import MatcapError
+from matcap.files.names import are_a_series
+from matcap.flash.coarse import fit_coarse
+from matcap.flash.registration.register import register
+from matcap.lab.simulate.hand_held import Hand, hold, take_several
+from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.lab.simulate.specimen import named_specimen
+from matcap.lab.simulate.write_jpeg import write_jpeg
+from matcap.photo.inspect import Verdict
+
+
+@pytest.fixture(scope="module")
+def looked(held, foreign):
+    photos = [*held[1], foreign]
+    return register(photos, fit_coarse(photos[0]).setup)
+
+
+def test_a_set_is_told_what_it_lacks(looked):
+    told = set_quality(looked)
+    assert told["belong"].value == {"used": 3, "left_out": ["leather_9"]}
+    assert "leather_9 does not belong" in told["belong"].says
+    # The second camera is moved to the right, the third to the top.
+    assert told["lit_from"].says == "Nothing is lit from the left or bottom."
+    assert told["lit_from"].verdict is Verdict.NOTE
+    assert told["places"].verdict is Verdict.GOOD
+    assert told["common"].verdict is Verdict.GOOD
+    assert json.loads(json.dumps(told.document()))["verdict"] == "doubtful"
+
+
+def test_directions_are_those_of_the_upright_picture(looked):
+    views = tuple(replace(v, photo=replace(v.photo, turned=True)) for v in looked.views)
+    told = set_quality(replace(looked, views=views))
+    # Turned back clockwise what lay at the right lies at the bottom, and the top at the right.
+    assert told["lit_from"].says == "Nothing is lit from the left or top."
+
+
+def test_two_from_the_same_place_are_named(looked):
+    again = replace(looked.views[1], photo=replace(looked.views[1].photo, name="again"))
+    told = set_quality(replace(looked, views=(*looked.views, again)))
+    assert told["places"].says == "plaster_1 and again are nearly the same."
+    assert told["places"].value < LOOK.apart
+
+
+def test_one_alone_is_poor(looked):
+    told = set_quality(replace(looked, views=looked.views[:1]))
+    assert told.verdict is Verdict.POOR
+    assert told["belong"].says.startswith("No other photograph shows the piece of plaster_0.")
+
+
+def test_one_photograph_is_no_set(tmp_path):
+    with pytest.raises(MatcapError, match="two or more"):
+        look_at_files([tmp_path / "a.jpg"])
+
+
+def test_names_that_count_are_a_series():
+    assert are_a_series(["oak_1", "oak_2", "Oak_3"]) and are_a_series(["oak 00", "oak 01"])
+    for stems in (["oak_1"], ["oak_1", "elm_2"], ["IMG_0001", "IMG_0002"], ["oak_2", "oak_3"],
+                  ["oak_1", "oak_3"], ["oak1", "oak2"], ["2024_1", "2024_2"], []):  # fmt: skip
+        assert not are_a_series(stems)
+
+
+def test_inspect_tells_of_sets(tmp_path, capsys):
+    plaster = named_specimen("plaster")
+    phone, hand = PhoneCamera(width=480, height=360, supersampling=1), Hand()
+    cameras = hold(phone, hand, 2, 5)
+    paths = []
+    for number, one in enumerate(take_several(plaster.pieces(15), phone, cameras, hand, 5)):
+        paths.append(str(tmp_path / f"plaster_{number}.jpg"))
+        write_jpeg(tmp_path / f"plaster_{number}.jpg", one.shot, number)
+    assert main(["inspect", "--json", *paths]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["together"]["belong"]["value"]["used"] == 2
+    assert len(told["photographs"]) == 2
+    assert main(["inspect", "--no-together", *paths]) == 0
+    assert "together" not in capsys.readouterr().out
+    assert main(["inspect", "--together", *paths]) == 0
+    assert "2 photographs together" in capsys.readouterr().out

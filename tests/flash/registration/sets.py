@@ -1,0 +1,213 @@
+"""Sets of hand-held photographs, easy and hard, and how right their cameras are found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.errors import MatcapError
+from matcap.flash.coarse import fit_coarse
+from matcap.flash.registration.camera import PosedCamera
+from matcap.flash.registration.register import Registration, register
+from matcap.lab.simulate.examples import realisation
+from matcap.lab.simulate.hand_held import Hand, hold, take_several
+from matcap.lab.simulate.materials import MATERIALS
+from matcap.lab.simulate.photograph import PhoneCamera, Realise, as_photo
+from matcap.photo.photo import Photo
+
+EASY = ("leather", "granite", "rust", "plaster")
+# What a set is made hard by; one of each in turn.
+HARD = ("weave", "plain", "blurred", "foreign", "exposed", "apart", "steep")
+
+
+@dataclass(frozen=True)
+class MadeSet:
+    """Photographs of one piece, and what is true of them.
+
+    Attributes:
+        name: for tables.
+        kind: "easy" or one of HARD.
+        photos: the first one's frame is the piece's.
+        cameras: true ones.
+        foreign: numbers of photographs that do not belong.
+    """
+
+    name: str
+    kind: str
+    photos: tuple[Photo, ...]
+    cameras: tuple[PosedCamera, ...]
+    foreign: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True)
+class SetOutcome:
+    """What was found of a set.
+
+    Attributes:
+        name, kind: of the set.
+        errors: by photograph that was used, but the first, camera's error over its distance.
+        kept_out: belonging photographs that were left out, with why.
+        taken_in: foreign photographs that were used.
+        tilt: degrees the first camera's tilt is off.
+    """
+
+    name: str
+    kind: str
+    errors: tuple[float, ...]
+    kept_out: tuple[str, ...]
+    taken_in: int
+    tilt: float
+
+
+def make_set(number: int, *, hard: str | None, width: int = 800) -> MadeSet:
+    """A set of three to five photographs by a seed; `hard` is one of HARD or None."""
+    rng = np.random.default_rng(number)
+    phone = PhoneCamera(width=width, height=width * 3 // 4, supersampling=1)
+    hand = Hand(
+        aside=float(rng.uniform(0.2, 0.4)),
+        shaken=float(rng.uniform(0.01, 0.05)),
+        bent=(float(rng.normal(0.0, 0.01)), 0.0),
+        vignetting=float(rng.uniform(0.0, 0.4)),
+    )
+    material = EASY[int(rng.integers(len(EASY)))]
+    if hard == "weave":
+        material = "cloth"
+    elif hard is None and rng.random() < 0.2:
+        material = sorted(MATERIALS)[int(rng.integers(len(MATERIALS)))]
+    realise = _plain(number) if hard == "plain" else realisation(material, number)
+    if hard == "apart":
+        hand = replace(hand, aside=0.75)
+    elif hard == "steep":
+        hand = replace(hand, aside=float(rng.uniform(0.6, 1.2)))
+    cameras = hold(phone, hand, int(rng.integers(3, 6)), number)
+    if hard == "apart":
+        cameras = [cameras[0], *(_squared(camera) for camera in cameras[1:])]
+    shots = take_several(realise, phone, cameras, hand, number)
+    photos = [as_photo(one.shot, number + n, f"p{n}") for n, one in enumerate(shots)]
+    foreign = frozenset[int]()
+    if hard == "foreign":
+        other = realisation(EASY[(EASY.index(material) + 1) % 4] if number % 2 else material, 99991)
+        stranger = take_several(other, phone, cameras[1:2], hand, number)[0]
+        photos[-1] = as_photo(stranger.shot, number, "foreign")
+        foreign = frozenset({len(photos) - 1})
+    elif hard == "blurred":
+        photos[-1] = replace(photos[-1], pixels=_smeared(photos[-1].pixels, width / 100.0))
+    elif hard == "exposed":
+        photos = [photos[0], *(_otherwise(photo, rng) for photo in photos[1:])]
+        cameras = [cameras[0], *(_turned_round(c) for c in cameras[1:])]
+    name = f"{number} {'plain' if hard == 'plain' else material}"
+    return MadeSet(name, hard or "easy", tuple(photos), tuple(cameras), foreign)
+
+
+def outcome_of(made: MadeSet) -> SetOutcome:
+    """Register a set and compare."""
+    found = register(made.photos, fit_coarse(made.photos[0]).setup)
+    return compared(made, found)
+
+
+def compared(made: MadeSet, found: Registration) -> SetOutcome:
+    """Cameras against truth, in the first camera's frame: its own tilt is told apart."""
+    names = [photo.name for photo in made.photos]
+    first, true_first = found.views[0].camera, made.cameras[0]
+    errors, taken_in = [], 0
+    for view in found.views[1:]:
+        number = names.index(view.photo.name)
+        if number in made.foreign:
+            taken_in += 1
+            continue
+        true = made.cameras[number]
+        apart = first.turn @ (view.camera.place - first.place)
+        expected = true_first.turn @ (true.place - true_first.place)
+        off = np.linalg.norm(apart - expected) / np.linalg.norm(true.place)
+        errors.append(float(off))
+    wrong = [one for one in found.left_out if names.index(one.name) not in made.foreign]
+    turned = first.turn[2] @ true_first.turn[2]
+    return SetOutcome(
+        made.name,
+        made.kind,
+        tuple(errors),
+        tuple(f"{one.name}: {one.why}" for one in wrong),
+        taken_in,
+        math.degrees(math.acos(min(1.0, float(turned)))),
+    )
+
+
+def failed(made: MadeSet, error: MatcapError) -> SetOutcome:
+    """Of a set that was refused in a sentence."""
+    return SetOutcome(made.name, made.kind, (), (str(error),), 0, math.nan)
+
+
+def kinds(sets: int) -> list[str | None]:
+    """Of so many sets: every third is hard, its ways in turn."""
+    return [HARD[(n // 3) % len(HARD)] if n % 3 == 2 else None for n in range(sets)]
+
+
+def table(outcomes: Sequence[SetOutcome]) -> str:
+    """A line a kind of set: cameras' errors, and what was left out or wrongly taken in."""
+    lines = [
+        "| sets | how many | cameras | median error | 95 % | beyond 0.2 % | beyond 2 % "
+        "| first's tilt off | left out | foreign taken in |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for kind in ("easy", *HARD):
+        of = [one for one in outcomes if one.kind == kind]
+        if of:
+            lines.append(_line(kind, of))
+    lines.append(_line("all", outcomes))
+    return "\n".join(lines)
+
+
+def _line(kind: str, of: Sequence[SetOutcome]) -> str:
+    errors = np.array([error for one in of for error in one.errors] or [math.nan])
+    tilts = np.array([one.tilt for one in of])
+    return (
+        f"| {kind} | {len(of)} | {errors.size} | {np.median(errors):.2%} "
+        f"| {np.quantile(errors, 0.95):.2%} | {np.mean(errors > 0.002):.0%} "
+        f"| {int((errors > 0.02).sum())} | {np.nanmedian(tilts):.1f} degrees "
+        f"| {sum(len(one.kept_out) for one in of)} | {sum(one.taken_in for one in of)} |"
+    )
+
+
+def _plain(seed: int) -> Realise:
+    """Plastic with nothing on it but the faintest grain."""
+
+    def piece(width: int, height: int, texel_size: float) -> MapSet:
+        grain = torch.randn(1, height, width, generator=torch.Generator().manual_seed(seed))
+        return MapSet(
+            diffuse=torch.full((3, height, width), 0.2),
+            specular=torch.full((1, height, width), 0.04),
+            roughness=torch.full((1, height, width), 0.35),
+            height=2e-3 * texel_size * grain,
+            texel_size=texel_size,
+        )
+
+    return piece
+
+
+def _squared(camera: PosedCamera) -> PosedCamera:
+    """From the same place straight down: about a third of the first's view is seen."""
+    return replace(camera, turn=np.eye(3))
+
+
+def _smeared(pixels: np.ndarray, length: float) -> np.ndarray:
+    """By a hand that moves sideways, pixels."""
+    kernel = np.ones((1, max(3, round(length) | 1)), np.float32)
+    return cv2.filter2D(pixels, -1, kernel / kernel.size)
+
+
+def _otherwise(photo: Photo, rng: np.random.Generator) -> Photo:
+    """Two stops darker or one lighter, another white balance, and upside down."""
+    stops, balance = rng.uniform(-2.0, 1.0), np.exp(rng.normal(0.0, 0.25, 3))
+    pixels = (photo.pixels * 2.0**stops * balance).clip(0.0, 1.0).astype(np.float32)
+    pixels = np.ascontiguousarray(pixels[::-1, ::-1])
+    return replace(photo, pixels=pixels, clipped=(pixels >= 1.0).any(-1))
+
+
+def _turned_round(camera: PosedCamera) -> PosedCamera:
+    return replace(camera, turn=np.diag([-1.0, -1.0, 1.0]) @ camera.turn)

@@ -1,0 +1,60 @@
+"""How right cameras are found, on many simulated sets of which a third are hard.
+
+    python tests/flash/registration/sweep.py --sets 300
+
+Prints a table, and on the way each set: how far its worst camera is off, and what was left out
+though it belongs. Ctrl-C ends with a table of what was done. Exits with 4 where a camera is off by
+more than 2 % of its distance, or a foreign photograph was taken in, without being said.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from sets import SetOutcome, failed, kinds, make_set, outcome_of, table
+
+from matcap.errors import ExitCode, MatcapError
+
+_WRONG = 0.02  # of the distance: nobody would call that camera right
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Sweep; the exit code."""
+    asked = _parser().parse_args(arguments)
+    outcomes: list[SetOutcome] = []
+    try:
+        for number, kind in enumerate(kinds(asked.sets)):
+            if asked.only in (None, kind):
+                outcomes.append(_outcome(asked.seed + number, kind, asked.width))
+    except KeyboardInterrupt:
+        print(f"Ended after {len(outcomes)} sets.")
+    print(table(outcomes))
+    wrong = any(one.taken_in or max(one.errors, default=0.0) > _WRONG for one in outcomes)
+    return ExitCode.SOME_FAILED if wrong else ExitCode.DONE
+
+
+def _outcome(seed: int, kind: str | None, width: int) -> SetOutcome:
+    made = make_set(seed, hard=kind, width=width)
+    try:
+        found = outcome_of(made)
+    except MatcapError as error:
+        found = failed(made, error)
+    worst = max(found.errors, default=0.0)
+    said = f"{found.name} ({found.kind}): {worst:.2%} off, {found.taken_in} foreign"
+    print("; ".join([said, *found.kept_out]), file=sys.stderr, flush=True)
+    return found
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sets", type=int, default=300, help="how many, every third one hard")
+    parser.add_argument("--width", type=int, default=800, help="pixels across")
+    parser.add_argument("--seed", type=int, default=0, help="of the first set")
+    parser.add_argument("--only", help="sets that are hard this way")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,61 @@
+"""Photographs taken without the flash among flash photographs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from matcap.errors import MatcapError
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.registration.ambient import without_flash
+from matcap.flash.registration.register import register
+from matcap.lab.simulate.examples import EXAMPLES
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo
+
+CAMERA = PhoneCamera(width=320, height=240, supersampling=1)
+
+
+@pytest.fixture(scope="module", params=["granite", "plaster", "leather"])
+def pair(request):
+    """A flash photograph, and its albedo under the light of a window."""
+    example = EXAMPLES[request.param]
+    flash = as_photo(example.take(CAMERA), 1, "flash")
+    albedo = example.truth(CAMERA).diffuse.numpy().transpose(1, 2, 0)
+    window = np.linspace(0.9, 1.1, CAMERA.width)[None, :, None]
+    pixels = np.ascontiguousarray((0.8 * albedo * window).clip(0.0, 1.0), np.float32)
+    return flash, replace(flash, pixels=pixels, clipped=pixels.max(-1) >= 1.0, name="ambient")
+
+
+def test_what_the_file_says_counts(pair):
+    flash, ambient = pair
+    told = without_flash([flash, flash, replace(ambient, flash_fired=False)])
+    assert list(told) == [2] and "did not fire" in told[2]
+    assert without_flash([flash, flash]) == {}
+    # That a flash fired is believed, however little of it shows.
+    assert without_flash([flash, replace(ambient, flash_fired=True)]) == {}
+
+
+def test_light_tells_where_the_file_does_not(pair):
+    flash, ambient = (replace(photo, flash_fired=None) for photo in pair)
+    told = without_flash([flash, ambient, flash])
+    assert list(told) == [1] and "no flash shows" in told[1]
+
+
+def test_where_no_flash_shows_at_all_none_is_named(pair):
+    unsaid = replace(pair[1], flash_fired=None)
+    assert without_flash([unsaid, unsaid]) == {}
+    never = replace(pair[0], flash_fired=False)
+    assert without_flash([never, never]) == {}
+
+
+@pytest.mark.parametrize("pair", ["plaster"], indirect=True)
+def test_it_is_left_out_and_no_frame(pair):
+    flash, ambient = pair[0], replace(pair[1], flash_fired=False)
+    setup = FlashSetup(fov=CAMERA.fov)
+    found = register([flash, flash, ambient], setup)
+    assert [(one.name, "did not fire" in one.why) for one in found.left_out][-1] == (
+        "ambient",
+        True,
+    )
+    with pytest.raises(MatcapError, match="with flash first"):
+        register([ambient, flash], setup)
