@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -24,6 +27,11 @@ from matcap.photo.photo import Photo
 EASY = ("leather", "granite", "rust", "plaster")
 # What a set is made hard by; one of each in turn.
 HARD = ("weave", "plain", "blurred", "foreign", "exposed", "apart", "steep")
+
+_RIGHT = 0.002  # of the distance: what is aimed at
+_WRONG = 0.02  # of the distance: nobody would call that camera right
+
+Verdict = Literal["right", "near", "refused", "wrong"]
 
 
 @dataclass(frozen=True)
@@ -143,6 +151,37 @@ def failed(made: MadeSet, error: MatcapError) -> SetOutcome:
     return SetOutcome(made.name, made.kind, (), (str(error),), 0, math.nan)
 
 
+def verdict(outcome: SetOutcome) -> Verdict:
+    """Of a set by its worst camera; refused where no camera is told and that was said."""
+    worst = max(outcome.errors, default=0.0)
+    if outcome.taken_in or worst > _WRONG:
+        return "wrong"
+    if not outcome.errors:
+        return "refused" if outcome.kept_out else "wrong"
+    return "right" if worst <= _RIGHT else "near"
+
+
+def keep(file: Path, width: int, key: str, outcome: SetOutcome) -> None:
+    """Add a set to a file that `kept` reads."""
+    with file.open("a", encoding="utf-8") as lines:
+        lines.write(json.dumps({"width": width, "key": key, "outcome": asdict(outcome)}) + "\n")
+
+
+def kept(file: Path, width: int) -> dict[str, SetOutcome]:
+    """Sets of a file, of so many pixels across; a last line cut short is done again."""
+    found: dict[str, SetOutcome] = {}
+    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
+        try:
+            told = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        if told["width"] == width:
+            of = told["outcome"]
+            lists = {name: tuple(of[name]) for name in ("errors", "kept_out")}
+            found[told["key"]] = SetOutcome(**{**of, **lists})
+    return found
+
+
 def kinds(sets: int) -> list[str | None]:
     """Of so many sets: every third is hard, its ways in turn."""
     return [HARD[(n // 3) % len(HARD)] if n % 3 == 2 else None for n in range(sets)]
@@ -160,6 +199,20 @@ def table(outcomes: Sequence[SetOutcome]) -> str:
         if of:
             lines.append(_line(kind, of))
     lines.append(_line("all", outcomes))
+    return "\n".join(lines)
+
+
+def table_of_sets(outcomes: Sequence[SetOutcome]) -> str:
+    """A line a kind of set: how many are right in every camera, refused, or wrong unsaid."""
+    lines = [
+        "| sets | how many | all within 0.2 % | all within 2 % | refused | wrong, unsaid |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for kind in ("easy", *HARD, "all"):
+        of = [verdict(one) for one in outcomes if kind in (one.kind, "all")]
+        if of:
+            right, near, refused, wrong = map(of.count, ("right", "near", "refused", "wrong"))
+            lines.append(f"| {kind} | {len(of)} | {right} | {right + near} | {refused} | {wrong} |")
     return "\n".join(lines)
 
 

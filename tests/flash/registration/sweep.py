@@ -1,10 +1,11 @@
 """How right cameras are found, on many simulated sets of which a third are hard.
 
-    python tests/flash/registration/sweep.py --sets 300
+    python tests/flash/registration/sweep.py --sets 300 --kept sets.jsonl
 
-Prints a table, and on the way each set: how far its worst camera is off, and what was left out
-though it belongs. Ctrl-C ends with a table of what was done. Exits with 4 where a camera is off by
-more than 2 % of its distance, or a foreign photograph was taken in, without being said.
+Prints two tables, of cameras and of sets, and on the way each set: how far its worst camera is
+off, and what was left out though it belongs. Ctrl-C ends with tables of what was done; sets that
+the file `--kept` holds are not done again. Exits with 4 where a camera is off by more than 2 % of
+its distance, or a foreign photograph was taken in, without being said.
 """
 
 from __future__ import annotations
@@ -12,26 +13,43 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
-from sets import SetOutcome, failed, kinds, make_set, outcome_of, table
+from sets import (
+    SetOutcome,
+    failed,
+    keep,
+    kept,
+    kinds,
+    make_set,
+    outcome_of,
+    table,
+    table_of_sets,
+    verdict,
+)
 
 from matcap.errors import ExitCode, MatcapError
-
-_WRONG = 0.02  # of the distance: nobody would call that camera right
 
 
 def main(arguments: Sequence[str]) -> int:
     """Sweep; the exit code."""
     asked = _parser().parse_args(arguments)
+    done = kept(asked.kept, asked.width) if asked.kept else {}
     outcomes: list[SetOutcome] = []
     try:
-        for number, kind in enumerate(kinds(asked.sets)):
-            if asked.only in (None, kind):
-                outcomes.append(_outcome(asked.seed + number, kind, asked.width))
+        for number, kind in enumerate(kinds(asked.sets), asked.seed):
+            if asked.only not in (None, kind):
+                continue
+            key = f"{number} {kind or 'easy'}"
+            if key not in done:
+                done[key] = _outcome(number, kind, asked.width)
+                if asked.kept:
+                    keep(asked.kept, asked.width, key, done[key])
+            outcomes.append(done[key])
     except KeyboardInterrupt:
         print(f"Ended after {len(outcomes)} sets.")
-    print(table(outcomes))
-    wrong = any(one.taken_in or max(one.errors, default=0.0) > _WRONG for one in outcomes)
+    print(table(outcomes), table_of_sets(outcomes), sep="\n\n")
+    wrong = any(verdict(one) == "wrong" for one in outcomes)
     return ExitCode.SOME_FAILED if wrong else ExitCode.DONE
 
 
@@ -52,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--sets", type=int, default=300, help="how many, every third one hard")
     parser.add_argument("--width", type=int, default=800, help="pixels across")
     parser.add_argument("--seed", type=int, default=0, help="of the first set")
+    parser.add_argument("--kept", type=Path, help="file of sets that are done, to go on from")
     parser.add_argument("--only", help="sets that are hard this way")
     return parser
 

@@ -1,7 +1,19 @@
 """Cameras of sets of photographs, easy and hard; sweep.py does three hundred of them."""
 
 import numpy as np
-from sets import HARD, compared, kinds, make_set, outcome_of, table
+from sets import (
+    HARD,
+    SetOutcome,
+    compared,
+    keep,
+    kept,
+    kinds,
+    make_set,
+    outcome_of,
+    table,
+    table_of_sets,
+    verdict,
+)
 
 from matcap.flash.coarse import fit_coarse
 from matcap.flash.registration.register import register
@@ -32,3 +44,25 @@ def test_a_third_of_all_sets_is_hard_in_every_way():
 def test_exposure_balance_and_orientation_do_not_matter():
     found = outcome_of(make_set(14, hard="exposed", width=WIDTH))
     assert found.errors and np.max(found.errors) < 0.01
+
+
+RIGHT = SetOutcome("1 rust", "easy", (0.001, 0.002), ("p3: blurred",), 0, 0.1)
+NEAR = SetOutcome("2 cloth", "weave", (0.001, 0.01), (), 0, 0.1)
+REFUSED = SetOutcome("5 plain", "plain", (), ("p1: too little of it is found",), 0, 0.1)
+FAR = SetOutcome("8 rust", "blurred", (0.03,), (), 0, 0.1)
+TAKEN_IN = SetOutcome("11 rust", "foreign", (0.001,), (), 1, 0.1)
+
+
+def test_a_set_is_as_right_as_its_worst_camera():
+    every = (RIGHT, NEAR, REFUSED, FAR, TAKEN_IN)
+    assert [verdict(one) for one in every] == ["right", "near", "refused", "wrong", "wrong"]
+    assert "| all | 5 | 1 | 2 | 1 | 2 |" in table_of_sets(every)
+
+
+def test_sets_that_were_done_are_kept_by_pictures_width(tmp_path):
+    file = tmp_path / "sets.jsonl"
+    assert kept(file, 400) == {}
+    keep(file, 400, "1 easy", RIGHT)
+    keep(file, 800, "2 weave", NEAR)
+    file.write_text(file.read_text() + '{"width": 400, "key": "5 pl')
+    assert kept(file, 400) == {"1 easy": RIGHT}
