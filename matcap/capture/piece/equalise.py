@@ -2,39 +2,42 @@
 
 One flash shows the slope along its own light and hardly the other, and under its foot neither; a
 network shrinks what it cannot see. Relit, such relief shows a bull's-eye: weak in the middle,
-ridges running around it. So band by band the slopes are given the covariance that the photograph
-tells (strengths.py) in every neighbourhood: whitened by their own there, coloured by the wanted,
-and made a height again.
+ridges running around it. So every band is parted into waves of some directions, and each of those
+is made as strong in every neighbourhood as it is where the light runs along it. Bands are then
+brought to the strengths that the photograph tells (strengths.py).
 """
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.capture.piece.believed import believed
-from matcap.capture.piece.integrate import integrate, steps
 from matcap.capture.piece.smooth import coarse_smoothed, enlarged, split
 from matcap.capture.piece.strengths import Strengths, slope_strengths
-from matcap.capture.piece.tuned import STRENGTH
+from matcap.capture.piece.tuned import BAND, STRENGTH
 
 Height = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 
 
-def equalise(height: Height, strengths: Strengths | None) -> Height:
+def equalise(height: Height, strengths: Strengths | None, shows: Height | None = None) -> Height:
     """A height (H, W) in texels whose slopes are as strong everywhere as the photograph says.
 
     Args:
         height: as the network gives it.
         strengths: of the photograph; None keeps each band's own on the whole.
+        shows: (2, H, W) what slopes along x and y (upwards) change of log radiance; None where all
+            show alike.
     """
     # What is slower than all bands is the bowl that a highlight's error leaves, not relief.
     bands = split(height)[:-1]
+    seen = _squares(np.ones((2, *height.shape), np.float32) if shows is None else shows)
     with ThreadPoolExecutor() as pool:
-        even = np.stack(list(pool.map(_evened, bands)))
+        even = np.stack(list(pool.map(partial(_evened, seen=seen), bands)))
     wanted = _wanted(height, strengths)
     factors: Doubles = np.ones(len(even))
     most = STRENGTH.strongest
@@ -49,22 +52,58 @@ def _sum(factors: Doubles, bands: Height) -> Height:
     return np.asarray(np.einsum("n,nhw->hw", factors, bands, optimize=False), np.float32)
 
 
-def _evened(band: Height) -> Height:
-    """A band whose slopes have in every neighbourhood the covariance they have on the whole."""
-    x, y = slopes(band)
-    gain = _gain(_covariance(x, y), _own(x, y), band.shape)
-    across, down = steps(band)
-    # One slope is between texels of a row and the other of a column; y points up.
-    xx, yy = _between(gain[0], 1), _between(gain[2], 0)
-    crossed_x = _between(gain[1], 1) * _between(y, 1)
-    crossed_y = _between(gain[1], 0) * _between(x, 0)
-    return integrate(xx * across + crossed_x, yy * down - crossed_y)
+def _squares(shows: Height) -> Height:
+    """(3, h, w) xx, xy and yy of what slopes show, on the grid of coarse_smoothed."""
+    x, y = shows
+    return np.stack([coarse_smoothed(product, BAND.coarser) for product in (x * x, x * y, y * y)])
 
 
-def _between(plane: Height, axis: int) -> Height:
-    """Means of neighbours along an axis."""
-    first, last = np.delete(plane, -1, axis), np.delete(plane, 0, axis)
-    return np.asarray((first + last) / 2.0, np.float32)
+def _evened(band: Height, seen: Height) -> Height:
+    """A band whose waves of every direction are as strong everywhere as where they are seen.
+
+    Args:
+        band: (H, W).
+        seen: see _squares.
+    """
+    height, width = band.shape
+    margin = min(STRENGTH.even_margin, *(side - 1 for side in band.shape))
+    padded = np.pad(band, margin, mode="reflect")
+    spectrum = np.fft.rfft2(padded)
+    inside = slice(margin, margin + height), slice(margin, margin + width)
+    even = np.zeros_like(band)
+    for angle, share in _directions(padded.shape):
+        waves = np.fft.irfft2(spectrum * share, s=padded.shape)[inside].astype(np.float32)
+        energy = coarse_smoothed(np.square(waves), STRENGTH.even_around)
+        wanted = _where_seen(energy, angle, seen)
+        gain = np.sqrt(wanted / np.maximum(energy, 1e-20))
+        gain = gain.clip(STRENGTH.even_least, STRENGTH.even_most).astype(np.float32)
+        even += enlarged(gain, band.shape) * waves
+    return even
+
+
+def _where_seen(energy: Height, angle: float, seen: Height) -> float:
+    """Mean of an energy (h, w), by how far slopes along an angle show."""
+    c, s = np.cos(angle), np.sin(angle)
+    xx, xy, yy = seen.astype(np.float64)
+    weight = np.maximum(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0)
+    weight = (weight / max(float(weight.max()), 1e-12)) ** STRENGTH.even_sharpness + 1e-9
+    return float((weight * energy).sum() / weight.sum())
+
+
+def _directions(shape: tuple[int, ...]) -> list[tuple[float, Height]]:
+    """Angles in [0, pi), y upwards, and what of a real spectrum (h, w // 2 + 1) runs along each.
+
+    Shares fall off smoothly to both sides and add up to 1.
+    """
+    count = STRENGTH.even_directions
+    fx, fy = np.fft.rfftfreq(shape[1]), -np.fft.fftfreq(shape[0])[:, None]
+    along = np.arctan2(fy, fx + np.zeros_like(fy))
+    found = []
+    for angle in np.arange(count) * np.pi / count:
+        off = (along - angle + np.pi / 2.0) % np.pi - np.pi / 2.0
+        share = np.where(np.abs(off) < np.pi / count, np.square(np.cos(off * count / 2.0)), 0.0)
+        found.append((float(angle), share.astype(np.float32)))
+    return found
 
 
 def _energies(height: Height) -> Doubles:
@@ -78,66 +117,6 @@ def _wanted(height: Height, strengths: Strengths | None) -> Doubles:
     if strengths is None:
         return drawn
     return believed(drawn, np.square(strengths.slope).sum(1), strengths.doubt)
-
-
-def _own(x: Height, y: Height) -> Doubles:
-    """(3,) xx, xy and yy of a band's slopes over the whole picture.
-
-    What a flash in the middle does to directions cancels there; what is left is the material's.
-    """
-    return np.array([np.square(x).mean(), (x * y).mean(), np.square(y).mean()], np.float64)
-
-
-def _covariance(x: Height, y: Height) -> Doubles:
-    """(3, h, w) xx, xy and yy of slopes in every neighbourhood, on a coarser grid."""
-    products = (x * x, x * y, y * y)
-    return np.stack([coarse_smoothed(p, STRENGTH.even_around) for p in products]).astype(np.float64)
-
-
-def _gain(local: Doubles, wanted: Doubles, shape: tuple[int, ...]) -> Height:
-    """(3, H, W) the symmetric matrix that gives slopes of one covariance another, clipped.
-
-    The one of all such matrices that moves slopes least: W = L^-1/2 (L^1/2 T L^1/2)^1/2 L^-1/2.
-    """
-    half, inverse = _roots(local)
-    target = np.broadcast_to(wanted[:, None, None], local.shape)
-    middle, _ = _roots(_sandwich(half, target))
-    gain = _sandwich(inverse, middle)
-    values, vectors = _eigen(gain)
-    gain = _compose(np.clip(values, STRENGTH.even_least, STRENGTH.even_most), vectors)
-    return np.stack([enlarged(g.astype(np.float32), shape) for g in gain])
-
-
-def _eigen(matrix: Doubles) -> tuple[Doubles, Doubles]:
-    """Eigenvalues (2, ...) and the first one's direction (2, ...) of [xx, xy, yy] (3, ...)."""
-    xx, xy, yy = matrix
-    middle, apart = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
-    angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
-    return np.stack([middle + apart, middle - apart]), np.stack([np.cos(angle), np.sin(angle)])
-
-
-def _compose(values: Doubles, vectors: Doubles) -> Doubles:
-    """The inverse of _eigen."""
-    c, s = vectors
-    a, b = values
-    return np.stack([a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c])
-
-
-def _roots(matrix: Doubles) -> tuple[Doubles, Doubles]:
-    """Square root and its inverse."""
-    values, vectors = _eigen(matrix)
-    values = np.sqrt(np.maximum(values, STRENGTH.least_slope**2))
-    return _compose(values, vectors), _compose(1.0 / values, vectors)
-
-
-def _sandwich(outer: Doubles, inner: Doubles) -> Doubles:
-    """Outer inner outer, all symmetric."""
-    a, b, d = outer
-    p, q, r = inner
-    left = (a * p + b * q, a * q + b * r, b * p + d * q, b * q + d * r)
-    return np.stack(
-        [left[0] * a + left[1] * b, left[0] * b + left[1] * d, left[2] * b + left[3] * d]
-    )
 
 
 def slopes(height: Height) -> tuple[Height, Height]:

@@ -197,7 +197,7 @@ def find_piece(
         reading = read_piece(sight, network)
     with stage("strengths"):
         strengths = tell_strengths(sight, reading)
-        reading = strengthened(reading, strengths)
+        reading = strengthened(sight, reading, strengths)
     explained = _Explained(reading)
     with explained.until_interrupted():
         with stage("refine"):
@@ -281,10 +281,10 @@ def tell_strengths(sight: Sight, reading: Reading) -> Strengths | None:
     return plane_strengths(sight.plane, sight.inputs, shown)
 
 
-def strengthened(reading: Reading, strengths: Strengths | None) -> Reading:
-    """Relief as strong as the photograph says."""
-    drawn = reading.departures
-    height = torch.from_numpy(equalise(drawn.height[0].numpy(), strengths))[None]
+def strengthened(sight: Sight, reading: Reading, strengths: Strengths | None) -> Reading:
+    """Relief as strong as the photograph says, everywhere and in all directions."""
+    drawn, shows = reading.departures, sight.inputs.shows_slope.numpy()
+    height = torch.from_numpy(equalise(drawn.height[0].numpy(), strengths, shows))[None]
     return replace(reading, departures=replace(drawn, height=height))
 
 

@@ -9,16 +9,8 @@ from numpy.typing import NDArray
 Heights2D = NDArray[np.float32]
 
 
-def steps(height: Heights2D) -> tuple[Heights2D, Heights2D]:
-    """What a height (H, W) rises by from texel to texel: (H, W - 1) across, (H - 1, W) downwards.
-
-    Between texels nothing of the finest waves is lost, as central differences would lose it.
-    """
-    return np.diff(height, axis=1), np.diff(height, axis=0)
-
-
 def integrate(across: Heights2D, down: Heights2D) -> Heights2D:
-    """(H, W) height of zero mean by least squares: the inverse of steps().
+    """(H, W) height of zero mean by least squares: the inverse of differences of neighbours.
 
     The Poisson equation with nothing passing the borders, solved by the discrete cosine transform.
 

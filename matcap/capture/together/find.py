@@ -238,7 +238,7 @@ def _read_alone(plane: Plane, coarse: CoarseFit, network: Inverse, stage: Stage)
         reading = read_piece(sight, network)
     with stage("strengths"):
         strengths = tell_strengths(sight, reading)
-        reading = strengthened(reading, strengths)
+        reading = strengthened(sight, reading, strengths)
     with stage("refine"), torch.no_grad():
         reading = levelled(sight, reading)
         exemplar = exemplar_of(sight, reading)

@@ -81,7 +81,7 @@ def _all(signs: Signs) -> Iterator[Cause]:
     even = 0.0 <= signs.side <= CAUSES.even
     yield Cause(
         "no flash",
-        1.0 if even else 0.0,
+        1.0 if even and not signs.fired else 0.0,
         "no flash shows: a side is as bright as the middle",
         "photograph again with the flash on, in a dark room",
         _LIGHT,

@@ -156,6 +156,7 @@ def evidence(
             developed=not photo.radiometric,
             tilt=tilt,
             variety=variety,
+            fired=photo.flash_fired,
         ),
     )
 

@@ -57,6 +57,7 @@ class Signs:
         variety: of the field, from 0, the piece repeated because what it shows is as large as the
             photograph, to 1.
         developed: whether a tone curve can be in it, as in a JPEG.
+        fired: whether the flash fired, as the file says; None where it does not.
     """
 
     side: float = -1.0
@@ -67,6 +68,7 @@ class Signs:
     tilt: float = 0.0
     variety: float = 1.0
     developed: bool = False
+    fired: bool | None = None
 
 
 def signs_of(
@@ -79,6 +81,7 @@ def signs_of(
     developed: bool,
     tilt: float = 0.0,
     variety: float = 1.0,
+    fired: bool | None = None,
 ) -> Signs:
     """Look for all signs.
 
@@ -89,6 +92,7 @@ def signs_of(
         highlights: of both.
         developed: whether the photograph went through a camera's own development.
         tilt, variety: of the piece and its field; see Signs.
+        fired: see Signs.
     """
     light, model = before.mean(axis=2), after.mean(axis=2)
     some = (pixels >= SIGNS.clip).any(axis=2) & ~(pixels >= SIGNS.clip).all(axis=2)
@@ -101,6 +105,7 @@ def signs_of(
         tilt=tilt,
         variety=variety,
         developed=developed,
+        fired=fired,
     )
 
 

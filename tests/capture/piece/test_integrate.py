@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from matcap.capture.piece.integrate import integrate, steps
+from matcap.capture.piece.integrate import integrate
 
 
 @pytest.mark.parametrize(("height", "width"), [(64, 96), (63, 97)])
 def test_steps_of_a_height_give_it_back_to_the_finest_wave(height: int, width: int) -> None:
     noise = np.random.default_rng(0).standard_normal((height, width)).astype(np.float32)
-    found = integrate(*steps(noise))
+    found = integrate(np.diff(noise, axis=1), np.diff(noise, axis=0))
     expected = noise - noise.mean()
     inner = (slice(4, -4), slice(4, -4)) if height % 2 else (slice(None), slice(None))
     assert np.abs((found - expected)[inner]).max() < (0.2 if height % 2 else 1e-3)

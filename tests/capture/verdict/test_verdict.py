@@ -123,6 +123,12 @@ def test_a_cause_is_named_on_evidence_of_its_own_and_with_what_helps(sign, name,
     assert judge(replace(FINE, **fault)).causes == ()
 
 
+def test_a_flash_that_fired_is_not_said_to_be_missing():
+    """Wide beams, photographs of several cameras: an even picture alone is no evidence then."""
+    even = replace(FINE, light=0.5, signs=Signs(side=0.05, fired=True))
+    assert judge(even).causes == ()
+
+
 def test_where_the_photograph_shows_no_cause_none_is_told():
     sentence = judge(replace(FINE, light=0.5)).sentence()
     assert "shows no cause" in sentence and "room" not in sentence and "curve" not in sentence
