@@ -16,6 +16,7 @@ from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, Effort
 from matcap.capture.verdict.evidence import evidence
 from matcap.capture.verdict.judge import judge
+from matcap.capture.verdict.marks import marks
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
 from matcap.flash.coarse import CoarseFit
@@ -53,6 +54,7 @@ def judged(
             rerendered,
             waves,
             None if found is None else _piece_evidence(found, photo.kept_share),
+            marks=None if found is None else marks(found.exemplar, material.setup),
             tilt=0.0 if found is None else _mean_tilt(found),
             # A regular order keeps its pieces together, however small its periods.
             variety=1.0 if found is None or waves else found.example.variety,

@@ -34,7 +34,8 @@ Keys:
         band; see capture/piece/strengths.py; or null), `sharpness` (power of the finest octave,
         re-rendering over photograph), `adaptation` (of each leg: what it changed, how near it was
         before and after on windows held back, and whether it was kept), `confidence` (mean, by
-        map).
+        map), `marks` (root-mean-square of what goes with the distance from where the flash was:
+        logarithms of `albedo`, `specular` and `grain`, relief's strength, and `roughness`).
     several: of several photographs of one piece, or null: `photographs` (name, `matches` with the
         first, `likeness`, `place` in plane units, tilt, `residual` of its re-rendering, and
         `predicted`, the same where all others alone decided), `left_out` (name and why),
@@ -124,7 +125,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
         "tuning": _tuning(result.tuning),
-        "exemplar": _exemplar(result.found, result.photo.kept_share),
+        "exemplar": _exemplar(result),
         "several": _several(result.found),
         "provenance": result.material.provenance,
         "versions": {
@@ -157,7 +158,8 @@ def _tuning(tuning: Tuning | None) -> dict[str, Any] | None:
     }
 
 
-def _exemplar(found: FoundPiece | None, kept: float) -> dict[str, Any] | None:
+def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
+    found = result.found
     if found is None:
         return None
     return {
@@ -169,7 +171,8 @@ def _exemplar(found: FoundPiece | None, kept: float) -> dict[str, Any] | None:
         "strengths": None if found.strengths is None else found.strengths.document(),
         "sharpness": found.sharpness,
         "adaptation": [asdict(change) for change in found.adaptation],
-        "confidence": found.mean_confidence(kept),
+        "confidence": found.mean_confidence(result.photo.kept_share),
+        "marks": result.evidence.marks,
     }
 
 

@@ -60,6 +60,8 @@ class CoarseSettings:
             the light's own: what a lens profile left undone. A tone curve deepens the falloff of a
             developed one, while in a RAW a second term would pass for gloss.
         tilt_radiometric: radians, deviation: nor does a tone curve pass for a tilt there.
+        crushed: share of a developed cell's brightest channel below which another tells nothing
+            but that it is dark: saturated colours lie outside of what a file can hold.
         brightest: mean albedo or F0 of the brightest material believed in.
         most_albedo: or F0, under a known flash: no surface gives back all.
         prior_share_developed: share of the cells in which residuals of `huber` weigh like one
@@ -92,6 +94,7 @@ class CoarseSettings:
     vignetting_radiometric: tuple[float, float] = (0.0, 0.05)
     quartic_radiometric: tuple[float, float] = (0.0, 1e-4)
     tilt_radiometric: float = 0.1
+    crushed: float = 0.02
     brightest: float = 0.8
     most_albedo: float = 0.98
     prior_share_developed: float = 0.15
@@ -220,14 +223,21 @@ class _Cells:
     Attributes:
         image: (2, n) image coordinates of the cells.
         observed: (3, n) log radiance.
+        toe: (3, n) radiance that is added to theirs and the model's before logarithms: below it a
+            channel tells nothing but that it is dark.
         above: (3, n) what a model brighter than the cell is blamed: 1, or less for lower bounds.
         weight: (n,) of each cell; sums to what the picture weighs.
     """
 
     image: Tensor
     observed: Tensor
+    toe: Tensor
     above: Tensor
     weight: Tensor
+
+    def differences(self, log_radiance: Tensor) -> Tensor:
+        """(3, n) log of a model's radiance over theirs."""
+        return (log_radiance.exp() + self.toe).log() - self.observed
 
 
 def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> CoarseFit:
@@ -280,7 +290,7 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
         Unknowns.of(single), offset=both.offset, tilt=both.tilt, vignetting=both.vignetting
     )
     best = _levenberg_marquardt(last.at(both), start.vector(), COARSE.iterations[1])[1]
-    difference = _log_radiance(best, last.cells.image, distance) - last.cells.observed
+    difference = last.cells.differences(_log_radiance(best, last.cells.image, distance))
     rest = difference[last.cells.above == 1.0]
     return _coarse_fit(
         Unknowns.of(best),
@@ -385,6 +395,7 @@ def _see(photo: Photo, highlight: Highlight | None, level: int) -> _Cells:
     return _Cells(
         torch.cat([whole.image[:, outside], patch.image], dim=1),
         torch.cat([whole.observed[:, outside], patch.observed], dim=1),
+        torch.cat([whole.toe[:, outside], patch.toe], dim=1),
         torch.cat([whole.above[:, outside], patch.above], dim=1),
         torch.cat(
             [whole.weight[outside], patch.weight * max(1.0 - share, COARSE.patch_weight)],
@@ -404,7 +415,9 @@ def _cells(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) 
     above = np.where(clipped, 0.0, np.where(small > knee, COARSE.above_knee, 1.0))
     if photo.radiometric:
         above = np.where(above < 1.0, 0.0, 1.0)
-    floor = 1e-3 * float(np.median(photo.pixels[::8, ::8])) + 1e-9
+    toe = np.full_like(small, 1e-3 * float(np.median(photo.pixels[::8, ::8])) + 1e-9)
+    if not photo.radiometric:
+        toe += COARSE.crushed * small.max(axis=2, keepdims=True)
     u = (left + (np.arange(size[0]) + 0.5) * (right - left) / size[0]) * 2.0 / columns - 1.0
     v = (rows - 2.0 * (top + (np.arange(size[1]) + 0.5) * (bottom - top) / size[1])) / columns
     image = np.stack(np.broadcast_arrays(u[None, :], v[:, None])).reshape(2, -1)
@@ -421,7 +434,7 @@ def _cells(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) 
         # What is kept weighs as much as the whole would; a part of which nothing is, nothing.
         weight = weight * kept * (count / max(float(kept.sum()), 1.0))
     return _Cells(
-        torch.from_numpy(image), flat(np.log(np.maximum(small, floor))), flat(above), weight
+        torch.from_numpy(image), flat(np.log(small + toe)), flat(toe), flat(above), weight
     )
 
 
@@ -487,7 +500,7 @@ class _Problem:
         whole = (cells.above == 1.0).all(0)
         if int(whole.sum()) < COARSE.cells_that_tell_colour:
             return self
-        rest = _log_radiance(parameters, cells.image, self.distance) - cells.observed
+        rest = cells.differences(_log_radiance(parameters, cells.image, self.distance))
         return replace(self, whitening=_whitening(rest[:, whole], cells.weight[whole]))
 
     def trusting(self, parameters: Tensor) -> _Problem:
@@ -553,7 +566,7 @@ class _Problem:
     def residuals(self, parameters: Tensor) -> Tensor:
         """(residuals,) of the parameters, in log radiance."""
         cells = self.cells
-        difference = _log_radiance(parameters, cells.image, self.distance) - cells.observed
+        difference = cells.differences(_log_radiance(parameters, cells.image, self.distance))
         # A lower bound only complains when the model stays below it.
         bounded = torch.where(difference > 0.0, difference * cells.above, difference)
         if self.whitening is not None:

@@ -28,6 +28,7 @@ class Plane:
             whole texels are known, as `valid` has them.
         left_out: (H, W) bool, what is not the material and shows a mirror of what is; None where
             all of it is.
+        developed: whether the camera developed the picture to codes of 8 bits.
     """
 
     linear: Tensor
@@ -36,6 +37,7 @@ class Plane:
     encoding: Encoding
     channels: Tensor | None = None
     left_out: Tensor | None = None
+    developed: bool = False
 
     @property
     def measured(self) -> Tensor:
@@ -78,7 +80,12 @@ class Plane:
         noise = None if self.noise is None else mean(self.noise)
         left_out = None if self.left_out is None else ~whole(~self.left_out[None])[0]
         shrunk = plane_of(linear, valid, noise)
-        return replace(shrunk, channels=whole(self.measured), left_out=left_out)
+        return replace(
+            shrunk,
+            channels=whole(self.measured),
+            left_out=left_out,
+            developed=self.developed,
+        )
 
 
 def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
@@ -93,7 +100,12 @@ def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
     whole = plane_of(linear, valid, rectify_noise(photo, setup, detail))
     part = kept(photo, setup, detail)
     left_out = None if part is None else ~torch.from_numpy(part)
-    return replace(whole, channels=measured(photo, setup, detail), left_out=left_out)
+    return replace(
+        whole,
+        channels=measured(photo, setup, detail),
+        left_out=left_out,
+        developed=not photo.radiometric,
+    )
 
 
 def plane_of(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> Plane:

@@ -60,6 +60,19 @@ def test_a_clipped_highlight_is_a_lower_bound_and_not_a_plateau():
     )
 
 
+def test_a_channel_that_the_file_cannot_hold_changes_nothing_else():
+    """A saturated blue has no green beside the highlight: cut off there, as in a JPEG."""
+    _, photo = made(diffuse=(0.01, 0.005, 0.5), roughness=0.2, intensity=6.0)
+    cut = replace(photo, pixels=photo.pixels.copy(), radiometric=False)
+    cut.pixels[..., 1][photo.pixels[..., 1] < 0.04 * photo.pixels[..., 2]] = 0.0
+    assert (cut.pixels[..., 1] == 0.0).mean() > 0.5
+    whole, found = fit_coarse(replace(photo, radiometric=False)), fit_coarse(cut)
+    assert found.roughness == pytest.approx(whole.roughness, abs=0.03)
+    assert found.specular / found.diffuse[2] == pytest.approx(
+        whole.specular / whole.diffuse[2], rel=0.15
+    )
+
+
 @pytest.mark.parametrize("known", [(0.06, -0.04), (0.13, 0.03)])
 def test_a_known_tilt_is_held(known):
     """Also where the photograph alone would tell another one."""

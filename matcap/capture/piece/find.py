@@ -33,12 +33,13 @@ from matcap.capture.piece.network.network import (
     NetworkAnswer,
     NetworkInputs,
 )
+from matcap.capture.piece.noise import channel_noise
 from matcap.capture.piece.refine import PieceLight, flatten, level, refine, remaining
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
-from matcap.capture.piece.told import noise_level, plane_strengths
+from matcap.capture.piece.told import plane_strengths
 from matcap.capture.piece.transport import transport
-from matcap.capture.piece.tuned import ADAPT, LEND, READ, REFINE
+from matcap.capture.piece.tuned import ADAPT, LEND, READ
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.variety import chosen
@@ -106,7 +107,7 @@ class Sight:
         inputs: what the network is told.
         light: the photograph's, at every texel.
         glare: (H, W) share of the uniform material's radiance that is mirrored.
-        noise: of log radiance, the sensor's.
+        noise: (3, H, W) of log radiance, the sensor's or the codes'.
     """
 
     plane: Plane
@@ -116,7 +117,7 @@ class Sight:
     inputs: NetworkInputs
     light: PieceLight
     glare: NDArray[np.float32]
-    noise: float
+    noise: Tensor
 
     @staticmethod
     def of(plane: Plane, coarse: CoarseFit) -> Sight:
@@ -134,7 +135,7 @@ class Sight:
         glare = inputs.gloss[0].clamp(0.0, 1.0).numpy()
         light = PieceLight.of(coarse, points)
         seen = seen_share(measured)
-        return Sight(plane, coarse, shown, seen, inputs, light, glare, noise_level(plane))
+        return Sight(plane, coarse, shown, seen, inputs, light, glare, channel_noise(plane))
 
 
 @dataclass(frozen=True)
@@ -387,9 +388,10 @@ def evened(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Sur
 
 def _rerendered(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:
     """Albedo and gloss moved until they re-render to the photograph."""
-    least = max(sight.noise, REFINE.least_noise)
     linear = sight.plane.linear
-    refined = refine(departures, reading.errors, linear, sight.shown, sight.light, noise=least)
+    refined = refine(
+        departures, reading.errors, linear, sight.shown, sight.light, noise=sight.noise
+    )
     return replace(reading, departures=evened(sight, reading, refined.departures))
 
 

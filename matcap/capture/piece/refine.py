@@ -25,6 +25,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
 from matcap.brdf.parameters import REFLECTANCE, ROUGHNESS_LIMITS, Reflectance, SurfaceParameters
 from matcap.capture.piece.network.network import ExpectedErrors
+from matcap.capture.piece.noise import channel_weights
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.tuned import REFINE
 from matcap.flash.light import FlashLight, Incidence
@@ -102,15 +103,28 @@ class PieceLight:
         up = tilted(0.0, REFINE.slope_step) - tilted(0.0, -REFINE.slope_step)
         return torch.stack([across, up]) / (2.0 * REFINE.slope_step)
 
-    def shows_gloss(self, maps: MapSet, incidence: Incidence, log: Tensor) -> GlossResponse:
-        """What gloss changes of the log radiance (3, H, W) that maps have."""
-        grey = log.mean(0, keepdim=True)
+    def shows_gloss(
+        self, maps: MapSet, incidence: Incidence, log: Tensor, weights: Tensor | float = 1.0 / 3.0
+    ) -> GlossResponse:
+        """What gloss changes of the log radiance (3, H, W) that maps have.
+
+        Args:
+            maps: the piece's.
+            incidence: on them.
+            log: theirs.
+            weights: (3, H, W) or one number: what channels count for in grey.
+        """
+
+        def grey(logs: Tensor) -> Tensor:
+            return (weights * logs).sum(0, keepdim=True)
+
+        before = grey(log)
         brighter = replace(maps, specular=maps.specular * math.exp(REFINE.step))
         logit = maps.roughness.clamp(*ROUGHNESS_LIMITS).logit()
         duller = replace(maps, roughness=torch.sigmoid(logit + REFINE.step))
         return GlossResponse(
             *(
-                (self.logs(moved, incidence)[0].mean(0, keepdim=True) - grey) / REFINE.step
+                (grey(self.logs(moved, incidence)[0]) - before) / REFINE.step
                 for moved in (brighter, duller)
             )
         )
@@ -239,7 +253,7 @@ def refine(
     valid: Tensor,
     light: PieceLight,
     *,
-    noise: float = 0.02,
+    noise: Tensor | float = 0.02,
 ) -> Refined:
     """Move albedo and gloss until they re-render to the photograph.
 
@@ -249,7 +263,7 @@ def refine(
         linear: (3, H, W) the photograph on the plane's grid.
         valid: (H, W) or (3, H, W) bool, seen and not clipped, by channel where that is known.
         light: the photograph's own.
-        noise: deviation of log radiance that is not explained.
+        noise: deviation of log radiance that is not explained; (3, H, W) or one number.
     """
     observed = linear.clamp_min(REFINE.darkest).log()
     valid = valid.expand_as(linear)
@@ -261,7 +275,9 @@ def refine(
     maps = light.maps(departures)
     incidence = light.flash.onto(maps.normal)
     log, shares = light.logs(maps, incidence)
-    shows = light.shows_gloss(maps, incidence, log)  # hardly changes from step to step
+    white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(REFINE.least_noise)
+    weights = channel_weights(white)
+    shows = light.shows_gloss(maps, incidence, log, weights)  # hardly changes from step to step
     by_gloss = shows.specular.square() * specular + shows.roughness.square() * roughness
     for step in range(REFINE.steps):
         if step:
@@ -269,13 +285,17 @@ def refine(
         residual = _unexplained(observed, log, valid)
         residual = (residual - _slow(residual, valid)).clamp(-REFINE.most, REFINE.most)
         tells = valid | (residual > 0.0)
-        share = shares.mean(0, keepdim=True)
-        grey = (residual * tells).sum(0, keepdim=True) / tells.sum(0, keepdim=True).clamp_min(1)
-        unknown = noise**2 + (REFINE.glare * (1.0 - share)).square()
+        share = (weights * shares).sum(0, keepdim=True)
+        counts = weights * tells
+        counts = counts / counts.sum(0, keepdim=True).clamp_min(1e-6)
+        grey = (counts * residual).sum(0, keepdim=True)
+        glare = (REFINE.glare * (1.0 - share)).square()
+        # The channels' noise is taken to go together: what development smooths is blotches.
+        unknown = (counts * white).sum(0, keepdim=True).square() + glare
         common = grey / (share.square() * albedo + by_gloss + unknown)
         # A bound that holds says nothing of the colour.
         apart = torch.where(tells, residual - grey, 0.0)
-        own = apart * shares * colour / (shares.square() * colour + unknown)
+        own = apart * shares * colour / (shares.square() * colour + white.square() + glare)
         departures = SurfaceParameters(
             departures.diffuse + (share * albedo * common + own),
             departures.specular + shows.specular * specular * common,

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import NetworkInputs
+from matcap.capture.piece.noise import channel_noise, channel_weights, noise_level
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.piece.strengths import Strengths, measure_strengths
 from matcap.capture.piece.tuned import STRENGTH
@@ -53,7 +54,7 @@ def plane_strengths(
     # What is clipped is at least as bright as it looks.
     whole = [np.maximum(filled(c, u), c) for c, u in zip(channels, use, strict=True)]
     return measure_strengths(
-        np.mean(whole, axis=0),
+        np.asarray((channel_weights(channel_noise(plane)).numpy() * whole).sum(0), np.float32),
         _even(inputs.shows_slope),
         use.mean(0, dtype=np.float32),
         noise_level(plane),
@@ -65,12 +66,3 @@ def plane_strengths(
 def _even(shown: Tensor) -> NDArray[np.float32]:
     """Responses (2, H, W) of neighbourhoods."""
     return np.stack([smoothed(s, STRENGTH.response_around) for s in shown.numpy()])
-
-
-def noise_level(plane: Plane) -> float:
-    """Standard deviation of log radiance that is the sensor's; 0 where it is not known."""
-    if plane.noise is None:
-        return 0.0
-    share = plane.noise.mean(0) / plane.linear.mean(0).clamp_min(1e-4)
-    seen = share[plane.valid]
-    return float(seen.clamp(-1.0, 1.0).square().mean().sqrt()) if seen.numel() else 0.0

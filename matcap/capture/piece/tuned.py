@@ -44,6 +44,27 @@ class ReadSettings:
 
 
 @dataclass(frozen=True)
+class NoiseSettings:
+    """How far channels are believed.
+
+    Attributes:
+        codes: of 255, deviation: what development leaves a channel off by. More takes dark texture
+            for noise.
+        around: texels, deviation: of what counts as a neighbourhood.
+        alike: of log radiance: channels with less noise count alike.
+        darkest: linear radiance.
+        block, plain: texels a side, and the share of blocks that is taken to be plain.
+    """
+
+    codes: float = 1.0
+    around: float = 8.0
+    alike: float = 0.1
+    darkest: float = 1e-5
+    block: int = 8
+    plain: float = 0.1
+
+
+@dataclass(frozen=True)
 class StrengthSettings:
     """What the photograph says outright of strengths, and how far it is followed.
 
@@ -300,6 +321,7 @@ class FinestSettings:
 
 
 READ = ReadSettings()
+NOISE = NoiseSettings()
 STRENGTH = StrengthSettings()
 REFINE = RefineSettings()
 ADAPT = AdaptSettings()

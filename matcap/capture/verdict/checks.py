@@ -8,13 +8,14 @@ what captures reach: docs/notes/verdict.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from matcap.capture.verdict.causes import FIVE
 from matcap.capture.verdict.evidence import Evidence
+from matcap.capture.verdict.marks import worst_mark
 from matcap.capture.verdict.rating import Rating
-from matcap.flash.highlight import Highlight
+from matcap.flash.highlight import HIGHLIGHT, Highlight
 from matcap.photo.inspect import SHOT
 
 # Where severities 1, 2 and 3 are reached.
@@ -41,6 +42,7 @@ class VerdictLimits:
         order: share of the likeness a period further that is lost.
         plain_order: likeness of a photograph whose order is plain to see.
         piece: log radiance, of the photographed piece's own maps.
+        marks: multiples of what is just seen of one (MARK_LIMITS).
         guessed: mean of what confidence lacks.
         uneven: of parts of the photograph.
         tilted: degrees.
@@ -63,6 +65,7 @@ class VerdictLimits:
     order: Limits = (0.3, 0.5, 0.75)
     plain_order: float = 0.15
     piece: Limits = (0.12, 0.22, 0.4)
+    marks: Limits = (1.0, 2.0, 4.0)
     guessed: Limits = (0.6, 0.75, 0.9)
     uneven: Limits = (SHOT.uneven, SHOT.mixed, 4.5)
     tilted: Limits = (SHOT.tilted, SHOT.much_tilted, 25.0)
@@ -72,6 +75,19 @@ class VerdictLimits:
 
 LIMITS = VerdictLimits()
 
+# Of every map, where a mark in it is just seen.
+MARK_LIMITS: Mapping[str, float] = {
+    "albedo": 0.05,
+    "specular": 0.15,
+    "roughness": 0.025,
+    "grain": 0.3,
+}
+_MARKED = {
+    "albedo": "diffuse differs there by a factor of {:.2f}",
+    "specular": "specular differs there by a factor of {:.2f}",
+    "roughness": "roughness differs there by {:.2f}",
+    "grain": "relief is stronger or weaker there by a factor of {:.2f}",
+}
 
 _TRY = "try --preset high"
 _SHOOT = "photograph again, squarely from above, in the dark, a stop darker, RAW if you can"
@@ -128,6 +144,7 @@ def all_checks(seen: Evidence) -> Iterator[QualityCheck]:
     yield _contrast(seen)
     yield from _order(seen)
     yield from _piece(seen)
+    yield from _marks(seen)
     yield _sameness(seen)
     yield _camera(seen)
     yield _clipping(seen)
@@ -162,7 +179,10 @@ def _highlight(seen: Evidence) -> QualityCheck:
     if after is None:
         return QualityCheck(
             "highlight",
-            4.0,
+            # A strong one that is lost is another material; one just plain to see is missed.
+            severity(math.log(before.contrast / HIGHLIGHT.faintest), LIMITS.brighter)
+            if before is not None
+            else 0.0,
             "the photograph's highlight is lost",
             "",
             remedy,
@@ -293,6 +313,20 @@ def _piece(seen: Evidence) -> Iterator[QualityCheck]:
         f"{100.0 * guessed:.0f} % of the maps is guessed, most of {least}",
         "clipped, dark or dull parts tell little",
         _SHOOT,
+    )
+
+
+def _marks(seen: Evidence) -> Iterator[QualityCheck]:
+    if seen.marks is None:
+        return
+    name, times = worst_mark(seen.marks, MARK_LIMITS)
+    amount = seen.marks[name] if name == "roughness" else math.exp(seen.marks[name])
+    yield QualityCheck(
+        "marks",
+        severity(times, LIMITS.marks),
+        f"a mark is left where the flash was: {_MARKED[name].format(amount)}",
+        "the highlight was taken for the material's own",
+        FIVE,
     )
 
 

@@ -85,6 +85,7 @@ class Evidence:
         clipped: share of the photograph.
         piece: of the photographed piece's own maps: `error`, `slow` (log radiance) and confidence
             by map; None where they were not looked for.
+        marks: what of the piece's maps goes with the distance from the highlight; see marks.py.
         signs: of what may be the cause of all that.
     """
 
@@ -101,6 +102,7 @@ class Evidence:
     offset: float
     clipped: float
     piece: Mapping[str, float] | None = None
+    marks: Mapping[str, float] | None = None
     signs: Signs = Signs()
 
 
@@ -112,6 +114,7 @@ def evidence(
     waves: tuple[Wave, ...] = (),
     piece: Mapping[str, float] | None = None,
     *,
+    marks: Mapping[str, float] | None = None,
     tilt: float = 0.0,
     variety: float = 1.0,
 ) -> Evidence:
@@ -123,7 +126,7 @@ def evidence(
         rectified: (H, W, 3) the photograph on the plane's grid, linear.
         rerendered: (H, W, 3) the material under that flash, linear.
         waves: the plane waves of its regular order, cycles a texel.
-        piece: of the photographed piece's own maps; see Evidence.
+        piece, marks: of the photographed piece's own maps; see Evidence.
         tilt, variety: of the piece and its field; see Signs.
     """
     # What the camera would have seen of the re-rendering: clipped where the photograph is.
@@ -148,6 +151,7 @@ def evidence(
         offset=math.hypot(*setup.offset[:2]),
         clipped=photo.clipped_share,
         piece=piece,
+        marks=marks,
         signs=signs_of(
             photo.pixels,
             *smooth,

@@ -9,7 +9,7 @@ import simulated_shots as shots
 
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
-from matcap.capture.verdict.checks import all_checks, severity
+from matcap.capture.verdict.checks import MARK_LIMITS, all_checks, severity
 from matcap.capture.verdict.evidence import Evidence, evidence, smooth_difference
 from matcap.capture.verdict.judge import judge
 from matcap.capture.verdict.rating import Rating
@@ -86,6 +86,7 @@ BAD = [
     ({"offset": 0.5}, "camera", "doubtful"),
     ({"clipped": 0.2}, "clipping", "doubtful"),
     ({"piece": {**FINE.piece, "error": 0.3}}, "piece", "doubtful"),
+    ({"marks": dict.fromkeys(MARK_LIMITS, 0.0) | {"roughness": 0.07}}, "marks", "doubtful"),
     ({"piece": {"error": 0.05, "slow": 0.0, "diffuse": 0.1, "height": 0.01}}, "seen", "failed"),
 ]  # fmt: skip
 
@@ -242,6 +243,15 @@ BAD_SHOTS = {
 @pytest.mark.parametrize("bad", BAD_SHOTS)
 def test_bad_photographs_are_not_called_good_or_usable(bad):
     assert not captured(BAD_SHOTS[bad]()).fit
+
+
+def test_a_faint_highlight_that_is_lost_is_missed_and_a_strong_one_is_another_material():
+    def severity_of(contrast):
+        before = replace(SPOT, peak=contrast * SPOT.surroundings)
+        return named(replace(FINE, highlights=(before, None)))["highlight"].severity
+
+    assert 1.0 < severity_of(2.1) < 2.0
+    assert severity_of(6.0) > 3.0
 
 
 def test_a_highlight_just_plain_beside_one_just_not_is_the_same_highlight():

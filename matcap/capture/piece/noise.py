@@ -1,0 +1,78 @@
+"""How far a photograph's channels are to be believed: their noise, as deviations of log radiance.
+
+A camera's own development ends in codes of 8 bits, and in the dark a code is a large step: where a
+saturated colour leaves a channel with a code or two, that channel's logarithm is chance, and its
+texture nobody's. A RAW's noise is drawn once more when it is read (photo/sensor_noise.py).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.capture.piece.smooth import smoothed
+from matcap.capture.piece.tuned import NOISE
+from matcap.flash.plane import Plane
+
+Floats = NDArray[np.float32]
+
+
+def channel_noise(plane: Plane) -> Tensor:
+    """(3, H, W) deviation of log radiance that is the sensor's or the codes', at most 1.
+
+    Of neighbourhoods: a dark texel is not doubted for being dark among bright ones.
+    """
+    linear = np.stack([smoothed(c, NOISE.around) for c in plane.linear.numpy()])
+    if plane.noise is not None:
+        drawn = plane.noise.square().numpy()
+        deviation = np.sqrt(np.stack([smoothed(c, NOISE.around) for c in drawn]))
+    elif plane.developed:
+        deviation = code_step(linear) * np.float32(NOISE.codes)
+    else:
+        return torch.zeros_like(plane.linear)
+    share = deviation / np.maximum(linear, np.maximum(deviation, np.float32(1e-9)))
+    return torch.from_numpy(np.asarray(share, np.float32))
+
+
+def channel_weights(noise: Tensor) -> Tensor:
+    """(3, H, W) what each channel counts for in a mean over them; they add up to 1."""
+    weight = 1.0 / (noise.square() + NOISE.alike**2)
+    return weight / weight.sum(0, keepdim=True)
+
+
+def code_step(linear: Floats) -> Floats:
+    """What one of 255 codes is of linear radiance (any shape), by the curve of sRGB."""
+    curve = (1.0 / 12.92, 2.4 / 1.055)
+    encoded = np.power(np.maximum(linear, 0.0031308), np.float32(1.4 / 2.4)) * curve[1]
+    return np.asarray(np.where(linear <= 0.0031308, curve[0], encoded) / 255.0, np.float32)
+
+
+def noise_level(plane: Plane) -> float:
+    """Deviation of grey log radiance that is noise, at most what its plainest places vary by.
+
+    A RAW's is known. What development leaves of noise is not, as it smooths what is plain: so the
+    finest structure of the plainest places is a bound.
+    """
+    noise = channel_noise(plane)
+    weights = channel_weights(noise)
+    of_mean = (weights * noise).square().sum(0)[plane.valid]
+    known = float(of_mean.mean().sqrt()) if of_mean.numel() else 0.0
+    return min(known, plainest(plane, weights)) if plane.developed else known
+
+
+def plainest(plane: Plane, weights: Tensor) -> float:
+    """Deviation of the finest structure of log radiance where there is least of it.
+
+    Mixed second differences, which are 0 on whatever bends along one direction only (Immerkaer,
+    "Fast noise variance estimation", 1996), in blocks.
+    """
+    log = (weights * plane.linear.clamp_min(NOISE.darkest).log()).sum(0)
+    mixed = log[2:] - 2.0 * log[1:-1] + log[:-2]
+    mixed = (mixed[:, 2:] - 2.0 * mixed[:, 1:-1] + mixed[:, :-2]) / 6.0
+    side = min(NOISE.block, *mixed.shape)
+    whole = plane.valid[1:-1, 1:-1].float()[None, None]
+    squares = torch.nn.functional.avg_pool2d(mixed.square()[None, None], side)
+    seen = torch.nn.functional.avg_pool2d(whole, side) == 1.0
+    return float(squares[seen].quantile(NOISE.plain).sqrt()) if seen.any() else 0.0
