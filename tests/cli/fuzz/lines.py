@@ -157,15 +157,17 @@ def write_place(place: Path) -> None:
     (place / "victim").write_text("mine")
 
 
-def run(place: Path, count: int, seed: int) -> tuple[Counter[str], list[str]]:
-    """Tally, and what failed."""
+def run(
+    place: Path, count: int, seed: int, *, first: int = 0, longest: float = LONGEST
+) -> tuple[Counter[str], list[str]]:
+    """Tally of the lines from `first` to `count`, and what failed."""
     good = place / "good"
     write_place(good)
     tally: Counter[str] = Counter()
     faults: list[str] = []
     crew = Processes(1, answer, prepare)
     try:
-        for number in range(count):
+        for number in range(first, count):
             chance = random.Random(f"{seed} {number}")
             now = place / str(number)
             shutil.copytree(good, now)
@@ -176,7 +178,9 @@ def run(place: Path, count: int, seed: int) -> tuple[Counter[str], list[str]]:
                 about = json.loads(document.read_text()) | {"name": forged}
                 document.write_text(json.dumps(about))
             words = drawn(chance)
-            result, said = _within(crew, Line(words, now), first=not number)
+            result, said = _within(
+                crew, Line(words, now), longest + 50.0 * (number == first)
+            )  # the imports, too
             here = sorted(file.name for file in now.iterdir())
             inside = (now / "victim").read_text() == "mine"
             # `-o ../out` and `-o ..` are asked for: everything else beside the folder is nobody's.
@@ -194,9 +198,9 @@ def run(place: Path, count: int, seed: int) -> tuple[Counter[str], list[str]]:
     return tally, faults
 
 
-def _within(crew: Processes, line: Line, *, first: bool) -> tuple[str, str]:
+def _within(crew: Processes, line: Line, longest: float) -> tuple[str, str]:
     crew.start(line)
-    limit = time.monotonic() + LONGEST + 50.0 * first  # the imports, too
+    limit = time.monotonic() + longest
     while time.monotonic() < limit:
         for event in crew.wait(limit - time.monotonic()):
             if event.kind == "died":
@@ -204,20 +208,28 @@ def _within(crew: Processes, line: Line, *, first: bool) -> tuple[str, str]:
             if event.kind == "done":
                 return event.value
     crew.close()
-    return "fault", f"no answer in {LONGEST:.0f} s"
+    return "fault", f"no answer in {longest:.0f} s"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="go on from this line of the seed's")
+    parser.add_argument(
+        "--longest", type=float, default=LONGEST, help="seconds, more where other work runs"
+    )
     options = parser.parse_args()
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="matcap-lines-") as place:
-        tally, faults = run(Path(place), options.count, options.seed)
+        tally, faults = run(
+            Path(place), options.count, options.seed,
+            first=options.first, longest=options.longest,
+        )  # fmt: skip
     for name, number in sorted(tally.items()):
         print(f"{number:8d}  {name}")
-    print(f"{options.count} lines in {time.monotonic() - began:.0f} s, {len(faults)} faults")
+    count, took = options.count - options.first, time.monotonic() - began
+    print(f"{count} lines in {took:.0f} s, {len(faults)} faults")
     sys.exit(bool(faults))
 
 
