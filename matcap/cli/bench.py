@@ -204,7 +204,7 @@ def fields(
     rows = run_fields(subjects(material or (), sets), tell=lambda line: typer.echo(line, err=True))
     typer.echo(fields_markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
     for period, angle in _LATTICES if phases else ():
-        off = phase_off(grating(period, angle))
+        off = phase_off(grating(period, angle, (1280, 960)))
         told = "no order" if off is None else f"{off:.4f} of a turn off"
         typer.echo(f"period {period:g} at {angle:g} degrees: {told}")
 

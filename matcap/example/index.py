@@ -192,9 +192,9 @@ def _doubt(exemplar: Exemplar) -> NDArray[np.float64]:
     means = whole.reshape(whole.shape[0] // side, side, -1, side).mean(axis=(1, 3))
     # What is none of the material, or was never seen, is no measure of the rest.
     known = means[means > 1.5 * INDEX.least_trust]
-    short = (np.quantile(known if known.size else means, INDEX.trusted) - means - INDEX.slack) / (
-        INDEX.doubted - INDEX.slack
-    )
+    most, half = np.quantile(known if known.size else means, (INDEX.trusted, INDEX.free))
+    # From what is hardly half of a piece no cell closes: the better half is never priced.
+    short = (min(most - INDEX.slack, half) - means) / (INDEX.doubted - INDEX.slack)
     return np.rint(_MOST * short.clip(0.0, 1.0))
 
 

@@ -294,9 +294,10 @@ def _measured(
 ) -> tuple[Frequency, NDArray[np.int32]] | None:
     """The mean wave, and its bends."""
     high, wide = planes.shape[1:]
-    deviation = ORDER.window / math.hypot(*wave)
-    if 4 * deviation > min(high, wide):
+    period = 1.0 / math.hypot(*wave)
+    if ORDER.fewest * period > min(high, wide):
         return None
+    deviation = min(ORDER.window * period, min(high, wide) / 4)
     x, y = np.arange(wide)[None, :], np.arange(high)[:, None]
     side = 1 << GRID
     rows, columns = np.arange(0, high + side, side), np.arange(0, wide + side, side)

@@ -74,7 +74,9 @@ class OrderSettings:
         slopes: planes that vary most at joints, which are edges, and so hide them.
         piece: texels: cells smaller than this are laid several together.
         smaller: pieces of cells that are too large for the exemplar shrink by this.
-        window: periods: standard deviation of the window that a phase is measured in.
+        window: periods: standard deviation of the window that a phase is measured in; less where
+            an exemplar has room for less.
+        fewest: periods across an exemplar: of a check larger than a third of it nothing is kept.
         faint: of squared features: a plane may be flat.
         lag: windows' deviations: so far apart they hardly see the same cells.
         steadiest: a plane alone must not be believed without end.
@@ -86,6 +88,7 @@ class OrderSettings:
     piece: int = 48
     smaller: float = 0.8
     window: float = 1.5
+    fewest: float = 3.0
     faint: float = 1e-9
     lag: float = 2.0
     steadiest: float = 0.98
@@ -110,6 +113,8 @@ class IndexSettings:
         slack: confidence below it up to which a place is as good: steps of it lie between most
             parts of a photograph.
         doubted: likewise, at which it is as reluctant as can be.
+        free: share that costs nothing at least, however little it is trusted: more draws faults in,
+            less draws from scraps.
     """
 
     apart: int = 4
@@ -121,6 +126,7 @@ class IndexSettings:
     trusted: float = 0.8
     slack: float = 0.05
     doubted: float = 0.35
+    free: float = 0.5
 
 
 INDEX = IndexSettings()

@@ -14,6 +14,7 @@ from exemplars import PERIODS, an_example, blobs, ordered
 from matcap.errors import UsageError
 from matcap.example.coordinates import coordinates
 from matcap.example.example import Example, coarsened
+from matcap.example.index import build_index
 from matcap.example.lookup import prepare
 from matcap.field.blocks import Grid
 from matcap.field.field import read_source
@@ -105,6 +106,16 @@ def test_no_piece_begins_where_nothing_is_known():
     assert (columns < 96).mean() > 0.9
     free = Example.of(doubted).places(4, Rectangle(0, 0, 300, 300), None)[..., 0]
     assert (free < 96).mean() < 0.8
+
+
+def test_half_of_a_piece_costs_nothing_however_little_it_is_trusted():
+    """A third is well seen, the rest worse and worse."""
+    doubted = blobs()
+    trust = np.ones_like(doubted.confidence)
+    trust[:, :, 58:] = np.linspace(0.6, 0.2, 118, dtype=np.float32)
+    priced = build_index(replace(doubted, confidence=trust), ()).reluctance > 0
+    assert 0.4 < priced.mean() <= 0.5
+    assert not priced[:, :22].any() and priced[:, 23:].all()
 
 
 def test_a_mark_that_occurs_once_is_left_out_and_told():

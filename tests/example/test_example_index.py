@@ -13,6 +13,7 @@ from matcap.example.correction import correct
 from matcap.example.example import Example
 from matcap.example.features import choose_scale, features_of, planes_of
 from matcap.example.lookup import prepare
+from matcap.example.order import measure_order
 from matcap.example.similar import find_similar
 from matcap.field.plane import Rectangle
 
@@ -114,3 +115,22 @@ def test_without_compiled_loops_a_sentence_says_what_to_do(monkeypatch):
     monkeypatch.setattr("matcap.example.library.built", lambda: None)
     with pytest.raises(MatcapError, match="C compiler"):
         Example.of(blobs())
+
+
+@pytest.mark.parametrize(("periods", "kept"), [(3.1, True), (2.5, False)])
+def test_checks_as_large_as_a_third_of_an_exemplar_are_kept(periods, kept):
+    height, width = 192, 256
+    period = height / periods
+    y, x = np.mgrid[:height, :width]
+    waves = ((1.0 / period, 0.0), (0.0, 1.0 / period))
+    checks = np.cos(2 * np.pi * x / period) + np.cos(2 * np.pi * y / period)
+    planes = np.stack([checks, 0.5 * checks, *[np.zeros_like(checks)] * 5])
+    order = measure_order(planes, waves)
+    assert (order is not None) == kept
+    if order is not None:
+        # Neither bent nor drawn out by more than a few hundredths of a turn.
+        found = order.phases(np.array([[16, 240]]), np.array([[16], [176]])) / 65536.0
+        turns = np.diff(found[..., 0], axis=1) - np.diff(found[0, :, 0])
+        assert np.abs(turns).max() < 0.05
+        across = np.diff(found[0, :, 0])[0] - 224.0 / period
+        assert abs(across - round(across)) < 0.05
