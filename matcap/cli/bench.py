@@ -210,6 +210,35 @@ def fields(
 
 
 @app.command()
+def gloss(
+    slope: Annotated[
+        list[float] | None,
+        typer.Option(min=0.0, max=1.0, help="Of bumps; may be given several times; 0 if not."),
+    ] = None,
+    stops: Annotated[
+        list[int] | None,
+        typer.Option(min=-3, max=6, help="Above the camera's exposure; 0 to 3 if not given."),
+    ] = None,
+    piece: Annotated[
+        bool, typer.Option("--piece", help="Of the captured piece, not of the coarse fit alone.")
+    ] = False,
+) -> None:
+    """What is told of the gloss of plain materials, polished to matte, the more is clipped.
+
+    Prints roughness and F0 as found, a line a material and a column an exposure.
+    """
+    from matcap.lab.bench.gloss import gloss_markdown, materials, run_gloss
+
+    rows = run_gloss(
+        materials(slope or (0.0,)),
+        stops or (0, 1, 2, 3),
+        piece=piece,
+        tell=lambda line: typer.echo(line, err=True),
+    )
+    typer.echo(gloss_markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
+
+
+@app.command()
 def highlight(
     photographs: Annotated[
         list[Path] | None, typer.Argument(help="Real photographs; those without a highlight pass.")
