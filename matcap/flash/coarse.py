@@ -17,7 +17,7 @@ an upper estimate; fine-tuning brings it down as bumps appear.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import cv2
@@ -56,10 +56,13 @@ class CoarseSettings:
         huber: log radiance; beyond it a residual counts linearly.
         iterations: of Levenberg-Marquardt, at most: of every start, and of those worth it.
         kept: starts that are worth finishing.
+        distinct: logit of roughness: starts that end nearer to each other are one.
         vignetting_radiometric, quartic_radiometric: mean and deviation in a RAW, whose numbers are
             the light's own: what a lens profile left undone. A tone curve deepens the falloff of a
             developed one, while in a RAW a second term would pass for gloss.
         tilt_radiometric: radians, deviation: nor does a tone curve pass for a tilt there.
+        hidden: share of the picture: where more is clipped whole, a matte fit is tried besides.
+        alike: log radiance, root-mean-square: fits that leave so much more explain as well.
         crushed: share of a developed cell's brightest channel below which another tells nothing
             but that it is dark: saturated colours lie outside of what a file can hold.
         brightest: mean albedo or F0 of the brightest material believed in.
@@ -91,9 +94,12 @@ class CoarseSettings:
     huber: float = 0.1
     iterations: tuple[int, int] = (6, 30)
     kept: int = 2
+    distinct: float = 0.3
     vignetting_radiometric: tuple[float, float] = (0.0, 0.05)
     quartic_radiometric: tuple[float, float] = (0.0, 1e-4)
     tilt_radiometric: float = 0.1
+    hidden: float = 0.02
+    alike: float = 0.003
     crushed: float = 0.02
     brightest: float = 0.8
     most_albedo: float = 0.98
@@ -212,6 +218,7 @@ _STARTS = (
 )
 # Where a highlight tells its width, multiples of the roughness that it means: clipping widens it.
 _GLOSSES = ((math.log(0.04), 1.0, 0.0), (math.log(0.04), 0.6, 0.0), (math.log(0.3), 0.9, -1.5))
+_MATTE = 2.5  # logit of roughness
 # GGX is half its peak where the half vector's tangent is this many alpha.
 _HALF_GGX = 0.644
 
@@ -234,6 +241,11 @@ class _Cells:
     toe: Tensor
     above: Tensor
     weight: Tensor
+
+    @property
+    def hidden(self) -> bool:
+        """Whether so much is clipped that a highlight might be hidden in it."""
+        return float(self.weight[(self.above == 0.0).all(0)].sum()) > COARSE.hidden / 3.0
 
     def differences(self, log_radiance: Tensor) -> Tensor:
         """(3, n) log of a model's radiance over theirs."""
@@ -276,13 +288,10 @@ def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> Coar
     tried.sort(key=lambda found: found[0])
     if photo.radiometric:
         last = last.whitened(tried[0][1]).trusting(tried[0][1])
-    single = min(
-        (
-            _levenberg_marquardt(last, start, COARSE.iterations[1])
-            for _, start in tried[: COARSE.kept]
-        ),
-        key=lambda found: found[0],
-    )[1]
+    worth = _distinct([start for _, start in tried])[: COARSE.kept]
+    if last.cells.hidden:
+        worth.append(_matte(tried[0][1]))
+    single = _mattest([_levenberg_marquardt(last, each, COARSE.iterations[1]) for each in worth])
     # Two lobes tell the place better; then one lobe does what it can there.
     two = last.with_two_lobes()
     both = Unknowns.of(_levenberg_marquardt(two, _parted(single), COARSE.iterations[1])[1])
@@ -633,6 +642,31 @@ def _log_radiance(parameters: Tensor, image: Tensor, distance: float) -> Tensor:
     for share, roughness in unknowns.lobes:
         radiance = radiance + share * incidence.specular(specular, roughness[:, None, None])
     return ((radiance + _DARKEST).log() + log_vignette(image, *unknowns.vignetting)).flatten(1)
+
+
+def _distinct(fits: Sequence[Tensor]) -> list[Tensor]:
+    """Parameters, the best first, whose roughness no better ones have."""
+    kept: list[Tensor] = []
+    for found in fits:
+        others = [Unknowns.of(one).roughness for one in kept]
+        if all(float(abs(Unknowns.of(found).roughness - one)) > COARSE.distinct for one in others):
+            kept.append(found)
+    return kept
+
+
+def _matte(found: Tensor) -> Tensor:
+    """The same with the widest highlight there is."""
+    unknowns = Unknowns.of(found)
+    return replace(unknowns, roughness=torch.full_like(unknowns.roughness, _MATTE)).vector()
+
+
+def _mattest(fits: Sequence[tuple[float, Tensor]]) -> Tensor:
+    """Of fits (cost, parameters) that explain a photograph alike, the one with least gloss: a
+    highlight that is nowhere seen is not made up where all is clipped.
+    """
+    least = min(cost for cost, _ in fits)
+    alike = [found for cost, found in fits if cost <= least + 0.5 * COARSE.alike**2]
+    return max(alike, key=lambda found: float(Unknowns.of(found).roughness))
 
 
 def _parted(single: Tensor) -> Tensor:

@@ -60,6 +60,20 @@ def test_a_clipped_highlight_is_a_lower_bound_and_not_a_plateau():
     )
 
 
+def test_matte_stays_matte_though_its_middle_is_clipped():
+    """A lobe hidden in what is clipped would explain the rest as well."""
+    _, photo = made(diffuse=(0.02, 0.02, 0.02), roughness=0.95, intensity=250.0)
+    assert photo.clipped_share > 0.05
+    assert fit_coarse(photo).roughness > 0.8
+
+
+def test_polish_is_found_where_the_plane_is_clipped_too():
+    """The starts that end best at a glance are matte; the sharp one is finished besides."""
+    _, photo = made(roughness=0.05, intensity=32.0)
+    assert photo.clipped_share > 0.2
+    assert fit_coarse(photo).roughness == pytest.approx(0.05, abs=0.05)
+
+
 def test_a_channel_that_the_file_cannot_hold_changes_nothing_else():
     """A saturated blue has no green beside the highlight: cut off there, as in a JPEG."""
     _, photo = made(diffuse=(0.01, 0.005, 0.5), roughness=0.2, intensity=6.0)
