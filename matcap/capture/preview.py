@@ -2,7 +2,8 @@
 
 A block of two rows of equal panels (photograph, re-rendering, another light, the maps) and one row
 of crops at one picture pixel a texel, where grain, weave and checkerboards show. Where the maps of
-the photographed piece itself were found, a second block shows them, its crops of the same place.
+the photographed piece itself were found, a second block shows them, its crops of the same place; of
+several photographs a third one where each was taken from.
 """
 
 from __future__ import annotations
@@ -70,6 +71,8 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
     """The sheet as an RGB picture."""
     blocks = [block(list(panels(result)))]
     if result.found is not None:
+        from matcap.capture.piece.find import piece_maps
+
         made = result.material.generators
         generator = "by example" if "example" in made else "by the decoder"
         piece = block(list(piece_panels(result, result.found)))
@@ -77,6 +80,12 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             titled(blocks[0], f"The material, {generator}"),
             titled(piece, "The photographed piece itself"),
         ]
+        if result.found.several is not None:
+            from matcap.capture.together.picture import draw_set
+
+            seen = srgb_picture(_picture(piece_maps(result.found.exemplar), "diffuse"))
+            drawn = draw_set(result.found.several, seen, blocks[0].width)
+            blocks.append(titled(drawn, "Cameras and flashes"))
     blocks.insert(0, _headline(result.verdict, blocks[0].width))
     return stacked(blocks)
 

@@ -1,0 +1,201 @@
+"""Cameras and lights drawn over the piece: from above, from the side, and what each has told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from matcap.capture.together.set_report import SetReport
+
+Doubles = NDArray[np.float64]
+CodeTriple = tuple[int, int, int]
+
+# sRGB code values.
+_INK, _FAINT, _PAPER = (225, 225, 225), (110, 110, 110), (24, 24, 24)
+_FLASH, _LEFT_OUT = (255, 214, 90), (255, 110, 100)
+_CAMERAS: tuple[CodeTriple, ...] = (
+    (120, 200, 255), (140, 230, 150), (255, 170, 110), (225, 150, 255), (255, 235, 130),
+    (130, 225, 225), (255, 150, 170), (190, 190, 255),
+)  # fmt: skip
+_ROUND, _SPARK = 11, 4  # pixels: radii of a camera and of a flash
+_MARGIN = 0.12  # of what is drawn, around it
+_LINE = 24  # pixels
+
+
+@dataclass(frozen=True)
+class _View:
+    """A camera to be drawn, in plane units.
+
+    Attributes:
+        number: of its photograph, from 1.
+        place: (3,) of the camera.
+        flash: (3,) of its light.
+        seen: (3, 4) corners of what it saw of the plane.
+    """
+
+    number: int
+    place: Doubles
+    flash: Doubles
+    seen: Doubles
+
+    @property
+    def colour(self) -> CodeTriple:
+        return _CAMERAS[(self.number - 1) % len(_CAMERAS)]
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """From plane units to the pixels of a drawing: x to the right, y upwards."""
+
+    low: Doubles
+    high: Doubles
+    width: int
+    height: int
+
+    @staticmethod
+    def around(points: Doubles, width: int, height: int) -> _Frame:
+        """One that holds points (2, n)."""
+        low, high = points.min(axis=1), points.max(axis=1)
+        margin = _MARGIN * float((high - low).max())
+        return _Frame(low - margin, high + margin, width, height)
+
+    def at(self, point: Doubles) -> tuple[float, float]:
+        """Pixel of a point (2,)."""
+        across, up = self.high - self.low
+        scale = min(self.width / across, self.height / up)
+        x, y = scale * (point - 0.5 * (self.low + self.high))
+        return 0.5 * self.width + float(x), 0.5 * self.height - float(y)
+
+
+def draw_set(report: SetReport, piece: NDArray[np.float32], width: int) -> Image.Image:
+    """A picture of a set.
+
+    Args:
+        report: what was found.
+        piece: (H, W, 3) the piece from above, sRGB code values in [0, 1].
+        width: of the picture, pixels.
+    """
+    views = list(_views(report, piece.shape[0] / piece.shape[1]))
+    part, tall = width // 3, width // 4
+    sheet = Image.new("RGB", (width, tall), _PAPER)
+    sheet.paste(_from_above(views, piece, part, tall), (0, 0))
+    sheet.paste(_from_the_side(views, part, tall), (part, 0))
+    sheet.paste(_words(report, width - 2 * part, tall), (2 * part, 0))
+    return sheet
+
+
+def told_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
+    """What is said of a set, each line with the number of its photograph, None for all, or 0 for
+    one that was left out.
+    """
+    predicted: tuple[float | None, ...] = report.predicted or (None,) * len(report.views)
+    each = zip(report.views, report.residuals, predicted, strict=True)
+    for number, (view, residual, ahead) in enumerate(each, 1):
+        said = f"{number} {view.photo.name}: re-rendered within {100.0 * residual:.1f} %"
+        yield said + ("" if ahead is None else f", foretold within {100.0 * ahead:.1f} %"), number
+    for one in report.left_out:
+        yield f"left out: {one.name}, {one.why}", 0
+    names = ("diffuse", "specular", "roughness", "height")
+    shares = [f"{name} {100.0 * s:.0f} %" for name, s in zip(names, report.told, strict=True)]
+    yield "measured, not guessed: " + ", ".join(shares), None
+
+
+def _views(report: SetReport, high: float) -> Iterator[_View]:
+    corners = np.array([[-1.0, 1.0, 1.0, -1.0], [high, high, -high, -high]])
+    offset = (*report.flash_offset, 0.0)
+    for number, view in enumerate(report.views, 1):
+        camera = view.camera
+        yield _View(number, camera.place, camera.flash(offset), camera.on_plane(corners))
+
+
+def _from_above(
+    views: list[_View], piece: NDArray[np.float32], width: int, height: int
+) -> Image.Image:
+    high = piece.shape[0] / piece.shape[1]
+    rim = np.array([[-1.0, 1.0], [-high, high]])
+    frame = _Frame.around(
+        np.concatenate([rim, *(_ground(view) for view in views)], axis=1), width, height
+    )
+    sheet, ink = _blank(width, height, "from above")
+    (left, bottom), (right, top) = frame.at(rim[:, 0]), frame.at(rim[:, 1])
+    size = max(1, round(right - left)), max(1, round(bottom - top))
+    codes = np.rint(np.clip(piece, 0.0, 1.0) * 255.0).astype(np.uint8)
+    sheet.paste(Image.fromarray(codes).resize(size), (round(left), round(top)))
+    for view in views:
+        outline = [frame.at(corner) for corner in view.seen[:2].T]
+        ink.line([*outline, outline[0]], fill=view.colour, width=2)
+    for view in views:
+        _camera(ink, view, frame.at(view.place[:2]), frame.at(view.flash[:2]))
+    return sheet
+
+
+def _from_the_side(views: list[_View], width: int, height: int) -> Image.Image:
+    sheet, ink = _blank(width, height, "from the side")
+    ends = np.array([[-1.0, 1.0], [0.0, 0.0]])
+    across = (0, 2)
+    points = [view.place[[0, 2]][:, None] for view in views]
+    points += [view.seen[[0, 2]] for view in views]
+    frame = _Frame.around(np.concatenate([ends, *points], axis=1), width, height)
+    ink.line([frame.at(ends[:, 0]), frame.at(ends[:, 1])], fill=_INK, width=3)
+    for view in views:
+        place = view.place[list(across)]
+        edges = view.seen[0]
+        for edge in (edges.min(), edges.max()):
+            ink.line([frame.at(place), frame.at(np.array([edge, 0.0]))], fill=_FAINT)
+    for view in views:
+        _camera(ink, view, frame.at(view.place[list(across)]), frame.at(view.flash[list(across)]))
+    return sheet
+
+
+def _words(report: SetReport, width: int, height: int) -> Image.Image:
+    sheet, ink = _blank(width, height, "what each told")
+    font = ImageFont.load_default(size=14)
+    y = 2 * _LINE
+    for said, number in told_lines(report):
+        colour = _INK if number is None else _LEFT_OUT
+        if number:
+            colour = _CAMERAS[(number - 1) % len(_CAMERAS)]
+        for line in _wrapped(said, font, width - 2 * _ROUND):
+            ink.text((_ROUND, y), line, fill=colour, font=font)
+            y += _LINE - 4
+    return sheet
+
+
+def _wrapped(
+    said: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: int
+) -> list[str]:
+    lines = [""]
+    for word in said.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if lines[-1] and font.getlength(longer) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
+def _ground(view: _View) -> Doubles:
+    """(2, n) of the plane that a view concerns."""
+    return np.concatenate([view.seen[:2], view.place[:2, None], view.flash[:2, None]], axis=1)
+
+
+def _camera(
+    ink: ImageDraw.ImageDraw, view: _View, at: tuple[float, float], flash: tuple[float, float]
+) -> None:
+    x, y = at
+    ink.ellipse([x - _ROUND, y - _ROUND, x + _ROUND, y + _ROUND], fill=view.colour)
+    font = ImageFont.load_default(size=14)
+    ink.text((x, y), str(view.number), fill=_PAPER, font=font, anchor="mm")
+    x, y = flash
+    ink.ellipse([x - _SPARK, y - _SPARK, x + _SPARK, y + _SPARK], fill=_FLASH, outline=_PAPER)
+
+
+def _blank(width: int, height: int, label: str) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+    sheet = Image.new("RGB", (width, height), _PAPER)
+    ink = ImageDraw.Draw(sheet)
+    ink.text((_ROUND, 5), label, fill=_INK, font=ImageFont.load_default(size=16))
+    return sheet, ink

@@ -1,0 +1,64 @@
+"""Cameras and lights as they are drawn."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from matcap.capture.together.picture import draw_set, told_lines
+from matcap.capture.together.set_report import SetReport
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.registration.camera import PosedCamera
+from matcap.flash.registration.register import LeftOut
+
+PIECE = np.full((48, 64, 3), 0.5, np.float32)
+BLUE, GREEN, SPARK = (120, 200, 255), (140, 230, 150), (255, 214, 90)
+
+
+@dataclass
+class Named:
+    name: str
+
+
+@dataclass
+class View:
+    photo: Named
+    camera: PosedCamera
+
+
+def report(**changes):
+    straight = PosedCamera.of(FlashSetup(fov=60.0))
+    aside = replace(straight, place=straight.place + np.array([0.9, 0.0, 0.0]))
+    views = (View(Named("oak_1.jpg"), straight), View(Named("oak_2.jpg"), aside))
+    told = SetReport(
+        views, (0.02, 0.03), (0.04, 0.05), (LeftOut("cat.jpg", "it shows something else"),),
+        (0.9, 0.3, 0.4, 0.8), (0.0, 0.2), (0.0, 0.0),
+    )  # fmt: skip
+    return replace(told, **changes)
+
+
+def middle(picture, colour):
+    """Mean place (x, y) of a colour in the view from above."""
+    codes = np.asarray(picture)[:, : picture.width // 3]
+    rows, columns = np.nonzero((codes == colour).all(axis=2))
+    assert rows.size
+    return columns.mean(), rows.mean()
+
+
+def test_cameras_stand_where_they_stood_and_flashes_beside_them():
+    picture = draw_set(report(), PIECE, 1200)
+    assert picture.size == (1200, 300)
+    first, second = (middle(picture, colour) for colour in (BLUE, GREEN))
+    assert second[0] > first[0] + 40
+    # The flash lies upwards of its camera.
+    assert middle(picture, SPARK)[1] < first[1] - 5
+
+
+def test_what_each_told_is_told():
+    said = [line for line, _ in told_lines(report())]
+    assert said[0] == "1 oak_1.jpg: re-rendered within 2.0 %, foretold within 4.0 %"
+    assert said[2] == "left out: cat.jpg, it shows something else"
+    assert said[3].startswith("measured, not guessed: diffuse 90 %, specular 30 %")
+
+
+def test_an_interrupted_set_has_foretold_nothing():
+    assert "foretold" not in next(told_lines(report(predicted=())))[0]
