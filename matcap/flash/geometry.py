@@ -83,6 +83,14 @@ def camera_in_plane(setup: FlashSetup) -> tuple[Tensor, Tensor]:
     return turn.T @ camera, turn.T @ light
 
 
+def highlight_foot(setup: FlashSetup) -> tuple[float, float]:
+    """Where a mirror in the plane shows the flash, plane units."""
+    camera, light = camera_in_plane(setup)
+    share = camera[2] / (camera[2] + light[2])
+    x, y = (camera + share * (light - camera))[:2].tolist()
+    return x, y
+
+
 def plane_points(
     x: int, y: int, width: int, height: int, extent: tuple[int, int], *, dtype: torch.dtype
 ) -> Tensor:

@@ -44,7 +44,7 @@ from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.variety import chosen
 from matcap.flash.coarse import CoarseFit
-from matcap.flash.geometry import plane_points
+from matcap.flash.geometry import highlight_foot, plane_points
 from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import Plane
 from matcap.flash.rectify import inside
@@ -371,7 +371,12 @@ def lent(sight: Sight, reading: Reading, tried: int) -> Exemplar:
     exemplar = exemplar_of(sight, reading)
     left_out = None if plane.left_out is None else plane.left_out.numpy()
     return transport(
-        exemplar, plane.linear, plane.valid, sight.light, tried=tried, left_out=left_out
+        exemplar,
+        plane.linear,
+        plane.valid,
+        sight.light,
+        tried=tried,
+        left_out=left_out,
     )
 
 
@@ -383,7 +388,7 @@ def _in_detail(sight: Sight, exemplar: Exemplar, whole: Plane) -> Exemplar:
 def evened(sight: Sight, reading: Reading, departures: SurfaceParameters) -> SurfaceParameters:
     """Departures whose albedo and gloss do not drift over the piece."""
     trusted = {name: torch.from_numpy(plane) for name, plane in reading.confidence.items()}
-    return flatten(departures, trusted, sight.glare)
+    return flatten(departures, trusted, sight.glare, highlight_foot(sight.coarse.setup))
 
 
 def _rerendered(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:

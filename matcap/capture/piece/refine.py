@@ -26,6 +26,7 @@ from matcap.brdf.normals import normals_from_slopes
 from matcap.brdf.parameters import REFLECTANCE, ROUGHNESS_LIMITS, Reflectance, SurfaceParameters
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.noise import channel_weights
+from matcap.capture.piece.rings import Rings
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.tuned import REFINE
 from matcap.flash.light import FlashLight, Incidence
@@ -201,7 +202,10 @@ def _normal_equations(
 
 
 def flatten(
-    departures: SurfaceParameters, confidence: Mapping[str, Tensor], glare: NDArray[np.float32]
+    departures: SurfaceParameters,
+    confidence: Mapping[str, Tensor],
+    glare: NDArray[np.float32],
+    foot: tuple[float, float] | None = None,
 ) -> SurfaceParameters:
     """Departures whose albedo and gloss are the same everywhere on average.
 
@@ -212,14 +216,18 @@ def flatten(
         departures: of the piece.
         confidence: (H, W) by map, in [0, 1].
         glare: (H, W) share of the radiance that is mirrored.
+        foot: where a mirror would show the flash, plane units: what is the same all around it is
+            no material's; None to leave that.
     """
+    rings = None if foot is None else Rings.around(foot, glare.shape)
     shape = np.stack([np.ones_like(glare), glare, np.square(glare)])
 
     def even(channel: Tensor, weight: Tensor) -> Tensor:
         mean = (channel * weight).sum() / weight.sum()
         channel = channel - torch.from_numpy(_following(channel.numpy(), shape))
         slow = smoothed(channel.numpy(), max(channel.shape) / REFINE.stationary)
-        return channel + (mean - torch.from_numpy(slow))
+        even = channel + (mean - torch.from_numpy(slow))
+        return even if rings is None else even - torch.from_numpy(rings.marked(even.numpy()))
 
     return replace(
         departures,

@@ -184,6 +184,24 @@ class RefineSettings:
 
 
 @dataclass(frozen=True)
+class RingSettings:
+    """What lies in rings around the flash's foot, and is taken off the maps.
+
+    Attributes:
+        width: texels, of a ring. More leaves what is narrower.
+        sectors: of a ring, whose scatter tells chance. More take drawings for marks.
+        nearest: texels: a ring's sectors are longer than grain beyond it.
+        doubt: times what chance explains. Less takes off what a drawing has by chance, more leaves
+            faint marks.
+    """
+
+    width: float = 3.0
+    sectors: int = 8
+    nearest: float = 12.0
+    doubt: float = 4.0
+
+
+@dataclass(frozen=True)
 class AdaptSettings:
     """A few numbers moved until windows look like the photograph everywhere.
 
@@ -324,6 +342,7 @@ READ = ReadSettings()
 NOISE = NoiseSettings()
 STRENGTH = StrengthSettings()
 REFINE = RefineSettings()
+RINGS = RingSettings()
 ADAPT = AdaptSettings()
 LEND = LendSettings()
 FINEST = FinestSettings()

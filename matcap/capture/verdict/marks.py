@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.exemplar import Exemplar
-from matcap.flash.geometry import FlashSetup, camera_in_plane
+from matcap.flash.geometry import FlashSetup, highlight_foot
 
 BlockMeans = NDArray[np.float64]
 
@@ -35,14 +35,6 @@ class MarkSettings:
 
 
 MARKS = MarkSettings()
-
-
-def highlight_foot(setup: FlashSetup) -> tuple[float, float]:
-    """Where a mirror in the plane shows the flash, plane units."""
-    camera, light = (place.numpy() for place in camera_in_plane(setup))
-    share = camera[2] / (camera[2] + light[2])
-    x, y = (camera + share * (light - camera))[:2]
-    return float(x), float(y)
 
 
 def marks(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from matcap.capture.verdict.marks import highlight_foot, in_rings, marks
+from matcap.capture.verdict.marks import in_rings, marks
 from matcap.example.exemplar import Exemplar
-from matcap.flash.geometry import FlashSetup, camera_in_plane
+from matcap.flash.geometry import FlashSetup, camera_in_plane, highlight_foot
 
 SETUP = FlashSetup(offset=(0.2, -0.1, 0.0), tilt=(0.05, -0.03))
 SIZE = (192, 144)
