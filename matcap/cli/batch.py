@@ -144,6 +144,8 @@ def batch(
         _print_prediction(prepared.entries, prediction, as_json=as_json)
         raise typer.Exit(ExitCode.DONE)
     _print_results(prepared.entries, out, as_json=as_json, quiet=quiet)
+    if code == ExitCode.INTERRUPTED and all(e.state != "left" for e in prepared.entries):
+        typer.echo("matcap: interrupted when all of it was done.", err=True)
     raise typer.Exit(code)
 
 
