@@ -114,7 +114,7 @@ def _do(job: BatchJob, tell: TellProgress) -> dict[str, Any]:
     photos = []
     for path in job.photos:
         photo = read_photograph(path, chosen, several=len(job.photos) > 1)
-        photos.append(photo if job.card is None else calibrated(photo, path, job.card))
+        photos.append(photo if job.card is None else calibrated(photo, job.card))
 
     result = capture_photo(photos[0], chosen, tell, others=photos[1:])
     tell(Progress("writing", 0.95))

@@ -58,6 +58,7 @@ def judged(
             tilt=0.0 if found is None else _mean_tilt(found),
             # A regular order keeps its pieces together, however small its periods.
             variety=1.0 if found is None or waves else found.example.variety,
+            photographs=1 if found is None or found.several is None else len(found.several.views),
         )
         verdict = judge(seen)
     return CaptureResult(

@@ -223,14 +223,14 @@ def _captured_together(
         texel_size=plane.texel_size,
         setup=coarse.setup.dimmed(found.scale),
         provenance=provenance(
-            photos[0],
+            together.photo,
             settings,
             coarse,
             resolve(settings),
             [] if several is None else several.document()["photographs"][1:],
         ),
     )
-    return judged(photos[0], material, plane, together.waves, settings, clock, found)
+    return judged(together.photo, material, plane, together.waves, settings, clock, found)
 
 
 def _window(plane: Plane, wanted: int, name: str) -> int:

@@ -36,11 +36,11 @@ Keys:
         before and after on windows held back, and whether it was kept), `confidence` (mean, by
         map), `marks` (root-mean-square of what goes with the distance from where the flash was:
         logarithms of `albedo`, `specular` and `grain`, relief's strength, and `roughness`).
-    several: of several photographs of one piece, or null: `photographs` (name, `matches` with the
-        first, `likeness`, `place` in plane units, tilt, `residual` of its re-rendering, and
-        `predicted`, the same where all others alone decided), `left_out` (name and why),
-        `measured_share` (by map: what photographs tell rather than the network), flash offset and
-        lens distortion.
+    several: of several photographs of one piece, or null: `photographs` (name, `flash`, false of
+        one by the room's light, `matches` with the first, `likeness`, `place` in plane units, tilt,
+        `residual` of its re-rendering, and `predicted`, the same where all others alone decided,
+        or null), `left_out` (name and why), `measured_share` (by map: what photographs tell
+        rather than the network), flash offset and lens distortion.
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.
 """

@@ -131,6 +131,15 @@ def floors(
             min=1, max=12, help="Of one piece, from so many places; may be given several times."
         ),
     ] = None,
+    room: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=10.0,
+            help="With --photographs: irradiance by the room, for a flash of 1 in plane units; "
+            "each count is captured without and with one more photograph without flash.",
+        ),
+    ] = 0.0,
     weights: Annotated[
         Path | None, typer.Option(help="SqueezeNet 1.1 by ncnn, instead of what comes along.")
     ] = None,
@@ -158,7 +167,13 @@ def floors(
         from matcap.lab.floors.several import run_several, several_markdown
 
         several = run_several(
-            subjects(material or (), sets), photographs, out, settings, measure, tell=typer.echo
+            subjects(material or (), sets),
+            photographs,
+            out,
+            settings,
+            measure,
+            room=room,
+            tell=typer.echo,
         )
         typer.echo(several_markdown(several, command))
         return

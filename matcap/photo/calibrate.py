@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files.srgb import srgb_decode, srgb_encode
 from matcap.photo.card import BOARD_AT, PATCHES, PATCHES_AT, PATCHES_SIZE, SQUARE, board
-from matcap.photo.exif import read_exposure
+from matcap.photo.exif import read_exif
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
 
@@ -102,7 +102,7 @@ def read_card(path: Path, *, fov: float | None = None) -> Calibration:
             found,
             matrix=tuple(tuple(float(v) for v in row) for row in fit.matrix),
             white=fit.white,
-            exposure=read_exposure(path),
+            exposure=read_exif(path).exposure,
             residual=fit.residual,
         )
     if seen is None and fit is None:
@@ -115,7 +115,7 @@ def read_card(path: Path, *, fov: float | None = None) -> Calibration:
     return replace(found, digest=digest)
 
 
-def calibrated(photo: Photo, path: Path, calibration: Calibration) -> Photo:
+def calibrated(photo: Photo, calibration: Calibration) -> Photo:
     """A photograph in true colours, and with its flash known where the exposures can be compared.
 
     Only RAWs change: a developed picture's numbers are no light.
@@ -125,7 +125,7 @@ def calibrated(photo: Photo, path: Path, calibration: Calibration) -> Photo:
     matrix = np.array(calibration.matrix, np.float32)
     noise = None if photo.noise is None else photo.noise @ matrix.T
     photo = replace(photo, pixels=np.maximum(photo.pixels @ matrix.T, 0.0), noise=noise)
-    exposure, white = read_exposure(path), calibration.white
+    exposure, white = photo.exposure, calibration.white
     if white is None or exposure is None or calibration.exposure is None:
         return photo
     # White reflects I / (pi d^2) where it lies squarely under the flash.

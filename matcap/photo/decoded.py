@@ -23,6 +23,7 @@ class Decoded:
         clipped_share: of the stored pixels (of a RAW: of the photosites of the colour that clips
             most), before shrinking, or None where only `clipped` tells.
         noise: like pixels, see Photo.
+        balance: see Photo.
     """
 
     pixels: NDArray[np.float32]
@@ -34,3 +35,4 @@ class Decoded:
     notes: tuple[str, ...] = ()
     clipped_share: float | None = None
     noise: NDArray[np.float32] | None = None
+    balance: tuple[float, float, float] | None = None

@@ -19,11 +19,14 @@ class Exif:
         orientation: 1 to 8, how the stored picture lies; 1 is upright.
         fov: field of view across the long side, degrees, or None.
         flash_fired: or None where the file does not say.
+        exposure: how much light it took in, in units that compare within a shoot: exposure time
+            times sensitivity over the squared f-number; None where the file lacks one.
     """
 
     orientation: int = 1
     fov: float | None = None
     flash_fired: bool | None = None
+    exposure: float | None = None
 
 
 def fov_of_focal_length(focal_length: float) -> float:
@@ -42,13 +45,7 @@ def read_exif(source: Path | bytes) -> Exif:
     return _interpret(_tags(io.BytesIO(source.removeprefix(b"Exif\0\0"))))
 
 
-def read_exposure(path: Path) -> float | None:
-    """How much light a photograph took in, in units that compare within a shoot.
-
-    Exposure time times sensitivity over the squared f-number; None where the file lacks one.
-    """
-    with path.open("rb") as file:
-        tags = _tags(file)
+def _exposure(tags: dict[str, Any]) -> float | None:
     time = _ratio(tags, "EXIF ExposureTime")
     sensitivity = _ratio(tags, "EXIF ISOSpeedRatings")
     aperture = _ratio(tags, "EXIF FNumber")
@@ -84,6 +81,7 @@ def _interpret(tags: dict[str, Any]) -> Exif:
         # Zero means unknown; no lens for photographs is longer than 10 m.
         fov=fov_of_focal_length(focal_length) if 0 < focal_length < 10_000 else None,
         flash_fired=bool(flash & 1) if flash >= 0 else None,
+        exposure=_exposure(tags),
     )
 
 

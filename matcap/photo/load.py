@@ -139,6 +139,8 @@ def _photo(
         notes=picture.notes,
         stored_clipped_share=picture.clipped_share,
         noise=None if picture.noise is None else lying(picture.noise),
+        exposure=exif.exposure,
+        balance=picture.balance,
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+FULL = 0.95  # of the clip level: a clipped pixel's channels above this did it
 DEFAULT_FOV = 45.0  # degrees across the long side, where the file does not say (the paper's)
 
 
@@ -38,6 +39,9 @@ class Photo:
             `pixels`; None where it is unknown or has averaged out.
         left_out: (H, W) bool, what is not the material (left_out.py): nothing is measured there;
             None where all of it is.
+        exposure: what the file says of exposure time, sensitivity and aperture together: how much
+            larger numbers are for the same light; None where it does not say.
+        balance: by channel, how much white balance lifted it; None where it is unknown.
     """
 
     pixels: NDArray[np.float32]
@@ -56,6 +60,8 @@ class Photo:
     path: Path | None = None
     noise: NDArray[np.float32] | None = None
     left_out: NDArray[np.bool_] | None = None
+    exposure: float | None = None
+    balance: tuple[float, float, float] | None = None
 
     @property
     def stem(self) -> str:

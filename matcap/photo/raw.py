@@ -63,7 +63,7 @@ def read_raw(
         else:
             noisy = None
         developed, headroom = _develop(raw, corrections, half)
-        balanced = _positive(raw.camera_whitebalance) is not None
+        balance, balanced = _balance(raw), _positive(raw.camera_whitebalance) is not None
     again = None
     if noisy is not None:
         # Opened once more: what LibRaw shows of a mosaic changes when it has developed it.
@@ -99,6 +99,7 @@ def read_raw(
         notes=corrections.notes + (() if balanced else (unbalanced,)),
         clipped_share=share,
         noise=drawn,
+        balance=balance,
     )
 
 
@@ -169,12 +170,8 @@ def _saturated(raw: Any, bayer: bool, half: bool) -> tuple[NDArray[np.bool_], fl
     import cv2
 
     mosaic = raw.raw_image_visible
-    balance = np.array(
-        _positive(raw.camera_whitebalance)
-        or _positive(raw.daylight_whitebalance)
-        or (1.0, 1.0, 1.0)
-    )
-    lift = np.append(balance, balance[1]) / balance.min()
+    balance = np.array(_balance(raw))
+    lift = np.append(balance, balance[1])
     black = np.array(raw.black_level_per_channel, np.float64)
     limit = black + CLIP_SHARE * (raw.white_level - black) / lift
     if mosaic.ndim == 3:
@@ -201,6 +198,17 @@ def _two_by_two(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Any of each whole two by two."""
     even = mask[: mask.shape[0] // 2 * 2, : mask.shape[1] // 2 * 2]
     return (even[::2, ::2] | even[1::2, ::2] | even[::2, 1::2] | even[1::2, 1::2]) > 0
+
+
+def _balance(raw: Any) -> tuple[float, float, float]:  # noqa: ANN401
+    """What white balance lifts red, green and blue by, the least of them by 1."""
+    red, green, blue = (
+        _positive(raw.camera_whitebalance)
+        or _positive(raw.daylight_whitebalance)
+        or (1.0, 1.0, 1.0)
+    )
+    least = min(red, green, blue)
+    return (red / least, green / least, blue / least)
 
 
 def _positive(balance: Sequence[float]) -> tuple[float, float, float] | None:

@@ -107,13 +107,13 @@ def test_albedo_becomes_absolute(calibration, tmp_path):
     gain = math.pi * shot.setup.distance**2 * calibration.white / shot.setup.intensity[0]
     write_dng(path, replace(shot, linear=shot.linear * gain), Sensor(), 1)
     photo = load_photo(path)
-    known = calibrated(photo, path, calibration)
+    known = calibrated(photo, calibration)
     assert known.flash_intensity is not None and photo.flash_intensity is None
     untold = fit_coarse(known)
     coarse = under_flash(untold, known.flash_intensity)
     assert np.mean(coarse.diffuse) == pytest.approx(0.09, rel=0.15)
     assert under_flash(untold, None) is untold
-    assert calibrated(replace(photo, radiometric=False), path, calibration).flash_intensity is None
+    assert calibrated(replace(photo, radiometric=False), calibration).flash_intensity is None
 
 
 def test_a_matrix_and_a_falloff_are_found_together():

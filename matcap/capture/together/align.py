@@ -21,12 +21,20 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.together.shared import shared_light, shared_step
 from matcap.capture.together.surface import surface_of
-from matcap.capture.together.texels import SLOPES, SolveSettings, numbers_of, spread_of, stepped
+from matcap.capture.together.texels import (
+    SLOPES,
+    SolveSettings,
+    numbers_of,
+    spread_of,
+    stepped,
+    under_room,
+)
 from matcap.capture.together.views import PieceView, SetLight, ViewPlace
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.adjust import AdjustSettings, Pair, adjust
 from matcap.flash.registration.camera import Doubles, PosedCamera
-from matcap.flash.registration.register import RegisteredView, Registration, grid_points
+from matcap.flash.registration.grid import grid_points
+from matcap.flash.registration.register import RegisteredView, Registration
 
 
 @dataclass(frozen=True)
@@ -116,6 +124,7 @@ def aligned(
             if turn == 0 or numbers is None:
                 numbers = _begun(seen, numbers, believed, spread, light, radiometric, steps)
                 relief = _relief(numbers, small.texel_size, settings)
+            seen = under_room(seen, numbers)
             light, moves = shared_step(
                 seen, numbers, believed, spread, light, radiometric, solving, moving=True
             )
@@ -150,8 +159,10 @@ def _begun(
     if numbers is not None:
         numbers = F.interpolate(numbers[None], size=believed.shape[1:], mode="bilinear")[0]
     else:
-        light = shared_light(seen, believed, believed, spread, light, radiometric, solving)
+        dark = under_room(seen, believed)
+        light = shared_light(dark, believed, believed, spread, light, radiometric, solving)
         numbers = believed
+    seen = under_room(seen, numbers)
     for _ in range(steps):
         numbers, _ = stepped(seen, numbers, believed, spread, light, solving)
     return numbers

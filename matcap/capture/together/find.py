@@ -38,7 +38,9 @@ from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.tuned import LEND
 from matcap.capture.together.align import Aligned, aligned, reframed, shrunk
+from matcap.capture.together.place import fitted, placed
 from matcap.capture.together.predict import predictions
+from matcap.capture.together.room import less_room
 from matcap.capture.together.set_report import SetReport
 from matcap.capture.together.solve import Solved, solve
 from matcap.capture.together.texels import SolveSettings
@@ -49,7 +51,7 @@ from matcap.example.exemplar import Exemplar
 from matcap.flash.coarse import CoarseFit, fit_coarse, under_flash
 from matcap.flash.plane import Plane
 from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.register import Registration, register
+from matcap.flash.registration.register import Registration
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
@@ -66,12 +68,14 @@ class FoundTogether:
         coarse: fit of the first photograph, with its camera as all of them tell.
         plane: the first photograph on it.
         waves: of its regular order.
+        photo: the first photograph, without what the room added to its light.
     """
 
     found: FoundPiece
     coarse: CoarseFit
     plane: Plane
     waves: tuple[Wave, ...]
+    photo: Photo
 
 
 @dataclass(frozen=True)
@@ -101,7 +105,7 @@ def find_together(
     """The piece of several photographs; an interrupt ends with the best so far.
 
     Args:
-        photos: two or more, the first of which gives the piece its frame.
+        photos: two or more, the first of which with a flash gives the piece its frame.
         network: reads the first (piece/network/store.py).
         detail: texels across, or None for as many as by default.
         stage: entered with the name of each stage.
@@ -111,7 +115,7 @@ def find_together(
         MatcapError: no other photograph shows the same piece.
     """
     registration, coarse, plane = _registered(photos, detail, stage)
-    single = _read_alone(plane, coarse, network, stage)
+    first, single = registration.views[0].photo, _read_alone(plane, coarse, network, stage)
     radiometric = all(view.photo.radiometric for view in registration.views)
     light = SetLight.of(coarse.setup, len(registration.views))
     found, interrupted = Aligned.of(registration, coarse.setup, light), False
@@ -127,7 +131,7 @@ def find_together(
             )
     except KeyboardInterrupt:
         interrupted = True
-    plane, lattice = plane_in_detail(photos[0], found.setup, detail)
+    plane, lattice = plane_in_detail(first, found.setup, detail)
     with stage("solve"):
         prior = reframed(single.maps, PosedCamera.of(registration.setup), found.views[0].camera)
         views, solved = _solved(
@@ -144,12 +148,12 @@ def find_together(
     with stage("lend"):
         exemplar = lent(sight, _reading(sight, solved, views), LEND.tried_at_once)
     with stage("index"):
-        example, scale = _indexed(photos[0], exemplar, lattice.waves)
+        example, scale = _indexed(first, exemplar, lattice.waves)
     sharp = sharpness(piece_maps(example.exemplar), plane, coarse)
     piece = FoundPiece(
         example, single.strengths, solved.residual[0], 0.0, sharp, (), interrupted, told, scale
     )
-    return FoundTogether(piece, coarse, plane, lattice.waves)
+    return FoundTogether(piece, coarse, plane, lattice.waves, first)
 
 
 def _indexed(photo: Photo, exemplar: Exemplar, waves: tuple[Wave, ...]) -> tuple[Example, float]:
@@ -162,14 +166,14 @@ def _registered(
     photos: Sequence[Photo], detail: int | None, stage: Stage
 ) -> tuple[Registration, CoarseFit, Plane]:
     """Cameras by what photographs have in common; with them the coarse fit, and the plane."""
-    first = photos[0]
     with stage("coarse fit"):
-        coarse = under_flash(fit_coarse(first), first.flash_intensity)
+        coarse = fitted(photos)
     with stage("register"):
-        registration = register(photos, coarse.setup)
+        registration = placed(photos, coarse)
         if len(registration.views) < 2:
             raise _none_fits(registration)
-        setup = registration.setup
+        registration, _ = less_room(registration)
+        first, setup = registration.views[0].photo, registration.setup
         again = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
         coarse = under_flash(again, first.flash_intensity)
         # What the fit hardly moved at all is the camera still.

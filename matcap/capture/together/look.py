@@ -14,14 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.capture.together.place import placed
 from matcap.errors import MatcapError
-from matcap.flash.coarse import fit_coarse
-from matcap.flash.registration.register import (
-    RegisteredView,
-    Registration,
-    grid_points,
-    register,
-)
+from matcap.flash.registration.grid import grid_points
+from matcap.flash.registration.register import RegisteredView, Registration
 from matcap.photo.inspect import Finding, Inspection, Verdict
 from matcap.photo.load import load_photo
 
@@ -68,15 +64,13 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
             "one photograph is no set", where=str(paths[0]), remedy="give two or more of one piece"
         )
     photos = [load_photo(path, long_side=LOOK.detail, fov=fov, noise=False) for path in paths]
-    return set_quality(register(photos, fit_coarse(photos[0]).setup))
+    return set_quality(placed(photos))
 
 
 def set_quality(found: Registration) -> Inspection:
     """What photographs show and lack whose cameras are found."""
-    first = found.views[0].photo.name
-    return Inspection(
-        first, (_belong(found), *_sides(found.views), _places(found.views), _common(found.views))
-    )
+    first, lit = found.views[0].photo.name, [view for view in found.views if view.flash]
+    return Inspection(first, (_belong(found), *_sides(lit), _places(lit), _common(found.views)))
 
 
 def _belong(found: Registration) -> Finding:
@@ -84,7 +78,13 @@ def _belong(found: Registration) -> Finding:
     says = f"{used} photographs show the same piece."
     if used < 2:
         says = f"No other photograph shows the piece of {found.views[0].photo.name}."
-    says = " ".join([says, *(f"{one.name} does not belong: {one.why.rstrip('.')}." for one in out)])
+    says = " ".join(
+        [
+            says,
+            *_room(found),
+            *(f"{one.name} does not belong: {one.why.rstrip('.')}." for one in out),
+        ]
+    )
     value = {"used": used, "left_out": [one.name for one in out]}
     if not out and used > 1:
         return Finding("belong", value, Verdict.GOOD, says)
@@ -93,6 +93,13 @@ def _belong(found: Registration) -> Finding:
         ", or photograph again: the same piece, sharp, with flash, two thirds of it in common."
     )
     return Finding("belong", value, Verdict.POOR if used < 2 else Verdict.DOUBTFUL, says, remedy)
+
+
+def _room(found: Registration) -> tuple[str, ...]:
+    dark = [view.photo for view in found.views if not view.flash]
+    known = all(view.photo.exposure is not None for view in found.views)
+    helps = "is taken off the others" if known else "helps with albedo"
+    return tuple(f"{photo.name} was taken without flash: what it shows {helps}." for photo in dark)
 
 
 def _sides(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:

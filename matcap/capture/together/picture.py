@@ -33,13 +33,13 @@ class _View:
     Attributes:
         number: of its photograph, from 1.
         place: (3,) of the camera.
-        flash: (3,) of its light.
+        flash: (3,) of its light; None where there was none.
         seen: (3, 4) corners of what it saw of the plane.
     """
 
     number: int
     place: Doubles
-    flash: Doubles
+    flash: Doubles | None
     seen: Doubles
 
     @property
@@ -96,7 +96,11 @@ def told_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
     each = zip(report.views, report.residuals, predicted, strict=True)
     for number, (view, residual, ahead) in enumerate(each, 1):
         said = f"{number} {view.photo.name}: re-rendered within {100.0 * residual:.1f} %"
-        yield said + ("" if ahead is None else f", foretold within {100.0 * ahead:.1f} %"), number
+        if not view.flash:
+            said += ", without flash"
+        elif ahead is not None:
+            said += f", foretold within {100.0 * ahead:.1f} %"
+        yield said, number
     for one in report.left_out:
         yield f"left out: {one.name}, {one.why}", 0
     names = ("diffuse", "specular", "roughness", "height")
@@ -109,7 +113,8 @@ def _views(report: SetReport, high: float) -> Iterator[_View]:
     offset = (*report.flash_offset, 0.0)
     for number, view in enumerate(report.views, 1):
         camera = view.camera
-        yield _View(number, camera.place, camera.flash(offset), camera.on_plane(corners))
+        light = camera.flash(offset) if view.flash else None
+        yield _View(number, camera.place, light, camera.on_plane(corners))
 
 
 def _from_above(
@@ -129,7 +134,7 @@ def _from_above(
         outline = [frame.at(corner) for corner in view.seen[:2].T]
         ink.line([*outline, outline[0]], fill=view.colour, width=2)
     for view in views:
-        _camera(ink, view, frame.at(view.place[:2]), frame.at(view.flash[:2]))
+        _camera(ink, view, frame, (0, 1))
     return sheet
 
 
@@ -142,12 +147,12 @@ def _from_the_side(views: list[_View], width: int, height: int) -> Image.Image:
     frame = _Frame.around(np.concatenate([ends, *points], axis=1), width, height)
     ink.line([frame.at(ends[:, 0]), frame.at(ends[:, 1])], fill=_INK, width=3)
     for view in views:
-        place = view.place[list(across)]
+        place = view.place[[0, 2]]
         edges = view.seen[0]
         for edge in (edges.min(), edges.max()):
             ink.line([frame.at(place), frame.at(np.array([edge, 0.0]))], fill=_FAINT)
     for view in views:
-        _camera(ink, view, frame.at(view.place[list(across)]), frame.at(view.flash[list(across)]))
+        _camera(ink, view, frame, across)
     return sheet
 
 
@@ -180,17 +185,18 @@ def _wrapped(
 
 def _ground(view: _View) -> Doubles:
     """(2, n) of the plane that a view concerns."""
-    return np.concatenate([view.seen[:2], view.place[:2, None], view.flash[:2, None]], axis=1)
+    points = [view.place] if view.flash is None else [view.place, view.flash]
+    return np.concatenate([view.seen[:2], *(point[:2, None] for point in points)], axis=1)
 
 
-def _camera(
-    ink: ImageDraw.ImageDraw, view: _View, at: tuple[float, float], flash: tuple[float, float]
-) -> None:
-    x, y = at
+def _camera(ink: ImageDraw.ImageDraw, view: _View, frame: _Frame, axes: tuple[int, int]) -> None:
+    x, y = frame.at(view.place[list(axes)])
     ink.ellipse([x - _ROUND, y - _ROUND, x + _ROUND, y + _ROUND], fill=view.colour)
     font = ImageFont.load_default(size=14)
     ink.text((x, y), str(view.number), fill=_PAPER, font=font, anchor="mm")
-    x, y = flash
+    if view.flash is None:
+        return
+    x, y = frame.at(view.flash[list(axes)])
     ink.ellipse([x - _SPARK, y - _SPARK, x + _SPARK, y + _SPARK], fill=_FLASH, outline=_PAPER)
 
 

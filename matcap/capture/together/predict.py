@@ -5,6 +5,7 @@ It needs no truth: what no photograph shows but one, the others cannot have been
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -41,6 +42,8 @@ def predictions(
 ) -> tuple[float, ...]:
     """Median difference of log radiance of each photograph from what all others make of it.
 
+    NaN of one by the room's light, whose light nobody predicts; nothing where one flash is all.
+
     Args:
         found: where photographs lie.
         prior, doubt: of the first one, as for solve. It is read from the first photograph, so the
@@ -60,7 +63,12 @@ def predictions(
     ]
     solving = SolveSettings(rounds=settings.rounds)
     errors = []
+    if sum(view.room is None for view in views) < 2:
+        return ()
     for index, view in enumerate(views):
+        if view.room is not None:
+            errors.append(math.nan)
+            continue
         kept = [k for k in range(len(views)) if k != index]
         light = solved.light.of_some(kept)
         by_others = solve(

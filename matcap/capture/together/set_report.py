@@ -19,7 +19,8 @@ class SetReport:
     Attributes:
         views: those that were used, each with its camera, the first one first.
         residuals: median difference of log radiance between each and its re-rendering.
-        predicted: the same of each when all the others alone decide; empty where nobody asked.
+        predicted: the same of each when all the others alone decide, NaN of one by the room's
+            light; empty where nobody asked.
         left_out: those that were not used, and why.
         told: share of maps that was measured rather than read: albedo, F0, roughness, relief.
         flash_offset: of all photographs.
@@ -57,12 +58,13 @@ class SetReport:
             "photographs": [
                 {
                     "name": view.photo.name,
+                    "flash": view.flash,
                     "matches": view.matches,
                     "likeness": view.alike,
                     "place": view.camera.place.tolist(),
                     "tilt_degrees": math.degrees(view.camera.tilt),
                     "residual": residual,
-                    "predicted": ahead,
+                    "predicted": None if ahead is None or math.isnan(ahead) else ahead,
                 }
                 for view, residual, ahead in zip(self.views, self.residuals, predicted, strict=True)
             ],

@@ -218,7 +218,7 @@ def _eliminated(
         if moved is not None:
             seen_log = seen_log + torch.einsum("i,icxn->cxn", moved, samples.along[k])
         residual = seen_log - log
-        weight = weights(residual, samples.seen[k], samples.steep[k], settings)[:, 0]
+        weight = weights(residual, samples.seen[k], samples.steep[k], view.noise, settings)[:, 0]
         columns, places = _by_shared(view, k, samples, some, log, values, light, own, first)
         weighted = own_numbers * weight
         within += torch.einsum("icn,jcn->nij", weighted, own_numbers)

@@ -37,6 +37,7 @@ from matcap.capture.together.texels import (
     slopes_of,
     spread_of,
     stepped,
+    under_room,
 )
 from matcap.capture.together.views import PieceView, SetLight, light_at, strips
 
@@ -89,7 +90,8 @@ def solve(
         begun: the same piece solved on fewer texels: where texels begin, in place of what was read.
     """
     settings = settings or SolveSettings()
-    believed = numbers_of(prior)
+    given, believed = views, numbers_of(prior)
+    views = under_room(given, believed)
     spread = spread_of(doubt, settings)
     light = shared_light(views, believed, believed, spread, light, radiometric, settings)
     numbers = believed.clone() if begun is None else _continued(believed, prior, begun)
@@ -97,6 +99,7 @@ def solve(
     precision = torch.zeros(())
     try:
         for index, steps in enumerate(settings.rounds):
+            views = under_room(given, numbers)
             light = shared_light(views, numbers, believed, spread, light, radiometric, settings)
             for _ in range(steps):
                 numbers, precision = stepped(views, numbers, believed, spread, light, settings)

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
+from matcap.capture.together.room import RoomLight, evenly_lit
 from matcap.capture.together.views import PieceView, SetLight, light_at, logarithm, radiance, strips
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight
@@ -111,7 +112,7 @@ def spread_of(doubt: Tensor, settings: SolveSettings) -> Tensor:
     return torch.cat([albedo, gloss, off[3:4].clamp_min(settings.slope).expand(2, -1, -1)])
 
 
-def rendered(numbers: Tensor, lights: Sequence[FlashLight]) -> list[Tensor]:
+def rendered(numbers: Tensor, lights: Sequence[FlashLight | RoomLight]) -> list[Tensor]:
     """Radiance (3, h, w) of numbers (NUMBERS, h, w) in each light."""
     normal = normals_from_slopes(numbers[5:6], numbers[6:7])
     matte, f0 = numbers[ALBEDO].exp(), numbers[F0 : F0 + 1].exp()
@@ -119,10 +120,23 @@ def rendered(numbers: Tensor, lights: Sequence[FlashLight]) -> list[Tensor]:
     return [radiance(light, matte, f0, rough, normal) for light in lights]
 
 
-def weights(residual: Tensor, seen: Tensor, steep: Tensor, settings: SolveSettings) -> Tensor:
+def under_room(views: Sequence[PieceView], numbers: Tensor) -> list[PieceView]:
+    """Photographs, the one by the room's light as its light is told by texels' numbers so far."""
+    return [view if view.room is None else _even(view, numbers) for view in views]
+
+
+def _even(view: PieceView, numbers: Tensor) -> PieceView:
+    shown = logarithm(numbers[ALBEDO].exp() + numbers[F0 : F0 + 1].exp())
+    log, lean = evenly_lit(view.log, view.seen, shown, numbers[SLOPES])
+    return replace(view, log=log, room=RoomLight(lean))
+
+
+def weights(
+    residual: Tensor, seen: Tensor, steep: Tensor, noise: float, settings: SolveSettings
+) -> Tensor:
     """What residuals of log radiance weigh (Geman and McClure 1985)."""
     kept = 1.0 / (1.0 + (residual / settings.robust).square()).square()
-    return seen * kept / (settings.noise**2 + (settings.beside * steep).square())
+    return seen * kept / (settings.noise**2 + noise**2 + (settings.beside * steep).square())
 
 
 def stepped(
@@ -168,7 +182,7 @@ def _system(
             continue
         log, shown = derivatives(numbers, light_at(index, view, light, points), settings.step)
         residual = view.log[:, rows] - log
-        weight = weights(residual, seen, view.steep[rows], settings).flatten(1)
+        weight = weights(residual, seen, view.steep[rows], view.noise, settings).flatten(1)
         weighted = shown * weight
         # Albedo's channels show in themselves alone.
         for channel in range(3):
@@ -183,7 +197,9 @@ def _system(
     return normal.permute(2, 0, 1), gradient.T
 
 
-def derivatives(numbers: Tensor, light: FlashLight, step: float) -> tuple[Tensor, Tensor]:
+def derivatives(
+    numbers: Tensor, light: FlashLight | RoomLight, step: float
+) -> tuple[Tensor, Tensor]:
     """Log radiance (3, h, w) of numbers, and what it gains by each of them (NUMBERS, 3, h * w).
 
     By differences of a step, but for albedo, which adds its own share.

@@ -11,13 +11,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.capture.together.room import ROOM, RoomLight
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import FlashLight, log_vignette
 from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.register import RegisteredView, grid_points, to_pixels
+from matcap.flash.registration.grid import grid_points, to_pixels
+from matcap.flash.registration.register import RegisteredView
+from matcap.photo.photo import FULL
 
 _FINER = 2  # places a texel's side is seen at
-_CLIPPING = 0.95  # a clipped pixel's channels above this did it
 _MOST_CLIPPED = 0.25  # share of a texel that may have been clipped
 _DARKEST = 1e-5  # linear radiance
 _BORDER = 2.0  # pixels at a photograph's border that are not used
@@ -109,6 +111,8 @@ class PieceView:
         steep: (H, W) how much log radiance changes from a texel to the next: what a texel that is
             looked up beside its place is off by.
         camera: where it stood.
+        room: what lit it where that was not its flash.
+        noise: of log radiance, what it is off by beside what a flash photograph is.
     """
 
     name: str
@@ -116,6 +120,8 @@ class PieceView:
     seen: Tensor
     steep: Tensor
     camera: PosedCamera
+    room: RoomLight | None = None
+    noise: float = 0.0
 
     @staticmethod
     def of(
@@ -133,7 +139,7 @@ class PieceView:
         shrink = min(1.0, _FINER * across / columns)
         size = (round(columns * shrink), round(rows * shrink))
         pixels = _shrunk(photo.pixels, size)
-        full = (photo.clipped[..., None] & (photo.pixels > _CLIPPING)).astype(np.float32)
+        full = (photo.clipped[..., None] & (photo.pixels > FULL)).astype(np.float32)
         clipped = _shrunk(full, size)
         fine = (across * _FINER, down * _FINER)
         points = grid_points(*fine) if place is None else place.points(*fine)
@@ -155,6 +161,8 @@ class PieceView:
             torch.from_numpy(np.ascontiguousarray(seen.transpose(2, 0, 1))),
             torch.from_numpy(_steepness(log.mean(2))),
             view.camera,
+            None if view.flash else RoomLight(),
+            0.0 if view.flash else ROOM.noise,
         )
 
 
@@ -169,8 +177,12 @@ def _steepness(log: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(np.sqrt(cv2.GaussianBlur(dx * dx + dy * dy, (0, 0), 1.5)), np.float32)
 
 
-def light_at(number: int, view: PieceView, light: SetLight, points: Tensor) -> FlashLight:
+def light_at(
+    number: int, view: PieceView, light: SetLight, points: Tensor
+) -> FlashLight | RoomLight:
     """Of a photograph's number, the light at plane points (3, h, w)."""
+    if view.room is not None:
+        return replace(view.room, strength=light.gain[number].exp()[:, None, None])
     camera = view.camera
     turn = torch.from_numpy(camera.turn).to(points)
     place = torch.from_numpy(camera.place).to(points)
@@ -183,7 +195,7 @@ def light_at(number: int, view: PieceView, light: SetLight, points: Tensor) -> F
 
 
 def radiance(
-    light: FlashLight, matte: Tensor, specular: Tensor, rough: Tensor, normal: Tensor
+    light: FlashLight | RoomLight, matte: Tensor, specular: Tensor, rough: Tensor, normal: Tensor
 ) -> Tensor:
     """(3, h, w) of albedo, F0 and roughness with normals (3, h, w)."""
     return light.onto(normal).radiance(matte, specular, rough).clamp_min(_DARKEST)

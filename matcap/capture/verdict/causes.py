@@ -34,8 +34,10 @@ class CauseLimits:
 
 
 CAUSES = CauseLimits()
-FIVE = "take five photographs and give them with --together, which tells more than one can"
-DARK = "photograph in a dark room, with other lights off"
+DARK = (
+    "photograph in a dark room, with other lights off, or take one more without flash and give "
+    "them with --together"
+)
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,15 @@ _LIGHT = frozenset({"light", "colour", "piece", "highlight", "flash", "camera"})
 _DRAWING = frozenset({"texture", "contrast", "order", "light"})
 _RELIEF = frozenset({"texture", "contrast", "piece", "seen"})
 _CLIPPED = frozenset({"clipping", "colour", "highlight", "seen", "piece", "contrast", "light"})
+
+
+def more_photographs(given: int) -> str:
+    """What to photograph where so many did not tell enough."""
+    if given < 2:
+        return "take five photographs and give them with --together, which tells more than one can"
+    if given < 5:
+        return f"add photographs from other sides to these {given}: five tell more"
+    return "photograph again with the phone moved further to each side (see matcap inspect)"
 
 
 def causes(signs: Signs) -> tuple[Cause, ...]:
@@ -119,7 +130,7 @@ def _all(signs: Signs) -> Iterator[Cause]:
         "steep relief",
         signs.tilt / CAUSES.tilt,
         f"relief leans by {signs.tilt:.0f} degrees on the mean, which one flash hardly tells",
-        FIVE,
+        more_photographs(signs.photographs),
         _RELIEF,
     )
     yield Cause(

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from matcap.capture.verdict.causes import FIVE
+from matcap.capture.verdict.causes import more_photographs
 from matcap.capture.verdict.evidence import Evidence
 from matcap.capture.verdict.marks import worst_mark
 from matcap.capture.verdict.rating import Rating
@@ -226,13 +226,17 @@ def _unlike(before: Highlight, after: Highlight) -> tuple[float, str, str]:
     return max(found)
 
 
+def _try_or_more(seen: Evidence) -> str:
+    return f"{_TRY}, or {more_photographs(seen.signs.photographs)}"
+
+
 def _light(seen: Evidence) -> QualityCheck:
     return QualityCheck(
         "light",
         severity(seen.light, LIMITS.light),
         f"brightness is distributed otherwise than in the photograph, by {_percent(seen.light)}",
         "",
-        FIVE,
+        more_photographs(seen.signs.photographs),
     )
 
 
@@ -243,7 +247,7 @@ def _colour(seen: Evidence) -> QualityCheck:
         severity(worst, LIMITS.colour),
         f"colours are off by {_percent(worst)}",
         "",
-        f"{_TRY}, or {FIVE}",
+        _try_or_more(seen),
     )
 
 
@@ -256,7 +260,7 @@ def _texture(seen: Evidence) -> QualityCheck:
         if math.isfinite(seen.likeness)
         else "the picture is too small to compare textures",
         "",
-        f"{_TRY}, or {FIVE}",
+        _try_or_more(seen),
     )
 
 
@@ -272,7 +276,7 @@ def _contrast(seen: Evidence) -> QualityCheck:
         severity(abs(changes[band]), LIMITS.contrast),
         f"{band} is {math.exp(abs(changes[band])):.1f} times {more} than in the photograph",
         "",
-        f"{_TRY}, or {FIVE}",
+        _try_or_more(seen),
     )
 
 
@@ -302,7 +306,7 @@ def _piece(seen: Evidence) -> Iterator[QualityCheck]:
         severity(error, LIMITS.piece),
         f"maps of the photographed piece leave {_percent(error)} of its light unexplained",
         "",
-        f"{_TRY}, or {FIVE}",
+        _try_or_more(seen),
     )
     trusted = {name: seen.piece[name] for name in seen.piece if name not in ("error", "slow")}
     least = min(trusted, key=lambda name: trusted[name])
@@ -326,7 +330,7 @@ def _marks(seen: Evidence) -> Iterator[QualityCheck]:
         severity(times, LIMITS.marks),
         f"a mark is left where the flash was: {_MARKED[name].format(amount)}",
         "the highlight was taken for the material's own",
-        FIVE,
+        more_photographs(seen.signs.photographs),
     )
 
 

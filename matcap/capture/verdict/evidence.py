@@ -117,6 +117,7 @@ def evidence(
     marks: Mapping[str, float] | None = None,
     tilt: float = 0.0,
     variety: float = 1.0,
+    photographs: int = 1,
 ) -> Evidence:
     """Measure a capture, in about a second.
 
@@ -127,7 +128,7 @@ def evidence(
         rerendered: (H, W, 3) the material under that flash, linear.
         waves: the plane waves of its regular order, cycles a texel.
         piece, marks: of the photographed piece's own maps; see Evidence.
-        tilt, variety: of the piece and its field; see Signs.
+        tilt, variety, photographs: of the piece and its field; see Signs.
     """
     # What the camera would have seen of the re-rendering: clipped where the photograph is.
     seen, again = np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0)
@@ -161,6 +162,7 @@ def evidence(
             tilt=tilt,
             variety=variety,
             fired=photo.flash_fired,
+            photographs=photographs,
         ),
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from matcap.capture.verdict.causes import FIVE, Cause, causes
+from matcap.capture.verdict.causes import Cause, causes, more_photographs
 from matcap.capture.verdict.checks import QualityCheck, all_checks
 from matcap.capture.verdict.evidence import Evidence
 from matcap.capture.verdict.rating import Rating
@@ -35,10 +35,12 @@ class CaptureVerdict:
     Attributes:
         checks: all that was looked at.
         causes: what the photograph shows of why, the strongest first.
+        photographs: that the capture was made of.
     """
 
     checks: tuple[QualityCheck, ...]
     causes: tuple[Cause, ...] = ()
+    photographs: int = 1
 
     @property
     def severity(self) -> float:
@@ -77,7 +79,7 @@ class CaptureVerdict:
                 return f"Likely cause: {cause.says}", cause.remedy
         if worst.cause:
             return f"Likely cause: {worst.cause}", worst.remedy
-        return "The photograph shows no cause", worst.remedy or FIVE
+        return "The photograph shows no cause", worst.remedy or more_photographs(self.photographs)
 
     def document(self) -> dict[str, Any]:
         """As JSON."""
@@ -104,4 +106,6 @@ class CaptureVerdict:
 
 def judge(seen: Evidence) -> CaptureVerdict:
     """The verdict on what was measured."""
-    return CaptureVerdict(tuple(all_checks(seen)), causes(seen.signs))
+    return CaptureVerdict(
+        tuple(all_checks(seen)), causes(seen.signs), photographs=seen.signs.photographs
+    )

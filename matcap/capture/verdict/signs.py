@@ -58,6 +58,7 @@ class Signs:
             photograph, to 1.
         developed: whether a tone curve can be in it, as in a JPEG.
         fired: whether the flash fired, as the file says; None where it does not.
+        photographs: that the piece was made of.
     """
 
     side: float = -1.0
@@ -69,6 +70,7 @@ class Signs:
     variety: float = 1.0
     developed: bool = False
     fired: bool | None = None
+    photographs: int = 1
 
 
 def signs_of(
@@ -82,6 +84,7 @@ def signs_of(
     tilt: float = 0.0,
     variety: float = 1.0,
     fired: bool | None = None,
+    photographs: int = 1,
 ) -> Signs:
     """Look for all signs.
 
@@ -92,7 +95,7 @@ def signs_of(
         highlights: of both.
         developed: whether the photograph went through a camera's own development.
         tilt, variety: of the piece and its field; see Signs.
-        fired: see Signs.
+        fired, photographs: see Signs.
     """
     light, model = before.mean(axis=2), after.mean(axis=2)
     some = (pixels >= SIGNS.clip).any(axis=2) & ~(pixels >= SIGNS.clip).all(axis=2)
@@ -106,6 +109,7 @@ def signs_of(
         variety=variety,
         developed=developed,
         fired=fired,
+        photographs=photographs,
     )
 
 

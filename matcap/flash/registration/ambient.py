@@ -28,6 +28,13 @@ class AmbientSettings:
     shown: float = 1.3
 
 
+def flash_first(photos: Sequence[Photo]) -> list[Photo]:
+    """Photographs in their order, but for those without flash, which come last."""
+    dark = without_flash(photos)
+    lit = [photo for number, photo in enumerate(photos) if number not in dark]
+    return lit + [photos[number] for number in dark]
+
+
 def without_flash(
     photos: Sequence[Photo], settings: AmbientSettings | None = None
 ) -> dict[int, str]:

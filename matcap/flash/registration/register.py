@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,7 +15,9 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.adjust import Adjusted, Pair, adjust
 from matcap.flash.registration.ambient import without_flash
 from matcap.flash.registration.camera import PosedCamera
+from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.flash.registration.keypoints import KeypointFinder
+from matcap.flash.registration.sharp import SHARP, blurring
 from matcap.photo.photo import DEFAULT_FOV, Photo
 
 
@@ -64,6 +66,7 @@ class RegisteredView:
         matches: with the first photograph that agree; 0 of the first itself.
         off: pixels that they lie beside each other (median).
         alike: correlation with the first photograph.
+        flash: whether its own flash lit it; else the room did.
     """
 
     photo: Photo
@@ -71,6 +74,7 @@ class RegisteredView:
     matches: int = 0
     off: float = 0.0
     alike: float = 1.0
+    flash: bool = True
 
 
 @dataclass(frozen=True)
@@ -79,13 +83,15 @@ class Registration:
 
     Attributes:
         setup: of the first one, its field of view and tilt as all of them tell.
-        views: those that belong, the first one first.
+        views: those that belong, the first one first; one without flash at most, last.
         left_out: those that do not.
+        blurred: whether the first one is, beside the others.
     """
 
     setup: FlashSetup
     views: tuple[RegisteredView, ...]
     left_out: tuple[LeftOut, ...]
+    blurred: bool = False
 
 
 def register(
@@ -103,16 +109,15 @@ def register(
     """
     settings = settings or RegisterSettings()
     finder = KeypointFinder()
-    pairs, left_out = dict[int, Pair](), without_flash(photos)
-    if 0 in left_out:
+    pairs, left_out = dict[int, Pair](), dict[int, str]()
+    dark = without_flash(photos)
+    if 0 in dark:
         raise MatcapError(
-            f"it was photographed without the flash ({left_out[0]})",
+            f"it was photographed without the flash ({dark[0]})",
             where=photos[0].name,
             remedy="name a photograph with flash first, from the middle",
         )
     for index in range(1, len(photos)):
-        if index in left_out:
-            continue
         first, second, pixel = finder.matched(photos[0], photos[index])
         if first.shape[1] < settings.matches:
             left_out[index] = (
@@ -122,24 +127,67 @@ def register(
         ratio = FlashSetup(fov=photos[index].fov).distance / FlashSetup(fov=photos[0].fov).distance
         pairs[index] = Pair(first, second, pixel, ratio)
     known = photos[0].fov_source != "assumed" and photos[0].fov != DEFAULT_FOV
+    blurred = False
     while True:
         adjusted = adjust(setup, list(pairs.values()), known=known)
         wrong = _wrong(photos, dict(zip(pairs, range(len(pairs)), strict=True)), adjusted, settings)
+        if not wrong:
+            blurred, wrong = _blurred(photos, list(pairs), dark, adjusted)
         if not wrong:
             break
         # The worst goes first: it may have misled the others.
         index, why = wrong[0]
         left_out[index] = why
         del pairs[index]
-    views = [RegisteredView(photos[0], adjusted.cameras[0])]
+    views, worse = _views(photos, pairs, dark, adjusted, settings)
+    left_out |= worse
+    names = tuple(
+        LeftOut(photos[index].name, "; ".join([*([dark[index]] if index in dark else []), why]))
+        for index, why in sorted(left_out.items())
+    )
+    return Registration(adjusted.first, views, names, blurred)
+
+
+def _views(
+    photos: Sequence[Photo],
+    pairs: dict[int, Pair],
+    dark: Container[int],
+    found: Adjusted,
+    settings: RegisterSettings,
+) -> tuple[tuple[RegisteredView, ...], dict[int, str]]:
+    """Photographs with flash, then the best without, and why others without are not used."""
+    lit, unlit = [RegisteredView(photos[0], found.cameras[0])], dict[int, RegisteredView]()
     for number, (index, pair) in enumerate(pairs.items()):
-        camera = adjusted.cameras[number + 1]
-        alike = likeness(views[0], RegisteredView(photos[index], camera), settings)
-        views.append(
-            RegisteredView(photos[index], camera, pair.first.shape[1], adjusted.off[number], alike)
+        view = RegisteredView(photos[index], found.cameras[number + 1])
+        view = replace(
+            view,
+            matches=pair.first.shape[1],
+            off=found.off[number],
+            alike=likeness(lit[0], view, settings),
+            flash=index not in dark,
         )
-    names = tuple(LeftOut(photos[index].name, why) for index, why in sorted(left_out.items()))
-    return Registration(adjusted.first, tuple(views), names)
+        if view.flash:
+            lit.append(view)
+        else:
+            unlit[index] = view
+    best = sorted(unlit, key=lambda index: -unlit[index].matches)
+    better = f"{unlit[best[0]].photo.name} tells the room's light better" if best else ""
+    worse = {index: better for index in best[1:]}
+    return (*lit, *(unlit[index] for index in best[:1])), worse
+
+
+def _blurred(
+    photos: Sequence[Photo], others: Sequence[int], dark: Container[int], found: Adjusted
+) -> tuple[bool, list[tuple[int, str]]]:
+    """Whether the first is blurred, and which others are, the worst first, each with why."""
+    lit = [(0, 0), *((index, n) for n, index in enumerate(others, 1) if index not in dark)]
+    blur = blurring([photos[index] for index, _ in lit], [found.cameras[n] for _, n in lit])
+    told = sorted(zip(blur, lit, strict=True), reverse=True)
+    return blur[0] > SHARP.blurred, [
+        (index, f"it is blurred: it shows {math.exp(-amount):.0%} of the others' finest detail")
+        for amount, (index, _) in told
+        if index and amount > SHARP.blurred
+    ]
 
 
 def _wrong(
@@ -204,23 +252,3 @@ def _texture(
     fine = cv2.GaussianBlur(there, (0, 0), 1.0) - cv2.GaussianBlur(there, (0, 0), 6.0)
     around = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), 12.0)) + 1e-4
     return (fine / around).astype(np.float32), np.asarray(inside)
-
-
-def grid_points(across: int, down: int) -> NDArray[np.float64]:
-    """(3, down, across) plane points of the first photograph's grid (geometry.plane_points)."""
-    texel = 2.0 / across
-    x = (np.arange(across) + 0.5 - across / 2.0) * texel
-    y = (down / 2.0 - np.arange(down) - 0.5) * texel
-    return np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((down, across))])
-
-
-def to_pixels(
-    image: NDArray[np.float64], columns: int, rows: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Columns and rows of image coordinates (2, ...), as cv2.remap wants them; far off for NaN."""
-    x = (image[0] + 1.0) * columns / 2.0 - 0.5
-    y = (rows - image[1] * columns) / 2.0 - 0.5
-    return (
-        np.nan_to_num(x, nan=-1e6).astype(np.float32),
-        np.nan_to_num(y, nan=-1e6).astype(np.float32),
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,15 @@ from matcap.capture.result import CaptureResult
 from matcap.errors import MatcapError
 from matcap.lab.floors.distance import Measure
 from matcap.lab.floors.run import FloorRow, FloorSettings, Judge, MapNumbers, middle_of, side_of
-from matcap.lab.simulate.hand_held import Hand, HeldShot, held_on, hold, take_several
+from matcap.lab.simulate.hand_held import (
+    Hand,
+    HeldShot,
+    Room,
+    held_on,
+    hold,
+    take_several,
+    take_without_flash,
+)
 from matcap.lab.simulate.specimen import Specimen
 from matcap.lab.simulate.write_dng import write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
@@ -30,7 +39,9 @@ class SeveralRow:
 
     Attributes:
         floors: of the piece, as floors are told of one photograph.
-        photographs: that were given; `used` of them were.
+        photographs: with flash that were given.
+        without: flash, likewise.
+        used: of both.
         normals: degrees that normals are off where the truth leans by more than _STEEP; NaN where
             it nowhere does. `flat` is what a flat piece would be off there.
         albedo: mean size of the difference of log albedo, its mean left out.
@@ -40,6 +51,7 @@ class SeveralRow:
 
     floors: FloorRow
     photographs: int
+    without: int
     used: int
     normals: float
     flat: float
@@ -56,7 +68,7 @@ def run_several(
     settings: FloorSettings,
     measure: Measure,
     *,
-    hand: Hand | None = None,
+    room: float = 0.0,
     tell: Callable[[str], None] = lambda _line: None,
 ) -> list[SeveralRow]:
     """Photograph pieces from several places, capture and judge; what fails is told and left out.
@@ -67,10 +79,11 @@ def run_several(
         out: folder for the photographs.
         settings: how; photographs are JPEGs or RAW as it says.
         measure: what by.
-        hand: how the phone is held.
+        room: irradiance by its light (hand_held.Room); each count is captured without and with
+            one more photograph without flash. 0 for darkness, without that.
         tell: called with a line for each capture.
     """
-    hand = hand or Hand()
+    hand = Hand(room=Room(room) if room else None)
     phone, rows = settings.camera, []
     for subject in chosen:
         realise = subject.pieces(subject.seed)
@@ -78,14 +91,19 @@ def run_several(
         shots = take_several(realise, phone, cameras, hand, subject.seed)
         paths = [_write(subject, shot, number, out, settings) for number, shot in enumerate(shots)]
         judge = Judge(subject, shots[0].shot.setup, settings, measure)
-        for count in counts:
+        dark = []
+        if room:
+            unlit = take_without_flash(realise, phone, cameras, hand, subject.seed + 1)
+            dark = [_write(subject, unlit, len(paths), out, settings)]
+        for count, extra in itertools.product(counts, ([], dark) if room else ([],)):
             try:
-                result = capture_file(paths[0], settings.captured, others=paths[1:count])
+                others = [*paths[1:count], *extra]
+                result = capture_file(paths[0], settings.captured, others=others)
             except MatcapError as error:
                 tell(f"{subject.name}, {count}: {error}")
                 continue
             truth = held_on(realise, phone, cameras, result.material.setup, _bent(result))
-            row = _judged(subject, count, result, truth, judge, settings)
+            row = _judged(subject, (count, len(extra)), result, truth, judge, settings)
             tell(_line(row))
             rows.append(row)
     return rows
@@ -111,7 +129,7 @@ def _bent(result: CaptureResult) -> tuple[float, float]:
 
 def _judged(
     subject: Specimen,
-    count: int,
+    given: tuple[int, int],
     result: CaptureResult,
     truth: Callable[[int, int], MapSet],
     judge: Judge,
@@ -122,8 +140,9 @@ def _judged(
     true = truth(*piece.size)
     middle = middle_of(piece, side_of(piece.texel_size, settings))
     told, numbers = MapNumbers.of(middle), judge.true_numbers(piece.texel_size)
+    floors = judge.floors(middle, result.material.setup.intensity)
     row = FloorRow(
-        subject.name, f"{count} photographs", judge.floors(middle, result.material.setup.intensity),
+        subject.name, f"{given[0]} photographs", floors,
         told.tilt, numbers.tilt, told.albedo, numbers.albedo, told.roughness, numbers.roughness,
         sum(result.stage_seconds.values()),
     )  # fmt: skip
@@ -134,7 +153,7 @@ def _judged(
     several = result.found.several
     return SeveralRow(
         row,
-        count,
+        *given,
         1 if several is None else len(several.views),
         float(off[steep].mean()) if steep.any() else math.nan,
         float(lean[steep].mean()) if steep.any() else math.nan,
@@ -146,16 +165,20 @@ def _judged(
 
 
 def _median(values: Sequence[float]) -> float:
-    return float(torch.tensor(values).median()) if values else math.nan
+    return float(torch.tensor(values).nanmedian()) if values else math.nan
 
 
 def _line(row: SeveralRow) -> str:
     return (
-        f"{row.floors.material}, {row.photographs} ({row.used} used): {row.floors.floors:.2f} "
+        f"{row.floors.material}, {_count(row)} ({row.used} used): {row.floors.floors:.2f} "
         f"floors, normals {row.normals:.1f} of {row.flat:.1f}, albedo {row.albedo:.3f}, roughness "
         f"{row.roughness:.3f}, residual {row.residual:.3f}, predicted {row.predicted:.3f}, "
         f"{row.floors.seconds:.0f} s"
     )
+
+
+def _count(row: SeveralRow) -> str:
+    return f"{row.photographs} + {row.without}" if row.without else str(row.photographs)
 
 
 def several_markdown(rows: Sequence[SeveralRow], command: str) -> str:
@@ -170,13 +193,13 @@ def several_markdown(rows: Sequence[SeveralRow], command: str) -> str:
     for row in rows:
         one = row.floors
         lines.append(
-            f"| {one.material} | {row.photographs} | {row.used} | {one.floors:.2f} | {one.tilt:.1f}"
+            f"| {one.material} | {_count(row)} | {row.used} | {one.floors:.2f} | {one.tilt:.1f}"
             f" / {one.true_tilt:.1f} | {row.normals:.1f}, {row.flat:.1f} | {row.albedo:.3f} "
             f"| {row.roughness:.3f} | {row.residual:.3f} | {row.predicted:.3f} "
             f"| {one.seconds:.0f} |"
         )
-    for count in dict.fromkeys(row.photographs for row in rows):
-        of = [row for row in rows if row.photographs == count]
+    for count in dict.fromkeys(_count(row) for row in rows):
+        of = [row for row in rows if _count(row) == count]
         floors = sum(row.floors.floors for row in of) / len(of)
         lines.append(f"| mean | {count} | | {floors:.2f} | | | | | | | |")
     return "\n".join(lines) + "\n"

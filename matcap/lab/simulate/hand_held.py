@@ -19,7 +19,7 @@ from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import CORNER_SQUARED
 from matcap.flash.registration.camera import Lens, PosedCamera
-from matcap.flash.registration.register import grid_points
+from matcap.flash.registration.grid import grid_points
 from matcap.flash.render import shade
 from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, sensor_exposure
 
@@ -27,6 +27,38 @@ Doubles = NDArray[np.float64]
 
 _ROWS = 64  # shaded at a time: float64 of a whole picture would take gigabytes
 _MEETINGS = 3  # rounds in which a ray finds the relief; slopes are below 1 nearly everywhere
+
+
+@dataclass(frozen=True)
+class Room:
+    """Light that is there without the flash: even from above, and from a window's side.
+
+    Attributes:
+        level: irradiance of a level surface, for a flash of intensity 1.
+        window: share of it that comes from one direction.
+        towards: where the window is, any length.
+        colour: of all of it, by channel.
+    """
+
+    level: float = 0.06
+    window: float = 0.5
+    towards: tuple[float, float, float] = (0.6, 0.3, 0.75)
+    colour: tuple[float, float, float] = (1.1, 1.0, 0.85)
+
+    def on(self, maps: MapSet) -> NDArray[np.float32]:
+        """(H, W, 3) radiance of a piece, from wherever it is looked at.
+
+        Surroundings as bright as the light from above are mirrored by F0.
+        """
+        way = torch.tensor(self.towards, dtype=torch.float64)
+        way = way / way.norm()
+        normal = maps.normal.double()
+        facing = (normal * way[:, None, None]).sum(0).clamp_min(0.0) / way[2]
+        arrives = (1.0 - self.window) * 0.5 * (1.0 + normal[2]) + self.window * facing
+        even = maps.diffuse.double() * arrives + maps.specular.double()
+        colour = torch.tensor(self.colour, dtype=torch.float64)[:, None, None]
+        lit = self.level / math.pi * colour * even
+        return np.ascontiguousarray(lit.float().permute(1, 2, 0).numpy())
 
 
 @dataclass(frozen=True)
@@ -41,6 +73,7 @@ class Hand:
         bent: (k1, k2) of the lens.
         balanced: deviation of the logarithm of white balance, by channel.
         vignetting: of lens and flash, with r^2.
+        room: light beside the flash's; None for darkness.
     """
 
     aside: float = 0.35
@@ -50,6 +83,7 @@ class Hand:
     bent: tuple[float, float] = (0.0, 0.0)
     balanced: float = 0.03
     vignetting: float = 0.0
+    room: Room | None = None
 
 
 @dataclass(frozen=True)
@@ -102,10 +136,13 @@ def take_several(
     """
     rng = np.random.default_rng(seed)
     maps = _piece(realise, phone, cameras)
+    room = None if hand.room is None else hand.room.on(maps)
     shots = []
     for camera in cameras:
         balance = np.exp(rng.normal(0.0, hand.balanced, 3))
-        linear = _picture(maps, camera, phone, hand) * balance
+        radiance = _shaded(maps, camera, hand)
+        radiance = radiance if room is None else radiance + room
+        linear = _picture(maps, radiance, camera, phone, hand) * balance
         gain = sensor_exposure(linear, phone)
         setup = FlashSetup(
             fov=phone.fov,
@@ -113,11 +150,37 @@ def take_several(
             intensity=tuple(float(v) for v in gain * balance),  # type: ignore[arg-type]
             vignetting=hand.vignetting,
         )
-        shots.append(HeldShot(Shot(linear * gain, setup, phone), camera))
+        shots.append(HeldShot(Shot(linear * gain, setup, phone, exposure=gain), camera))
     first = shots[0]
     tilted = replace(first.shot.setup, tilt=_tilt(first.camera))
     shots[0] = HeldShot(replace(first.shot, setup=tilted), first.camera)
     return shots
+
+
+def take_without_flash(
+    realise: Realise,
+    phone: PhoneCamera,
+    cameras: Sequence[PosedCamera],
+    hand: Hand,
+    seed: int = 0,
+) -> HeldShot:
+    """Photograph the same piece by the room's light alone, from the first place, a little shaken.
+
+    Args:
+        realise, phone, cameras: as of take_several.
+        hand: its room gives the light.
+        seed: of white balance and of the hand.
+    """
+    rng = np.random.default_rng(seed)
+    first = cameras[0]
+    place = first.place + hand.shaken * first.place[2] * rng.normal(0.0, 1.0, 3)
+    camera = replace(first, place=place)
+    maps = _piece(realise, phone, cameras)  # the very piece of take_several
+    balance = np.exp(rng.normal(0.0, hand.balanced, 3))
+    linear = _picture(maps, (hand.room or Room()).on(maps), camera, phone, hand) * balance
+    gain = sensor_exposure(linear, phone)
+    setup = FlashSetup(fov=phone.fov)
+    return HeldShot(Shot(linear * gain, setup, phone, exposure=gain, fired=False), camera)
 
 
 def held_on(
@@ -180,9 +243,15 @@ def _piece(realise: Realise, phone: PhoneCamera, cameras: Sequence[PosedCamera])
     return realise(side, side, 2.0 / (phone.width * phone.supersampling))
 
 
-def _picture(maps: MapSet, camera: PosedCamera, phone: PhoneCamera, hand: Hand) -> Doubles:
+def _picture(
+    maps: MapSet,
+    radiance: NDArray[np.float32],
+    camera: PosedCamera,
+    phone: PhoneCamera,
+    hand: Hand,
+) -> Doubles:
+    """What a camera sees of a piece of such radiance."""
     fine = phone.supersampling
-    radiance = _shaded(maps, camera, hand)
     size = (phone.width * fine, phone.height * fine)
     columns, rows = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
     half = size[0] / 2.0

@@ -67,11 +67,15 @@ class Shot:
         linear: (H, W, 3) float64 radiance before noise and clipping; the file clips at 1.
         setup: the true geometry, and the flash's intensity on the scale of `linear`.
         camera: that took it.
+        exposure: of the file, over that of others.
+        fired: whether there was a flash.
     """
 
     linear: NDArray[np.float64]
     setup: FlashSetup
     camera: PhoneCamera
+    exposure: float = 1.0
+    fired: bool = True
 
 
 def take(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> Shot:
@@ -136,7 +140,9 @@ def as_photo(shot: Shot, seed: int, name: str) -> Photo:
         radiometric=True,
         name=name,
         original_size=(shot.camera.width, shot.camera.height),
-        flash_fired=True,
+        flash_fired=shot.fired,
+        exposure=shot.exposure,
+        balance=(1.0, 1.0, 1.0),
     )
 
 

@@ -107,17 +107,18 @@ def write_dng(path: Path, shot: Shot, sensor: Sensor, seed: int) -> None:
             software="matcap",
             extratags=_tags(sensor, shot.camera),
         )
-        _append_exif(file, shot.camera)
+        _append_exif(file, shot)
 
 
-def exif_of(camera: PhoneCamera) -> dict[int, int | Fraction | bytes]:
+def exif_of(shot: Shot) -> dict[int, int | Fraction | bytes]:
     """EXIF tags that say how the shot was taken, by number; the JPEG carries the same."""
+    camera = shot.camera
     return {
-        33434: Fraction(1, 60),  # ExposureTime, s
+        33434: Fraction(shot.exposure / 60.0).limit_denominator(1_000_000),  # ExposureTime, s
         33437: Fraction(9, 5),  # FNumber
         34855: 100,  # ISOSpeedRatings
         36864: b"0230",  # ExifVersion
-        37385: 9,  # Flash: fired, because told to
+        37385: 9 if shot.fired else 16,  # Flash: fired, or not, because told to
         37386: Fraction(camera.focal_length * 10, 65),  # FocalLength, mm, of a small sensor
         41989: camera.focal_length,  # FocalLengthIn35mmFilm
     }
@@ -186,7 +187,7 @@ def _interpolated(gains: NDArray[np.float32], width: int, height: int) -> NDArra
     return np.stack([np.interp(place_u, np.arange(columns), line) for line in along_v])
 
 
-def _append_exif(file: Path, camera: PhoneCamera) -> None:
+def _append_exif(file: Path, shot: Shot) -> None:
     """Append the EXIF directory and point to it: tifffile writes tags of the main one only."""
     with tifffile.TiffFile(file) as tiff:
         order = tiff.byteorder
@@ -194,13 +195,13 @@ def _append_exif(file: Path, camera: PhoneCamera) -> None:
     with file.open("r+b") as stream:
         where = stream.seek(0, 2)
         where += stream.write(bytes(where % 2))
-        stream.write(_exif_directory(camera, where, order))
+        stream.write(_exif_directory(shot, where, order))
         stream.seek(entry)
         stream.write(struct.pack(order + "2HLL", _EXIF_IFD, 4, 1, where))
 
 
-def _exif_directory(camera: PhoneCamera, where: int, order: str) -> bytes:
-    tags = exif_of(camera)
+def _exif_directory(shot: Shot, where: int, order: str) -> bytes:
+    tags = exif_of(shot)
     beyond = where + 2 + 12 * len(tags) + 4
     entries, values = b"", b""
     for number, value in tags.items():

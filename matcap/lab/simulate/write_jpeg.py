@@ -31,7 +31,7 @@ def write_jpeg(path: Path, shot: Shot, seed: int) -> None:
     exif.get_ifd(_EXIF_IFD).update(
         {
             number: IFDRational(value) if isinstance(value, Fraction) else value
-            for number, value in exif_of(shot.camera).items()
+            for number, value in exif_of(shot).items()
         }
     )
     with staged_file(path) as file:

@@ -23,6 +23,7 @@ class Named:
 class View:
     photo: Named
     camera: PosedCamera
+    flash: bool = True
 
 
 def report(**changes):
@@ -62,3 +63,13 @@ def test_what_each_told_is_told():
 
 def test_an_interrupted_set_has_foretold_nothing():
     assert "foretold" not in next(told_lines(report(predicted=())))[0]
+
+
+def test_a_photograph_without_flash_has_a_camera_and_no_spark():
+    told = report()
+    dark = replace(told, views=(told.views[0], replace(told.views[1], flash=False)))
+    drawn = [np.asarray(draw_set(one, PIECE, 900)) for one in (told, dark)]
+    sparks = [int((picture == SPARK).all(-1).sum()) for picture in drawn]
+    assert 0 < sparks[1] < sparks[0]
+    said = [line for line, _ in told_lines(dark)]
+    assert said[1].endswith("without flash") and "foretold" not in said[1]

@@ -266,3 +266,13 @@ def test_a_highlight_just_plain_beside_one_just_not_is_the_same_highlight():
     assert check(2.3).severity < check(2.6).severity < check(3.2).severity
     assert check(4.0).severity > 3.0
     assert "that the photograph has not" in check(4.0).says
+
+
+def test_a_set_is_not_told_to_be_one():
+    def remedy(photographs):
+        seen = replace(FINE, light=0.5, signs=Signs(photographs=photographs))
+        return judge(seen).sentence().partition("Remedy: ")[2]
+
+    assert "take five photographs" in remedy(1)
+    assert "from other sides to these 3" in remedy(3)
+    assert "moved further" in remedy(5) and "--together" not in remedy(5)

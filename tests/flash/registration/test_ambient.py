@@ -7,7 +7,7 @@ import pytest
 
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.registration.ambient import without_flash
+from matcap.flash.registration.ambient import flash_first, without_flash
 from matcap.flash.registration.register import register
 from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
@@ -49,13 +49,13 @@ def test_where_no_flash_shows_at_all_none_is_named(pair):
 
 
 @pytest.mark.parametrize("pair", ["plaster"], indirect=True)
-def test_it_is_left_out_and_no_frame(pair):
+def test_it_comes_last_and_gives_no_frame(pair):
     flash, ambient = pair[0], replace(pair[1], flash_fired=False)
+    assert flash_first([ambient, flash, flash]) == [flash, flash, ambient]
     setup = FlashSetup(fov=CAMERA.fov)
-    found = register([flash, flash, ambient], setup)
-    assert [(one.name, "did not fire" in one.why) for one in found.left_out][-1] == (
-        "ambient",
-        True,
-    )
+    found = register([flash, flash, ambient, replace(ambient, name="again")], setup)
+    assert [view.flash for view in found.views] == [True, True, False]
+    (worse,) = found.left_out
+    assert "did not fire" in worse.why and "tells the room's light better" in worse.why
     with pytest.raises(MatcapError, match="with flash first"):
         register([ambient, flash], setup)

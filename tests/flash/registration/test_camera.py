@@ -10,7 +10,7 @@ import torch
 from matcap.flash.geometry import FlashSetup, project
 from matcap.flash.registration.adjust import AdjustSettings, Pair, adjust
 from matcap.flash.registration.camera import Lens, PosedCamera
-from matcap.flash.registration.register import grid_points
+from matcap.flash.registration.grid import grid_points
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera
 

@@ -1,0 +1,32 @@
+"""Where the cameras of a set stood: the first sharp photograph with flash gives the frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from matcap.flash.coarse import CoarseFit, fit_coarse, under_flash
+from matcap.flash.registration.ambient import flash_first
+from matcap.flash.registration.register import Registration, register
+from matcap.photo.photo import Photo
+
+
+def fitted(photos: Sequence[Photo]) -> CoarseFit:
+    """The coarse fit of the first photograph with flash, under that where it is known."""
+    first = flash_first(photos)[0]
+    return under_flash(fit_coarse(first), first.flash_intensity)
+
+
+def placed(photos: Sequence[Photo], coarse: CoarseFit | None = None) -> Registration:
+    """All cameras of a set.
+
+    Args:
+        photos: two or more, in any order; the first with flash gives the frame, or the next one
+            where that is blurred.
+        coarse: as fitted() tells it, if it is known.
+    """
+    photos = flash_first(photos)
+    found = register(photos, (coarse or fitted(photos)).setup)
+    if found.blurred and len(found.views) > 2:
+        photos = flash_first([*photos[1:], photos[0]])
+        found = register(photos, fitted(photos).setup)
+    return found

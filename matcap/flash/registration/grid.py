@@ -1,0 +1,26 @@
+"""The plane's grid of the first photograph, and the pixels of a picture."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def grid_points(across: int, down: int) -> NDArray[np.float64]:
+    """(3, down, across) plane points of the first photograph's grid (geometry.plane_points)."""
+    texel = 2.0 / across
+    x = (np.arange(across) + 0.5 - across / 2.0) * texel
+    y = (down / 2.0 - np.arange(down) - 0.5) * texel
+    return np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((down, across))])
+
+
+def to_pixels(
+    image: NDArray[np.float64], columns: int, rows: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Columns and rows of image coordinates (2, ...), as cv2.remap wants them; far off for NaN."""
+    x = (image[0] + 1.0) * columns / 2.0 - 0.5
+    y = (rows - image[1] * columns) / 2.0 - 0.5
+    return (
+        np.nan_to_num(x, nan=-1e6).astype(np.float32),
+        np.nan_to_num(y, nan=-1e6).astype(np.float32),
+    )

@@ -1,0 +1,85 @@
+"""Which photographs of a piece are blurred: all show the same texture, so the sharpest tell.
+
+What a photograph shows of the finest waves over what it shows of waves four times as long goes with
+focus and shake; light changes both alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.flash.registration.camera import PosedCamera
+from matcap.flash.registration.grid import grid_points, to_pixels
+from matcap.photo.photo import Photo
+
+ChannelPlane = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SharpSettings:
+    """When a photograph counts as blurred; docs/notes/several.md.
+
+    Attributes:
+        blurred: log: so much less of the finest waves than the set's middle shows; sharp ones
+            scatter by 0.14, a smear of a hundredth of the width is 0.28 and more.
+        across: texels that are looked at.
+        tiles: across.
+        fine, long: texels, deviations of the blurs on either side of each band.
+    """
+
+    blurred: float = 0.22
+    across: int = 640
+    tiles: int = 12
+    fine: tuple[float, float] = (0.7, 1.4)
+    long: tuple[float, float] = (2.8, 5.6)
+
+
+SHARP = SharpSettings()
+
+
+def blurring(photos: Sequence[Photo], cameras: Sequence[PosedCamera]) -> list[float]:
+    """Log of what each shows less of the finest waves than the middle one of all does.
+
+    Each is compared where it and the first both show the piece; 0 where nothing is in common.
+    """
+    both = zip(photos, cameras, strict=True)
+    told = [_fineness(photo, camera, photos[0]) for photo, camera in both]
+    first = told[0]
+    found = []
+    for each in told:
+        seen = np.isfinite(each) & np.isfinite(first)
+        found.append(float(np.median((first - each)[seen])) if seen.sum() > 4 else 0.0)
+    middle = sorted(found)[(len(found) - 1) // 2]  # of two, the sharper one
+    return [each - middle for each in found]
+
+
+def _fineness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.float64]:
+    """(tiles,) log of the finest waves' amplitude over longer ones'; NaN where not all is seen."""
+    across = SHARP.across
+    down = round(across * first.pixels.shape[0] / first.pixels.shape[1])
+    rows, columns = photo.pixels.shape[:2]
+    wide = min(columns, across)
+    size = (wide, round(wide * rows / columns))
+    grey = cv2.resize(photo.pixels.mean(2), size, interpolation=cv2.INTER_AREA)
+    log = np.log(np.maximum(grey, 1e-4)).astype(np.float32)
+    x, y = to_pixels(camera.sees(grid_points(across, down)), *size)
+    inside = (x > 1) & (x < size[0] - 2) & (y > 1) & (y < size[1] - 2)
+    there = cv2.remap(log, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
+    tiles = (SHARP.tiles, max(2, round(SHARP.tiles * down / across)))
+    fine, long, seen = (
+        cv2.resize(each, tiles, interpolation=cv2.INTER_AREA).ravel()
+        for each in (_band(there, SHARP.fine), _band(there, SHARP.long), inside.astype(np.float32))
+    )
+    ratio = 0.5 * np.log((fine + 1e-9) / (long + 1e-9))
+    return np.where(seen > 0.99, ratio, np.nan).astype(np.float64)
+
+
+def _band(log: NDArray[Any], reach: tuple[float, float]) -> ChannelPlane:
+    near, far = (cv2.GaussianBlur(log, (0, 0), deviation) for deviation in reach)
+    return np.asarray(np.square(near - far), np.float32)

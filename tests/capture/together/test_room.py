@@ -1,0 +1,203 @@
+"""A photograph without flash beside those with it: the room's light is taken off, albedo told."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.outputs import OutputSettings
+from matcap.capture.pipeline import capture_into
+from matcap.capture.settings import CaptureSettings
+from matcap.capture.together.look import set_quality
+from matcap.capture.together.place import placed
+from matcap.capture.together.room import RoomLight, evenly_lit, less_room
+from matcap.capture.together.solve import solve
+from matcap.capture.together.texels import numbers_of, points_of, rendered
+from matcap.capture.together.views import PieceView, SetLight, light_at
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.registration.register import RegisteredView, Registration
+from matcap.lab.simulate.hand_held import Hand, Room, hold, take_several, take_without_flash
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo
+from matcap.lab.simulate.specimen import named_specimen
+from matcap.lab.simulate.write_dng import write_dng
+
+PHONE = PhoneCamera(width=640, height=480, supersampling=1)
+HAND = Hand(room=Room(0.1), balanced=0.0)
+SIZE = (72, 96)
+
+
+@pytest.fixture(scope="module")
+def lit():
+    """Shots of leather in a lit room, what they would be in the dark, and one without flash."""
+    leather = named_specimen("leather")
+    realise = leather.pieces(leather.seed)
+    cameras = hold(PHONE, HAND, 3, 5)
+    bright = take_several(realise, PHONE, cameras, HAND, 5)
+    dark = take_several(realise, PHONE, cameras, replace(HAND, room=None), 5)
+    return bright, dark, take_without_flash(realise, PHONE, cameras, HAND, 6)
+
+
+def _photo(shot, number, name):
+    return as_photo(shot.shot, number, name)
+
+
+def _registration(lit, **changes):
+    bright, _, room = lit
+    views = [RegisteredView(_photo(s, n, f"l{n}"), s.camera) for n, s in enumerate(bright)]
+    unlit = RegisteredView(replace(_photo(room, 9, "room"), **changes), room.camera, flash=False)
+    return Registration(FlashSetup(fov=PHONE.fov), (*views, unlit), ())
+
+
+def test_what_the_room_added_is_taken_off(lit):
+    bright, dark, _ = lit
+    cleaned, share = less_room(_registration(lit))
+    assert share > 0.1
+    for view, shot, true in zip(cleaned.views, bright, dark, strict=False):
+        before = shot.shot.linear / shot.shot.exposure
+        wanted = true.shot.linear / true.shot.exposure
+        after = view.photo.pixels / shot.shot.exposure
+        off = [
+            np.abs(np.log(one.mean((0, 1)) / wanted.mean((0, 1)))).max() for one in (before, after)
+        ]
+        assert off[1] < 0.03 < 0.1 < off[0]
+        assert any("taken off" in note for note in view.photo.notes)
+    assert cleaned.views[-1].photo.name == "room" and not cleaned.views[-1].photo.notes
+
+
+def test_exposures_that_are_not_known_change_nothing(lit):
+    registration = _registration(lit, exposure=None)
+    assert less_room(registration) == (registration, 0.0)
+
+
+def test_exposures_that_are_told_wrongly_leave_light(lit):
+    registration = _registration(lit, exposure=_photo(lit[2], 9, "room").exposure / 100.0)
+    cleaned, _ = less_room(registration)
+    for view, before in zip(cleaned.views[:-1], registration.views[:-1], strict=True):
+        assert (view.photo.pixels >= 0.04 * before.photo.pixels).all()
+        assert view.photo.pixels.mean() > 0.2 * before.photo.pixels.mean()
+
+
+def test_white_balance_goes_into_what_is_taken_off(lit):
+    plain, _ = less_room(_registration(lit))
+    lifted, _ = less_room(_registration(lit, balance=(2.0, 1.0, 1.0)))
+    added = [
+        _registration(lit).views[0].photo.pixels - one.views[0].photo.pixels
+        for one in (plain, lifted)
+    ]
+    ratio = added[1].mean((0, 1)) / added[0].mean((0, 1))
+    np.testing.assert_allclose(ratio, [0.5, 1.0, 1.0], rtol=0.02)
+
+
+def test_what_was_clipped_stays_so(lit):
+    registration = _registration(lit)
+    first = registration.views[0]
+    full = np.zeros(first.photo.clipped.shape, bool)
+    full[100:110] = True
+    pixels = np.where(full[..., None], np.float32(1.0), first.photo.pixels)
+    view = replace(first, photo=replace(first.photo, pixels=pixels, clipped=full))
+    cleaned, _ = less_room(replace(registration, views=(view, *registration.views[1:])))
+    assert (cleaned.views[0].photo.pixels[full] == 1.0).all()
+
+
+def _maps(seed=0):
+    rng = torch.Generator().manual_seed(seed)
+
+    def grain(deviation):
+        from matcap.capture.piece.smooth import smoothed
+
+        noise = smoothed(torch.randn(SIZE, generator=rng).numpy(), 4.0 * deviation)
+        return torch.from_numpy(noise / noise.std())[None]
+
+    texel = 2.0 / SIZE[1]
+    albedo = 0.3 * torch.exp(0.4 * grain(0.4))
+    return MapSet(
+        diffuse=albedo.expand(3, -1, -1).clamp(0.02, 0.9),
+        specular=torch.full((1, *SIZE), 0.04),
+        roughness=torch.full((1, *SIZE), 0.6),
+        height=0.25 * texel * grain(0.5),
+        texel_size=texel,
+    )
+
+
+def _view(maps, camera, light, number, room=None):
+    empty = torch.zeros(3, *SIZE)
+    view = PieceView("made", empty, empty == 0.0, torch.zeros(SIZE), camera, room, 0.0)
+    lit = light_at(number, view, light, points_of(SIZE))
+    return replace(view, log=rendered(numbers_of(maps), [lit])[0].log())
+
+
+def test_a_windows_side_is_found_and_its_slow_light_taken_off():
+    maps = _maps()
+    numbers = numbers_of(maps)
+    normal = maps.normal
+    log = (
+        RoomLight((0.4, -0.2)).onto(normal).radiance(maps.diffuse, maps.specular, maps.roughness)
+    ).log()
+    log = log + torch.linspace(-0.5, 0.5, SIZE[1])
+    even = (maps.diffuse + maps.specular).log()
+    found, lean = evenly_lit(log, torch.ones_like(log, dtype=torch.bool), even, numbers[5:7])
+    np.testing.assert_allclose(lean, (0.4, -0.2), atol=0.05)
+    inner = (..., slice(12, -12), slice(12, -12))
+    slopes = lean[0] * numbers[5] + lean[1] * numbers[6]
+    assert (found - even - slopes)[inner].abs().mean() < 0.05
+
+
+def test_the_rooms_light_tells_albedo_that_one_flash_does_not():
+    maps = _maps(1)
+    cameras = hold(PHONE, Hand(), 1, 1)
+    light = SetLight(torch.zeros(2), torch.zeros(2), torch.zeros(2, 3), torch.full((3,), 5.0))
+    flash = _view(maps, cameras[0], light, 0)
+    room = replace(_view(maps, cameras[0], light, 1, RoomLight((0.3, 0.1))), noise=0.05)
+    mean = maps.diffuse.mean((1, 2), keepdim=True).expand(3, *SIZE).contiguous()
+    flat = replace(maps, diffuse=mean, height=torch.zeros(1, *SIZE))
+    doubt = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.5]))[:, None, None].expand(4, *SIZE)
+    off = []
+    for views in ([flash], [flash, room]):
+        some = light.of_some(range(len(views)))
+        found = solve(views, flat, doubt, some, radiometric=True)
+        log = (found.maps.diffuse / maps.diffuse).log()
+        off.append(float((log - log.median()).abs().mean()))
+    assert off[1] < 0.7 * off[0]
+
+
+def test_one_with_flash_and_one_without_are_a_capture(lit, tmp_path):
+    bright, _, room = lit
+    paths = [tmp_path / "room.dng", tmp_path / "leather.dng"]
+    for path, shot in zip(paths, (room, bright[0]), strict=True):
+        write_dng(path, shot.shot, named_specimen("leather").sensor, 1)
+    settings = CaptureSettings(preset="instant", detail=192)
+    result = capture_into(tmp_path / "out", paths, settings, OutputSettings((32, 32)))
+    assert result.material.name == "out" or result.photo.name == "leather.dng"
+    told = json.loads((tmp_path / "out/report.json").read_text())["several"]
+    assert [(one["name"], one["flash"]) for one in told["photographs"]] == [
+        ("leather.dng", True),
+        ("room.dng", False),
+    ]
+    assert told["photographs"][1]["predicted"] is None
+    assert any("taken off" in note for note in result.photo.notes)
+
+
+def _smeared(photo):
+    kernel = np.ones(9) / 9.0
+    pixels = np.apply_along_axis(lambda row: np.convolve(row, kernel, "same"), 1, photo.pixels)
+    return replace(photo, pixels=pixels.astype(np.float32), name=f"smeared_{photo.name}")
+
+
+def test_a_blurred_photograph_is_named(held):
+    _, photos = held
+    found = placed([photos[0], photos[1], _smeared(photos[2])])
+    assert [view.photo.name for view in found.views] == ["plaster_0", "plaster_1"]
+    assert [one.name for one in found.left_out] == ["smeared_plaster_2"]
+    assert "it is blurred" in found.left_out[0].why
+    assert not found.blurred
+    assert "smeared_plaster_2 does not belong" in set_quality(found)["belong"].says
+
+
+def test_a_blurred_first_photograph_gives_no_frame(held):
+    _, photos = held
+    found = placed([_smeared(photos[0]), photos[1], photos[2]])
+    assert [view.photo.name for view in found.views] == ["plaster_1", "plaster_2"]
+    assert [one.name for one in found.left_out] == ["smeared_plaster_0"]
