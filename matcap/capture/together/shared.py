@@ -48,9 +48,9 @@ class SharedSettings:
         farthest: of a step, texels.
     """
 
-    sampled: int = 6000
+    sampled: int = 4000
     steps: int = 4
-    counted: float = 0.02
+    counted: float = 0.03
     offset: float = 0.06
     vignetting: tuple[float, float] = (0.4, 0.6)
     gain: float = 1.5

@@ -154,6 +154,7 @@ def _flash(seen: Evidence) -> QualityCheck:
     rated = severity(-seen.flash_ratio, LIMITS.flash)
     # Files err, and a matt material under a flash far away has little falloff; both together tell.
     rated += 1.5 * (seen.flash_fired is False)
+    rated -= 0.5 * (seen.flash_fired is True)
     says = f"the photograph's middle is {seen.flash_ratio:.1f} times as bright as its border"
     if seen.flash_fired is False:
         says += ", and the file says that the flash did not fire"
