@@ -49,7 +49,7 @@ class SharedSettings:
     """
 
     sampled: int = 4000
-    steps: int = 4
+    steps: int = 3
     counted: float = 0.03
     offset: float = 0.06
     vignetting: tuple[float, float] = (0.4, 0.6)
