@@ -98,7 +98,7 @@ def _below(label: str, meaning: str = BASE) -> PresetTexture:
 
 _UNREAL_NAMES = ("Normal_GL", "Normal_DX")
 _UNREAL = ("run T_*_import.py in Unreal to import them with the right settings",)
-_UNITY = ("switch sRGB off for MaskMap and HeightMap",)
+_UNITY = ("switch sRGB off for MaskMap, BentNormalMap and HeightMap",)
 
 # What every project can show is written first, even where something else comes nearer.
 PLAIN: dict[str, Workflow] = {"unreal": "metallic"}

@@ -6,6 +6,9 @@ reflects all. The metallic form has one index of refraction for all that is no m
 UsdPreviewSurface darkens the diffuse part by what is reflected; the base colour makes up for it
 (fit.py). Renderers that know MaterialX take the output `mtlx:surface`, which is closer still.
 
+Displacement is a variant, off unless it is chosen: programs that move no surface by it bump normals
+with it, on top of the texture of normals (Blender: 5 to 8 % off at grazing light).
+
 The stage is text (.usda) and counts metres; the package is a zip without compression, every file at
 a multiple of 64 bytes, as USD asks.
 """
@@ -275,9 +278,13 @@ def Xform "{name}" (
         uniform token subdivisionScheme = "none"
     }}
 
-    def Material "Material"
+    def Material "Material" (
+        variants = {{
+            string displacement = "off"
+        }}
+        prepend variantSets = "displacement"
+    )
     {{
-        token outputs:displacement.connect = </{name}/Material/Surface.outputs:displacement>
         token outputs:mtlx:surface.connect = </{name}/Material/OpenPBR.outputs:out>
         token outputs:surface.connect = </{name}/Material/Surface.outputs:surface>
 
@@ -285,7 +292,6 @@ def Xform "{name}" (
         {{
             uniform token info:id = "UsdPreviewSurface"
             color3f inputs:diffuseColor.connect = </{name}/Material/BaseColor.outputs:rgb>
-            float inputs:displacement.connect = </{name}/Material/Height.outputs:r>
             float inputs:ior = {look.ior!r}
             normal3f inputs:normal.connect = </{name}/Material/Normal.outputs:rgb>
             float inputs:roughness.connect = </{name}/Material/Roughness.outputs:r>
@@ -303,6 +309,18 @@ def Xform "{name}" (
         }}
 
 {shaders}
+        variantSet "displacement" = {{
+            "off" {{
+            }}
+            "on" {{
+                token outputs:displacement.connect = </{name}/Material/Surface.outputs:displacement>
+
+                over "Surface"
+                {{
+                    float inputs:displacement.connect = </{name}/Material/Height.outputs:r>
+                }}
+            }}
+        }}
     }}
 }}
 '''  # noqa: E501

@@ -64,6 +64,11 @@ def test_heights_are_real(tmp_path, made, read_usd, unit, metres):
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
     plane = UsdGeom.Mesh(stage.GetDefaultPrim().GetChild("Plane"))
     assert max(p[0] for p in plane.GetPointsAttr().Get()) == pytest.approx(metres)
+    material = stage.GetDefaultPrim().GetChild("Material")
+    chosen = material.GetVariantSets().GetVariantSet("displacement")
+    assert chosen.GetVariantSelection() == "off"
+    assert not read_usd.shader(stage).GetInput("displacement")
+    chosen.SetVariantSelection("on")
     height = made["leather"].height * metres
     found = read_usd.read(read_usd.shader(stage), "displacement")
     assert (found - height).abs().max() < 1e-4 * float(height.max() - height.min())

@@ -90,6 +90,10 @@ def build(folder, sidecar):
     if DISPLACE:
         link(lift.outputs["Displacement"], out.inputs["Displacement"])
         material.displacement_method = "DISPLACEMENT"
+    # Cycles darkens what a texture of normals turns far from the light: matcap does not.
+    for owner in (material, getattr(material, "cycles", None)):
+        if hasattr(owner, "use_bump_map_correction"):
+            owner.use_bump_map_correction = False
     material.asset_mark()
     material.asset_data.description = f"Captured with matcap {about['matcap']}"
     return material
