@@ -164,7 +164,8 @@ def floors(
     measure = Measure(SqueezeNet.load(weights or WEIGHTS))
     command = shlex.join(["matcap", *sys.argv[1:]])
     if photographs:
-        from matcap.lab.floors.several import run_several, several_markdown
+        from matcap.lab.bench.plot import draw
+        from matcap.lab.floors.several import run_several, several_markdown, several_points
 
         several = run_several(
             subjects(material or (), sets),
@@ -176,6 +177,13 @@ def floors(
             tell=typer.echo,
         )
         typer.echo(several_markdown(several, command))
+        if several:
+            draw(
+                several_points(several),
+                out / "photographs.png",
+                title="What more photographs of one piece are worth",
+                error="floors (SqueezeNet)",
+            )
         return
     rows = run_floors(
         subjects(material or (), sets),

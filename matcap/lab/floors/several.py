@@ -15,6 +15,7 @@ from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_file
 from matcap.capture.result import CaptureResult
 from matcap.errors import MatcapError
+from matcap.lab.bench.table import Point
 from matcap.lab.floors.distance import Measure
 from matcap.lab.floors.run import FloorRow, FloorSettings, Judge, MapNumbers, middle_of, side_of
 from matcap.lab.simulate.hand_held import (
@@ -203,3 +204,26 @@ def several_markdown(rows: Sequence[SeveralRow], command: str) -> str:
         floors = sum(row.floors.floors for row in of) / len(of)
         lines.append(f"| mean | {count} | | {floors:.2f} | | | | | | | |")
     return "\n".join(lines) + "\n"
+
+
+def several_points(rows: Sequence[SeveralRow]) -> list[Point]:
+    """Floors against seconds, for a picture (bench/plot.py): a group each material, and means."""
+    counts = list(dict.fromkeys(_count(row) for row in rows))
+    groups: dict[str, list[SeveralRow]] = {}
+    for row in rows:
+        groups.setdefault(row.floors.material, []).append(row)
+    # A mean of other materials than the next one's would tell of those.
+    whole = [of for of in groups.values() if len(of) == len(counts)]
+    points = [_point(name, [row]) for name, of in groups.items() for row in of]
+    for place in range(len(counts) if len(whole) > 1 else 0):
+        points.append(_point("mean", [of[place] for of in whole]))
+    return points
+
+
+def _point(group: str, rows: Sequence[SeveralRow]) -> Point:
+    floors = torch.tensor([row.floors.floors for row in rows])
+    seconds = sum(row.floors.seconds for row in rows) / len(rows)
+    count = f"{_count(rows[0])} photographs"
+    return Point(
+        group, count, len(rows), seconds, math.nan, float(floors.mean()), 0.0, math.nan, math.nan
+    )
