@@ -143,10 +143,10 @@ class Angles:
 
 
 def specular_lobe(specular: Tensor, roughness: Tensor, angles: Angles) -> Tensor:
-    """D G F / (4 (n.l)(n.v)) in 1/sr, (..., 1, H, W).
+    """D G F / (4 (n.l)(n.v)) in 1/sr, as many channels as F0 has.
 
     Args:
-        specular: (..., 1, H, W) F0 in [0, 1].
+        specular: (..., 1 or 3, H, W) F0 in [0, 1].
         roughness: (..., 1, H, W) in [0, 1].
         angles: of normal, light and view, exact or quick.
     """

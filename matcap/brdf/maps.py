@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import accumulate
 
 import torch
 from torch import Tensor
 
 from matcap.brdf.normals import normals_from_height
 
-# Order and channel counts of the stored maps; the normal is derived from the height.
+# Order and channel counts of the stored maps; the normal is derived from the height. Specular
+# albedo has three channels where it has a colour: where some of the material is metal.
 CHANNELS: dict[str, int] = {"diffuse": 3, "specular": 1, "roughness": 1, "height": 1}
-# Where they lie in what is stacked, and in NumPy's arrays of that.
+COLOURED = 3  # channels of a specular albedo that has a colour
+# Where they lie in what is stacked, and in NumPy's arrays of that, coloured or not.
 DIFFUSE, SPECULAR, ROUGHNESS, HEIGHT = (
-    slice(end - count, end)
-    for count, end in zip(CHANNELS.values(), accumulate(CHANNELS.values()), strict=True)
-)
-SURFACE = slice(0, HEIGHT.start)  # all but the height
+    slice(0, 3), slice(3, -2), slice(-2, -1), slice(-1, None),
+)  # fmt: skip
+SURFACE = slice(0, -1)  # all but the height
 MAP_NAMES: tuple[str, ...] = (*CHANNELS, "normal")
 
 
@@ -28,7 +28,8 @@ class MapSet:
 
     Attributes:
         diffuse: (3, H, W) diffuse albedo, linear Rec.709, in [0, 1].
-        specular: (1, H, W) specular albedo F0, in [0, 1].
+        specular: (1, H, W) specular albedo F0, in [0, 1]; (3, H, W), linear Rec.709, where it has
+            a colour.
         roughness: (1, H, W) perceptual roughness in [0, 1]; alpha is its square.
         height: (1, H, W) in plane units (half the photograph's long side).
         texel_size: a texel's side in plane units.
@@ -51,7 +52,8 @@ class MapSet:
         shape = self.height.shape
         for name, channels in CHANNELS.items():
             found = getattr(self, name).shape
-            if len(found) < 3 or found[-3] != channels or found[-2:] != shape[-2:]:
+            allowed = (channels, COLOURED) if name == "specular" else (channels,)
+            if len(found) < 3 or found[-3] not in allowed or found[-2:] != shape[-2:]:
                 raise ValueError(
                     f"{name} has shape {tuple(found)}; expected (..., {channels}, "
                     f"{shape[-2]}, {shape[-1]})"
@@ -70,13 +72,13 @@ class MapSet:
         return self.height.shape[-1], self.height.shape[-2]
 
     def stacked(self) -> Tensor:
-        """(..., 6, H, W): diffuse, specular, roughness, height."""
+        """(..., 6, H, W): diffuse, specular, roughness, height; 8 where F0 has a colour."""
         return torch.cat([self.diffuse, self.specular, self.roughness, self.height], dim=-3)
 
     @staticmethod
     def from_stacked(stacked: Tensor, texel_size: float, *, periodic: bool = False) -> MapSet:
         """The inverse of stacked()."""
-        diffuse, specular, roughness, height = stacked.split(list(CHANNELS.values()), dim=-3)
+        diffuse, specular, roughness, height = split_stacked(stacked)
         return MapSet(diffuse, specular, roughness, height, texel_size, periodic)
 
     def map(self, change: Callable[[Tensor], Tensor]) -> MapSet:
@@ -95,3 +97,10 @@ class MapSet:
         """The rectangle whose left top texel is (x, y), rows counted from the top."""
         cut = self.map(lambda m: m[..., y : y + height, x : x + width])
         return replace(cut, periodic=False)
+
+
+def split_stacked(stacked: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Diffuse, specular, roughness and height of what was stacked, (..., 6 or 8, H, W)."""
+    sizes = {**CHANNELS, "specular": stacked.shape[-3] - sum(CHANNELS.values()) + 1}
+    diffuse, specular, roughness, height = stacked.split(list(sizes.values()), dim=-3)
+    return diffuse, specular, roughness, height

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from matcap.brdf.maps import CHANNELS, MapSet
+from matcap.brdf.maps import CHANNELS, MapSet, split_stacked
 
 REFLECTANCE = {name: count for name, count in CHANNELS.items() if name != "height"}
 
@@ -28,7 +28,7 @@ class Reflectance(NamedTuple):
 
     Attributes:
         diffuse: (..., 3, H, W) diffuse albedo.
-        specular: (..., 1, H, W) F0.
+        specular: (..., 1, H, W) F0; 3 channels where it has a colour.
         roughness: (..., 1, H, W).
     """
 
@@ -43,7 +43,7 @@ class SurfaceParameters:
 
     Attributes:
         diffuse: (..., 3, H, W) log of diffuse albedo.
-        specular: (..., 1, H, W) log of F0.
+        specular: (..., 1, H, W) log of F0; 3 channels where it has a colour.
         roughness: (..., 1, H, W) logit of perceptual roughness.
         height: (..., 1, H, W) in texels.
     """
@@ -113,10 +113,10 @@ class SurfaceParameters:
         return SurfaceParameters(diffuse, specular, roughness, torch.zeros_like(specular))
 
     def stacked(self) -> Tensor:
-        """(..., 6, H, W), channels as in MapSet.stacked."""
+        """(..., 6 or 8, H, W), channels as in MapSet.stacked."""
         return torch.cat([self.diffuse, self.specular, self.roughness, self.height], dim=-3)
 
     @staticmethod
     def from_stacked(stacked: Tensor) -> SurfaceParameters:
         """The inverse of stacked()."""
-        return SurfaceParameters(*stacked.split(list(CHANNELS.values()), dim=-3))
+        return SurfaceParameters(*split_stacked(stacked))

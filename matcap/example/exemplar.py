@@ -23,6 +23,7 @@ from matcap.example.packed import pack, unpack
 Floats = NDArray[np.float32]
 
 CHANNELS: dict[str, int] = {"diffuse": 3, "specular": 1, "roughness": 1, "height": 1}
+COLOURED = 3  # channels of a specular albedo that has a colour
 _LARGEST_SIDE = 8192  # texels: more than a photograph of 50 megapixels has
 _LARGEST_HEIGHT = 1e6  # plane units
 _HEIGHT_STEPS = 2**16 - 1
@@ -35,7 +36,8 @@ class Exemplar:
 
     Attributes:
         diffuse: (3, H, W) diffuse albedo, linear Rec.709, in [0, 1].
-        specular: (1, H, W) specular albedo F0, in [0, 1].
+        specular: (1, H, W) specular albedo F0, in [0, 1]; (3, H, W), linear Rec.709, where it has
+            a colour.
         roughness: (1, H, W) perceptual roughness in [0, 1]; alpha is its square.
         height: (1, H, W) in plane units (half the photograph's long side).
         confidence: (4, H, W) in [0, 1] of diffuse, specular, roughness and height: 0 where
@@ -58,6 +60,8 @@ class Exemplar:
         _check_size(columns, rows)
         for name, channels in (*CHANNELS.items(), ("confidence", len(CHANNELS))):
             values = getattr(self, name)
+            if name == "specular" and len(values) == COLOURED:
+                channels = COLOURED
             if values.shape != (channels, rows, columns) or values.dtype != np.float32:
                 raise ValueError(
                     f"{name} is {values.dtype} of shape {values.shape}; expected float32 of "
@@ -77,7 +81,7 @@ class Exemplar:
         return self.height.shape[-1], self.height.shape[-2]
 
     def stacked(self) -> Floats:
-        """(6, H, W): diffuse, specular, roughness, height."""
+        """(6, H, W): diffuse, specular, roughness, height; 8 where F0 has a colour."""
         return np.concatenate([getattr(self, name) for name in CHANNELS])
 
     def height_coding(self) -> tuple[float, int]:

@@ -45,7 +45,7 @@ class Incidence:
         return albedo / math.pi * self.irradiance
 
     def specular(self, specular: Tensor, roughness: Tensor) -> Tensor:
-        """Radiance (..., 1 or 3, H, W) mirrored by F0 and roughness (..., 1, H, W)."""
+        """Radiance (..., 1 or 3, H, W) mirrored by F0 (..., 1 or 3, H, W) and roughness."""
         return specular_lobe(specular, roughness, self.angles) * self.irradiance
 
     def radiance(self, diffuse: Tensor, specular: Tensor, roughness: Tensor) -> Tensor:
