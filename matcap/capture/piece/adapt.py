@@ -303,21 +303,30 @@ class _ScaledMaps:
         """Maps of a rectangle."""
         by = self.scaling(self.numbers)
         features = self._ties.features[:, rows, columns]
-        # All channels at once, which is quicker.
-        offsets = torch.cat([by.offset_diffuse, by.offset_specular, by.offset_roughness])
-        gains = torch.cat([by.gain_diffuse.expand(3), by.gain_specular, by.gain_roughness]).exp()
+        # All channels at once, which is quicker; those of an F0 with a colour move as one.
+        sizes = [len(self._maps.diffuse), len(self._maps.specular), len(self._maps.roughness)]
+        coloured = by.offset_specular.expand(sizes[1])
+        offsets = torch.cat([by.offset_diffuse, coloured, by.offset_roughness])
+        gains = torch.cat(
+            [
+                gain.expand(size)
+                for gain, size in zip(
+                    (by.gain_diffuse, by.gain_specular, by.gain_roughness), sizes, strict=True
+                )
+            ]
+        ).exp()
         apart = self._logits[:, rows, columns] - self._means
         logits = self._means + offsets[:, None, None] + gains[:, None, None] * apart
         tied = [
             (tie[:, None, None] * features).sum(0, keepdim=True)
             for tie in (by.tie_specular, by.tie_roughness)
         ]
-        diffuse, gloss = logits.split([3, 2])
-        reflectance = torch.sigmoid(torch.cat([diffuse, gloss + torch.cat(tied)]))
+        diffuse, specular, roughness = logits.split(sizes)
+        reflectance = torch.sigmoid(torch.cat([diffuse, specular + tied[0], roughness + tied[1]]))
         heights = (by.relief + by.bands).exp()[:, None, None] * self._bands[:, rows, columns]
         return replace(
             self._maps,
-            **dict(zip(REFLECTANCE, reflectance.split(list(REFLECTANCE.values())), strict=True)),
+            **dict(zip(REFLECTANCE, reflectance.split(sizes), strict=True)),
             height=heights.sum(0, keepdim=True),
         )
 

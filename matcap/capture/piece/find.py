@@ -26,6 +26,7 @@ from matcap.capture.piece.adapt import Adapted, Change, adapt
 from matcap.capture.piece.contrast import even_contrast
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
+from matcap.capture.piece.metal import believed, less_diffuse, seen_colour, tint
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import (
     ExpectedErrors,
@@ -195,7 +196,7 @@ def find_piece(
     """
     with stage("piece"):
         sight = Sight.of(plane, coarse)
-        reading = read_piece(sight, network)
+        sight, reading = read_piece(sight, network)
     with stage("strengths"):
         strengths = tell_strengths(sight, reading)
         reading = strengthened(sight, reading, strengths)
@@ -267,13 +268,18 @@ def _found(
     )
 
 
-def read_piece(sight: Sight, network: Inverse) -> Reading:
-    """What the network reads."""
+def read_piece(sight: Sight, network: Inverse) -> tuple[Sight, Reading]:
+    """What the network reads; and the sight of it, which has metal's colour."""
     answer = NetworkAnswer.from_stacked(_read(network, sight.inputs.stacked()))
     trusted = confidence(answer.errors, sight.seen)
-    reading = Reading(answer.departures, answer.errors, trusted)
+    departures, metal = answer.departures, believed(answer.metal)
+    if metal is not None:
+        seen = seen_colour(sight.plane.linear, metal * sight.shown.all(0, keepdim=True))
+        sight = replace(sight, light=replace(sight.light, hue=tint(metal, seen)))
+        departures = replace(departures, diffuse=less_diffuse(departures.diffuse, metal))
+    reading = Reading(departures, answer.errors, trusted)
     reading.confidence["diffuse"][:] *= 1.0 - sight.glare
-    return reading
+    return sight, reading
 
 
 def tell_strengths(sight: Sight, reading: Reading) -> Strengths | None:
@@ -444,7 +450,7 @@ def lit(linear: Tensor) -> Tensor:
 
 
 def _read(network: Inverse, inputs: Tensor) -> Tensor:
-    """(OUTPUTS + ERRORS, H, W) of a picture of any size.
+    """(ANSWERS, H, W) of a picture of any size.
 
     The network works on squares of 2 x 2 texels, and texels of a square differ by its place in
     them: a mesh, seen under a low light. So the picture is read with its squares begun at each of

@@ -23,7 +23,13 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
-from matcap.brdf.parameters import REFLECTANCE, ROUGHNESS_LIMITS, Reflectance, SurfaceParameters
+from matcap.brdf.parameters import (
+    F0_LIMITS,
+    REFLECTANCE,
+    ROUGHNESS_LIMITS,
+    Reflectance,
+    SurfaceParameters,
+)
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.noise import channel_weights
 from matcap.capture.piece.rings import Rings
@@ -63,10 +69,13 @@ class PieceLight:
     Attributes:
         flash: the light.
         uniform: (..., 1, 1) each: what the piece's maps depart from.
+        hue: (3, H, W) F0 over the mean of its channels, where some of the piece is metal
+            (metal.py). Departures of F0 are always its mean's.
     """
 
     flash: FlashLight
     uniform: SurfaceParameters
+    hue: Tensor | None = None
 
     @staticmethod
     def of(coarse: Uniform, points: Tensor) -> PieceLight:
@@ -75,14 +84,20 @@ class PieceLight:
 
     def cut(self, rows: slice, columns: slice) -> PieceLight:
         """The light at some of the texels."""
-        return replace(self, flash=self.flash.cut(rows, columns))
+        hue = None if self.hue is None else self.hue[..., rows, columns]
+        return replace(self, flash=self.flash.cut(rows, columns), hue=hue)
 
     def maps(self, departures: SurfaceParameters, texel_size: float = 1.0) -> MapSet:
         """Maps that depart so far from the coarse fit."""
-        return (self.uniform + departures).maps(texel_size)
+        maps = (self.uniform + departures).maps(texel_size)
+        if self.hue is None:
+            return maps
+        return replace(maps, specular=(maps.specular * self.hue).clamp(*F0_LIMITS))
 
     def departures(self, maps: MapSet) -> SurfaceParameters:
         """The inverse of maps()."""
+        if self.hue is not None:
+            maps = replace(maps, specular=maps.specular.mean(-3, keepdim=True))
         return SurfaceParameters.of(maps) - self.uniform
 
     def logs(self, maps: MapSet | Reflectance, incidence: Incidence) -> tuple[Tensor, Tensor]:

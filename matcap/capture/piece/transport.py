@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
-from matcap.brdf.parameters import REFLECTANCE, Reflectance
+from matcap.brdf.parameters import Reflectance
 from matcap.capture.piece.refine import PieceLight
 from matcap.capture.piece.tuned import LEND
 from matcap.example.exemplar import Exemplar
@@ -153,8 +153,8 @@ class _Photograph:
 
 
 def _lent(planes: Tensor) -> tuple[Reflectance, Tensor]:
-    """Reflectance and normals of planes (..., 8, H, W)."""
-    *reflectance, normal = planes.split([*REFLECTANCE.values(), 3], dim=-3)
+    """Reflectance and normals of planes (..., 8, H, W), 10 where F0 has a colour."""
+    *reflectance, normal = planes.split([3, planes.shape[-3] - 7, 1, 3], dim=-3)
     return Reflectance(*reflectance), normal
 
 
@@ -230,7 +230,7 @@ def _discontinuity(
 def _laid(
     chosen: dict[tuple[int, int], tuple[int, int]], maps: Floats, hidden: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
-    """(6, H, W) blocks side by side, and (H, W) the share of them in the result."""
+    """(6 or 8, H, W) blocks side by side, and (H, W) the share of them in the result."""
     texels = np.arange(LEND.block)
     inside = np.minimum(texels + 1, LEND.block - texels) / LEND.overlap
     ramp = np.minimum(inside, 1.0)

@@ -239,7 +239,7 @@ def _read_alone(plane: Plane, coarse: CoarseFit, network: Inverse, stage: Stage)
     with stage("piece"):
         read, _ = to_be_read(plane)
         sight = Sight.of(read, coarse)
-        reading = read_piece(sight, network)
+        sight, reading = read_piece(sight, network)
     with stage("strengths"):
         strengths = tell_strengths(sight, reading)
         reading = strengthened(sight, reading, strengths)

@@ -76,7 +76,7 @@ def of_sets(sets: Sequence[PackedSet]) -> Measured:
     """Of the sets as they are."""
     found: Measured = {name: [] for name in QUANTITIES}
     for packed in sets:
-        stacked = torch.cat([packed.surface[0].float(), packed.height[0]])
+        stacked = torch.cat([packed.surface[0][:7].float(), packed.height[0]])
         _add(found, of_maps(MapSet.from_stacked(stacked, 1.0, periodic=True)))
     return found
 

@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.piece.metal import seen_colour, tint
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import ERRORS, ExpectedErrors, Inverse, NetworkAnswer
 from matcap.flash.render import shade
-from matcap.lab.inverse.losses import loss_parts, total, wanted
+from matcap.lab.inverse.losses import LossWeights, loss_parts, total, wanted
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.samples import (
     HELD_OUT,
@@ -48,9 +49,9 @@ class InverseScore:
     """Of one photograph, or the mean of several.
 
     Attributes:
-        loss: all parts together.
+        loss: all parts together but metal's, as networks that know none had it.
         albedo, specular, roughness: mean differences of logarithms and of the logit.
-        slope, energy, render, style, doubt: the loss's other parts.
+        slope, energy, render, style, doubt, metal: the loss's other parts.
         correlation: of slopes with the true ones.
         tilt: mean tilt found over the true one, as a logarithm.
         tilt_off: its magnitude.
@@ -70,6 +71,7 @@ class InverseScore:
     render: float
     style: float
     doubt: float
+    metal: float
     correlation: float
     tilt: float
     tilt_off: float
@@ -131,12 +133,14 @@ def evaluate(network: Inverse, samples: Sequence[Sample]) -> Evaluation:
 
 def _maps(answer: NetworkAnswer, sample: Sample) -> MapSet:
     uniform = sample.uniform.parameters().to(sample.points)
-    return (uniform + answer.departures).maps(sample.truth.texel_size)
+    maps = (uniform + answer.departures).maps(sample.truth.texel_size)
+    hue = tint(answer.metal.sigmoid(), seen_colour(sample.linear, sample.valid[None]))
+    return replace(maps, specular=(maps.specular * hue).clamp_max(1.0))
 
 
 @torch.no_grad()
 def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> InverseScore:
-    """Of one answer (OUTPUTS + ERRORS, H, W)."""
+    """Of one answer (ANSWERS, H, W)."""
     parts = loss_parts(outputs[None], wanted([sample], rng))
     truth = sample.truth
     maps = _maps(NetworkAnswer.from_stacked(outputs), sample)
@@ -145,7 +149,7 @@ def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> InverseS
     contrast = _log_ratio(_contrast(maps.diffuse), _contrast(truth.diffuse))
     told = {name: float(part) for name, part in parts.items()}
     return InverseScore(
-        loss=float(total(parts)),
+        loss=float(total(parts, LossWeights(metal=0.0))),
         **told,
         correlation=_correlation(found, true),
         tilt=tilt,

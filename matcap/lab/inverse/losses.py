@@ -20,7 +20,8 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import dot
 from matcap.brdf.normals import normals_from_height
-from matcap.brdf.parameters import SurfaceParameters
+from matcap.brdf.parameters import Reflectance, SurfaceParameters
+from matcap.capture.piece.metal import seen_colour, tint
 from matcap.capture.piece.network.network import ExpectedErrors, NetworkAnswer
 from matcap.flash.light import FlashLight
 from matcap.lab.inverse.samples import Sample
@@ -33,6 +34,7 @@ _FLAT = 0.02  # root-mean-square slope, below which strength is not told apart
 _PLAIN = 0.02  # likewise of log albedo
 _BLACK = 0.02  # albedo: darker ones differ little to the eye
 _DARKEST = 0.01  # radiance, of a white plane's
+_MOST_F0 = 0.99
 _THIN = 2  # every so manieth texel is lit from nearby: a highlight's place is random anyway
 # Of relit pictures; other filters than those a capture is tuned by or judged by.
 _BANK = FilterBank(FilterBankConfig(sizes=(5,), filters=20, levels=4, seed=91))
@@ -54,6 +56,7 @@ class LossWeights:
     render: float = 1.0
     style: float = 1.0
     doubt: float = 0.1
+    metal: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,9 @@ class WantedOutputs:
 
     Attributes:
         truth: (B, OUTPUTS, H, W) the answer the network should give.
+        metal: (B, 1, H, W) true share that is metal.
+        hue: (B, 3, H, W) true F0 over the mean of its channels.
+        seen: (B, 3, H, W) the photograph's colour, which what is told as metal has.
         base: (B, OUTPUTS, 1, 1) what it departs from, the coarse fit.
         points: (3, H, W) plane points, the same of all.
         camera: (B, 3, 1, 1) places of the cameras.
@@ -69,6 +75,9 @@ class WantedOutputs:
     """
 
     truth: Tensor
+    metal: Tensor
+    hue: Tensor
+    seen: Tensor
     base: Tensor
     points: Tensor
     camera: Tensor
@@ -87,6 +96,9 @@ def wanted(samples: Sequence[Sample], rng: np.random.Generator) -> WantedOutputs
 
     return WantedOutputs(
         torch.stack([s.departures.stacked() for s in samples]),
+        torch.stack([s.metal for s in samples]),
+        torch.stack([s.truth.specular / s.truth.specular.mean(0) for s in samples]),
+        torch.stack([seen_colour(s.linear, s.valid[None]) for s in samples]),
         torch.stack([s.uniform.parameters().stacked() for s in samples]).to(points),
         points,
         column(places),
@@ -105,14 +117,14 @@ def loss_parts(
     """Parts of the loss of a step's pictures, scalars: means over them.
 
     Args:
-        outputs: (B, OUTPUTS + ERRORS, H, W) of the network.
+        outputs: (B, ANSWERS, H, W) of the network.
         wanted: the truth.
         style: whether statistics of relit pictures are compared, which takes as long as the rest.
         compare: `compared`, or that compiled.
     """
     w = wanted
     parts, found, true = (compare or compared)(
-        outputs, w.truth, w.base, w.points, w.camera, w.near, w.far
+        outputs, w.truth, (w.metal, w.hue, w.seen), w.base, w.points, w.camera, w.near, w.far
     )
     if style:
         parts = {**parts, "style": _style(found, true)}
@@ -127,6 +139,7 @@ def total(parts: Parts, weights: LossWeights = LossWeights()) -> Tensor:
 def compared(
     outputs: Tensor,
     truth: Tensor,
+    metals: tuple[Tensor, Tensor, Tensor],
     base: Tensor,
     points: Tensor,
     camera: Tensor,
@@ -136,12 +149,14 @@ def compared(
     """All parts but the style, and (B, 3, H, W) pictures of found and true under the far light.
 
     Args:
-        outputs: of the network; the others: as in WantedOutputs.
+        outputs: of the network; the others: as in WantedOutputs, metal, hue and seen as one.
     """
     answer = NetworkAnswer.from_stacked(outputs)
     found, true = answer.departures, SurfaceParameters.from_stacked(truth)
     uniform = SurfaceParameters.from_stacked(base)
-    maps_found, maps_true = (uniform + found).reflectance(), (uniform + true).reflectance()
+    metal, hue, seen = metals
+    maps_found = _tinted((uniform + found).reflectance(), tint(answer.metal.sigmoid(), seen))
+    maps_true = _tinted((uniform + true).reflectance(), hue)
     # Of a metal's dark diffuse albedo nothing is seen but that it is dark.
     albedo_found, albedo_true = (m.diffuse.add(_BLACK).log() for m in (maps_found, maps_true))
     albedo_apart = (albedo_found - albedo_true).abs()
@@ -179,8 +194,14 @@ def compared(
         "energy": _energies(slopes_found, slopes_true, albedo_found, albedo_true),
         "render": 0.5 * (_log_apart(near_found, near_true) + _log_apart(far_found, far_true)),
         "doubt": doubt,
+        "metal": F.binary_cross_entropy_with_logits(answer.metal, metal),
     }
     return parts, far_found * gain, far_true * gain
+
+
+def _tinted(reflectance: Reflectance, hue: Tensor) -> Reflectance:
+    """With F0 of a colour, which only what is metal has."""
+    return reflectance._replace(specular=(reflectance.specular * hue).clamp_max(_MOST_F0))
 
 
 def _lights(sample: Sample, rng: np.random.Generator) -> tuple[list[float], list[float]]:

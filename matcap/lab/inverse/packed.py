@@ -27,12 +27,12 @@ from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 
 LEVELS = 3  # full, half, quarter
+_ROUGHNESS = slice(6, 7)  # of a surface
 _EVERY, _LEFT_OUT = 5, 1  # of so many sets one is held out: the rest that has something of each
 _DIELECTRIC = 0.04  # F0 of what is no metal
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
 _STEEPEST = math.tan(math.radians(75.0))  # a normal map's texels further down are no slopes
 _KEY = "matcap-maps"
-_VERSION = 1
+_VERSION = 2  # 1 had F0 without a colour
 
 Picture = NDArray[np.float32]
 
@@ -43,7 +43,8 @@ class PackedSet:
 
     Attributes:
         name: of its folder.
-        surface: level by level (5, H, W) float16: diffuse albedo (linear, 3), F0, roughness.
+        surface: level by level (8, H, W) float16: diffuse albedo and F0 (linear, 3 each),
+            roughness, and the share that is metal.
         height: level by level (1, H, W) float32 in texels of that level, of mean 0.
     """
 
@@ -84,7 +85,7 @@ def pack(folder: Path, out: Path) -> int:
 
 
 def read_set(folder: Path, *, bare_metal: bool = False) -> tuple[Picture, Picture]:
-    """(5, H, W) diffuse albedo, F0 and roughness, and (1, H, W) height in texels, of a folder.
+    """(8, H, W) as PackedSet.surface, and (1, H, W) height in texels, of a folder.
 
     Args:
         folder: of one set; sides multiples of 2^(LEVELS - 1).
@@ -96,9 +97,8 @@ def read_set(folder: Path, *, bare_metal: bool = False) -> tuple[Picture, Pictur
     plain = np.full_like(roughness, 1.0 if bare_metal else 0.0)
     has_metal = any(folder.glob("metallic.*"))
     metallic = _read(folder, "metallic", 1) if has_metal else plain
-    luminance = np.tensordot(np.asarray(_LUMINANCE, np.float32), colour, axes=1)[None]
-    specular = _DIELECTRIC * (1.0 - metallic) + luminance * metallic
-    surface = np.concatenate([colour * (1.0 - metallic), specular, roughness])
+    specular = _DIELECTRIC * (1.0 - metallic) + colour * metallic
+    surface = np.concatenate([colour * (1.0 - metallic), specular, roughness, metallic])
     slopes = -normal[:2] / np.maximum(normal[2:], math.cos(math.atan(_STEEPEST)))
     steepness = np.sqrt(np.square(slopes).sum(0, keepdims=True))
     slopes = slopes * np.minimum(1.0, _STEEPEST / np.maximum(steepness, 1e-6))
@@ -128,8 +128,10 @@ def halved(surface: Picture, height: Picture) -> tuple[Picture, Picture]:
     coarse_height = _mean(height) / 2.0
     lost = np.maximum(_mean(fine) - np.square(_slopes(coarse_height)).sum(0, keepdims=True), 0.0)
     # Mirrored light goes with F0, and of two lobes the mean is as wide as their alphas' squares.
-    coarse = _mean(np.concatenate([surface[:4], surface[4:] ** 4]))
-    coarse[4:] = np.minimum(coarse[4:] + lost, 1.0) ** 0.25
+    coarse = surface.copy()
+    coarse[_ROUGHNESS] **= 4
+    coarse = _mean(coarse)
+    coarse[_ROUGHNESS] = np.minimum(coarse[_ROUGHNESS] + lost, 1.0) ** 0.25
     return coarse, coarse_height
 
 
@@ -142,7 +144,10 @@ def open_pack(path: Path) -> Mapping[str, PackedSet]:
     """
     try:
         with safe_open(path, framework="pt") as file:
-            names: Sequence[str] = json.loads((file.metadata() or {})[_KEY])["names"]
+            told = json.loads((file.metadata() or {})[_KEY])
+            if told["version"] != _VERSION:
+                raise ValueError(f"they are of version {told['version']}")
+            names: Sequence[str] = told["names"]
 
             def levels(name: str, what: str) -> tuple[Tensor, ...]:
                 return tuple(file.get_tensor(f"{name}/{i}/{what}") for i in range(LEVELS))

@@ -14,8 +14,10 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, SURFACE, MapSet
+from matcap.brdf.maps import DIFFUSE, HEIGHT, SPECULAR, SURFACE, MapSet
+from matcap.lab.inverse.metals import coloured_metal
 from matcap.lab.inverse.packed import LEVELS, PackedSet
 
 _SCALES = (0.3, 2.0)  # texels of the picture to one of the set
@@ -24,7 +26,8 @@ _STEEP = 0.9  # root-mean-square slope that relief is not strengthened beyond
 _LEVELLED = 1.0 / 3.0  # share of pieces at no quarter turn
 _MARGIN = 3  # texels around what is read, for cubic weights
 _DARKEST, _PALEST = 0.01, 0.92  # mean albedos of real materials lie within
-_METAL = 0.12  # F0 above which a texel is some metal's
+_METAL = slice(0, 1)  # of what is cut: the share that is metal, before the maps
+_MAPS = slice(1, None)
 _MASKED = 0.12  # share of pieces of two materials
 
 Picture = NDArray[np.float32]
@@ -32,8 +35,10 @@ Picture = NDArray[np.float32]
 
 def real_piece(
     sets: Sequence[PackedSet], rng: np.random.Generator, width: int, height: int
-) -> MapSet:
+) -> tuple[MapSet, Tensor]:
     """A piece of one of the sets, or of two across a mask; heights and texels in texels.
+
+    Also (1, height, width) how far it is metal.
 
     Args:
         sets: to draw from.
@@ -43,12 +48,13 @@ def real_piece(
     first = _piece(sets[int(rng.integers(len(sets)))], rng, width, height)
     if rng.random() < _MASKED:
         first = masked(first, _piece(sets[int(rng.integers(len(sets)))], rng, width, height), rng)
-    maps = MapSet.from_stacked(torch.from_numpy(first), 1.0)
-    return replace(maps, height=maps.height - maps.height.mean())
+    whole = torch.from_numpy(first)
+    maps = MapSet.from_stacked(whole[_MAPS], 1.0)
+    return replace(maps, height=maps.height - maps.height.mean()), whole[_METAL]
 
 
 def masked(below: Picture, above: Picture, rng: np.random.Generator) -> Picture:
-    """Two pieces (6, H, W) across a soft or hard border, one a little higher than the other."""
+    """Two pieces (9, H, W) across a soft or hard border, one a little higher than the other."""
     height, width = below.shape[-2:]
     share = cloudy(rng, height, width)
     level = np.quantile(share, rng.uniform(0.25, 0.75))
@@ -71,11 +77,14 @@ def cloudy(rng: np.random.Generator, height: int, width: int) -> Picture:
 
 
 def _piece(packed: PackedSet, rng: np.random.Generator, width: int, height: int) -> Picture:
-    """(6, H, W): diffuse, F0, roughness, height in texels."""
+    """(9, H, W): metal; diffuse, F0, roughness, height in texels."""
     scale = math.exp(rng.uniform(math.log(_SCALES[0]), math.log(_SCALES[1])))
     level = min(int(math.log2(1.0 / scale)), LEVELS - 1) if scale < 1.0 else 0
     piece = cut(packed, level, scale * 2**level, rng, width, height)
-    piece[SURFACE] = coloured(piece[SURFACE], rng)
+    metal, maps = piece[_METAL], piece[_MAPS]
+    maps[SURFACE] = coloured(maps[SURFACE], metal, rng)
+    # Drawn by themselves, so that all else is what it was before metals had colours.
+    maps[SPECULAR] = coloured_metal(maps[SPECULAR], metal, rng.spawn(1)[0])
     slopes = float(np.square(np.diff(piece[HEIGHT], axis=-2)).mean() * 2.0) ** 0.5
     strength = math.exp(rng.uniform(*np.log(_STRENGTHS)))
     piece[HEIGHT] *= min(strength, max(1.0, _STEEP / max(slopes, 1e-6)))
@@ -90,7 +99,9 @@ def cut(
     width: int,
     height: int,
 ) -> Picture:
-    """(6, height, width) of one level, anywhere, turned and mirrored, the set going round.
+    """(9, height, width) of one level, anywhere, turned and mirrored, the set going round.
+
+    The share that is metal, then the maps: diffuse, F0 (3), roughness, height.
 
     Args:
         packed: the set.
@@ -114,18 +125,21 @@ def cut(
     across = (np.arange(columns) + int(rng.integers(whole.shape[-1]))) % whole.shape[-1]
     down = (np.arange(rows) + int(rng.integers(whole.shape[-2]))) % whole.shape[-2]
     here = np.ix_(down, across)
-    layers = [*(layer[here].astype(np.float32) for layer in whole.numpy()), relief.numpy()[0][here]]
+    *surface, metal = (layer[here].astype(np.float32) for layer in whole.numpy())
+    layers = [metal, *surface, relief.numpy()[0][here]]
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     warped = [cv2.warpAffine(layer, matrix, (width, height), flags=flags) for layer in layers]
     piece = np.stack(warped).astype(np.float32)
     piece[HEIGHT] *= scale
-    np.clip(piece[SURFACE], 1e-3, 1.0, out=piece[SURFACE])
+    maps = piece[_MAPS]
+    np.clip(maps[SURFACE], 1e-3, 1.0, out=maps[SURFACE])
+    np.clip(piece[_METAL], 0.0, 1.0, out=piece[_METAL])
     return piece
 
 
-def coloured(surface: Picture, rng: np.random.Generator) -> Picture:
-    """(5, H, W) the same material paler or darker, of another hue, duller or glossier."""
-    albedo, specular, roughness = surface[DIFFUSE], surface[SPECULAR], surface[ROUGHNESS]
+def coloured(surface: Picture, metal: Picture, rng: np.random.Generator) -> Picture:
+    """(7, H, W) the same material paler or darker, of another hue, duller or glossier."""
+    albedo, specular, roughness = surface[DIFFUSE], surface[3:6], surface[6:]
     mean = albedo.mean((1, 2), keepdims=True)
     gain = math.exp(rng.normal(0.0, 0.35))
     tint = np.exp(rng.normal(0.0, 0.12, (3, 1, 1)))
@@ -137,7 +151,6 @@ def coloured(surface: Picture, rng: np.random.Generator) -> Picture:
     # Of bare metal nothing is diffuse, and it stays so.
     level = np.minimum(level, mean * 10.0)
     albedo = level * (albedo / mean) ** contrast
-    metal = np.clip((specular - _METAL) / _METAL, 0.0, 1.0)
     shift = rng.normal(0.0, (0.25, 0.3), 2)
     specular = specular * np.exp(shift[0] * (1.0 - metal) + shift[1] * metal)
     logit = np.log(roughness.clip(0.02, 0.98) / (1.0 - roughness.clip(0.02, 0.98)))

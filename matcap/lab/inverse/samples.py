@@ -24,6 +24,7 @@ from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import FlashLight
 from matcap.flash.render import render_flash
 from matcap.flash.uniform import Uniform, uniform_radiance
+from matcap.lab.inverse.metals import coloured_metal
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.pieces import real_piece
 from matcap.lab.simulate.materials import realise
@@ -42,6 +43,7 @@ _THIN = 4  # every fourth texel tells how bright a picture is
 # Logarithm of a coarse fit's F0 over the truth, mean and deviation: as far as it is off on the
 # examples, whose albedo takes some of a wide highlight.
 _SPECULAR_OFF = (-0.2, 0.4)
+_METALLIC = (0.1, 0.35)  # F0 of what is simulated: no metal below, all of it above
 _JPEGS = 0.25  # share of pictures that went through a JPEG at the scale they are read at
 _ROOM = 64  # texels by which a piece is larger than a picture
 
@@ -55,7 +57,9 @@ class Sample:
     Attributes:
         linear: (3, H, W) radiance, clipped at 1.
         valid: (H, W) bool, not clipped.
-        truth: float32 maps of the piece; texel_size as if the picture spanned x in [-1, 1].
+        truth: float32 maps of the piece, F0 by channel; texel_size as if the picture spanned x in
+            [-1, 1].
+        metal: (1, H, W) share that is metal.
         uniform: the coarse fit.
         points: (3, H, W) plane points.
     """
@@ -63,13 +67,15 @@ class Sample:
     linear: Tensor
     valid: Tensor
     truth: MapSet
+    metal: Tensor
     uniform: Uniform
     points: Tensor
 
     @property
     def departures(self) -> SurfaceParameters:
-        """What the network should answer."""
-        return SurfaceParameters.of(self.truth) - self.uniform.parameters().to(self.points)
+        """What the network should answer; F0 by the mean of its channels."""
+        grey = replace(self.truth, specular=self.truth.specular.mean(0, keepdim=True))
+        return SurfaceParameters.of(grey) - self.uniform.parameters().to(self.points)
 
     def to(self, device: str) -> Sample:
         """The same sample with its tensors on a device."""
@@ -78,6 +84,7 @@ class Sample:
             linear=self.linear.to(device),
             valid=self.valid.to(device),
             truth=self.truth.map(lambda m: m.to(device)),
+            metal=self.metal.to(device),
             points=self.points.to(device),
         )
 
@@ -138,7 +145,7 @@ def draw_sample(
     # The picture spans x in [-1, 1]: the same slopes at the picture's own scale.
     size = 2.0 / width
     if sets and rng.random() < real:
-        cut = real_piece(sets, rng, width + pad, height + pad)
+        cut, metal = real_piece(sets, rng, width + pad, height + pad)
         maps = replace(cut, height=cut.height * size, texel_size=size)
     else:
         turn = number // (_TURNS * _VISITS) * _TURNS + number % _TURNS
@@ -146,6 +153,7 @@ def draw_sample(
         cut = _cut(_turned(whole, rng), width + pad, height + pad, rng)
         maps = replace(cut, height=cut.height * (size / texel), texel_size=size)
         maps = _strengthened(maps, rng)
+        maps, metal = _with_metal(maps, np.random.default_rng([number, 79]))
     setup = draw_setup(rng)
     around = plane_points(
         -_MARGIN, -_MARGIN, width + pad, height + pad, (width, height), dtype=torch.float32
@@ -158,7 +166,8 @@ def draw_sample(
     setup = setup.with_intensity((gain, gain, gain))
     valid = (linear < 0.98).all(0)
     uniform = _fitted(linear, valid, truth, setup, points, rng)
-    return Sample(linear.contiguous(), valid, truth, uniform, points)
+    metal = metal[inside].contiguous()
+    return Sample(linear.contiguous(), valid, truth, metal, uniform, points)
 
 
 @lru_cache(maxsize=_TURNS)
@@ -189,6 +198,14 @@ def _turned(maps: MapSet, rng: np.random.Generator) -> MapSet:
         return torch.flip(m, (-1,)) if mirrored else m
 
     return maps.map(turned)
+
+
+def _with_metal(maps: MapSet, rng: np.random.Generator) -> tuple[MapSet, Tensor]:
+    """Simulated maps with F0 by channel, and (1, H, W) how far they are metal."""
+    least, whole = _METALLIC
+    metal = ((maps.specular.mean(0, keepdim=True) - least) / (whole - least)).clamp(0.0, 1.0)
+    specular = coloured_metal(maps.specular.expand(3, -1, -1).numpy(), metal.numpy(), rng)
+    return replace(maps, specular=torch.from_numpy(specular)), metal
 
 
 def _strengthened(maps: MapSet, rng: np.random.Generator) -> MapSet:
@@ -256,7 +273,8 @@ def _fitted(
     """What a coarse fit might say: near the truth, and as bright as the picture."""
     slopes = truth.normal[:2].square().sum(0).mean()
     # A highlight is as wide as what mirrors most: bare metal's, be there ever so much rust.
-    mirrored = (truth.specular * truth.roughness.square()).mean() / truth.specular.mean()
+    specular = truth.specular.mean(0, keepdim=True)
+    mirrored = (specular * truth.roughness.square()).mean() / specular.mean()
     alpha = (mirrored.square() + 0.5 * slopes).clamp(1e-4, 0.9).sqrt()
     roughness = float(alpha.sqrt())
     logit = math.log(roughness / (1.0 - roughness)) + rng.normal(0.0, 0.35)
@@ -268,11 +286,11 @@ def _fitted(
         tilt=(setup.tilt[0] + lean[0], setup.tilt[1] + lean[1]),
         vignetting=max(0.0, setup.vignetting + rng.normal(0.0, 0.05)),
     )
-    specular = float(truth.specular.mean()) * math.exp(rng.normal(*_SPECULAR_OFF))
+    f0 = float(specular.mean()) * math.exp(rng.normal(*_SPECULAR_OFF))
     mean = truth.diffuse.mean((1, 2)).tolist()
     uniform = Uniform(
         diffuse=(mean[0], mean[1], mean[2]),
-        specular=min(specular, 0.95),
+        specular=min(f0, 0.95),
         roughness=1.0 / (1.0 + math.exp(-logit)),
         setup=near,
     )

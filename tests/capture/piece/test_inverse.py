@@ -12,9 +12,8 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import (
-    ERRORS,
+    ANSWERS,
     INPUTS,
-    OUTPUTS,
     Inverse,
     InverseConfig,
     NetworkAnswer,
@@ -102,7 +101,7 @@ def test_reads_pictures_of_any_aspect_and_starts_from_the_photograph_as_albedo()
         inputs = _inputs(height, width)
         with torch.no_grad():
             answer = network(inputs)
-        assert answer.shape == (1, OUTPUTS + ERRORS, height, width)
+        assert answer.shape == (1, ANSWERS, height, width)
         albedo = NetworkAnswer.from_stacked(answer).departures.diffuse
         assert float((albedo - NetworkInputs.from_stacked(inputs).log).abs().mean()) < 0.5
 

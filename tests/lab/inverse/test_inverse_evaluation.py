@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from matcap.brdf.maps import HEIGHT
 from matcap.capture.piece.network.network import ERRORS, Inverse, InverseConfig
 from matcap.lab.inverse.distributions import QUANTITIES, drawn, of_picture, plot, table
 from matcap.lab.inverse.evaluate import (
@@ -25,16 +24,17 @@ from matcap.lab.inverse.samples import Sample, draw_sample
 
 @pytest.fixture(scope="module")
 def sample() -> Sample:
-    return draw_sample(3, 96, 64)
+    return draw_sample(10, 96, 64)
 
 
 def test_the_truth_scores_as_the_truth(sample: Sample) -> None:
     truth = sample.departures.stacked()
-    answer = torch.cat([truth, torch.zeros(ERRORS, *truth.shape[-2:])])
+    sure = torch.where(sample.metal > 0.5, 20.0, -20.0)
+    answer = torch.cat([truth, torch.zeros(ERRORS, *truth.shape[-2:]), sure])
     told = score(answer, sample, np.random.default_rng(0))
     assert told.correlation == pytest.approx(1.0, abs=1e-3)
     assert (told.tilt_off, told.contrast_off, told.relit) == pytest.approx((0, 0, 0), abs=2e-3)
-    answer[HEIGHT] *= 0.5
+    answer[5] *= 0.5  # height
     flatter = score(answer, sample, np.random.default_rng(0))
     assert flatter.tilt < -0.3
     assert flatter.relit > told.relit

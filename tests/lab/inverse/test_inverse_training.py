@@ -10,7 +10,7 @@ import torch
 
 from matcap.brdf.maps import HEIGHT
 from matcap.capture.piece.network.inputs import network_inputs
-from matcap.capture.piece.network.network import ERRORS, Inverse, InverseConfig
+from matcap.capture.piece.network.network import ANSWERS, ERRORS, Inverse, InverseConfig
 from matcap.capture.piece.network.store import read_inverse, save_inverse
 from matcap.lab.inverse.losses import loss_parts, total, wanted
 from matcap.lab.inverse.samples import draw_sample, is_held_out, training_material
@@ -49,16 +49,17 @@ def test_held_out_patterns_are_never_trained_on() -> None:
 
 
 def test_the_truth_has_no_loss_but_doubt() -> None:
-    sample = draw_sample(3, 96, 64)
+    sample = draw_sample(10, 96, 64)
     truth = sample.departures.stacked()
     certain = torch.full((ERRORS, *truth.shape[-2:]), float(np.log(0.01)))
     true = wanted([sample], np.random.default_rng(0))
-    parts = loss_parts(torch.cat([truth, certain])[None], true)
+    sure = torch.where(sample.metal > 0.5, 20.0, -20.0)
+    parts = loss_parts(torch.cat([truth, certain, sure])[None], true)
     for name, part in parts.items():
         assert float(part) < 2e-3, name
     wrong = truth.clone()
     wrong[HEIGHT] *= 0.3
-    shrunk = loss_parts(torch.cat([wrong, certain])[None], true)
+    shrunk = loss_parts(torch.cat([wrong, certain, sure])[None], true)
     assert float(shrunk["energy"]) > 0.1
     assert float(shrunk["slope"]) > 0.1
 
@@ -74,7 +75,7 @@ def test_legs_continue_exactly(tmp_path: Path) -> None:
 
 def test_a_step_of_two_pictures_is_the_mean_of_theirs() -> None:
     samples = [draw_sample(number, 64, 64) for number in (1, 2)]
-    outputs = 0.1 * torch.randn(2, 10, 64, 64, generator=torch.Generator().manual_seed(0))
+    outputs = 0.1 * torch.randn(2, ANSWERS, 64, 64, generator=torch.Generator().manual_seed(0))
     rng = np.random.default_rng(0)
     both = loss_parts(outputs, wanted(samples, rng))
     rng = np.random.default_rng(0)  # which draws the lights of one after the other

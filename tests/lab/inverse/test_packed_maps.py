@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from matcap.brdf.maps import SURFACE
 from matcap.brdf.normals import normals_from_height
 from matcap.errors import MatcapError
+from matcap.lab.inverse.metals import coloured_metal
 from matcap.lab.inverse.packed import (
     LEVELS,
     PackedSet,
@@ -70,21 +72,25 @@ def sets(packed: Path) -> tuple[PackedSet, ...]:
 def test_packed_maps_are_the_sets(packed: Path) -> None:
     assert tuple(open_pack(packed)) == tuple(sorted(NAMES))
     plain = open_pack(packed)["material1"]
-    assert [s.shape for s in plain.surface] == [(5, SIDE >> i, SIDE >> i) for i in range(LEVELS)]
+    assert [s.shape for s in plain.surface] == [(8, SIDE >> i, SIDE >> i) for i in range(LEVELS)]
     assert plain.surface[0].dtype == torch.float16
     folder = packed.parent / "material1"
     roughness = picture(folder / "roughness.png")[..., 0]
-    assert np.allclose(plain.surface[0][4].float().numpy(), roughness, atol=1e-3)
+    assert np.allclose(plain.surface[0][6].float().numpy(), roughness, atol=1e-3)
     colour = picture(folder / "basecolor.png")
     linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
     assert np.allclose(plain.surface[0][:3].float().numpy().transpose(1, 2, 0), linear, atol=1e-3)
-    assert np.allclose(plain.surface[0][3].float(), 0.04, atol=1e-4)
+    assert np.allclose(plain.surface[0][3:6].float(), 0.04, atol=1e-4)
 
 
 def test_metal_has_no_diffuse_albedo_and_mirrors_its_colour(packed: Path) -> None:
     metal = open_pack(packed)["material0"].surface[0].float()
     assert float(metal[:3].max()) == 0.0
-    assert 0.1 < float(metal[3].mean()) < 0.4
+    assert 0.1 < float(metal[3:6].mean()) < 0.4
+    colour = picture(packed.parent / "material0" / "basecolor.png")
+    linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+    assert np.allclose(metal[3:6].numpy().transpose(1, 2, 0), linear, atol=1e-3)
+    assert float(metal[7].min()) == 1.0
 
 
 def test_normals_integrate_back(packed: Path) -> None:
@@ -101,13 +107,13 @@ def test_normals_integrate_back(packed: Path) -> None:
 
 
 def test_slopes_lost_by_halving_count_as_roughness() -> None:
-    surface = np.full((5, SIDE, SIDE), 0.3, np.float32)
+    surface = np.full((8, SIDE, SIDE), 0.3, np.float32)
     rough = np.zeros((1, SIDE, SIDE), np.float32)
     rough[0] = np.sin(np.arange(SIDE) * math.pi / 2.0)  # waves of four texels
     even, _ = halved(surface, 0.0 * rough)
     lost, height = halved(surface, rough)
     assert np.allclose(even, 0.3, atol=1e-5)
-    assert float(lost[4].mean()) > 0.5
+    assert float(lost[6].mean()) > 0.5
     assert height.shape == (1, SIDE // 2, SIDE // 2)
 
 
@@ -126,17 +132,34 @@ def test_pieces_keep_slopes_at_every_scale(packed: Path) -> None:
     steepness = float(np.square(np.gradient(relief(1)[0])).sum(0).mean())
     for scale in (0.8, 1.0, 2.0):
         piece = cut(whole, 0, scale, np.random.default_rng(4), 96, 80)
-        assert piece.shape == (6, 80, 96)
-        assert np.square(np.gradient(piece[5])).sum(0).mean() == pytest.approx(steepness, rel=0.25)
+        assert piece.shape == (9, 80, 96)
+        assert np.square(np.gradient(piece[-1])).sum(0).mean() == pytest.approx(steepness, rel=0.25)
 
 
 def test_pieces_of_real_materials_are_maps(packed: Path) -> None:
     for seed in range(20):
-        maps = real_piece(sets(packed), np.random.default_rng(seed), 72, 56)
-        assert maps.size == (72, 56)
+        maps, metal = real_piece(sets(packed), np.random.default_rng(seed), 72, 56)
+        assert maps.size == (72, 56) and metal.shape == (1, 56, 72)
         stacked = maps.stacked()
         assert bool(torch.isfinite(stacked).all())
-        assert float(stacked[:5].min()) > 0.0 and float(stacked[:5].max()) <= 1.0
+        assert float(stacked[SURFACE].min()) > 0.0 and float(stacked[SURFACE].max()) <= 1.0
+        assert float(metal.min()) >= 0.0 and float(metal.max()) <= 1.0
+
+
+def test_metal_is_drawn_in_colours_and_what_is_none_stays_grey() -> None:
+    f0 = np.full((3, 8, 8), 0.5, np.float32)
+    metal = np.ones((1, 8, 8), np.float32)
+    metal[:, :4], f0[:, :4] = 0.0, 0.04
+    hues = []
+    for seed in range(40):
+        drawn = coloured_metal(f0, metal, np.random.default_rng(seed))
+        assert np.array_equal(drawn[:, :4], f0[:, :4])
+        bare = drawn[:, 6, 6]
+        assert bare.min() > 0.0 and bare.max() < 1.0
+        hues.append(float(bare.max() / bare.min()))
+    assert min(hues) == 1.0 and max(hues) > 3.0
+    plain = coloured_metal(0.08 * f0, 0.0 * metal, np.random.default_rng(0))
+    assert np.array_equal(plain, 0.08 * f0)
 
 
 def test_a_real_sample_is_a_function_of_its_number(packed: Path) -> None:

@@ -26,8 +26,10 @@ _TOLD = {
 _DOUBTED = {"albedo": 1, "specular": 1, "roughness": 1, "slope": 1}
 INPUTS, ERRORS = sum(_TOLD.values()), len(_DOUBTED)
 OUTPUTS = sum(CHANNELS.values())
+ANSWERS = OUTPUTS + ERRORS + 1  # metal's last
 _WEIGHTINGS = 3  # of the context's means: even, by what shows of relief, by gloss
 _SLOPE = 0.2  # of LeakyReLU
+_SELDOM_METAL = -3.0  # logit that training begins with
 _GROUPS = 4  # of channels that are normalised together
 
 
@@ -114,20 +116,27 @@ class NetworkAnswer:
     """What the network answers.
 
     Attributes:
-        departures: of the maps from the uniform material.
+        departures: of the maps from the uniform material; F0 by the mean of its channels.
         errors: to be expected of them.
+        metal: (..., 1, H, W) logit of the share of each texel that is metal (metal.py).
     """
 
     departures: SurfaceParameters
     errors: ExpectedErrors
+    metal: Tensor
 
     @staticmethod
     def from_stacked(stacked: Tensor) -> NetworkAnswer:
-        """Of the network's output (..., OUTPUTS + ERRORS, H, W)."""
-        departures, errors = stacked.split([OUTPUTS, ERRORS], dim=-3)
+        """Of the network's output (..., ANSWERS, H, W)."""
+        departures, errors, metal = stacked.split([OUTPUTS, ERRORS, 1], dim=-3)
         return NetworkAnswer(
-            SurfaceParameters.from_stacked(departures), ExpectedErrors.from_stacked(errors)
+            SurfaceParameters.from_stacked(departures), ExpectedErrors.from_stacked(errors), metal
         )
+
+    def stacked(self) -> Tensor:
+        """The inverse of from_stacked()."""
+        parts = [self.departures.stacked(), self.errors.stacked(), self.metal]
+        return torch.cat(parts, dim=-3)
 
 
 class Inverse(nn.Module):
@@ -158,12 +167,14 @@ class Inverse(nn.Module):
         fine = 16
         self.head = nn.Conv2d(widths[0], 4 * fine, 3, padding=1)
         self.fine = nn.Conv2d(fine + INPUTS, fine, 3, padding=1)
-        self.out = nn.Conv2d(fine, OUTPUTS + ERRORS, 3, padding=1)
+        self.out = nn.Conv2d(fine, ANSWERS, 3, padding=1)
         with torch.no_grad():
             for layer in (self.out, *self.heights, *self.told):
                 layer.weight.mul_(0.1)
                 assert layer.bias is not None
                 layer.bias.zero_()
+            assert self.out.bias is not None
+            self.out.bias[-1] = _SELDOM_METAL
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Read pictures.
@@ -172,7 +183,7 @@ class Inverse(nn.Module):
             inputs: (B, INPUTS, H, W), sides multiples of config.multiple.
 
         Returns:
-            (B, OUTPUTS + ERRORS, H, W), as NetworkAnswer reads them.
+            (B, ANSWERS, H, W), as NetworkAnswer reads them.
         """
         told = NetworkInputs.from_stacked(inputs)
         weights = _weightings(told)
@@ -206,7 +217,7 @@ class Inverse(nn.Module):
         # The photograph's own departure is the first guess of albedo's.
         first = answer.departures
         departures = replace(first, diffuse=first.diffuse + told.log, height=first.height + coarse)
-        return torch.cat([departures.stacked(), answer.errors.stacked()], dim=1)
+        return replace(answer, departures=departures).stacked()
 
 
 class _ResidualBlock(nn.Module):

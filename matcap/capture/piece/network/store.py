@@ -16,7 +16,8 @@ from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 
 FORMAT = "matcap-inverse"
-VERSION = 1  # of the file
+VERSION = 2  # of the file
+_NO_METAL = 1  # files of networks that could not tell metal
 SHIPPED = Path(__file__).parent / "weights" / "inverse.safetensors"
 _WIDEST, _DEEPEST = 512, 8
 _REMEDY = "install matcap again, or give another file"
@@ -53,7 +54,7 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
     try:
         with safe_open(path, framework="pt") as file:
             about = json.loads((file.metadata() or {})["matcap"])
-            if about["format"] != FORMAT or about["version"] != VERSION:
+            if about["format"] != FORMAT or about["version"] not in (_NO_METAL, VERSION):
                 raise ValueError(f"it holds {about['format']} of version {about['version']}")
             widths = tuple(int(width) for width in about["widths"])
             sizes = (*widths, int(about["context"]))
@@ -63,6 +64,10 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
             state = {}
             for name, expected in network.state_dict().items():
                 value = file.get_tensor(name).float()
+                if name.startswith("out.") and about["version"] == _NO_METAL:
+                    # Of metal it says nothing: that there is hardly any.
+                    last = expected[-1:]
+                    value = torch.cat([value, last if last.ndim == 1 else torch.zeros_like(last)])
                 if value.shape != expected.shape or not bool(torch.isfinite(value).all()):
                     raise ValueError(f"the tensor {name} is not as it should be")
                 state[name] = value

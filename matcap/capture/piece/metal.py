@@ -1,0 +1,70 @@
+"""Metal in the photographed piece: what mirrors with a colour of its own.
+
+What is no metal mirrors white, whatever its own colour. Of metal nothing is diffuse, so that all
+that is seen of it under a white flash has the colour of its F0. The network says how far each
+texel is metal, and the photograph what colour that has:
+
+    diffuse = base (1 - m),    F0 = f (1 - m) + base m
+
+with m from the network and base the colour seen. A texel half metal is both side by side.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+# Shares told below the first count as none and above the second as whole: the network doubts, and
+# what is no metal stays grey.
+_NONE, _WHOLE = 0.25, 0.75
+_LEAST_SHARE = 0.005  # of a piece, below which nothing of it is metal
+_DIFFUSE_LEFT = 0.01  # share of the diffuse albedo read that metal keeps
+_AROUND = 5  # texels a side of the neighbourhood whose colour is seen: less than noise's share
+_DARK = 2e-3  # radiance, of clipping: what is darker is taken for grey
+
+
+def seen_colour(linear: Tensor, weight: Tensor) -> Tensor:
+    """(..., 3, H, W) colour of radiance around every texel, channels' mean 1.
+
+    Args:
+        linear: (..., 3, H, W) radiance.
+        weight: (..., 1, H, W) what a texel counts, 0 where it is clipped; a place where none
+            counts shows grey.
+    """
+    weight = weight.to(linear)
+    around = _mean(linear * weight) + _DARK
+    return around / around.mean(-3, keepdim=True)
+
+
+def believed(metal: Tensor) -> Tensor | None:
+    """(1, H, W) share of each texel that is metal in [0, 1], or None where there is hardly any.
+
+    Args:
+        metal: (1, H, W) logit, as the network tells.
+    """
+    share = ((torch.sigmoid(metal) - _NONE) / (_WHOLE - _NONE)).clamp(0.0, 1.0)
+    return share if float((share > 0.5).float().mean()) > _LEAST_SHARE else None
+
+
+def less_diffuse(diffuse: Tensor, metal: Tensor) -> Tensor:
+    """(3, H, W) log of diffuse albedo, less what is metal of it."""
+    return diffuse + torch.log1p((_DIFFUSE_LEFT - 1.0) * metal)
+
+
+def tint(metal: Tensor, colour: Tensor) -> Tensor:
+    """(..., 3, H, W) F0 over its mean of channels: white where nothing is metal.
+
+    Args:
+        metal: (..., 1, H, W) share that is metal, in [0, 1].
+        colour: (..., 3, H, W) that metal has there (seen_colour).
+    """
+    return 1.0 + metal * (colour - 1.0)
+
+
+def _mean(picture: Tensor) -> Tensor:
+    """Of neighbourhoods; all weights alike, so that ratios of channels are of the same texels."""
+    flat = picture.reshape(-1, *picture.shape[-3:])
+    pad = _AROUND // 2
+    blurred = F.avg_pool2d(flat, _AROUND, stride=1, padding=pad)
+    return torch.as_tensor(blurred.reshape(picture.shape))
