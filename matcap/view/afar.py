@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 
 from matcap.field.field import Field
 from matcap.field.plane import Rectangle
-from matcap.view.moments import PLANES, RING, Planes, edged, halved, moments_of, wrapped
+from matcap.view.moments import (
+    RING,
+    SLOPE_X,
+    SQUARES,
+    Planes,
+    edged,
+    halved,
+    moments_of,
+    wrapped,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from matcap.example.correction import Places
@@ -32,7 +41,7 @@ _TILE = 256  # texels a side of a network's repeating piece
 
 
 class Pyramid:
-    """Moments that repeat: (9, H, W) of their finest level, and all that are coarser, exactly."""
+    """Moments that repeat: (9 or 11, H, W) of their finest level, and all coarser ones, exactly."""
 
     def __init__(self, moments: Planes) -> None:
         self._levels = [moments]
@@ -87,7 +96,7 @@ class SmallerForms:
         self._means = lru_cache(maxsize=None)(self._of)
 
     def read(self, level: int, places: Places) -> Planes:
-        """(9, H, W) of squares of 2^level texels that begin at places (H, W, 2)."""
+        """(9 or 11, H, W) of squares of 2^level texels that begin at places (H, W, 2)."""
         x, y = places[..., 0], places[..., 1]
         bits = min(level, self._most)
         stride, means = self._means(bits)
@@ -178,7 +187,7 @@ class NetworkFromAfar:
         rows, along_y = _cells(area.y, area.height, size)
         whole = self._tile.read(seen, Rectangle(0, 0, size, size))
         x, y = np.arange(area.x, area.x + area.width), np.arange(area.y, area.y + area.height)
-        total = np.zeros((PLANES, area.height, area.width), np.float32)
+        total = np.zeros((len(whole), area.height, area.width), np.float32)
         squares = np.zeros((area.height, area.width), np.float32)
         for right in (0, 1):
             for below in (0, 1):
@@ -192,7 +201,8 @@ class NetworkFromAfar:
                 squares += np.square(weight, dtype=np.float32)
         shrunk = np.float32(2.0 ** (seen - level))
         mixed: Planes = np.asarray(mean + total * (shrunk / np.sqrt(squares)), np.float32)
-        mixed[[0, 1, 2, 3, 4, 7]] = np.maximum(mixed[[0, 1, 2, 3, 4, 7]], np.float32(1e-9))
+        for part in (mixed[:SLOPE_X], mixed[SQUARES]):
+            np.maximum(part, np.float32(1e-9), out=part)
         return mixed
 
 

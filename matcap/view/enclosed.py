@@ -5,6 +5,7 @@ the photographed piece, where it is known. What is called `data` is base64 of zl
 
 Tile:
     size: (width, height) in texels.
+    specular_channels: 1, or 3 where F0 has a colour.
     low: the lowest height, plane units.
     span: the highest height less the lowest.
     data: 16-bit words, all low bytes before all high ones: the planes of diffuse (3), specular and
@@ -15,7 +16,9 @@ Piece:
     size: (width, height) in texels of the level.
     level: a texel of it is 2^level texels of the material wide.
     diffuse: a JPEG, as an address that holds its data.
-    low: the lowest specular, roughness (with what slopes vary within a texel) and height.
+    specular_channels: 1, or 3 where F0 has a colour.
+    low: the lowest specular (of each channel), roughness (with what slopes vary within a texel) and
+        height.
     span: the highest of each less the lowest.
     data: specular, then roughness, in 255 steps a byte, then low and high bytes of height in 65535
         steps; every number less the one before it.
@@ -33,7 +36,17 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.files.exr import LARGEST_HALF
-from matcap.view.moments import ALPHA2, HEIGHT, SQUARES, Planes, edged, halved, moments_of
+from matcap.view.moments import (
+    ALPHA2,
+    DIFFUSE,
+    F0,
+    HEIGHT,
+    SQUARES,
+    Planes,
+    edged,
+    halved,
+    moments_of,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -50,18 +63,25 @@ def packed_tile(maps: MapSet) -> dict[str, Any]:
         MatcapError: maps of values that half floats cannot hold.
     """
     stacked = maps.stacked().numpy()
-    if np.abs(stacked[:5]).max() > LARGEST_HALF:
+    surface, height = stacked[:-1], stacked[-1]
+    if np.abs(surface).max() > LARGEST_HALF:
         raise MatcapError(
             "the maps have values too large for half float (65504)", remedy="scale them down"
         )
-    low, span = _ends(stacked[5])
-    steps = np.rint((stacked[5] - low) / span * 65535.0).astype("<u2")
-    halves = stacked[:5].astype("<f2").view("<u2")
-    halves[:4] = _shortened(halves[:4])
+    low, span = _ends(height)
+    steps = np.rint((height - low) / span * 65535.0).astype("<u2")
+    halves = surface.astype("<f2").view("<u2")
+    halves[:-1] = _shortened(halves[:-1])
     words = np.concatenate([halves.ravel(), steps.ravel()])
     # Bytes of one kind together compress better.
     split = words.view(np.uint8).reshape(-1, 2).T
-    return {"size": list(maps.size), "low": low, "span": span, "data": _text(split)}
+    return {
+        "size": list(maps.size),
+        "specular_channels": len(maps.specular),
+        "low": low,
+        "span": span,
+        "data": _text(split),
+    }
 
 
 def packed_piece(exemplar: Exemplar, side: int) -> dict[str, Any]:
@@ -73,7 +93,8 @@ def packed_piece(exemplar: Exemplar, side: int) -> dict[str, Any]:
         level += 1
     rough = _roughness(moments, exemplar.texel_size * 2**level)
     parts, ends = [], []
-    for plane, steps in ((moments[3], 255), (rough, 255), (moments[HEIGHT], 65535)):
+    planes = [*((plane, 255) for plane in (*moments[F0], rough)), (moments[HEIGHT], 65535)]
+    for plane, steps in planes:
         low, span = _ends(plane)
         ends.append((low, span))
         words = np.rint((plane - low) / span * steps).astype("<u1" if steps == 255 else "<u2")
@@ -82,7 +103,8 @@ def packed_piece(exemplar: Exemplar, side: int) -> dict[str, Any]:
     return {
         "size": [moments.shape[2], moments.shape[1]],
         "level": level,
-        "diffuse": _jpeg(moments[:3]),
+        "specular_channels": len(moments[F0]),
+        "diffuse": _jpeg(moments[DIFFUSE]),
         "low": [low for low, _ in ends],
         "span": [span for _, span in ends],
         "data": _text(np.concatenate(parts)),

@@ -1,8 +1,9 @@
 """Moments: what the page averages of a material, so that it looks right from afar.
 
 Nine planes a texel, float32: diffuse albedo (3), F0, alpha squared, slopes along x and y, the sum
-of their squares, height. All of them may be averaged, as matcap/relight/sampling.py averages them:
-what slopes vary within a coarse texel is roughness from afar.
+of their squares, height; eleven where F0 has a colour, and so three channels. All of them may be
+averaged, as matcap/relight/sampling.py averages them: what slopes vary within a coarse texel is
+roughness from afar.
 """
 
 from __future__ import annotations
@@ -12,24 +13,28 @@ from numpy.typing import NDArray
 
 Planes = NDArray[np.float32]
 
-PLANES = 9
-ALPHA2, SLOPE_X, SLOPE_Y, SQUARES, HEIGHT = 4, 5, 6, 7, 8
+DIFFUSE, F0 = slice(0, 3), slice(3, -5)
+ALBEDO = slice(0, -5)  # both
+ALPHA2, SLOPE_X, SLOPE_Y, SQUARES, HEIGHT = -5, -4, -3, -2, -1
 RING = 1  # texels around them that slopes are differences of
 _LEAST_ROUGHNESS = np.float32(1e-3)  # as in brdf/cook_torrance.py
 
 
 def moments_of(stacked: Planes, texel_size: float) -> Planes:
-    """Of stacked maps (6, H + 2 RING, W + 2 RING): their moments (9, H, W), slopes central."""
-    height = stacked[5]
+    """Of stacked maps (6 or 8, H + 2 RING, W + 2 RING): their moments (9 or 11, H, W), slopes
+    central.
+    """
+    *_, roughness, height = stacked
     inner = stacked[:, RING:-RING, RING:-RING]
     step = np.float32(0.5 / texel_size)
-    found = np.empty((PLANES, *inner.shape[1:]), np.float32)
-    found[:4] = inner[:4]
-    found[ALPHA2] = np.square(np.square(np.maximum(inner[4], _LEAST_ROUGHNESS)))
+    found = np.empty((len(stacked) + 3, *inner.shape[1:]), np.float32)
+    found[ALBEDO] = inner[:-2]
+    rough = np.maximum(roughness[RING:-RING, RING:-RING], _LEAST_ROUGHNESS)
+    found[ALPHA2] = np.square(np.square(rough))
     found[SLOPE_X] = (height[RING:-RING, 2 * RING :] - height[RING:-RING, : -2 * RING]) * step
     found[SLOPE_Y] = (height[: -2 * RING, RING:-RING] - height[2 * RING :, RING:-RING]) * step
     found[SQUARES] = np.square(found[SLOPE_X]) + np.square(found[SLOPE_Y])
-    found[HEIGHT] = inner[5]
+    found[HEIGHT] = inner[-1]
     return found
 
 
@@ -42,7 +47,7 @@ def halved(moments: Planes) -> Planes:
 def edged(stacked: Planes) -> Planes:
     """Stacked maps with a ring around them, such that slopes at the borders are one-sided."""
     grown = np.pad(stacked, ((0, 0), (RING, RING), (RING, RING)), mode="edge")
-    height = grown[5]
+    height = grown[-1]
     height[0], height[-1] = 2 * height[1] - height[2], 2 * height[-2] - height[-3]
     height[:, 0] = 2 * height[:, 1] - height[:, 2]
     height[:, -1] = 2 * height[:, -2] - height[:, -3]
@@ -55,5 +60,5 @@ def wrapped(stacked: Planes) -> Planes:
 
 
 def mean_of(moments: Planes) -> tuple[float, ...]:
-    """Of all texels: nine numbers."""
+    """Of all texels: a number a plane."""
     return tuple(float(one) for one in moments.mean(axis=(1, 2), dtype=np.float64))

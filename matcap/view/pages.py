@@ -6,7 +6,8 @@ own smaller levels (MIPS in all), so that it is filtered without its neighbours.
 
 A page's bytes, for each of its levels, the largest first: albedo and F0 (four half floats a
 texel), surface (alpha squared, slopes along x and y, their variance: four floats), height (a
-float); little endian, rows from the top.
+float); little endian, rows from the top. Where F0 has a colour, the F0 beside the albedo is that of
+red, and after the height come those of green and blue (two half floats).
 """
 
 from __future__ import annotations
@@ -21,7 +22,17 @@ import numpy as np
 
 from matcap.errors import UsageError
 from matcap.field.plane import COORDINATE_LIMIT, Rectangle
-from matcap.view.moments import ALPHA2, HEIGHT, SLOPE_X, SLOPE_Y, SQUARES, Planes, halved
+from matcap.view.moments import (
+    ALBEDO,
+    ALPHA2,
+    F0,
+    HEIGHT,
+    SLOPE_X,
+    SLOPE_Y,
+    SQUARES,
+    Planes,
+    halved,
+)
 from matcap.view.subject import Viewable
 
 # With their apron powers of two, so that places in them are exact on graphics cards.
@@ -60,12 +71,14 @@ class Page:
     Attributes:
         data: its bytes.
         texel_size: a texel's side in plane units.
-        ends: lowest and highest F0, roughness and height on it.
+        ends: lowest and highest F0 of any channel, roughness and height on it.
+        specular_channels: of F0, 1 or 3.
     """
 
     data: bytes
     texel_size: float
     ends: tuple[tuple[float, float], ...]
+    specular_channels: int
 
 
 class Pages:
@@ -117,18 +130,24 @@ def check_level(level: int) -> int:
 
 
 def packed(moments: Planes, texel_size: float) -> Page:
-    """A page of moments (9, PAGE_HEIGHT + 2 APRON, WIDTH + 2 APRON)."""
+    """A page of moments (9 or 11, PAGE_HEIGHT + 2 APRON, WIDTH + 2 APRON)."""
     rough = np.sqrt(np.sqrt(moments[ALPHA2]))
-    ends = tuple((float(m.min()), float(m.max())) for m in (moments[3], rough, moments[HEIGHT]))
+    channels = len(moments[F0])
+    ends = tuple((float(m.min()), float(m.max())) for m in (moments[F0], rough, moments[HEIGHT]))
     parts = []
     for mip in range(MIPS):
         moments = halved(moments) if mip else moments
-        albedo = np.ascontiguousarray(moments[:4].transpose(1, 2, 0)).astype("<f2")
+        albedo, metal = _halves(moments[ALBEDO][:4]), _halves(moments[ALBEDO][4:])
         surface = np.empty((*moments.shape[1:], 4), "<f4")
         surface[..., 0] = moments[ALPHA2]
         surface[..., 1], surface[..., 2] = moments[SLOPE_X], moments[SLOPE_Y]
         # Within the finest texels nothing varies.
         varies = np.square(moments[SLOPE_X]) + np.square(moments[SLOPE_Y])
         surface[..., 3] = np.maximum(moments[SQUARES] - varies, 0.0)
-        parts += [albedo.tobytes(), surface.tobytes(), moments[HEIGHT].astype("<f4").tobytes()]
-    return Page(b"".join(parts), texel_size, ends)
+        parts += [albedo, surface.tobytes(), moments[HEIGHT].astype("<f4").tobytes(), metal]
+    return Page(b"".join(parts), texel_size, ends, channels)
+
+
+def _halves(planes: Planes) -> bytes:
+    """Planes as half floats, channels last; nothing of none."""
+    return np.ascontiguousarray(planes.transpose(1, 2, 0)).astype("<f2").tobytes()

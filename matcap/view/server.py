@@ -106,7 +106,7 @@ def make_library(library: Library, name: str, address: Address, pages: PagesOf) 
         pages: opens those of a material.
     """
     from starlette.applications import Starlette
-    from starlette.responses import HTMLResponse, PlainTextResponse, Response
+    from starlette.responses import HTMLResponse, PlainTextResponse
     from starlette.routing import Mount, Route
 
     text = library_page(name, library)
@@ -123,7 +123,7 @@ def make_library(library: Library, name: str, address: Address, pages: PagesOf) 
             found = await asyncio.to_thread(library.swatch, wanted[0])
         except MatcapError as error:
             return PlainTextResponse(str(error), 400)
-        return Response(found.data, media_type="application/octet-stream")
+        return _page_answer(found)
 
     def open_one(first: int, second: int | None) -> Starlette:
         subject = library.subject(first, second)
@@ -237,10 +237,7 @@ def _subject_routes(
             return PlainTextResponse(str(error), 400)
         if found is None:
             return PlainTextResponse("Nobody waits for it.", 499)
-        ends = dict(zip(("specular", "roughness", "height"), found.ends, strict=True))
-        about = json.dumps({"texel_size": found.texel_size, "ends": ends})
-        headers = {"X-Page": about}
-        return Response(found.data, media_type="application/octet-stream", headers=headers)
+        return _page_answer(found)
 
     return [
         Route("/", whole),
@@ -251,6 +248,17 @@ def _subject_routes(
         Route("/surroundings", surroundings, methods=["POST"]),
         Route("/{name}", _parts(SCRIPTS)),
     ]
+
+
+def _page_answer(page: Page) -> Response:
+    from starlette.responses import Response
+
+    ends = dict(zip(("specular", "roughness", "height"), page.ends, strict=True))
+    about = {
+        "texel_size": page.texel_size, "ends": ends, "specular_channels": page.specular_channels,
+    }  # fmt: skip
+    headers = {"X-Page": json.dumps(about)}
+    return Response(page.data, media_type="application/octet-stream", headers=headers)
 
 
 async def _waited(pages: Pages, place: Place, request: Request) -> Page | None:

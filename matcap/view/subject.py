@@ -82,7 +82,7 @@ class Viewable(Protocol):
     def moments(
         self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
     ) -> tuple[Planes, float]:
-        """(9, height, width) moments of an area (moments.py), and a texel's side in plane units.
+        """(9 or 11, height, width) moments of an area (moments.py); a texel's side in plane units.
 
         Args:
             level: a texel of it is 2^level texels of the material wide.

@@ -48,38 +48,42 @@ def subject(material) -> Materials:
 
 @pytest.fixture(scope="session")
 def served():
-    """The page of a subject on a free port of this machine: `with served(subject) as address`."""
-    uvicorn = pytest.importorskip("uvicorn", reason="the extra 'view' is not installed")
+    """`with served(subject) as address`: see serving."""
+    pytest.importorskip("uvicorn", reason="the extra 'view' is not installed")
+    return serving
+
+
+@contextmanager
+def serving(subject, beside=None):
+    """The page of a subject, or a library, on a free port of this machine; gives its address."""
+    import uvicorn
+
     from matcap.view.serve import listen
     from matcap.view.server import make_app, make_library, new_address
 
-    @contextmanager
-    def run(subject, beside=None):
-        listening = listen(0)
-        address = new_address(listening.getsockname()[1])
-        opened = []
+    listening = listen(0)
+    address = new_address(listening.getsockname()[1])
+    opened = []
 
-        def pages_of(one):
-            opened.append(Pages(one, workers=2))
-            return opened[-1]
+    def pages_of(one):
+        opened.append(Pages(one, workers=2))
+        return opened[-1]
 
-        if isinstance(subject, Library):
-            app = make_library(subject, "shoot", address, pages_of)
-        else:
-            app = make_app(subject, pages_of(subject), address, beside)
-        server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
-        thread.start()
-        try:
-            yield address
-        finally:
-            server.should_exit = True
-            thread.join(10)
-            for pages in opened:
-                pages.close()
-            listening.close()
-
-    return run
+    if isinstance(subject, Library):
+        app = make_library(subject, "shoot", address, pages_of)
+    else:
+        app = make_app(subject, pages_of(subject), address, beside)
+    server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
+    thread.start()
+    try:
+        yield address
+    finally:
+        server.should_exit = True
+        thread.join(10)
+        for pages in opened:
+            pages.close()
+        listening.close()
 
 
 @pytest.fixture(scope="session")

@@ -16,6 +16,18 @@ import torch
 from example.exemplars import an_example
 from materials import a_material
 from PIL import Image
+from shown import (
+    HEIGHT,
+    LAMP,
+    STEP,
+    WIDTH,
+    all_around,
+    around,
+    expected,
+    inner,
+    picture,
+    room_light,
+)  # fmt: skip
 
 from matcap.brdf.adjust import adjusted, parse_adjustments
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
@@ -26,18 +38,12 @@ from matcap.files.srgb import srgb_decode, srgb_picture
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.render import render_rectified
 from matcap.relight.output import encode
-from matcap.relight.render import relight
-from matcap.relight.scene import Camera, EnvironmentLight, Film, PointLight, Scene, Surface
+from matcap.relight.scene import EnvironmentLight, Film
 from matcap.space.between import blend
 from matcap.view.beside import Beside, EncodedPicture, doubt_picture
 from matcap.view.document import sealed_page
 from matcap.view.subject import Maps, Materials
 
-# What the page does, and nothing of what it says it does not.
-EFFECTS = "all,-multiscatter,-parallax,-shadows,-visibility,-interreflection"
-WIDTH, HEIGHT = 320, 240
-LAMP = (-0.4, 0.25, 0.9)
-STEP = 1 / 255
 PLANES = [
     pytest.param(512, 512, WIDTH, 0.0, id="texel for pixel, across block borders"),
     pytest.param(2**40 - 700, -700, WIDTH, 1.0, id="far away"),
@@ -58,50 +64,6 @@ def page(address, shared_tab):
     return shared_tab(address.url)
 
 
-def picture(tab, **state):
-    """(HEIGHT, WIDTH, 3) codes from 0 to 1 of what the page shows in a state."""
-    tab.until("!!window.matcap")
-    tab.ask("size => Object.assign(matcap.view.canvas, size)", {"width": WIDTH, "height": HEIGHT})
-    tab.ask("state => matcap.set({...matcap.view.initial(), ...state})", state)
-    tab.loaded()
-    data = tab.ask(
-        """async () => {
-          const bytes = new Uint8Array(await (await matcap.view.picture()).arrayBuffer());
-          return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
-        }"""
-    )
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")) / 255.0
-
-
-def expected(maps, shape, span, exposure=0.0, lights=None):
-    """The same by relight, maps around the middle of the view; and where the surface is."""
-    unit = span / 2 * maps.texel_size
-    place, away = LAMP, LAMP[2]
-    if shape != "plane":
-        place = (LAMP[0], LAMP[1], LAMP[2] + 1)
-        away = math.hypot(*place) - 1
-    strength = math.pi * away**2 * unit**2
-    light = PointLight(tuple(c * unit for c in place), (strength,) * 3)
-    film = Film(WIDTH, HEIGHT, exposure)
-    camera = None
-    if shape == "cylinder":  # relight's own camera crops it
-        camera = Camera(position=(0.0, 0.0, 1.6 * WIDTH / HEIGHT * unit / math.tan(math.pi / 8)))
-    scene = Scene(film, camera, Surface(shape, size=2 * unit), lights or (light,))
-    radiance = relight(maps, scene, effects=EFFECTS)
-    return encode(radiance, film), radiance.max(axis=2) > 0
-
-
-def around(material, x, y, side=1024, **which):
-    return material.maps(side, side, x=x - side // 2, y=y - side // 2, **which)
-
-
-def inner(mask, by=2):
-    """Without the outline, where a pixel's own footprint grows without bound."""
-    for axis in (0, 1):
-        mask = mask & np.roll(mask, by, axis) & np.roll(mask, -by, axis)
-    return mask
-
-
 @pytest.mark.parametrize(("x", "y", "span", "exposure"), PLANES)
 def test_plane_as_relight_draws_it(page, material, x, y, span, exposure):
     shown = picture(page, shape="plane", x=x, y=y, span=span, lamp=LAMP, exposure=exposure)
@@ -117,17 +79,6 @@ def test_round_surfaces_as_relight_draws_them(page, material, shape):
     assert np.abs(shown - wanted)[inner(seen)].max() <= 2 * STEP
 
 
-def all_around(rows, columns):
-    """(rows, columns, 3) directions of the texels of a picture of surroundings."""
-    latitude = (0.5 - (np.arange(rows) + 0.5) / rows)[:, None] * math.pi
-    # The middle is +z, the right half towards -x (relight/scene.py).
-    longitude = -((np.arange(columns) + 0.5) / columns - 0.5)[None, :] * 2 * math.pi
-    parts = (
-        np.cos(latitude) * np.sin(longitude), np.sin(latitude), np.cos(latitude) * np.cos(longitude)
-    )  # fmt: skip
-    return np.stack(np.broadcast_arrays(*parts), axis=-1)
-
-
 @pytest.mark.parametrize(("room_name", "mean", "most"), [("studio", 2, 8), ("dusk", 3, 16)])
 def test_rooms_as_relight_draws_them(page, material, tmp_path, room_name, mean, most):
     """Two ways to integrate over surroundings: 48 directions of a lobe, against 144."""
@@ -135,15 +86,7 @@ def test_rooms_as_relight_draws_them(page, material, tmp_path, room_name, mean, 
     shown = picture(
         page, shape="sphere", x=256, y=256, span=WIDTH, light=room_name, lamp=[-0.35, 0.3, 1]
     )
-    rows, columns = 128, 256
-    directions = all_around(rows, columns)
-    light = page.ask(
-        "([name, all]) => all.map((d) => matcap.room(name, d))",
-        [room_name, directions.reshape(-1, 3).tolist()],
-    )
-    room = np.reshape(light, (rows, columns, 3)).astype(np.float32)
-    write_exr(tmp_path / "room.exr", room, half=False)
-    lights = (EnvironmentLight(file=tmp_path / "room.exr"),)
+    lights = room_light(page, room_name, tmp_path / "room.exr")
     wanted, seen = expected(around(material, 256, 256), "sphere", WIDTH, lights=lights)
     off = np.abs(shown - wanted)[inner(seen, 4)]
     assert off.mean() <= mean * STEP

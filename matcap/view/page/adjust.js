@@ -41,12 +41,12 @@ uniform vec2 reliefAndRough; // factor, and what is added
 
 Texel adjusted(Texel t) {
   float relief = reliefAndRough.x;
-  t.a.rgb = clamp(colouring * t.a.rgb, 0.0, 1.0);
-  t.b *= vec4(1.0, relief, relief, relief * relief);
+  t.diffuse = clamp(colouring * t.diffuse, 0.0, 1.0);
+  t.surface *= vec4(1.0, relief, relief, relief * relief);
   t.height *= relief;
   if (reliefAndRough.y != 0.0) {
-    float rough = clamp(sqrt(sqrt(t.b.x)) + reliefAndRough.y, 0.001, 1.0);
-    t.b.x = rough * rough * rough * rough;
+    float rough = clamp(sqrt(sqrt(t.surface.x)) + reliefAndRough.y, 0.001, 1.0);
+    t.surface.x = rough * rough * rough * rough;
   }
   return t;
 }

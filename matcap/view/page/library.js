@@ -5,7 +5,7 @@ import { dressed, followTheme } from "./theme.js";
 import { UNCHANGED, colourMatrix, parseAdjustments } from "./adjust.js";
 import { Pages } from "./pages.js";
 import { UNIT, buildProgram } from "./shader.js";
-import { cut } from "./source.js";
+import { pageOf } from "./source.js";
 
 const SPAN = 460; // texels of a sphere's diameter
 const AROUND = 1.12; // half a card's width, in radii
@@ -24,7 +24,6 @@ class Shelf {
     this.pages = new Pages(gl, form, MOST);
     const places = buildProgram(gl, form);
     this.places = places;
-    this.pages.bind(UNIT);
     const adjust = about.adjust ? parseAdjustments(about.adjust) : UNCHANGED;
     gl.uniformMatrix3fv(places.colouring, false, colourMatrix(adjust));
     gl.uniform2f(places.reliefAndRough, adjust.relief, adjust.roughness);
@@ -38,7 +37,8 @@ class Shelf {
     gl.uniform2f(places.lost, 0, 0);
     gl.uniform1i(places.room, 0);
     gl.uniform1f(places.gain, 1);
-    gl.uniform4f(places.meanAlbedo, 0.2, 0.2, 0.2, 0.04);
+    gl.uniform3f(places.meanDiffuse, 0.2, 0.2, 0.2);
+    gl.uniform3f(places.meanF0, 0.04, 0.04, 0.04);
     gl.uniform4f(places.meanSurface, 0.06, 0, 0, 0);
     this.light = [innerWidth * 0.35, innerHeight * 0.3];
   }
@@ -47,6 +47,7 @@ class Shelf {
   draw(cards) {
     const { gl, places } = this, ratio = canvas.width / innerWidth;
     const ground = dressed();
+    this.pages.bind(UNIT);
     gl.uniform3f(places.ground, ...ground);
     gl.disable(gl.SCISSOR_TEST);
     gl.clearColor(...ground, 1);
@@ -198,8 +199,7 @@ function makeCard(material, index) {
     try {
       const answer = await fetch(`swatch?index=${card.index}`);
       if (!answer.ok) throw new Error((await answer.text()).slice(0, 200));
-      const levels = cut(await answer.arrayBuffer(), about.page);
-      shelf.pages.put(about.level, card.index, 0, { levels, ends: {} }, 0);
+      shelf.pages.put(about.level, card.index, 0, await pageOf(answer, about.page), 0);
       redraw();
     } catch (error) {
       card.link.title = error instanceof TypeError ? "matcap view has ended" : error.message;

@@ -12,13 +12,14 @@ export const LEAST_RANGE = { specular: 0.02, roughness: 0.05, height: 0.002 };
 export class Pages {
   constructor(gl, form, count) {
     Object.assign(this, { gl, form, count });
-    this.held = new Map(); // key -> {slot, level, column, row, born, used, ends}
+    this.held = new Map(); // key -> {slot, level, column, row, born, used, ends, coloured}
     this.free = Array.from({ length: count }, (_, slot) => slot);
     this.turn = 0;
     const fine = gl.getExtension("OES_texture_float_linear");
     this.albedo = this.#array(gl.RGBA16F);
     this.surface = this.#array(fine ? gl.RGBA32F : gl.RGBA16F);
     this.relief = this.#array(fine ? gl.R32F : gl.R16F);
+    this.metal = null; // made when the first page of a coloured F0 comes
     this.entries = new Float32Array(CELLS * CELLS * 12);
     this.table = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.table);
@@ -30,7 +31,7 @@ export class Pages {
   // Bind what is drawn with.
   bind(units) {
     const { gl } = this;
-    for (const name of ["albedo", "surface", "relief", "table"]) {
+    for (const name of ["albedo", "surface", "relief", "metal", "table"]) {
       gl.activeTexture(gl.TEXTURE0 + units[name]);
       gl.bindTexture(name === "table" ? gl.TEXTURE_2D : gl.TEXTURE_2D_ARRAY, this[name]);
     }
@@ -62,7 +63,9 @@ export class Pages {
   put(level, column, row, { levels, ends }, now) {
     const { gl } = this, slot = this.#room();
     if (slot === undefined) return;
-    levels.forEach(({ width, height, albedo, surface, relief }, mip) => {
+    const coloured = levels[0].metal.length > 0;
+    if (coloured) this.metal ||= this.#array(gl.RG16F);
+    levels.forEach(({ width, height, albedo, surface, relief, metal }, mip) => {
       const fill = (texture, format, data) => {
         gl.bindTexture(gl.TEXTURE_2D_ARRAY, texture);
         const type = data instanceof Uint16Array ? gl.HALF_FLOAT : gl.FLOAT;
@@ -73,8 +76,9 @@ export class Pages {
       fill(this.albedo, gl.RGBA, albedo);
       fill(this.surface, gl.RGBA, surface);
       fill(this.relief, gl.RED, relief);
+      if (coloured) fill(this.metal, gl.RG, metal);
     });
-    const page = { slot, level, column, row, born: now, used: this.turn, ends };
+    const page = { slot, level, column, row, born: now, used: this.turn, ends, coloured };
     this.held.set(Pages.key(level, column, row), page);
   }
 
@@ -146,6 +150,7 @@ export class Pages {
       this.entries[at + 9 + index] = page.level;
     });
     this.entries[at + 8] = over ? share : 0;
+    this.entries[at + 11] = (under?.coloured ? 1 : 0) + (over?.coloured ? 2 : 0);
   }
 
   #room() {

@@ -20,14 +20,16 @@ precision highp sampler2DArray;
 uniform sampler2DArray albedo;   // diffuse, F0
 uniform sampler2DArray surface;  // alpha squared, slopes along x and y, their variance
 uniform sampler2DArray relief;   // height
-uniform sampler2D table;      // three texels a cell: its page, the one that appears, how far
+uniform sampler2DArray metal;    // F0 of green and blue, where it has a colour
+uniform sampler2D table;      // three texels a cell: its page, the one that appears, how far and what of them
 uniform vec2 size;            // of the picture, pixels
 uniform vec2 corner;          // its left bottom one
 uniform vec4 middle;          // where the picture's middle lies in its cell, texels; which cell
 uniform float texels;         // texels to a unit
 uniform float tableScale;     // texels of the table's level to one of the finest
 uniform vec4 bounds;          // texels from the middle beyond which there is nothing
-uniform vec4 meanAlbedo, meanSurface;  // where there is nothing yet
+uniform vec3 meanDiffuse, meanF0;      // where there is nothing yet
+uniform vec4 meanSurface;
 uniform int shape;            // 0 plane, 1 sphere, 2 cylinder
 uniform int map;              // 0 lit, then diffuse, specular, roughness, height, normal
 uniform bool room;            // surroundings, not the point light
@@ -54,13 +56,15 @@ TABLE
 
 SURROUNDINGS
 
-struct Texel { vec4 a; vec4 b; float height; };
+struct Texel { vec3 diffuse; vec3 f0; vec4 surface; float height; };
 
 // A place within a cell, in texels, of the page that an entry names.
-Texel read(vec4 entry, vec2 along, float mip) {
-  if (entry.x < 0.0) return Texel(meanAlbedo, meanSurface, 0.0);
+Texel read(vec4 entry, vec2 along, float mip, bool coloured) {
+  if (entry.x < 0.0) return Texel(meanDiffuse, meanF0, meanSurface, 0.0);
   vec3 at = vec3((APRON + entry.yz * PAGE + along * entry.w) / (PAGE + 2.0 * APRON), entry.x);
-  return Texel(textureLod(albedo, at, mip), textureLod(surface, at, mip),
+  vec4 a = textureLod(albedo, at, mip);
+  vec3 f0 = coloured ? vec3(a.a, textureLod(metal, at, mip).rg) : vec3(a.a);
+  return Texel(a.rgb, f0, textureLod(surface, at, mip),
     map == 4 ? textureLod(relief, at, mip).r : 0.0);
 }
 
@@ -70,12 +74,13 @@ Texel readAt(vec2 fromMiddle, float level) {
   vec2 cell = floor(place / PAGE), along = place - cell * PAGE;
   ivec2 at = ivec2(mod(middle.zw + cell, CELLS)) * ivec2(3, 1);
   vec4 under = texelFetch(table, at, 0), over = texelFetch(table, at + ivec2(1, 0), 0);
-  vec3 more = texelFetch(table, at + ivec2(2, 0), 0).xyz; // share of what appears, both levels
-  Texel found = read(under, along, level - more.y);
+  // Share of what appears, both levels; 1 where the first has a coloured F0, 2 where the second.
+  vec4 more = texelFetch(table, at + ivec2(2, 0), 0);
+  Texel found = read(under, along, level - more.y, mod(more.w, 2.0) > 0.5);
   if (more.x <= 0.0) return found;
-  Texel fresh = read(over, along, level - more.z);
-  return Texel(mix(found.a, fresh.a, more.x), mix(found.b, fresh.b, more.x),
-    mix(found.height, fresh.height, more.x));
+  Texel fresh = read(over, along, level - more.z, more.w > 1.5);
+  return Texel(mix(found.diffuse, fresh.diffuse, more.x), mix(found.f0, fresh.f0, more.x),
+    mix(found.surface, fresh.surface, more.x), mix(found.height, fresh.height, more.x));
 }
 
 ADJUST
@@ -85,8 +90,8 @@ vec3 encode(vec3 light) {
   return mix(1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, 12.92 * c, lessThanEqual(c, vec3(0.0031308)));
 }
 
-vec3 stretched(float value) {
-  return vec3((value - range.x) / (range.y - range.x));
+vec3 stretched(vec3 value) {
+  return (value - range.x) / (range.y - range.x);
 }
 
 // D G / (4 (n.l)(n.v)), and l.h in y.
@@ -119,7 +124,7 @@ vec3 visibleNormal(vec3 v, float alpha, vec2 at) {
   return normalize(vec3(alpha * n.xy, max(n.z, 1e-6)));
 }
 
-vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, float f0, float a2, float nv) {
+vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, vec3 f0, float a2, float nv) {
   // A frame around the shading normal.
   vec3 t = normalize(abs(n.x) < 0.9 ? cross(n, vec3(1, 0, 0)) : cross(n, vec3(0, 1, 0)));
   mat3 around = mat3(t, cross(n, t), n);
@@ -137,7 +142,7 @@ vec3 roomSpecular(vec3 n, vec3 v, mat3 frame, float f0, float a2, float nv) {
     float lv = sqrt(a2 + (1.0 - a2) * seen.z * seen.z) / max(seen.z, 1e-6);
     float ll = sqrt(a2 + (1.0 - a2) * l.z * l.z) / l.z;
     float weight = (1.0 + lv) / (lv + ll);
-    float fresnel = f0 + (1.0 - f0) * schlickWeight(dot(l, h));
+    vec3 fresnel = f0 + (1.0 - f0) * schlickWeight(dot(l, h));
     // The solid angle that this direction stands for (Krivanek and Colbert 2008), blunted less.
     float density = a2 / (PI * spread * spread) / (2.0 * max(seen.z, 1e-6) * (1.0 + lv));
     float solid = BLUR / (float(mirrored) * max(density, 1e-9));
@@ -197,14 +202,14 @@ void main() {
   }
   float level = log2(max(footprint * texels, 1.0));
   Texel texel = adjusted(readAt(fromMiddle, level));
-  vec4 a = texel.a, b = texel.b;
+  vec4 b = texel.surface;
   float a2 = min(b.x + b.w, 1.0);
   vec3 n = normalize(vec3(-b.yz, 1.0));
   vec3 shown;
-  if (map == 1) shown = encode(a.rgb);
-  else if (map == 2) shown = stretched(a.a);
-  else if (map == 3) shown = stretched(sqrt(sqrt(b.x)));
-  else if (map == 4) shown = stretched(texel.height);
+  if (map == 1) shown = encode(texel.diffuse);
+  else if (map == 2) shown = stretched(texel.f0);
+  else if (map == 3) shown = stretched(vec3(sqrt(sqrt(b.x))));
+  else if (map == 4) shown = stretched(vec3(texel.height));
   else if (map == 5) shown = 0.5 + 0.5 * n;
   else {
     vec3 v = normalize(eye - point) * frame;
@@ -216,8 +221,8 @@ void main() {
     if (nv > 0.0 && v.z > 0.0) {
       if (room) {
         // A tilted normal sees only what is above the surface itself.
-        vec3 lambert = a.rgb / PI * irradianceOn(turned * (frame * n)) * (0.5 + 0.5 * n.z);
-        radiance = lambert + roomSpecular(n, v, frame, a.a, a2, nv);
+        vec3 lambert = texel.diffuse / PI * irradianceOn(turned * (frame * n)) * (0.5 + 0.5 * n.z);
+        radiance = lambert + roomSpecular(n, v, frame, texel.f0, a2, nv);
       } else {
         vec3 offset = lightPlace - point;
         float squared = dot(offset, offset);
@@ -225,8 +230,8 @@ void main() {
         float nl = max(dot(n, l), 0.0);
         if (nl > 0.0 && l.z > 0.0) {
           vec2 lobe = ggxSmith(n, v, l, nv, nl, a2);
-          float fresnel = a.a + (1.0 - a.a) * schlickWeight(lobe.y);
-          radiance = (a.rgb / PI + fresnel * lobe.x) * intensity * (nl / squared);
+          vec3 fresnel = texel.f0 + (1.0 - texel.f0) * schlickWeight(lobe.y);
+          radiance = (texel.diffuse / PI + fresnel * lobe.x) * intensity * (nl / squared);
           // Along the axis of a lens without falloff this is 1.
           vec3 ray = point - eye;
           float axial = dot(ray, lens);
@@ -242,7 +247,7 @@ void main() {
 
 // Which texture unit each is bound to: two kinds at one unit are an error, though unused. The last
 // is for uploads, which leave those to draw with alone.
-const UNITS = ["albedo", "surface", "relief", "table", "radiances", "irradiances", "photograph"];
+const UNITS = ["albedo", "surface", "relief", "metal", "table", "radiances", "irradiances", "photograph"];
 export const UNIT = Object.fromEntries([...UNITS, "spare"].map((name, unit) => [name, unit]));
 
 // The program in use, or an error that says what the driver did not like.

@@ -1,6 +1,7 @@
 // Where pages come from: the server, or the tile inside this document. A page is {levels, texelSize,
 // ends}; each level has its width and height, albedo and F0, surface (alpha squared, slopes along x
-// and y, their variance) and relief (height).
+// and y, their variance), relief (height) and metal: F0 of green and blue where it has a colour, and
+// then the one beside the albedo is that of red; else nothing.
 
 import { Pyramid, unpackPiece, unpackTile } from "./tile.js";
 
@@ -14,14 +15,20 @@ export class ServedPages {
     const query = new URLSearchParams({ level, column, row, seed, share, piece: Number(piece) });
     const answer = await fetch(`page?${query}`, { signal });
     if (!answer.ok) throw new Error((await answer.text()).slice(0, 200));
-    const data = await answer.arrayBuffer();
-    const { texel_size: texelSize, ends } = JSON.parse(answer.headers.get("X-Page"));
-    return { levels: cut(data, this.form), texelSize, ends };
+    return pageOf(answer, this.form);
   }
 }
 
+// The page in an answer.
+export async function pageOf(answer, form) {
+  const data = await answer.arrayBuffer();
+  const about = JSON.parse(answer.headers.get("X-Page"));
+  const levels = cut(data, form, about.specular_channels);
+  return { levels, texelSize: about.texel_size, ends: about.ends };
+}
+
 // A page's bytes as its levels.
-export function cut(data, { width, height, apron, mips }) {
+function cut(data, { width, height, apron, mips }, channels) {
   let at = 0;
   const take = (Kind, count) => {
     const part = new Kind(data, at, count);
@@ -36,6 +43,7 @@ export function cut(data, { width, height, apron, mips }) {
       albedo: take(Uint16Array, 4 * count),
       surface: take(Float32Array, 4 * count),
       relief: take(Float32Array, count),
+      metal: take(Uint16Array, (channels - 1) * count),
     };
   });
 }

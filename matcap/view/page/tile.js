@@ -3,7 +3,10 @@
 
 import { linearOf } from "./adjust.js";
 
-const PLANES = 9; // diffuse 3, F0, alpha squared, slopes along x and y, sum of squares, height
+// Planes of a tile: diffuse 3, F0 (one, or three where it has a colour), roughness, height.
+const planesOf = (channels) => 5 + channels;
+// Moments: both albedos as they are, then alpha squared, slopes along x and y, sum of squares, height.
+const MORE = 3; // than planes of a tile
 
 async function bytesOf(text) {
   const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
@@ -11,28 +14,29 @@ async function bytesOf(text) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// Five maps in half floats, the height in steps.
-export async function unpackTile({ size: [width, height], low, span, data }) {
+// All planes in half floats, but for the height in steps.
+export async function unpackTile({ size: [width, height], specular_channels, low, span, data }) {
   const bytes = await bytesOf(data);
-  const count = width * height, words = bytes.length / 2;
-  const tile = new Float32Array(6 * count);
+  const planes = planesOf(specular_channels), count = width * height, words = bytes.length / 2;
+  const tile = new Float32Array(planes * count);
   for (let i = 0; i < words; i++) {
     const word = bytes[i] | (bytes[words + i] << 8);
-    tile[i] = i < 5 * count ? fromHalf(word) : low + (word / 65535) * span;
+    tile[i] = i < (planes - 1) * count ? fromHalf(word) : low + (word / 65535) * span;
   }
   return tile;
 }
 
-// Diffuse albedo in a JPEG, the other three in steps, each less the one before it.
-export async function unpackPiece({ size: [width, height], diffuse, low, span, data }) {
-  const bytes = await bytesOf(data), count = width * height;
-  const tile = new Float32Array(6 * count), last = [0, 0, 0];
-  for (let i = 0; i < count; i++) {
-    last[0] = (last[0] + bytes[i]) & 255;
-    last[1] = (last[1] + bytes[count + i]) & 255;
-    last[2] = (last[2] + (bytes[2 * count + i] | (bytes[3 * count + i] << 8))) & 65535;
-    for (let k = 0; k < 3; k++) {
-      tile[(3 + k) * count + i] = low[k] + (last[k] / (k < 2 ? 255 : 65535)) * span[k];
+// Diffuse albedo in a JPEG, the other planes in steps, each less the one before it.
+export async function unpackPiece({
+  size: [width, height], specular_channels, diffuse, low, span, data,
+}) {
+  const bytes = await bytesOf(data), count = width * height, planes = planesOf(specular_channels);
+  const tile = new Float32Array(planes * count), last = planes - 4; // the height, in two bytes
+  for (let k = 0; k <= last; k++) {
+    const steps = k < last ? 255 : 65535;
+    for (let i = 0, value = 0, at = k * count; i < count; i++, at++) {
+      value = (value + (k < last ? bytes[at] : bytes[at] | (bytes[at + count] << 8))) & steps;
+      tile[3 * count + at] = low[k] + (value / steps) * span[k];
     }
   }
   const picture = new Image();
@@ -60,8 +64,12 @@ export class Pyramid {
   // Beyond its borders it repeats, or stays as it is there.
   constructor(tile, width, height, texelSize, repeats = true) {
     this.within = repeats ? wrapped : clamped;
-    const count = width * height, plane = (index) => tile.subarray(index * count, (index + 1) * count);
-    this.ends = { specular: endsOf(plane(3)), roughness: endsOf(plane(4)), height: endsOf(plane(5)) };
+    const count = width * height, rough = tile.length - 2 * count;
+    this.ends = {
+      specular: endsOf(tile.subarray(3 * count, rough)),
+      roughness: endsOf(tile.subarray(rough, rough + count)),
+      height: endsOf(tile.subarray(rough + count)),
+    };
     this.levels = [{ width, height, data: momentsOf(tile, width, height, texelSize, this.within) }];
   }
 
@@ -69,41 +77,45 @@ export class Pyramid {
   read(level, x, y, wide, tall) {
     while (this.levels.length <= level) this.levels.push(halved(this.levels.at(-1)));
     const { width, height, data } = this.levels[level];
+    const moments = data.length / (width * height), alpha2 = moments - 5, more = alpha2 - 4;
+    const metal = new Float32Array(more * wide * tall);
     const albedo = new Float32Array(4 * wide * tall), surface = new Float32Array(4 * wide * tall);
     const relief = new Float32Array(wide * tall);
     for (let row = 0, i = 0; row < tall; row++) {
       const line = this.within(y + row, height) * width;
       for (let along = 0; along < wide; along++, i++) {
-        const from = PLANES * (line + this.within(x + along, width)), to = 4 * i;
+        const from = moments * (line + this.within(x + along, width)), to = 4 * i;
         for (let c = 0; c < 4; c++) albedo[to + c] = data[from + c];
-        const sx = data[from + 5], sy = data[from + 6];
-        surface[to] = data[from + 4];
+        for (let c = 0; c < more; c++) metal[more * i + c] = data[from + 4 + c];
+        const rest = from + alpha2, sx = data[rest + 1], sy = data[rest + 2];
+        surface[to] = data[rest];
         surface[to + 1] = sx;
         surface[to + 2] = sy;
-        surface[to + 3] = Math.max(data[from + 7] - sx * sx - sy * sy, 0);
-        relief[i] = data[from + 8];
+        surface[to + 3] = Math.max(data[rest + 3] - sx * sx - sy * sy, 0);
+        relief[i] = data[rest + 4];
       }
     }
-    return { width: wide, height: tall, albedo, surface, relief };
+    return { width: wide, height: tall, albedo, surface, relief, metal };
   }
 }
 
 function momentsOf(tile, width, height, texelSize, within) {
-  const count = width * height, heights = tile.subarray(5 * count), step = 0.5 / texelSize;
-  const moments = new Float32Array(PLANES * count);
+  const count = width * height, planes = tile.length / count, alpha2 = planes - 2;
+  const rough = tile.subarray(alpha2 * count), heights = tile.subarray((planes - 1) * count);
+  const step = 0.5 / texelSize, moments = new Float32Array((planes + MORE) * count);
   for (let y = 0, i = 0; y < height; y++) {
     const up = within(y - 1, height) * width, down = within(y + 1, height) * width;
     for (let x = 0; x < width; x++, i++) {
       const left = y * width + within(x - 1, width), right = y * width + within(x + 1, width);
-      const at = PLANES * i;
-      for (let c = 0; c < 4; c++) moments[at + c] = tile[c * count + i];
+      const at = (planes + MORE) * i, rest = at + alpha2;
+      for (let c = 0; c < alpha2; c++) moments[at + c] = tile[c * count + i];
       const sx = (heights[right] - heights[left]) * step;
       const sy = (heights[up + x] - heights[down + x]) * step;
-      moments[at + 4] = Math.max(tile[4 * count + i], 1e-3) ** 4;
-      moments[at + 5] = sx;
-      moments[at + 6] = sy;
-      moments[at + 7] = sx * sx + sy * sy;
-      moments[at + 8] = heights[i];
+      moments[rest] = Math.max(rough[i], 1e-3) ** 4;
+      moments[rest + 1] = sx;
+      moments[rest + 2] = sy;
+      moments[rest + 3] = sx * sx + sy * sy;
+      moments[rest + 4] = heights[i];
     }
   }
   return moments;
@@ -112,15 +124,15 @@ function momentsOf(tile, width, height, texelSize, within) {
 // Means of four; an odd side is two of itself, which are even.
 function halved({ width, height, data }) {
   const wide = width % 2 ? width : width / 2, tall = height % 2 ? height : height / 2;
-  const half = new Float32Array(PLANES * wide * tall);
+  const moments = data.length / (width * height), half = new Float32Array(moments * wide * tall);
   for (let y = 0; y < tall; y++) {
     for (let x = 0; x < wide; x++) {
       const columns = [(2 * x) % width, (2 * x + 1) % width];
-      const to = PLANES * (y * wide + x);
+      const to = moments * (y * wide + x);
       for (const row of [(2 * y) % height, (2 * y + 1) % height]) {
         for (const column of columns) {
-          const from = PLANES * (row * width + column);
-          for (let c = 0; c < PLANES; c++) half[to + c] += 0.25 * data[from + c];
+          const from = moments * (row * width + column);
+          for (let c = 0; c < moments; c++) half[to + c] += 0.25 * data[from + c];
         }
       }
     }

@@ -46,9 +46,12 @@ export class View {
     this.rooms = new Map(); // surroundings by the light's name, made when they are first seen
     const places = buildProgram(gl, source.form);
     this.places = places;
-    const mean = about.mean;
-    gl.uniform4f(places.meanAlbedo, ...mean.slice(0, 4));
-    gl.uniform4f(places.meanSurface, mean[4], 0, 0, mean[7]);
+    // As moments.py has them: one F0, or three.
+    const albedo = about.mean.slice(0, -5), [alpha2, , , squares] = about.mean.slice(-5);
+    const f0 = albedo.length > 4 ? albedo.slice(3) : Array(3).fill(albedo[3]);
+    gl.uniform3f(places.meanDiffuse, ...albedo.slice(0, 3));
+    gl.uniform3f(places.meanF0, ...f0);
+    gl.uniform4f(places.meanSurface, alpha2, 0, 0, squares);
     this.state = this.initial();
     this.loading = new Map();
     this.failure = "";

@@ -1,0 +1,315 @@
+"""F0 with a colour: what of it is sent to the page, and that the page draws it as relight does."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from example.exemplars import an_example
+from four_metals import METALS, metal, repeated, side_by_side
+from materials import a_material
+from shown import HEIGHT, STEP, WIDTH, expected, inner, picture, room_light
+
+from matcap.capture.piece.find import piece_maps
+from matcap.example.example import Example
+from matcap.field.plane import Rectangle
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.render import render_rectified
+from matcap.relight.output import encode
+from matcap.relight.scene import Film
+from matcap.view.afar import SmallerForms
+from matcap.view.document import sealed_page
+from matcap.view.enclosed import packed_piece, packed_tile
+from matcap.view.library import Library
+from matcap.view.moments import edged, moments_of
+from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, Pages, Place
+from matcap.view.pages import WIDTH as PAGE_WIDTH
+from matcap.view.subject import Maps, Materials
+
+testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
+server = pytest.importorskip("matcap.view.server")
+
+ADDRESS = server.Address(8123, "secret-token")
+SETUP = FlashSetup(60.0, (0.1, 0.05, 0.0), (0.03, -0.04), (5.0, 4.5, 4.0), 0.3)
+HIGH, GRAZING = (-0.25, 0.2, 1.0), (-0.9, 0.3, 0.15)
+
+
+def coloured(maps):
+    """Maps of one F0 with the same one thrice."""
+    return replace(maps, specular=maps.specular.expand(3, -1, -1))
+
+
+def golden_exemplar():
+    """The exemplar of the other tests, with an F0 of its own in every channel."""
+    exemplar = an_example().exemplar
+    grey = exemplar.specular
+    return replace(exemplar, specular=np.concatenate([7 * grey, 5 * grey, 2 * grey]))
+
+
+def golden():
+    return replace(a_material("golden", example=Example.of(golden_exemplar())), setup=SETUP)
+
+
+def first_page(subject, **where):
+    pages = Pages(subject, workers=1)
+    try:
+        return pages.ask(Place(0, 0, 0, **where)).result()
+    finally:
+        pages.close()
+
+
+# What is sent.
+
+
+def test_a_coloured_page_is_the_grey_one_with_green_and_blue_after_each_level():
+    """Of three times the same F0 all else is as it was, byte for byte."""
+    maps = metal("gold", 48, 32)
+    grey = first_page(Maps(replace(maps, specular=maps.specular[:1]), "grey"))
+    page = first_page(Maps(maps, "gold"))
+    assert (grey.specular_channels, page.specular_channels) == (1, 3)
+    before, at = 0, 0
+    for mip in range(MIPS):
+        count = (PAGE_WIDTH + 2 * APRON >> mip) * (PAGE_HEIGHT + 2 * APRON >> mip)
+        size = 28 * count
+        assert page.data[at : at + size] == grey.data[before : before + size]
+        before, at = before + size, at + size
+        rest = np.frombuffer(page.data[at : at + 4 * count], "<f2").reshape(-1, 2)
+        if mip == 0:
+            rows, columns = np.arange(-8, 248) % 32, np.arange(-8, 504) % 48
+            wanted = maps.specular[1:, rows][:, :, columns].movedim(0, -1).reshape(-1, 2)
+            assert np.abs(rest - wanted.numpy()).max() <= 2**-11
+        at += 4 * count
+    assert (before, at) == (len(grey.data), len(page.data))
+    low, high = page.ends[0]
+    assert (low, high) == (pytest.approx(0.34), pytest.approx(1.0))
+
+
+@pytest.mark.parametrize(("channels", "size"), [(1, 28), (3, 32)])
+def test_the_header_says_how_many_channels(channels, size):
+    maps = metal("copper", 48, 32)
+    subject = Maps(replace(maps, specular=maps.specular[:channels]), "copper")
+    pages = Pages(subject, workers=1)
+    client = testclient.TestClient(
+        server.make_app(subject, pages, ADDRESS), base_url="http://127.0.0.1:8123"
+    )
+    answer = client.get(f"/{ADDRESS.token}/page", params={"level": 1, "column": 0, "row": 0})
+    pages.close()
+    assert json.loads(answer.headers["x-page"])["specular_channels"] == channels
+    texels = sum((512 >> mip) * (256 >> mip) for mip in range(MIPS))
+    assert len(answer.content) == size * texels
+
+
+def test_each_channel_is_averaged_by_itself():
+    """From afar, of the exemplar, and of what the page shows before there is any."""
+    maps = metal("rust beside steel", 50, 30)
+    red, blue = (replace(maps, specular=maps.specular[c : c + 1]) for c in (0, 2))
+    for level in (0, 1, 4):
+        whole, one, other = (
+            Maps(of, "metal").moments(level, Rectangle(3, -2, 4, 3), seed=0, share=0.0)[0]
+            for of in (maps, red, blue)
+        )
+        assert (len(whole), len(one)) == (11, 9)
+        assert np.array_equal(np.delete(whole, (4, 5), 0), one)
+        assert np.array_equal(np.delete(whole, (3, 4), 0), other)
+    assert np.delete(Maps(maps, "metal").facts.mean, (4, 5)) == pytest.approx(
+        Maps(red, "metal").facts.mean
+    )
+    exemplar = golden_exemplar()
+    alone = replace(exemplar, specular=exemplar.specular[1:2])
+    places = np.stack(np.meshgrid(np.arange(9), np.arange(7)), axis=-1) * 8
+    for level in (2, 9):
+        found, wanted = (SmallerForms(of).read(level, places) for of in (exemplar, alone))
+        np.testing.assert_allclose(np.delete(found, (3, 5), 0), wanted, rtol=1e-6)
+
+
+def test_the_tile_inside_a_document_says_how_many_channels():
+    maps = metal("blue anodised", 48, 32)
+    tile, grey = (packed_tile(of) for of in (maps, replace(maps, specular=maps.specular[:1])))
+    assert (tile["specular_channels"], grey["specular_channels"]) == (3, 1)
+    piece = packed_piece(golden_exemplar(), 128)
+    assert piece["specular_channels"] == 3
+    assert len(piece["low"]) == len(piece["span"]) == 5
+    moments = moments_of(edged(golden_exemplar().stacked()), 1.0)
+    wide, tall = piece["size"]
+    assert piece["low"][2] == pytest.approx(moments[5].min(), rel=0.2)
+    assert (wide, tall) == (88, 72)
+
+
+# What is drawn.
+
+
+@pytest.mark.parametrize(("lamp", "exposure"), [(HIGH, 0.0), (GRAZING, 3.0)], ids=["high", "low"])
+@pytest.mark.parametrize(
+    ("shape", "span"), [("plane", WIDTH), ("plane", 2.5 * WIDTH), ("sphere", 2 * WIDTH)]
+)
+def test_metals_as_relight_draws_them(metals_tab, shape, span, lamp, exposure):
+    shown = picture(metals_tab, shape=shape, x=0, y=0, span=span, lamp=lamp, exposure=exposure)
+    wanted, seen = expected(repeated(side_by_side()), shape, span, exposure, lamp=lamp)
+    assert np.ptp(wanted[seen], axis=1).max() > 60 * STEP  # colours there are
+    assert np.abs(shown - wanted)[inner(seen)].max() <= 2 * STEP
+
+
+@pytest.fixture(scope="module")
+def metals_tab(served, shared_tab):
+    with served(Maps(side_by_side(), "metals")) as address:
+        yield shared_tab(address.url)
+
+
+def test_a_room_in_metals_as_relight_draws_it(metals_tab, tmp_path):
+    shown = picture(metals_tab, shape="sphere", x=0, y=0, span=2 * WIDTH, light="studio",
+                    lamp=[-0.35, 0.3, 1])  # fmt: skip
+    lights = room_light(metals_tab, "studio", tmp_path / "room.exr")
+    wanted, seen = expected(repeated(side_by_side()), "sphere", 2 * WIDTH, lights=lights)
+    off = np.abs(shown - wanted)[inner(seen, 4)]
+    assert off.mean() <= 2 * STEP
+    assert np.quantile(off, 0.99) <= 8 * STEP
+
+
+def test_the_map_of_f0_has_its_colour(metals_tab):
+    shown = picture(metals_tab, map="specular", x=0, y=0, span=WIDTH)
+    low, high = metals_tab.ask("matcap.view.range()")
+    values = side_by_side().specular.movedim(0, -1).numpy()
+    rows, columns = np.arange(-120, 120) % 240, np.arange(-160, 160) % 320
+    wanted = (values[rows][:, columns] - low) / (high - low)
+    assert (low, high) == (pytest.approx(values.min()), pytest.approx(values.max()))
+    assert np.abs(shown - wanted).max() <= 1.01 * STEP
+
+
+def test_equal_channels_are_drawn_as_one_is(tab, served):
+    """To the bit: the shader takes one way for both."""
+    maps = metal("rust beside steel", 96, 64)
+    grey = replace(maps, specular=maps.specular[:1])
+    states = [{"light": "studio"}, {"shape": "sphere", "lamp": HIGH}, {"map": "specular"}]
+    found = []
+    for one in (grey, coloured(grey)):
+        with served(Maps(one, "steel")) as address:
+            page = tab(address.url)
+            found.append([picture(page, span=200, **state) for state in states])
+    assert np.array_equal(*found)
+
+
+def test_an_enclosed_page_draws_metals_as_well(tab, tmp_path):
+    path = tmp_path / "page.html"
+    path.write_text(sealed_page(Maps(side_by_side(), "metals")), encoding="utf-8")
+    page = tab(path.as_uri())
+    shown = picture(page, x=0, y=0, span=WIDTH, lamp=GRAZING, exposure=3)
+    wanted, _ = expected(repeated(side_by_side()), "plane", WIDTH, 3, lamp=GRAZING)
+    assert np.abs(shown - wanted).max() <= 2 * STEP
+    assert page.shown() == []
+
+
+def test_what_appears_keeps_its_colour(tab, served):
+    """Halfway between a coarse form and the sharp one."""
+    flat = metal("gold", 64, 64).map(lambda one: one.mean(dim=(1, 2), keepdim=True))
+    maps = flat.map(lambda one: one.expand(-1, 64, 64).contiguous())
+    with served(Maps(maps, "gold")) as address:
+        page = tab(address.url)
+        whole = picture(page, map="specular", shape="plane")
+        between = page.ask("""() => {
+          const { view } = matcap, { gl, canvas } = view, codes = new Uint8Array(4);
+          for (const page of view.pages.held.values()) page.born = page.level > 0 ? 0 : 1000;
+          const appearing = view.draw(1090);
+          gl.readPixels(canvas.width / 2, canvas.height / 2, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, codes);
+          return [appearing, ...codes];
+        }""")
+    assert between[0] is True
+    assert np.abs(whole[HEIGHT // 2, WIDTH // 2] * 255 - between[1:4]).max() <= 1
+    assert between[1] > between[3] + 100
+
+
+def of_the_piece(shown, exemplar):
+    """What a picture that is a texel a pixel shows of the piece."""
+    wide, tall = exemplar.size
+    left, top = WIDTH // 2 - wide // 2, HEIGHT // 2 - tall // 2
+    return shown[top : top + tall, left : left + wide]
+
+
+def test_the_piece_under_its_own_flash_as_the_capture_renders_it(tab, served):
+    material = golden()
+    exemplar = material.part(Example).exemplar
+    with served(Materials(material)) as address:
+        # From the beginning, so that nothing is asked of the field.
+        page = tab(f"{address.url}#left=piece&right=flash&span={WIDTH}")
+        page.loaded()
+        home = page.ask("matcap.view.initial()")
+        middle = {"span": WIDTH, "x": home["x"], "y": home["y"]}
+        shown = picture(page, left="flash", right="piece", wipe=1, **middle)
+        relit = picture(page, left="flash", right="piece", wipe=0, lamp=HIGH, **middle)
+    flash = render_rectified(piece_maps(exemplar), SETUP).movedim(0, -1).numpy()
+    off = np.abs(of_the_piece(shown, exemplar) - encode(flash, Film()))[2:-2, 2:-2]
+    assert off.max() <= 2 * STEP
+    assert np.ptp(of_the_piece(relit, exemplar), axis=2).max() > 20 * STEP
+
+
+def test_a_coloured_piece_beside_a_grey_field(tab, served):
+    """What lies between two materials is the decoder's, which knows no colour of F0."""
+    first = golden()
+    with served(Materials(first, a_material("other", 4))) as address:
+        page = tab(f"{address.url}#left=piece&right=field&share=0.5")
+        page.loaded()
+        home = page.ask("matcap.view.initial()")
+        state = {"span": WIDTH, "x": home["x"], "y": home["y"], "share": 0.5, "map": "specular"}
+        both = picture(page, left="piece", right="field", **state)
+        low, high = page.ask("matcap.view.range()")
+    spread = np.ptp(both, axis=2)
+    assert spread[:, WIDTH // 2 :].max() <= STEP
+    piece = golden_exemplar()
+    wanted = (piece.specular.transpose(1, 2, 0) - low) / (high - low)
+    half = piece.size[0] // 2
+    off = np.abs(of_the_piece(both, piece) - wanted.clip(0, 1))[:, : half - 1]
+    assert off.max() <= 1.01 * STEP and spread.max() > 40 * STEP
+
+
+def test_the_enclosed_piece_has_its_colour(tab, tmp_path, monkeypatch):
+    monkeypatch.setattr("matcap.view.document._tile", lambda subject, size: side_by_side())
+    path = tmp_path / "page.html"
+    path.write_text(sealed_page(Materials(golden())), encoding="utf-8")
+    page = tab(path.as_uri())
+    page.loaded()
+    exemplar = golden_exemplar()
+    home = page.ask("matcap.view.initial()")
+    shown = picture(page, left="flash", right="piece", wipe=1, span=WIDTH, x=home["x"], y=home["y"])
+    flash = render_rectified(piece_maps(exemplar), SETUP).movedim(0, -1).numpy()
+    off = np.abs(of_the_piece(shown, exemplar) - encode(flash, Film()))[2:-2, 2:-2]
+    assert np.quantile(off, 0.99) <= 6 * STEP  # a JPEG, and steps
+
+
+class Shelf(Library):
+    """Materials of the memory, a grey one and one with a colour."""
+
+    def __init__(self):
+        super().__init__(())
+        self.files = (Path("grey.matcap"), Path("golden.matcap"))
+        self._made = [a_material("grey", example=an_example()), golden()]
+
+    def _open(self, first, second):
+        return Materials(self._made[first], None if second is None else self._made[second])
+
+
+def test_grey_and_coloured_spheres_beside_each_other(tab, served):
+    with served(Shelf()) as address:
+        page = tab(address.url)
+        page.until("!!window.matcap && matcap.shelf.pages.held.size === 2", 120)
+        grey, gold = page.ask("""() => [0, 1].map((index) => {
+          const { gl } = matcap.shelf, box = matcap.cards[index].face.getBoundingClientRect();
+          matcap.shelf.draw(matcap.cards);
+          const side = Math.round(box.width), codes = new Uint8Array(4 * side * side);
+          gl.readPixels(box.left, gl.canvas.height - box.bottom, side, side, gl.RGBA,
+            gl.UNSIGNED_BYTE, codes);
+          const sums = [0, 0, 0];
+          for (let i = 0; i < codes.length; i++) if (i % 4 < 3) sums[i % 4] += codes[i];
+          return sums;
+        })""")
+    # Their diffuse albedos are the same, of as much red as blue.
+    assert grey[0] == pytest.approx(grey[2], rel=0.02)
+    assert gold[0] > 1.02 * gold[2] and gold[0] > 1.02 * grey[0]
+
+
+def test_four_metals_are_what_they_are_called():
+    for name, base in METALS.items():
+        maps = metal(name, 48, 32)
+        assert maps.specular.flatten(1).amax(dim=1).tolist() == pytest.approx(base)
+        assert not maps.diffuse.any() or name == "rust beside steel"
+    assert torch.equal(metal("gold", 48, 32).stacked(), metal("gold", 48, 32).stacked())
