@@ -799,6 +799,20 @@ SHOOTS_AND_PAGE = (
         ("tests/view/test_view_server.py",),
     ),
     Fault(
+        "page: green and blue of F0 are its red and green",
+        "view/pages.py",
+        "_halves(moments[ALBEDO][4:])",
+        "_halves(moments[ALBEDO][3:-1])",
+        ("tests/view/test_view_coloured.py", "-k", "green_and_blue"),
+    ),
+    Fault(
+        "page: a tile does not say that F0 has a colour",
+        "view/enclosed.py",
+        '"specular_channels": len(maps.specular)',
+        '"specular_channels": 1',
+        ("tests/view/test_view_coloured.py", "-k", "says_how_many"),
+    ),
+    Fault(
         "plain DNG: little-endian whatever the file",
         "photo/jxl.py",
         'samples.astype(f"{order}u2")',

@@ -16,7 +16,7 @@ from conftest import FLAGS, Tab, serving
 from four_metals import METALS, metal, repeated
 from PIL import Image
 from playwright.sync_api import sync_playwright
-from shown import WIDTH, expected, inner, picture
+from shown import WIDTH, expected, inner, picture, room_light
 
 from matcap.view.subject import Maps
 

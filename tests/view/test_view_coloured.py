@@ -177,6 +177,21 @@ def test_the_map_of_f0_has_its_colour(metals_tab):
     assert np.abs(shown - wanted).max() <= 1.01 * STEP
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+def test_where_there_is_no_page_yet_f0_is_the_mean(tab, served, channels):
+    maps = metal("copper", 48, 32)
+    with served(Maps(replace(maps, specular=maps.specular[:channels]), "copper")) as address:
+        page = tab(address.url)
+        page.loaded()
+        told = page.ask("""["meanDiffuse", "meanF0", "meanSurface"].flatMap((name) => {
+          const { gl, places } = matcap.view;
+          return [...gl.getUniform(gl.getParameter(gl.CURRENT_PROGRAM), places[name])];
+        })""")
+    *_, alpha2, _, _, squares, _ = Maps(maps, "copper").facts.mean
+    f0 = METALS["copper"] if channels == 3 else METALS["copper"][:1] * 3
+    assert told == pytest.approx([0, 0, 0, *f0, alpha2, 0, 0, squares])
+
+
 def test_equal_channels_are_drawn_as_one_is(tab, served):
     """To the bit: the shader takes one way for both."""
     maps = metal("rust beside steel", 96, 64)
@@ -209,14 +224,31 @@ def test_what_appears_keeps_its_colour(tab, served):
         whole = picture(page, map="specular", shape="plane")
         between = page.ask("""() => {
           const { view } = matcap, { gl, canvas } = view, codes = new Uint8Array(4);
-          for (const page of view.pages.held.values()) page.born = page.level > 0 ? 0 : 1000;
+          const held = [...view.pages.held.values()], { best } = view.wanted();
+          for (const page of held) page.born = page.level > best ? 0 : 1000;
           const appearing = view.draw(1090);
-          gl.readPixels(canvas.width / 2, canvas.height / 2, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, codes);
+          const [x, y] = [canvas.width / 2, canvas.height / 2];
+          gl.readPixels(x, y, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, codes);
           return [appearing, ...codes];
         }""")
     assert between[0] is True
     assert np.abs(whole[HEIGHT // 2, WIDTH // 2] * 255 - between[1:4]).max() <= 1
     assert between[1] > between[3] + 100
+
+
+def test_saturation_is_of_f0s_colour_too(metals_tab):
+    """As brdf/adjust.py has it: what colours differ from the grey of their luminance by."""
+    adjust = {"relief": 1, "roughness": 0, "saturation": 0.3, "brightness": 1, "tint": "#ffffff"}
+    shown = picture(metals_tab, x=0, y=0, span=WIDTH, lamp=HIGH, exposure=1, adjust=adjust)
+
+    def dulled(colour):
+        grey = torch.tensordot(torch.tensor([0.2126, 0.7152, 0.0722]), colour, dims=1)
+        return grey + 0.3 * (colour - grey)
+
+    maps = repeated(side_by_side())
+    maps = replace(maps, diffuse=dulled(maps.diffuse), specular=dulled(maps.specular))
+    wanted, _ = expected(maps, "plane", WIDTH, 1, lamp=HIGH)
+    assert np.abs(shown - wanted).max() <= 2 * STEP
 
 
 def of_the_piece(shown, exemplar):

@@ -38,10 +38,15 @@ export function colourMatrix({ saturation, brightness, tint }) {
 export const ADJUST_GLSL = `
 uniform mat3 colouring;      // of diffuse albedo
 uniform vec2 reliefAndRough; // factor, and what is added
+uniform float saturation;    // of a coloured F0, which has no tint and no brightness
 
 Texel adjusted(Texel t) {
   float relief = reliefAndRough.x;
   t.diffuse = clamp(colouring * t.diffuse, 0.0, 1.0);
+  if (saturation != 1.0) {
+    float grey = dot(t.f0, vec3(${LUMINANCE}));
+    t.f0 = clamp(grey + saturation * (t.f0 - grey), 0.0, 1.0);
+  }
   t.surface *= vec4(1.0, relief, relief, relief * relief);
   t.height *= relief;
   if (reliefAndRough.y != 0.0) {

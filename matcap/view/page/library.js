@@ -27,6 +27,7 @@ class Shelf {
     const adjust = about.adjust ? parseAdjustments(about.adjust) : UNCHANGED;
     gl.uniformMatrix3fv(places.colouring, false, colourMatrix(adjust));
     gl.uniform2f(places.reliefAndRough, adjust.relief, adjust.roughness);
+    gl.uniform1f(places.saturation, adjust.saturation);
     gl.uniform4f(places.middle, form.width / 2, form.height / 2, 0, 0);
     gl.uniform1f(places.tableScale, 2 ** -about.level);
     gl.uniform1f(places.texels, SPAN / 2);

@@ -240,6 +240,7 @@ export class View {
     gl.uniform2f(places.range, ...this.range());
     gl.uniformMatrix3fv(places.colouring, false, colourMatrix(state.adjust));
     gl.uniform2f(places.reliefAndRough, state.adjust.relief, state.adjust.roughness);
+    gl.uniform1f(places.saturation, state.adjust.saturation);
     gl.uniformMatrix3fv(places.turned, false, this.#turned());
     if (state.light !== "point") this.#room();
     let appearing = false, across = 1;
