@@ -7,7 +7,8 @@ One short text, shared by `synth`, `export`, `relight` and the page, and kept in
 Keys:
     relief: factor on heights, and so on slopes.
     roughness: added to perceptual roughness, which stays within 0 and 1.
-    saturation: factor on what colours differ from grey of their luminance by; 0 is grey.
+    saturation: factor on what colours differ from grey of their luminance by, of F0's too where
+        it has one; 0 is grey.
     tint: a colour that diffuse albedo is multiplied by, brought to luminance 1.
     brightness: factor on diffuse albedo, which stays within 0 and 1.
 
@@ -105,10 +106,15 @@ class Adjustments:
         return self.text.replace("=", "").replace(",", "_")
 
     @property
+    def mixing(self) -> NDArray[np.float32]:
+        """(3, 3) what saturation alone multiplies a colour by."""
+        grey = np.tile(_LUMINANCE, (3, 1))
+        return grey + np.float32(self.saturation) * (np.eye(3, dtype=np.float32) - grey)
+
+    @property
     def colour(self) -> NDArray[np.float32]:
         """(3, 3) what diffuse albedo (red, green, blue) is multiplied by."""
-        grey = np.tile(_LUMINANCE, (3, 1))
-        saturated = grey + np.float32(self.saturation) * (np.eye(3, dtype=np.float32) - grey)
+        saturated = self.mixing
         linear = srgb_decode(
             np.array([int(self.tint[at : at + 2], 16) for at in (1, 3, 5)], np.float64) / 255.0
         )
@@ -150,24 +156,29 @@ def parse_adjustments(text: str | None) -> Adjustments:
 
 
 def adjusted_planes(planes: Planes, adjustments: Adjustments) -> Planes:
-    """Stacked maps (6, H, W), or with their normal (9, H, W), adjusted.
+    """Stacked maps (6 or 8, H, W), or with their normal (9 or 11, H, W), adjusted.
 
     Slopes become exactly `relief` times as steep. Nothing to do gives the planes themselves.
     """
     if not adjustments.changes:
         return planes
     found = planes.copy()
+    with_normal = len(planes) > 8
+    coloured = len(planes) in (8, 11)
+    roughness, height = (4, 5) if not coloured else (6, 7)
     if not np.array_equal(adjustments.colour, NONE.colour):
         mixed = np.einsum("ij,jhw->ihw", adjustments.colour, planes[:3])
         found[:3] = mixed.clip(0.0, 1.0)
+    if coloured and adjustments.saturation != 1.0:
+        found[3:6] = np.einsum("ij,jhw->ihw", adjustments.mixing, planes[3:6]).clip(0.0, 1.0)
     if adjustments.roughness:
-        found[4] = (planes[4] + np.float32(adjustments.roughness)).clip(0.0, 1.0)
+        found[roughness] = (planes[roughness] + np.float32(adjustments.roughness)).clip(0.0, 1.0)
     if adjustments.relief != 1.0:
         factor = np.float32(adjustments.relief)
-        found[5] *= factor
-        if len(planes) > 6:
-            found[6:8] *= factor
-            found[6:9] /= np.sqrt(np.square(found[6:9]).sum(axis=0))
+        found[height] *= factor
+        if with_normal:
+            found[-3:-1] *= factor
+            found[-3:] /= np.sqrt(np.square(found[-3:]).sum(axis=0))
     return found
 
 
@@ -179,8 +190,9 @@ def adjusted(maps: MapSet, adjustments: Adjustments) -> MapSet:
 
     stacked = maps.stacked() if maps.painted is None else torch.cat([maps.stacked(), maps.painted])
     planes = adjusted_planes(stacked.detach().cpu().float().numpy(), adjustments)
-    found = type(maps).from_stacked(torch.from_numpy(planes[:6]), maps.texel_size)
-    painted = None if maps.painted is None else torch.from_numpy(planes[6:])
+    count = stacked.shape[-3] - (0 if maps.painted is None else 3)
+    found = type(maps).from_stacked(torch.from_numpy(planes[:count]), maps.texel_size)
+    painted = None if maps.painted is None else torch.from_numpy(planes[count:])
     return replace(found, periodic=maps.periodic, painted=painted)
 
 

@@ -21,6 +21,7 @@ Keys:
     texel_size: a texel's side in plane units.
     height_scale: what one unit of the EXR height is, in plane units.
     normal: "gl" (+Y up) or "dx" (+Y down).
+    specular_channels: 3 where F0 has a colour: red, green, blue; 1, or absent, where it has none.
     maps: for each map its `file` and `meaning`, and with PNGs `png` and `png_encoding`.
     png: with PNGs, `height_scale` and `height_midlevel`: height = (value - midlevel) * scale.
     conventions: what axes, unit, reflectance and normals are, in words.
@@ -44,7 +45,7 @@ from numpy.typing import NDArray
 from matcap.brdf.heights import check_heights
 from matcap.brdf.other_normals import note_other_normals, painted_normals
 from matcap.brdf.seam import seam_ratio
-from matcap.brdf.stated import NormalSource, NormalStyle, stated_maps
+from matcap.brdf.stated import SPECULAR_CHANNELS, NormalSource, NormalStyle, stated_maps
 from matcap.errors import MatcapError
 from matcap.files.exr import read_exr, write_exr
 from matcap.files.maker import MAKER_VERSION
@@ -60,7 +61,7 @@ if TYPE_CHECKING:
 # Entries of a document that tell one map set from another of the same name.
 _WHAT_IT_IS = (
     "format", "width", "height", "x", "y", "seed", "periodic", "period", "udim", "normal",
-    "texel_size", "provenance",
+    "texel_size", SPECULAR_CHANNELS, "provenance",
 )  # fmt: skip
 
 FORMAT = "matcap map set"
@@ -68,8 +69,8 @@ PIECE = "_photo"  # after a material's name: the maps of the photographed piece 
 SETUP = "setup"  # in its provenance: camera and flash of the photograph
 VERSION = 1  # of the document
 # Bytes a texel takes at most, for all maps: what is asked of the disk beforehand.
-EXR_BYTES = 2 * (3 + 1 + 1 + 3) + 4
-PNG_BYTES = 2 * (3 + 1 + 1 + 1 + 3)
+EXR_BYTES = 2 * (3 + 3 + 1 + 3) + 4
+PNG_BYTES = 2 * (3 + 3 + 1 + 1 + 3)
 
 MEANINGS = {
     "diffuse": "diffuse albedo, linear Rec.709, D65",
@@ -136,15 +137,16 @@ def write_mapset(
     """
     folder, name = Path(folder), plain_name(info.name)
     arrays = _arrays(maps, normal)
+    coloured = maps.specular.shape[-3]
     document = mapset_document(
-        info, maps.size, maps.texel_size, periodic=maps.periodic, normal=normal
+        info, maps.size, maps.texel_size, periodic=maps.periodic, normal=normal, specular=coloured
     )
     document["seam"] = round(seam_ratio(maps), 3)
     with staged(folder, replacing=mapset_files(name)) as stage:
         for kind, pixels in arrays.items():
             file = f"{name}_{kind}.exr"
             write_exr(stage / file, pixels, half=kind != "height")
-            document["maps"][kind] = {"file": file, "meaning": MEANINGS[kind]}
+            document["maps"][kind] = {"file": file, "meaning": meaning_of(kind, coloured)}
         if png:
             scale, midlevel = height_range(arrays["height"])
             document["png"] = {"height_scale": scale, "height_midlevel": midlevel}
@@ -183,7 +185,7 @@ def read_mapset(
         )
     stated = stated_maps(document, CHANNELS, file)
     maps = {}
-    for kind, channels in CHANNELS.items():
+    for kind, channels in stated.channels.items():
         name, named = stated.files[kind]
         pixels = read_exr(file.parent / name, size=stated.size, channels=named)
         if pixels.shape[2] != channels:
@@ -283,8 +285,9 @@ def mapset_document(
     *,
     periodic: bool,
     normal: NormalStyle,
+    specular: int = 1,
 ) -> dict[str, Any]:
-    """The JSON document of a map set, its `maps` still empty."""
+    """The JSON document of a map set of so many channels of F0, its `maps` still empty."""
     width, height = size
     up = "up (OpenGL)" if normal == "gl" else "down (DirectX)"
     return {
@@ -302,10 +305,17 @@ def mapset_document(
         # What one unit of the EXR height is in plane units.
         "height_scale": 1.0,
         "normal": normal,
+        **({} if specular == 1 else {SPECULAR_CHANNELS: specular}),
         "maps": {},
         "conventions": _CONVENTIONS | {"normal": f"+Y {up}"},
         "provenance": info.provenance,
     }
+
+
+def meaning_of(kind: str, specular: int) -> str:
+    """What a map's numbers are, in words, where F0 has so many channels."""
+    coloured = kind == "specular" and specular > 1
+    return MEANINGS[kind] + (", linear Rec.709, D65" if coloured else "")
 
 
 def height_range(height: NDArray[np.float32]) -> tuple[float, float]:

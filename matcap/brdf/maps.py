@@ -99,8 +99,22 @@ class MapSet:
         return replace(cut, periodic=False)
 
 
+def specular_channels(stacked: int) -> int:
+    """How many channels F0 has in so many stacked ones."""
+    return stacked - sum(CHANNELS.values()) + CHANNELS["specular"]
+
+
+def with_colour(stacked: Tensor) -> Tensor:
+    """Stacked maps (..., 8, H, W) whose F0 has three channels: equal ones where it had one."""
+    if specular_channels(stacked.shape[-3]) == COLOURED:
+        return stacked
+    grey = stacked[..., SPECULAR, :, :]
+    rest = stacked[..., SPECULAR.stop :, :, :]
+    return torch.cat([stacked[..., DIFFUSE, :, :], grey, grey, grey, rest], dim=-3)
+
+
 def split_stacked(stacked: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Diffuse, specular, roughness and height of what was stacked, (..., 6 or 8, H, W)."""
-    sizes = {**CHANNELS, "specular": stacked.shape[-3] - sum(CHANNELS.values()) + 1}
+    sizes = {**CHANNELS, "specular": specular_channels(stacked.shape[-3])}
     diffuse, specular, roughness, height = stacked.split(list(sizes.values()), dim=-3)
     return diffuse, specular, roughness, height

@@ -25,6 +25,8 @@ _STYLES: tuple[NormalStyle, ...] = ("gl", "dx")
 _LONGEST_SIDE = 2**31 - 1  # texels, of an OpenEXR file
 _MOST_UNIT = 1e9  # millimetres of a plane unit
 SCALE = "millimetres_per_unit"
+# In a document, how many channels F0 has where it has a colour; absent where it has one.
+SPECULAR_CHANNELS = "specular_channels"
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class StatedMaps:
         height_scale: what one unit of the height's file is, in plane units.
         periodic: whether it repeats without a seam.
         normal: which way green points in its normals.
+        channels: of each map.
         files: by map, its file's name, and its channels where several maps share a file.
         provenance: how the material was made; finite numbers alone.
     """
@@ -48,6 +51,7 @@ class StatedMaps:
     height_scale: float
     periodic: bool
     normal: NormalStyle
+    channels: Mapping[str, int]
     files: Mapping[str, tuple[str, tuple[str, ...] | None]]
     provenance: dict[str, Any]
 
@@ -57,7 +61,7 @@ def stated_maps(document: Mapping[str, Any], kinds: Mapping[str, int], file: Pat
 
     Args:
         document: as JSON gives it, its format and version known.
-        kinds: channels by map.
+        kinds: channels by map, where F0 has no colour.
         file: it was read from.
 
     Raises:
@@ -74,6 +78,7 @@ def stated_maps(document: Mapping[str, Any], kinds: Mapping[str, int], file: Pat
         maps = entry("maps")
         if not isinstance(maps, dict):
             raise ValueError(f"'maps' is {shown(maps)}, no list of maps")
+        channels = {**kinds, "specular": stated_specular(document)}
         period = entry("periodic")
         if not isinstance(period, bool):
             raise ValueError(f"'periodic' is {shown(period)}, neither true nor false")
@@ -87,7 +92,8 @@ def stated_maps(document: Mapping[str, Any], kinds: Mapping[str, int], file: Pat
             height_scale=bounded(entry("height_scale", 1.0), "'height_scale'", 1e-9, 1e9),
             periodic=period,
             normal=_style(entry("normal", "gl")),
-            files={kind: _file(maps, kind, channels) for kind, channels in kinds.items()},
+            channels=channels,
+            files={kind: _file(maps, kind, count) for kind, count in channels.items()},
             provenance=known_provenance(entry("provenance", None) or {}),
         )
     except (TypeError, ValueError, OverflowError) as error:
@@ -96,6 +102,18 @@ def stated_maps(document: Mapping[str, Any], kinds: Mapping[str, int], file: Pat
             where=str(file),
             remedy="write the map set again",
         ) from error
+
+
+def stated_specular(document: Mapping[str, Any]) -> int:
+    """How many channels of F0 a document states: 1 or 3; 1 where it says nothing, as before.
+
+    Raises:
+        ValueError: another number, or none.
+    """
+    found = document.get(SPECULAR_CHANNELS, 1)
+    if isinstance(found, bool) or found not in (1, 3):
+        raise ValueError(f"'{SPECULAR_CHANNELS}' is {shown(found)}, neither 1 nor 3")
+    return int(found)
 
 
 def known_provenance(stated: object) -> dict[str, Any]:

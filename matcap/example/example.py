@@ -20,7 +20,7 @@ from matcap.brdf.stated import NormalStyle
 from matcap.example import relief
 from matcap.example.coordinates import coordinates
 from matcap.example.correction import Places
-from matcap.example.exemplar import Exemplar, Floats
+from matcap.example.exemplar import COLOURED_VERSION, Exemplar, Floats
 from matcap.example.grids import frame_of, level_count
 from matcap.example.index import Index, build_index
 from matcap.example.lookup import Lookup, prepare
@@ -117,7 +117,7 @@ class Example:
     @property
     def version(self) -> int:
         """Of a file that holds it alone."""
-        return 3
+        return COLOURED_VERSION if self.exemplar.coloured else 3
 
     def source(
         self, seed: int, period: Period | None = None, device: torch.device | None = None
@@ -208,7 +208,7 @@ class Example:
         return Example(self.exemplar, self.index, variety)
 
     def maps(self, seed: int, area: Rectangle, period: Period | None) -> Floats:
-        """(6, height, width) stacked maps of an area of the field, a pure function of texels.
+        """(6 or 8, height, width) stacked maps of an area of the field, a pure function of texels.
 
         Args:
             seed: in [-2^63, 2^63).
@@ -223,12 +223,12 @@ class Example:
         unit, low = self.exemplar.height_coding()
         bands = ready.bands.reshape(relief.BANDS, -1)
         heights = relief.joined(np.stack([band.take(flat) for band in bands]))
-        found = np.empty((6, area.height, area.width), np.float32)
+        found = np.empty((len(ready.planes) + 1, area.height, area.width), np.float32)
         inner = np.ascontiguousarray(flat[reach:-reach, reach:-reach])
         for plane, values in zip(found, ready.planes, strict=False):
             np.take(values, inner, out=plane)
-        np.multiply(heights, np.float32(unit / 2**relief.FRACTION), out=found[5], casting="unsafe")
-        found[5] += np.float32(low * unit)
+        np.multiply(heights, np.float32(unit / 2**relief.FRACTION), out=found[-1], casting="unsafe")
+        found[-1] += np.float32(low * unit)
         return found
 
     def places(self, seed: int, area: Rectangle, period: Period | None) -> Places:
@@ -296,18 +296,23 @@ class ExampleSource:
     grid: Grid = _BLOCKS
 
     @property
+    def specular_channels(self) -> int:
+        """Of F0: 1, or 3 where it has a colour."""
+        return len(self.example.exemplar.specular)
+
+    @property
     def device_type(self) -> str:
         """Where it is computed: places are integers, and the same everywhere."""
         return "cpu"
 
     def maps(self, block: Rectangle) -> Tensor:
-        """Stacked maps (MAP_CHANNELS, height + 2 RING, width + 2 RING) of a block and its ring."""
+        """Stacked maps (6 or 8, height + 2 RING, width + 2 RING) of a block and its ring."""
         import torch
 
         return torch.from_numpy(self._stacked(block))
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9, height, width) of a block: the six maps and the normal."""
+        """(9 or 11, height, width) of a block: its maps and the normal."""
         return with_normals(self._stacked(block), self.texel_size, normal)
 
     def _stacked(self, block: Rectangle) -> NDArray[np.float32]:

@@ -18,12 +18,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.brdf.stated import SPECULAR_CHANNELS, stated_specular
 from matcap.example.packed import pack, unpack
 
 Floats = NDArray[np.float32]
 
 CHANNELS: dict[str, int] = {"diffuse": 3, "specular": 1, "roughness": 1, "height": 1}
 COLOURED = 3  # channels of a specular albedo that has a colour
+COLOURED_VERSION = 4  # of a material's file that holds one (field/header.py)
+# Where they lie in what is stacked, coloured or not.
+DIFFUSE, SPECULAR, ROUGHNESS, HEIGHT = slice(0, 3), slice(3, -2), slice(-2, -1), slice(-1, None)
 _LARGEST_SIDE = 8192  # texels: more than a photograph of 50 megapixels has
 _LARGEST_HEIGHT = 1e6  # plane units
 _HEIGHT_STEPS = 2**16 - 1
@@ -80,6 +84,11 @@ class Exemplar:
         """(width, height) in texels."""
         return self.height.shape[-1], self.height.shape[-2]
 
+    @property
+    def coloured(self) -> bool:
+        """Whether its F0 has a colour: three channels."""
+        return len(self.specular) == COLOURED
+
     def stacked(self) -> Floats:
         """(6, H, W): diffuse, specular, roughness, height; 8 where F0 has a colour."""
         return np.concatenate([getattr(self, name) for name in CHANNELS])
@@ -114,13 +123,14 @@ class Exemplar:
         }
         tensors["height"] = pack(_height_codes(self.height, unit, low))
         tensors["confidence"] = pack(_confidence_codes(self.confidence))
-        about = {
+        about: dict[str, Any] = {
             "size": list(self.size),
             "texel_size": self.texel_size,
             "height_unit": math.frexp(unit)[1],
             "height_low": low,
         }
-        return tensors, about
+        # As in files of before F0 had a colour.
+        return tensors, about | ({SPECULAR_CHANNELS: COLOURED} if self.coloured else {})
 
     @staticmethod
     def read(about: Mapping[str, Any], tensor: Callable[[str], NDArray[np.uint8]]) -> Exemplar:
@@ -135,12 +145,13 @@ class Exemplar:
         """
         columns, rows = (int(side) for side in about["size"])
         _check_size(columns, rows)
+        channels = {**CHANNELS, "specular": stated_specular(about)}
         exponent, low = int(about["height_unit"]), int(about["height_low"])
         if not (-60 <= exponent <= 20 and abs(low) < 2**23):
             raise ValueError(f"heights of {low} and more 2^{exponent}")
 
         def halves(name: str) -> Floats:
-            shape = (CHANNELS[name], rows, columns)
+            shape = (channels[name], rows, columns)
             return unpack(tensor(name), shape, np.uint16).view(np.float16).astype(np.float32)
 
         def heights() -> Floats:

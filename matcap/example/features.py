@@ -4,7 +4,10 @@ Every step but the choice of `Scale` is exact arithmetic, elementwise, so that a
 scale have the same features on every machine.
 
 Eight planes: square roots of the diffuse albedo's three channels and of F0 (steps that look alike
-are numbers alike), roughness, both slopes of the height, and the height itself.
+are numbers alike), roughness, both slopes of the height, and the height itself. Where F0 has a
+colour, the first three are of diffuse albedo and F0 together, and the fourth of F0's luminance:
+a metal has its colour in F0 alone and what is no metal in its albedo alone, so that these four tell
+both, in as many numbers.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from matcap.example.tuned import FEATURE
 FeatureMap = NDArray[np.int16]
 
 PLANES = 8
+_REC709 = (0.2126, 0.7152, 0.0722)
 LIMIT = 127  # of a feature
 
 
@@ -42,11 +46,12 @@ def planes_of(exemplar: Exemplar) -> NDArray[np.float32]:
 
 
 def planes_of_maps(maps: tuple[NDArray[np.float32], ...], texel_size: float) -> NDArray[np.float32]:
-    """The same of maps that no exemplar holds: diffuse (3, H, W); the others (1, H, W)."""
+    """The same of maps that no exemplar holds: diffuse (3, H, W), F0 (1 or 3, H, W), (1, H, W)."""
     diffuse, specular, roughness, heights = maps
     planes = np.empty((PLANES, *heights.shape[1:]), np.float32)
-    np.sqrt(diffuse, out=planes[:3])
-    np.sqrt(specular[0], out=planes[3])
+    coloured = len(specular) > 1
+    np.sqrt(diffuse + specular if coloured else diffuse, out=planes[:3])
+    np.sqrt(_luminance(specular) if coloured else specular[0], out=planes[3])
     planes[4] = roughness[0]
     height = np.divide(heights[0], np.float32(texel_size), out=planes[7])
     _difference(height, planes[5])
@@ -88,6 +93,12 @@ def smoothed(features: FeatureMap) -> FeatureMap:
     return (
         down[:, :, :-2] + down[:, :, 2:] + np.int16(2) * down[:, :, 1:-1] + np.int16(2)
     ) >> np.int16(2)
+
+
+def _luminance(colour: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(H, W) of (3, H, W): sums in a fixed order, for the same bits on every machine."""
+    red, green, blue = (np.float32(w) * plane for w, plane in zip(_REC709, colour, strict=True))
+    return red + green + blue
 
 
 def _difference(values: NDArray[np.float32], out: NDArray[np.float32]) -> None:

@@ -11,14 +11,17 @@ from matcap.field.blocks import RING
 
 
 def with_normals(maps: Floats, texel_size: float, normal: NormalStyle) -> NDArray[np.float32]:
-    """(9, h, w): six maps (6, h + 2 RING, w + 2 RING) without their ring, and the normal."""
-    height, size = maps[5], np.float32(2.0 * texel_size)
+    """(9, h, w): six maps (6, h + 2 RING, w + 2 RING) without their ring, and the normal.
+
+    Two more where F0 has a colour.
+    """
+    height, size = maps[-1], np.float32(2.0 * texel_size)
     across = (height[RING:-RING, 2 * RING :] - height[RING:-RING, : -2 * RING]) / size
     up = (height[: -2 * RING, RING:-RING] - height[2 * RING :, RING:-RING]) / size
     upright = np.float32(1.0) / np.sqrt(np.float32(1.0) + across * across + up * up)
-    found = np.empty((9, *across.shape), np.float32)
-    found[:6] = maps[:, RING:-RING, RING:-RING]
-    np.multiply(across, -upright, out=found[6])
-    np.multiply(up, upright if normal == "dx" else -upright, out=found[7])
-    found[8] = upright
+    found = np.empty((len(maps) + 3, *across.shape), np.float32)
+    found[:-3] = maps[:, RING:-RING, RING:-RING]
+    np.multiply(across, -upright, out=found[-3])
+    np.multiply(up, upright if normal == "dx" else -upright, out=found[-2])
+    found[-1] = upright
     return found

@@ -71,7 +71,8 @@ class Field:
 
 def read_source(source: Source, wanted: Rectangle, workers: int) -> MapSet:
     """Maps of a rectangle of any source, with so many threads."""
-    stacked = torch.empty(MAP_CHANNELS, wanted.height, wanted.width)
+    channels = MAP_CHANNELS + source.specular_channels
+    stacked = torch.empty(channels, wanted.height, wanted.width)
     pieces = list(pieces_of(wanted, source.grid, source.period))
 
     def fill(piece: Piece) -> None:

@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from matcap.flash.geometry import FlashSetup
 
 FORMAT = "matcap-material"
-# Of the file: with a decoder, with one that reads structured noise, and without any.
-VERSIONS = (1, 2, 3)
+# Of the file: with a decoder, with one that reads structured noise, and without any; and whatever
+# else it holds, of an exemplar whose F0 has a colour, which none of before reads.
+VERSIONS = (1, 2, 3, 4)
 REMEDY = "capture the photograph again, or fetch the file again"
 # What reading JSON raises that is not as it should be.
 DAMAGED = (

@@ -15,7 +15,8 @@ Tensors:
 
 Metadata:
     format: "matcap-material".
-    version: 3 without a decoder; with one 2 where it reads structured noise, else 1.
+    version: 4 where F0 has a colour; else 3 without a decoder; with one 2 where it reads structured
+        noise, else 1.
     name: of the photograph.
     texel_size: plane units.
     setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`,
@@ -44,7 +45,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.field.field import Field
-from matcap.field.header import FORMAT, opened, setup_entry
+from matcap.field.header import FORMAT, VERSIONS, opened, setup_entry
 from matcap.field.source import FieldGenerator, Generator
 from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
@@ -163,6 +164,12 @@ class Material:
         """
         return Field(self, seed, period, generator=generator).read(x, y, width, height)
 
+    @property
+    def _version(self) -> int:
+        """Of its file: the least that reads a part of it and none of it wrong."""
+        versions = [part.version for part in self.generators.values()]
+        return VERSIONS[-1] if VERSIONS[-1] in versions else min(versions)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file; whole or not at all.
 
@@ -172,7 +179,7 @@ class Material:
         tensors: dict[str, Tensor] = {}
         about: dict[str, Any] = {
             "format": FORMAT,
-            "version": min(part.version for part in self.generators.values()),
+            "version": self._version,
             "name": self.name,
             "texel_size": self.texel_size,
             "setup": setup_entry(self.setup),

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 # How a field is made: by rearranging the photographed piece, or by the paper's network.
 Generator = Literal["example", "decoder"]
-MAP_CHANNELS = 6  # diffuse (3), specular, roughness, height
+MAP_CHANNELS = 5  # diffuse (3), roughness, height; and as many as F0 has
 
 
 class Source(Protocol):
@@ -41,16 +41,21 @@ class Source(Protocol):
         ...
 
     @property
+    def specular_channels(self) -> int:
+        """Of F0: 1, or 3 where it has a colour."""
+        ...
+
+    @property
     def device_type(self) -> str:
         """Where it is computed: "cpu" or "cuda"."""
         ...
 
     def maps(self, block: Rectangle) -> Tensor:
-        """Stacked maps (MAP_CHANNELS, height + 2 RING, width + 2 RING) of a block and its ring."""
+        """Stacked maps (6 or 8, height + 2 RING, width + 2 RING) of a block and its ring."""
         ...
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9, height, width) of a block: the six maps and the normal."""
+        """(9 or 11, height, width) of a block: its maps and the normal."""
         ...
 
 
@@ -133,14 +138,14 @@ class Generated(Protocol):
 
 
 def planes_of(source: Source, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-    """(9, height, width) of a block, on the processor: the six maps and the normal."""
+    """(9 or 11, height, width) of a block, on the processor: its maps and the normal."""
     import torch
 
     from matcap.brdf.normals import normals_from_slopes
 
     with torch.inference_mode():
         maps = source.maps(block)
-        height, size = maps[5:], 2 * source.texel_size
+        height, size = maps[-1:], 2 * source.texel_size
         below, above = height[:, 2 * RING :, RING:-RING], height[:, : -2 * RING, RING:-RING]
         right, left = height[:, RING:-RING, 2 * RING :], height[:, RING:-RING, : -2 * RING]
         normals = normals_from_slopes((right - left) / size, (above - below) / size)

@@ -108,6 +108,11 @@ class DecoderSource:
     grid: Grid = Grid()
 
     @property
+    def specular_channels(self) -> int:
+        """Of F0: its network knows no colour of it."""
+        return 1
+
+    @property
     def device(self) -> torch.device:
         """Where it is computed."""
         return self.decoder.device

@@ -42,6 +42,11 @@ class AdjustedSource:
         return self.source.period
 
     @property
+    def specular_channels(self) -> int:
+        """Of F0: 1, or 3 where it has a colour."""
+        return self.source.specular_channels
+
+    @property
     def device_type(self) -> str:
         """Where it is computed."""
         return self.source.device_type
@@ -54,7 +59,7 @@ class AdjustedSource:
         return torch.from_numpy(adjusted_planes(found.cpu().numpy(), self.adjustments))
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9, height, width) of a block: the six maps and the normal."""
+        """(9 or 11, height, width) of a block: its maps and the normal."""
         return adjusted_planes(self.source.planes(block, normal), self.adjustments)
 
 

@@ -21,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.brdf.maps import with_colour
 from matcap.brdf.stated import NormalStyle
 from matcap.field.blocks import RING, Grid
 from matcap.field.material import Material
@@ -28,7 +29,7 @@ from matcap.field.plane import Period, Rectangle, Span
 from matcap.field.source import Generator, Network, Source, planes_of
 from matcap.synth.mask import Mask
 
-_HEIGHT = 5  # among the stacked maps
+_HEIGHT = -1  # among the stacked maps
 _RISE = 2.5  # deviations that one surface lies below the other at the ends
 _SOFT = 0.2  # deviations within which both are seen
 _ENDS = 8.0  # within an eighth of the way from its end a material cannot be hidden altogether
@@ -69,6 +70,11 @@ class BlendSource:
         return self.first.period
 
     @property
+    def specular_channels(self) -> int:
+        """Of F0: 3 where one of both has a colour."""
+        return max(self.first.specular_channels, self.second.specular_channels)
+
+    @property
     def device(self) -> torch.device:
         """Where it is computed."""
         return self.first.device if isinstance(self.first, Network) else _CPU
@@ -87,18 +93,23 @@ class BlendSource:
         return replace(self, first=first, second=second)
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9, height, width) of a block: the six maps and the normal."""
+        """(9 or 11, height, width) of a block: its maps and the normal."""
         return planes_of(self, block, normal)
 
     def maps(self, block: Rectangle) -> Tensor:
-        """Stacked maps (OUTPUTS, height + 2 RING, width + 2 RING) of a block and its ring."""
+        """Stacked maps (6 or 8, height + 2 RING, width + 2 RING) of a block and its ring."""
         rows, columns = Span(0, block.height).grown(RING), Span(0, block.width).grown(RING)
         with torch.inference_mode():
             share = self.mask.shares(block.x, block.y, rows, columns).to(self.device)
             for source, end in ((self.first, 0.0), (self.second, 1.0)):
                 if bool((share == end).all()):
-                    return source.maps(block)
-            return self._mix(self.first.maps(block), self.second.maps(block), share)
+                    return self._of(source, block)
+            return self._mix(self._of(self.first, block), self._of(self.second, block), share)
+
+    def _of(self, source: Source, block: Rectangle) -> Tensor:
+        """Maps of one of both, its F0 with as many channels as the other's."""
+        maps = source.maps(block)
+        return maps if self.specular_channels == 1 else with_colour(maps)
 
     def _mix(self, first: Tensor, second: Tensor, share: Tensor) -> Tensor:
         """Maps of both where they lie at a share (H, W) of the way."""

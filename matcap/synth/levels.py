@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.synth.exr_tiles import TILE, Layout, Tile, TileFile, encode_tile, stored
-from matcap.synth.pictures import NORMAL_PLANES, PictureFile
+from matcap.synth.pictures import PictureFile
 
 _TOGETHER = 64  # tiles
 
@@ -39,7 +39,7 @@ def _average(picture: PictureFile, file: TileFile, tile: Tile) -> bytes:
     down, from_row = _weights(rows, height, high)
     planes = read_planes(file, above, (from_row, from_column))
     shrunk = [down @ plane.astype(np.float32) @ across.T for plane in planes]
-    normals = [shrunk[i] for i, plane in enumerate(picture.planes) if plane in NORMAL_PLANES]
+    normals = [shrunk[place] for place in picture.places("normal")]
     if normals:
         length = np.sqrt(sum(np.square(one) for one in normals))
         for one in normals:

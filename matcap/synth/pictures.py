@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,19 +18,21 @@ from matcap.synth.exr_tiles import TILE, Channel, Layout, Tile, encode_tile, sto
 if TYPE_CHECKING:
     from matcap.field.source import Source
 
-# Every stored map's channels, as they are called in a file of their own and in one of all maps.
+# Every stored map's channels, as they are called in a file of their own and in one of all maps; of
+# an F0 with a colour, those of a diffuse albedo.
 _OWN = {"diffuse": "RGB", "specular": "Y", "roughness": "Y", "height": "Y", "normal": "RGB"}
 _JOINED = _OWN | {"height": "Z", "normal": "XYZ"}
+_COLOUR = ("specular", 3)
 
-# Where each map lies among the nine planes.
-KIND_PLANES = {
-    "diffuse": (0, 1, 2),
-    "specular": (3,),
-    "roughness": (4,),
-    "height": (5,),
-    "normal": (6, 7, 8),
-}
-NORMAL_PLANES = KIND_PLANES["normal"]
+
+def kind_planes(specular: int) -> dict[str, tuple[int, ...]]:
+    """Where each map lies among the stored planes, by how many of them are F0's."""
+    counts = {"diffuse": 3, "specular": specular, "roughness": 1, "height": 1, "normal": 3}
+    ends = accumulate(counts.values())
+    return {
+        kind: tuple(range(end - count, end))
+        for (kind, count), end in zip(counts.items(), ends, strict=True)
+    }
 
 
 @dataclass(frozen=True)
@@ -39,12 +42,19 @@ class PictureFile:
     Attributes:
         file: its name.
         layout: of its tiles.
-        planes: for each channel of the layout, which of the nine stored planes it holds.
+        planes: for each channel of the layout, which of the stored planes it holds, ...
+        kinds: ... and of which map.
     """
 
     file: str
     layout: Layout
     planes: tuple[int, ...]
+    kinds: tuple[str, ...]
+
+    def places(self, kind: str) -> list[int]:
+        """Which channels of the layout a map has, in its own order; none of another file's."""
+        own = [place for place, found in enumerate(self.kinds) if found == kind]
+        return sorted(own, key=lambda place: self.planes[place])
 
 
 @dataclass(frozen=True)
@@ -71,34 +81,41 @@ class Rendered:
 
 
 def pictures_of(
-    name: str, size: tuple[int, int], *, single: bool, mipmap: bool, wrap: str
+    name: str, size: tuple[int, int], *, specular: int, single: bool, mipmap: bool, wrap: str
 ) -> tuple[PictureFile, ...]:
     """The files of a map set.
 
     Args:
         name: what they begin with; `{kind}` in it stands for the map's name.
         size: (width, height) in texels.
+        specular: channels of F0.
         single: all maps in one file.
         mipmap, wrap: of the layout.
     """
-    places: dict[str, list[tuple[str, int, bool]]] = {}
-    for kind, planes in KIND_PLANES.items():
+    places: dict[str, list[tuple[str, int, str]]] = {}
+    for kind, planes in kind_planes(specular).items():
         file = name.replace("{kind}", "maps" if single else kind) + ".exr"
-        for channel, plane in zip(channels_of(kind, single=single), planes, strict=True):
-            places.setdefault(file, []).append((channel, plane, kind != "height"))
+        channels = channels_of(kind, specular=specular, single=single)
+        for channel, plane in zip(channels, planes, strict=True):
+            places.setdefault(file, []).append((channel, plane, kind))
     return tuple(
         PictureFile(
             file,
-            Layout(*size, tuple(Channel(c, half) for c, _, half in sorted(found)), mipmap, wrap),
+            Layout(
+                *size, tuple(Channel(c, kind != "height") for c, _, kind in sorted(found)),
+                mipmap, wrap,
+            ),
             tuple(plane for _, plane, _ in sorted(found)),
+            tuple(kind for _, _, kind in sorted(found)),
         )
         for file, found in places.items()
-    )
+    )  # fmt: skip
 
 
-def channels_of(kind: str, *, single: bool) -> tuple[str, ...]:
-    """A map's channels as its file calls them."""
-    return tuple(f"{kind}.{letter}" for letter in _JOINED[kind]) if single else tuple(_OWN[kind])
+def channels_of(kind: str, *, specular: int, single: bool) -> tuple[str, ...]:
+    """A map's channels as its file calls them, where F0 has so many."""
+    letters = (_JOINED if single else _OWN)["diffuse" if (kind, specular) == _COLOUR else kind]
+    return tuple(f"{kind}.{letter}" for letter in letters) if single else tuple(letters)
 
 
 def render(
@@ -110,7 +127,7 @@ def render(
         MatcapError: a value is not finite, or too large for half float.
     """
     wanted = source.planes(piece.block, normal)[(..., *piece.source)]
-    check_heights(wanted[KIND_PLANES["height"][0]], "the material")
+    check_heights(wanted[kind_planes(source.specular_channels)["height"][0]], "the material")
     return [_render(picture, piece, wanted) for picture in pictures]
 
 

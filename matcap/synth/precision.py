@@ -7,7 +7,7 @@ feature. What that does to the maps depends on the material: it is measured on a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,7 +19,7 @@ from matcap.field.plane import Rectangle
 from matcap.field.single import single_threaded
 from matcap.field.source import Network, Source
 from matcap.files.srgb import srgb_picture
-from matcap.synth.pictures import KIND_PLANES
+from matcap.synth.pictures import kind_planes
 
 Precision = Literal["fp32", "bf16", "auto"]
 HALF_STEP = 0.5
@@ -72,10 +72,10 @@ def choose(source: Network, precision: Precision) -> ChosenPrecision:
         )
     if precision == "bf16":
         return ChosenPrecision(source.lowered(0), "bf16", {})
-    exact = list(_samples(source))
+    exact, kinds = list(_samples(source)), kind_planes(source.specular_channels)
     for finest, name in _CHOICES.items():
         cheaper = source.lowered(finest)
-        steps = _largest(exact, _samples(cheaper))
+        steps = _largest(exact, _samples(cheaper), kinds)
         if max(steps.values()) < HALF_STEP:
             return ChosenPrecision(cheaper, name, steps)
     return ChosenPrecision(source, "fp32", {})
@@ -99,13 +99,15 @@ def _samples(source: Network) -> Iterator[Tensor]:
             yield torch.from_numpy(pool.submit(source.planes, block, "gl").result())
 
 
-def _largest(exact: list[Tensor], rough: Iterator[Tensor]) -> dict[str, float]:
+def _largest(
+    exact: list[Tensor], rough: Iterator[Tensor], kinds: Mapping[str, tuple[int, ...]]
+) -> dict[str, float]:
     """Largest difference over all samples, in 8-bit steps, for each map."""
-    heights = torch.cat([planes[list(KIND_PLANES["height"])].flatten() for planes in exact])
+    heights = torch.cat([planes[list(kinds["height"])].flatten() for planes in exact])
     span = max(float(heights.max() - heights.min()), 1e-12)
-    steps = dict.fromkeys(KIND_PLANES, 0.0)
+    steps = dict.fromkeys(kinds, 0.0)
     for one, other in zip(exact, rough, strict=True):
-        for kind, places in KIND_PLANES.items():
+        for kind, places in kinds.items():
             a, b = (_coded(kind, planes[list(places)], span) for planes in (one, other))
             steps[kind] = max(steps[kind], 255.0 * float((a - b).abs().max()))
     return steps

@@ -20,6 +20,7 @@ from matcap.brdf.folder import (
     PNG_ENCODINGS,
     MapSetInfo,
     mapset_document,
+    meaning_of,
 )
 from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
@@ -215,6 +216,7 @@ class Request:
             self.source.texel_size,
             periodic=period == (whole.width, whole.height) and files.udim is None,
             normal=files.normal,
+            specular=self.source.specular_channels,
         )
         label = "" if files.udim is None else ".<UDIM>"
         if files.udim is not None:
@@ -222,11 +224,13 @@ class Request:
         if period is not None:
             document["period"] = list(period)
         name = self.info.name
-        for kind, meaning in MEANINGS.items():
+        specular = self.source.specular_channels
+        for kind in MEANINGS:
             file = f"{name}_{'maps' if files.single else kind}{label}.exr"
-            document["maps"][kind] = {"file": file, "meaning": meaning}
+            document["maps"][kind] = {"file": file, "meaning": meaning_of(kind, specular)}
             if files.single:
-                document["maps"][kind]["channels"] = list(channels_of(kind, single=True))
+                channels = channels_of(kind, specular=specular, single=True)
+                document["maps"][kind]["channels"] = list(channels)
             if files.png:
                 png = f"{name}_{kind}{label}.png"
                 document["maps"][kind] |= {"png": png, "png_encoding": PNG_ENCODINGS[kind]}
@@ -236,8 +240,10 @@ class Request:
 
     def _pictures(self, name: str, wrap: str) -> tuple[PictureFile, ...]:
         size = (self.area.width, self.area.height)
-        files = self.files
-        return pictures_of(name, size, single=files.single, mipmap=files.mipmap, wrap=wrap)
+        files, specular = self.files, self.source.specular_channels
+        return pictures_of(
+            name, size, specular=specular, single=files.single, mipmap=files.mipmap, wrap=wrap
+        )
 
     def _wrap(self) -> str:
         """How a texture reader continues the picture beyond its borders."""

@@ -16,7 +16,7 @@ from matcap.errors import MatcapError
 from matcap.synth.assembly import Assembly
 from matcap.synth.exr_tiles import TILE, TileFile
 from matcap.synth.levels import read_planes
-from matcap.synth.pictures import KIND_PLANES, PictureFile
+from matcap.synth.pictures import PictureFile
 
 
 def height_coding(assemblies: Sequence[Assembly]) -> tuple[float, float]:
@@ -24,7 +24,7 @@ def height_coding(assemblies: Sequence[Assembly]) -> tuple[float, float]:
     low, high = np.inf, -np.inf
     for assembly in assemblies:
         picture, file = _holding("height", assembly)
-        place = picture.planes.index(KIND_PLANES["height"][0])
+        (place,) = picture.places("height")
         for rows in _strips(file):
             height = read_planes(file, 0, (rows, slice(0, file.layout.width)))[place]
             low, high = min(low, float(height.min())), max(high, float(height.max()))
@@ -50,9 +50,9 @@ def _write_png(
 ) -> None:
     import OpenImageIO as oiio
 
-    layout, planes = file.layout, KIND_PLANES[kind]
+    layout, places = file.layout, picture.places(kind)
     output = oiio.ImageOutput.create(str(path))
-    spec = oiio.ImageSpec(layout.width, layout.height, len(planes), "uint16")
+    spec = oiio.ImageSpec(layout.width, layout.height, len(places), "uint16")
     spec.attribute("oiio:ColorSpace", "sRGB" if kind == "diffuse" else "linear")
     spec.attribute("png:compressionLevel", 3)
     if output is None or not output.open(str(path), spec):
@@ -60,7 +60,7 @@ def _write_png(
     done = True
     for rows in _strips(file):
         found = read_planes(file, 0, (rows, slice(0, layout.width)))
-        pixels = np.stack([found[picture.planes.index(plane)] for plane in planes], axis=-1)
+        pixels = np.stack([found[place] for place in places], axis=-1)
         values = coded(kind, pixels.astype(np.float32), *heights)
         whole = np.rint(np.clip(values, 0.0, 1.0) * 65535.0).astype(np.uint16)
         done = done and output.write_scanlines(rows.start, rows.stop, 0, whole)
@@ -71,7 +71,7 @@ def _write_png(
 def _holding(kind: str, assembly: Assembly) -> tuple[PictureFile, TileFile]:
     """The picture with a map, and its file."""
     for picture, file in zip(assembly.pictures, assembly.files, strict=True):
-        if KIND_PLANES[kind][0] in picture.planes:
+        if kind in picture.kinds:
             return picture, file
     raise MatcapError(f"there is no {kind} map")
 

@@ -1,5 +1,6 @@
 """Small exemplars: blobs without order, and a bond of bricks that a photograph has bent."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -51,9 +52,22 @@ def exemplar(planes):
     )
 
 
+def coloured(piece):
+    """The same with an F0 as bright as it was and as red as its albedo is."""
+    red = piece.diffuse[:1]
+    hue = np.concatenate([red, np.full_like(red, 0.5), 1.0 - red])
+    luminance = np.float32(0.2126) * red + np.float32(0.3576) + np.float32(0.0722) * (1.0 - red)
+    return replace(piece, specular=(piece.specular * hue / luminance).astype(np.float32))
+
+
 @cache
 def an_example():
     return Example.of(blobs())
+
+
+@cache
+def a_coloured_example():
+    return Example.of(coloured(blobs()))
 
 
 @cache

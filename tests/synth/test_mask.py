@@ -43,6 +43,7 @@ class Even:
 
     albedo: float
     height: float
+    specular_channels: int = 1
 
     def maps(self, block):
         stacked = torch.full((6, block.height + 2, block.width + 2), self.albedo)

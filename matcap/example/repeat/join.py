@@ -12,7 +12,7 @@ PieceTexels = NDArray[np.int64]
 
 
 def joined(maps: Floats, x: PieceTexels, y: PieceTexels) -> Floats:
-    """(6, h, w) stacked maps that repeat, of what a piece shows at (h, w) places x, y of it.
+    """(6 or 8, h, w) stacked maps that repeat, of what a piece shows at (h, w) places x, y of it.
 
     Height is the surface whose steps are nearest to the piece's own, closed in both directions; a
     slope of the whole is lost by that. Of the others, what differs at a cut is spread over a few

@@ -9,25 +9,25 @@ from matcap.example.exemplar import Floats
 from matcap.example.repeat.tuned import REPEAT
 
 _BLACK = 1e-3  # of albedo and F0: what is darker is as dark
-_GREYS = 4  # planes that light multiplies: albedo and F0
 _ORDERS = np.arange(REPEAT.slow + 1)
-_COLOURED = 5  # planes that are levelled: all but the height, whose slope closing takes away
 
 
 def levelled(maps: Floats) -> Floats:
-    """(6, H, W) stacked maps without the slow waves that are nearest to the medians of their parts.
+    """Stacked maps (6 or 8, H, W) without the slow waves nearest to the medians of their parts.
 
     Albedo and F0 are divided by theirs, and roughness is moved; means stay. Medians, so that what
     stands in one place alone, a stain, is not taken for a slope.
     """
     found = maps.copy()
-    for index in range(_COLOURED):
-        if index < _GREYS:
+    # All but the height, whose slope closing takes away; light multiplies albedo and F0.
+    roughness = len(maps) - 2
+    for index in range(roughness + 1):
+        if index < roughness:
             logs = np.log(np.maximum(maps[index], _BLACK))
             found[index] *= np.exp(-_slow(logs))
         else:
             found[index] -= _slow(maps[index])
-    np.clip(found[:_COLOURED], 0.0, 1.0, out=found[:_COLOURED])
+    np.clip(found[:-1], 0.0, 1.0, out=found[:-1])
     return found
 
 

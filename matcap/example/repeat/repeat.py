@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import UsageError
-from matcap.example.exemplar import Floats
+from matcap.example.exemplar import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, Floats
 from matcap.example.features import choose_scale, planes_of_maps
 from matcap.example.order import Frequency, Order
 from matcap.example.repeat.cut import least_cut
@@ -34,7 +34,7 @@ class Repeated:
     """A piece that repeats.
 
     Attributes:
-        maps: (6, h, w) stacked: diffuse, specular, roughness, height.
+        maps: (6, h, w) stacked: diffuse, specular, roughness, height; 8 where F0 has a colour.
         cut: (h, w) whether a texel and the one right of it or below are of two copies.
     """
 
@@ -45,7 +45,7 @@ class Repeated:
 def repeated(
     maps: Floats, texel_size: float, order: Order | None = None, bits: int = 0
 ) -> Repeated:
-    """Maps (6, H, W) of a piece made to repeat, each side about three quarters of what it was.
+    """Maps (6 or 8, H, W) of a piece made to repeat, each side about three quarters of what it was.
 
     Args:
         maps: stacked: diffuse, specular, roughness, height.
@@ -131,7 +131,9 @@ def _usual_line(maps: Floats, axis: int) -> int:
 
 def _seen(maps: Floats, texel_size: float) -> Planes:
     """(7, H, W) what is compared, in standard deviations: all but the height itself."""
-    planes = planes_of_maps((maps[:3], maps[3:4], maps[4:5], maps[5:]), texel_size)
+    planes = planes_of_maps(
+        (maps[DIFFUSE], maps[SPECULAR], maps[ROUGHNESS], maps[HEIGHT]), texel_size
+    )
     scale = choose_scale(planes)
     factors = scale.factors / np.float32(FEATURE.unit)
     return ((planes - scale.offsets[:, None, None]) * factors[:, None, None])[:-1]

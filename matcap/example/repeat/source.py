@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.stated import NormalStyle
-from matcap.example.exemplar import Floats
+from matcap.example.exemplar import SPECULAR, Floats
 from matcap.example.normals import with_normals
 from matcap.field.blocks import RING, Grid
 from matcap.field.plane import Period, Rectangle
@@ -25,7 +25,7 @@ class RepeatedSource:
     """Maps that repeat in both directions; picklable.
 
     Attributes:
-        stacked: (6, h, w) maps of what repeats.
+        stacked: (6 or 8, h, w) maps of what repeats.
         texel_size: in plane units.
         grid: the blocks that the plane is cut into.
     """
@@ -40,18 +40,23 @@ class RepeatedSource:
         return self.stacked.shape[2], self.stacked.shape[1]
 
     @property
+    def specular_channels(self) -> int:
+        """Of F0: 1, or 3 where it has a colour."""
+        return len(self.stacked[SPECULAR])
+
+    @property
     def device_type(self) -> str:
         """It is there already."""
         return "cpu"
 
     def maps(self, block: Rectangle) -> Tensor:
-        """Stacked maps (MAP_CHANNELS, height + 2 RING, width + 2 RING) of a block and its ring."""
+        """Stacked maps (6 or 8, height + 2 RING, width + 2 RING) of a block and its ring."""
         import torch
 
         return torch.from_numpy(self._around(block))
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9, height, width) of a block: the six maps and the normal."""
+        """(9 or 11, height, width) of a block: its maps and the normal."""
         return with_normals(self._around(block), self.texel_size, normal)
 
     def _around(self, block: Rectangle) -> Floats:

@@ -1,0 +1,108 @@
+"""F0 with a colour in files and adjustments: three channels come back, one stays what it was."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+
+from matcap.brdf.adjust import Adjustments, adjusted, adjusted_planes
+from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
+from matcap.brdf.maps import HEIGHT, ROUGHNESS, SPECULAR, MapSet, with_colour
+from matcap.errors import MatcapError
+
+INFO = MapSetInfo("gold", seed=1)
+LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722])
+
+
+def drawn(channels: int) -> MapSet:
+    values = 0.2 + 0.6 * torch.rand(
+        5 + channels, 9, 12, generator=torch.Generator().manual_seed(channels)
+    )
+    values[-1] *= 0.01
+    return MapSet.from_stacked(values, 2 / 512)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_folder_gives_back_as_many_channels(tmp_path, channels):
+    maps = drawn(channels)
+    document = json.loads(write_mapset(maps, tmp_path, INFO).read_text())
+    found, _ = read_mapset(tmp_path)
+    assert torch.equal(found.specular, maps.specular.half().float())
+    assert torch.equal(found.diffuse, maps.diffuse.half().float())
+    # Files of sets without a colour are as they were before there was any.
+    assert document.get("specular_channels") == (3 if channels == 3 else None)
+    assert ("Rec.709" in document["maps"]["specular"]["meaning"]) == (channels == 3)
+
+
+def test_pictures_are_red_green_and_blue(tmp_path):
+    maps = drawn(3)
+    write_mapset(maps, tmp_path, INFO, png=True)
+    (rgb,) = OpenEXR.File(str(tmp_path / "gold_specular.exr")).channels().values()
+    assert np.array_equal(rgb.pixels, maps.specular.movedim(0, -1).half().numpy())
+    png = cv2.imread(str(tmp_path / "gold_specular.png"), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    assert np.abs(png / 65535.0 - maps.specular.movedim(0, -1).numpy()).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("channels", "stated", "said"),
+    [(3, None, "3 channels instead of 1"), (1, 3, "1 channels instead of 3"),
+     (3, 2, "neither 1 nor 3"), (3, True, "neither 1 nor 3"), (3, "3", "neither 1 nor 3")],
+)  # fmt: skip
+def test_what_is_stated_and_what_is_there_must_agree(tmp_path, channels, stated, said):
+    file = write_mapset(drawn(channels), tmp_path, INFO)
+    document = json.loads(file.read_text())
+    document.pop("specular_channels", None)
+    if stated is not None:
+        document["specular_channels"] = stated
+    file.write_text(json.dumps(document))
+    with pytest.raises(MatcapError, match=said):
+        read_mapset(tmp_path)
+
+
+def test_grey_becomes_three_equal_channels():
+    grey = drawn(1)
+    found = MapSet.from_stacked(with_colour(grey.stacked()), grey.texel_size)
+    assert torch.equal(found.specular, grey.specular.expand(3, -1, -1))
+    for kind in ("diffuse", "roughness", "height"):
+        assert torch.equal(getattr(found, kind), getattr(grey, kind))
+    assert with_colour(found.stacked()).shape == found.stacked().shape
+
+
+def test_without_saturation_a_metal_is_grey_of_its_luminance():
+    maps = drawn(3)
+    found = adjusted(maps, Adjustments(saturation=0.0))
+    luminance = (LUMINANCE[:, None, None] * maps.specular).sum(0)
+    torch.testing.assert_close(found.specular, luminance.expand(3, -1, -1))
+    # A tint and a brightness are of diffuse albedo alone.
+    tinted = adjusted(maps, Adjustments(tint="#ff8040", brightness=0.5))
+    assert torch.equal(tinted.specular, maps.specular)
+
+
+@pytest.mark.parametrize("normal", [False, True])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_gloss_and_relief_meet_their_own_planes(channels, normal):
+    maps = drawn(channels)
+    count = 5 + channels
+    planes = torch.cat([maps.stacked(), maps.normal]) if normal else maps.stacked()
+    found = adjusted_planes(planes.numpy(), Adjustments(relief=2.0, roughness=0.1))
+    stacked = found[:count]
+    assert np.array_equal(stacked[HEIGHT], 2.0 * maps.height.numpy())
+    np.testing.assert_allclose(stacked[ROUGHNESS], maps.roughness.numpy() + 0.1, rtol=1e-6)
+    assert np.array_equal(stacked[SPECULAR], maps.specular.numpy())
+    wanted = adjusted(maps, Adjustments(relief=2.0)).normal.numpy()
+    if normal:
+        np.testing.assert_allclose(found[count:], wanted, atol=1e-6)
+
+
+def test_painted_normals_of_a_metal_are_adjusted_too():
+    maps = drawn(3)
+    painted = replace(maps, painted=maps.normal)
+    found = adjusted(painted, Adjustments(relief=0.5))
+    assert len(found.specular) == 3
+    torch.testing.assert_close(
+        found.painted, adjusted(maps, Adjustments(relief=0.5)).normal, atol=1e-6, rtol=0.0
+    )
