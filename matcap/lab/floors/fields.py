@@ -24,7 +24,7 @@ from matcap.field.plane import Rectangle
 from matcap.lab.floors.distance import Measure
 from matcap.lab.floors.run import FloorSettings, Judge, middle_of, side_of
 from matcap.lab.simulate.examples import EXAMPLES
-from matcap.lab.simulate.materials.kinds import KINDS
+from matcap.lab.simulate.materials.kinds import kinds_known
 from matcap.lab.simulate.specimen import Specimen
 from matcap.statistics.lattice import find_lattice
 
@@ -109,7 +109,7 @@ def judge_field(subject: Specimen, settings: FloorSettings, measure: Measure) ->
     def floors(stacked: torch.Tensor) -> float:
         return judge.floors(MapSet.from_stacked(stacked, texel), light)
 
-    lengths = [joint_length(one) for one in (fields[0][5].numpy(), example.exemplar.height[0])]
+    lengths = [joint_length(one) for one in (fields[0][-1].numpy(), example.exemplar.height[0])]
     return FieldRow(
         subject.name,
         example.variety,
@@ -206,4 +206,4 @@ def fields_markdown(rows: Sequence[FieldRow], command: str) -> str:
 def _group(material: str) -> str:
     if material in EXAMPLES:
         return "examples"
-    return "kinds" if material.partition(":")[0] in KINDS else "map sets"
+    return "kinds" if material.partition(":")[0] in kinds_known() else "map sets"

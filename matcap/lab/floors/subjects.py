@@ -10,7 +10,7 @@ from matcap.errors import UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.map_sets import map_set_folders, read_map_set
-from matcap.lab.simulate.materials.kinds import KINDS, RandomKind, kind_of
+from matcap.lab.simulate.materials.kinds import RandomKind, kind_of, kinds_known
 from matcap.lab.simulate.photograph import Realise
 from matcap.lab.simulate.specimen import Specimen, named_specimen
 
@@ -26,8 +26,8 @@ def subjects(names: Iterable[str], sets: Path | None = None) -> list[Specimen]:
     """Subjects by name, and of every map set in a folder.
 
     Args:
-        names: of EXAMPLES, of KINDS ("weave", or "weave:7" for another one of the kind), or of a
-            map set in the folder; where there is none and a folder, all sets in it.
+        names: of EXAMPLES, of a kind ("weave", or "weave:7" for another one of it), or of a map
+            set in the folder; where there is none and a folder, all sets in it.
         sets: folder of map sets (matcap/lab/simulate/map_sets.py).
 
     Raises:
@@ -45,10 +45,10 @@ def _subject(name: str, folders: dict[str, Path]) -> Specimen:
     if name in folders:
         return Specimen(name, read_map_set(folders[name]).piece, _PHOTOGRAPHED, _SETUP)
     kind, _, number = name.partition(":")
-    if kind in KINDS and (number.isdecimal() or not number):
+    if kind in kinds_known() and (number.isdecimal() or not number):
         pieces = partial(_of_kind, kind_of(kind, int(number or NUMBER)))
         return Specimen(name, pieces, _PHOTOGRAPHED, _SETUP)
-    known = ", ".join([*EXAMPLES, *KINDS, *folders])
+    known = ", ".join([*EXAMPLES, *kinds_known(), *folders])
     raise UsageError("there is no such material", where=name, remedy=f"choose from {known}")
 
 

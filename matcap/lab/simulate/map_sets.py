@@ -1,11 +1,13 @@
 """Map sets made by artists and scanners, as materials that can be photographed.
 
 A folder a material: `basecolor.jpg` (sRGB), `normal.png` (8 bit, +Y up), `roughness.png` (8 bit,
-perceptual), and `metallic.png` where some of it is metal; all of one size, and tileable.
+perceptual), and `metallic.png` where some of it is metal; all of one size, and tileable. Of a bare
+metal without that, a remark in the `manifest.json` beside the folders says so.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +25,6 @@ SPAN = 2.0  # plane units of a set's width, by default: as much as a photograph 
 
 _DIELECTRIC = 0.04  # F0 of what is no metal
 _STEEPEST = 0.05  # least z of a normal: 8 bits tell no slope beyond 20
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec.709
 _PLASTIC = (0.7549, 0.5698)  # Roberts's R2 sequence: any few of its points lie far apart
 
 Floats = NDArray[np.float32]
@@ -35,7 +36,8 @@ class MapSetMaterial:
 
     Attributes:
         name: of its folder.
-        tile: (6, h, w) diffuse, specular, roughness and height; height in texels of the tile.
+        tile: (6, h, w) diffuse, specular, roughness and height, 8 where some of it is metal; height
+            in texels of the tile.
         texel_size: of the tile, in plane units.
     """
 
@@ -77,8 +79,9 @@ class MapSetMaterial:
 def read_map_set(folder: Path, span: float = SPAN) -> MapSetMaterial:
     """Read a folder.
 
-    Diffuse albedo is basecolor (1 - metallic); F0 is 0.04 (1 - metallic) + the luminance of
-    basecolor where it is metal. Relief is the surface whose slopes come nearest to the normal's.
+    Diffuse albedo is basecolor (1 - metallic); F0 is 0.04 (1 - metallic) + basecolor metallic, of
+    three channels where any of it is metal. Relief is the surface whose slopes come nearest to the
+    normal's.
 
     Args:
         folder: of one material.
@@ -93,20 +96,31 @@ def read_map_set(folder: Path, span: float = SPAN) -> MapSetMaterial:
     roughness = _read(folder / "roughness.png").mean(2)
     normal = _read(folder / "normal.png") * 2.0 - 1.0
     is_metal = (folder / "metallic.png").is_file()
-    metal = _read(folder / "metallic.png").mean(2) if is_metal else np.zeros_like(roughness)
+    bare = float(not is_metal and folder.name in _bare_metals(folder.parent / "manifest.json"))
+    metal = _read(folder / "metallic.png").mean(2) if is_metal else np.full_like(roughness, bare)
     if not roughness.shape == normal.shape[:2] == metal.shape == (rows, columns):
         raise MatcapError("the maps of this set have different sizes", where=str(folder))
     steep = np.maximum(normal[..., 2], _STEEPEST)
     height = _integrated(-normal[..., 0] / steep, -normal[..., 1] / steep)
-    luminance = np.tensordot(np.array(_LUMINANCE, np.float32), base, 1)
-    specular = _DIELECTRIC * (1.0 - metal) + luminance * metal
-    stacked = np.concatenate([base * (1.0 - metal), np.stack([specular, roughness, height])])
+    specular = _DIELECTRIC * (1.0 - metal) + base * metal
+    if not metal.any():
+        specular = specular[:1]
+    gloss = np.stack([roughness, height])
+    stacked = np.concatenate([base * (1.0 - metal), specular, gloss])
     return MapSetMaterial(folder.name, stacked.astype(np.float32), span / columns)
 
 
 def map_set_folders(folder: Path) -> list[Path]:
     """The folders in a folder that hold a map set, in order of their names."""
     return sorted(path.parent for path in folder.glob("*/basecolor.jpg"))
+
+
+def _bare_metals(manifest: Path) -> frozenset[str]:
+    """Sets that are metal all over though they have no map that says so."""
+    if not manifest.is_file():
+        return frozenset()
+    told = json.loads(manifest.read_text())
+    return frozenset(one["name"] for one in told if "bare metal" in one.get("remarks", ""))
 
 
 def _read(path: Path) -> Floats:

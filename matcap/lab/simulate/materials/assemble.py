@@ -8,7 +8,7 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.procedural import Canvas, Raster
 
-_DARKEST = 0.004  # no real surface reflects less
+_DARKEST = 0.004  # no real surface reflects less, but for metals, whose light is all mirrored
 _SMOOTHEST = 0.05
 
 
@@ -18,8 +18,13 @@ def assemble(
     specular: Raster | float,
     roughness: Raster | float,
     height: Raster,
+    darkest: float = _DARKEST,
 ) -> MapSet:
-    """MapSet in float64 of fields that broadcast to (3, H, W) and (H, W), kept to their ranges."""
+    """MapSet in float64 of fields that broadcast to (3, H, W) and (H, W), kept to their ranges.
+
+    F0 has a colour where it is (3, H, W); `darkest` is the least diffuse albedo.
+    """
+    coloured = np.ndim(specular) == 3
     shape = (canvas.height, canvas.width)
 
     def stored(field: Raster | float, channels: int, low: float, high: float) -> torch.Tensor:
@@ -27,8 +32,8 @@ def assemble(
         return torch.from_numpy(np.clip(full, low, high))
 
     return MapSet(
-        diffuse=stored(diffuse, 3, _DARKEST, 0.95),
-        specular=stored(specular, 1, 0.02, 0.98),
+        diffuse=stored(diffuse, 3, darkest, 0.95),
+        specular=stored(specular, 3 if coloured else 1, 0.02, 1.0 if coloured else 0.98),
         roughness=stored(roughness, 1, _SMOOTHEST, 1.0),
         height=stored(height, 1, -np.inf, np.inf),
         texel_size=canvas.texel_size,

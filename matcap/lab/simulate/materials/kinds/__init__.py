@@ -17,6 +17,7 @@ from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.materials.kinds import (
     cells,
     coats,
+    coloured_metals,
     masonry,
     metal,
     sheets,
@@ -28,7 +29,7 @@ from matcap.lab.simulate.materials.kinds.draws import log_uniform
 from matcap.lab.simulate.materials.kinds.surface_fields import Kind, finish
 from matcap.lab.simulate.procedural import Canvas, Raster
 
-__all__ = ["KINDS", "RandomKind", "kind_of", "random_kind"]
+__all__ = ["COLOURED_METALS", "KINDS", "RandomKind", "kind_of", "kinds_known", "random_kind"]
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
@@ -64,6 +65,21 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
     }
 )
 
+# Metals whose F0 has a colour, by name alone: `random_kind`, which training draws from, has none.
+COLOURED_METALS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "anodised": Kind(coloured_metals.anodised, (0.02, 0.1), (0.003, 0.015), 0.0),
+        "streaked": Kind(coloured_metals.streaked, (0.03, 0.15), (0.003, 0.02), 0.0),
+        "beaten": Kind(coloured_metals.beaten, (0.06, 0.35), (0.003, 0.02), 0.0),
+        "rusted": Kind(coloured_metals.rusted, (0.06, 0.25), (0.004, 0.03), 0.0),
+        "leafed": Kind(coloured_metals.leafed, (0.03, 0.12), (0.003, 0.02), 0.0),
+        **{
+            name: Kind(lay, (0.015, 0.08), (0.002, 0.012), 0.0)
+            for name, lay in coloured_metals.SHEETS.items()
+        },
+    }
+)
+
 # The piece on which a relief's slope is measured: texels, and their size in plane units.
 _SAMPLE = (256, 192, 2.0 / 512.0)
 
@@ -73,7 +89,7 @@ class RandomKind:
     """One material of the stream.
 
     Attributes:
-        kind: a key of KINDS.
+        kind: a key of kinds_known().
         number: what its parameters are drawn from.
         depth: plane units of height to a unit of its relief.
     """
@@ -88,18 +104,23 @@ class RandomKind:
         return self._lay(canvas, self.depth)[0]
 
     def _lay(self, canvas: Canvas, depth: float) -> tuple[MapSet, Raster]:
-        return finish(canvas, KINDS[self.kind], depth, np.random.default_rng(self.number))
+        return finish(canvas, kinds_known()[self.kind], depth, np.random.default_rng(self.number))
+
+
+def kinds_known() -> Mapping[str, Kind]:
+    """All of them by name."""
+    return {**KINDS, **COLOURED_METALS}
 
 
 def random_kind(rng: np.random.Generator) -> RandomKind:
-    """Draw a material of any kind, all equally often."""
+    """Draw a material of any of KINDS, all equally often."""
     names = list(KINDS)
     return kind_of(names[rng.integers(len(names))], int(rng.integers(2**32)))
 
 
 def kind_of(kind: str, number: int) -> RandomKind:
     """The material of a kind whose parameters are drawn from a number."""
-    steepness = log_uniform(np.random.default_rng([number, 1]), *KINDS[kind].slopes)
+    steepness = log_uniform(np.random.default_rng([number, 1]), *kinds_known()[kind].slopes)
     width, height, texel = _SAMPLE
     relief = RandomKind(kind, number, 1.0)._lay(Canvas(width, height, texel, 0), 1.0)[1]
     down, right = np.gradient(relief, texel)

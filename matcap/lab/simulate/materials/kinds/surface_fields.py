@@ -32,7 +32,7 @@ class SurfaceFields:
 
     Attributes:
         diffuse: albedo, linear Rec.709.
-        specular: F0.
+        specular: F0; (3, H, W), linear Rec.709, where it has a colour.
         roughness: perceptual.
         height: of any scale; the finish brings it to its slope.
         cavity: 0 where the surface is open to 1 in its grooves.
@@ -57,11 +57,13 @@ class Kind:
         lay: realises one of them.
         slopes: between which root mean square slopes its relief is drawn.
         grain: between which root mean square slopes its fine grain is drawn.
+        darkest: least diffuse albedo.
     """
 
     lay: Lay
     slopes: tuple[float, float]
     grain: tuple[float, float] = (0.004, 0.06)
+    darkest: float = _ALBEDO[0]
 
 
 @dataclass(frozen=True)
@@ -88,10 +90,11 @@ def finish(
     rough = surface.roughness + how.roughening * surface.cavity + how.wear * grain
     maps = assemble(
         canvas,
-        np.clip(surface.diffuse * tone, *_ALBEDO),
+        np.clip(surface.diffuse * tone, kind.darkest, _ALBEDO[1]),
         surface.specular,
         np.clip(rough, *_ROUGHNESS),
         relief + steepness * bumps(canvas, "grain", how.spectrum),
+        min(kind.darkest, _ALBEDO[0]),
     )
     return maps, relief
 
