@@ -43,7 +43,7 @@ class Texture:
 
     Attributes:
         diffuse: (3, H, W) albedo.
-        specular: (1, H, W) F0, or (3, H, W) where it is coloured (metals of foreign map sets).
+        specular: (1, H, W) F0, or (3, H, W) where it has a colour.
         roughness: (1, H, W) perceptual.
         height: (1, H, W) in plane units.
         slopes: (2, H, W) of the shading normal (-sx, -sy, 1): dh/dx and dh/dy.
