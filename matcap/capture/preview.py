@@ -182,7 +182,11 @@ def titled(shown: Image.Image, title: str) -> Image.Image:
 def each_map(maps: MapSet) -> Iterable[Panel]:
     """The maps themselves, but normals."""
     yield Panel("diffuse", srgb_picture(_picture(maps, "diffuse")))
-    for kind in ("specular", "roughness", "height"):
+    if len(maps.specular) > 1:
+        yield _coloured("specular", _picture(maps, "specular"))
+    else:
+        yield _stretched("specular", _picture(maps, "specular"))
+    for kind in ("roughness", "height"):
         yield _stretched(kind, _picture(maps, kind))
 
 
@@ -209,6 +213,12 @@ def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:
     """(H, W, C) of one map."""
     picture: NDArray[np.float32] = getattr(maps, kind).detach().movedim(0, -1).numpy()
     return picture
+
+
+def _coloured(kind: str, values: NDArray[np.float32]) -> Panel:
+    """A map with a colour as it is; the label tells its mean."""
+    mean = " ".join(f"{value:.2f}" for value in values.mean(axis=(0, 1)))
+    return Panel(f"{kind}: {mean} on average", srgb_picture(values))
 
 
 def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:

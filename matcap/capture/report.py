@@ -34,8 +34,9 @@ Keys:
         band; see capture/piece/strengths.py; or null), `sharpness` (power of the finest octave,
         re-rendering over photograph), `adaptation` (of each leg: what it changed, how near it was
         before and after on windows held back, and whether it was kept), `confidence` (mean, by
-        map), `marks` (root-mean-square of what goes with the distance from where the flash was:
-        logarithms of `albedo`, `specular` and `grain`, relief's strength, and `roughness`).
+        map), `specular_channels` (3 where F0 has a colour), `marks` (root-mean-square of what goes
+        with the distance from where the flash was: logarithms of `albedo`, `specular` and `grain`,
+        relief's strength, and `roughness`).
     several: of several photographs of one piece, or null: `photographs` (name, `flash`, false of
         one by the room's light, `matches` with the first, `likeness`, `place` in plane units, tilt,
         `residual` of its re-rendering, and `predicted`, the same where all others alone decided,
@@ -172,6 +173,7 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
         "sharpness": found.sharpness,
         "adaptation": [asdict(change) for change in found.adaptation],
         "confidence": found.mean_confidence(result.photo.kept_share),
+        "specular_channels": len(found.exemplar.specular),
         "marks": result.evidence.marks,
     }
 

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from matcap.example.example import Example, detail_bits, piece_sizes
 
 
@@ -20,6 +22,7 @@ class Summary:
         variety: how far its field takes it apart, from 0 to 1.
         pieces: (width, height) in texels of the pieces that the field is made of, at most.
         texel_size: in plane units.
+        f0: mean specular albedo: one number, or three where it has a colour.
     """
 
     size: tuple[int, int]
@@ -28,6 +31,7 @@ class Summary:
     variety: float
     pieces: tuple[int, int]
     texel_size: float
+    f0: tuple[float, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """The same for JSON."""
@@ -35,6 +39,7 @@ class Summary:
         return {
             "size": list(self.size), "periods": periods, "left_out": self.left_out,
             "variety": self.variety, "pieces": list(self.pieces),
+            "f0": [round(value, 4) for value in self.f0],
         }  # fmt: skip
 
     def pieces_text(self, millimetres: float | None = None) -> str:
@@ -64,7 +69,15 @@ class Summary:
             ("order", order),
             ("variety", f"{self.variety:g}: {self.pieces_text(millimetres)}."),
             ("left out", f"{100 * self.left_out:.1f} % of it matches nothing else in it."),
+            ("specular", self._specular()),
         ]
+
+    def _specular(self) -> str:
+        """What F0 is on average, in words."""
+        mean = ", ".join(f"{value:.2g}" for value in self.f0)
+        if len(self.f0) == 1:
+            return f"F0 of {mean} on average, without a colour."
+        return f"F0 of {mean} on average (red, green, blue): some of it is metal."
 
 
 def summary(example: Example) -> Summary:
@@ -82,4 +95,5 @@ def summary(example: Example) -> Summary:
         example.variety,
         (wide * side, high * side),
         example.exemplar.texel_size,
+        tuple(float(plane.mean(dtype=np.float64)) for plane in example.exemplar.specular),
     )

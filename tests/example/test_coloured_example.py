@@ -159,3 +159,40 @@ def test_a_grey_material_grows_into_a_coloured_one():
     assert torch.allclose(maps[SPECULAR, :, right], alone[1].specular[..., right], atol=1e-6)
     steps = maps[HEIGHT].diff(dim=-1).abs()
     assert steps[..., 240:360].max() < 1.5 * steps[..., :200].max()
+
+
+def test_an_inspection_and_a_comparison_show_the_colour(tmp_path, capsys):
+    from matcap.capture.preview import each_map
+
+    hue, grey = a_coloured_example(), an_example()
+    for name, example in (("hue", hue), ("grey", grey)):
+        a_material(name, example=example).save(tmp_path / f"{name}.matcap")
+    files = [str(tmp_path / f"{name}.matcap") for name in ("hue", "grey")]
+    assert main(["inspect", *files]) == 0
+    said = capsys.readouterr().out
+    assert said.count("some of it is metal") == 1 and said.count("without a colour") == 1
+    assert main(["inspect", *files, "--json"]) == 0
+    told = [one["exemplar"]["f0"] for one in json.loads(capsys.readouterr().out)["materials"]]
+    assert told[0] == pytest.approx(hue.exemplar.specular.mean((1, 2)), abs=1e-3)
+    assert len(told[1]) == 1
+    (shown,) = (one for one in each_map(hue.piece()) if one.label.startswith("specular"))
+    assert shown.pixels.shape == (144, 176, 3)
+    assert np.abs(shown.pixels[..., 0] - shown.pixels[..., 2]).max() > 0.05
+    out = str(tmp_path / "both.png")
+    assert main(["compare", *files, "-o", out, "-q"]) == 0
+
+
+def test_the_decoders_space_takes_a_metal_for_its_photograph():
+    """What a network is shown of it is a picture, under whatever light it was photographed."""
+    from matcap.space.code import _seen
+
+    material = replace(
+        a_material("hue", example=a_coloured_example()).by("example"),
+        provenance={
+            "coarse": {
+                "diffuse": [0.3, 0.2, 0.1], "specular": 0.5, "roughness": 0.4, "residual": 0.1
+            }
+        },
+    )  # fmt: skip
+    seen = _seen(material)
+    assert seen.pixels.shape == (144, 176, 3) and np.isfinite(seen.pixels).all()

@@ -87,7 +87,7 @@ def aligned_errors(
     distance = from_foot(truth, true_setup)
     steep = truth.normal[2] < math.cos(_STEEP)
     albedo = ((maps.diffuse * gain + _BLACK).log() - (truth.diffuse + _BLACK).log()).abs().mean(0)
-    specular = ((maps.specular * gain).log() - truth.specular.log()).abs()[0]
+    specular = ((maps.specular * gain).log() - truth.specular.log()).abs().mean(0)
     roughness = (maps.roughness - truth.roughness).abs()[0]
 
     def ring(nearest: float, furthest: float) -> AlignedErrors:
