@@ -17,6 +17,7 @@ from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import HEIGHT, SPECULAR, Exemplar
 from matcap.example.features import choose_scale, features_of, planes_of
+from matcap.example.repeat.level import levelled
 from matcap.field import header
 from matcap.field.blocks import Grid
 from matcap.field.field import read_source
@@ -196,3 +197,24 @@ def test_the_decoders_space_takes_a_metal_for_its_photograph():
     )  # fmt: skip
     seen = _seen(material)
     assert seen.pixels.shape == (144, 176, 3) and np.isfinite(seen.pixels).all()
+
+
+def test_patches_of_metal_are_not_taken_for_slow_light():
+    """Half rust, half metal, more of the one here and of the other there: nothing to level."""
+    random = np.random.default_rng(2)
+    share = 0.5 + 0.3 * np.sin(np.arange(176) / 28.0)[None, :].repeat(144, axis=0)
+    metal = random.random((144, 176)) < share
+    planes = [np.where(metal, 0.0, albedo) for albedo in (0.22, 0.085, 0.03)]
+    planes += [np.where(metal, f0, 0.04) for f0 in (1.0, 0.766, 0.336)]
+    planes += [np.where(metal, 0.3, 0.8), 0.0 * share]
+    maps = np.stack(planes).astype(np.float32)
+    np.testing.assert_allclose(levelled(maps), maps, atol=1e-5)
+    # What is slow in both of them is taken away.
+    slope = np.exp(np.linspace(-0.2, 0.2, 176)).astype(np.float32)
+    sloped = maps.copy()
+    sloped[:6] *= 0.8 * slope
+    found = levelled(sloped)
+    first, last = (
+        found[3, :, some][metal[:, some]].mean() for some in (slice(30), slice(-30, None))
+    )
+    assert last / first < 1.15 and slope[-15] / slope[15] > 1.3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.exemplar import Floats
+from matcap.example.exemplar import COLOURED, SPECULAR, Floats
 from matcap.example.repeat.tuned import REPEAT
 
 _BLACK = 1e-3  # of albedo and F0: what is darker is as dark
@@ -16,18 +16,33 @@ def levelled(maps: Floats) -> Floats:
     """Stacked maps (6 or 8, H, W) without the slow waves nearest to the medians of their parts.
 
     Albedo and F0 are divided by theirs, and roughness is moved; means stay. Medians, so that what
-    stands in one place alone, a stain, is not taken for a slope.
+    stands in one place alone, a stain, is not taken for a slope. Where F0 has a colour, metal and
+    what is none are each told from their own median: a part with a little more rust than metal is
+    no darker for that.
     """
     found = maps.copy()
+    metal = maps[SPECULAR].max(axis=0) > REPEAT.metal
+    kinds = (metal, ~metal) if len(maps[SPECULAR]) == COLOURED else ()
     # All but the height, whose slope closing takes away; light multiplies albedo and F0.
     roughness = len(maps) - 2
     for index in range(roughness + 1):
         if index < roughness:
             logs = np.log(np.maximum(maps[index], _BLACK))
-            found[index] *= np.exp(-_slow(logs))
+            found[index] *= np.exp(-_slow(_of_one_kind(logs, kinds)))
         else:
-            found[index] -= _slow(maps[index])
+            found[index] -= _slow(_of_one_kind(maps[index], kinds))
     np.clip(found[:-1], 0.0, 1.0, out=found[:-1])
+    return found
+
+
+def _of_one_kind(plane: Floats, kinds: tuple[NDArray[np.bool_], ...]) -> Floats:
+    """(H, W) a plane less the median of its kind, at every texel; itself where there are none."""
+    if not kinds:
+        return plane
+    found = plane.copy()
+    for kind in kinds:
+        if kind.any():
+            found[kind] -= np.median(plane[kind])
     return found
 
 

@@ -14,6 +14,8 @@ class RepeatSettings:
             less of what is slow.
         slow: half waves over a side that are still slow: more takes away more of what makes repeats
             show, and of the drawing where that is large.
+        metal: F0 of the brightest channel from which on a texel is metal, where F0 has a colour:
+            gems have up to 0.17, metals 0.4 and more.
         least, most: share of a side that is kept: less lets the cut choose among more, and shows
             less of the piece.
         stretch: of whatever closes a lattice, as a share of the side.
@@ -33,6 +35,7 @@ class RepeatSettings:
 
     cells: int = 16
     slow: int = 4
+    metal: float = 0.25
     least: float = 0.66
     most: float = 0.92
     stretch: float = 0.02
