@@ -856,4 +856,49 @@ SHOOTS_AND_PAGE = (
     ),
 )
 
-FAULTS = (*RELIGHTING_AND_FILES, *CAPTURE, *FIELD, *PICTURES, *SHOOTS_AND_PAGE)
+METALS = (
+    Fault(
+        "colour: metals compared as if all were grey",
+        "example/features.py",
+        "diffuse + specular if coloured else diffuse",
+        "diffuse",
+        ("tests/example/test_coloured_example.py", "-k", "by_their_colour"),
+    ),
+    Fault(
+        "colour: older programs are let at it",
+        "field/material.py",
+        "return VERSIONS[-1] if VERSIONS[-1] in versions else min(versions)",
+        "return min(versions)",
+        ("tests/example/test_coloured_example.py", "-k", "older_programs"),
+    ),
+    Fault(
+        "colour: shares of rust are light",
+        "example/repeat/level.py",
+        "if len(maps[SPECULAR]) == COLOURED else ()",
+        "if False else ()",
+        ("tests/example/test_coloured_example.py", "-k", "slow_light"),
+    ),
+    Fault(
+        "colour: gloss of green",
+        "brdf/adjust.py",
+        "(4, 5) if not coloured else (6, 7)",
+        "(4, 5)",
+        ("tests/brdf/test_coloured_files.py", "-k", "gloss"),
+    ),
+    Fault(
+        "colour: any number of channels",
+        "brdf/stated.py",
+        "isinstance(found, bool) or found not in (1, 3)",
+        "False",
+        ("tests/brdf/test_coloured_files.py", "-k", "agree"),
+    ),
+    Fault(
+        "colour: the plan looks at red",
+        "relight/texture.py",
+        "float(self.specular.max())",
+        "float(self.specular[0].max())",
+        ("tests/relight/test_relight_coloured.py", "-k", "knows_the_brightest"),
+    ),
+)
+
+FAULTS = (*RELIGHTING_AND_FILES, *CAPTURE, *FIELD, *PICTURES, *SHOOTS_AND_PAGE, *METALS)

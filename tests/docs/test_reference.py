@@ -13,6 +13,7 @@ from reference import commands, docstrings, exit_codes, formats, interface
 from safetensors import safe_open
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
+from matcap.brdf.stated import SPECULAR_CHANNELS
 from matcap.cli.main import app, main
 from matcap.errors import ExitCode
 from matcap.example.example import Example
@@ -96,8 +97,14 @@ def test_a_material_holds_what_is_told(small, tmp_path):
 
 def test_a_map_set_and_its_exports_hold_what_is_told(small, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    file = write_mapset(small.maps(32, 32), "leather", MapSetInfo("leather"), png=True)
-    assert set(json.loads(file.read_text())) == formats.keys("matcap.brdf.folder", "Keys")
+    maps, told = small.maps(32, 32), formats.keys("matcap.brdf.folder", "Keys")
+    file = write_mapset(maps, "leather", MapSetInfo("leather"), png=True)
+    assert set(json.loads(file.read_text())) == told - {SPECULAR_CHANNELS}
+    gold = replace(maps, specular=maps.specular.expand(3, -1, -1))
+    assert (
+        set(json.loads(write_mapset(gold, "gold", MapSetInfo("gold"), png=True).read_text()))
+        == told
+    )
     found = set()
     for target in ("gltf", "blender"):
         assert main(["export", "leather", "--to", target, "-q", "-o", target]) == 0
