@@ -192,7 +192,7 @@ def read_mapset(
             raise MatcapError(
                 f"has {pixels.shape[2]} channels instead of {channels}",
                 where=str(file.parent / name),
-                remedy="write the map set again",
+                remedy=_recount(kind, pixels.shape[2]),
             )
         if kind == "height":
             if stated.height_scale != 1.0:
@@ -206,6 +206,13 @@ def read_mapset(
         return replace(found, painted=painted), document
     note_other_normals(found, document, file.parent)
     return found, document
+
+
+def _recount(kind: str, found: int) -> str:
+    """What to do about a map of another number of channels: an editor may have added a colour."""
+    if kind == "specular" and found in (1, 3):
+        return f'save it as it was, or say "{SPECULAR_CHANNELS}": {found} in the JSON file'
+    return "write the map set again"
 
 
 def refuse_to_replace(folder: Path, new: dict[str, Any], names: Iterable[str]) -> None:

@@ -59,8 +59,13 @@ def test_what_is_stated_and_what_is_there_must_agree(tmp_path, channels, stated,
     if stated is not None:
         document["specular_channels"] = stated
     file.write_text(json.dumps(document))
-    with pytest.raises(MatcapError, match=said):
+    with pytest.raises(MatcapError, match=said) as refused:
         read_mapset(tmp_path)
+    if "instead" in said:
+        # An editor may have added a colour, or taken it: what it says to do mends that.
+        assert f'"specular_channels": {channels}' in refused.value.remedy
+        file.write_text(json.dumps(document | {"specular_channels": channels}))
+        assert len(read_mapset(tmp_path)[0].specular) == channels
 
 
 def test_grey_becomes_three_equal_channels():
