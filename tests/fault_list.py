@@ -463,8 +463,8 @@ FIELD = (
     Fault(
         "field: the least height is forgotten",
         "example/example.py",
-        "found[5] += np.float32(low * unit)",
-        "found[5] += 0.0",
+        "found[-1] += np.float32(low * unit)",
+        "found[-1] += 0.0",
         _INDEX,
     ),
     Fault(
@@ -787,8 +787,8 @@ SHOOTS_AND_PAGE = (
     Fault(
         "adjusting: normals keep the old relief",
         "brdf/adjust.py",
-        "found[6:8] *= factor",
-        "found[6:8] *= 1.0",
+        "found[-3:-1] *= factor",
+        "found[-3:-1] *= 1.0",
         ("tests/brdf/test_adjust.py",),
     ),
     Fault(
