@@ -4,7 +4,9 @@ Twice the albedo and F0 under half the flash is the same picture. What decides i
 like: nearly all that are no metal mirror 4 % (F0 of an index of refraction of 1.5) whatever their
 albedo, which spreads over two orders of magnitude; metals mirror most and have no diffuse albedo.
 So where a highlight tells F0 over albedo, it tells both: black leather whose gloss is three times
-its albedo is black. docs/notes/exemplar.md.
+its albedo is black. Where texels are told apart into metal and what is none (metal.py), each part
+is held to its own kind, and metal to how bright metals of its hue are: gold is brighter than steel.
+docs/notes/exemplar.md.
 """
 
 from __future__ import annotations
@@ -12,9 +14,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.brdf.metals import METAL_F0
 from matcap.example.exemplar import Exemplar
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec.709
@@ -57,6 +61,10 @@ class ScaleSettings:
             more, and makes black things grey.
         brightest: mean and, for single texels (`most_of`), limits of albedo and F0.
         most_of: quantile that counts as the brightest texel.
+        hue: deviation of a metal's colour, logarithm, from a clean one's.
+        clean: deviation of how bright metal of a known hue is, likewise.
+        unknown: what a metal of no known hue counts for, among those within `hue` of one.
+        least_part: share of the piece that tells anything as a part.
     """
 
     kinds: tuple[MaterialKind, ...] = (
@@ -65,19 +73,75 @@ class ScaleSettings:
     )
     brightest: float = 0.95
     most_of: float = 0.999
+    hue: float = 0.12
+    clean: float = 0.1
+    unknown: float = 0.3
+    least_part: float = 0.03
 
 
 SCALE = ScaleSettings()
 
 
-def most_probable_scale(exemplar: Exemplar) -> float:
-    """The factor by which albedo and F0 are to be larger, and the flash weaker."""
-    albedo = float(np.tensordot(_LUMINANCE, exemplar.diffuse, 1).mean())
-    specular = float(exemplar.specular.mean())
-    logs = [math.log(max(value, _LEAST)) for value in (albedo, specular)]
-    factor = max((kind.scale(*logs) for kind in SCALE.kinds), key=lambda found: found[1])[0]
+def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32] | None = None) -> float:
+    """The factor by which albedo and F0 are to be larger, and the flash weaker.
+
+    Args:
+        exemplar: as fitted.
+        metal: (h, w) share of the piece that is metal, on any grid; None where none is.
+    """
+    if metal is None:
+        logs = _logs(exemplar, np.ones_like(exemplar.height[0]))
+        factor = max((kind.scale(*logs) for kind in SCALE.kinds), key=lambda found: found[1])[0]
+    else:
+        factor = _factor_of_parts(exemplar, metal)
     most = max(_most(exemplar.diffuse), _most(exemplar.specular))
     return min(math.exp(factor), max(SCALE.brightest / most, 1.0))
+
+
+def _factor_of_parts(exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
+    """Logarithm of the factor at which what is metal and what is none are most probable."""
+    across, down = exemplar.size
+    share = cv2.resize(metal, (across, down), interpolation=cv2.INTER_LINEAR)
+    plain, _ = SCALE.kinds
+    # What is more of the one than of the other, so that borders tell of neither.
+    bare, rest = np.maximum(2.0 * share - 1.0, 0.0), np.maximum(1.0 - 2.0 * share, 0.0)
+    parts = ((rest, plain), (bare, _metal_kind(exemplar, bare)))
+    total = weights = 0.0
+    for part, kind in parts:
+        size = float(part.mean())
+        if size < SCALE.least_part:
+            continue
+        for found, (mean, deviation) in zip(
+            _logs(exemplar, part), (kind.albedo, kind.specular), strict=True
+        ):
+            total += size * (mean - found) / deviation**2
+            weights += size / deviation**2
+    return total / weights
+
+
+def _metal_kind(exemplar: Exemplar, share: NDArray[np.float32]) -> MaterialKind:
+    """Metal as bright as clean ones of its hue are, or as any."""
+    _, anything = SCALE.kinds
+    planes = np.broadcast_to(exemplar.specular, (3, *share.shape))
+    colour = np.log((planes * share).sum((1, 2)) / max(float(share.sum()), 1e-6) + _LEAST)
+    levels = [(anything.specular[0], anything.specular[1], SCALE.unknown)]
+    for f0 in METAL_F0.values():
+        log = np.log(np.array(f0))
+        apart = (colour - colour.mean()) - (log - log.mean())
+        likely = math.exp(-0.5 * float(np.square(apart / SCALE.hue).sum()))
+        levels.append((math.log(sum(f0) / 3.0), SCALE.clean, likely))
+    total = sum(weight for _, _, weight in levels)
+    mean = sum(level * weight for level, _, weight in levels) / total
+    variance = sum(w * (d**2 + (level - mean) ** 2) for level, d, w in levels) / total
+    return MaterialKind(anything.share, anything.albedo, (mean, math.sqrt(variance)))
+
+
+def _logs(exemplar: Exemplar, part: NDArray[np.float32]) -> tuple[float, float]:
+    """Logarithms of the mean luminance of albedo and of mean F0, of a part (H, W) of the piece."""
+    weight = part / max(float(part.sum()), 1e-6)
+    albedo = float((np.tensordot(_LUMINANCE, exemplar.diffuse, 1) * weight).sum())
+    specular = float((exemplar.specular.mean(0) * weight).sum())
+    return math.log(max(albedo, _LEAST)), math.log(max(specular, _LEAST))
 
 
 def scaled(exemplar: Exemplar, factor: float) -> Exemplar:

@@ -147,11 +147,13 @@ class Reading:
         departures: of the maps from the coarse fit.
         errors: what the network expects to be off by.
         trusted: (4, H, W) confidence of diffuse, specular, roughness and height, in [0, 1].
+        metal: (H, W) share of each texel that is metal; None where hardly any is.
     """
 
     departures: SurfaceParameters
     errors: ExpectedErrors
     trusted: NDArray[np.float32]
+    metal: NDArray[np.float32] | None = None
 
     @property
     def confidence(self) -> dict[str, NDArray[np.float32]]:
@@ -214,7 +216,7 @@ def find_piece(
     with stage("lend"):
         tried = LEND.tried if steps and not explained.interrupted else LEND.tried_at_once
         exemplar = _in_detail(sight, lent(sight, explained.reading, tried), whole)
-        scale = 1.0 if absolute else most_probable_scale(exemplar)
+        scale = 1.0 if absolute else most_probable_scale(exemplar, explained.reading.metal)
     with stage("index"):
         longer = whole.size[0] / plane.size[0]
         ordered = tuple((w.fx / longer, w.fy / longer) for w in waves)
@@ -277,7 +279,8 @@ def read_piece(sight: Sight, network: Inverse) -> tuple[Sight, Reading]:
         seen = seen_colour(sight.plane.linear, metal * sight.shown.all(0, keepdim=True))
         sight = replace(sight, light=replace(sight.light, hue=tint(metal, seen)))
         departures = replace(departures, diffuse=less_diffuse(departures.diffuse, metal))
-    reading = Reading(departures, answer.errors, trusted)
+    shared = None if metal is None else metal[0].numpy()
+    reading = Reading(departures, answer.errors, trusted, shared)
     reading.confidence["diffuse"][:] *= 1.0 - sight.glare
     return sight, reading
 

@@ -21,7 +21,10 @@ _NONE, _WHOLE = 0.25, 0.75
 _LEAST_SHARE = 0.005  # of a piece, below which nothing of it is metal
 _DIFFUSE_LEFT = 0.01  # share of the diffuse albedo read that metal keeps
 _AROUND = 5  # texels a side of the neighbourhood whose colour is seen: less than noise's share
-_DARK = 2e-3  # radiance, of clipping: what is darker is taken for grey
+# Radiance, of clipping. Of what is darker little is mirrored, and dirt and noise are seen: it has
+# the colour of all, which is told where it is bright.
+_DARK = 0.05
+_LEAST = 1e-6
 
 
 def seen_colour(linear: Tensor, weight: Tensor) -> Tensor:
@@ -30,10 +33,12 @@ def seen_colour(linear: Tensor, weight: Tensor) -> Tensor:
     Args:
         linear: (..., 3, H, W) radiance.
         weight: (..., 1, H, W) what a texel counts, 0 where it is clipped; a place where none
-            counts shows grey.
+            counts has the colour of all, and where none counts anywhere all is grey.
     """
-    weight = weight.to(linear)
-    around = _mean(linear * weight) + _DARK
+    counted = linear.clamp_min(0.0) * weight.to(linear)
+    bright = counted.mean(-3, keepdim=True)
+    whole = (counted * bright).sum((-2, -1), keepdim=True) + _LEAST
+    around = _mean(counted) + _DARK * whole / whole.mean(-3, keepdim=True)
     return around / around.mean(-3, keepdim=True)
 
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
+from matcap.brdf.metals import METAL_F0
 from matcap.capture.piece.absolute import most_probable_scale, scaled
 from matcap.example.exemplar import Exemplar
 from matcap.flash.geometry import FlashSetup
@@ -37,6 +38,41 @@ def test_black_leather_whose_gloss_is_three_times_its_albedo_is_black() -> None:
 
 def test_a_metal_stays_one() -> None:
     assert told(0.003, 0.8)[1] > 0.4
+
+
+def coloured(f0: tuple[float, float, float], metal: np.ndarray, level: float) -> Exemplar:
+    """Rust beside metal of a colour, under a flash told wrongly by `level`."""
+    base = exemplar(0.1, 0.04)
+    colour = np.array(f0, np.float32)[:, None, None]
+    return Exemplar(
+        (level * base.diffuse * (1.0 - metal)).astype(np.float32),
+        (level * (0.04 * (1.0 - metal) + colour * metal)).astype(np.float32),
+        base.roughness, base.height, base.confidence, 0.01,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["gold", "copper", "brass"])
+@pytest.mark.parametrize("level", [0.5, 0.8])
+def test_metal_is_as_bright_as_its_hue_says(name: str, level: float) -> None:
+    metal = np.ones((32, 48), np.float32)
+    piece = coloured(METAL_F0[name], metal, level)
+    assert most_probable_scale(piece, metal) * level == pytest.approx(1.0, rel=0.15)
+
+
+def test_metal_and_what_is_none_tell_the_flash_together() -> None:
+    metal = np.zeros((32, 48), np.float32)
+    metal[:, 24:] = 1.0
+    piece = coloured(METAL_F0["steel"], metal, 0.2)
+    assert most_probable_scale(piece, metal) * 0.2 == pytest.approx(1.0, rel=0.35)
+    assert most_probable_scale(piece, metal[::2, ::2]) == pytest.approx(
+        most_probable_scale(piece, metal), rel=0.05
+    )
+
+
+def test_a_metal_of_no_known_hue_is_as_bright_as_any() -> None:
+    metal = np.ones((32, 48), np.float32)
+    piece = coloured((0.05, 0.1, 0.8), metal, 1.0)
+    assert 0.8 < most_probable_scale(piece, metal) < 2.5
 
 
 def test_what_is_usual_hardly_moves() -> None:

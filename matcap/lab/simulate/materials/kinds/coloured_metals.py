@@ -14,6 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from matcap.brdf import metals
 from matcap.lab.simulate.materials.kinds import metal
 from matcap.lab.simulate.materials.kinds.draws import (
     Colours,
@@ -26,18 +27,8 @@ from matcap.lab.simulate.materials.kinds.place import rim, warp
 from matcap.lab.simulate.materials.kinds.surface_fields import Lay, SurfaceFields
 from matcap.lab.simulate.procedural import Canvas, Raster, Spectrum, cells, mix, noise, smoothstep
 
-# F0 at normal incidence, linear Rec.709, of clean metals. All but brass: Lagarde, "Feeding a
-# physically based shading model" (2011), from measured refractive indices; Akenine-Moeller et al.,
-# Real-Time Rendering (4th edition, 2018), table 9.2, has the same within a few hundredths. Brass is
-# an alloy, and tables of it differ by as much. Steel is its iron.
 METAL_F0: Mapping[str, Colours] = MappingProxyType(
-    {
-        "gold": np.array([1.000, 0.766, 0.336]),
-        "copper": np.array([0.955, 0.638, 0.538]),
-        "brass": np.array([0.887, 0.789, 0.434]),
-        "aluminium": np.array([0.913, 0.922, 0.924]),
-        "steel": np.array([0.56, 0.57, 0.58]),
-    }
+    {name: np.array(f0) for name, f0 in metals.METAL_F0.items()}
 )
 _OXIDE = 0.04  # F0 of the clear oxide over anodised aluminium, which dye does not reach
 _ANODISED = 0.25  # share of drawn metals that are
