@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.export.formats import Picture
+from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import SHADING as GLTF
 from matcap.export.godot import LARGEST_F0, godot_material
 from matcap.export.presets import (
@@ -65,7 +65,7 @@ def _specular_level(material: PackedMaterial) -> Picture:
 
 
 def _f0(material: PackedMaterial) -> Picture:
-    return np.repeat(material.f0[..., None], 3, axis=-1)
+    return rgb(material.f0)
 
 
 def _metallic_smooth(material: PackedMaterial) -> Picture:
@@ -74,8 +74,7 @@ def _metallic_smooth(material: PackedMaterial) -> Picture:
 
 
 def _specular_smooth(material: PackedMaterial) -> Picture:
-    f0 = material.f0
-    return np.stack([f0, f0, f0, 1.0 - material.roughness], axis=-1)
+    return np.concatenate([rgb(material.f0), 1.0 - material.roughness[..., None]], axis=-1)
 
 
 def _metal(material: PackedMaterial) -> Picture:

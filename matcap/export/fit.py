@@ -10,6 +10,7 @@ residuals are measured (surface.py). Textures are made with them; what is left i
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from matcap.export.formats import Picture
+from matcap.export.formats import Picture, brightest_channel, mean_channel
 from matcap.export.shading import MATCAP, Geometry, TargetShading, diffuse_lobe, specular_lobe
 from matcap.export.surface import DIRECTIONS
 
@@ -29,6 +30,8 @@ _ROUGH, _F0 = 64, 33
 # shape; all others keep it.
 _RATIOS = np.linspace(0.7, 1.3, 61)
 _ROUNDS = 4  # of Newton's kind, until factors stand to 1e-4
+_LEANING, _LEAN = 512, 30.0  # surfaces that lean by up to so many degrees
+_MOST_TOGETHER = 0.9  # more, and a wrong diffuse would count nothing beside a wrong F0
 _LEAST = 0.02  # of the grid's roughness: below it a highlight is narrower than the directions
 
 
@@ -40,23 +43,30 @@ class Told:
         diffuse: factor on the diffuse albedo.
         specular: factor on F0.
         roughness: factor on the roughness.
+        each: a layer takes from every channel what it reflects there; else, what it reflects of
+            the brightest.
     """
 
     diffuse: Picture
     specular: Picture
     roughness: Picture
 
+    each: bool = False
+
     def albedo(self, f0: Picture, roughness: Picture) -> Picture:
-        """(H, W) factors on the diffuse albedo, of (H, W) F0 and roughness."""
-        return self._at(self.diffuse, f0, roughness)
+        """(H, W, 1 or 3) factors on the diffuse albedo, of (H, W[, 3]) F0 and (H, W) roughness."""
+        taken = f0 if self.each else brightest_channel(f0)
+        found = self._at(self.diffuse, taken, roughness)
+        return found if found.ndim == 3 else found[..., None]
 
     def f0(self, f0: Picture, roughness: Picture) -> Picture:
-        """(H, W) the F0 to tell; may exceed 1."""
+        """(H, W[, 3]) the F0 to tell, as many channels as it has; may exceed 1."""
         return f0 * self._at(self.specular, f0, roughness)
 
     def rough(self, f0: Picture, roughness: Picture) -> Picture:
         """(H, W) the roughness to tell."""
-        return np.clip(roughness * self._at(self.roughness, f0, roughness), 0.0, 1.0)
+        factor = self._at(self.roughness, mean_channel(f0), roughness)
+        return np.clip(roughness * factor, 0.0, 1.0)
 
     @staticmethod
     def _at(table: Picture, f0: Picture, roughness: Picture) -> Picture:
@@ -64,10 +74,57 @@ class Told:
 
         if np.ptp(table) < 1e-5:  # most tables say 1 throughout
             return np.full_like(f0, table.flat[0])
+        if f0.ndim == 3:
+            by_channel = (Told._at(table, one, roughness) for one in np.moveaxis(f0, -1, 0))
+            return np.stack(list(by_channel), axis=-1)
         y = np.clip(roughness, 0.0, 1.0) * np.float32(_ROUGH - 1)
         x = np.sqrt(np.clip(f0, 0.0, 1.0)) * np.float32(_F0 - 1)
         found = cv2.remap(table, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(found, dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class ErrorWeights:
+    """What light shows of a surface: how much an error of its numbers counts.
+
+    Attributes:
+        diffuse: (H, W) mean light of a diffuse albedo of 1, of the surface lit by 1.
+        specular: (H, W) the same of an F0 of 1.
+        together: (H, W) in [0, 1): how much of both comes under the same directions, where errors
+            of one may make up for the other's.
+    """
+
+    diffuse: Picture
+    specular: Picture
+    together: Picture
+
+    @staticmethod
+    def at(roughness: Picture) -> ErrorWeights:
+        """Of (H, W) roughness."""
+        place = np.rint(np.clip(roughness, 0.0, 1.0) * (_ROUGH - 1)).astype(np.intp)
+        return ErrorWeights(*(table[place] for table in _light()))
+
+
+@lru_cache(maxsize=1)
+def _light() -> tuple[Picture, Picture, Picture]:
+    """ErrorWeights over roughness, of surfaces that lean in all ways under all DIRECTIONS."""
+    rough = torch.linspace(0.0, 1.0, _ROUGH, dtype=torch.float64).clamp_min(_LEAST)[None, :, None]
+    number = torch.arange(_LEANING, dtype=torch.float64) + 0.5
+    up = 1.0 - (1.0 - math.cos(math.radians(_LEAN))) * number / _LEANING  # even over the cap
+    turn, out = math.pi * (1.0 + 5.0**0.5) * number, (1.0 - up.square()).sqrt()
+    normals = torch.stack([out * turn.cos(), out * turn.sin(), up])[:, None, :]
+    shown, mirrored = [], []
+    for directions in DIRECTIONS:
+        at = Geometry.of(normals, *directions)
+        lit = at.light * at.above
+        shown.append((diffuse_lobe(MATCAP, at, rough, None) * lit).expand(1, _ROUGH, -1))
+        mirrored.append(specular_lobe(MATCAP, at, torch.ones_like(rough), 1.0, rough) * lit)
+    diffuse, specular = (torch.cat(one).movedim(1, 0).flatten(1) for one in (shown, mirrored))
+    means = diffuse.mean(1), specular.mean(1)
+    relative = torch.minimum(diffuse / means[0][:, None], specular / means[1][:, None])
+    together = relative.mean(1).clamp(max=_MOST_TOGETHER)
+    found = (one.numpy().astype(np.float32) for one in (*means, together))
+    return next(found), next(found), next(found)
 
 
 @lru_cache(maxsize=64)
@@ -86,8 +143,8 @@ def told(shading: TargetShading) -> Told:
     meant = torch.stack([diffuse_lobe(MATCAP, at, rough, None) * at.light for at in places])
     shown = torch.stack([diffuse_lobe(shading, at, nearest, layer) * at.light for at in places])
     albedo = meant.sum(0) / shown.sum(0).clamp_min(1e-6)
-    tables = (table[0].numpy().astype(np.float32) for table in (albedo, factor, ratio))
-    return Told(*tables)
+    tables = [table[0].numpy().astype(np.float32) for table in (albedo, factor, ratio)]
+    return Told(tables[0], tables[1], tables[2], shading.each)
 
 
 def _nearest(

@@ -22,6 +22,21 @@ CONTAINERS: dict[Container, tuple[Depth, ...]] = {
 _ROWS = 64
 
 
+def rgb(values: Picture) -> Picture:
+    """(H, W, 3) of what may be grey, (H, W)."""
+    return np.repeat(values[..., None], 3, axis=2) if values.ndim == 2 else values
+
+
+def brightest_channel(values: Picture) -> Picture:
+    """(H, W) of what may have a colour, (H, W, 3)."""
+    return values if values.ndim == 2 else values.max(axis=-1)
+
+
+def mean_channel(values: Picture) -> Picture:
+    """(H, W) of what may have a colour, (H, W, 3)."""
+    return values if values.ndim == 2 else values.mean(axis=-1)
+
+
 def bands(height: int) -> list[slice]:
     """The rows of a picture, as many at a time as are made at once."""
     return [slice(top, min(top + _ROWS, height)) for top in range(0, height, _ROWS)]

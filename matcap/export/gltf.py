@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.export.formats import Picture
+from matcap.export.formats import Picture, rgb
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.presets import Lit, PackedMaterial
 from matcap.export.shading import TargetShading
@@ -70,10 +70,10 @@ def gltf_specular(job: ExportJob) -> Export:
     _check(job)
     largest = brightest(job, SHADING)
     limit = min(largest, _LARGEST_F0)
+    channels = job.maps.specular.shape[-3]
 
     def tint(piece: MapRows) -> Picture:
-        scaled = specular_colour(piece, SHADING) / np.float32(largest)
-        return np.repeat(scaled[..., None], 3, axis=2)
+        return rgb(specular_colour(piece, SHADING) / np.float32(largest))
 
     def rough(piece: MapRows) -> Picture:
         occluded, flat = piece.picture("occlusion"), 0.0 * piece.ones
@@ -87,7 +87,7 @@ def gltf_specular(job: ExportJob) -> Export:
     }
 
     def surface(read: Reader) -> TargetSurface:
-        f0 = (read(textures["specular_color"])[:1] * largest).clamp(max=1.0)
+        f0 = (read(textures["specular_color"])[:channels] * largest).clamp(max=1.0)
         return TargetSurface(
             read(textures["base_color"]),
             f0,
@@ -114,14 +114,21 @@ def gltf_metallic(job: ExportJob) -> Export:
         UsageError: textures of floats were asked for.
     """
     _check(job)
-    lit = Lit(SHADING, "metallic", even=_LARGEST_F0).of(job)
-    f0 = lit.dielectric[0]
+    start = Lit(SHADING, "metallic", even=_LARGEST_F0).of(job)
+    lit = start.nearest(job, lambda tried: partial(_seen, tried, _metallic_textures(job, tried)))
+    textures = _metallic_textures(job, lit)
+    documents = _documents(job, _GltfLook(textures, ior(lit.dielectric[0]), 1.0))
+    surfaces: dict[str, MadeSurface] = {"metallic": partial(_seen, lit, textures)}
+    facts = occlusion_facts(job) | {"metallic": lit.form}
+    return Export({}, documents, surfaces, job.size_notes(), facts)
 
+
+def _metallic_textures(job: ExportJob, lit: Lit) -> dict[str, TextureFile]:
     def rough(piece: MapRows) -> Picture:
         made = PackedMaterial(piece, lit)
         return np.stack([piece.picture("occlusion"), made.roughness, made.metallic.metallic], -1)
 
-    textures = {
+    return {
         "base_color": TextureFile.of(
             job, lambda p: PackedMaterial(p, lit).metallic.base, "8", BASE, srgb=True
         ),
@@ -129,20 +136,19 @@ def gltf_metallic(job: ExportJob) -> Export:
         "normal": TextureFile.of(job, coded_normal, "16", "normal"),
     }
 
-    def surface(read: Reader) -> TargetSurface:
-        base, orm = read(textures["base_color"]), read(textures["roughness"])
-        metal = orm[2:3]
-        return TargetSurface(
-            base * (1.0 - metal),
-            f0 * (1.0 - metal) + base * metal,
-            orm[1:2],
-            signed(read(textures["normal"])),
-            layer=f0,
-            shading=SHADING,
-        )
 
-    documents = _documents(job, _GltfLook(textures, ior(f0), 1.0))
-    return Export({}, documents, {"metallic": surface}, job.size_notes(), occlusion_facts(job))
+def _seen(lit: Lit, textures: dict[str, TextureFile], read: Reader) -> TargetSurface:
+    """What a viewer makes of the metallic form."""
+    base, orm = read(textures["base_color"]), read(textures["roughness"])
+    metal, f0 = orm[2:3], lit.dielectric[0]
+    return TargetSurface(
+        base * (1.0 - metal),
+        f0 * (1.0 - metal) + base * metal,
+        orm[1:2],
+        signed(read(textures["normal"])),
+        layer=f0,
+        shading=SHADING,
+    )
 
 
 def ior(f0: float) -> float:

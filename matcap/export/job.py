@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from matcap.brdf.maps import COLOURED
 from matcap.export.formats import Container, Depth, Picture, bands
 
 if TYPE_CHECKING:
@@ -102,8 +103,13 @@ class ExportJob:
 
     @cached_property
     def specular(self) -> Picture:
-        """(H, W) F0."""
+        """(H, W) F0; (H, W, 3) where it has a colour."""
         return self._picture(self.maps.specular)
+
+    @property
+    def coloured(self) -> bool:
+        """Whether F0 has a colour."""
+        return self.maps.specular.shape[-3] == COLOURED
 
     @cached_property
     def roughness(self) -> Picture:

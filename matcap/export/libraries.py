@@ -29,7 +29,7 @@ LIBRARIES: dict[str, Preset] = {
         "{stem}_{map}_{res}",
         {
             "diffuse": PresetTexture("diff", "16", plain("diffuse"), DIFFUSE, srgb=True),
-            "specular": PresetTexture("spec", "16", plain("specular"), SPECULAR),
+            "specular": PresetTexture("spec", "16", plain("specular"), SPECULAR, srgb=None),
             "roughness": PresetTexture("rough", "16", plain("roughness"), ROUGHNESS),
             "occlusion": occlusion("ao", "16"),
             "arm": PresetTexture("arm", "16", _arm, "R: occlusion, G: roughness, B: metallic"),
@@ -42,7 +42,7 @@ LIBRARIES: dict[str, Preset] = {
         "{stem}_{res}-{format}_{map}",
         {
             "diffuse": PresetTexture("Color", "8", plain("diffuse"), DIFFUSE, srgb=True),
-            "specular": PresetTexture("Specular", "16", plain("specular"), SPECULAR),
+            "specular": PresetTexture("Specular", "16", plain("specular"), SPECULAR, srgb=None),
             "roughness": PresetTexture("Roughness", "16", plain("roughness"), ROUGHNESS),
             "occlusion": occlusion("AmbientOcclusion"),
             "height": height("Displacement"),
@@ -56,7 +56,7 @@ LIBRARIES: dict[str, Preset] = {
         "{stem}_{map}",
         {
             "diffuse": PresetTexture("diffuse", "half", plain("diffuse"), DIFFUSE, srgb=True),
-            "specular": PresetTexture("specular", "half", plain("specular"), SPECULAR),
+            "specular": PresetTexture("specular", "half", plain("specular"), SPECULAR, srgb=None),
             "roughness": PresetTexture("roughness", "half", plain("roughness"), ROUGHNESS),
             "occlusion": occlusion("ao", "half"),
             "cavity": cavity("cavity", "half"),

@@ -92,8 +92,7 @@ class Layered:
         indices = (least, *(index for index in _INDICES if index > least))
         tried = [Layered.at(job, index) for index in indices]
         standard = Standard.of(job)
-        surfaces = {n: partial(one.surface, standard) for n, one in enumerate(tried)}
-        return tried[nearest(job, surfaces)]
+        return tried[nearest(job, [partial(one.surface, standard) for one in tried])]
 
     @staticmethod
     def at(job: ExportJob, index: float) -> Layered:
@@ -105,7 +104,7 @@ class Layered:
 
         return Layered(
             TextureFile.of(job, lambda piece: base_colour(piece, shading), "16", BASE, srgb=True),
-            TextureFile.of(job, tint, "16", f"F0 / {index:g}"),
+            TextureFile.of(job, tint, "16", f"F0 / {index:g}", srgb=job.coloured),
             shading,
         )
 
@@ -154,6 +153,13 @@ class _Document:
         made = ET.SubElement(node, "input", name="file", type="filename", value=file)
         made.set("colorspace", space if texture.srgb else "raw")
 
+    def colour(self, name: str, image: str) -> str:
+        """The node that gives an image of F0 as a colour: of that name, where it is grey."""
+        if self.job.coloured:
+            return image
+        _link(_node(self.graph, "convert", name, "color3"), "in", "float", image)
+        return name
+
     def displaced(self, file: str, texture: TextureFile) -> None:
         """The height, moving the surface."""
         job, graph = self.job, self.graph
@@ -197,7 +203,7 @@ def _exact(job: ExportJob, files: dict[str, TextureFile], _: Path) -> bytes:
     graph = made.graph
     diffuse, specular, roughness, normal, height = files.items()
     made.image("diffuse", "color3", *diffuse)
-    made.image("specular", "float", *specular)
+    made.image("specular", "color3" if job.coloured else "float", *specular)
     made.image("roughness", "float", *roughness)
     made.image("normal_texture", "vector3", *normal)
     made.displaced(*height)
@@ -207,13 +213,12 @@ def _exact(job: ExportJob, files: dict[str, TextureFile], _: Path) -> bytes:
     _link(base, "color", "color3", "diffuse")
     _value(base, "roughness", "float", "0")
     _link(base, "normal", "vector3", "normal")
-    f0 = _node(graph, "convert", "f0", "color3")
-    _link(f0, "in", "float", "specular")
+    f0 = made.colour("f0", "specular")
     alpha = _node(graph, "roughness_anisotropy", "alpha", "vector2")
     _link(alpha, "roughness", "float", "roughness")
     _value(alpha, "anisotropy", "float", "0")
     gloss = _node(graph, "generalized_schlick_bsdf", "specular_bsdf", "BSDF")
-    _link(gloss, "color0", "color3", "f0")
+    _link(gloss, "color0", "color3", f0)
     _value(gloss, "color82", "color3", "1, 1, 1")
     _value(gloss, "color90", "color3", "1, 1, 1")
     _value(gloss, "exponent", "float", "5")
@@ -256,12 +261,12 @@ def _layered(
     made = _Document(job)
     base, tint, roughness, normal, height = files.items()
     made.image("base_color", "color3", *base)
-    made.image("f0", "float", *tint)
+    made.image("f0", "color3" if job.coloured else "float", *tint)
     made.image("roughness", "float", *roughness)
     made.image("normal_texture", "vector3", *normal)
     made.displaced(*height)
     _link(_node(made.graph, "normalmap", "normal", "vector3"), "in", "vector3", "normal_texture")
-    _link(_node(made.graph, "convert", "tint", "color3"), "in", "float", "f0")
+    sources = {"tint": made.colour("tint", "f0")}
     inputs = INPUTS[shader]
     surface = _node(made.root, shader, "lit", "surfaceshader")
     if shader == "standard_surface":
@@ -269,7 +274,8 @@ def _layered(
         _value(surface, "specular", "float", "1")
     for name in ("base_color", "tint", "roughness", "normal"):
         input_, kind = inputs[name]
-        ET.SubElement(made.graph, "output", name=f"{name}_out", type=kind, nodename=name)
+        source = sources.get(name, name)
+        ET.SubElement(made.graph, "output", name=f"{name}_out", type=kind, nodename=source)
         ET.SubElement(
             surface,
             "input",

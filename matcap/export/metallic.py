@@ -1,23 +1,37 @@
 """The metallic workflow of games: base colour, metallic and a small range of F0 for the rest.
 
-diffuse = base (1 - metallic), F0 = dielectric (1 - metallic) + base metallic. Only what is a metal
-becomes one: no dielectric that lies about has an F0 of 0.2, and a leather that is a little metal
-takes on a metal's tinted reflection and looks wrong under every light. Dielectrics with an F0 that
-the target cannot say get the nearest it can; what is lost is for surface.residual to tell.
+diffuse = base (1 - metallic), F0 = dielectric (1 - metallic) + base metallic: seven numbers of a
+texel where matcap has six of which any are allowed. Three forms are tried, and the one whose light
+is nearest is written (presets.py):
+
+- plain: only what is a metal becomes one: no dielectric that lies about has an F0 of 0.2. The base
+  colour is that of the diffuse albedo, and metallic gives the mean F0.
+- tinted: as metallic as that, but the base colour is between those of diffuse and F0.
+- free: base colour, metallic and F0 of the dielectric are what leaves the least difference of
+  light; exact where the maps are a metallic material's. Only tried where some is metal.
+
+What is lost is for surface.residual to tell.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
-from matcap.export.formats import Picture
+from matcap.export.fit import ErrorWeights
+from matcap.export.formats import Picture, mean_channel, rgb
+
+Form = Literal["plain", "tinted", "free"]
+FORMS: tuple[Form, ...] = get_args(Form)
 
 _HALVINGS = 12  # of metallic: finer than 8 bits
 # F0 from which a material is a metal in part, and altogether. Diamond, the highest of dielectrics
 # that anybody photographs, has 0.17; titanium, the lowest of bare metals, 0.5.
 FIRST_METAL, SURE_METAL = 0.2, 0.3
+_FIRST_STEPS, _FINER = 8, 6  # of metallic where it is free: 1/8 of the range, halved so often
+_BETTER = 1e-9  # of light, squared: by less than this no more of a metal
 
 
 @dataclass(frozen=True)
@@ -35,34 +49,125 @@ class Metallic:
     dielectric: Picture
 
 
-def to_metallic(
-    diffuse: Picture, specular: Picture, *, lowest: float, highest: float, below: float = 1.0
-) -> Metallic:
-    """The nearest metallic material: the right diffuse, and the right mean F0 where it exists.
+@dataclass(frozen=True)
+class MetallicAim:
+    """What is to be shown, and what the target can say.
 
-    Args:
+    Attributes:
         diffuse: (H, W, 3) diffuse albedo.
-        specular: (H, W) F0.
+        specular: (H, W) or (H, W, 3) F0.
+        roughness: (H, W).
         lowest: smallest F0 of a dielectric that the target knows.
         highest: largest; the same as `lowest` where F0 is fixed.
         below: the share of a dielectric's base colour that is its diffuse albedo.
     """
-    dielectric = np.clip(specular, lowest, highest).astype(np.float32)
+
+    diffuse: Picture
+    specular: Picture
+    roughness: Picture
+    lowest: float
+    highest: float
+    below: float = 1.0
+
+
+def to_metallic(wanted: MetallicAim, form: Form = "plain") -> Metallic:
+    """The nearest metallic material of a form."""
+    if form == "free":
+        return _free(wanted)
+    plain = _plain(wanted)
+    if form == "plain":
+        return plain
+    tried = _Tried.of(wanted, ErrorWeights.at(wanted.roughness), plain.metallic, plain.dielectric)
+    return Metallic(tried.base, plain.metallic, plain.dielectric)
+
+
+def _plain(wanted: MetallicAim) -> Metallic:
+    """The right diffuse, and the right mean F0 where it exists."""
+    specular = mean_channel(wanted.specular)
+    dielectric = np.clip(specular, wanted.lowest, wanted.highest).astype(np.float32)
     allowed = np.clip((specular - FIRST_METAL) / (SURE_METAL - FIRST_METAL), 0.0, 1.0)
     low, high = np.zeros_like(specular), np.ones_like(specular)
     if (allowed > 0.0).any():
         for _ in range(_HALVINGS):
             middle = (low + high) / 2.0
-            base = _base(diffuse, specular, middle, below).mean(axis=-1)
-            f0 = highest * (1.0 - middle) + middle * base
+            base = _diffuse_base(wanted, middle).mean(axis=-1)
+            f0 = wanted.highest * (1.0 - middle) + middle * base
             low, high = np.where(f0 < specular, middle, low), np.where(f0 < specular, high, middle)
-    metallic = np.where(specular > highest, high * allowed, 0.0).astype(np.float32)
-    return Metallic(_base(diffuse, specular, metallic, below), metallic, dielectric)
+    metallic = np.where(specular > wanted.highest, high * allowed, 0.0).astype(np.float32)
+    return Metallic(_diffuse_base(wanted, metallic), metallic, dielectric)
 
 
-def _base(diffuse: Picture, specular: Picture, metallic: Picture, below: float) -> Picture:
+def _diffuse_base(wanted: MetallicAim, metallic: Picture) -> Picture:
     """Base colour that gives the diffuse albedo; where there is none, one that gives F0."""
-    rest = (below * (1.0 - metallic))[..., None]
-    black = diffuse.max(axis=-1, keepdims=True) < 1e-4
-    base = np.where(black, specular[..., None], diffuse / np.maximum(rest, 1e-6))
+    rest = (wanted.below * (1.0 - metallic))[..., None]
+    black = wanted.diffuse.max(axis=-1, keepdims=True) < 1e-4
+    base = np.where(black, rgb(wanted.specular), wanted.diffuse / np.maximum(rest, 1e-6))
     return np.clip(base, 0.0, 1.0).astype(np.float32)
+
+
+def _free(wanted: MetallicAim) -> Metallic:
+    """Of least difference of light: metallic in steps, halved around the best, the rest solved."""
+    weights = ErrorWeights.at(wanted.roughness)
+    metallic = np.zeros_like(wanted.roughness)
+    best = _Tried.of(wanted, weights, metallic)
+    steps = [np.full_like(metallic, step / _FIRST_STEPS) for step in range(1, _FIRST_STEPS + 1)]
+    for step in steps:
+        metallic, best = best.or_better(_Tried.of(wanted, weights, step), metallic, step)
+    width = np.float32(1.0 / _FIRST_STEPS)
+    for _ in range(_FINER):
+        width /= 2.0
+        middle = metallic
+        for step in (middle - width, middle + width):
+            step = np.clip(step, 0.0, 1.0)
+            metallic, best = best.or_better(_Tried.of(wanted, weights, step), metallic, step)
+    return Metallic(best.base, metallic, best.dielectric)
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Base colour and dielectric that are nearest of a given metallic, and how near."""
+
+    base: Picture
+    dielectric: Picture
+    off: Picture
+
+    @staticmethod
+    def of(
+        wanted: MetallicAim,
+        weights: ErrorWeights,
+        metallic: Picture,
+        dielectric: Picture | None = None,
+    ) -> _Tried:
+        """Least squares; both equations are linear in what is sought."""
+        rest = np.float32(1.0) - metallic
+        below = np.float32(wanted.below) * rest
+        f0 = rgb(wanted.specular)
+        if dielectric is None:
+            # What the base colour cannot mend is metallic diffuse - below (F0 - dielectric rest).
+            mean = below * f0.mean(axis=-1) - metallic * wanted.diffuse.mean(axis=-1)
+            dielectric = np.clip(
+                mean / np.maximum(below * rest, 1e-6), wanted.lowest, wanted.highest
+            ).astype(np.float32)
+        shows, mirrors = weights.diffuse * below, weights.specular * metallic
+        diffuse = weights.diffuse[..., None] * wanted.diffuse
+        specular = weights.specular[..., None] * (f0 - (dielectric * rest)[..., None])
+        both = weights.together
+        size = shows**2 + 2.0 * both * shows * mirrors + mirrors**2
+        along = (shows + both * mirrors)[..., None] * diffuse
+        along += (mirrors + both * shows)[..., None] * specular
+        base = np.clip(along / np.maximum(size, 1e-12)[..., None], 0.0, 1.0).astype(np.float32)
+        more, brighter = shows[..., None] * base - diffuse, mirrors[..., None] * base - specular
+        off = more**2 + 2.0 * both[..., None] * more * brighter + brighter**2
+        return _Tried(base, dielectric, off.sum(axis=-1))
+
+    def or_better(
+        self, other: _Tried, metallic: Picture, others: Picture
+    ) -> tuple[Picture, _Tried]:
+        """Texel by texel, the nearer one with its metallic."""
+        nearer = other.off < self.off - _BETTER
+        chosen = _Tried(
+            np.where(nearer[..., None], other.base, self.base),
+            np.where(nearer, other.dielectric, self.dielectric),
+            np.where(nearer, other.off, self.off),
+        )
+        return np.where(nearer, others, metallic), chosen

@@ -17,7 +17,7 @@ from importlib.resources import files as resources
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.export.formats import Picture
+from matcap.export.formats import Picture, brightest_channel
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.shading import TargetShading
 from matcap.export.surface import Reader, TargetSurface
@@ -42,7 +42,9 @@ def mitsuba(job: ExportJob) -> Export:
         "blend_diffuse": TextureFile.of(
             job, _blend_diffuse, "16", "diffuse / (1 - share)", srgb=True
         ),
-        "blend_specular": TextureFile.of(job, _blend_specular, "16", "F0 / share"),
+        "blend_specular": TextureFile.of(
+            job, _blend_specular, "16", "F0 / share", srgb=job.coloured
+        ),
     }
     standard = textures.files(job.name)
     names = {kind: f"{job.name}_{kind}{made.suffix}" for kind, made in blend.items()}
@@ -61,7 +63,7 @@ def mitsuba(job: ExportJob) -> Export:
     diffuse_file, specular_file, roughness_file, normal_file, _ = standard
     exact = _element("bsdf", "matcap")
     _texture(exact, "diffuse", diffuse_file, colour=True)
-    _texture(exact, "specular", specular_file)
+    _texture(exact, "specular", specular_file, colour=job.coloured)
     _texture(exact, "roughness", roughness_file)
     plain = _element("bsdf", "blendbsdf")
     _texture(plain, "weight", names["share"])
@@ -69,7 +71,7 @@ def mitsuba(job: ExportJob) -> Export:
     _texture(base, "reflectance", names["blend_diffuse"], colour=True)
     gloss = ET.SubElement(plain, "bsdf", type="principled")
     ET.SubElement(gloss, "float", name="metallic", value="1")
-    _texture(gloss, "base_color", names["blend_specular"])
+    _texture(gloss, "base_color", names["blend_specular"], colour=job.coloured)
     _texture(gloss, "roughness", roughness_file)
     script = resources("matcap.export.scripts").joinpath(_SCRIPT).read_bytes()
     return Export(
@@ -87,7 +89,7 @@ def mitsuba(job: ExportJob) -> Export:
 def _share(piece: MapRows) -> Picture:
     """(H, W) as much of the blend as the diffuse albedo leaves to the specular part."""
     rest = 1.0 - piece.picture("diffuse").max(axis=-1)
-    least = np.minimum(piece.picture("specular"), _LARGEST_SHARE)
+    least = np.minimum(brightest_channel(piece.picture("specular")), _LARGEST_SHARE)
     return np.clip(rest, least, np.float32(_LARGEST_SHARE)).astype(np.float32)
 
 
@@ -97,7 +99,8 @@ def _blend_diffuse(piece: MapRows) -> Picture:
 
 
 def _blend_specular(piece: MapRows) -> Picture:
-    return (piece.picture("specular") / np.maximum(_share(piece), 1e-6)).astype(np.float32)
+    f0, share = piece.picture("specular"), np.maximum(_share(piece), 1e-6)
+    return (f0 / (share if f0.ndim == 2 else share[..., None])).astype(np.float32)
 
 
 def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:

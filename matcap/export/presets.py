@@ -18,12 +18,12 @@ import numpy as np
 
 from matcap.errors import UsageError
 from matcap.export.fit import told
-from matcap.export.formats import Depth, Picture
+from matcap.export.formats import Depth, Picture, brightest_channel, mean_channel
 from matcap.export.job import ExportJob, MapRows
-from matcap.export.metallic import FIRST_METAL, Metallic, to_metallic
+from matcap.export.metallic import FIRST_METAL, FORMS, Form, Metallic, MetallicAim, to_metallic
 from matcap.export.names import known
 from matcap.export.shading import MATCAP, TargetShading
-from matcap.export.surface import MadeSurface, Reader, TargetSurface
+from matcap.export.surface import MadeSurface, Reader, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BENT,
@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 
 NormalMaps = Literal["gl", "dx", "both"]
 _FIELDS = ("stem", "map", "res", "format")
+_SOME_METAL = 0.01  # of all texels, from which on some of a material is metal
+_MARGIN = 0.03  # of the plain form's residual, by which another must be nearer
 _SHADED = ("occlusion", "cavity", "bent")
 
 
@@ -72,25 +74,26 @@ class PackedMaterial:
 
     @property
     def f0(self) -> Picture:
-        """(H, W) in [0, 1]."""
+        """(H, W) or (H, W, 3) in [0, 1]."""
         return np.clip(told(self.lit.shading).f0(*self._meant), 0.0, 1.0)
 
     @property
     def metallic(self) -> Metallic:
-        """The nearest metallic material."""
+        """The nearest metallic material of the form."""
         low, high = self.lit.dielectric
         f0, rough = self._meant
         share = told(self.lit.shading).albedo(np.clip(f0, low, high), rough)
-        diffuse = self.piece.picture("diffuse") * share[..., None]
-        return to_metallic(diffuse, self.f0, lowest=low, highest=high, below=self.lit.below)
+        diffuse = self.piece.picture("diffuse") * share
+        wanted = MetallicAim(diffuse, self.f0, rough, low, high, self.lit.below)
+        return to_metallic(wanted, self.lit.form)
 
     @property
     def base(self) -> Picture:
         """(H, W, 3) base colour below any F0."""
         share = told(self.lit.shading).albedo(*self._meant)
         if self.lit.conserving:
-            share = share / np.maximum(1.0 - self.f0, 1e-6)
-        return np.clip(self.piece.picture("diffuse") * share[..., None], 0.0, 1.0)
+            share = share / np.maximum(1.0 - brightest_channel(self.f0), 1e-6)[..., None]
+        return np.clip(self.piece.picture("diffuse") * share, 0.0, 1.0)
 
     @property
     def _meant(self) -> tuple[Picture, Picture]:
@@ -109,6 +112,7 @@ class Lit:
         conserving: the base colour is multiplied by 1 - F0; of the specular workflow.
         even: the largest F0 that the material as a whole can give its dielectrics; None where the
             engine does not let it.
+        form: of the metallic workflow.
     """
 
     shading: TargetShading
@@ -117,14 +121,27 @@ class Lit:
     below: float = 1.0
     conserving: bool = False
     even: float | None = None
+    form: Form = "plain"
 
     def of(self, job: ExportJob) -> Lit:
         """With the mean F0 of the maps' dielectrics where the engine has one for all."""
         if self.even is None:
             return self
-        plain = job.specular[job.specular < FIRST_METAL]
+        mean = mean_channel(job.specular)
+        plain = mean[mean < FIRST_METAL]
         f0 = min(float(plain.mean()) if plain.size else self.dielectric[0], self.even)
         return replace(self, dielectric=(f0, f0))
+
+    def nearest(self, job: ExportJob, surface: Callable[[Lit], MadeSurface]) -> Lit:
+        """With the metallic form that comes nearest; `surface` is what comes of each.
+
+        Where nothing is a metal it stays the plain one: a leather that is a little metal may come
+        nearer in light, and takes on a metal's tinted reflection.
+        """
+        if (brightest_channel(job.specular) >= FIRST_METAL).mean() < _SOME_METAL:
+            return self
+        forms = [replace(self, form=form) for form in FORMS]
+        return forms[nearest(job, [surface(one) for one in forms], _MARGIN)]
 
 
 @dataclass(frozen=True)
@@ -136,14 +153,14 @@ class PresetTexture:
         depth: how it is stored unless the user says otherwise.
         make: its values, of what the target is told; None for maps as they are.
         meaning: of its values, for the sidecar.
-        srgb: a PNG of it carries the sRGB curve.
+        srgb: a PNG of it carries the sRGB curve; None: where it is F0 with a colour.
     """
 
     label: str
     depth: Depth
     make: Callable[[PackedMaterial], Picture]
     meaning: str
-    srgb: bool = False
+    srgb: bool | None = False
 
 
 # Text documents that go beside the textures: of the job, the textures' names by kind, and the
@@ -235,7 +252,7 @@ def pack(job: ExportJob, preset: Preset, choice: PresetOptions | None = None) ->
     choice = choice or PresetOptions()
     wanted = [known(one, preset.textures, "--maps") for one in choice.maps]
     pattern = _checked(choice.pattern or preset.pattern)
-    lit = preset.lit and preset.lit.of(job)
+    lit = preset.lit and _chosen(job, preset, preset.lit.of(job))
     packed: dict[str, tuple[str, TextureFile]] = {}
     for kind, texture in preset.textures.items():
         if wanted and kind not in wanted:
@@ -259,7 +276,23 @@ def pack(job: ExportJob, preset: Preset, choice: PresetOptions | None = None) ->
         texts = preset.documents(job, names, lit)
         documents = {name: _encoded(text) for name, text in texts.items()}
     facts = _facts(job, preset, wanted) | {"textures": names}
+    if lit is not None and lit.workflow == "metallic":
+        facts["metallic"] = lit.form
     return Export(textures, documents, surfaces, preset.notes, facts)
+
+
+def _chosen(job: ExportJob, preset: Preset, lit: Lit) -> Lit:
+    """With the metallic form that comes nearest, of a metallic workflow."""
+
+    def surface(tried: Lit) -> MadeSurface:
+        made = {
+            kind: _made(job, tried, texture)
+            for kind, texture in preset.textures.items()
+            if kind not in (*_SHADED, "height", "normal")
+        }
+        return partial(_surface, tried, made | {"normal_gl": _normal(job, "16", dx=False)})
+
+    return lit.nearest(job, surface) if lit.workflow == "metallic" else lit
 
 
 def _names(
@@ -311,7 +344,8 @@ def _made(job: ExportJob, lit: Lit | None, texture: PresetTexture) -> TextureFil
     def make(piece: MapRows) -> Picture:
         return texture.make(PackedMaterial(piece, told_as))
 
-    return TextureFile.of(job, make, texture.depth, texture.meaning, srgb=texture.srgb)
+    srgb = job.coloured if texture.srgb is None else texture.srgb
+    return TextureFile.of(job, make, texture.depth, texture.meaning, srgb=srgb)
 
 
 def _height(job: ExportJob, texture: PresetTexture) -> TextureFile:

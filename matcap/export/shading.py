@@ -4,7 +4,8 @@ Targets differ in a few ways only: which masking they know, which diffuse lobe, 
 whether what the specular layer reflects is taken from what lies below it. TargetShading says these
 things of a target; one evaluation serves all of them. Sources:
 
-- glTF 2.0, appendix B; UsdPreviewSurface 2.6: the layer takes F(v.h) from the diffuse part.
+- glTF 2.0, appendix B: the layer takes F(v.h) from the diffuse part, of the brightest channel;
+  UsdPreviewSurface 2.6 of every channel, and its metals reflect their own colour at grazing.
 - MaterialX 1.39 (OpenPBR, standard_surface), Unreal's Substrate: the layer takes its directional
   albedo, and what bounces between microfacets is given back (Turquin 2019, eq. 16).
 - Unreal, Godot: Hammon's approximation of height-correlated Smith (PBR Diffuse Lighting for
@@ -45,6 +46,7 @@ class TargetShading:
             to theirs, and which the layer takes its albedo from; None for Schlick's Fresnel.
         layer: what is taken from the diffuse part: nothing, F(v.h) ("half") or the directional
             albedo of the specular part.
+        each: every channel by itself is what the layer takes; else the brightest is.
         compensated: what bounces between microfacets is added.
         fading: reflection at grazing falls from 1 for F0 below 0.02.
     """
@@ -54,6 +56,7 @@ class TargetShading:
     diffuse: Literal["lambert", "disney"] = "lambert"
     index: float | None = None
     layer: Literal["half", "albedo"] | None = None
+    each: bool = False
     compensated: bool = False
     fading: bool = False
 
@@ -109,6 +112,7 @@ def diffuse_lobe(
         return value
     f0 = torch.as_tensor(layer if shading.index is None else shading.index, dtype=value.dtype)
     f0 = f0.expand_as(value) if f0.ndim == 0 else f0
+    f0 = f0 if shading.each else f0.amax(dim=-3, keepdim=True)
     if shading.layer == "half":
         taken = f0 + (1.0 - f0) * at.grazing
     else:
@@ -116,7 +120,7 @@ def diffuse_lobe(
         taken = f0 * (total - bias) + bias
         if shading.compensated:
             taken = taken * (1.0 + f0 * (1.0 - total) / total)
-    return value * (1.0 - taken.amax(dim=-3, keepdim=True)).clamp_min(0.0)
+    return value * (1.0 - taken).clamp_min(0.0)
 
 
 def specular_lobe(

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 def base_colour(piece: MapRows, shading: TargetShading) -> Picture:
     """(H, W, 3) colour that shows as the diffuse albedo; may exceed 1."""
     share = told(shading).albedo(piece.picture("specular"), piece.picture("roughness"))
-    return piece.picture("diffuse") * share[..., None]
+    return piece.picture("diffuse") * share
 
 
 def specular_colour(piece: MapRows, shading: TargetShading) -> Picture:
-    """(H, W) F0 that shows as the one that is meant; may exceed 1."""
+    """(H, W[, 3]) F0 that shows as the one that is meant; may exceed 1."""
     return told(shading).f0(piece.picture("specular"), piece.picture("roughness"))
 
 

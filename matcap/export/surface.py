@@ -8,7 +8,7 @@ differs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -161,11 +161,18 @@ def residuals(
     return {name: _compared(meant, made(read)) for name, made in surfaces.items()}
 
 
-def nearest(job: ExportJob, surfaces: Mapping[int, MadeSurface]) -> int:
-    """Which of several surfaces is nearest to what the maps mean, over a few texels."""
-    named = {str(key): made for key, made in surfaces.items()}
-    found = residuals(job, named, _FEW_TEXELS)
-    return int(min(found, key=lambda key: found[key].mean))
+def nearest(job: ExportJob, surfaces: Sequence[MadeSurface], margin: float = 0.0) -> int:
+    """Which of several surfaces is nearest to what the maps mean, over a few texels.
+
+    Args:
+        job: the maps.
+        surfaces: what the target makes of textures.
+        margin: share of its residual by which another than the first must be nearer.
+    """
+    named = {str(key): made for key, made in enumerate(surfaces)}
+    found = [one.mean for one in residuals(job, named, _FEW_TEXELS).values()]
+    best = min(range(len(found)), key=found.__getitem__)
+    return best if found[best] < (1.0 - margin) * found[0] else 0
 
 
 def _channels(values: Picture) -> Tensor:

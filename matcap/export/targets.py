@@ -29,6 +29,8 @@ Keys:
     occlusion: how ambient occlusion was found: `azimuths`, `reach`, `cavity_reach`, their `unit`.
     notes: what must be known, a sentence each.
     textures: the file of each map, for scripts.
+    metallic: how base colour and metallic were found, "plain", "tinted" or "free"
+        (matcap/export/metallic.py); only of a metallic workflow.
     provenance: how the material was made.
 """
 

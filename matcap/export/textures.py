@@ -66,10 +66,10 @@ class Standard:
 
     @staticmethod
     def of(job: ExportJob) -> Standard:
-        """PNGs of 16 bits, the height in 32-bit float and plane units."""
+        """PNGs of 16 bits, colours on the sRGB curve; the height in 32-bit float, plane units."""
         return Standard(
             TextureFile.of(job, picture("diffuse"), "16", DIFFUSE, srgb=True),
-            TextureFile.of(job, picture("specular"), "16", SPECULAR),
+            TextureFile.of(job, picture("specular"), "16", SPECULAR, srgb=job.coloured),
             TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
             TextureFile.of(job, coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
             float_height(job),

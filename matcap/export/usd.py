@@ -20,15 +20,13 @@ import re
 import struct
 import zipfile
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
-
 from matcap.errors import UsageError
-from matcap.export.formats import Picture
+from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import ior
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.materialx import INPUTS, Layered
@@ -55,9 +53,9 @@ from matcap.export.textures import (
 )
 from matcap.files.maker import MAKER
 
-SHADING = TargetShading(layer="half")
+SHADING = TargetShading(layer="half", each=True)
 # What programs do that take UsdPreviewSurface for a Principled BSDF with a tint.
-_FALLBACK = TargetShading(layer="half", compensated=True)
+_FALLBACK = TargetShading(layer="half", each=True, compensated=True)
 _MIRROR = 1000.0  # an index of refraction that reflects 0.996 of the light
 _LARGEST_F0 = 0.9
 _ALIGNMENT = 64
@@ -76,12 +74,14 @@ class _UsdLook:
         specular: whether useSpecularWorkflow is on.
         ior: index of refraction.
         layered: textures and index of the MaterialX network.
+        coloured: F0 has a colour.
     """
 
     inputs: dict[str, TextureFile]
     specular: bool
     ior: float
     layered: Layered
+    coloured: bool
 
     def files(self, name: str) -> dict[str, str]:
         """File names of all textures by kind."""
@@ -101,21 +101,23 @@ def usd_specular(job: ExportJob) -> Export:
     """
     _check(job)
 
-    def grey(piece: MapRows) -> Picture:
-        return np.repeat(specular_colour(piece, SHADING)[..., None], 3, axis=2)
+    def tint(piece: MapRows) -> Picture:
+        return rgb(specular_colour(piece, SHADING))
+
+    channels = job.maps.specular.shape[-3]
 
     shared = _shared(job)
     inputs = {
         "base_color": TextureFile.of(job, lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
         # On the sRGB curve, as three.js takes it whatever the stage says.
-        "specular": TextureFile.of(job, grey, "16", SPECULAR, srgb=True),
+        "specular": TextureFile.of(job, tint, "16", SPECULAR, srgb=True),
         "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
         **shared,
     }
-    look = _UsdLook(inputs, True, _MIRROR, Layered.of(job))
+    look = _UsdLook(inputs, True, _MIRROR, Layered.of(job), job.coloured)
 
     def surface(read: Reader) -> TargetSurface:
-        specular = read(inputs["specular"])[:1]
+        specular = read(inputs["specular"])[:channels]
         return TargetSurface(
             read(inputs["base_color"]),
             specular,
@@ -135,9 +137,21 @@ def usd_metallic(job: ExportJob) -> Export:
         UsageError: textures of floats were asked for.
     """
     _check(job)
-    lit = Lit(SHADING, "metallic", even=_LARGEST_F0).of(job)
-    f0 = lit.dielectric[0]
-    inputs = {
+    shared = _shared(job)
+    start = Lit(SHADING, "metallic", even=_LARGEST_F0).of(job)
+    lit = start.nearest(
+        job, lambda tried: partial(_seen, tried, _metallic_inputs(job, tried, shared))
+    )
+    inputs, index = _metallic_inputs(job, lit, shared), ior(lit.dielectric[0])
+    look = _UsdLook(inputs, False, index, Layered.of(job), job.coloured)
+    made = _export(job, look, {"metallic": partial(_seen, lit, inputs)})
+    return replace(made, facts=made.facts | {"metallic": lit.form})
+
+
+def _metallic_inputs(
+    job: ExportJob, lit: Lit, shared: dict[str, TextureFile]
+) -> dict[str, TextureFile]:
+    return {
         "base_color": TextureFile.of(
             job, lambda p: PackedMaterial(p, lit).metallic.base, "8", BASE, srgb=True
         ),
@@ -145,21 +159,24 @@ def usd_metallic(job: ExportJob) -> Export:
             job, lambda p: PackedMaterial(p, lit).metallic.metallic, "8", "metallic"
         ),
         "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
-        **_shared(job),
+        **shared,
     }
 
-    def surface(read: Reader) -> TargetSurface:
-        base, metal = read(inputs["base_color"]), read(inputs["metallic"])
-        return TargetSurface(
-            base * (1.0 - metal),
-            f0 * (1.0 - metal) + base * metal,
-            read(inputs["roughness"]),
-            signed(read(inputs["normal_gl"])),
-            layer=f0,
-            shading=SHADING,
-        )
 
-    return _export(job, _UsdLook(inputs, False, ior(f0), Layered.of(job)), {"metallic": surface})
+def _seen(lit: Lit, inputs: dict[str, TextureFile], read: Reader) -> TargetSurface:
+    """What a renderer makes of the metallic form."""
+    base, metal = read(inputs["base_color"]), read(inputs["metallic"])
+    colour = 1.0 - metal + base * metal  # a metal's own, at grazing too
+    mixed = lit.dielectric[0] * (1.0 - metal) * colour + colour * metal
+    return TargetSurface(
+        base * (1.0 - metal),
+        mixed,
+        read(inputs["roughness"]),
+        signed(read(inputs["normal_gl"])),
+        f90=colour,
+        layer=mixed,
+        shading=SHADING,
+    )
 
 
 def _check(job: ExportJob) -> None:
@@ -182,7 +199,7 @@ def _shared(job: ExportJob) -> dict[str, TextureFile]:
 
 def _fallback(look: _UsdLook, read: Reader) -> TargetSurface:
     """What programs without the specular workflow make of it."""
-    f0 = read(look.inputs["specular"])[:1] * ((look.ior - 1.0) / (look.ior + 1.0)) ** 2
+    f0 = read(look.inputs["specular"]) * ((look.ior - 1.0) / (look.ior + 1.0)) ** 2
     return TargetSurface(
         read(look.inputs["base_color"]),
         f0,
@@ -330,13 +347,14 @@ def _network(look: _UsdLook, files: dict[str, str]) -> str:
     """OpenPBR as MaterialX has it, in USD's words (UsdMtlx)."""
     taken = INPUTS["open_pbr_surface"]
     kinds = {"color3": "color3f", "float": "float", "vector3": "float3"}
+    tint = ("color3", "srgb_texture") if look.coloured else ("float", "raw")
     sources = {
         "base_color": ("MtlxBase", files["mtlx_base"], "color3", "srgb_texture"),
-        "tint": ("MtlxSpecular", files["mtlx_specular"], "float", "raw"),
+        "tint": ("MtlxSpecular", files["mtlx_specular"], *tint),
         "roughness": ("MtlxRoughness", files["roughness"], "float", "raw"),
         "normal": ("MtlxNormalTexture", files["normal_gl"], "vector3", "raw"),
     }
-    made = {"normal": "MtlxNormal", "tint": "MtlxTint"}
+    made = {"normal": "MtlxNormal"} | ({} if look.coloured else {"tint": "MtlxTint"})
     links = [
         f"            {kinds[kind]} inputs:{input_}.connect = "
         f"<@ROOT@/{made.get(name, sources[name][0])}.outputs:out>\n"
@@ -357,14 +375,7 @@ def _network(look: _UsdLook, files: dict[str, str]) -> str:
             float3 outputs:out
         }}
 
-        def Shader "MtlxTint"
-        {{
-            uniform token info:id = "ND_convert_float_color3"
-            float inputs:in.connect = <@ROOT@/MtlxSpecular.outputs:out>
-            color3f outputs:out
-        }}
-
-        def Shader "MtlxCoordinates"
+{"" if look.coloured else _GREY_TINT}        def Shader "MtlxCoordinates"
         {{
             uniform token info:id = "ND_geompropvalue_vector2"
             string inputs:geomprop = "st"
@@ -384,6 +395,16 @@ def _network(look: _UsdLook, files: dict[str, str]) -> str:
         }}
 '''
     return text
+
+
+_GREY_TINT = """        def Shader "MtlxTint"
+        {
+            uniform token info:id = "ND_convert_float_color3"
+            float inputs:in.connect = <@ROOT@/MtlxSpecular.outputs:out>
+            color3f outputs:out
+        }
+
+"""
 
 
 def _texture(

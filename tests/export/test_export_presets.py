@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 import torch
 from exported import linear, picture
+from metals import metals
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
+from matcap.export.fit import ErrorWeights
 from matcap.export.job import ExportJob
-from matcap.export.metallic import to_metallic
+from matcap.export.metallic import FORMS, MetallicAim, to_metallic
 from matcap.export.presets import PresetOptions
 from matcap.export.surface import residuals
-from matcap.export.targets import preset_forms, write_export
+from matcap.export.targets import DOCUMENTS, preset_forms, write_export
 from matcap.files.exr import read_exr
 
 NAMES = {
@@ -94,16 +96,20 @@ def test_unreal_packs_occlusion_roughness_metallic(tmp_path):
     write_export(job, "unreal-metallic", tmp_path)
     orm = picture(tmp_path / "T_moss_ORM.png")
     assert np.abs(orm[..., 0] - job.occlusion).max() < 0.51 / 255
-    assert np.abs(orm[..., 1] - job.picture("roughness")).max() < 0.51 / 255
+    # The highlight of its approximate masking is another for another roughness.
+    assert np.abs(orm[..., 1] - job.picture("roughness")).max() < 0.1
+
+
+@pytest.mark.parametrize("name", ["rust beside steel", "worn paint", "blue anodised"])
+def test_unreal_gets_metals_as_they_are(tmp_path, name):
+    job = ExportJob(metals()[name], "moss")
+    write_export(job, "unreal-metallic", tmp_path)
+    orm = picture(tmp_path / "T_moss_ORM.png")
     base, dielectric = (picture(tmp_path / f"T_moss_{m}.png") for m in ("BaseColor", "Specular"))
     diffuse = linear(base) * (1.0 - orm[..., 2:])
-    fits = linear(base).max(axis=-1) < 0.99
-    assert fits.mean() > 0.1
-    assert np.abs(diffuse - job.picture("diffuse"))[fits].max() < 0.03
-    f0 = 0.08 * dielectric * (1.0 - orm[..., 2]) + (linear(base) * orm[..., 2:]).mean(axis=-1)
-    meant = job.picture("specular")
-    fits &= (meant < 0.08) | (meant > 0.3)  # between them it is clamped: no metal
-    assert np.abs(f0 - meant)[fits].max() < 0.03
+    f0 = (0.08 * dielectric * (1.0 - orm[..., 2]))[..., None] + linear(base) * orm[..., 2:]
+    assert np.abs(diffuse - job.diffuse).max() < 0.01
+    assert np.abs(f0 / (f0.mean() / job.specular.mean()) - job.specular).max() < 0.03
 
 
 def test_unity_keeps_smoothness_in_alpha(tmp_path):
@@ -192,7 +198,7 @@ class TestMetallic:
     @pytest.mark.parametrize("f0", [0.04, 0.3, 0.5])
     def test_both_equations_hold_where_they_can(self, f0):
         diffuse = np.stack([even(0.3), even(0.25), even(0.2)], axis=-1)
-        found = to_metallic(diffuse, even(f0), lowest=0.04, highest=0.04)
+        found = to_metallic(MetallicAim(diffuse, even(f0), even(0.5), 0.04, 0.04))
         back = found.base * (1.0 - found.metallic)[..., None]
         mixed = 0.04 * (1.0 - found.metallic) + (found.base * found.metallic[..., None]).mean(-1)
         assert np.allclose(back, diffuse, atol=1e-3)
@@ -200,18 +206,82 @@ class TestMetallic:
 
     @pytest.mark.parametrize("f0", [0.05, 0.09, 0.17, 0.2])
     def test_what_is_no_metal_is_not_called_one(self, f0):
-        found = to_metallic(even(0.1, (4, 4, 3)), even(f0), lowest=0.04, highest=0.04)
+        found = to_metallic(MetallicAim(even(0.1, (4, 4, 3)), even(f0), even(0.5), 0.04, 0.04))
         assert (found.metallic == 0.0).all()
         assert np.allclose(found.base, 0.1)
 
-    def test_plain_dielectrics_keep_their_f0(self):
-        found = to_metallic(even(0.5, (4, 4, 3)), even(0.05), lowest=0.0, highest=0.08)
-        assert np.allclose(found.dielectric, 0.05)
+    @pytest.mark.parametrize("form", FORMS)
+    def test_plain_dielectrics_keep_their_f0(self, form):
+        found = to_metallic(
+            MetallicAim(even(0.5, (4, 4, 3)), even(0.05), even(0.5), 0.0, 0.08), form
+        )
+        assert np.allclose(found.dielectric, 0.05, atol=1e-4)
+        assert np.allclose(found.metallic, 0.0)
 
-    def test_black_metal_gets_its_colour_from_f0(self):
-        found = to_metallic(even(0.0, (4, 4, 3)), even(0.6), lowest=0.04, highest=0.04)
+    @pytest.mark.parametrize("form", FORMS)
+    def test_black_metal_gets_its_colour_from_f0(self, form):
+        black = even(0.0, (4, 4, 3))
+        found = to_metallic(MetallicAim(black, even(0.6), even(0.5), 0.04, 0.04), form)
         mixed = 0.04 * (1.0 - found.metallic) + (found.base * found.metallic[..., None]).mean(-1)
         assert np.allclose(mixed, 0.6, atol=1e-3)
+
+    @pytest.mark.parametrize("dielectric", [0.04, 0.06])
+    def test_a_metallic_material_is_found_again_by_the_free_form(self, dielectric):
+        base = np.random.default_rng(1).uniform(0.05, 0.95, (8, 8, 3)).astype(np.float32)
+        share = np.random.default_rng(2).uniform(0.0, 1.0, (8, 8)).astype(np.float32)
+        diffuse = base * (1.0 - share)[..., None]
+        f0 = (dielectric * (1.0 - share))[..., None] + base * share[..., None]
+        found = to_metallic(MetallicAim(diffuse, f0, even(0.4, (8, 8)), 0.0, 0.08), "free")
+        back = found.base * (1.0 - found.metallic)[..., None]
+        mixed = (found.dielectric * (1.0 - found.metallic))[..., None]
+        mixed = mixed + found.base * found.metallic[..., None]
+        assert np.abs(back - diffuse).max() < 0.01
+        assert np.abs(mixed - f0).max() < 0.01
+
+    def test_no_form_is_further_than_the_plain_one_by_its_own_measure(self):
+        draw = np.random.default_rng(3)
+        diffuse, f0 = draw.uniform(0.0, 0.6, (16, 16, 3)), draw.uniform(0.02, 0.9, (16, 16, 3))
+        wanted = MetallicAim(
+            diffuse.astype(np.float32), f0.astype(np.float32), even(0.9, (16, 16)), 0.04, 0.04
+        )
+        light = ErrorWeights.at(wanted.roughness)
+
+        def off(form):
+            found = to_metallic(wanted, form)
+            rest = (1.0 - found.metallic)[..., None]
+            more = found.base * rest - wanted.diffuse
+            brighter = found.dielectric[..., None] * rest + found.base * (1.0 - rest) - f0
+            more, brighter = more * light.diffuse[0, 0], brighter * light.specular[0, 0]
+            crossed = 2.0 * light.together[0, 0] * more * brighter
+            return float((more**2 + crossed + brighter**2).sum())
+
+        assert off("free") < off("tinted") < off("plain")
+
+
+class TestForms:
+    """Which of three metallic forms is written: the nearest one."""
+
+    @pytest.mark.parametrize("f0", [0.045, 0.09, 0.19])
+    @pytest.mark.parametrize("preset", ["unreal-metallic", "unity-hdrp-metallic"])
+    def test_what_is_no_metal_is_not_solved_as_one(self, preset, f0):
+        """F0 = 0.09 of a brown leather would be nearer as 44 % of a metal."""
+        assert packed(glossy(f0), preset).facts["metallic"] == "plain"
+
+    @pytest.mark.parametrize("preset", ["unreal-metallic", "unity-hdrp-metallic", "godot"])
+    def test_rust_beside_steel_is_solved_texel_by_texel(self, preset):
+        assert (
+            packed(ExportJob(metals()["rust beside steel"], "rust"), preset).facts["metallic"]
+            == "free"
+        )
+
+    @pytest.mark.parametrize("target", ["usd", "gltf", "unity-hdrp"])
+    @pytest.mark.parametrize("name", ["rust beside steel", "worn paint"])
+    def test_none_is_further_than_the_plain_one(self, target, name, monkeypatch):
+        job = ExportJob(metals()[name], "m")
+        make = {**DOCUMENTS, "unity-hdrp": preset_forms("unity-hdrp")}[target]["metallic"]
+        chosen = residuals(job, make(job).surfaces)["metallic"]
+        monkeypatch.setattr("matcap.export.presets.FORMS", ("plain",))
+        assert chosen.mean < residuals(job, make(job).surfaces)["metallic"].mean
 
 
 def glossy(f0: float) -> ExportJob:
@@ -250,7 +320,7 @@ def test_a_grey_f0_over_red_cannot_be_had_of_metals_and_is_told():
     forms = preset_forms("unity-hdrp")
     job = glossy(0.4)
     off = {form: residuals(job, make(job).surfaces)[form].mean for form, make in forms.items()}
-    assert off["metallic"] > 0.05 > off["specular"]
+    assert off["metallic"] > 0.04 > off["specular"]
 
 
 class TestHeights:

@@ -68,16 +68,19 @@ def build(folder, sidecar):
         return made.outputs["Color"]
 
     link = tree.links.new
-    is_srgb = about["files"][files["diffuse"]]["colour_space"] == "sRGB"
-    colour = "sRGB" if is_srgb else "Linear Rec.709"
+
+    def space(kind, linear):
+        is_srgb = about["files"][files[kind]]["colour_space"] == "sRGB"
+        return "sRGB" if is_srgb else linear
+
     bent = node("ShaderNodeNormalMap", -500, -400)
     link(texture("normal_gl", -500, "Non-Color"), bent.inputs["Color"])
     base = node("ShaderNodeBsdfDiffuse", -200, 300, Roughness=0.0)
-    link(texture("diffuse", 400, colour), base.inputs["Color"])
+    link(texture("diffuse", 400, space("diffuse", "Linear Rec.709")), base.inputs["Color"])
     gloss = node("ShaderNodeBsdfMetallic", -200, 50, **{"Edge Tint": (1.0, 1.0, 1.0, 1.0)})
     gloss.fresnel_type = "F82"
     gloss.distribution = "GGX"
-    link(texture("specular", 100, "Non-Color"), gloss.inputs["Base Color"])
+    link(texture("specular", 100, space("specular", "Non-Color")), gloss.inputs["Base Color"])
     link(texture("roughness", -200, "Non-Color"), gloss.inputs["Roughness"])
     both = node("ShaderNodeAddShader", 100, 200)
     for index, lobe in enumerate((base, gloss)):

@@ -20,7 +20,7 @@ if __name__ == "__main__":
 
 
 class Matcap(mi.BSDF):
-    """Textures `diffuse`, `specular` (F0) and `roughness`; one-sided."""
+    """Textures `diffuse`, `specular` (F0, grey or coloured) and `roughness`; one-sided."""
 
     def __init__(self, props):
         mi.BSDF.__init__(self, props)
@@ -66,7 +66,7 @@ class Matcap(mi.BSDF):
         above = active & (n_l > 0.0) & (n_v > 0.0)
         alpha, lobe = self._lobe(si, above)
         half = dr.normalize(wo + si.wi)
-        f0 = self.specular.eval_1(si, above)
+        f0 = self.specular.eval(si, above)
         fresnel = f0 + (1.0 - f0) * dr.power(dr.maximum(1.0 - dr.dot(si.wi, half), 0.0), 5)
         squared = dr.square(alpha)
         to_view = n_l * dr.sqrt(dr.square(n_v) * (1.0 - squared) + squared)
