@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.export.formats import Picture, rgb
+from matcap.export.formats import Depth, Picture, rgb
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.presets import Lit, PackedMaterial
 from matcap.export.shading import TargetShading
@@ -64,6 +64,8 @@ class _GltfLook:
 def gltf_specular(job: ExportJob) -> Export:
     """NAME.glb, everything inside: colours of 8 bits, roughness and normals of 16.
 
+    The residual is of viewers in browsers, which read 8 bits of everything.
+
     Raises:
         UsageError: textures of floats were asked for.
     """
@@ -80,30 +82,33 @@ def gltf_specular(job: ExportJob) -> Export:
         return np.stack([occluded, told_roughness(piece, SHADING), flat], axis=-1)
 
     textures = {
-        "base_color": TextureFile.of(job, lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
-        "specular_color": TextureFile.of(job, tint, "8", "F0", srgb=True),
-        "roughness": TextureFile.of(job, rough, "16", "occlusion, roughness"),
-        "normal": TextureFile.of(job, coded_normal, "16", "normal"),
+        "base_color": _stored(job, lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
+        "specular_color": _stored(job, tint, "8", "F0", srgb=True),
+        "roughness": _stored(job, rough, "16", "occlusion, roughness"),
+        "normal": _stored(job, coded_normal, "16", "normal"),
     }
 
-    def surface(read: Reader) -> TargetSurface:
-        f0 = (read(textures["specular_color"])[:channels] * largest).clamp(max=1.0)
+    def surface(seen: dict[str, TextureFile], read: Reader) -> TargetSurface:
+        f0 = (read(seen["specular_color"])[:channels] * largest).clamp(max=1.0)
         return TargetSurface(
-            read(textures["base_color"]),
+            read(seen["base_color"]),
             f0,
-            read(textures["roughness"])[1:2],
-            signed(read(textures["normal"])),
+            read(seen["roughness"])[1:2],
+            signed(read(seen["normal"])),
             layer=f0,
             shading=SHADING,
         )
 
-    def literal(read: Reader) -> TargetSurface:
-        return replace(surface(read), shading=_LITERAL)
+    in_browsers = {kind: one.in_browsers() for kind, one in textures.items()}
+    surfaces: dict[str, MadeSurface] = {
+        "specular": partial(surface, in_browsers),
+        "read with 16 bits": partial(surface, textures),
+        "of a single bounce": lambda read: replace(surface(textures, read), shading=_LITERAL),
+    }
 
     look = _GltfLook(textures, ior(limit), 0.0, largest / limit)
     notes = (*clipping_notes(job, SHADING), *job.size_notes())
     facts = occlusion_facts(job)
-    surfaces: dict[str, MadeSurface] = {"specular": surface, "of a single bounce": literal}
     return Export({}, _documents(job, look), surfaces, notes, facts)
 
 
@@ -117,8 +122,9 @@ def gltf_metallic(job: ExportJob) -> Export:
     start = Lit(SHADING, "metallic", even=_LARGEST_F0).of(job)
     lit = start.nearest(job, lambda tried: partial(_seen, tried, _metallic_textures(job, tried)))
     textures = _metallic_textures(job, lit)
+    in_browsers = {kind: one.in_browsers() for kind, one in textures.items()}
     documents = _documents(job, _GltfLook(textures, ior(lit.dielectric[0]), 1.0))
-    surfaces: dict[str, MadeSurface] = {"metallic": partial(_seen, lit, textures)}
+    surfaces: dict[str, MadeSurface] = {"metallic": partial(_seen, lit, in_browsers)}
     facts = occlusion_facts(job) | {"metallic": lit.form}
     return Export({}, documents, surfaces, job.size_notes(), facts)
 
@@ -129,11 +135,11 @@ def _metallic_textures(job: ExportJob, lit: Lit) -> dict[str, TextureFile]:
         return np.stack([piece.picture("occlusion"), made.roughness, made.metallic.metallic], -1)
 
     return {
-        "base_color": TextureFile.of(
+        "base_color": _stored(
             job, lambda p: PackedMaterial(p, lit).metallic.base, "8", BASE, srgb=True
         ),
-        "roughness": TextureFile.of(job, rough, "16", "occlusion, roughness, metallic"),
-        "normal": TextureFile.of(job, coded_normal, "16", "normal"),
+        "roughness": _stored(job, rough, "16", "occlusion, roughness, metallic"),
+        "normal": _stored(job, coded_normal, "16", "normal"),
     }
 
 
@@ -149,6 +155,13 @@ def _seen(lit: Lit, textures: dict[str, TextureFile], read: Reader) -> TargetSur
         layer=f0,
         shading=SHADING,
     )
+
+
+def _stored(
+    job: ExportJob, made: Callable[[MapRows], Picture], depth: Depth, meaning: str, **how: bool
+) -> TextureFile:
+    """A texture, of whose 16 bits browsers read 8."""
+    return replace(TextureFile.of(job, made, depth, meaning, **how), eight_of_16=True)
 
 
 def ior(f0: float) -> float:

@@ -8,7 +8,8 @@ is nearest is written (presets.py):
   colour is that of the diffuse albedo, and metallic gives the mean F0.
 - tinted: as metallic as that, but the base colour is between those of diffuse and F0.
 - free: base colour, metallic and F0 of the dielectric are what leaves the least difference of
-  light; exact where the maps are a metallic material's. Only tried where some is metal.
+  light; exact where the maps are a metallic material's. It may call metal what is none, so it
+  is taken only where much is gained.
 
 What is lost is for surface.residual to tell.
 """

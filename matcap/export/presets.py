@@ -50,8 +50,7 @@ if TYPE_CHECKING:
 
 NormalMaps = Literal["gl", "dx", "both"]
 _FIELDS = ("stem", "map", "res", "format")
-_SOME_METAL = 0.01  # of all texels, from which on some of a material is metal
-_MARGIN = 0.03  # of the plain form's residual, by which another must be nearer
+_MARGIN = 0.25  # of the plain form's residual, by which another must be nearer
 _SHADED = ("occlusion", "cavity", "bent")
 
 
@@ -135,11 +134,9 @@ class Lit:
     def nearest(self, job: ExportJob, surface: Callable[[Lit], MadeSurface]) -> Lit:
         """With the metallic form that comes nearest; `surface` is what comes of each.
 
-        Where nothing is a metal it stays the plain one: a leather that is a little metal may come
+        It stays the plain one unless much is gained: a leather that is a little metal may come
         nearer in light, and takes on a metal's tinted reflection.
         """
-        if (brightest_channel(job.specular) >= FIRST_METAL).mean() < _SOME_METAL:
-            return self
         forms = [replace(self, form=form) for form in FORMS]
         return forms[nearest(job, [surface(one) for one in forms], _MARGIN)]
 

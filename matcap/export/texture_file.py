@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,6 +36,9 @@ class TextureFile:
         meaning: what the values are, for the sidecar.
         container: the file's format.
         udim: there is one of every tile of a texture set.
+        eight_of_16: readers may drop the lower byte of 16 bits, as browsers do: the upper one is
+            the nearest number of 8 bits, which costs whoever reads both at most half such a step,
+            and half-way nothing.
     """
 
     make: Callable[[MapRows], Picture]
@@ -44,6 +47,7 @@ class TextureFile:
     meaning: str = ""
     container: Container = "png"
     udim: bool = False
+    eight_of_16: bool = False
 
     @staticmethod
     def of(
@@ -112,7 +116,12 @@ class TextureFile:
         if not np.isfinite(values).all():
             raise MatcapError("the maps have values that are not finite", remedy="make them again")
         if self.whole:
-            return quantised(_curved(values) if self.srgb else values, bits=int(self.depth))
+            coded = _curved(values) if self.srgb else values
+            whole = quantised(coded, bits=int(self.depth))
+            if not (self.eight_of_16 and self.depth == "16"):
+                return whole
+            least = quantised(coded, bits=8).astype(np.uint16) * np.uint16(256)
+            return np.clip(whole, least, least + np.uint16(255))
         if self.depth == "half" and np.abs(values).max(initial=0.0) > LARGEST_HALF:
             raise MatcapError(
                 "the maps have values too large for half float (65504)", remedy="give --bits float"
@@ -129,6 +138,10 @@ class TextureFile:
             colours = code if code.ndim == 2 else code[..., :3]  # not alpha
             colours[...] = srgb_decode(colours)
         return code.astype(np.float32)
+
+    def in_browsers(self) -> TextureFile:
+        """The texture as browsers read it: of 8 bits whatever the file has."""
+        return replace(self, depth="8") if self.depth == "16" else self
 
     def pixels(self, job: ExportJob) -> NDArray[np.uint8] | NDArray[np.uint16] | Picture:
         """The whole picture, made a band of rows at a time: little beside the result is held."""

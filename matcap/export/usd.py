@@ -33,7 +33,7 @@ from matcap.export.materialx import INPUTS, Layered
 from matcap.export.presets import Lit, PackedMaterial
 from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import base_colour, clipping_notes, specular_colour
-from matcap.export.surface import Reader, TargetSurface
+from matcap.export.surface import MadeSurface, Reader, TargetSurface
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BASE,
@@ -127,7 +127,20 @@ def usd_specular(job: ExportJob) -> Export:
             shading=SHADING,
         )
 
-    return _export(job, look, {"specular": surface, "without it": partial(_fallback, look)})
+    in_browsers = replace(look, inputs={kind: one.in_browsers() for kind, one in inputs.items()})
+
+    def doubled(read: Reader) -> TargetSurface:
+        seen = _fallback(in_browsers, read)
+        return replace(
+            seen, normal=seen.normal * seen.normal.new_tensor([2.0, 2.0, 1.0])[:, None, None]
+        )
+
+    surfaces: dict[str, MadeSurface] = {
+        "specular": surface,
+        "without it": partial(_fallback, look),
+        "in three.js": doubled,
+    }
+    return _export(job, look, surfaces)
 
 
 def usd_metallic(job: ExportJob) -> Export:

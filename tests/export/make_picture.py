@@ -15,7 +15,7 @@ import render_babylon
 import render_three
 from exported import unlike
 from read_materialx import render
-from round_trips import blender_picture, lit, mitsuba_picture, top_light
+from round_trips import blender_picture, lit, mitsuba_picture, point_light
 
 from matcap.export.job import ExportJob
 from matcap.export.targets import write_export
@@ -42,7 +42,7 @@ def main(material: Path, out: Path) -> None:
             "Mitsuba": mitsuba_picture(folder["mitsuba"], "m.xml"),
             "three.js": render_three.render(*drawn),
             "Babylon.js": render_babylon.render(*drawn),
-            "MaterialX": render(folder["materialx"] / "m.mtlx", maps, top_light()),
+            "MaterialX": render(folder["materialx"] / "m.mtlx", maps, point_light()),
         }
     for name, picture in pictures.items():
         print(f"{name}: {unlike(picture, pictures['matcap']):.2%}")

@@ -56,12 +56,13 @@ def opened(path):
     return document, view
 
 
-def surface(path, *, compensated=False) -> TargetSurface:
+def surface(path, *, compensated=False, browsers=False) -> TargetSurface:
     """As the specification and its extensions specular and ior say, and no other way.
 
     Args:
         path: of the .glb.
         compensated: with what bounces between microfacets, as most viewers have it.
+        browsers: the lower byte of 16 bits is dropped.
     """
     document, view = opened(path)
     (material,) = document["materials"]
@@ -71,6 +72,8 @@ def surface(path, *, compensated=False) -> TargetSurface:
         image = document["images"][document["textures"][texture["index"]]["source"]]
         raw = np.frombuffer(view(image["bufferView"]), dtype=np.uint8)
         stored = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED)
+        if browsers and stored.dtype == np.uint16:
+            stored = (stored >> 8).astype(np.uint8)
         return stored[..., ::-1] / np.float64(np.iinfo(stored.dtype).max)
 
     rough = material["pbrMetallicRoughness"]

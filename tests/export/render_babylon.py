@@ -8,7 +8,7 @@ _PAGE = """<script src="/modules/babylonjs/babylon.js"></script>
 <script src="/modules/babylonjs-loaders/babylonjs.loaders.min.js"></script>"""
 
 
-def render(file, maps, position, intensity) -> np.ndarray:
+def render(file, maps, position, intensity, *, widened=True) -> np.ndarray:
     """(H, W, 3) radiance of a .glb under one point light, one texel a pixel.
 
     Args:
@@ -16,8 +16,10 @@ def render(file, maps, position, intensity) -> np.ndarray:
         maps: for the plane's size; a plane unit is a metre.
         position: of the light.
         intensity: radiant intensity.
+        widened: highlights are widened against flicker, as Babylon.js does with glTF.
     """
     about = {"file": file.name, "position": list(position), "intensity": intensity}
+    about["widened"] = widened
     return drawn(_DRAW, about | camera_of(maps), _PAGE, file.parent)
 
 
@@ -34,6 +36,9 @@ _DRAW = """async (text) => {
   await BABYLON.SceneLoader.AppendAsync('/export/', about.file, scene);
   for (const texture of scene.textures) {
     texture.updateSamplingMode(BABYLON.Texture.NEAREST_NEAREST);
+  }
+  if (!about.widened) {
+    for (const material of scene.materials) material.enableSpecularAntiAliasing = false;
   }
   const camera = new BABYLON.FreeCamera('camera', new BABYLON.Vector3(0, 0, about.eye), scene);
   camera.setTarget(BABYLON.Vector3.Zero());

@@ -1,10 +1,10 @@
 """Run by Blender's Python: build an exported material and render it.
 
-    python render_blender.py FILE COLUMNS ROWS EXTENT PICTURE.exr
+    python render_blender.py FILE COLUMNS ROWS EXTENT X Y Z PICTURE.exr
 
 FILE is an exported script (.py), run as it is, or a stage (.usda) or binary (.glb), imported.
 
-One texel a pixel, under the point light that `matcap relight` calls top, of 1000 W.
+One texel a pixel, under a point light at X, Y, Z, of 1000 W.
 """
 
 import math
@@ -15,7 +15,7 @@ from pathlib import Path
 import bpy
 import mathutils
 
-file, columns, rows, extent, out = sys.argv[-5:]
+file, columns, rows, extent, *place, out = sys.argv[-8:]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 if Path(file).suffix == ".py":
     runpy.run_path(file, run_name="__main__")
@@ -47,7 +47,7 @@ camera.location = (0.0, 0.0, float(extent) / 2.0 / math.tan(math.radians(22.5)))
 light = bpy.data.objects.new("light", bpy.data.lights.new("light", "POINT"))
 light.data.energy = 1000.0
 light.data.shadow_soft_size = 0.0
-light.location = (0.0, 2.0, 1.2)
+light.location = tuple(float(c) for c in place)
 for one in (camera, light):
     scene.collection.objects.link(one)
 scene.camera = camera

@@ -1,11 +1,12 @@
-"""Measure all exports: `python tests/export/round_trips.py [-r] [MATERIAL.matcap ...]`.
+"""Measure all exports: `python tests/export/round_trips.py [-r] [-m] [MATERIAL.matcap ...]`.
 
-Each material (by default the procedural ones that matcap simulates) is exported to every target,
-checked by the target's validator, read back by its library and compared with matcap; with -r also
-rendered: MaterialX's shaders, three.js and Babylon.js in Chromium, Mitsuba, and Blender where
-BLENDER_PYTHON names a Python with bpy; pictures are compared as means of 16 x 16 pixels. Prints the
-table of docs/notes/exports.md: light that differs, as a share of all light, mean and worst of the
-materials. What is not installed is left out and said.
+Each material (by default the procedural ones that matcap simulates; with -m the metals of
+metals.py) is exported to every target, checked by the target's validator, read back by its library
+and compared with matcap; with -r also rendered under a high light and a grazing one: MaterialX's
+shaders, three.js and Babylon.js in Chromium, Mitsuba, and Blender where BLENDER_PYTHON names a
+Python with bpy; pictures are compared as means of 16 x 16 pixels. Prints the tables of
+docs/notes/exports.md: light that differs, as a share of all light, mean and worst of the materials,
+and what each of them has. What is not installed is left out and said.
 """
 
 import os
@@ -19,6 +20,7 @@ import numpy as np
 import render_babylon
 import render_three
 from exported import unlike
+from metals import metals
 
 import matcap
 from matcap.export.engines import ENGINES
@@ -32,15 +34,19 @@ from matcap.relight.scene import (
     NAMED_LIGHTS,
     PointLight,
     exposing_intensity,
+    scene_from_light,
 )
 
 SIZE = 64
 LOBES = "none,+diffuse,+specular,+falloff"
+# 72 and 12 degrees above the middle of the plane.
+LIGHTS = {"high": (0.4, 0.5, 2.0), "grazing": (0.0, 2.0, 0.425)}
 
 
-def lit(maps) -> np.ndarray:
-    """Under the light called top."""
-    return matcap.relight(maps, "top", effects=LOBES)
+def lit(maps, place=NAMED_LIGHTS["top"]) -> np.ndarray:
+    """Under a point light, by default the one called top."""
+    light = ",".join(str(c) for c in place)
+    return matcap.relight(maps, scene_from_light(light), effects=LOBES)
 
 
 def checked(target, folder, name):
@@ -64,21 +70,21 @@ def checked(target, folder, name):
     return library.complaints(file), library.surface(file)
 
 
-def rendered(target, folder, name, maps):
-    """{what: difference} of pictures; empty where nothing that renders is installed."""
+def rendered(target, folder, name, maps, place):
+    """{what: picture}; empty where nothing that renders is installed."""
     if target == "materialx" and find_spec("MaterialX") and find_spec("playwright"):
-        return materialx_pictures(folder, name, maps)
+        return materialx_pictures(folder, name, maps, place)
     if target == "mitsuba" and find_spec("mitsuba"):
         return {
-            f"mitsuba, {what}": unlike(mitsuba_picture(folder, file), lit(maps))
+            f"mitsuba, {what}": mitsuba_picture(folder, file, place)
             for what, file in (("plain", f"{name}.xml"), ("exact", f"{name}_exact.xml"))
         }
     endings = {"blender": "_blender.py", "usd": ".usda", "gltf": ".glb"}
     file = folder / f"{name}{endings[target]}" if target in endings else None
     found = {}
     if file and "BLENDER_PYTHON" in os.environ:
-        found["in Blender"] = blender_picture(file, maps)
-    place, drawing = NAMED_LIGHTS["top"], file and target != "blender" and find_spec("playwright")
+        found["in Blender"] = blender_picture(file, maps, place)
+    drawing = file and target != "blender" and find_spec("playwright")
     power = exposing_intensity(place)
     if drawing and render_three.PLACE.is_dir():
         found["in three.js"] = render_three.render(file, maps, place, power)
@@ -88,16 +94,18 @@ def rendered(target, folder, name, maps):
         )
     if drawing and target == "gltf" and render_babylon.PLACE.is_dir():
         found["in Babylon.js"] = render_babylon.render(file, maps, place, power)
-    return {f"{target}, {where}": unlike(picture, lit(maps)) for where, picture in found.items()}
+        found["in Babylon.js, highlights not widened"] = render_babylon.render(
+            file, maps, place, power, widened=False
+        )
+    return {f"{target}, {where}": picture for where, picture in found.items()}
 
 
-def top_light() -> PointLight:
-    """The light called top."""
-    place = NAMED_LIGHTS["top"]
+def point_light(place=NAMED_LIGHTS["top"]) -> PointLight:
+    """By default the light called top."""
     return PointLight(place, (exposing_intensity(place),) * 3)
 
 
-def materialx_pictures(folder, name, maps):
+def materialx_pictures(folder, name, maps, place):
     """The same of MaterialX's shader, of each of its documents."""
     from read_materialx import render
 
@@ -108,15 +116,17 @@ def materialx_pictures(folder, name, maps):
         ("standard_surface", "_standard_surface", True),
     )
     return {
-        f"materialx, {what}": unlike(
-            render(folder / f"{name}{variant}.mtlx", maps, top_light(), compensated=full), lit(maps)
+        f"materialx, {what}": render(
+            folder / f"{name}{variant}.mtlx", maps, point_light(place), compensated=full
         )
         for what, variant, full in ways
     }
 
 
-def mitsuba_picture(folder, file) -> np.ndarray:
+def mitsuba_picture(folder, file, place=NAMED_LIGHTS["top"]) -> np.ndarray:
     """One texel a pixel: what is measured is reflectance, not how pictures are filtered."""
+    import xml.etree.ElementTree as ET
+
     import mitsuba as mi
 
     mi.set_variant("scalar_rgb")
@@ -124,43 +134,52 @@ def mitsuba_picture(folder, file) -> np.ndarray:
         sys.path.insert(0, str(folder))
         import matcap_bsdf  # noqa: F401
     nearest = '<string name="filter_type" value="nearest"/><boolean name="raw"'
-    text = (folder / file).read_text().replace('<boolean name="raw"', nearest)
-    (folder / "nearest.xml").write_text(text)
+    scene = ET.fromstring((folder / file).read_text().replace('<boolean name="raw"', nearest))
+    emitter = scene.find("emitter")
+    emitter.find("point").set("value", ", ".join(str(c) for c in place))
+    emitter.find("rgb").set("value", repr(exposing_intensity(place)))
+    (folder / "nearest.xml").write_bytes(ET.tostring(scene))
     picture = mi.render(mi.load_file(str(folder / "nearest.xml")), spp=16)
     return np.array(picture)[..., :3]
 
 
-def blender_picture(file, maps) -> np.ndarray:
-    """Cycles' picture of a script, stage or binary, in the units of the light called top."""
+def blender_picture(file, maps, place=NAMED_LIGHTS["top"]) -> np.ndarray:
+    """Cycles' picture of a script, stage or binary."""
     width, height = maps.size
     out = file.with_suffix(".exr")
     extent = max(width, height) * maps.texel_size
     script = Path(__file__).with_name("render_blender.py")
     words = [os.environ["BLENDER_PYTHON"], "-W", "ignore", script, file, width, height]
-    subprocess.run([str(w) for w in (*words, extent, out)], check=True, capture_output=True)
+    words += [extent, *place, out]
+    subprocess.run([str(w) for w in words], check=True, capture_output=True)
     # A lamp of P watts has a radiant intensity of P / (4 pi).
-    scale = exposing_intensity((0.0, 2.0, 1.2)) * 4.0 * np.pi / 1000.0
+    scale = exposing_intensity(place) * 4.0 * np.pi / 1000.0
     return read_exr(out)[..., :3] * scale
 
 
-def materials(paths):
+def materials(paths, metallic):
     """(name, maps) of each."""
-    if not paths:
+    if metallic:
+        yield from ((name.replace(" ", "-"), maps) for name, maps in metals().items())
+    elif not paths:
         for name in MATERIALS:
             yield name, realise(name, SIZE, SIZE, 1, 2.0 / SIZE).map(lambda map_: map_.float())
     for path in paths:
-        yield f"m{len(path.stem)}", open_tile(path, size=(SIZE, SIZE)).maps
+        yield path.stem, open_tile(path, size=(SIZE, SIZE)).maps
 
 
 def main(words) -> None:
     rows: dict[str, list[float]] = {}
+    names: list[str] = []
     faults: dict[str, list[str]] = {}
     count = 0
-    with tempfile.TemporaryDirectory() as place:
-        for name, maps in materials([Path(word) for word in words if word != "-r"]):
+    with tempfile.TemporaryDirectory() as kept:
+        paths = [Path(word) for word in words if word not in ("-r", "-m")]
+        for name, maps in materials(paths, "-m" in words):
+            names.append(name)
             count += 1
             for target in DOCUMENTS:
-                folder = Path(place) / f"{count}_{target}"
+                folder = Path(kept) / f"{count}_{target}"
                 done = write_export(ExportJob(maps, name), target, folder)
                 for form, off in done.residuals.items():
                     rows.setdefault(f"{target}, {form}, residual told", []).append(off.mean)
@@ -171,19 +190,23 @@ def main(words) -> None:
                     off = residual(maps, surface).mean
                     rows.setdefault(f"{target}, read back", []).append(off)
                 if "-r" in words:
-                    for what, off in rendered(target, folder, name, maps).items():
-                        rows.setdefault(f"{what}, rendered", []).append(off)
+                    for height, place in LIGHTS.items():
+                        true = lit(maps, place)
+                        for what, picture in rendered(target, folder, name, maps, place).items():
+                            row = rows.setdefault(f"{what}, rendered, {height}", [])
+                            row.append(unlike(picture, true))
             for preset in ENGINES:
                 done = write_export(
-                    ExportJob(maps, name), preset, Path(place) / f"{count}_{preset}p"
+                    ExportJob(maps, name), preset, Path(kept) / f"{count}_{preset}p"
                 )
                 rows.setdefault(f"preset {preset}, as written", []).append(done.residual.mean)
                 for form, off in done.residuals.items():
                     rows.setdefault(f"preset {preset}, {form}", []).append(off.mean)
     print(f"{count} materials of {SIZE} x {SIZE} texels\n")
-    print("| target | mean | worst material |\n| --- | --- | --- |")
+    print(f"| target | mean | worst | {' | '.join(names)} |\n|{' --- |' * (3 + count)}")
     for what, values in rows.items():
-        print(f"| {what} | {np.mean(values):.3%} | {max(values):.3%} |")
+        each = " | ".join(f"{value:.2%}" for value in values)
+        print(f"| {what} | {np.mean(values):.3%} | {max(values):.3%} | {each} |")
     for target in ("materialx", "usd", "gltf"):
         said = f"{len(faults[target])} complaints" if target in faults else "not installed"
         print(f"\n{target} validator: {said}")
