@@ -6,6 +6,7 @@ What npm installs lies in `.node`: `npm install --prefix .node three babylonjs b
 import base64
 import json
 import shutil
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -36,19 +37,35 @@ def drawn(script, about, page="", folder=Path()) -> np.ndarray:
         page: HTML that it runs in.
         folder: what is at /export/.
     """
-    from playwright.sync_api import sync_playwright
-
     width, height = about["size"]
-    program = shutil.which("chromium") or shutil.which("chromium-browser")
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=program, args=_FLAGS)
+    with browsing() as browser:
         tab = browser.new_page()
         tab.route(f"{_PLACE}/**", lambda route: _serve(route, page, folder))
         tab.goto(f"{_PLACE}/")
         said = tab.evaluate(script, json.dumps(about))
-        browser.close()
+        tab.close()
     found = np.frombuffer(base64.b64decode(said), dtype=np.float32).reshape(height, width, 4)
     return found[::-1, :, :3]
+
+
+@contextmanager
+def browsing():
+    """A Chromium: the one of who asked before, around this, or one of its own."""
+    from playwright.sync_api import sync_playwright
+
+    if _running:
+        yield _running[0]
+        return
+    program = shutil.which("chromium") or shutil.which("chromium-browser")
+    with sync_playwright() as play:
+        _running.append(play.chromium.launch(executable_path=program, args=_FLAGS))
+        try:
+            yield _running[0]
+        finally:
+            _running.pop().close()
+
+
+_running: list = []
 
 
 def _serve(route, page, folder) -> None:

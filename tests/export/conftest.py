@@ -2,6 +2,7 @@
 
 import pytest
 from exported import MATERIALS
+from metals import metals
 from random_maps import maps  # noqa: F401
 
 from matcap.brdf.maps import MapSet
@@ -10,8 +11,8 @@ from matcap.lab.simulate.materials import realise
 
 @pytest.fixture(scope="session")
 def made() -> dict[str, MapSet]:
-    """Small pieces of procedural materials, by name."""
-    return {
+    """Small pieces of procedural materials, and of metals, by name."""
+    return metals() | {
         name: realise(name, 48, 32, 1, 2.0 / 48).map(lambda map_: map_.float())
         for name in MATERIALS
     }

@@ -6,6 +6,7 @@ import torch
 
 # Rough, polished, and of two kinds.
 MATERIALS = ("leather", "granite", "rust")
+METALS = ("gold", "rust beside steel", "worn paint", "blue anodised")
 
 
 def picture(path) -> np.ndarray:

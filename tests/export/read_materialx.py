@@ -46,9 +46,10 @@ def surface(path) -> TargetSurface:
     def read(node):
         return channels(_texture(path, node))
 
+    f0 = gloss.getConnectedNode("color0")
     return TargetSurface(
         read(base.getConnectedNode("color")),
-        read(gloss.getConnectedNode("color0").getConnectedNode("in")),
+        read(f0 if f0.getCategory() == "image" else f0.getConnectedNode("in")),
         read(alpha.getConnectedNode("roughness")),
         2.0 * read(bent.getConnectedNode("in")) - 1.0,
     )

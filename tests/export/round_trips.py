@@ -13,12 +13,14 @@ import os
 import subprocess
 import sys
 import tempfile
+from contextlib import nullcontext
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import render_babylon
 import render_three
+from chromium import browsing
 from exported import unlike
 from metals import metals
 
@@ -173,7 +175,8 @@ def main(words) -> None:
     names: list[str] = []
     faults: dict[str, list[str]] = {}
     count = 0
-    with tempfile.TemporaryDirectory() as kept:
+    browser = browsing() if "-r" in words and find_spec("playwright") else nullcontext()
+    with tempfile.TemporaryDirectory() as kept, browser:
         paths = [Path(word) for word in words if word not in ("-r", "-m")]
         for name, maps in materials(paths, "-m" in words):
             names.append(name)

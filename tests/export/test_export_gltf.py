@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from exported import MATERIALS
+from exported import MATERIALS, METALS
 from read_gltf import complaints, has_validator, opened, surface
 
 from matcap.brdf.maps import MapSet
@@ -17,8 +17,11 @@ from matcap.export.texture_file import TextureFile
 from matcap.export.textures import picture as plain
 
 
-@pytest.mark.parametrize("depth", [None, "8", "16"])
-@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize(
+    ("name", "depth"),
+    [*((name, depth) for name in MATERIALS for depth in (None, "8", "16")),
+     *((name, None) for name in METALS)],
+)  # fmt: skip
 def test_its_material_gives_the_light_of_the_maps(tmp_path, made, name, depth):
     done = write_export(ExportJob(made[name], name, depth=depth), "gltf", tmp_path)
     ways = {

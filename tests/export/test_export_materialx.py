@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from exported import MATERIALS
+from exported import MATERIALS, METALS
 
 from matcap.export.job import ExportJob
 from matcap.export.surface import residual
@@ -22,7 +22,7 @@ def read_materialx():
     return read_materialx
 
 
-@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("name", [*MATERIALS, "gold"])
 def test_it_is_valid(tmp_path, made, read_materialx, name):
     write_export(ExportJob(made[name], name, millimetres=90.0), "materialx", tmp_path)
     for variant in VARIANTS:
@@ -36,7 +36,7 @@ def test_the_validator_would_object(tmp_path, made, read_materialx):
     assert read_materialx.complaints(file)
 
 
-@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("name", [*MATERIALS, *METALS])
 def test_its_graph_gives_the_light_of_the_maps(tmp_path, made, read_materialx, name):
     write_export(ExportJob(made[name], name), "materialx", tmp_path)
     off = residual(made[name], read_materialx.surface(tmp_path / f"{name}.mtlx"))

@@ -5,7 +5,7 @@ import json
 from types import SimpleNamespace
 
 import pytest
-from exported import MATERIALS
+from exported import MATERIALS, METALS
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.errors import MatcapError, UsageError
@@ -15,7 +15,7 @@ from matcap.export.targets import DOCUMENTS, export_mapset, write_export
 
 
 @pytest.mark.parametrize("target", DOCUMENTS)
-@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("name", [*MATERIALS, *METALS])
 def test_targets_that_know_the_model_keep_it(tmp_path, made, name, target):
     done = write_export(ExportJob(made[name], name), target, tmp_path / "out")
     assert done.residual is not None
@@ -24,7 +24,8 @@ def test_targets_that_know_the_model_keep_it(tmp_path, made, name, target):
     assert {file.name for file in (tmp_path / "out").iterdir()} == set(done.files)
     sidecar = json.loads((tmp_path / "out" / f"{name}_{target}.json").read_text())
     assert sidecar["residual"]["mean"] == done.residual.mean
-    assert sidecar["tile"] == pytest.approx([2.0, 2.0 * 32 / 48])
+    width, height = made[name].size
+    assert sidecar["tile"] == pytest.approx([2.0, 2.0 * height / width])
     assert all((tmp_path / "out" / file).is_file() for file in sidecar["files"])
 
 

@@ -4,7 +4,7 @@ import struct
 import zipfile
 
 import pytest
-from exported import MATERIALS
+from exported import MATERIALS, METALS
 
 from matcap.errors import UsageError
 from matcap.export.job import ExportJob
@@ -21,9 +21,11 @@ def read_usd():
 
 
 @pytest.mark.parametrize("suffix", ["usda", "usdz"])
-@pytest.mark.parametrize("name", ["leather", "2001 façade-1"])
-def test_it_is_valid(tmp_path, made, read_usd, suffix, name):
-    write_export(ExportJob(made["leather"], name, millimetres=90.0), "usd", tmp_path)
+@pytest.mark.parametrize(
+    ("material", "name"), [("leather", "leather"), ("leather", "2001 façade-1"), ("gold", "gold")]
+)
+def test_it_is_valid(tmp_path, made, read_usd, suffix, material, name):
+    write_export(ExportJob(made[material], name, millimetres=90.0), "usd", tmp_path)
     assert read_usd.complaints(tmp_path / f"{name}.{suffix}") == []
 
 
@@ -34,9 +36,10 @@ def test_the_validators_would_object(tmp_path, made, read_usd):
     assert read_usd.complaints(file)
 
 
-def test_its_materialx_is_materialxs(tmp_path, made, read_usd):
+@pytest.mark.parametrize("name", ["leather", "gold"])
+def test_its_materialx_is_materialxs(tmp_path, made, read_usd, name):
     pytest.importorskip("MaterialX", reason="needs the extra `export`")
-    write_export(ExportJob(made["leather"], "leather"), "usd", tmp_path)
+    write_export(ExportJob(made[name], "leather"), "usd", tmp_path)
     file, wrong = tmp_path / "leather.usda", tmp_path / "wrong.usda"
     assert read_usd.misnamed(file) == []
     wrong.write_text(file.read_text().replace("inputs:specular_ior", "inputs:specular_IOR"))
@@ -44,7 +47,7 @@ def test_its_materialx_is_materialxs(tmp_path, made, read_usd):
 
 
 @pytest.mark.parametrize("suffix", ["usda", "usdz"])
-@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("name", [*MATERIALS, *METALS])
 def test_its_network_gives_the_light_of_the_maps(tmp_path, made, read_usd, name, suffix):
     write_export(ExportJob(made[name], name), "usd", tmp_path)
     if suffix == "usdz":
