@@ -16,29 +16,34 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from matcap.errors import UsageError
+from matcap.export.fit import told
 from matcap.export.formats import Picture
 from matcap.export.gltf import ior
 from matcap.export.job import ExportJob, MapRows
+from matcap.export.metallic import FIRST_METAL, Metallic, MetallicAim, to_metallic
+from matcap.export.presets import Lit
 from matcap.export.shading import TargetShading
 from matcap.export.specular_workflow import (
     base_colour,
     clipping_notes,
     specular_colour,
 )
-from matcap.export.surface import Reader, TargetSurface, nearest
+from matcap.export.surface import MadeSurface, Reader, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import BASE, Export, Standard, signed
 
 VERSION = "1.39"
 # Indices of refraction that are tried, by their F0; the last is as high as they get.
-_INDICES = (0.04, 0.08, 0.12, 0.2, 0.3, 0.5, 0.9)
+_INDICES = (0.04, 0.08, 0.12, 0.2, 0.3, 0.5, 0.9, 0.995)
+_LEAST_INDEX = 0.02  # of what is no metal beside one
 
 
 def materialx(job: ExportJob) -> Export:
@@ -49,22 +54,31 @@ def materialx(job: ExportJob) -> Export:
         )
     textures = Standard.of(job)
     standard = textures.files(job.name)
-    layered = Layered.of(job)
+    layered = {shader: Layered.of(job, shader) for shader in INPUTS}
+    # One set of textures serves both shaders where both take the same.
+    kinds = {one.second[0] for one in layered.values()}
+    stems = {shader: job.name for shader in INPUTS}
+    if len(kinds) > 1:
+        stems["standard_surface"] += "_standard"
+    else:
+        layered["standard_surface"] = layered["open_pbr_surface"]
+    textures_of = {shader: one.files(stems[shader]) for shader, one in layered.items()}
     documents: dict[str, Callable[[Path], bytes]] = {
         f"{job.name}.mtlx": partial(_exact, job, standard)
     }
     for shader, label in (("open_pbr_surface", "openpbr"), ("standard_surface",) * 2):
-        files = layered.files(job.name) | dict(list(standard.items())[2:])
-        documents[f"{job.name}_{label}.mtlx"] = partial(_layered, job, files, shader, layered.ior)
+        files = textures_of[shader] | dict(list(standard.items())[2:])
+        documents[f"{job.name}_{label}.mtlx"] = partial(
+            _layered, job, files, shader, layered[shader]
+        )
+    surfaces: dict[str, MadeSurface] = {"exact": textures.surface}
+    for shader in INPUTS:
+        surfaces[shader] = partial(layered[shader].surface, textures, shader=shader)
     return Export(
-        standard | layered.files(job.name),
+        standard | textures_of["open_pbr_surface"] | textures_of["standard_surface"],
         documents,
-        {
-            "exact": textures.surface,
-            "open_pbr_surface": partial(layered.surface, textures),
-            "standard_surface": partial(layered.surface, textures),
-        },
-        (*clipping_notes(job, layered.shading), *job.size_notes()),
+        surfaces,
+        (*clipping_notes(job, layered["open_pbr_surface"].shading), *job.size_notes()),
     )
 
 
@@ -73,26 +87,31 @@ class Layered:
     """The two textures of shaders that layer a specular part over a diffuse one.
 
     Exact Fresnel of one index of refraction, tinted down to the F0 of every texel: of a higher
-    index the curve is nearer to Schlick's, which matcap has.
+    index the curve is nearer to Schlick's, which matcap has. Or, where some is metal, the metallic
+    workflow: Fresnel of a dielectric's index, and a metal whose F0 is the base colour.
 
     Attributes:
-        base: colour below it.
-        tint: of the specular part.
+        base: colour below it, and of what is metal.
+        tint: of the specular part; None where there is a metalness.
         shading: what the shaders do with them.
+        metalness: of the base; None where nothing is metal.
     """
 
     base: TextureFile
-    tint: TextureFile
+    tint: TextureFile | None
     shading: TargetShading
+    metalness: TextureFile | None = None
 
     @staticmethod
-    def of(job: ExportJob) -> Layered:
-        """Of a job's maps, with the index of refraction that comes nearest."""
+    def of(job: ExportJob, shader: str = "open_pbr_surface") -> Layered:
+        """Of a job's maps, with the index of refraction that comes nearest, or with metalness."""
         least = _least(job)
         indices = (least, *(index for index in _INDICES if index > least))
         tried = [Layered.at(job, index) for index in indices]
+        if float(job.specular.max()) >= FIRST_METAL:
+            tried.append(Layered.metallic(job))
         standard = Standard.of(job)
-        return tried[nearest(job, [partial(one.surface, standard) for one in tried])]
+        return tried[nearest(job, [partial(one.surface, standard, shader=shader) for one in tried])]
 
     @staticmethod
     def at(job: ExportJob, index: float) -> Layered:
@@ -108,6 +127,34 @@ class Layered:
             shading,
         )
 
+    @staticmethod
+    def metallic(job: ExportJob) -> Layered:
+        """With metalness, base colour and metalness found texel by texel."""
+        found = Lit(TargetShading(), "metallic", even=_INDICES[0]).of(job)
+        index = max(found.dielectric[0], _LEAST_INDEX)
+        shading = TargetShading(layer="albedo", compensated=True, index=index)
+
+        def made(piece: MapRows) -> Metallic:
+            f0, rough = piece.picture("specular"), piece.picture("roughness")
+            diffuse = base_colour(piece, shading)
+            shown = np.clip(told(replace(shading, index=None)).f0(f0, rough), 0.0, 1.0)
+            return to_metallic(MetallicAim(diffuse, shown, rough, index, index), "free")
+
+        return Layered(
+            TextureFile.of(job, lambda piece: made(piece).base, "16", BASE, srgb=True),
+            None,
+            shading,
+            TextureFile.of(job, lambda piece: made(piece).metallic, "16", "metalness"),
+        )
+
+    @property
+    def second(self) -> tuple[str, TextureFile]:
+        """The texture beside the base colour, and what it is: "tint" or "metalness"."""
+        if self.metalness is not None:
+            return "metalness", self.metalness
+        assert self.tint is not None
+        return "tint", self.tint
+
     @property
     def ior(self) -> float:
         """The index of refraction."""
@@ -115,14 +162,31 @@ class Layered:
 
     def files(self, name: str) -> dict[str, TextureFile]:
         """By file name."""
+        kind, second = self.second
+        label = "specular_color" if kind == "tint" else "base_metalness"
         return {
             f"{name}_base_color{self.base.suffix}": self.base,
-            f"{name}_specular_color{self.tint.suffix}": self.tint,
+            f"{name}_{label}{second.suffix}": second,
         }
 
-    def surface(self, others: Standard, read: Reader) -> TargetSurface:
+    def surface(
+        self, others: Standard, read: Reader, shader: str = "open_pbr_surface"
+    ) -> TargetSurface:
         """What a shader makes of them, and of others' roughness and normals."""
-        f0 = read(self.tint) * (self.shading.index or 0.0)
+        if self.metalness is not None:
+            base, share = read(self.base), read(self.metalness)
+            index = torch.full_like(share, self.shading.index or 0.0)
+            return TargetSurface(
+                base * (1.0 - share),
+                index,
+                read(others.roughness),
+                signed(read(others.normal)),
+                layer=index,
+                shading=replace(self.shading, conductor=shader == "standard_surface"),
+                metal=base,
+                share=share,
+            )
+        f0 = read(self.second[1]) * (self.shading.index or 0.0)
         return TargetSurface(
             read(self.base),
             f0,
@@ -240,6 +304,7 @@ INPUTS = {
     "open_pbr_surface": {
         "base_color": ("base_color", "color3"),
         "tint": ("specular_color", "color3"),
+        "metalness": ("base_metalness", "float"),
         "roughness": ("specular_roughness", "float"),
         "ior": ("specular_ior", "float"),
         "normal": ("geometry_normal", "vector3"),
@@ -247,6 +312,7 @@ INPUTS = {
     "standard_surface": {
         "base_color": ("base_color", "color3"),
         "tint": ("specular_color", "color3"),
+        "metalness": ("metalness", "float"),
         "roughness": ("specular_roughness", "float"),
         "ior": ("specular_IOR", "float"),
         "normal": ("normal", "vector3"),
@@ -255,36 +321,40 @@ INPUTS = {
 
 
 def _layered(
-    job: ExportJob, files: dict[str, TextureFile], shader: str, index: float, _: Path
+    job: ExportJob, files: dict[str, TextureFile], shader: str, layered: Layered, _: Path
 ) -> bytes:
     """The .mtlx file of one of the standard shaders; the five textures."""
     made = _Document(job)
-    base, tint, roughness, normal, height = files.items()
+    base, second, roughness, normal, height = files.items()
+    kind = layered.second[0]
     made.image("base_color", "color3", *base)
-    made.image("f0", "color3" if job.coloured else "float", *tint)
+    if kind == "tint":
+        made.image("f0", "color3" if job.coloured else "float", *second)
+    else:
+        made.image("metalness", "float", *second)
     made.image("roughness", "float", *roughness)
     made.image("normal_texture", "vector3", *normal)
     made.displaced(*height)
     _link(_node(made.graph, "normalmap", "normal", "vector3"), "in", "vector3", "normal_texture")
-    sources = {"tint": made.colour("tint", "f0")}
+    sources = {"tint": made.colour("tint", "f0")} if kind == "tint" else {}
     inputs = INPUTS[shader]
     surface = _node(made.root, shader, "lit", "surfaceshader")
     if shader == "standard_surface":
         _value(surface, "base", "float", "1")
         _value(surface, "specular", "float", "1")
-    for name in ("base_color", "tint", "roughness", "normal"):
-        input_, kind = inputs[name]
+    for name in ("base_color", kind, "roughness", "normal"):
+        input_, type_ = inputs[name]
         source = sources.get(name, name)
-        ET.SubElement(made.graph, "output", name=f"{name}_out", type=kind, nodename=source)
+        ET.SubElement(made.graph, "output", name=f"{name}_out", type=type_, nodename=source)
         ET.SubElement(
             surface,
             "input",
             name=input_,
-            type=kind,
+            type=type_,
             nodegraph="NG_matcap",
             output=f"{name}_out",
         )
-    _value(surface, inputs["ior"][0], "float", repr(index))
+    _value(surface, inputs["ior"][0], "float", repr(layered.ior))
     return made.material(nodename="lit")
 
 

@@ -49,6 +49,8 @@ class TargetShading:
         each: every channel by itself is what the layer takes; else the brightest is.
         compensated: what bounces between microfacets is added.
         fading: reflection at grazing falls from 1 for F0 below 0.02.
+        conductor: Fresnel's equations for a conductor of that F0 whose edge is white, where
+            standard_surface finds its indices (Gulbrandsen 2014), instead of Schlick's Fresnel.
     """
 
     specular: Literal["microfacet", "mobile"] = "microfacet"
@@ -59,6 +61,7 @@ class TargetShading:
     each: bool = False
     compensated: bool = False
     fading: bool = False
+    conductor: bool = False
 
 
 MATCAP = TargetShading()
@@ -143,6 +146,8 @@ def specular_lobe(
 def _fresnel(shading: TargetShading, at: Geometry, f0: Tensor, f90: float | Tensor) -> Tensor:
     if shading.index is not None:
         return f0 / shading.index * _dielectric(at, shading.index)
+    if shading.conductor:
+        return _conductor(at, f0)
     if shading.fading:
         f90 = f90 * (_FADING * f0.amax(dim=-3, keepdim=True)).clamp(max=1.0)
     return f0 + (f90 - f0) * at.grazing
@@ -155,6 +160,21 @@ def _dielectric(at: Geometry, f0: float) -> Tensor:
     g = (((1.0 + root) / (1.0 - root)) ** 2 - 1.0 + c.square()).sqrt()
     edge = ((c * (g + c) - 1.0) / (c * (g - c) + 1.0)).square()
     return 0.5 * ((g - c) / (g + c)).square() * (1.0 + edge)
+
+
+def _conductor(at: Geometry, f0: Tensor) -> Tensor:
+    """Of n = (1 - F0) / (1 + F0), the least with which anything absorbing reflects F0."""
+    r = f0.clamp(0.0, 0.99)
+    n2 = ((1.0 - r) / (1.0 + r)).square()
+    k2 = ((n2.sqrt() + 1.0).square() * r - (n2.sqrt() - 1.0).square()).clamp_min(0.0) / (1.0 - r)
+    c = at.difference.clamp(0.0, 1.0)
+    c2, s2 = c.square(), 1.0 - c.square()
+    t0 = n2 - k2 - s2
+    both = (t0.square() + 4.0 * n2 * k2).sqrt()
+    a = (0.5 * (both + t0)).clamp_min(0.0).sqrt()
+    upright = (both + c2 - 2.0 * a * c) / (both + c2 + 2.0 * a * c)
+    first, second = c2 * both + s2.square(), 2.0 * a * c * s2
+    return 0.5 * upright * (1.0 + (first - second) / (first + second).clamp_min(1e-9))
 
 
 def _visibility(shading: TargetShading, at: Geometry, alpha: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,8 @@ class TargetSurface:
         roughness: (1, H, W); alpha is its square.
         normal: (3, H, W), +Y up; need not be of unit length.
         f90: reflectance at grazing, a number or a tensor like f0.
+        metal: (1 or 3, H, W) F0 of the part that is metal, where that is another lobe.
+        share: (1, H, W) of that part; `f0` is of the rest.
         layer: F0 of a layer above the diffuse part, where the target's shading has one; a number
             or a tensor like f0.
         shading: of the target.
@@ -54,6 +56,8 @@ class TargetSurface:
     f90: float | Tensor = 1.0
     layer: float | Tensor | None = None
     shading: TargetShading = MATCAP
+    metal: Tensor | None = None
+    share: Tensor | None = None
 
     @staticmethod
     def of_maps(maps: MapSet) -> TargetSurface:
@@ -79,6 +83,10 @@ class TargetSurface:
         at = Geometry.of(self.normal, to_light, to_view)
         below = self.diffuse * diffuse_lobe(self.shading, at, self.roughness, self.layer)
         above = specular_lobe(self.shading, at, self.f0, self.f90, self.roughness)
+        if self.metal is not None and self.share is not None:
+            bare = replace(self.shading, index=None)
+            metal = specular_lobe(bare, at, self.metal, 1.0, self.roughness)
+            above = above * (1.0 - self.share) + metal * self.share
         value = (below + above) * at.light
         return torch.where(at.above > 0, value, torch.zeros_like(value))
 

@@ -90,7 +90,9 @@ class _UsdLook:
 
     def textures(self) -> dict[str, TextureFile]:
         """All of them by kind."""
-        return self.inputs | {"mtlx_base": self.layered.base, "mtlx_specular": self.layered.tint}
+        kind, second = self.layered.second
+        label = "mtlx_specular" if kind == "tint" else "mtlx_metalness"
+        return self.inputs | {"mtlx_base": self.layered.base, label: second}
 
 
 def usd_specular(job: ExportJob) -> Export:
@@ -360,14 +362,17 @@ def _network(look: _UsdLook, files: dict[str, str]) -> str:
     """OpenPBR as MaterialX has it, in USD's words (UsdMtlx)."""
     taken = INPUTS["open_pbr_surface"]
     kinds = {"color3": "color3f", "float": "float", "vector3": "float3"}
-    tint = ("color3", "srgb_texture") if look.coloured else ("float", "raw")
+    second = ("color3", "srgb_texture") if look.coloured else ("float", "raw")
+    kind, node, grey = "tint", "MtlxSpecular", not look.coloured
+    if look.layered.metalness is not None:
+        second, kind, node, grey = ("float", "raw"), "metalness", "MtlxMetalness", False
     sources = {
         "base_color": ("MtlxBase", files["mtlx_base"], "color3", "srgb_texture"),
-        "tint": ("MtlxSpecular", files["mtlx_specular"], *tint),
+        kind: (node, next(reversed(files.values())), *second),
         "roughness": ("MtlxRoughness", files["roughness"], "float", "raw"),
         "normal": ("MtlxNormalTexture", files["normal_gl"], "vector3", "raw"),
     }
-    made = {"normal": "MtlxNormal"} | ({} if look.coloured else {"tint": "MtlxTint"})
+    made = {"normal": "MtlxNormal"} | ({"tint": "MtlxTint"} if grey else {})
     links = [
         f"            {kinds[kind]} inputs:{input_}.connect = "
         f"<@ROOT@/{made.get(name, sources[name][0])}.outputs:out>\n"
@@ -388,7 +393,7 @@ def _network(look: _UsdLook, files: dict[str, str]) -> str:
             float3 outputs:out
         }}
 
-{"" if look.coloured else _GREY_TINT}        def Shader "MtlxCoordinates"
+{_GREY_TINT if grey else ""}        def Shader "MtlxCoordinates"
         {{
             uniform token info:id = "ND_geompropvalue_vector2"
             string inputs:geomprop = "st"
