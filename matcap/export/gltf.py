@@ -45,6 +45,9 @@ SHADING = TargetShading(layer="half", compensated=True)
 _LITERAL = TargetShading(layer="half")  # as glTF says, which leaves that to them
 # Beyond this F0 the index of refraction runs off to infinity; a factor above 1 does the rest.
 _LARGEST_F0 = 0.9
+# Blender takes the index's own Fresnel between F0 and 1. At this F0 it is nearest to Schlick's: of
+# lower ones low light is mirrored too much (6 % of a rust's light at 12 degrees for 1 %).
+_LEAST_F0 = 0.3
 _FLOAT, _SHORT = 5126, 5123
 _VERTICES, _INDICES = 34962, 34963
 _REPEAT, _LINEAR, _MIPMAPS = 10497, 9729, 9987
@@ -71,7 +74,7 @@ def gltf_specular(job: ExportJob) -> Export:
     """
     _check(job)
     largest = brightest(job, SHADING)
-    limit = min(largest, _LARGEST_F0)
+    limit = min(max(largest, _LEAST_F0), _LARGEST_F0)
     channels = job.maps.specular.shape[-3]
 
     def tint(piece: MapRows) -> Picture:

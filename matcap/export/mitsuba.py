@@ -5,13 +5,15 @@ NAME_exact.xml has matcap's own reflectance, which comes along as a BSDF in Pyth
 its `principled`, which as a metal has Schlick's Fresnel. Per texel, a share w of the blend is
 specular with F0 / w, the rest diffuse; w is as large as the diffuse albedo allows. So diffuse and
 F0 are right, while the reflection ends at w instead of 1 at grazing, and the masking is Mitsuba's
-product of two Smith terms.
+product of two Smith terms. Where all is bare metal `principled` alone will do. (`roughconductor`
+would not: a metal's own Fresnel is 2 to 9 % of the light away from Schlick's.)
 """
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from importlib.resources import files as resources
 
 import numpy as np
@@ -26,6 +28,7 @@ from matcap.export.textures import Export, Standard, signed
 
 _SCRIPT = "matcap_bsdf.py"
 _LARGEST_SHARE = 0.98
+_NO_DIFFUSE = 1e-3  # albedo; with less everywhere a material is bare metal
 _LARGEST_FILM = 512
 _VERSION = "3.6.0"
 
@@ -37,19 +40,26 @@ def mitsuba(job: ExportJob) -> Export:
             f"Mitsuba knows no {job.container}", where="--format", remedy="give png, jpg or exr"
         )
     textures = Standard.of(job)
-    blend = {
-        "share": TextureFile.of(job, _share, "16", "share of the blend that is specular"),
-        "blend_diffuse": TextureFile.of(
-            job, _blend_diffuse, "16", "diffuse / (1 - share)", srgb=True
-        ),
-        "blend_specular": TextureFile.of(
-            job, _blend_specular, "16", "F0 / share", srgb=job.coloured
-        ),
-    }
+    bare = float(job.diffuse.max()) < _NO_DIFFUSE
+    blend = (
+        {}
+        if bare
+        else {
+            "share": TextureFile.of(job, _share, "16", "share of the blend that is specular"),
+            "blend_diffuse": TextureFile.of(
+                job, _blend_diffuse, "16", "diffuse / (1 - share)", srgb=True
+            ),
+            "blend_specular": TextureFile.of(
+                job, _blend_specular, "16", "F0 / share", srgb=job.coloured
+            ),
+        }
+    )
     standard = textures.files(job.name)
     names = {kind: f"{job.name}_{kind}{made.suffix}" for kind, made in blend.items()}
 
     def surface(read: Reader) -> TargetSurface:
+        if bare:
+            return replace(textures.surface(read), shading=TargetShading(masking="separable"))
         share = read(blend["share"])
         return TargetSurface(
             read(blend["blend_diffuse"]) * (1.0 - share),
@@ -65,14 +75,12 @@ def mitsuba(job: ExportJob) -> Export:
     _texture(exact, "diffuse", diffuse_file, colour=True)
     _texture(exact, "specular", specular_file, colour=job.coloured)
     _texture(exact, "roughness", roughness_file)
-    plain = _element("bsdf", "blendbsdf")
-    _texture(plain, "weight", names["share"])
-    base = ET.SubElement(plain, "bsdf", type="diffuse")
-    _texture(base, "reflectance", names["blend_diffuse"], colour=True)
-    gloss = ET.SubElement(plain, "bsdf", type="principled")
+    gloss = _element("bsdf", "principled")
     ET.SubElement(gloss, "float", name="metallic", value="1")
-    _texture(gloss, "base_color", names["blend_specular"], colour=job.coloured)
+    mirrored = specular_file if bare else names["blend_specular"]
+    _texture(gloss, "base_color", mirrored, colour=job.coloured)
     _texture(gloss, "roughness", roughness_file)
+    plain = gloss if bare else _blended(gloss, names)
     script = resources("matcap.export.scripts").joinpath(_SCRIPT).read_bytes()
     return Export(
         standard | {names[kind]: one for kind, one in blend.items()},
@@ -81,9 +89,19 @@ def mitsuba(job: ExportJob) -> Export:
             f"{job.name}_exact.xml": lambda _: _scene(job, exact, normal_file),
             _SCRIPT: lambda _: script,
         },
-        {"blend": surface, "exact": textures.surface},
+        {"metal" if bare else "blend": surface, "exact": textures.surface},
         (f"the residual is of {job.name}.xml; {job.name}_exact.xml with {_SCRIPT} has none",),
     )
+
+
+def _blended(gloss: ET.Element, names: dict[str, str]) -> ET.Element:
+    """The specular part over a diffuse one, by the share of every texel."""
+    plain = _element("bsdf", "blendbsdf")
+    _texture(plain, "weight", names["share"])
+    base = ET.SubElement(plain, "bsdf", type="diffuse")
+    _texture(base, "reflectance", names["blend_diffuse"], colour=True)
+    plain.append(gloss)
+    return plain
 
 
 def _share(piece: MapRows) -> Picture:

@@ -4,6 +4,7 @@ import numpy as np
 from chromium import MODULES, camera_of, drawn
 
 PLACE = MODULES / "babylonjs"
+_BRIGHTEST = 1000.0  # Babylon.js cuts radiance off at 30, which highlights of metals pass
 _PAGE = """<script src="/modules/babylonjs/babylon.js"></script>
 <script src="/modules/babylonjs-loaders/babylonjs.loaders.min.js"></script>"""
 
@@ -18,9 +19,9 @@ def render(file, maps, position, intensity, *, widened=True) -> np.ndarray:
         intensity: radiant intensity.
         widened: highlights are widened against flicker, as Babylon.js does with glTF.
     """
-    about = {"file": file.name, "position": list(position), "intensity": intensity}
+    about = {"file": file.name, "position": list(position), "intensity": intensity / _BRIGHTEST}
     about["widened"] = widened
-    return drawn(_DRAW, about | camera_of(maps), _PAGE, file.parent)
+    return drawn(_DRAW, about | camera_of(maps), _PAGE, file.parent) * np.float32(_BRIGHTEST)
 
 
 _DRAW = """async (text) => {

@@ -1,8 +1,11 @@
 """Run by Blender's Python: build an exported material and render it.
 
-    python render_blender.py FILE COLUMNS ROWS EXTENT X Y Z PICTURE.exr
+    python render_blender.py FILE COLUMNS ROWS EXTENT X Y Z PICTURE.exr [uncorrected]
 
 FILE is an exported script (.py), run as it is, or a stage (.usda) or binary (.glb), imported.
+
+With `uncorrected`, Cycles does not correct for bump maps in any material, as in the script.
+
 
 One texel a pixel, under a point light at X, Y, Z, of 1000 W.
 """
@@ -15,7 +18,9 @@ from pathlib import Path
 import bpy
 import mathutils
 
-file, columns, rows, extent, *place, out = sys.argv[-8:]
+words = sys.argv[1:]
+uncorrected = words[-1] == "uncorrected"
+file, columns, rows, extent, *place, out = words[:8]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 if Path(file).suffix == ".py":
     runpy.run_path(file, run_name="__main__")
@@ -33,6 +38,9 @@ for one in bpy.data.objects:
         if flat == 1:
             one.matrix_world = mathutils.Matrix.Rotation(math.radians(-90.0), 4, "X")
 for material in bpy.data.materials:
+    for owner in (material, material.cycles):
+        if uncorrected and hasattr(owner, "use_bump_map_correction"):
+            owner.use_bump_map_correction = False
     for node in material.node_tree.nodes:
         if node.type == "TEX_IMAGE":
             node.interpolation = "Closest"

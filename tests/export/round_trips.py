@@ -86,6 +86,10 @@ def rendered(target, folder, name, maps, place):
     found = {}
     if file and "BLENDER_PYTHON" in os.environ:
         found["in Blender"] = blender_picture(file, maps, place)
+        if target != "blender":
+            found["in Blender, bump correction off"] = blender_picture(
+                file, maps, place, corrected=False
+            )
     drawing = file and target != "blender" and find_spec("playwright")
     power = exposing_intensity(place)
     if drawing and render_three.PLACE.is_dir():
@@ -145,14 +149,14 @@ def mitsuba_picture(folder, file, place=NAMED_LIGHTS["top"]) -> np.ndarray:
     return np.array(picture)[..., :3]
 
 
-def blender_picture(file, maps, place=NAMED_LIGHTS["top"]) -> np.ndarray:
-    """Cycles' picture of a script, stage or binary."""
+def blender_picture(file, maps, place=NAMED_LIGHTS["top"], *, corrected=True) -> np.ndarray:
+    """Cycles' picture of a script, stage or binary; `corrected` is its bump-map correction."""
     width, height = maps.size
     out = file.with_suffix(".exr")
     extent = max(width, height) * maps.texel_size
     script = Path(__file__).with_name("render_blender.py")
     words = [os.environ["BLENDER_PYTHON"], "-W", "ignore", script, file, width, height]
-    words += [extent, *place, out]
+    words += [extent, *place, out, *([] if corrected else ["uncorrected"])]
     subprocess.run([str(w) for w in words], check=True, capture_output=True)
     # A lamp of P watts has a radiant intensity of P / (4 pi).
     scale = exposing_intensity(place) * 4.0 * np.pi / 1000.0
