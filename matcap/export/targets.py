@@ -77,6 +77,8 @@ _SEAM = (
 # All maps twice, in 32-bit floats: no target takes more.
 _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
 
+_AS_NEAR = 0.02  # of the residual: by so little no form is nearer than another
+
 # Programs that find no tiles by their numbers.
 _NO_TILES = ("gltf", "mitsuba", "godot")
 
@@ -203,7 +205,7 @@ def write_export(
     made = {name: make(job) for name, make in forms.items()}
     found = {name: residuals(job, export.surfaces) for name, export in made.items()}
     first = {name: next(iter(one.values()), None) for name, one in found.items()}
-    chosen = form or min(first, key=lambda name: _mean(first[name]))
+    chosen = form or _nearest(first)
     told = {name: one for per_form in found.values() for name, one in per_form.items()}
     about = _sidecar(made[chosen], job, target, first[chosen]) | {
         "workflow": chosen,
@@ -319,6 +321,12 @@ def _write_textures(
 
     with ThreadPoolExecutor(WRITERS) as pool:
         list(pool.map(write, textures.items()))
+
+
+def _nearest(found: Mapping[Workflow | None, Residual | None]) -> Workflow | None:
+    """The form whose light is nearest; of those that are as near, the target's first."""
+    least = min(_mean(off) for off in found.values())
+    return next(form for form, off in found.items() if _mean(off) <= (1.0 + _AS_NEAR) * least)
 
 
 def _mean(off: Residual | None) -> float:

@@ -25,10 +25,11 @@ from exported import unlike
 from metals import metals
 
 import matcap
+from matcap.export import presets
 from matcap.export.engines import ENGINES
 from matcap.export.job import ExportJob
-from matcap.export.surface import residual
-from matcap.export.targets import DOCUMENTS, write_export
+from matcap.export.surface import residual, residuals
+from matcap.export.targets import DOCUMENTS, preset_forms, write_export
 from matcap.field.opened import open_tile
 from matcap.files.exr import read_exr
 from matcap.lab.simulate.materials import MATERIALS, realise
@@ -174,6 +175,17 @@ def materials(paths, metallic):
         yield path.stem, open_tile(path, size=(SIZE, SIZE)).maps
 
 
+def metallic_forms(maps, preset):
+    """{form: residual} of the ways in which base colour and metallic may be found."""
+    make, found, all_forms = preset_forms(preset)["metallic"], {}, presets.FORMS
+    for form in all_forms:
+        presets.FORMS = (form,)
+        job = ExportJob(maps, "m")
+        found[form] = residuals(job, make(job).surfaces)["metallic"].mean
+    presets.FORMS = all_forms
+    return found
+
+
 def main(words) -> None:
     rows: dict[str, list[float]] = {}
     names: list[str] = []
@@ -209,6 +221,8 @@ def main(words) -> None:
                 rows.setdefault(f"preset {preset}, as written", []).append(done.residual.mean)
                 for form, off in done.residuals.items():
                     rows.setdefault(f"preset {preset}, {form}", []).append(off.mean)
+                for form, off in metallic_forms(maps, preset).items():
+                    rows.setdefault(f"preset {preset}, metallic, {form}", []).append(off)
     print(f"{count} materials of {SIZE} x {SIZE} texels\n")
     print(f"| target | mean | worst | {' | '.join(names)} |\n|{' --- |' * (3 + count)}")
     for what, values in rows.items():
