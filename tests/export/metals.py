@@ -4,21 +4,14 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.lab.simulate.materials import realise
+from matcap.lab.simulate.materials.kinds.coloured_metals import METAL_F0
 
-# F0 by channel, linear Rec.709.
-F0 = {
-    "gold": (1.000, 0.766, 0.336),
-    "copper": (0.955, 0.638, 0.538),
-    "brass": (0.887, 0.789, 0.434),
-    "aluminium": (0.913, 0.922, 0.924),
-    "steel": (0.56, 0.57, 0.58),
-}
 DIELECTRIC = 0.04
 SIDE = 64
 
 
 def colour(*channels):
-    return torch.tensor(channels)[:, None, None]
+    return torch.tensor([float(one) for one in channels])[:, None, None]
 
 
 def metallic(base, share, roughness, height, dielectric=DIELECTRIC):
@@ -47,11 +40,12 @@ def metals():
     """{name: maps} of SIDE x SIDE texels, all but the last of a metallic model."""
     relief, patches = 0.01 * field(1), torch.sigmoid(6.0 * field(2))
     ones = torch.ones_like(relief)
-    steel, rust = colour(*F0["steel"]), colour(0.20, 0.07, 0.03)
+    steel, rust = colour(*METAL_F0["steel"]), colour(0.20, 0.07, 0.03)
     paint, speckle = colour(0.45, 0.05, 0.04), 0.2 * field(3, (8, 16))
     worn = torch.sigmoid(12.0 * (field(2) - 0.8))
     found = {
-        name: metallic(colour(*f0), ones, 0.3 + 0.02 * field(4), relief) for name, f0 in F0.items()
+        name: metallic(colour(*f0), ones, 0.3 + 0.02 * field(4), relief)
+        for name, f0 in METAL_F0.items()
     }
     found["rust beside steel"] = metallic(
         patches * steel + (1.0 - patches) * rust * (1.0 + speckle),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from matcap.brdf.maps import MapSet
 from matcap.export.formats import Container, Depth
 from matcap.export.job import ExportJob
-from matcap.export.metallic import SURE_METAL, to_metallic
+from matcap.export.metallic import SURE_METAL, MetallicAim, to_metallic
 from matcap.export.targets import DOCUMENTS, PRESETS, write_export
 from matcap.export.texture_file import TextureFile
 from matcap.files.exr import LARGEST_HALF, read_exr
@@ -34,11 +34,12 @@ def metallic(g: np.random.Generator) -> Swept:
     diffuse = (g.random((_TEXELS, 3)) * g.choice([0.0, 1e-6, 1.0])).astype(np.float32)
     specular = (g.random(_TEXELS) ** int(g.integers(1, 5))).astype(np.float32)
     lowest, highest = [(0.0, 0.08), (0.04, 0.04), (0.02, 0.5)][int(g.integers(3))]
-    made = to_metallic(diffuse, specular, lowest=lowest, highest=highest)
-    base, share = made.base.astype(np.float64), made.metallic.astype(np.float64)
+    row, half = specular[None], np.full((1, _TEXELS), 0.5, dtype=np.float32)
+    made = to_metallic(MetallicAim(diffuse[None], row, half, lowest, highest))
+    base, share = made.base[0].astype(np.float64), made.metallic[0].astype(np.float64)
     rest = 1.0 - share
     back = base * rest[:, None]
-    f0 = made.dielectric * rest + base.mean(-1) * share
+    f0 = made.dielectric[0] * rest + base.mean(-1) * share
     unclipped = (base < 1.0).all(-1) & (diffuse.max(-1) >= 1e-4)
     # Between a dielectric and a metal F0 is what metals in part may have, not what it was.
     told = (specular >= lowest) & ((specular <= highest) | (specular >= SURE_METAL))
