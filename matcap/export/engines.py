@@ -97,7 +97,8 @@ def _below(label: str, meaning: str = BASE) -> PresetTexture:
 
 _UNREAL_NAMES = ("Normal_GL", "Normal_DX")
 _UNREAL = ("run T_*_import.py in Unreal to import them with the right settings",)
-_UNITY = ("switch sRGB off for MaskMap, BentNormalMap and HeightMap",)
+_UNITY_NORMAL = "set the Texture Type of Normal_GL to Normal map"
+_UNITY = ("switch sRGB off for MaskMap, BentNormalMap and HeightMap", _UNITY_NORMAL)
 
 # What every project can show is written first, even where something else comes nearer.
 PLAIN: dict[str, Workflow] = {"unreal": "metallic"}
@@ -190,7 +191,10 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             },
             normal_labels=_UNREAL_NAMES,
             lit=Lit(_MOBILE, "metallic", (_UNITY_F0, _UNITY_F0), 1.0 - _UNITY_F0),
-            notes=("switch sRGB off for MetallicSmoothness, OcclusionMap and HeightMap",),
+            notes=(
+                "switch sRGB off for MetallicSmoothness, OcclusionMap and HeightMap",
+                _UNITY_NORMAL,
+            ),
         ),
         "specular": Preset(
             "{stem}_{map}",
@@ -212,6 +216,7 @@ ENGINES: dict[str, dict[Workflow, Preset]] = {
             notes=(
                 "set Workflow Mode to Specular",
                 "switch sRGB off for OcclusionMap and HeightMap",
+                _UNITY_NORMAL,
             ),
         ),
     },

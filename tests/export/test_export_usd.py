@@ -36,7 +36,7 @@ def test_the_validators_would_object(tmp_path, made, read_usd):
     assert read_usd.complaints(file)
 
 
-@pytest.mark.parametrize("name", ["leather", "gold"])
+@pytest.mark.parametrize("name", ["leather", "gold", "copper"])
 def test_its_materialx_is_materialxs(tmp_path, made, read_usd, name):
     pytest.importorskip("MaterialX", reason="needs the extra `export`")
     write_export(ExportJob(made[name], "leather"), "usd", tmp_path)
