@@ -106,7 +106,7 @@ def test_a_map_set_and_its_exports_hold_what_is_told(small, tmp_path, monkeypatc
         == told
     )
     found = set()
-    for target in ("gltf", "blender"):
+    for target in ("gltf", "blender", "unreal"):
         assert main(["export", "leather", "--to", target, "-q", "-o", target]) == 0
         found |= set(json.loads((tmp_path / target / f"leather_{target}.json").read_text()))
     assert found == formats.keys("matcap.export.targets", "Keys")
