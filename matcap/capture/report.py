@@ -39,9 +39,10 @@ Keys:
         relief's strength, and `roughness`).
     several: of several photographs of one piece, or null: `photographs` (name, `flash`, false of
         one by the room's light, `matches` with the first, `likeness`, `place` in plane units, tilt,
-        `residual` of its re-rendering, and `predicted`, the same where all others alone decided,
-        or null), `left_out` (name and why), `measured_share` (by map: what photographs tell
-        rather than the network), flash offset and lens distortion.
+        `doubt`, what that place may be off by over its distance, one deviation, `residual` of its
+        re-rendering, and `predicted`, the same where all others alone decided, or null),
+        `left_out` (name and why), `measured_share` (by map: what photographs tell rather than the
+        network), flash offset and lens distortion.
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.
 """
@@ -191,6 +192,9 @@ def warnings(result: CaptureResult) -> Iterable[str]:
     if result.found is not None and result.found.several is not None:
         for one in result.found.several.left_out:
             yield f"{one.name} was left out: {one.why}."
+        doubted = result.found.several.doubted()
+        if doubted:
+            yield doubted
     if photo.flash_fired is False:
         yield "The file says that the flash did not fire: photograph again with the flash on."
     if result.found is not None and result.found.strengths is None:

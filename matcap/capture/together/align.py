@@ -49,6 +49,8 @@ class AlignSettings:
             texels that are sampled move.
         slow: deviation of what counts as slow in heights, as a share of the long side.
         pixel: plane units that photographs are expected to lie beside their places.
+        doubtful: of what cameras may be off by for their features, what is left: shading is known
+            now (docs/notes/several.md).
     """
 
     levels: tuple[float, ...] = (0.25, 0.5, 1.0)
@@ -57,6 +59,7 @@ class AlignSettings:
     steps: tuple[int, ...] = (2, 1, 0)
     slow: float = 0.06
     pixel: float = 1e-3
+    doubtful: float = 0.3
 
 
 @dataclass(frozen=True)
@@ -136,7 +139,8 @@ def aligned(
             done += 1
             if tell:
                 tell(done / effort)
-    return Aligned(setup, tuple(views), tuple(places), light)
+    known = tuple(replace(v, doubt=settings.doubtful * v.doubt) for v in views)
+    return Aligned(setup, known, tuple(places), light)
 
 
 def _relief(numbers: Tensor, texel_size: float, settings: AlignSettings) -> NDArray[np.float32]:

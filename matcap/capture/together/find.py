@@ -7,7 +7,7 @@ brought over each other, and together decide what one left open.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -154,6 +154,31 @@ def find_together(
         example, single.strengths, solved.residual[0], 0.0, sharp, (), interrupted, told, scale
     )
     return FoundTogether(piece, coarse, plane, lattice.waves, first)
+
+
+@torch.no_grad()
+def aligned_photographs(
+    photos: Sequence[Photo], network: Inverse, detail: int | None
+) -> tuple[Registration, Aligned]:
+    """Cameras as a capture has them before it solves: by features, and brought over each other.
+
+    Args:
+        photos, network, detail: as of find_together.
+
+    Raises:
+        MatcapError: no other photograph shows the same piece.
+    """
+
+    def unnamed(stage: str) -> AbstractContextManager[None]:
+        return nullcontext()
+
+    registration, coarse, plane = _registered(photos, detail, unnamed)
+    single = _read_alone(plane, coarse, network, unnamed)
+    radiometric = all(view.photo.radiometric for view in registration.views)
+    light = SetLight.of(coarse.setup, len(registration.views))
+    registration = replace(registration, setup=coarse.setup)
+    found = aligned(registration, single.maps, single.errors, light, radiometric=radiometric)
+    return registration, found
 
 
 def _indexed(photo: Photo, exemplar: Exemplar, waves: tuple[Wave, ...]) -> tuple[Example, float]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from matcap.capture.together.place import placed
 from matcap.errors import MatcapError
+from matcap.flash.registration.doubt import DOUBTED
 from matcap.flash.registration.grid import grid_points
 from matcap.flash.registration.register import RegisteredView, Registration
 from matcap.photo.inspect import Finding, Inspection, Verdict
@@ -70,7 +71,10 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
 def set_quality(found: Registration) -> Inspection:
     """What photographs show and lack whose cameras are found."""
     first, lit = found.views[0].photo.name, [view for view in found.views if view.flash]
-    return Inspection(first, (_belong(found), *_sides(lit), _places(lit), _common(found.views)))
+    return Inspection(
+        first,
+        (_belong(found), *_sides(lit), _places(lit), *_cameras(found.views), _common(found.views)),
+    )
 
 
 def _belong(found: Registration) -> Finding:
@@ -148,6 +152,20 @@ def _places(views: Sequence[RegisteredView]) -> Finding:
     remedy = "Move the phone by a third of its distance from one to the next." if same else ""
     remedy += " Stay within 45 degrees: the far side is told by few pixels." if steep else ""
     return Finding("places", value, Verdict.DOUBTFUL, " ".join(said), remedy.strip())
+
+
+def _cameras(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
+    """How far cameras are known; nothing is said of a single photograph."""
+    if len(views) < 2:
+        return ()
+    worst = max(views, key=lambda view: view.doubt)
+    value = {view.photo.name: round(view.doubt, 5) for view in views[1:]}
+    says = f"Where cameras stood is known to {100 * worst.doubt:.2f} % of their distance"
+    if worst.doubt <= DOUBTED:
+        return (Finding("cameras", value, Verdict.GOOD, f"{says}."),)
+    says += f" so far ({worst.photo.name}): shading goes with the flash."
+    remedy = "A capture, which reckons with shading, brings them to about a third of that."
+    return (Finding("cameras", value, Verdict.NOTE, says, remedy),)
 
 
 def _common(views: Sequence[RegisteredView]) -> Finding:

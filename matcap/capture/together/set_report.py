@@ -9,6 +9,7 @@ from typing import Any
 
 from matcap.capture.together.align import Aligned
 from matcap.capture.together.solve import Solved
+from matcap.flash.registration.doubt import DOUBTED
 from matcap.flash.registration.register import LeftOut, RegisteredView, Registration
 
 
@@ -51,6 +52,17 @@ class SetReport:
             found.views[0].camera.lens.bent,
         )
 
+    def doubted(self) -> str | None:
+        """A sentence, where cameras may be off by more than is aimed at."""
+        far = [view for view in self.views if view.doubt > DOUBTED]
+        if not far:
+            return None
+        worst, names = max(view.doubt for view in far), ", ".join(v.photo.name for v in far)
+        return (
+            f"Where cameras stood is known to {100 * worst:.1f} % of their distance ({names}): "
+            "light comes from a little beside where it is taken to come from."
+        )
+
     def document(self) -> dict[str, Any]:
         """JSON: angles in degrees, places in plane units."""
         predicted = self.predicted or (None,) * len(self.views)
@@ -63,6 +75,7 @@ class SetReport:
                     "likeness": view.alike,
                     "place": view.camera.place.tolist(),
                     "tilt_degrees": math.degrees(view.camera.tilt),
+                    "doubt": view.doubt,
                     "residual": residual,
                     "predicted": None if ahead is None or math.isnan(ahead) else ahead,
                 }

@@ -154,12 +154,23 @@ def _residuals(
 ) -> Doubles:
     """(2, n) pixels that matches lie beside each other, less what relief may explain."""
     first, camera = _first_camera(setup, common), _camera(setup, common, own, pair)
+    return less_relief(*apart(first, camera, pair, settings.relief))
+
+
+def apart(
+    first: PosedCamera, camera: PosedCamera, pair: Pair, height: float
+) -> tuple[Doubles, Doubles]:
+    """(2, n) pixels that matches lie beside each other, and that such a height would move them."""
     points = first.on_plane(pair.first)
     seen = camera.sees(points)
     # Seen by the first where it was, a feature off the plane lies nearer to the first camera.
-    raised = points + settings.relief * (first.place[:, None] - points) / first.place[2]
+    raised = points + height * (first.place[:, None] - points) / first.place[2]
     parallax = (camera.sees(raised) - seen) / pair.pixel
-    residual = (seen - pair.second) / pair.pixel
+    return (seen - pair.second) / pair.pixel, parallax
+
+
+def less_relief(residual: Doubles, parallax: Doubles) -> Doubles:
+    """(2, n) of residuals, where a pixel is as probable as a parallax."""
     squared = np.square(parallax).sum(0)
     along = (1.0 - 1.0 / np.sqrt(1.0 + squared)) / np.maximum(squared, 1e-12)
     left = residual - along * (residual * parallax).sum(0) * parallax

@@ -1,6 +1,7 @@
 """How right cameras are found, on many simulated sets of which a third are hard.
 
     python tests/flash/registration/sweep.py --sets 300 --kept sets.jsonl
+    python tests/flash/registration/sweep.py --sets 24 --aligned 512 --kept aligned.jsonl
 
 Prints two tables, of cameras and of sets, and on the way each set: how far its worst camera is
 off, and what was left out though it belongs. Ctrl-C ends with tables of what was done; sets that
@@ -23,6 +24,7 @@ from sets import (
     kinds,
     make_set,
     outcome_of,
+    outcome_of_capture,
     table,
     table_of_sets,
     verdict,
@@ -42,7 +44,7 @@ def main(arguments: Sequence[str]) -> int:
                 continue
             key = f"{number} {kind or 'easy'}"
             if key not in done:
-                done[key] = _outcome(number, kind, asked.width)
+                done[key] = _outcome(number, kind, asked.width, asked.aligned)
                 if asked.kept:
                     keep(asked.kept, asked.width, key, done[key])
             outcomes.append(done[key])
@@ -53,14 +55,15 @@ def main(arguments: Sequence[str]) -> int:
     return ExitCode.SOME_FAILED if wrong else ExitCode.DONE
 
 
-def _outcome(seed: int, kind: str | None, width: int) -> SetOutcome:
+def _outcome(seed: int, kind: str | None, width: int, detail: int | None) -> SetOutcome:
     made = make_set(seed, hard=kind, width=width)
     try:
-        found = outcome_of(made)
+        found = outcome_of(made) if detail is None else outcome_of_capture(made, detail)
     except MatcapError as error:
         found = failed(made, error)
-    worst = max(found.errors, default=0.0)
-    said = f"{found.name} ({found.kind}): {worst:.2%} off, {found.taken_in} foreign"
+    worst, doubt = max(found.errors, default=0.0), max(found.doubts, default=0.0)
+    said = f"{found.name} ({found.kind}): {worst:.2%} off, {doubt:.2%} said"
+    said += f", {found.taken_in} foreign"
     print("; ".join([said, *found.kept_out]), file=sys.stderr, flush=True)
     return found
 
@@ -71,6 +74,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--width", type=int, default=800, help="pixels across")
     parser.add_argument("--seed", type=int, default=0, help="of the first set")
     parser.add_argument("--kept", type=Path, help="file of sets that are done, to go on from")
+    parser.add_argument(
+        "--aligned",
+        type=int,
+        metavar="TEXELS",
+        help="judge cameras after a capture of so many texels across has moved photographs",
+    )
     parser.add_argument("--only", help="sets that are hard this way")
     return parser
 

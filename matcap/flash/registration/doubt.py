@@ -1,0 +1,168 @@
+"""How far cameras may be off that features were matched for.
+
+Features scatter, which many of them take care of. What they cannot take care of is shading: a
+bump's light side goes with the flash, like a point in the depth (a highlight like the bump's centre
+of curvature), and all of a material's bumps alike. How far is not in the matches, for a plane in
+that depth would look the same; how far it may be is: by as much as single features seem to lie off
+the plane. It is considered, not solved for (Schmidt 1966).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from matcap.flash.registration.adjust import Adjusted, Pair, apart, less_relief
+from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
+
+DOUBTED = 0.002  # of the distance: what may be farther off is said
+
+
+@dataclass(frozen=True)
+class DoubtSettings:
+    """What errors are reckoned from; docs/notes/several.md.
+
+    Attributes:
+        alike: of the depth that features seem to lie in, what all have in common over what single
+            ones scatter by.
+        saturated: tangent of the angle to the light, where shading moves half as much as it would.
+        alone: share of features that do not overlap others.
+        tilt: deviation of the first camera's tilt, radians, as features are adjusted with.
+        focal: deviation of the logarithm of the distance.
+        bent: deviation of k1.
+        relief: height that features may have for nothing, plane units.
+    """
+
+    alike: float = 3.0
+    saturated: float = 0.5
+    alone: float = 0.25
+    tilt: float = 0.15
+    focal: float = 0.005
+    bent: float = 0.03
+    relief: float = 0.01
+
+
+_COMMON = 4  # log focal, k1, turns about x and y
+_OWN = 6  # turns about x, y and z, place
+_STEP = 1e-6
+
+
+def doubts(
+    found: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings | None = None
+) -> Doubles:
+    """(photographs - 1,) what each camera's place beside the first one's may be off by.
+
+    Over its distance, one deviation.
+
+    Args:
+        found: cameras.
+        pairs: the matches they were found by.
+        settings: see DoubtSettings.
+    """
+    settings = settings or DoubtSettings()
+    if not pairs:
+        return np.zeros(0)
+    cameras = found.cameras
+    size = _COMMON + _OWN * len(pairs)
+    deviation = np.array([settings.focal, settings.bent, settings.tilt, settings.tilt])
+    normal = np.diag(np.r_[deviation**-2, np.zeros(size - _COMMON)])
+    pulled, depths = np.zeros(size), []
+    for number, pair in enumerate(pairs):
+        first, camera = cameras[0], cameras[number + 1]
+        residual, parallax = apart(first, camera, pair, settings.relief)
+        noise, depth = _scatter(residual, parallax, settings)
+        depths.append(depth)
+        jacobian, shading = _linear(first, camera, pair, settings)
+        # Those far off are outliers, which weigh nothing.
+        kept = np.tile(np.hypot(*less_relief(residual, parallax)) < 4.0 * noise, 2)
+        weight = settings.alone * kept / noise**2
+        places = np.r_[0:_COMMON, _COMMON + _OWN * number : _COMMON + _OWN * (number + 1)]
+        normal[np.ix_(places, places)] += (jacobian.T * weight) @ jacobian
+        pulled[places] += (jacobian.T * weight) @ shading
+    covariance = np.linalg.inv(normal + 1e-9 * np.eye(size))
+    moved = settings.alike * float(np.median(depths)) * (covariance @ pulled)
+    covariance += np.outer(moved, moved)
+    return np.array([_off(cameras, number, covariance) for number in range(1, len(cameras))])
+
+
+def _scatter(residual: Doubles, parallax: Doubles, settings: DoubtSettings) -> tuple[float, float]:
+    """Pixels that matches scatter by, and plane units that they seem to lie off the plane by."""
+    length = np.maximum(np.hypot(*parallax), 1e-9)
+    along = (residual * parallax).sum(0) / length
+    across = (residual[0] * parallax[1] - residual[1] * parallax[0]) / length
+    noise = max(1.48 * float(np.nanmedian(np.abs(across))), 0.05)
+    pixels = float(np.nanmedian(length)) / settings.relief
+    return noise, 1.48 * float(np.nanmedian(np.abs(along))) / pixels
+
+
+def _linear(
+    first: PosedCamera, camera: PosedCamera, pair: Pair, settings: DoubtSettings
+) -> tuple[Doubles, Doubles]:
+    """(2n, 10) what residuals gain by a photograph's numbers, and (2n,) by a depth of shading."""
+
+    def off(change: Doubles, depth: float = 0.0) -> Doubles:
+        one = _changed(first, np.r_[change[:_COMMON], np.zeros(_OWN)])
+        other = _changed(camera, np.r_[change[:2], 0.0, 0.0, change[_COMMON:]])
+        residual, parallax = apart(one, other, pair, settings.relief)
+        if depth:
+            residual = residual + depth * shaded
+        return less_relief(residual, parallax).ravel()
+
+    shaded = _shaded(first, camera, pair, settings)
+    nothing = np.zeros(_COMMON + _OWN)
+    here = off(nothing)
+    columns = [(off(_STEP * unit) - here) / _STEP for unit in np.eye(len(nothing))]
+    return np.stack(columns, 1), (off(nothing, _STEP) - here) / _STEP
+
+
+def _shaded(
+    first: PosedCamera, camera: PosedCamera, pair: Pair, settings: DoubtSettings
+) -> Doubles:
+    """(2, n) pixels that features move by from flash to flash, for a depth of 1 they seem in."""
+    points = first.on_plane(pair.first)
+
+    def moved(place: Doubles) -> Doubles:
+        towards = (place[:2, None] - points[:2]) / place[2]
+        return np.asarray(towards / (1.0 + np.square(towards).sum(0) / settings.saturated**2))
+
+    shift = np.concatenate([moved(camera.place) - moved(first.place), np.zeros_like(points[2:])])
+    return (camera.sees(points + _STEP * shift) - camera.sees(points)) / (_STEP * pair.pixel)
+
+
+def _changed(camera: PosedCamera, change: Doubles) -> PosedCamera:
+    """By log focal, k1, two turns of the first one's about the middle, its own turn and place."""
+    focal, bent, x, y = change[:_COMMON]
+    lens = Lens(
+        camera.lens.focal * math.exp(focal), (camera.lens.bent[0] + bent, camera.lens.bent[1])
+    )
+    leant = _turn(np.array([x, y, 0.0]))
+    turn = _turn(change[_COMMON : _COMMON + 3]) @ camera.turn @ leant.T
+    place = leant @ camera.place + change[_COMMON + 3 :]
+    return PosedCamera(turn, place, lens)
+
+
+def _turn(vector: Doubles) -> Doubles:
+    """(3, 3) rotation by a small vector, to first order and orthogonal to second."""
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + cross + 0.5 * cross @ cross)
+
+
+def _off(cameras: Sequence[PosedCamera], number: int, covariance: Doubles) -> float:
+    """What a camera's place in the first one's frame may be off by, over its distance."""
+    own = _COMMON + _OWN * (number - 1)
+    places = np.r_[0:_COMMON, own : own + _OWN]
+    first, camera = cameras[0], cameras[number]
+
+    def between(change: Doubles) -> Doubles:
+        one = _changed(first, np.r_[change[:_COMMON], np.zeros(_OWN)])
+        other = _changed(camera, np.r_[change[:2], 0.0, 0.0, change[_COMMON:]])
+        return np.asarray(one.turn @ (other.place - one.place))
+
+    here = between(np.zeros(len(places)))
+    jacobian = np.stack([(between(_STEP * unit) - here) / _STEP for unit in np.eye(len(places))], 1)
+    spread = jacobian @ covariance[np.ix_(places, places)] @ jacobian.T
+    return math.sqrt(float(np.trace(spread))) / float(np.linalg.norm(camera.place))
