@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from matcap.capture.together.look import LOOK, look_at_files, set_quality
+from matcap.capture.together.set_report import SetReport
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.names import are_a_series
@@ -34,6 +35,26 @@ def test_a_set_is_told_what_it_lacks(looked):
     assert told["places"].verdict is Verdict.GOOD
     assert told["common"].verdict is Verdict.GOOD
     assert json.loads(json.dumps(told.document()))["verdict"] == "doubtful"
+
+
+def test_how_far_cameras_are_known_is_told(looked):
+    found = set_quality(looked)["cameras"]
+    assert set(found.value) == {"plaster_1", "plaster_2"} and min(found.value.values()) > 0.0
+    sure, unsure = (
+        set_quality(replace(looked, views=tuple(replace(v, doubt=d) for v in looked.views)))
+        for d in (0.001, 0.004)
+    )
+    assert sure["cameras"].verdict is Verdict.GOOD and "0.10 %" in sure["cameras"].says
+    assert unsure["cameras"].verdict is Verdict.NOTE and "0.40 %" in unsure["cameras"].says
+
+
+def test_a_capture_says_where_cameras_are_doubted(looked):
+    def told(doubt):
+        views = tuple(replace(v, doubt=doubt if n else 0.0) for n, v in enumerate(looked.views))
+        return SetReport(views, (), (), (), (0.0,) * 4, (0.0, 0.0), (0.0, 0.0)).doubted()
+
+    assert told(0.0015) is None
+    assert "0.3 % of their distance (plaster_1, plaster_2)" in told(0.003)
 
 
 def test_directions_are_those_of_the_upright_picture(looked):

@@ -196,6 +196,7 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
     assert [one["name"] for one in several["photographs"]] == [photo.name for photo in photos]
     assert [one["name"] for one in several["left_out"]] == ["leather_9"]
     for one in several["photographs"]:
+        assert 0.0 <= one["doubt"] < 0.01
         assert 0.0 < one["residual"] < 0.1 and math.isfinite(one["predicted"])
     assert all(0.0 <= share <= 1.0 for share in several["measured_share"].values())
 

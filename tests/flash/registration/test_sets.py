@@ -1,5 +1,7 @@
 """Cameras of sets of photographs, easy and hard; sweep.py does three hundred of them."""
 
+from dataclasses import replace
+
 import numpy as np
 from sets import (
     HARD,
@@ -12,6 +14,7 @@ from sets import (
     outcome_of,
     table,
     table_of_sets,
+    unsaid,
     verdict,
 )
 
@@ -56,7 +59,12 @@ TAKEN_IN = SetOutcome("11 rust", "foreign", (0.001,), (), 1, 0.1)
 def test_a_set_is_as_right_as_its_worst_camera():
     every = (RIGHT, NEAR, REFUSED, FAR, TAKEN_IN)
     assert [verdict(one) for one in every] == ["right", "near", "refused", "wrong", "wrong"]
-    assert "| all | 5 | 1 | 2 | 1 | 2 |" in table_of_sets(every)
+    assert "| all | 5 | 1 | 2 | 1 | 2 | 2 |" in table_of_sets(every)
+
+
+def test_what_is_said_of_a_set_is_no_error_unsaid():
+    said = replace(NEAR, doubts=(0.001, 0.004))
+    assert [unsaid(one) for one in (RIGHT, NEAR, said, REFUSED)] == [False, True, False, False]
 
 
 def test_sets_that_were_done_are_kept_by_pictures_width(tmp_path):
