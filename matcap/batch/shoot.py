@@ -12,6 +12,7 @@ from typing import Literal
 
 from matcap.errors import MatcapError
 from matcap.files.names import kept_plain, series
+from matcap.photo.quiet import quiet_decoders
 
 Grouping = Literal["none", "name", "dir", "time"]
 Taken = Callable[[Path], float | None]
@@ -104,7 +105,7 @@ def taken_at(path: Path) -> float | None:
     import exifread
 
     try:
-        with path.open("rb") as file:
+        with path.open("rb") as file, quiet_decoders():
             tags = exifread.process_file(file, details=False, extract_thumbnail=False)
         text = str(tags["EXIF DateTimeOriginal"].values)
         return datetime.strptime(text, "%Y:%m:%d %H:%M:%S").timestamp()

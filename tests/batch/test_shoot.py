@@ -105,6 +105,26 @@ def test_the_time_is_read_from_exif(tmp_path):
     assert taken_at(tmp_path / "b.jpg") is None
 
 
+def test_bursts_of_files_are_told_by_their_exif(tmp_path, capfd):
+    from PIL import Image
+
+    exif = Image.Exif()
+    for name, second in (("c", 1), ("a", 6), ("b", 50), ("d", 13)):
+        exif.get_ifd(34665)[36867] = f"2024:05:06 07:08:{second:02}"
+        Image.new("RGB", (8, 8)).save(tmp_path / f"{name}.jpg", exif=exif)
+    Image.new("RGB", (8, 8)).save(tmp_path / "e.png")
+    found = find_samples(tmp_path, group="time", gap=8.0)
+    assert [[p.name for p in s.photos] for s in found] == [
+        ["b.jpg"],
+        ["c.jpg", "a.jpg", "d.jpg"],
+        ["e.png"],
+    ]
+    said = group_sentences(found)
+    assert said[0] == "c: 3 photographs of one piece (c.jpg, a.jpg, d.jpg)."
+    # What a file does not say is not the user's to read.
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.parametrize("name", ["nothing", "a.jpg", "empty"])
 def test_what_holds_no_photographs_is_refused(tmp_path, name):
     touch(tmp_path, "a.jpg")
