@@ -27,7 +27,7 @@ class RegisterSettings:
     """When a photograph belongs to a piece; stricter leaves more out.
 
     Attributes:
-        matches: least number that agree.
+        matches: least number that agree; by chance 6 to 13 do (docs/notes/several.md).
         off: pixels that its matches lie beside each other, at most (median).
         steepest: degrees that a camera may lean.
         alike: least correlation of what both show, fine texture over even contrast, at the found
@@ -36,7 +36,7 @@ class RegisterSettings:
         shifted: texels to all sides where the correlation must be lower.
     """
 
-    matches: int = 30
+    matches: int = 18
     off: float = 2.0
     steepest: float = 65.0
     alike: float = 0.12

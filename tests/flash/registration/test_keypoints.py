@@ -5,7 +5,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from matcap.flash.registration.keypoints import KeypointSettings, even_contrast, find_keypoints
+from matcap.flash.registration.keypoints import (
+    Keypoints,
+    KeypointSettings,
+    even_contrast,
+    find_keypoints,
+    matched,
+)
+from matcap.flash.registration.register import RegisterSettings
 from matcap.photo.photo import Photo
 
 
@@ -26,3 +33,36 @@ def test_features_lie_where_they_are_whichever_way_the_picture_is_held():
     second = -other.image[:, [pair.trainIdx for pair in pairs]]
     off = np.median(first - second, 1) / 2.0 / one.pixel
     np.testing.assert_allclose(off, 0.0, atol=0.02)
+
+
+def _mistaken(right, wrong, seed):
+    """Keypoints of two views of a plane that are alike; few of them show the same place."""
+    rng = np.random.default_rng(seed)
+    count = right + wrong
+    one = rng.uniform((-1.0, -0.75), (1.0, 0.75), (count, 2)).T
+    turn = 0.9 * np.exp(0.2j)
+    there = turn * (one[0] + 1j * one[1]) + 0.05 - 0.1j
+    there = there / (1.0 + 0.15 * one[0])  # it leans
+    elsewhere = rng.uniform((-1.0, -0.75), (1.0, 0.75), (wrong, 2))
+    there[right:] = elsewhere[:, 0] + 1j * elsewhere[:, 1]
+    shapes = turn * np.exp(0.1 * (rng.normal(size=count) + 1j * rng.normal(size=count)))
+    shapes[right:] = np.exp(0.5 * rng.normal(size=wrong) + 2j * np.pi * rng.random(wrong))
+    described = rng.random((count, 128), np.float32)
+    first = Keypoints(one, described, 1.0 / 400.0, np.full(count, 0.01 + 0j))
+    second = Keypoints(np.stack([there.real, there.imag]), described, 1.0 / 400.0, 0.01 * shapes)
+    return first, second
+
+
+def test_one_match_in_thirty_that_is_right_is_found():
+    for seed in range(3):
+        first, second = _mistaken(30, 870, seed)
+        found, _ = matched(first, second, KeypointSettings())
+        right = {tuple(place) for place in first.image[:, :30].T}
+        kept = {tuple(place) for place in found.T}
+        assert len(kept & right) >= 28 and len(kept - right) <= 2
+
+
+def test_what_agrees_by_chance_is_too_little():
+    for seed in range(3):
+        found, _ = matched(*_mistaken(0, 900, seed), KeypointSettings())
+        assert found.shape[1] < RegisterSettings().matches - 4
