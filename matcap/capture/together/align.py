@@ -59,7 +59,7 @@ class AlignSettings:
     steps: tuple[int, ...] = (2, 1, 0)
     slow: float = 0.06
     pixel: float = 1e-3
-    doubtful: float = 0.4
+    doubtful: float = 0.5
 
 
 @dataclass(frozen=True)

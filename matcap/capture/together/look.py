@@ -164,7 +164,7 @@ def _cameras(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
     if worst.doubt <= DOUBTED:
         return (Finding("cameras", value, Verdict.GOOD, f"{says}."),)
     says += f" so far ({worst.photo.name}): shading goes with the flash."
-    remedy = "A capture, which reckons with shading, brings them to less than half of that."
+    remedy = "A capture, which reckons with shading, brings them to about half of that or less."
     return (Finding("cameras", value, Verdict.NOTE, says, remedy),)
 
 
