@@ -82,7 +82,7 @@ def doubts(
         places = np.r_[0:_COMMON, _COMMON + _OWN * number : _COMMON + _OWN * (number + 1)]
         normal[np.ix_(places, places)] += (jacobian.T * weight) @ jacobian
         pulled[places] += (jacobian.T * weight) @ shading
-    covariance = np.linalg.inv(normal + 1e-9 * np.eye(size))
+    covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(size)), np.float64)
     moved = settings.alike * float(np.median(depths)) * (covariance @ pulled)
     covariance += np.outer(moved, moved)
     return np.array([_off(cameras, number, covariance) for number in range(1, len(cameras))])
