@@ -243,11 +243,11 @@ def table_of_sets(outcomes: Sequence[SetOutcome]) -> str:
 
 def _line(kind: str, of: Sequence[SetOutcome]) -> str:
     errors = np.array([error for one in of for error in one.errors] or [math.nan])
-    tilts = np.array([one.tilt for one in of])
+    tilts = np.array([t for t in (one.tilt for one in of) if math.isfinite(t)] or [math.nan])
     return (
         f"| {kind} | {len(of)} | {errors.size} | {np.median(errors):.2%} "
         f"| {np.quantile(errors, 0.95):.2%} | {np.mean(errors > 0.002):.0%} "
-        f"| {int((errors > 0.02).sum())} | {np.nanmedian(tilts):.1f} degrees "
+        f"| {int((errors > 0.02).sum())} | {np.median(tilts):.1f} degrees "
         f"| {sum(len(one.kept_out) for one in of)} | {sum(one.taken_in for one in of)} |"
     )
 
