@@ -26,13 +26,22 @@ def integrate(across: Heights2D, down: Heights2D) -> Heights2D:
     divergence[:, 1:] -= across
     divergence[:-1] += down
     divergence[1:] -= down
-    rows = 2.0 * np.cos(np.pi * np.arange(divergence.shape[0]) / divergence.shape[0]) - 2.0
-    columns = 2.0 * np.cos(np.pi * np.arange(divergence.shape[1]) / divergence.shape[1]) - 2.0
-    laplacian = rows[:, None] + columns
+    return np.ascontiguousarray(poisson(divergence)[:height, :width])
+
+
+def poisson(divergence: Heights2D, across: float = 1.0, down: float = 1.0) -> Heights2D:
+    """(H, W) of zero mean whose second differences, `across` and `down` times, sum to (H, W).
+
+    Both sides even, and nothing passes the borders.
+    """
+    rows, columns = (
+        2.0 * np.cos(np.pi * np.arange(side) / side) - 2.0 for side in divergence.shape
+    )
+    laplacian = down * rows[:, None] + across * columns
     laplacian[0, 0] = 1.0
     waves = cv2.dct(divergence) / laplacian.astype(np.float32)
     waves[0, 0] = 0.0
-    return np.ascontiguousarray(cv2.idct(waves)[:height, :width])
+    return np.asarray(cv2.idct(waves), np.float32)
 
 
 def _even(rise: Heights2D, more: tuple[int, int]) -> Heights2D:

@@ -168,7 +168,7 @@ def _begun(
         numbers = believed
     seen = under_room(seen, numbers)
     for _ in range(steps):
-        numbers, _ = stepped(seen, numbers, believed, spread, light, solving)
+        numbers = stepped(seen, numbers, believed, spread, light, solving).numbers
     return numbers
 
 

@@ -97,12 +97,14 @@ def solve(
     numbers = believed.clone() if begun is None else _continued(believed, prior, begun)
     total, done, interrupted = sum(settings.rounds) + 2, 0, False
     precision = torch.zeros(())
+    relief: Tensor | None = None
     try:
         for index, steps in enumerate(settings.rounds):
             views = under_room(given, numbers)
             light = shared_light(views, numbers, believed, spread, light, radiometric, settings)
             for _ in range(steps):
-                numbers, precision = stepped(views, numbers, believed, spread, light, settings)
+                step = stepped(views, numbers, believed, spread, light, settings)
+                numbers, precision, relief = step.numbers, step.told, step.relief
                 done += 1
                 if tell:
                     tell(done / total)
@@ -111,12 +113,13 @@ def solve(
                 believed, spread = _told_around(believed, spread, numbers, precision, settings)
     except KeyboardInterrupt:
         interrupted = True
-    height = surface_of(numbers[SLOPES], prior.texel_size)
+    height = surface_of(numbers[SLOPES], prior.texel_size, relief)
     numbers[SLOPES] = slopes_of(height, prior.texel_size)
     if settings.rounds and not interrupted:
         held = spread.clone()
         held[SLOPES] = 1e-4
-        numbers, _ = stepped(views, numbers, _with_slopes(believed, numbers), held, light, settings)
+        held_to = _with_slopes(believed, numbers)
+        numbers = stepped(views, numbers, held_to, held, light, settings).numbers
         numbers[SLOPES] = slopes_of(height, prior.texel_size)
     errors = _errors(precision, spread)
     maps = maps_of(numbers, height, prior.texel_size)

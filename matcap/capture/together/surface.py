@@ -1,24 +1,151 @@
-"""The surface whose slopes are told."""
+"""The surface whose slopes are told, each as far as it is told."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.piece.integrate import integrate
+from matcap.capture.piece.integrate import integrate, poisson
 from matcap.capture.together.texels import slopes_of
 
+Floats = NDArray[np.float32]
 
-def surface_of(slopes: Tensor, texel_size: float) -> Tensor:
+
+@dataclass(frozen=True)
+class SurfaceSettings:
+    """How slopes become a surface; docs/notes/several.md.
+
+    Attributes:
+        model: deviation of slopes that no precision knows of: shadows, parallax, what is bent.
+        steps: of conjugate gradients; more restore finer waves, and their noise.
+        even: texels' deviation of what precision is evened by before each step.
+        least: of the mean precision, that every slope is believed with.
+    """
+
+    model: float = 0.1
+    steps: int = 8
+    even: float = 4.0
+    least: float = 1e-3
+
+
+def surface_of(
+    slopes: Tensor,
+    texel_size: float,
+    precision: Tensor | None = None,
+    settings: SurfaceSettings | None = None,
+) -> Tensor:
     """(1, H, W) the height whose central slopes are nearest to slopes (2, H, W).
+
+    Two photographs tell slopes along the line between them and hardly any across it; but a surface
+    has no curl, and what is told of one is told of the other. So errors e count as e^T P e, and
+    conjugate gradients find the surface, evened by the Poisson equation of the mean P.
+
+    Args:
+        slopes: along x and y.
+        texel_size: in plane units.
+        precision: (3, H, W) P of slopes along x, along y, and of both together; None for the same
+            all over.
+        settings: see SurfaceSettings.
+    """
+    if precision is None:
+        return _even_surface(slopes, texel_size, 4)
+    settings = settings or SurfaceSettings()
+    height = _even_surface(slopes, texel_size, 2)
+    weight = _doubted(precision, settings.model)
+    weight = (weight / weight[:2].mean().clamp_min(1e-12)).numpy()
+    weight[:2] += np.float32(settings.least)
+    left = (slopes - slopes_of(height, texel_size)).numpy()
+    return height + texel_size * torch.from_numpy(_nearest(left, weight, settings))[None]
+
+
+def _doubted(precision: Tensor, more: float) -> Tensor:
+    """Precision (3, H, W) of what has another error besides, of a deviation."""
+    xx, yy, xy = precision.double()
+    # P (1 + more^2 P)^-1
+    more = more**2
+    a, b, c = 1.0 + more * xx, 1.0 + more * yy, more * xy
+    det = (a * b - c * c).clamp_min(1e-12)
+    full = xx * yy - xy * xy
+    return torch.stack([(xx + more * full) / det, (yy + more * full) / det, xy / det]).float()
+
+
+def _even_surface(slopes: Tensor, texel_size: float, rounds: int) -> Tensor:
+    """Likewise, all slopes alike.
 
     Rises between texels are means of two slopes, whose central differences are smoother than the
     slopes: what is lost so is put back.
     """
     height = torch.zeros(1, *slopes.shape[1:])
-    for _ in range(4):
+    for _ in range(rounds):
         left = (slopes - slopes_of(height, texel_size)).numpy() * texel_size
         across = 0.5 * (left[0][:, 1:] + left[0][:, :-1])
         down = -0.5 * (left[1][1:] + left[1][:-1])
         height = height + torch.from_numpy(integrate(across, down))[None]
     return height
+
+
+def _nearest(slopes: Floats, weight: Floats, settings: SurfaceSettings) -> Floats:
+    """(H, W) heights, in texels, whose slopes (2, H, W) are nearest by weights (3, H, W)."""
+    evened = _evening(weight, settings.even)
+    found = np.zeros(slopes.shape[1:], np.float32)
+    left = transposed(_weighted(slopes, weight))
+    way = evened(left)
+    size = float(np.vdot(left, way))
+    for _ in range(settings.steps):
+        if size <= 0.0:
+            break
+        back = transposed(_weighted(texel_slopes(way), weight))
+        length = np.float32(size / max(float(np.vdot(way, back)), 1e-30))
+        found += length * way
+        left = left - length * back
+        even = evened(left)
+        size, before = float(np.vdot(left, even)), size
+        way = even + np.float32(size / before) * way
+    return found
+
+
+def _evening(weight: Floats, deviation: float) -> Callable[[Floats], Floats]:
+    """Roughly what heights (H, W) have such a gradient, where all texels weigh as around them."""
+    shape = weight.shape[1:]
+    across, down = (float(np.mean(each)) for each in weight[:2])
+    local = cv2.GaussianBlur(weight[0] / across + weight[1] / down, (0, 0), deviation)
+    scale = np.asarray(1.0 / np.sqrt(0.5 * local), np.float32)
+
+    def evened(gradient: Floats) -> Floats:
+        whole = np.pad(gradient * scale, [(0, side % 2) for side in shape])
+        heights = poisson(whole, across, down)[: shape[0], : shape[1]]
+        return np.asarray(-heights * scale, np.float32)
+
+    return evened
+
+
+def _weighted(slopes: Floats, weight: Floats) -> Floats:
+    x, y = slopes
+    return np.stack([weight[0] * x + weight[2] * y, weight[1] * y + weight[2] * x])
+
+
+def texel_slopes(height: Floats) -> Floats:
+    """(2, H, W) central slopes, rows running down."""
+    return np.asarray(slopes_of(torch.from_numpy(height)[None], 1.0).numpy(), np.float32)
+
+
+def transposed(slopes: Floats) -> Floats:
+    """(H, W) the transpose of texel_slopes, of (2, H, W)."""
+    out = np.zeros(slopes.shape[1:], np.float32)
+    x, y = slopes[0], -slopes[1]
+    out[:, 2:] += 0.5 * x[:, 1:-1]
+    out[:, :-2] -= 0.5 * x[:, 1:-1]
+    out[2:] += 0.5 * y[1:-1]
+    out[:-2] -= 0.5 * y[1:-1]
+    for first, second, end in ((0, 1, 0), (-2, -1, -1)):
+        out[:, second] += x[:, end]
+        out[:, first] -= x[:, end]
+        out[second] += y[end]
+        out[first] -= y[end]
+    return out

@@ -65,6 +65,22 @@ class SolveSettings:
     rows: int = 48
 
 
+@dataclass(frozen=True)
+class Stepped:
+    """Texels after a step.
+
+    Attributes:
+        numbers: (NUMBERS, H, W).
+        told: (NUMBERS, H, W) precision of what photographs tell of each number alone.
+        relief: (3, H, W) precision of slopes, all other numbers answering, with what was believed:
+            of x, of y, and of both together.
+    """
+
+    numbers: Tensor
+    told: Tensor
+    relief: Tensor
+
+
 def numbers_of(maps: MapSet) -> Tensor:
     """(NUMBERS, H, W) of maps."""
     slopes = slopes_of(maps.height, maps.texel_size)
@@ -146,14 +162,15 @@ def stepped(
     spread: Tensor,
     light: SetLight,
     settings: SolveSettings,
-) -> tuple[Tensor, Tensor]:
-    """A Gauss-Newton step of every texel, and the precision (NUMBERS, H, W) of what it tells."""
+) -> Stepped:
+    """A Gauss-Newton step of every texel."""
     moved, told = torch.empty_like(numbers), torch.empty_like(numbers)
+    relief = torch.empty(3, *numbers.shape[1:])
     for rows in strips(numbers.shape[1], settings.rows):
         part = slice(None), rows
         points = points_of(numbers.shape[-2:], rows)
         system = _system(views, rows, numbers[part], light, points, settings)
-        moved[part], told[part] = _solved(
+        moved[part], told[part], relief[part] = _solved(
             *system, numbers[part], believed[part], spread[part], settings.damping
         )
     steep = settings.steepest
@@ -161,7 +178,7 @@ def stepped(
     moved[ALBEDO] = moved[ALBEDO].clamp(math.log(1e-3), math.log(0.98))
     moved[F0] = moved[F0].clamp(math.log(5e-3), math.log(0.98))
     moved[ROUGH] = moved[ROUGH].clamp(-3.5, 3.9)
-    return moved, told
+    return Stepped(moved, told, relief)
 
 
 def _system(
@@ -233,8 +250,8 @@ def _solved(
     believed: Tensor,
     spread: Tensor,
     damping: float,
-) -> tuple[Tensor, Tensor]:
-    """Numbers after a step, and what was told of each alone, both (NUMBERS, h, w)."""
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What Stepped holds, of some rows."""
     shape = numbers.shape
     here, prior = numbers.flatten(1).T, believed.flatten(1).T
     held = spread.flatten(1).T.square().reciprocal()
@@ -244,4 +261,11 @@ def _solved(
     right = gradient + held * (prior - here)
     step = torch.cholesky_solve(right[..., None], factor)[..., 0]
     step = step.nan_to_num(0.0).clamp(-0.7, 0.7)
-    return (here + step).T.reshape(shape), told.T.reshape(shape)
+    # The factor's last corner is that of the slopes' precision once all else has answered.
+    first, across, second = factor[:, 5, 5], factor[:, 6, 5], factor[:, 6, 6]
+    relief = torch.stack([first.square(), across.square() + second.square(), first * across])
+    return (
+        (here + step).T.reshape(shape),
+        told.T.reshape(shape),
+        relief.nan_to_num(0.0).reshape(3, *shape[1:]),
+    )
