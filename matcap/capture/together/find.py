@@ -1,7 +1,7 @@
 """From several photographs to the photographed piece: named stages, from values to values.
 
-The first photograph is read as one alone would be; cameras are found; then all photographs are
-brought over each other, and together decide what one left open.
+The first photograph is read as one alone would be; cameras are found, and photographs brought over
+each other; then each is read, and together they decide what one left open.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.tuned import LEND
 from matcap.capture.together.align import Aligned, aligned, reframed, shrunk
 from matcap.capture.together.place import fitted, placed
-from matcap.capture.together.predict import predictions
+from matcap.capture.together.predict import Predictions, predictions
+from matcap.capture.together.readings import ReadView, read_views, with_others
 from matcap.capture.together.room import less_room
 from matcap.capture.together.set_report import SetReport
 from matcap.capture.together.solve import Solved, solve
@@ -117,32 +118,26 @@ def find_together(
     registration, coarse, plane = _registered(photos, detail, stage)
     first, single = registration.views[0].photo, _read_alone(plane, coarse, network, stage)
     radiometric = all(view.photo.radiometric for view in registration.views)
-    light = SetLight.of(coarse.setup, len(registration.views))
-    found, interrupted = Aligned.of(registration, coarse.setup, light), False
-    try:
-        with stage("align"):
-            found = aligned(
-                replace(registration, setup=coarse.setup),
-                single.maps,
-                single.errors,
-                light,
-                radiometric=radiometric,
-                tell=partial(tell, "align"),
-            )
-    except KeyboardInterrupt:
-        interrupted = True
+    found, interrupted = _laid_over(
+        replace(registration, setup=coarse.setup), single, radiometric, stage, tell
+    )
     plane, lattice = plane_in_detail(first, found.setup, detail)
+    prior = reframed(single.maps, PosedCamera.of(registration.setup), found.views[0].camera)
+    doubt, readings = single.errors, None
+    if not interrupted:
+        with stage("join"):
+            prior, doubt, readings = _all_read(found, prior, doubt, coarse, network, tell)
+        interrupted = readings is None
     with stage("solve"):
-        prior = reframed(single.maps, PosedCamera.of(registration.setup), found.views[0].camera)
         views, solved = _solved(
-            found, prior, single.errors, plane.size, radiometric, partial(tell, "solve")
+            found, prior, doubt, plane.size, radiometric, partial(tell, "solve")
         )
     interrupted |= solved.interrupted
     coarse = replace(coarse, setup=solved.light.onto(found.setup))
     with stage("predict"):
-        ahead: tuple[float, ...] = ()
-        if not interrupted:
-            ahead = predictions(found, prior, single.errors, solved, radiometric)
+        ahead: Predictions | None = None
+        if not interrupted and readings is not None:
+            ahead = predictions(found, readings, solved, radiometric)
     told = SetReport.of(registration, found, solved, ahead)
     sight = Sight.of(plane, coarse)
     with stage("lend"):
@@ -276,6 +271,48 @@ def _read_alone(plane: Plane, coarse: CoarseFit, network: Inverse, stage: Stage)
     errors = reading.errors.stacked()
     wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
     return _Single(piece_maps(exemplar), wide, strengths)
+
+
+def _laid_over(
+    registration: Registration, single: _Single, radiometric: bool, stage: Stage, tell: Tell
+) -> tuple[Aligned, bool]:
+    """Photographs brought over each other, and whether that was interrupted: as they were then."""
+    light = SetLight.of(registration.setup, len(registration.views))
+    try:
+        with stage("align"):
+            return aligned(
+                registration,
+                single.maps,
+                single.errors,
+                light,
+                radiometric=radiometric,
+                tell=partial(tell, "align"),
+            ), False
+    except KeyboardInterrupt:
+        return Aligned.of(registration, registration.setup, light), True
+
+
+def _all_read(
+    found: Aligned,
+    prior: MapSet,
+    doubt: Tensor,
+    coarse: CoarseFit,
+    network: Inverse,
+    tell: Tell,
+) -> tuple[MapSet, Tensor, list[ReadView | None] | None]:
+    """Prior and doubts by all photographs and what each was read as; interrupted the first's."""
+    read = partial(_read_plainly, network)
+    try:
+        readings = read_views(found, prior, doubt, coarse, read, partial(tell, "join"))
+    except KeyboardInterrupt:
+        return prior, doubt, None
+    return *with_others(prior, doubt, readings), readings
+
+
+def _read_plainly(network: Inverse, plane: Plane, coarse: CoarseFit) -> tuple[MapSet, Tensor]:
+    """Maps of a photograph read alone on its own plane, and the log of their errors."""
+    single = _read_alone(plane, coarse, network, lambda _name: nullcontext())
+    return single.maps, single.errors
 
 
 def _reading(sight: Sight, solved: Solved, views: Sequence[PieceView]) -> Reading:

@@ -6,13 +6,13 @@ It needs no truth: what no photograph shows but one, the others cannot have been
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
-from matcap.brdf.maps import MapSet
-from matcap.capture.together.align import Aligned, shrunk
+from matcap.capture.together.align import Aligned
+from matcap.capture.together.readings import ReadView, fewer, joined
 from matcap.capture.together.solve import Solved, predicted, solve
 from matcap.capture.together.texels import SolveSettings
 from matcap.capture.together.views import PieceView
@@ -31,53 +31,74 @@ class PredictSettings:
     rounds: tuple[int, ...] = (2, 1)
 
 
+@dataclass(frozen=True)
+class Predictions:
+    """What is told of photographs by the others, and with their own help; (photographs,) each.
+
+    Both on the same few texels, of maps solved there, gain and balance fitted: a photograph's grain
+    is in both or in neither. Medians of log radiance; NaN of one by the room's light.
+
+    Attributes:
+        predicted: what each is off by from what all others make of it.
+        residual: from what all photographs make of it.
+    """
+
+    predicted: tuple[float, ...]
+    residual: tuple[float, ...]
+
+
 @torch.no_grad()
 def predictions(
     found: Aligned,
-    prior: MapSet,
-    doubt: Tensor,
+    readings: Sequence[ReadView | None],
     solved: Solved,
     radiometric: bool,
     settings: PredictSettings | None = None,
-) -> tuple[float, ...]:
-    """Median difference of log radiance of each photograph from what all others make of it.
+) -> Predictions | None:
+    """Every photograph from all others; None where one flash is all.
 
-    NaN of one by the room's light, whose light nobody predicts; nothing where one flash is all.
+    Neither the light nor what was read of a photograph has a part in its own prediction; where it
+    lies does.
 
     Args:
         found: where photographs lie.
-        prior, doubt: of the first one, as for solve. It is read from the first photograph, so the
-            first one's own prediction is the kinder one.
+        readings: of each (readings.py).
         solved: by all of them, whose light it begins with.
         radiometric: as for solve.
         settings: see there.
     """
     settings = settings or PredictSettings()
-    width, height = prior.size
+    first = next(read for read in readings if read is not None)
+    height, width = first.numbers.shape[1:]
     across = min(settings.across, width)
     down = max(8, round(height * across / width))
-    small, unsure = shrunk(prior, doubt, (down, across))
+    few = fewer(readings, (down, across))
     views = [
         PieceView.of(view, across, down, place)
         for view, place in zip(found.views, found.places, strict=True)
     ]
-    solving = SolveSettings(rounds=settings.rounds)
-    errors = []
     if sum(view.room is None for view in views) < 2:
-        return ()
-    for index, view in enumerate(views):
-        if view.room is not None:
-            errors.append(math.nan)
-            continue
-        kept = [k for k in range(len(views)) if k != index]
-        light = solved.light.of_some(kept)
-        by_others = solve(
+        return None
+
+    def by(kept: Sequence[int]) -> Solved:
+        read = [few[k] for k in kept]
+        # A lone photograph too steep to be read is left with what the first was read as.
+        prior, doubt = joined(read if any(read) else few)
+        return solve(
             [views[k] for k in kept],
-            small,
-            unsure,
-            light,
+            prior,
+            doubt,
+            solved.light.of_some(kept),
             radiometric=radiometric,
-            settings=solving,
+            settings=SolveSettings(rounds=settings.rounds),
         )
-        errors.append(predicted(view, replace(by_others, light=by_others.light)))
-    return tuple(errors)
+
+    every = list(range(len(views)))
+    whole = by(every)
+    ahead, own = [], []
+    for index, view in enumerate(views):
+        lit = view.room is None
+        own.append(predicted(view, whole) if lit else math.nan)
+        others = [k for k in every if k != index]
+        ahead.append(predicted(view, by(others)) if lit else math.nan)
+    return Predictions(tuple(ahead), tuple(own))

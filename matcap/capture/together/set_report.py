@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from matcap.capture.together.align import Aligned
+from matcap.capture.together.predict import Predictions
 from matcap.capture.together.solve import Solved
 from matcap.flash.registration.doubt import DOUBTED
 from matcap.flash.registration.register import LeftOut, RegisteredView, Registration
@@ -20,8 +20,8 @@ class SetReport:
     Attributes:
         views: those that were used, each with its camera, the first one first.
         residuals: median difference of log radiance between each and its re-rendering.
-        predicted: the same of each when all the others alone decide, NaN of one by the room's
-            light; empty where nobody asked.
+        predicted: the same of each when all the others alone decide, on the same texels
+            (predict.py); NaN of one by the room's light; empty where nobody asked.
         left_out: those that were not used, and why.
         told: share of maps that was measured rather than read: albedo, F0, roughness, relief.
         flash_offset: of all photographs.
@@ -38,14 +38,17 @@ class SetReport:
 
     @staticmethod
     def of(
-        registration: Registration, found: Aligned, solved: Solved, predicted: Sequence[float]
+        registration: Registration,
+        found: Aligned,
+        solved: Solved,
+        ahead: Predictions | None,
     ) -> SetReport:
         """Of what was found."""
         x, y = solved.light.offset.tolist()
         return SetReport(
             found.views,
-            solved.residual,
-            tuple(predicted),
+            solved.residual if ahead is None else _known(ahead.residual, solved.residual),
+            () if ahead is None else ahead.predicted,
             registration.left_out,
             solved.told,
             (x, y),
@@ -88,3 +91,8 @@ class SetReport:
             "flash_offset": list(self.flash_offset),
             "lens_distortion": list(self.bent),
         }
+
+
+def _known(first: tuple[float, ...], otherwise: tuple[float, ...]) -> tuple[float, ...]:
+    both = zip(first, otherwise, strict=True)
+    return tuple(other if math.isnan(one) else one for one, other in both)

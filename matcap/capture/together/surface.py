@@ -28,8 +28,8 @@ class SurfaceSettings:
         least: of the mean precision, that every slope is believed with.
     """
 
-    model: float = 0.1
-    steps: int = 8
+    model: float = 0.03
+    steps: int = 4
     even: float = 4.0
     least: float = 1e-3
 

@@ -54,7 +54,7 @@ class SolveSettings:
     robust: float = 0.25
     noise: float = 0.02
     beside: float = 0.35
-    albedo: float = 0.5
+    albedo: float = 0.25
     gloss: float = 0.2
     slope: float = 0.07
     steepest: float = 3.0
@@ -82,12 +82,12 @@ class Stepped:
 
 
 def numbers_of(maps: MapSet) -> Tensor:
-    """(NUMBERS, H, W) of maps."""
+    """(NUMBERS, H, W) of maps; of an F0 with a colour, its mean."""
     slopes = slopes_of(maps.height, maps.texel_size)
     return torch.cat(
         [
             maps.diffuse.clamp(1e-3, 0.98).log(),
-            maps.specular.clamp(5e-3, 0.98).log(),
+            maps.specular.mean(-3, keepdim=True).clamp(5e-3, 0.98).log(),
             maps.roughness.clamp(0.03, 0.98).logit(),
             slopes,
         ]

@@ -1,0 +1,230 @@
+"""What the network reads from each photograph, and all of it joined in the first one's frame.
+
+Each is read on a plane of its own, upright before its own camera, as one alone would be, under the
+light that alignment found. Brought over the first, what they say of a texel is joined by what each
+expects to be off by, in any order. Half of what readings are off by is the network's habit and
+shared by all: more readings make that no smaller.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.detail import plane_in_detail
+from matcap.capture.together.align import Aligned, shrunk
+from matcap.capture.together.surface import surface_of
+from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, maps_of, numbers_of
+from matcap.capture.together.views import SetLight, ViewPlace
+from matcap.flash.coarse import CoarseFit
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.plane import Plane
+from matcap.flash.registration.camera import Doubles, PosedCamera
+
+_NOWHERE = 4.0  # log of what a reading is off by where its photograph does not show the piece
+
+# What a photograph alone is read as, on its own plane: maps, and (4, H, W) log of their errors.
+ReadAlone = Callable[[Plane, CoarseFit], tuple[MapSet, Tensor]]
+
+
+@dataclass(frozen=True)
+class ReadingSettings:
+    """How readings are joined; docs/notes/several.md.
+
+    Attributes:
+        across: texels that all but the first are read on: what is finer is the first one's.
+        steepest: degrees of tilt beyond which a photograph is not read: no training has seen it.
+        shared: of what readings are off by, in squares: the network's habit, which more of them
+            do not lessen.
+    """
+
+    across: int = 512
+    steepest: float = 35.0
+    shared: float = 0.5
+
+
+READINGS = ReadingSettings()
+
+
+@dataclass(frozen=True)
+class OwnPlane:
+    """The plane's frame that belongs to a camera, in that of the first.
+
+    Attributes:
+        setup: of the camera and its flash, in its own frame.
+        origin: (2,) of it.
+        scale: its unit.
+        roll: radians that its x lies to the left of the first's.
+    """
+
+    setup: FlashSetup
+    origin: Doubles
+    scale: float
+    roll: float
+
+    @staticmethod
+    def of(camera: PosedCamera, light: SetLight, number: int) -> OwnPlane:
+        """Of a camera, under the light of a photograph's number."""
+        away = camera.place[2] / camera.turn[2, 2]
+        origin = (camera.place - away * camera.turn[2])[:2]
+        scale = float(away / camera.lens.focal)
+        roll = math.atan2(-camera.turn[1, 0], camera.turn[1, 1])
+        c, s = math.cos(roll), math.sin(roll)
+        turn = camera.turn @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        tilt = (math.atan2(-turn[1, 2], turn[1, 1]), math.atan2(-turn[2, 0], turn[0, 0]))
+        x, y = (light.offset / scale).tolist()
+        lost, more = light.vignetting.tolist()
+        strength = light.intensity * light.gain[number].exp() / scale**2
+        red, green, blue = strength.tolist()
+        setup = FlashSetup(
+            math.degrees(2.0 * math.atan(1.0 / camera.lens.focal)),
+            (x, y, 0.0),
+            tilt,
+            (red, green, blue),
+            lost,
+            more,
+        )
+        return OwnPlane(setup, origin, scale, roll)
+
+    def here(self, points: Doubles) -> Doubles:
+        """(2, ...) in this frame of points (3, ...) of the first's plane."""
+        c, s = math.cos(self.roll), math.sin(self.roll)
+        away = points[:2] - self.origin.reshape(2, *(1,) * (points.ndim - 1))
+        return np.asarray(np.tensordot(np.array([[c, s], [-s, c]]), away, 1)) / self.scale
+
+
+@dataclass(frozen=True)
+class ReadView:
+    """What was read from a photograph, on the first one's texels.
+
+    Attributes:
+        numbers: (NUMBERS, H, W).
+        doubt: (4, H, W) log of what it is expected to be off by (solve.py).
+    """
+
+    numbers: Tensor
+    doubt: Tensor
+
+
+def read_views(
+    found: Aligned,
+    prior: MapSet,
+    doubt: Tensor,
+    coarse: CoarseFit,
+    read: ReadAlone,
+    tell: Callable[[float], None],
+) -> list[ReadView | None]:
+    """What every photograph is read as, one at a time.
+
+    Args:
+        found: where they lie, and their light.
+        prior, doubt: read from the first, in the frame that was found.
+        coarse: of the first, whose mean material is all of theirs.
+        read: one alone.
+        tell: called with the share that is done.
+
+    Returns:
+        For each photograph, None where it was not read: of the room's light, or too steep.
+    """
+    across = min(READINGS.across, prior.size[0])
+    down = max(8, round(prior.size[1] * across / prior.size[0]))
+    small, unsure = shrunk(prior, doubt, (down, across))
+    readings: list[ReadView | None] = [ReadView(numbers_of(small), unsure)]
+    for number, view in enumerate(found.views[1:], 1):
+        readings.append(None)
+        if view.flash and math.degrees(view.camera.tilt) < READINGS.steepest:
+            own = OwnPlane.of(view.camera, found.light, number)
+            plane, _ = plane_in_detail(view.photo, own.setup, across)
+            maps, errors = read(plane, replace(coarse, setup=own.setup))
+            place = found.places[number]
+            readings[-1] = brought_over(maps, errors, own, view.camera, place, (across, down))
+        tell(number / (len(found.views) - 1))
+    return readings
+
+
+def brought_over(
+    maps: MapSet,
+    doubt: Tensor,
+    own: OwnPlane,
+    camera: PosedCamera,
+    place: ViewPlace,
+    size: tuple[int, int],
+) -> ReadView:
+    """A reading of a photograph's own plane on a grid of (across, down) texels of the first's."""
+    width, height = maps.size
+    points = own.here(camera.on_plane(camera.sees(place.points(*size))))
+    x = ((points[0] + 1.0) * width / 2.0 - 0.5).astype(np.float32)
+    y = ((height - points[1] * width) / 2.0 - 0.5).astype(np.float32)
+
+    def there(channel: Tensor, how: int = cv2.INTER_CUBIC) -> Tensor:
+        found = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
+        return torch.from_numpy(found)
+
+    logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
+    stacked = torch.stack([there(c) for c in torch.cat([logs, maps.roughness, maps.height])])
+    over = MapSet(
+        stacked[:3].exp(), stacked[3:4].exp(), stacked[4:5], own.scale * stacked[5:], 2.0 / size[0]
+    )
+    unsure = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in doubt])
+    outside = (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
+    unsure = torch.where(torch.from_numpy(outside), torch.tensor(_NOWHERE), unsure)
+    return ReadView(numbers_of(over), unsure)
+
+
+def joined(readings: Sequence[ReadView | None]) -> tuple[MapSet, Tensor]:
+    """What all readings say, in any order, and (4, H, W) log of what that is expected to be off by.
+
+    Args:
+        readings: at least one that is not None.
+    """
+    every = [read for read in readings if read is not None]
+    weights = torch.stack([(-2.0 * read.doubt.clamp(-8.0, 8.0)).exp() for read in every])
+    whole = weights.sum(0)
+    numbers = torch.zeros_like(every[0].numbers)
+    for part, kind in ((ALBEDO, 0), (F0, 1), (ROUGH, 2), (SLOPES, 3)):
+        for read, weight in zip(every, weights, strict=True):
+            numbers[part] += weight[kind] / whole[kind] * read.numbers[part]
+    # Where all err alike they are off by as much as the best of them.
+    alike = weights.amax(0).reciprocal()
+    doubt = 0.5 * (READINGS.shared * alike + (1.0 - READINGS.shared) / whole).log()
+    told = (-2.0 * doubt[3]).exp()
+    texel_size = 2.0 / numbers.shape[-1]
+    precision = torch.stack([told, told, torch.zeros_like(told)])
+    height = surface_of(numbers[SLOPES], texel_size, precision)
+    return maps_of(numbers, height, texel_size), doubt
+
+
+def with_others(
+    prior: MapSet, doubt: Tensor, readings: Sequence[ReadView | None]
+) -> tuple[MapSet, Tensor]:
+    """What was read from the first photograph, and its doubts, as all readings together say.
+
+    What is finer than the grid of the readings stays the first one's.
+    """
+    alone, together = joined(readings[:1]), joined(readings)
+    size = prior.size[::-1]
+
+    def wide(change: Tensor) -> Tensor:
+        return F.interpolate(change[None], size=size, mode="bilinear")[0]
+
+    more = wide(numbers_of(together[0]) - numbers_of(alone[0]))
+    raised = prior.height + wide(together[0].height - alone[0].height)
+    maps = maps_of(numbers_of(prior) + more, raised, prior.texel_size)
+    return maps, doubt + wide(together[1] - alone[1])
+
+
+def fewer(readings: Sequence[ReadView | None], size: tuple[int, int]) -> list[ReadView | None]:
+    """Readings on fewer texels, (rows, columns)."""
+
+    def small(values: Tensor) -> Tensor:
+        return F.interpolate(values[None], size=size, mode="area")[0]
+
+    return [one and ReadView(small(one.numbers), small(one.doubt)) for one in readings]

@@ -1,0 +1,139 @@
+"""What is read from each photograph, joined in the first one's frame."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.together.readings import (
+    OwnPlane,
+    ReadView,
+    brought_over,
+    fewer,
+    joined,
+    with_others,
+)
+from matcap.capture.together.texels import SLOPES, numbers_of
+from matcap.capture.together.views import SetLight, ViewPlace
+from matcap.flash.geometry import camera_in_plane
+from matcap.flash.registration.camera import PosedCamera
+from matcap.flash.registration.grid import grid_points
+from matcap.lab.simulate.hand_held import Hand, hold
+from matcap.lab.simulate.photograph import PhoneCamera
+
+PHONE = PhoneCamera(width=640, height=480)
+SIZE = (96, 128)
+
+
+@pytest.fixture(scope="module")
+def cameras():
+    return hold(PHONE, Hand(turned=0.2), 3, 4)
+
+
+def _light(count):
+    gain = torch.zeros(count, 3)
+    gain[1] = 0.3
+    return SetLight(torch.tensor([0.04, -0.07]), torch.zeros(2), gain, torch.full((3,), 5.0))
+
+
+def _waves(points, texel_size):
+    """Maps whose albedo and height are functions of the first plane's points."""
+    x, y = (torch.from_numpy(p).float() for p in points[:2])
+    tone = 0.3 * (0.5 * torch.sin(6.0 * x) * torch.cos(5.0 * y)).exp()
+    return MapSet(
+        tone.expand(3, -1, -1).contiguous(),
+        torch.full((1, *tone.shape), 0.04),
+        (0.5 + 0.1 * torch.sin(4.0 * x + y))[None],
+        0.03 * torch.sin(5.0 * x - 7.0 * y)[None],
+        texel_size,
+    )
+
+
+def test_a_camera_on_its_own_plane_stands_where_it_does(cameras):
+    own = OwnPlane.of(cameras[1], _light(3), 1)
+    points = grid_points(16, 12)
+    here = np.concatenate([own.here(points), np.zeros((1, 12, 16))])
+    seen = PosedCamera.of(own.setup).sees(here)
+    np.testing.assert_allclose(seen, cameras[1].sees(points), atol=1e-9)
+    # And so does its flash, as strong at its own distance.
+    _, flash = camera_in_plane(own.setup)
+    away = np.linalg.norm(flash.numpy() - here.reshape(3, -1).T, axis=1)
+    place = cameras[1].flash((0.04, -0.07, 0.0))
+    there = np.linalg.norm(place - points.reshape(3, -1).T, axis=1)
+    irradiance = 5.0 * math.exp(0.3) / there**2
+    np.testing.assert_allclose(own.setup.intensity[0] / away**2, irradiance, rtol=1e-6)
+
+
+def test_a_reading_is_brought_over_the_first(cameras):
+    own = OwnPlane.of(cameras[1], _light(3), 1)
+    # The other plane's texels, as points of the first's.
+    across, down = 256, 192
+    theirs = PosedCamera.of(own.setup).sees(grid_points(across, down))
+    maps = _waves(cameras[1].on_plane(theirs), 2.0 / across)
+    maps = replace(maps, height=maps.height / own.scale)
+    place = ViewPlace(np.eye(3), None, cameras[0].place)
+    doubt = torch.full((4, down, across), -2.0)
+    read = brought_over(maps, doubt, own, cameras[1], place, (SIZE[1], SIZE[0]))
+    true = numbers_of(_waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1]))
+    known = (read.doubt[3] < -1.9)[None].expand_as(true)
+    known = known & (torch.nn.functional.avg_pool2d(known.float(), 5, 1, 2) > 0.999)
+    assert 0.4 < known.float().mean() < 1.0
+    assert float((read.numbers - true)[known].abs().max()) < 0.03
+
+
+def _read(maps, off, generator, doubt):
+    numbers = numbers_of(maps)
+    noise = off * torch.randn(numbers.shape, generator=generator)
+    return ReadView(numbers + noise, torch.full((4, *SIZE), doubt))
+
+
+def test_joined_readings_are_nearer_in_any_order_and_the_doubtful_count_less():
+    maps = _waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1])
+    generator = torch.Generator().manual_seed(0)
+    read = [_read(maps, 0.1, generator, math.log(0.1)) for _ in range(3)]
+    wild = _read(maps, 3.0, generator, math.log(3.0))
+
+    def off(readings):
+        return float((numbers_of(joined(readings)[0])[:5] - numbers_of(maps)[:5]).square().mean())
+
+    assert off(read) < 0.4 * off(read[:1])
+    assert off([*read, wild]) < 1.1 * off(read)
+    forth, back = joined([*read, None])[0], joined([None, *read[::-1]])[0]
+    torch.testing.assert_close(forth.stacked(), back.stacked(), atol=1e-4, rtol=0.0)
+    # Three are surer than one, but not as if they erred each on their own.
+    surer = float(joined(read)[1].mean() - joined(read[:1])[1].mean())
+    assert math.log(1.0 / math.sqrt(3.0)) < surer < -0.1
+
+
+def test_alone_the_first_stays_as_it_was_read_and_others_leave_it_its_fine_waves():
+    rng = torch.Generator().manual_seed(5)
+    fine = tuple(2 * side for side in SIZE)
+    maps = _waves(grid_points(fine[1], fine[0]), 2.0 / fine[1])
+    maps = replace(maps, diffuse=maps.diffuse * (0.1 * torch.randn(3, *fine, generator=rng)).exp())
+    doubt = torch.full((4, *fine), -2.0)
+    small = MapSet.from_stacked(
+        torch.nn.functional.avg_pool2d(maps.stacked()[None], 2)[0], 2.0 / SIZE[1]
+    )
+    first = ReadView(numbers_of(small), torch.full((4, *SIZE), -2.0))
+    same, unsure = with_others(maps, doubt, [first])
+    torch.testing.assert_close(same.stacked(), maps.stacked(), atol=1e-4, rtol=0.0)
+    torch.testing.assert_close(unsure, doubt)
+    darker = ReadView(first.numbers.clone(), first.doubt)
+    darker.numbers[:3] -= 0.4
+    both, surer = with_others(maps, doubt, [first, darker, None])
+    torch.testing.assert_close(both.diffuse.log(), maps.diffuse.log() - 0.2, atol=0.01, rtol=0.0)
+    assert (surer < doubt).all()
+
+
+def test_fewer_texels_say_the_same():
+    maps = _waves(grid_points(SIZE[1], SIZE[0]), 2.0 / SIZE[1])
+    read = ReadView(numbers_of(maps), torch.full((4, *SIZE), -2.0))
+    (one, none) = fewer([read, None], (SIZE[0] // 2, SIZE[1] // 2))
+    assert none is None and one is not None
+    coarse = numbers_of(_waves(grid_points(SIZE[1] // 2, SIZE[0] // 2), 4.0 / SIZE[1]))
+    inner = (slice(None), slice(2, -2), slice(2, -2))
+    torch.testing.assert_close(one.numbers[inner], coarse[inner], atol=0.02, rtol=0.0)
+    assert one.numbers[SLOPES].abs().max() > 0.1
