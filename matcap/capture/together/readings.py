@@ -19,14 +19,13 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.detail import plane_in_detail
 from matcap.capture.together.align import Aligned, shrunk
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, maps_of, numbers_of
 from matcap.capture.together.views import SetLight, ViewPlace
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.plane import Plane
+from matcap.flash.plane import Plane, read_plane
 from matcap.flash.registration.camera import Doubles, PosedCamera
 
 _NOWHERE = 4.0  # log of what a reading is off by where its photograph does not show the piece
@@ -46,7 +45,7 @@ class ReadingSettings:
             do not lessen.
     """
 
-    across: int = 512
+    across: int = 384
     steepest: float = 35.0
     shared: float = 0.5
 
@@ -142,7 +141,7 @@ def read_views(
         readings.append(None)
         if view.flash and math.degrees(view.camera.tilt) < READINGS.steepest:
             own = OwnPlane.of(view.camera, found.light, number)
-            plane, _ = plane_in_detail(view.photo, own.setup, across)
+            plane = read_plane(view.photo, own.setup, across)
             maps, errors = read(plane, replace(coarse, setup=own.setup))
             place = found.places[number]
             readings[-1] = brought_over(maps, errors, own, view.camera, place, (across, down))
