@@ -57,11 +57,11 @@ def surface_of(
         return _even_surface(slopes, texel_size, 4)
     settings = settings or SurfaceSettings()
     height = _even_surface(slopes, texel_size, 2)
-    weight = _doubted(precision, settings.model)
-    weight = (weight / weight[:2].mean().clamp_min(1e-12)).numpy()
-    weight[:2] += np.float32(settings.least)
+    told = _doubted(precision, settings.model)
+    told = told / told[:2].mean().clamp_min(1e-12)
+    told[:2] += settings.least
     left = (slopes - slopes_of(height, texel_size)).numpy()
-    return height + texel_size * torch.from_numpy(_nearest(left, weight, settings))[None]
+    return height + texel_size * torch.from_numpy(_nearest(left, told.numpy(), settings))[None]
 
 
 def _doubted(precision: Tensor, more: float) -> Tensor:
