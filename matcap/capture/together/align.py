@@ -19,6 +19,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
+from matcap.capture.together.hue import uncoloured
 from matcap.capture.together.shared import shared_light, shared_step
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
@@ -107,6 +108,7 @@ def aligned(
     """
     settings = settings or AlignSettings()
     solving = SolveSettings()
+    prior, hue = uncoloured(prior)
     views, setup = list(registration.views), registration.setup
     # Maps were read on the plane of a lens without distortion.
     start = PosedCamera.of(setup)
@@ -123,7 +125,8 @@ def aligned(
         small = reframed(small, start, views[0].camera)
         believed, spread = numbers_of(small), spread_of(unsure, solving)
         for turn in range(rounds):
-            seen = [PieceView.of(v, across, down, p) for v, p in zip(views, places, strict=True)]
+            both = zip(views, places, strict=True)
+            seen = [PieceView.of(v, across, down, p, hue) for v, p in both]
             if turn == 0 or numbers is None:
                 numbers = _begun(seen, numbers, believed, spread, light, radiometric, steps)
                 relief = _relief(numbers, small.texel_size, settings)

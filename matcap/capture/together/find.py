@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
@@ -38,6 +39,7 @@ from matcap.capture.piece.network.network import ExpectedErrors, Inverse
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.tuned import LEND
 from matcap.capture.together.align import Aligned, aligned, reframed, shrunk
+from matcap.capture.together.hue import coloured, on_grid, uncoloured
 from matcap.capture.together.place import fitted, placed
 from matcap.capture.together.predict import Predictions, predictions
 from matcap.capture.together.readings import ReadView, read_views, with_others
@@ -87,11 +89,13 @@ class _Single:
         maps: on the plane's texels.
         errors: (4, H, W) log of what they are expected to be off by.
         strengths: what the photograph says outright.
+        metal: (h, w) share that is metal, or None.
     """
 
     maps: MapSet
     errors: Tensor
     strengths: Strengths | None
+    metal: NDArray[np.float32] | None
 
 
 @torch.no_grad()
@@ -122,7 +126,8 @@ def find_together(
         replace(registration, setup=coarse.setup), single, radiometric, stage, tell
     )
     plane, lattice = plane_in_detail(first, found.setup, detail)
-    prior = reframed(single.maps, PosedCamera.of(registration.setup), found.views[0].camera)
+    whole = reframed(single.maps, PosedCamera.of(registration.setup), found.views[0].camera)
+    prior, hue = uncoloured(whole)
     doubt, readings = single.errors, None
     if not interrupted:
         with stage("join"):
@@ -130,20 +135,19 @@ def find_together(
         interrupted = readings is None
     with stage("solve"):
         views, solved = _solved(
-            found, prior, doubt, plane.size, radiometric, partial(tell, "solve")
+            found, prior, doubt, hue, plane.size, radiometric, partial(tell, "solve")
         )
     interrupted |= solved.interrupted
     coarse = replace(coarse, setup=solved.light.onto(found.setup))
     with stage("predict"):
         ahead: Predictions | None = None
         if not interrupted and readings is not None:
-            ahead = predictions(found, readings, solved, radiometric)
+            ahead = predictions(found, readings, solved, radiometric, hue)
     told = SetReport.of(registration, found, solved, ahead)
-    sight = Sight.of(plane, coarse)
     with stage("lend"):
-        exemplar = lent(sight, _reading(sight, solved, views), LEND.tried_at_once)
+        exemplar = _lent(Sight.of(plane, coarse), solved, hue, views)
     with stage("index"):
-        example, scale = _indexed(first, exemplar, lattice.waves)
+        example, scale = _indexed(first, exemplar, single.metal, lattice.waves)
     sharp = sharpness(piece_maps(example.exemplar), plane, coarse)
     piece = FoundPiece(
         example, single.strengths, solved.residual[0], 0.0, sharp, (), interrupted, told, scale
@@ -176,9 +180,15 @@ def aligned_photographs(
     return registration, found
 
 
-def _indexed(photo: Photo, exemplar: Exemplar, waves: tuple[Wave, ...]) -> tuple[Example, float]:
+def _indexed(
+    photo: Photo,
+    exemplar: Exemplar,
+    metal: NDArray[np.float32] | None,
+    waves: tuple[Wave, ...],
+) -> tuple[Example, float]:
     """The exemplar to be rearranged, and what its albedo and F0 were scaled by."""
-    scale = most_probable_scale(exemplar) if photo.flash_intensity is None else 1.0
+    known = photo.flash_intensity is not None
+    scale = 1.0 if known else most_probable_scale(exemplar, metal)
     return Example.of(scaled(exemplar, scale), tuple((w.fx, w.fy) for w in waves)), scale
 
 
@@ -206,6 +216,7 @@ def _solved(
     found: Aligned,
     prior: MapSet,
     doubt: Tensor,
+    hue: Tensor | None,
     size: tuple[int, int],
     radiometric: bool,
     tell: Callable[[float], None],
@@ -217,7 +228,7 @@ def _solved(
     if across >= 2 * SolveSettings().coarse:
         half = (round(down / 2), round(across / 2))
         small, unsure = shrunk(prior, doubt, half)
-        views = _on_grid(found, half[1], half[0])
+        views = _on_grid(found, half[1], half[0], hue)
         begun = solve(
             views,
             small,
@@ -227,7 +238,7 @@ def _solved(
             tell=lambda share: tell(0.4 * share),
         )
         light, rounds = begun.light, SolveSettings().finer
-    views = _on_grid(found, across, down)
+    views = _on_grid(found, across, down, hue)
     solved = solve(
         views,
         prior,
@@ -241,9 +252,9 @@ def _solved(
     return views, solved
 
 
-def _on_grid(found: Aligned, across: int, down: int) -> list[PieceView]:
+def _on_grid(found: Aligned, across: int, down: int, hue: Tensor | None) -> list[PieceView]:
     both = zip(found.views, found.places, strict=True)
-    return [PieceView.of(view, across, down, place) for view, place in both]
+    return [PieceView.of(view, across, down, place, hue) for view, place in both]
 
 
 def _none_fits(registration: Registration) -> MatcapError:
@@ -270,7 +281,7 @@ def _read_alone(plane: Plane, coarse: CoarseFit, network: Inverse, stage: Stage)
             exemplar = finest(exemplar, plane, coarse)
     errors = reading.errors.stacked()
     wide = F.interpolate(errors[None], size=plane.size[::-1], mode="bilinear")[0]
-    return _Single(piece_maps(exemplar), wide, strengths)
+    return _Single(piece_maps(exemplar), wide, strengths, reading.metal)
 
 
 def _laid_over(
@@ -315,10 +326,14 @@ def _read_plainly(network: Inverse, plane: Plane, coarse: CoarseFit) -> tuple[Ma
     return single.maps, single.errors
 
 
-def _reading(sight: Sight, solved: Solved, views: Sequence[PieceView]) -> Reading:
-    """What was solved, as what is lent goes by it."""
+def _lent(sight: Sight, solved: Solved, hue: Tensor | None, views: Sequence[PieceView]) -> Exemplar:
+    """What was solved, metal in its colour again, and lent what glare hides."""
+    if hue is not None:
+        sight = replace(sight, light=replace(sight.light, hue=on_grid(hue, solved.maps.size)))
+    maps = coloured(solved.maps, hue)
     seen = torch.stack([view.seen.float().mean(0) for view in views]).amax(0)
     errors = ExpectedErrors.from_stacked(solved.errors)
     trusted = confidence(errors, np.asarray(seen.numpy(), np.float32))
-    reading = Reading(sight.light.departures(solved.maps), errors, trusted)
-    return replace(reading, departures=evened(sight, reading, reading.departures))
+    reading = Reading(sight.light.departures(maps), errors, trusted)
+    reading = replace(reading, departures=evened(sight, reading, reading.departures))
+    return lent(sight, reading, LEND.tried_at_once)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
 from matcap.capture.together.align import Aligned
 from matcap.capture.together.readings import ReadView, fewer, joined
@@ -53,6 +54,7 @@ def predictions(
     readings: Sequence[ReadView | None],
     solved: Solved,
     radiometric: bool,
+    hue: Tensor | None = None,
     settings: PredictSettings | None = None,
 ) -> Predictions | None:
     """Every photograph from all others; None where one flash is all.
@@ -64,6 +66,7 @@ def predictions(
         found: where photographs lie.
         readings: of each (readings.py).
         solved: by all of them, whose light it begins with.
+        hue: metal's (hue.py).
         radiometric: as for solve.
         settings: see there.
     """
@@ -74,7 +77,7 @@ def predictions(
     down = max(8, round(height * across / width))
     few = fewer(readings, (down, across))
     views = [
-        PieceView.of(view, across, down, place)
+        PieceView.of(view, across, down, place, hue)
         for view, place in zip(found.views, found.places, strict=True)
     ]
     if sum(view.room is None for view in views) < 2:

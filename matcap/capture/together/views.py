@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.capture.together.hue import on_grid
 from matcap.capture.together.room import ROOM, RoomLight
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import FlashLight, log_vignette
@@ -125,7 +126,11 @@ class PieceView:
 
     @staticmethod
     def of(
-        view: RegisteredView, across: int, down: int, place: ViewPlace | None = None
+        view: RegisteredView,
+        across: int,
+        down: int,
+        place: ViewPlace | None = None,
+        hue: Tensor | None = None,
     ) -> PieceView:
         """A registered photograph on a grid of (down, across) texels.
 
@@ -133,6 +138,7 @@ class PieceView:
             view: the photograph.
             across, down: texels.
             place: where it is looked up; None for where features lie.
+            hue: (3, H, W) metal's, on any grid, which is taken off it (hue.py).
         """
         photo = view.photo
         rows, columns = photo.pixels.shape[:2]
@@ -146,18 +152,19 @@ class PieceView:
         x, y = to_pixels(view.camera.sees(points), *size)
         inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)
 
-        def on_grid(picture: NDArray[np.float32], how: int) -> NDArray[np.float32]:
+        def gridded(picture: NDArray[np.float32], how: int) -> NDArray[np.float32]:
             there = cv2.remap(picture, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
             return np.asarray(cv2.resize(there, (across, down), interpolation=cv2.INTER_AREA))
 
-        linear = on_grid(pixels, cv2.INTER_CUBIC).clip(_DARKEST)
-        hidden = on_grid(clipped, cv2.INTER_LINEAR) > _MOST_CLIPPED
+        linear = gridded(pixels, cv2.INTER_CUBIC).clip(_DARKEST)
+        hidden = gridded(clipped, cv2.INTER_LINEAR) > _MOST_CLIPPED
         whole = cv2.resize(inside.astype(np.float32), (across, down), interpolation=cv2.INTER_AREA)
         seen = ~hidden & (whole[..., None] > 0.99)
         log = np.log(linear)
+        shown = torch.from_numpy(np.ascontiguousarray(log.transpose(2, 0, 1)))
         return PieceView(
             photo.name,
-            torch.from_numpy(np.ascontiguousarray(log.transpose(2, 0, 1))),
+            shown if hue is None else shown - on_grid(hue, (across, down)).log(),
             torch.from_numpy(np.ascontiguousarray(seen.transpose(2, 0, 1))),
             torch.from_numpy(_steepness(log.mean(2))),
             view.camera,
