@@ -198,7 +198,7 @@ class CaptureSettings:
 
 @dataclass(frozen=True)
 class Method:
-    """How it is done: nothing that users decide, but what `matcap bench capture` measures.
+    """How it is done: nothing that users decide, but what the laboratory measures.
 
     Attributes:
         window: texels a side of what is compared; many cheap steps beat few exact ones.

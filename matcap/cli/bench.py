@@ -16,7 +16,8 @@ from matcap.files import values
 
 app = typer.Typer(help="Measure matcap on this machine.", no_args_is_help=True)
 app.command("relight")(relight.bench)
-app.command("capture")(bench_time.capture)
+app.command("fronts")(bench_time.fronts)
+app.command("pairs")(bench_time.pairs)
 app.command("report")(bench_time.report)
 app.command("synth")(synth.bench)
 

@@ -70,7 +70,7 @@ import matcap.lab
 assert Path(matcap.lab.__file__).is_relative_to(sys.argv[1]), matcap.lab.__file__
 SqueezeNet.load()
 from matcap.cli.main import main
-assert main(["bench", "capture", "--list"]) == 0
+assert main(["bench", "fronts", "--list"]) == 0
 """
 
 

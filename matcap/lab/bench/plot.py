@@ -8,7 +8,7 @@ from typing import Any
 
 from matcap.errors import MatcapError
 from matcap.files.staging import staged_file
-from matcap.lab.bench.table import Point, front
+from matcap.lab.bench.table import Point, comparable, front
 
 _LABELLED = "preset"  # group whose points bear their names even off the front
 
@@ -28,7 +28,8 @@ def draw(
     Raises:
         MatcapError: matplotlib is not installed, or the file cannot be written.
     """
-    figure, axes = _figure()
+    figure = new_figure((9.0, 5.6))
+    axes = figure.add_subplot()
     for group in dict.fromkeys(point.group for point in found):
         of = [point for point in found if point.group == group]
         axes.errorbar(
@@ -42,7 +43,7 @@ def draw(
             alpha=0.85,
             label=group,
         )
-    best = front(found)
+    best = front(comparable(found))
     axes.plot(
         [point.seconds for point in best],
         [point.error for point in best],
@@ -79,8 +80,12 @@ def draw(
         figure.savefig(file, dpi=110, metadata={"Software": None})
 
 
-def _figure() -> tuple[Any, Any]:
-    """A figure that belongs to no window: nothing global is touched."""
+def new_figure(size: tuple[float, float]) -> Any:  # noqa: ANN401
+    """A figure of so many inches that belongs to no window: nothing global is touched.
+
+    Raises:
+        MatcapError: matplotlib is not installed.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -89,6 +94,6 @@ def _figure() -> tuple[Any, Any]:
             "drawing the picture needs the package matplotlib",
             remedy="install it with: pip install 'matcap[bench]'",
         ) from error
-    figure = Figure(figsize=(9.0, 5.6))
+    figure = Figure(figsize=size)
     FigureCanvasAgg(figure)
-    return figure, figure.add_subplot()
+    return figure

@@ -12,7 +12,7 @@ import math
 import os
 import platform
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -28,13 +28,17 @@ class Measurement:
         group: what was varied: "preset", "steps", "window" and the like.
         point: which way it was done; the same on every subject.
         subject: on what: a material, a scene.
-        seconds: by the wall's clock; of captures, of processor time.
+        seconds: by the wall's clock; of captures, of the processor.
         megabytes: most memory the process held; NaN where not measured.
         error: how far from the truth; what it counts in, the bench's page says.
-        flash: of captures: the same for the photograph's own light; else NaN.
-        diversity: of captures: how far two pieces are apart, as a share of what true ones are.
+        piece: of captures: of the photographed piece, where `error` is of what rearranges it.
+        flash: the same as `error` under the photograph's own light.
+        patches, filters: the same by other measures.
+        clock: seconds by the wall's clock of captures.
         machine: that did it.
         seed: of everything random in it.
+        verdict: of captures: what is said of it.
+        seen: what was said of the photograph before.
     """
 
     bench: str
@@ -44,10 +48,15 @@ class Measurement:
     seconds: float
     megabytes: float
     error: float
+    piece: float = math.nan
     flash: float = math.nan
-    diversity: float = math.nan
+    patches: float = math.nan
+    filters: float = math.nan
+    clock: float = math.nan
     machine: str = ""
     seed: int = 0
+    verdict: str = ""
+    seen: str = ""
 
     @property
     def key(self) -> tuple[str, str, str, int]:
@@ -62,7 +71,8 @@ class Point:
     Attributes:
         group, name: of the measurements.
         subjects: how many.
-        seconds, megabytes, error, flash, diversity: means over the subjects' means over seeds.
+        seconds, megabytes, error, piece, flash, patches, filters, clock: means over the subjects'
+            means over seeds.
         spread: standard deviation of the error over the subjects.
         seeds: how many each subject was measured with, at least.
         scatter: standard deviation of the error over seeds, its mean over the subjects; NaN with
@@ -76,15 +86,20 @@ class Point:
     megabytes: float
     error: float
     spread: float
-    flash: float
-    diversity: float
+    piece: float = math.nan
+    flash: float = math.nan
+    patches: float = math.nan
+    filters: float = math.nan
+    clock: float = math.nan
     seeds: int = 1
     scatter: float = math.nan
 
 
 _COLUMNS = tuple(field.name for field in fields(Measurement))
-_NUMBERS = ("seconds", "megabytes", "error", "flash", "diversity")
-_WORDS = ("bench", "group", "point", "subject", "machine")
+_ERRORS = ("error", "piece", "flash", "patches", "filters")
+_NUMBERS = ("seconds", "megabytes", "clock", *_ERRORS)
+_WORDS = ("bench", "group", "point", "subject")
+_REMARKS = ("machine", "verdict", "seen")
 
 
 def read(path: Path) -> list[Measurement]:
@@ -120,46 +135,66 @@ def append(path: Path, measured: Measurement) -> None:
         os.fsync(file.fileno())
 
 
-def points(measured: Iterable[Measurement]) -> list[Point]:
-    """Means over the subjects, in the order of the first measurement; the last one counts."""
+def points(measured: Iterable[Measurement], base: str | None = None) -> list[Point]:
+    """Means over the subjects, in the order of the first measurement; the last one counts.
+
+    Args:
+        measured: what there is.
+        base: a point that others are paired with: one of fewer subjects is told by its ratio to it
+            on the same ones, for materials differ by more than ways do. None for plain means.
+    """
     latest = {one.key: one for one in measured}
     by_point: dict[str, dict[str, list[Measurement]]] = {}
     for one in latest.values():
         by_point.setdefault(one.point, {}).setdefault(one.subject, []).append(one)
-    return [_point(name, list(of_subjects.values())) for name, of_subjects in by_point.items()]
+    paired = by_point.get(base, {}) if base else {}
+    return [_point(name, of_subjects, paired) for name, of_subjects in by_point.items()]
 
 
-def _point(name: str, of_subjects: Sequence[Sequence[Measurement]]) -> Point:
+def _point(
+    name: str,
+    of_subjects: Mapping[str, Sequence[Measurement]],
+    base: Mapping[str, Sequence[Measurement]],
+) -> Point:
     """The point of measurements by subject and seed."""
 
-    def means(number: str) -> list[float]:
-        return [_mean([getattr(one, number) for one in of_one]) for of_one in of_subjects]
+    def mean(number: str) -> float:
+        own = {subject: _of(number, some) for subject, some in of_subjects.items()}
+        shared = [subject for subject in own if subject in base]
+        if not shared or any(math.isnan(_of(number, base[subject])) for subject in shared):
+            return _mean(list(own.values()))
+        whole = _mean([_of(number, some) for some in base.values()])
+        beside = _mean([_of(number, base[subject]) for subject in shared])
+        return _mean([own[subject] for subject in shared]) * whole / beside
 
-    several = [[one.error for one in of_one] for of_one in of_subjects if len(of_one) > 1]
+    first = next(iter(of_subjects.values()))[0]
+    several = [[one.error for one in some] for some in of_subjects.values() if len(some) > 1]
     return Point(
-        group=of_subjects[0][0].group,
+        group=first.group,
         name=name,
         subjects=len(of_subjects),
-        spread=_deviation(means("error")),
-        seeds=min(len(of_one) for of_one in of_subjects),
+        spread=_deviation([_of("error", some) for some in of_subjects.values()]),
+        seeds=min(len(some) for some in of_subjects.values()),
         scatter=_mean([_deviation(errors) for errors in several]),
-        **{number: _mean(means(number)) for number in _NUMBERS},
+        **{number: mean(number) for number in _NUMBERS},
     )
 
 
-def comparable(found: Sequence[Point]) -> list[Point]:
-    """Those measured on as many subjects as any, and at the sweep's own detail.
+def _of(number: str, some: Sequence[Measurement]) -> float:
+    """One number of one subject, over seeds."""
+    return _mean([getattr(one, number) for one in some])
 
-    At another detail the true pieces are others, and so is the floor.
-    """
+
+def comparable(found: Sequence[Point]) -> list[Point]:
+    """Those measured on as many subjects as any."""
     most = max((point.subjects for point in found), default=0)
-    return [point for point in found if point.subjects == most and point.group != "detail"]
+    return [point for point in found if point.subjects == most]
 
 
 def front(found: Sequence[Point]) -> list[Point]:
-    """The Pareto front of what is comparable, fastest first: none is both as fast and as good."""
+    """The Pareto front, fastest first: none is both as fast and as good."""
     best, least = [], math.inf
-    for point in sorted(comparable(found), key=lambda point: (point.seconds, point.error)):
+    for point in sorted(found, key=lambda point: (point.seconds, point.error)):
         if point.error < least:
             best.append(point)
             least = point.error
@@ -187,9 +222,11 @@ def _processor() -> str:
 
 
 def _measurement(row: dict[str, str]) -> Measurement:
-    numbers = {name: float(row[name] or "nan") for name in _NUMBERS}
+    # Older tables lack some.
+    numbers = {name: float(row.get(name) or "nan") for name in _NUMBERS}
     words = {name: row[name] for name in _WORDS}
-    seed = int(row.get("seed") or 0)  # older tables have none
+    words |= {name: row.get(name) or "" for name in _REMARKS}
+    seed = int(row.get("seed") or 0)
     return Measurement(**words, **numbers, seed=seed)  # type: ignore[arg-type]
 
 

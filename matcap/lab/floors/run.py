@@ -131,20 +131,35 @@ class Judge:
         texel, pixels = 2.0 / (settings.detail * _FINER), settings.size * _FINER
         seeds = [subject.seed + 1 + number for number in range(settings.truths)]
         self._truths = [subject.pieces(seed)(pixels, pixels, texel) for seed in seeds]
-        blur = settings.camera.blur * settings.detail * _FINER / settings.camera.width
-        relit = (
-            relight_all(maps, flash.intensity, self.scene, finer=_FINER, blur=blur)
-            for maps in self._truths
-        )
-        self.floor = Floor([measure.style(pictures) for pictures in relit])
+        self._blur = settings.camera.blur * settings.detail * _FINER / settings.camera.width
+        self._flash = flash
+        self.pictures = self.relit_truths(self.scene)
+        self.floor = Floor([measure.style(pictures) for pictures in self.pictures])
 
-    def floors(self, maps: MapSet, intensity: tuple[float, float, float]) -> float:
-        """Error of maps under the flash that goes with them, in floors."""
-        pictures = relight_all(maps.map(lambda m: m.float()), intensity, self.scene)
+    def relit_truths(self, scene: BenchScene) -> list[Tensor]:
+        """(L, 3, H, W) of each true piece, under a scene's lights."""
+        intensity = self._flash.intensity
+        return [
+            relight_all(maps, intensity, scene, finer=_FINER, blur=self._blur)
+            for maps in self._truths
+        ]
+
+    def relit(
+        self,
+        maps: MapSet,
+        intensity: tuple[float, float, float],
+        scene: BenchScene | None = None,
+    ) -> Tensor:
+        """(L, 3, H, W) of maps under the flash that goes with them, as truths are compared."""
+        pictures = relight_all(maps.map(lambda m: m.float()), intensity, scene or self.scene)
         size = (self._settings.size, self._settings.size)
         if pictures.shape[-2:] != size:
             pictures = F.interpolate(pictures, size, mode="bilinear", antialias=True)
-        return self.floor.of(self._measure.style(pictures))
+        return pictures
+
+    def floors(self, maps: MapSet, intensity: tuple[float, float, float]) -> float:
+        """Error of maps under the flash that goes with them, in floors."""
+        return self.floor.of(self._measure.style(self.relit(maps, intensity)))
 
     def true_numbers(self, texel_size: float) -> MapNumbers:
         """Of the true pieces, in texels of a size."""

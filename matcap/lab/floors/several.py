@@ -224,6 +224,4 @@ def _point(group: str, rows: Sequence[SeveralRow]) -> Point:
     floors = torch.tensor([row.floors.floors for row in rows])
     seconds = sum(row.floors.seconds for row in rows) / len(rows)
     count = f"{_count(rows[0])} photographs"
-    return Point(
-        group, count, len(rows), seconds, math.nan, float(floors.mean()), 0.0, math.nan, math.nan
-    )
+    return Point(group, count, len(rows), seconds, math.nan, float(floors.mean()), 0.0)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from matcap.errors import MatcapError
-from matcap.lab.bench.table import Measurement, Point, append, front, points, read
+from matcap.lab.bench.table import Measurement, Point, append, comparable, front, points, read
 
 
 def measured(point="draft", subject="leather", seconds=1.0, error=2.0, group="preset"):
@@ -68,18 +68,33 @@ def test_seeds_scatter_within_a_subject_and_subjects_spread():
 def test_a_table_without_seeds_is_read(tmp_path):
     path = tmp_path / "capture.csv"
     append(path, measured())
-    path.write_text("\n".join(line.rpartition(",")[0] for line in path.read_text().splitlines()))
-    path.write_text(path.read_text() + "\n")
-    assert [one.seed for one in read(path)] == [0]
+    older = [",".join(line.split(",")[:7]) for line in path.read_text().splitlines()]
+    path.write_text("\n".join(older) + "\n")
+    (one,) = read(path)
+    assert (one.seed, one.error, one.verdict) == (0, 2.0, "")
+    assert math.isnan(one.piece)
+
+
+def test_a_point_of_fewer_subjects_is_told_by_its_ratio_on_the_same_ones():
+    lines = [
+        measured(point="base", subject="easy", error=1.0, seconds=10.0),
+        measured(point="base", subject="hard", error=3.0, seconds=30.0),
+        measured(point="other", subject="hard", error=1.5, seconds=60.0),
+    ]
+    base, other = points(lines, "base")
+    assert (base.error, base.seconds) == (2.0, 20.0)
+    assert (other.error, other.seconds, other.subjects) == (1.0, 40.0, 1)
+    plain = points(lines)[1]
+    assert (plain.error, plain.seconds) == (1.5, 60.0)
 
 
 def a_point(name, seconds, error, subjects=8):
-    return Point("steps", name, subjects, seconds, 0.0, error, 0.0, math.nan, math.nan)
+    return Point("steps", name, subjects, seconds, 0.0, error, 0.0)
 
 
 def test_a_point_of_fewer_subjects_is_not_on_the_front():
     lucky = a_point("lucky", 1.0, 0.1, subjects=1)
-    assert [p.name for p in front([lucky, a_point("a", 2.0, 1.0)])] == ["a"]
+    assert [p.name for p in front(comparable([lucky, a_point("a", 2.0, 1.0)]))] == ["a"]
 
 
 @given(st.lists(st.tuples(st.floats(0.1, 100), st.floats(0.1, 100)), min_size=1, max_size=12))

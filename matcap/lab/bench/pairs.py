@@ -1,0 +1,86 @@
+"""Pairs of captures to be looked at without names: does the eye say what the measures say?
+
+Sheets of the fronts (fronts.py), the truth in the middle, one capture on either side, several pairs
+to a page. Which is which stands in a CSV, which is not to be read before its column `nearer` is
+written: left, right or neither.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import MatcapError
+
+_ON_A_PAGE = 5
+_MARGIN = 8  # pixels
+
+
+def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:
+    """Draw pairs of the sheets in a folder of fronts; pages and pairs.csv go to `out`.
+
+    Args:
+        fronts: the folder that `matcap bench fronts` wrote.
+        out: made where it is missing.
+        count: of pairs, spread over the materials.
+        seed: of which ones, and of which stands left.
+
+    Raises:
+        MatcapError: there are no two sheets of one material.
+    """
+    drawn = _drawn(fronts / "sheets", count, seed)
+    if not drawn:
+        raise MatcapError(
+            "there are no captures to be compared", where=str(fronts), remedy="measure first"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    for first in range(0, len(drawn), _ON_A_PAGE):
+        rows = [
+            _row(fronts / "sheets" / material, (left, right), number)
+            for number, (material, left, right) in enumerate(
+                drawn[first : first + _ON_A_PAGE], start=first + 1
+            )
+        ]
+        cv2.imwrite(str(out / f"page-{first // _ON_A_PAGE + 1}.png"), np.concatenate(rows))
+    table = out / "pairs.csv"
+    with table.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("pair", "material", "left", "right", "nearer"))
+        writer.writerows((number, *each, "") for number, each in enumerate(drawn, start=1))
+    return table
+
+
+def _drawn(sheets: Path, count: int, seed: int) -> list[tuple[str, str, str]]:
+    """(material, left, right), materials in turn."""
+    rng = np.random.default_rng(seed)
+    by_material: list[list[tuple[str, str, str]]] = []
+    for folder in sorted(path for path in sheets.iterdir() if path.is_dir()):
+        # Seeds of one way hardly differ.
+        names = [p.stem for p in sorted(folder.glob("*.png")) if ", seed " not in p.stem]
+        pairs = list(itertools.combinations([name for name in names if name != "truth"], 2))
+        of_one = [pairs[int(place)] for place in rng.permutation(len(pairs))]
+        turned = [pair[::-1] if rng.random() < 0.5 else pair for pair in of_one]
+        by_material.append([(folder.name, *pair) for pair in turned])
+    turns = itertools.chain.from_iterable(itertools.zip_longest(*by_material))
+    return list(itertools.islice((pair for pair in turns if pair), count))
+
+
+def _row(folder: Path, pair: Sequence[str], number: int) -> NDArray[np.uint8]:
+    """One pair, numbered: left, truth, right; the two lights of a sheet beside each other."""
+    shown = []
+    for name in (pair[0], "truth", pair[1]):
+        picture = cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_COLOR)
+        assert picture is not None
+        half = len(picture) // 2
+        shown.append(np.concatenate([picture[:half], picture[half:]], axis=1))
+    pad = ((_MARGIN, _MARGIN), (_MARGIN, _MARGIN), (0, 0))
+    row = np.concatenate([np.pad(each, pad, constant_values=255) for each in shown], axis=1)
+    row = np.ascontiguousarray(row)
+    cv2.putText(row, f"{number}", (14, 34), cv2.FONT_HERSHEY_SIMPLEX, 0.9, (0, 0, 255), 2)
+    return row
