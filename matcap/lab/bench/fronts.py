@@ -55,6 +55,7 @@ HELD_OUT = (
     "metal_t3_metal_tiles_003",
     "plastic004",
 )
+_FINER = 2  # times as many texels, of the second look
 _NINE = ("granite",)  # of which nine photographs are taken; else five
 _MEASURES = ("error", "patches", "filters")
 # Enough for 1024 texels; shaded as finely as its pixels are, for five and nine cost a minute else.
@@ -155,7 +156,7 @@ class _Yard:
     Attributes:
         name: of the material.
         photographs: of one piece.
-        judge: relights as truths are.
+        judge, fine: relight as truths are, on the usual texels and on finer ones.
         scenes: the bench's lights, and the photograph's own.
         floors: by measure, of each scene.
         seen: what `inspect` says of the first photograph.
@@ -165,6 +166,7 @@ class _Yard:
     name: str
     photographs: Sequence[Path]
     judge: Judge
+    fine: Judge
     scenes: tuple[BenchScene, BenchScene]
     floors: Mapping[str, tuple[_Floors, _Floors]]
     seen: str
@@ -184,6 +186,13 @@ class _Yard:
         settings = replace(bench.settings, camera=held.phone)
         measure = Measure()
         judge = Judge(held.specimen, flash, settings, measure)
+        finer = replace(
+            settings,
+            detail=_FINER * settings.detail,
+            size=_FINER * settings.size,
+            finer=max(1, settings.finer // _FINER),
+        )
+        fine = Judge(held.specimen, flash, finer, measure)
         scenes = (judge.scene, _own_scene(flash))
         true = [judge.pictures, judge.relit_truths(scenes[1])]
         styles: dict[str, Style] = dict(
@@ -195,7 +204,7 @@ class _Yard:
         }
         _write_sheet(bench.out, specimen.name, "truth", true[0][0])
         seen = _inspected(photographs[0])
-        return _Yard(specimen.name, photographs, judge, scenes, floors, seen, settings)  # type: ignore[arg-type]
+        return _Yard(specimen.name, photographs, judge, fine, scenes, floors, seen, settings)  # type: ignore[arg-type]
 
 
 class _Floors:
@@ -241,6 +250,7 @@ def _measured(yard: _Yard, bench: Fronts, point: str, seed: int) -> Measurement:
         "capture", way.group, point, yard.name, spent["processor"], spent["megabytes"],
         **errors, piece=piece,
         flash=yard.floors["error"][1].of(yard.judge.relit(endless, own, yard.scenes[1])),
+        fine=yard.fine.floors(endless, own),
         clock=spent["clock"], machine=machine(), seed=seed, verdict=told, seen=yard.seen,
     )  # fmt: skip
 

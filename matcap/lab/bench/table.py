@@ -33,6 +33,7 @@ class Measurement:
         error: how far from the truth; what it counts in, the bench's page says.
         piece: of captures: of the photographed piece, where `error` is of what rearranges it.
         flash: the same as `error` under the photograph's own light.
+        fine: the same on twice as many texels.
         patches, filters: the same by other measures.
         clock: seconds by the wall's clock of captures.
         machine: that did it.
@@ -50,6 +51,7 @@ class Measurement:
     error: float
     piece: float = math.nan
     flash: float = math.nan
+    fine: float = math.nan
     patches: float = math.nan
     filters: float = math.nan
     clock: float = math.nan
@@ -71,8 +73,8 @@ class Point:
     Attributes:
         group, name: of the measurements.
         subjects: how many.
-        seconds, megabytes, error, piece, flash, patches, filters, clock: means over the subjects'
-            means over seeds.
+        seconds, megabytes, error, piece, flash, fine, patches, filters, clock: means over the
+            subjects' means over seeds.
         spread: standard deviation of the error over the subjects.
         seeds: how many each subject was measured with, at least.
         scatter: standard deviation of the error over seeds, its mean over the subjects; NaN with
@@ -88,6 +90,7 @@ class Point:
     spread: float
     piece: float = math.nan
     flash: float = math.nan
+    fine: float = math.nan
     patches: float = math.nan
     filters: float = math.nan
     clock: float = math.nan
@@ -96,7 +99,7 @@ class Point:
 
 
 _COLUMNS = tuple(field.name for field in fields(Measurement))
-_ERRORS = ("error", "piece", "flash", "patches", "filters")
+_ERRORS = ("error", "piece", "flash", "fine", "patches", "filters")
 _NUMBERS = ("seconds", "megabytes", "clock", *_ERRORS)
 _WORDS = ("bench", "group", "point", "subject")
 _REMARKS = ("machine", "verdict", "seen")
@@ -160,12 +163,12 @@ def _point(
 
     def mean(number: str) -> float:
         own = {subject: _of(number, some) for subject, some in of_subjects.items()}
-        shared = [subject for subject in own if subject in base]
-        if not shared or any(math.isnan(_of(number, base[subject])) for subject in shared):
+        beside = {subject: _of(number, some) for subject, some in base.items()}
+        shared = [s for s, value in own.items() if not math.isnan(value + beside.get(s, math.nan))]
+        if not shared:
             return _mean(list(own.values()))
-        whole = _mean([_of(number, some) for some in base.values()])
-        beside = _mean([_of(number, base[subject]) for subject in shared])
-        return _mean([own[subject] for subject in shared]) * whole / beside
+        ratio = _mean([own[s] for s in shared]) / _mean([beside[s] for s in shared])
+        return ratio * _mean(list(beside.values()))
 
     first = next(iter(of_subjects.values()))[0]
     several = [[one.error for one in some] for some in of_subjects.values() if len(some) > 1]

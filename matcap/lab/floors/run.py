@@ -34,7 +34,6 @@ from matcap.lab.simulate.specimen import Specimen, photograph
 ALBEDO, PIECE, FIELD = "photograph as albedo", "piece", "field"
 
 _EVERY = 2  # of the bench's lights
-_FINER = 4  # true radiance is averaged over this many texels a side: it has detail below a pixel
 _DARK = 1e-3  # of albedo
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec.709
 
@@ -51,6 +50,7 @@ class FloorSettings:
         jpeg: photographs are JPEGs, instead of RAW.
         camera: that takes them.
         truths: pieces that captures are compared with, at least 2.
+        finer: true radiance is averaged over this many texels a side: it has detail below a pixel.
     """
 
     captured: CaptureSettings = field(default_factory=CaptureSettings)
@@ -60,6 +60,7 @@ class FloorSettings:
     jpeg: bool = False
     camera: PhoneCamera = field(default_factory=PhoneCamera)
     truths: int = 3
+    finer: int = 4
 
 
 @dataclass(frozen=True)
@@ -128,10 +129,11 @@ class Judge:
         whole = bench_scene(flash)
         self.scene = BenchScene(whole.distance, whole.lights[::_EVERY])
         self._settings, self._measure = settings, measure
-        texel, pixels = 2.0 / (settings.detail * _FINER), settings.size * _FINER
+        finest = settings.detail * settings.finer
+        texel, pixels = 2.0 / finest, settings.size * settings.finer
         seeds = [subject.seed + 1 + number for number in range(settings.truths)]
         self._truths = [subject.pieces(seed)(pixels, pixels, texel) for seed in seeds]
-        self._blur = settings.camera.blur * settings.detail * _FINER / settings.camera.width
+        self._blur = settings.camera.blur * finest / settings.camera.width
         self._flash = flash
         self.pictures = self.relit_truths(self.scene)
         self.floor = Floor([measure.style(pictures) for pictures in self.pictures])
@@ -140,7 +142,7 @@ class Judge:
         """(L, 3, H, W) of each true piece, under a scene's lights."""
         intensity = self._flash.intensity
         return [
-            relight_all(maps, intensity, scene, finer=_FINER, blur=self._blur)
+            relight_all(maps, intensity, scene, finer=self._settings.finer, blur=self._blur)
             for maps in self._truths
         ]
 

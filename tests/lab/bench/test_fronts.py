@@ -99,8 +99,8 @@ def some(path):
         for subject, factor in (("leather", 1.0), ("asphalt10", 1.5)):
             one = Measurement(
                 "capture", WAYS[point].group, point, subject, seconds, 800.0, factor * error,
-                piece=error, flash=1.0, patches=1.5, filters=4.0 - error, machine="a machine",
-                verdict="doubtful: dark", seen="good",
+                piece=error, fine=error, flash=1.0, patches=1.5, filters=4.0 - error,
+                machine="a machine", verdict="doubtful: dark", seen="good",
             )  # fmt: skip
             append(path, one)
 

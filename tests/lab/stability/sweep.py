@@ -3,7 +3,7 @@
     python tests/lab/stability/sweep.py --quick
 
 Draws the reflectance from every corner of its domain, values and gradients, captures photographs
-that go wrong in every way known, and compares relighting and exporting with float64 and closed
+that go wrong in every way known, sets and parts of them, and compares relighting and exporting with float64 and closed
 forms. Prints two tables; exits with 4 when anything in them was not finite.
 """
 
@@ -31,7 +31,8 @@ def main(arguments: Sequence[str]) -> int:
     def tell(line: str) -> None:
         print(line, file=sys.stderr)
 
-    rows = run_stability(settings, tell) if settings.draws or settings.photographs else []
+    captured = settings.draws or settings.photographs or settings.sets
+    rows = run_stability(settings, tell) if captured else []
     edges = table.run_edges(settings.relighting, settings.seed, tell) if settings.relighting else {}
     print(markdown(rows, " ".join(["python", *sys.argv])))
     if edges:
@@ -45,6 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--quick", action="store_true", help="few draws, each photograph once")
     parser.add_argument("--draws", type=int, help="of the reflectance, of each case; 100,000")
     parser.add_argument("--photographs", type=int, help="hard ones to capture; 500")
+    parser.add_argument("--sets", type=int, help="of photographs, and parts of them; 300")
     parser.add_argument("--relighting", type=int, help="draws of relighting and exporting; 10^7")
     parser.add_argument("--seed", type=int, help="of all draws")
     return parser

@@ -1,5 +1,7 @@
 """`sweep.py` finds what it looks for, counts it and says so by its exit code."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from stable import reflectance, sweeps
@@ -17,11 +19,11 @@ def few(monkeypatch):
     monkeypatch.setattr(sweeps, "CASES", {"roughness 1": CASES["roughness 1"]})
     hard = {"a": lambda *_: "a", "b": lambda *_: "b"}
     monkeypatch.setattr(sweeps, "HARD_PHOTOGRAPHS", hard)
-    return StabilitySettings(draws=50, photographs=3)
+    return StabilitySettings(draws=50, photographs=3, sets=0)
 
 
 def outcome(error):
-    def capture(pixels, settings, name):
+    def capture(*_):
         raise error
 
     return capture
@@ -50,6 +52,25 @@ def test_a_bug_counts_and_a_refusal_does_not(monkeypatch, few):
     rows = run_stability(few)
     assert unstable(rows) == 0
     assert "refused: the picture is bad" in markdown(rows, "sweep.py")
+
+
+def test_sets_and_parts_are_swept_too(monkeypatch, few):
+    monkeypatch.setattr(sweeps, "capture_set", outcome(ValueError("shapes differ")))
+    monkeypatch.setattr(sweeps, "capture_part", outcome(MatcapError("too little is left")))
+    monkeypatch.setattr(sweeps, "HARD_SETS", {"two": lambda *_: []})
+    monkeypatch.setattr(sweeps, "HARD_PHOTOGRAPHS", {"an ordinary one": lambda *_: []})
+    monkeypatch.setattr(
+        sweeps,
+        "WHOLES",
+        {"set: two": sweeps.of_set("two"), "part: a corner": sweeps.of_part("a corner")},
+    )
+    rows = run_stability(replace(few, photographs=0, sets=3))
+    assert [(row.case, row.draws, row.values) for row in rows[2:]] == [
+        ("set: two", 2, 2),
+        ("part: a corner", 1, 0),
+    ]
+    assert rows[2].where == "ValueError: shapes differ"
+    assert rows[3].where == "refused: too little is left"
 
 
 @pytest.mark.parametrize(("values", "broken", "code"), [(0, 0, 0), (1, 0, 4), (0, 2, 4)])
@@ -82,5 +103,5 @@ def test_each_sweep_is_left_out_where_nothing_of_it_is_asked_for(monkeypatch, ca
 
     monkeypatch.setattr("sweep.run_stability", never)
     monkeypatch.setattr("stable.edges.table.run_edges", never)
-    nothing = ["--draws", "0", "--photographs", "0", "--relighting", "0"]
+    nothing = ["--draws", "0", "--photographs", "0", "--sets", "0", "--relighting", "0"]
     assert main(nothing) == 0

@@ -3,14 +3,15 @@
 Two sweeps, one table; relighting and exporting have another (edges/table.py). The reflectance:
 random draws from every corner of its domain, values and gradients (reflectance.py).
 Photographs: pictures that go wrong in every way we know of (photographs.py), captured
-for a few steps, their piece's own maps found and rearranged; each must end in finite maps within
+for a few steps, their piece's own maps found and rearranged, as they are and with every variety;
+sets of photographs and parts of them likewise (wholes.py). Each must end in finite maps within
 their ranges or in one sentence that says why not.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -34,11 +35,13 @@ from stable.reflectance import (
     measure,
     measure_shading,
 )
+from stable.wholes import HARD_SETS, PARTS, capture_part, capture_set
 
 _MAPS = ("diffuse", "specular", "roughness", "height", "normal")
 _ASPECT = 0.75
 _PRESET = "draft"  # adapts the piece in a few steps
 _FIELD = 64  # texels a side of what is read by example
+_VARIETIES = (None, 0.0, 1.0)  # its own, and the ends
 _LARGE, _LARGE_EVERY = 3, 4
 
 
@@ -49,6 +52,7 @@ class StabilitySettings:
     Attributes:
         draws: of the reflectance, of each case.
         photographs: how many in all; the cases take turns, each time with another seed and prior.
+        sets: of photographs, and parts of them, likewise.
         detail: texels across each photograph; every fourth of a case has three times as many, for
             a small one has too few windows to tell relief's strength.
         steps: of fine-tuning.
@@ -58,6 +62,7 @@ class StabilitySettings:
 
     draws: int = 100_000
     photographs: int = 500
+    sets: int = 300
     detail: int = 128
     steps: int = 3
     relighting: int = 10_000_000
@@ -65,7 +70,12 @@ class StabilitySettings:
 
 
 QUICK = StabilitySettings(
-    draws=5_000, photographs=len(HARD_PHOTOGRAPHS), detail=96, steps=2, relighting=200_000
+    draws=5_000,
+    photographs=len(HARD_PHOTOGRAPHS),
+    sets=len(HARD_SETS) + len(PARTS),
+    detail=96,
+    steps=2,
+    relighting=200_000,
 )
 
 
@@ -102,8 +112,11 @@ def run_stability(
     rendered = measure_shading(settings.draws, settings.seed)
     rows.append(_reflectance_row("rendering, light 1e-3 to 1e9 away", rendered))
     tell(_line(rows[-1]))
-    for name, count in _shares(settings.photographs).items():
+    for name, count in _shares(HARD_PHOTOGRAPHS, settings.photographs).items():
         rows.append(_photograph_row(name, count, settings))
+        tell(_line(rows[-1]))
+    for name, count in _shares(WHOLES, settings.sets).items():
+        rows.append(_whole_row(name, count, settings))
         tell(_line(rows[-1]))
     return rows
 
@@ -171,16 +184,17 @@ def within_ranges(found: FoundPiece, seed: int) -> bool:
     """Whether albedo, F0 and roughness of the piece and of a field made of it are in [0, 1]."""
     return all(
         bool((maps[:5] >= 0.0).all() and (maps[:5] <= 1.0).all())
-        for maps in _piece(found, seed)[:2]
+        for maps in _piece(found, seed)[: 1 + len(_VARIETIES)]
     )
 
 
 def _piece(found: FoundPiece, seed: int) -> list[torch.Tensor]:
-    """The piece's maps, a small field that rearranges them, and what the photograph told."""
-    field = found.example.maps(seed, Rectangle(0, 0, _FIELD, _FIELD), None)
+    """The piece's maps, small fields that rearrange them, and what the photograph told."""
+    area = Rectangle(0, 0, _FIELD, _FIELD)
+    fields = [found.example.varied(variety).maps(seed, area, None) for variety in _VARIETIES]
     told = found.strengths
     numbers = [] if told is None else [told.albedo, told.slope, told.trust]
-    return [torch.from_numpy(array) for array in (found.exemplar.stacked(), field, *numbers)]
+    return [torch.from_numpy(array) for array in (found.exemplar.stacked(), *fields, *numbers)]
 
 
 def _reflectance_row(name: str, found: CaseResult) -> Row:
@@ -194,12 +208,10 @@ def _reflectance_row(name: str, found: CaseResult) -> Row:
     )
 
 
-def _shares(photographs: int) -> dict[str, int]:
+def _shares(cases: Mapping[str, object], total: int) -> dict[str, int]:
     """How often each case is captured."""
-    cases = len(HARD_PHOTOGRAPHS)
     counts = {
-        name: photographs // cases + (index < photographs % cases)
-        for index, name in enumerate(HARD_PHOTOGRAPHS)
+        name: total // len(cases) + (index < total % len(cases)) for index, name in enumerate(cases)
     }
     return {name: count for name, count in counts.items() if count}
 
@@ -220,15 +232,13 @@ def _photograph_row(name: str, count: int, settings: StabilitySettings) -> Row:
             generator="decoder",
             aligned=True,
         )
-        try:
+
+        def captured(detail: int = detail, asked: CaptureSettings = asked) -> CaptureResult:
             pixels = HARD_PHOTOGRAPHS[name](detail, round(_ASPECT * detail), asked.seed)
-            result = capture_array(pixels, asked, name)
-        except MatcapError as error:
-            row = replace(row, where=f"refused: {error.what}")
-            continue
-        except Exception as error:  # a bug is what this looks for, and the sweep goes on
-            what = f"{type(error).__name__}: {error}".splitlines()[0]
-            row = replace(row, values=row.values + 1, where=what)
+            return capture_array(pixels, asked, name)
+
+        row, result = _attempted(row, captured)
+        if result is None:
             continue
         history = result.tuning.history if result.tuning else ()
         taken_back = settings.steps - len(history)
@@ -239,6 +249,62 @@ def _photograph_row(name: str, count: int, settings: StabilitySettings) -> Row:
         worst = max([worst, *(error for _, _, error in history[-1:])])
         of_piece = max(of_piece, result.found.error)
     return replace(row, worst=f"style {worst:.2g}, piece {of_piece:.2g}" if worst else "")
+
+
+def _attempted(row: Row, capture: Callable[[], CaptureResult]) -> tuple[Row, CaptureResult | None]:
+    """A capture, or the row with what became of it: refused is well, a bug is not."""
+    try:
+        return row, capture()
+    except MatcapError as error:
+        return replace(row, where=f"refused: {error.what}"), None
+    except Exception as error:  # a bug is what this looks for, and the sweep goes on
+        what = f"{type(error).__name__}: {error}".splitlines()[0]
+        return replace(row, values=row.values + 1, where=what), None
+
+
+_Whole = Callable[[int, int, CaptureSettings, str], CaptureResult]
+
+
+def of_set(name: str) -> _Whole:
+    """A set of HARD_SETS, captured."""
+    return lambda width, height, asked, told: capture_set(
+        HARD_SETS[name](width, height, asked.seed), asked, told
+    )
+
+
+def of_part(name: str) -> _Whole:
+    """A part of PARTS, captured."""
+    photograph = HARD_PHOTOGRAPHS["an ordinary one"]
+    return lambda width, height, asked, told: capture_part(
+        photograph(width, height, asked.seed), PARTS[name], asked, told
+    )
+
+
+WHOLES: Mapping[str, _Whole] = {
+    **{f"set: {name}": of_set(name) for name in HARD_SETS},
+    **{f"part: {name}": of_part(name) for name in PARTS},
+}
+
+
+def _whole_row(name: str, count: int, settings: StabilitySettings) -> Row:
+    """A set or a part, so many times; large enough for keypoints and for relief's strength."""
+    row = Row(name, 0, 0, 0, "", "")
+    worst, detail = 0.0, _LARGE * settings.detail
+    for index in range(count):
+        seed = settings.seed + index
+        asked = CaptureSettings(preset=_PRESET, steps=settings.steps, detail=detail, seed=seed)
+
+        def captured(asked: CaptureSettings = asked) -> CaptureResult:
+            return WHOLES[name](detail, round(_ASPECT * detail), asked, name)
+
+        row, result = _attempted(replace(row, draws=row.draws + 1), captured)
+        if result is None:
+            continue
+        assert result.found is not None
+        if not (finite(result) and within_ranges(result.found, seed)):
+            row = replace(row, values=row.values + 1, where=f"seed {seed}")
+        worst = max(worst, result.found.error)
+    return replace(row, worst=f"piece {worst:.2g}" if worst else "")
 
 
 def _line(row: Row) -> str:
