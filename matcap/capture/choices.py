@@ -46,7 +46,9 @@ class Choice:
 CHOICES: Mapping[str, Choice] = MappingProxyType(
     {
         "preset": Choice(
-            (str,), "How much work: instant, draft, standard, high or reference.",
+            (str,), "How much work: instant (a first look, on half the texels), draft (whether the "
+            "shot will do), standard (what one photograph gives), high (held to it three times as "
+            "long) or reference (eight times as long).",
             words=PRESET_NAMES,
         ),
         "steps": Choice(

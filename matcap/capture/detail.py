@@ -21,7 +21,8 @@ from matcap.flash.plane import Plane, read_plane
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Lattice, Wave, find_lattice
 
-DETAIL = 1024  # texels; docs/capture.md has what more and less of them buy
+QUICK_DETAIL = 512  # texels, for a first look: docs/notes/presets.md
+DETAIL = 1024  # docs/capture.md has what more and less of them buy
 FINE_DETAIL = 2048  # likewise, of photographs that have so many
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from matcap.capture.choices import CHOICES, STATISTICS, STATISTICS_WORDS, check
-from matcap.capture.detail import DETAIL, FINE_DETAIL
+from matcap.capture.detail import DETAIL, FINE_DETAIL, QUICK_DETAIL
 from matcap.errors import UsageError
 from matcap.field.source import Generator
 from matcap.files.values import Region, region
@@ -46,13 +47,13 @@ class Effort:
         return self.steps if generator == "decoder" else self.adapted
 
 
-# docs/notes/capture.md has what each costs and buys.
+# docs/notes/accuracy-and-time.md has what each costs and buys, beside what else could be done.
 PRESETS: Mapping[str, Effort] = MappingProxyType(
     {
         effort.preset: effort
         for effort in (
-            Effort("instant", 0, 0, detail=DETAIL),
-            Effort("draft", 16, 32, matched=False, detail=DETAIL),
+            Effort("instant", 0, 0, detail=QUICK_DETAIL),
+            Effort("draft", 16, 32, matched=False, detail=QUICK_DETAIL),
             Effort("standard", 40, 160, places=3),
             Effort("high", 120, 320, places=3),
             Effort("reference", 320, 800),
@@ -61,7 +62,8 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
 )
 # Where a time limit or a target alone decides when to stop: as many steps as there are.
 UNLIMITED = "reference"
-TIME_FOR_FINEST = 60.0  # seconds: with less, the finest texels would take it all
+# Seconds that a limit leaves for so many texels: with less they would take it all.
+TIME_FOR_DETAIL = ((60.0, FINE_DETAIL), (20.0, DETAIL), (0.0, QUICK_DETAIL))
 
 
 @dataclass(frozen=True)
@@ -193,7 +195,8 @@ class CaptureSettings:
 
     def detail_of(self, pixels: int) -> int:
         """Texels across a photograph that was read with so many pixels along its long side."""
-        return self.detail or (self.most_detail if pixels >= self.most_detail else DETAIL)
+        most = self.most_detail
+        return self.detail or (most if pixels >= most else min(most, DETAIL))
 
 
 @dataclass(frozen=True)
@@ -241,8 +244,9 @@ def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
         effort = replace(effort, steps=settings.steps, adapted=settings.steps)
     elif settings.time_limit is not None or settings.target is not None:
         effort = PRESETS[UNLIMITED]
-        if settings.time_limit is not None and settings.time_limit < TIME_FOR_FINEST:
-            effort = replace(effort, detail=DETAIL)
+        limit = settings.time_limit or math.inf
+        detail = next(texels for least, texels in TIME_FOR_DETAIL if limit >= least)
+        effort = replace(effort, detail=detail)
     if method is not None and method.places is not None:
         effort = replace(effort, places=method.places)
     if method is not None and method.matched is not None:

@@ -27,8 +27,10 @@ def test_a_limit_alone_may_take_all_the_steps_there_are(limit):
     ("asked", "wanted"),
     [
         ({}, 2048),
-        ({"preset": "instant"}, 1024),
+        ({"preset": "instant"}, 512),
+        ({"preset": "instant", "generator": "decoder"}, 1024),
         ({"preset": "high", "generator": "decoder"}, 1024),
+        ({"time_limit": 8.0}, 512),
         ({"time_limit": 20.0}, 1024),
         ({"time_limit": 90.0}, 2048),
         ({"detail": 640}, 640),
@@ -39,7 +41,7 @@ def test_the_piece_has_the_finest_texels_where_there_is_time_for_them(asked, wan
     settings = CaptureSettings(**asked)
     assert settings.most_detail == settings.detail_of(4032) == wanted
     # A photograph of fewer pixels is enlarged only where that was asked for.
-    assert settings.detail_of(1600) == (settings.detail or 1024)
+    assert settings.detail_of(1600) == (settings.detail or min(wanted, 1024))
 
 
 def test_a_target_is_the_decoders():

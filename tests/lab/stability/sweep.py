@@ -3,8 +3,8 @@
     python tests/lab/stability/sweep.py --quick
 
 Draws the reflectance from every corner of its domain, values and gradients, captures photographs
-that go wrong in every way known, sets and parts of them, and compares relighting and exporting with float64 and closed
-forms. Prints two tables; exits with 4 when anything in them was not finite.
+that go wrong in every way known, sets of them and parts, and compares relighting and exporting with
+float64 and closed forms. Prints two tables; exits with 4 when anything in them was not finite.
 """
 
 from __future__ import annotations
