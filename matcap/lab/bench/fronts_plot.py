@@ -62,20 +62,22 @@ def draw_fronts(
         zorder=1,
         label="nothing is better for less",
     )
-    for point in found:
-        if point.group not in _DRAWN:
-            continue
+    drawn = [point for point in found if point.group in _DRAWN]
+    for point in drawn:
         preset = presets.get(point.name)
         if preset or point in best:
             axes.annotate(
-                f"{preset} ({point.name})" if preset else point.name,
+                preset or point.name,
                 (point.seconds, point.error),
-                xytext=(4, 6),
+                xytext=(5, 5) if preset else (5, -12),
                 textcoords="offset points",
-                fontsize=8,
+                fontsize=10 if preset else 8,
                 fontweight="bold" if preset else "normal",
             )
     axes.set_xscale("log")
+    seconds = [point.seconds for point in drawn]
+    axes.set_xlim(min(seconds) / 1.2, max(seconds) * 1.7)  # names stand to the right of points
+    axes.set_ylim(bottom=1.0)
     axes.xaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter("")
