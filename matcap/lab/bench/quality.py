@@ -14,7 +14,6 @@ import itertools
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -31,7 +30,7 @@ from matcap.lab.bench.piece import photographed_piece, rearranged_piece
 from matcap.lab.bench.relit import LIGHTS, BenchScene, bench_scene, relight_all
 from matcap.lab.bench.style import PortillaSimoncelli, RandomFilters, Style, difference
 from matcap.lab.simulate.examples import EXAMPLES, ExamplePhotograph, realisation
-from matcap.lab.simulate.photograph import PhoneCamera, Realise, Shot, as_photo
+from matcap.lab.simulate.photograph import PhoneCamera, Shot, as_photo
 from matcap.lab.simulate.specimen import named_specimen, photograph
 from matcap.photo.photo import Photo
 
@@ -126,9 +125,6 @@ class Yardstick:
         flash: FlashSetup,
         settings: QualitySettings,
         styles: Sequence[Style],
-        *,
-        pieces: Callable[[int], Realise] | None = None,
-        scene: BenchScene | None = None,
     ) -> None:
         """Relight the true pieces under the bench's lights.
 
@@ -137,17 +133,14 @@ class Yardstick:
             flash: the true setup of the photograph.
             settings: sizes.
             styles: kinds of statistics.
-            pieces: of a material without a name, by seed.
-            scene: lights other than the bench's.
         """
-        self.scene = scene or bench_scene(flash)
-        pieces = pieces or partial(realisation, material)
+        self.scene = bench_scene(flash)
         self._styles = tuple(styles)
         camera = settings.camera
         pixels, texel = settings.size * _FINER, 2.0 / (settings.detail * _FINER)
         self.pictures = [
             relight_all(
-                pieces(seed)(pixels, pixels, texel),
+                realisation(material, seed)(pixels, pixels, texel),
                 flash.intensity,
                 self.scene,
                 finer=_FINER,
