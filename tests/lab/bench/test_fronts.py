@@ -132,8 +132,10 @@ def test_the_page_says_what_is_on_the_front_and_keeps_what_is_by_hand(tmp_path):
     assert f"preset `standard` ({BASE}): dominated by no other point." in text
     assert "|  | decoder, 160 steps |" in text
     assert "| **mean of real sets** | 3.00 | 2.00 | 1.80 | 1.20 |" in text
-    assert "| SqueezeNet | 1 | 100% |" in text and "| filters | 0 | 0% |" in text
-    assert "of 1 in which one was nearer" in text
+    assert "| SqueezeNet | 1 of 1 | 100% | 1 of 1 | 100% |" in text
+    assert "| filters | 0 of 1 | 0% | 0 of 1 | 0% |" in text
+    assert "| SqueezeNet, own flash | 0 of 1 | 0% | 0 of 0 | 0% |" in text
+    assert "in 1 of them one was nearer" in text
     assert "| noon | 3 | 0.100 | 0.400 | 4.0 |" in text
     with Image.open(table.with_suffix(".png")) as picture:
         assert picture.width > 600
