@@ -11,7 +11,7 @@ from pathlib import Path
 from matcap.errors import MatcapError
 from matcap.lab.bench.fronts_plot import draw_fronts
 from matcap.lab.bench.table import Measurement, Point, front, points, read
-from matcap.lab.bench.ways import BASE, preset_points
+from matcap.lab.bench.ways import BASE, WAYS, preset_points
 from matcap.lab.simulate.examples import EXAMPLES
 
 _MEASURES = {
@@ -96,15 +96,20 @@ def _table(found: Sequence[Point], presets: Mapping[str, str]) -> list[str]:
 
 
 def _dominance(found: Sequence[Point], presets: Mapping[str, str]) -> list[str]:
-    """A line for each preset: on the front, or what is both as fast and better."""
+    """A line for each preset: what of one photograph is as fast and better, if anything is."""
+    of_one = [point for point in found if WAYS[point.name].photographs == 1]
     lines = []
     for point in (each for each in found if each.name in presets):
         better = [
             each.name
-            for each in found
+            for each in of_one
             if each.seconds <= point.seconds and each.error < point.error
         ]
-        says = f"dominated by {', '.join(better)}" if better else "dominated by no other point"
+        says = (
+            f"dominated by {', '.join(better)}"
+            if better
+            else "dominated by no other point of one photograph"
+        )
         lines.append(f"- preset `{presets[point.name]}` ({point.name}): {says}.")
     return lines
 

@@ -86,12 +86,18 @@ def draw_fronts(
     axes.grid(alpha=0.25)
     axes.legend(fontsize=8, loc="upper right")
     figure.suptitle(title, fontsize=12)
-    _sheets(figure, axes, best, sheets)
+    _sheets(figure, axes, best, presets, sheets)
     with staged_file(path) as file:
         figure.savefig(file, format="png", dpi=110, metadata={"Software": None})
 
 
-def _sheets(figure: Any, axes: Any, best: Sequence[Point], sheets: Mapping[str, Path]) -> None:  # noqa: ANN401
+def _sheets(
+    figure: Any,  # noqa: ANN401
+    axes: Any,  # noqa: ANN401
+    best: Sequence[Point],
+    presets: Mapping[str, str],
+    sheets: Mapping[str, Path],
+) -> None:
     """Truth at the left, then points along the front, each tied to its place."""
     shown: list[tuple[str, Point | None]] = [("truth", None)] if "truth" in sheets else []
     of_front = [point for point in best if point.name in sheets]
@@ -102,7 +108,8 @@ def _sheets(figure: Any, axes: Any, best: Sequence[Point], sheets: Mapping[str, 
         box = figure.add_axes((0.01 + place * _WIDTH, 0.64, 0.9 * _WIDTH, 0.27))
         box.imshow(_read(sheets[name]), aspect="equal")
         box.set_axis_off()
-        told = name if point is None else f"{name}\n{point.error:.2f} floors"
+        told = presets.get(name, name)
+        told = told if point is None else f"{told}\n{point.error:.2f} floors in the mean"
         box.set_title(told, fontsize=8)
         if point is not None:
             box.annotate(

@@ -129,7 +129,7 @@ def test_the_page_says_what_is_on_the_front_and_keeps_what_is_by_hand(tmp_path):
     assert page.read_text() == text
     assert text.count(BY_HAND) == 1 and text.endswith("Kept.\n") and "Gone." not in text
     assert f"| * | {BASE} | standard | 2 | 30 |" in text
-    assert f"preset `standard` ({BASE}): dominated by no other point." in text
+    assert f"preset `standard` ({BASE}): dominated by no other point of one photograph." in text
     assert "|  | decoder, 160 steps |" in text
     assert "| **mean of real sets** | 3.00 | 2.00 | 1.80 | 1.20 |" in text
     assert "| SqueezeNet | 1 of 1 | 100% | 1 of 1 | 100% |" in text
