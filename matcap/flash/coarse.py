@@ -378,7 +378,12 @@ def _see(photo: Photo, highlight: Highlight | None, level: int) -> _Cells:
     rows, columns = photo.pixels.shape[:2]
     pixel = 2.0 / columns
     across = min(COARSE.cells[level], columns)
-    whole = _cells(photo, (0, 0, columns, rows), (across, max(4, round(across * rows / columns))))
+    size = (across, max(4, round(across * rows / columns)))
+    whole = _cells(photo, (0, 0, columns, rows), size)
+    if not whole.weight.any():
+        # Holes in every cell are as fine as a mask's specks: their mirrors are a pixel or two away.
+        photo = replace(photo, left_out=None)
+        whole = _cells(photo, (0, 0, columns, rows), size)
     if highlight is None:
         return whole
     reach = COARSE.patch_reach * highlight.width

@@ -129,6 +129,16 @@ def test_a_mask_that_does_not_fit_is_said(tmp_path):
             leave_out(photo, None, mask)
 
 
+def test_a_mask_of_specks_hides_no_light(tmp_path):
+    setup, photo = a_photo()
+    mask = tmp_path / "specks.png"
+    width, height = photo.original_size
+    rows, columns = np.indices((height, width))
+    cv2.imwrite(str(mask), np.where((rows + columns) % 2, 255, 0).astype(np.uint8))
+    found = fit_coarse(leave_out(photo, None, mask)).setup
+    assert found.offset[:2] == pytest.approx(setup.offset[:2], abs=0.03)
+
+
 def test_settings_say_it_where_it_is_set_alone(tmp_path):
     assert not {"crop", "mask"} & set(CaptureSettings().named())
     settings = CaptureSettings.of({"crop": "1,2,300,400", "mask": "a.png"})
