@@ -48,7 +48,7 @@ CHOICES: Mapping[str, Choice] = MappingProxyType(
         "preset": Choice(
             (str,), "How much work: instant (a first look, on half the texels), draft (whether the "
             "shot will do), standard (what one photograph gives), high (held to it three times as "
-            "long) or reference (eight times as long).",
+            "long) or reference (on all texels of 12 megapixels).",
             words=PRESET_NAMES,
         ),
         "steps": Choice(

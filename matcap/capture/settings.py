@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from matcap.capture.choices import CHOICES, STATISTICS, STATISTICS_WORDS, check
-from matcap.capture.detail import DETAIL, FINE_DETAIL, QUICK_DETAIL
+from matcap.capture.detail import DETAIL, DETAILS, FINE_DETAIL, FINEST_DETAIL, QUICK_DETAIL
 from matcap.errors import UsageError
 from matcap.field.source import Generator
 from matcap.files.values import Region, region
@@ -56,7 +56,7 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
             Effort("draft", 16, 32, matched=False, detail=QUICK_DETAIL),
             Effort("standard", 40, 160, places=3),
             Effort("high", 120, 320, places=3),
-            Effort("reference", 320, 800),
+            Effort("reference", 120, 800, detail=FINEST_DETAIL),
         )
     }
 )
@@ -196,7 +196,8 @@ class CaptureSettings:
     def detail_of(self, pixels: int) -> int:
         """Texels across a photograph that was read with so many pixels along its long side."""
         most = self.most_detail
-        return self.detail or (most if pixels >= most else min(most, DETAIL))
+        has = (texels for texels in DETAILS if texels <= min(most, pixels))
+        return self.detail or max(min(most, DETAIL), *has)
 
 
 @dataclass(frozen=True)

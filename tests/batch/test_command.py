@@ -59,7 +59,7 @@ def test_a_trial_that_cannot_be_made_leaves_the_speed_unknown(shoot, tmp_path, c
         # At most as many as reference has.
         ({"preset": "draft", "generator": "decoder", "target": 1.3}, 800, 800.0),
         ({"preset": "draft", "steps": 50}, 50, 50.0),
-        ({"preset": "draft", "time": 90.0}, 320, 90.0),
+        ({"preset": "draft", "time": 90.0}, 120, 90.0),
     ],
 )
 def test_what_is_predicted_is_what_a_capture_takes(chosen, steps, seconds, monkeypatch):

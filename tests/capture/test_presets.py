@@ -28,6 +28,7 @@ def test_a_limit_alone_may_take_all_the_steps_there_are(limit):
     [
         ({}, 2048),
         ({"preset": "instant"}, 512),
+        ({"preset": "reference"}, 4000),
         ({"preset": "instant", "generator": "decoder"}, 1024),
         ({"preset": "high", "generator": "decoder"}, 1024),
         ({"time_limit": 8.0}, 512),
@@ -57,9 +58,14 @@ def test_a_method_has_the_last_word():
 def test_presets_cost_more_and_more():
     for costs in (
         [effort.steps * effort.places for effort in PRESETS.values()],
-        [effort.adapted for effort in PRESETS.values()],
+        [(effort.detail, effort.adapted) for effort in PRESETS.values()],
     ):
         assert costs == sorted(set(costs))
+
+
+def test_a_photograph_of_fewer_pixels_has_the_most_that_it_fills():
+    finest = CaptureSettings(preset="reference")
+    assert [finest.detail_of(pixels) for pixels in (800, 2500, 4032)] == [1024, 2048, 4000]
 
 
 def test_an_unknown_preset_is_a_usage_error():

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from matcap.capture.detail import DETAIL
-from matcap.capture.settings import PRESETS
+from matcap.capture.settings import PRESETS, CaptureSettings
 
 PAPER = "paper's form"  # no command line: bench/paper.py
 BASE = "1024 texels, 40 steps"  # that others are paired with
@@ -61,9 +60,10 @@ USUAL = tuple(name for name, way in WAYS.items() if way.group not in ("paper", "
 
 
 def preset_points(pixels: int = 1200) -> Mapping[str, str]:
-    """The points that presets are, of photographs of so many pixels across: point to preset."""
-    named = {}
+    """Points to the presets that they are, of photographs of so many pixels across."""
+    named: dict[str, str] = {}
     for name, effort in PRESETS.items():
-        detail = effort.detail if pixels >= effort.detail else DETAIL
-        named[f"{detail} texels, {effort.adapted} steps"] = name
+        detail = CaptureSettings(preset=name).detail_of(pixels)
+        point = f"{detail} texels, {effort.adapted} steps"
+        named[point] = f"{named[point]}, {name}" if point in named else name
     return named
