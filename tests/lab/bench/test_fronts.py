@@ -12,12 +12,16 @@ from PIL import Image
 from matcap.capture.settings import PRESETS
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
+from matcap.field.material import Material
 from matcap.lab.bench import clocked, fronts
 from matcap.lab.bench.fronts import Fronts, run_fronts
 from matcap.lab.bench.pairs import write_pairs
+from matcap.lab.bench.paper import capture_as_in_paper
 from matcap.lab.bench.report import BY_HAND, write_report
 from matcap.lab.bench.table import Measurement, append, read
 from matcap.lab.bench.ways import BASE, PAPER, USUAL, WAYS, preset_points
+from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.lab.simulate.specimen import named_specimen, photograph
 
 
 @pytest.fixture
@@ -91,6 +95,15 @@ def test_memory_is_the_command_s_and_not_the_bench_s(capfd):
     with pytest.raises(MatcapError, match="the command failed: no"):
         fronts._spent([sys.executable, "-c", "import sys; sys.exit('no')"])
     assert clocked.main([sys.executable, "-c", "raise SystemExit(3)"]) == 3
+
+
+def test_the_paper_s_form_is_a_decoder_from_nothing(tmp_path):
+    specimen, camera = named_specimen("plaster"), PhoneCamera(160, 120, supersampling=1)
+    photo, _ = photograph(specimen, camera, tmp_path)
+    capture_as_in_paper(photo, tmp_path / "paper.matcap", 0, steps=1)
+    found = Material.load(tmp_path / "paper.matcap")
+    assert set(found.generators) == {"decoder"}
+    assert found.provenance["settings"]["prior"] == "none"
 
 
 def some(path):
