@@ -31,6 +31,7 @@ from matcap.flash.registration.camera import Doubles
 _LIGHT = 4  # flash's offset, vignetting
 _GAINS = 3
 _MOVES = 8  # of a homography near the identity
+_ROUNDING = 1e-5  # of a diagonal, by which single precision may make it indefinite
 
 
 @dataclass(frozen=True)
@@ -227,15 +228,31 @@ def _eliminated(
         wide = (columns * weight).double()
         normal[places[:, None], places] += torch.einsum("icn,jcn->ij", wide, columns.double())
         gradient[places] += torch.einsum("icn,cn->i", wide, residual[:, 0].double())
-    factor, _ = torch.linalg.cholesky_ex(within)
-    alone = torch.cholesky_solve(right[..., None], factor)[..., 0].nan_to_num(0.0)
-    answer = torch.cholesky_solve(between, factor).nan_to_num(0.0)
+    solved = texels_solved(within, torch.cat([right[..., None], between], dim=-1))
+    alone, answer = solved[..., 0], solved[..., 1:]
     return _Eliminated(
         normal - torch.einsum("nij,nik->jk", between.double(), answer.double()),
         gradient - torch.einsum("nij,ni->j", between.double(), alone.double()),
         alone,
         answer,
     )
+
+
+def texels_solved(within: Tensor, sides: Tensor) -> Tensor:
+    """(N, NUMBERS, k) solutions of every texel's normal equations (N, NUMBERS, NUMBERS).
+
+    What is told many times over leaves some of them singular in single precision: those answer
+    nothing, where a step of any size would go on into what all texels share.
+
+    Args:
+        within: symmetric, positive but for rounding.
+        sides: (N, NUMBERS, k) right-hand sides.
+    """
+    held = within + torch.diag_embed(_ROUNDING * within.diagonal(dim1=-2, dim2=-1))
+    factor, failed = torch.linalg.cholesky_ex(held)
+    found = torch.cholesky_solve(sides, factor)
+    sound = (failed == 0)[:, None, None] & torch.isfinite(found).all(-2, keepdim=True)
+    return torch.where(sound, found, 0.0)
 
 
 def _by_shared(
