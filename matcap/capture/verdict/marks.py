@@ -50,7 +50,7 @@ def marks(piece: Exemplar, setup: FlashSetup) -> dict[str, float]:
     steep = _blocks(np.square(slopes[0]) + np.square(slopes[1]))
     planes = {
         "albedo": _blocks(np.log(piece.diffuse.mean(0, dtype=np.float64) + MARKS.toe)),
-        "specular": _blocks(np.log(piece.specular[0].astype(np.float64) + MARKS.toe)),
+        "specular": _blocks(np.log(piece.specular.mean(0, dtype=np.float64) + MARKS.toe)),
         "roughness": _blocks(piece.roughness[0].astype(np.float64)),
         # A flat piece has slopes of a thousandth, from rounding.
         "grain": 0.5 * np.log(steep + 1e-4),
