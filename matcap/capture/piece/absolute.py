@@ -61,6 +61,7 @@ class ScaleSettings:
             more, and makes black things grey.
         brightest: mean and, for single texels (`most_of`), limits of albedo and F0.
         most_of: quantile that counts as the brightest texel.
+        most_of_metal: likewise of F0 where some is metal: what glints beyond is told too bright.
         hue: deviation of a metal's colour, logarithm, from a clean one's.
         clean: deviation of how bright metal of a known hue is, likewise.
         unknown: what a metal of no known hue counts for, among those within `hue` of one.
@@ -73,6 +74,7 @@ class ScaleSettings:
     )
     brightest: float = 0.95
     most_of: float = 0.999
+    most_of_metal: float = 0.9
     hue: float = 0.12
     clean: float = 0.1
     unknown: float = 0.3
@@ -89,12 +91,14 @@ def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32] | None = 
         exemplar: as fitted.
         metal: (h, w) share of the piece that is metal, on any grid; None where none is.
     """
+    brightest = SCALE.most_of
     if metal is None:
         logs = _logs(exemplar, np.ones_like(exemplar.height[0]))
         factor = max((kind.scale(*logs) for kind in SCALE.kinds), key=lambda found: found[1])[0]
     else:
         factor = _factor_of_parts(exemplar, metal)
-    most = max(_most(exemplar.diffuse), _most(exemplar.specular))
+        brightest = SCALE.most_of_metal
+    most = max(_most(exemplar.diffuse, SCALE.most_of), _most(exemplar.specular, brightest))
     return min(math.exp(factor), max(SCALE.brightest / most, 1.0))
 
 
@@ -153,5 +157,5 @@ def scaled(exemplar: Exemplar, factor: float) -> Exemplar:
     )
 
 
-def _most(plane: NDArray[np.float32]) -> float:
-    return max(float(np.quantile(plane, SCALE.most_of)), _LEAST)
+def _most(plane: NDArray[np.float32], quantile: float) -> float:
+    return max(float(np.quantile(plane, quantile)), _LEAST)

@@ -59,6 +59,13 @@ def test_metal_is_as_bright_as_its_hue_says(name: str, level: float) -> None:
     assert most_probable_scale(piece, metal) * level == pytest.approx(1.0, rel=0.15)
 
 
+def test_a_few_glints_do_not_keep_metal_dark() -> None:
+    metal = np.ones((32, 48), np.float32)
+    piece = coloured(METAL_F0["gold"], metal, 0.5)
+    piece.specular[:, :2, :20] = 0.99  # 40 of 1536 texels
+    assert most_probable_scale(piece, metal) * 0.5 == pytest.approx(1.0, rel=0.15)
+
+
 def test_metal_and_what_is_none_tell_the_flash_together() -> None:
     metal = np.zeros((32, 48), np.float32)
     metal[:, 24:] = 1.0
