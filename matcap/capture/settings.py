@@ -197,7 +197,7 @@ class CaptureSettings:
         """Texels across a photograph that was read with so many pixels along its long side."""
         most = self.most_detail
         has = (texels for texels in DETAILS if texels <= min(most, pixels))
-        return self.detail or max(min(most, DETAIL), *has)
+        return self.detail or max((min(most, DETAIL), *has))
 
 
 @dataclass(frozen=True)

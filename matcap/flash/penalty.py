@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -59,6 +59,8 @@ def price(maps: MapSet, expected: Tensor | None, weights: Penalties, share: floa
     squared = (normal[:, :2] / normal[:, 2:]).square().sum(dim=1)
     steep = torch.relu((squared + 1e-6).sqrt() - weights.steepest).square().mean()
     penalty = weights.slope * squared.mean() + weights.steep * steep
+    # Of an F0 with a colour its mean is believed, as the fit's is.
+    maps = replace(maps, specular=maps.specular.mean(dim=1, keepdim=True))
     specular = torch.logit(maps.specular, eps=_LOGIT_EPSILON)
     roughness = torch.logit(maps.roughness, eps=_LOGIT_EPSILON)
     penalty = penalty + weights.specular * specular.var()
