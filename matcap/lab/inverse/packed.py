@@ -25,6 +25,7 @@ from torch import Tensor
 
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
+from matcap.lab.simulate.map_sets import bare_metals
 
 LEVELS = 3  # full, half, quarter
 _ROUGHNESS = slice(6, 7)  # of a surface
@@ -71,7 +72,7 @@ def pack(folder: Path, out: Path) -> int:
             where=str(folder),
             remedy="give a folder of folders with basecolor, normal and roughness",
         )
-    bare = _bare_metals(folder / "manifest.json")
+    bare = bare_metals(folder / "manifest.json")
     tensors: dict[str, Tensor] = {}
     for name in names:
         surface, height = read_set(folder / name, bare_metal=name in bare)
@@ -192,14 +193,6 @@ def _read(folder: Path, name: str, channels: int) -> Picture:
 def _linear(colour: Picture) -> Picture:
     low, high = colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4
     return np.asarray(np.where(colour <= 0.04045, low, high), np.float32)
-
-
-def _bare_metals(manifest: Path) -> frozenset[str]:
-    """Sets that are metal though they have no map that says so."""
-    if not manifest.is_file():
-        return frozenset()
-    told = json.loads(manifest.read_text())
-    return frozenset(s["name"] for s in told if "bare metal" in s.get("remarks", ""))
 
 
 def _slopes(height: Picture) -> Picture:

@@ -96,7 +96,7 @@ def read_map_set(folder: Path, span: float = SPAN) -> MapSetMaterial:
     roughness = _read(folder / "roughness.png").mean(2)
     normal = _read(folder / "normal.png") * 2.0 - 1.0
     is_metal = (folder / "metallic.png").is_file()
-    bare = float(not is_metal and folder.name in _bare_metals(folder.parent / "manifest.json"))
+    bare = float(not is_metal and folder.name in bare_metals(folder.parent / "manifest.json"))
     metal = _read(folder / "metallic.png").mean(2) if is_metal else np.full_like(roughness, bare)
     if not roughness.shape == normal.shape[:2] == metal.shape == (rows, columns):
         raise MatcapError("the maps of this set have different sizes", where=str(folder))
@@ -115,7 +115,7 @@ def map_set_folders(folder: Path) -> list[Path]:
     return sorted(path.parent for path in folder.glob("*/basecolor.jpg"))
 
 
-def _bare_metals(manifest: Path) -> frozenset[str]:
+def bare_metals(manifest: Path) -> frozenset[str]:
     """Sets that are metal all over though they have no map that says so."""
     if not manifest.is_file():
         return frozenset()
