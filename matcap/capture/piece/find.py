@@ -26,7 +26,7 @@ from matcap.capture.piece.adapt import Adapted, Change, adapt
 from matcap.capture.piece.contrast import even_contrast
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
-from matcap.capture.piece.metal import believed, less_diffuse, seen_colour, tint
+from matcap.capture.piece.metal import believed, even_beside, less_diffuse, seen_colour, tint
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import (
     ExpectedErrors,
@@ -279,6 +279,7 @@ def read_piece(sight: Sight, network: Inverse) -> tuple[Sight, Reading]:
         seen = seen_colour(sight.plane.linear, metal * sight.shown.all(0, keepdim=True))
         sight = replace(sight, light=replace(sight.light, hue=tint(metal, seen)))
         departures = replace(departures, diffuse=less_diffuse(departures.diffuse, metal))
+    departures = replace(departures, specular=even_beside(departures.specular, metal))
     shared = None if metal is None else metal[0].numpy()
     reading = Reading(departures, answer.errors, trusted, shared)
     reading.confidence["diffuse"][:] *= 1.0 - sight.glare

@@ -25,6 +25,7 @@ class ReadSettings:
         confidence_around: the long side over the deviation of a neighbourhood's confidence. More
             follows single features, and only plain places are believed.
         beside: texels, deviation: how far light spreads into what lies beside a clipped texel.
+        specular_around: texels, deviation: F0 of what is no metal is drawn no finer.
         unlit, unlit_around: where a neighbourhood (deviation in texels) has less light than this,
             of 1 at clipping, a photograph of 8 bits has its last codes, a RAW the sensor's noise.
     """
@@ -38,6 +39,7 @@ class ReadSettings:
     doubted_roughness: float = 0.6
     doubted_slope: float = 0.15
     confidence_around: float = 12.0
+    specular_around: float = 24.0
     beside: float = 1.5
     unlit: float = 1e-3
     unlit_around: float = 8.0
