@@ -84,17 +84,15 @@ def find_highlight(light: Luminance) -> Highlight | None:
     """The brightest smooth spot of a picture (h, w), linear; None where none stands out.
 
     A patch of bare metal between rust is as bright as a highlight and no wider than one may be, but
-    there are others like it. Then the light that all of them make together is looked at.
+    there are others like it. Then the light that all of them make together is looked at; where they
+    make none, as pale leaves on the ground do not, they were no highlight.
     """
     cell = 2.0 / light.shape[1]
     found = None
     for texture in HIGHLIGHT.textures:
         blurred = _blur(light, texture / cell) if texture else light
-        wider = _brightest(blurred)
-        if wider is None:
-            break
-        found = wider
-        if _others(blurred, found) < HIGHLIGHT.others:
+        found = _brightest(blurred)
+        if found is None or _others(blurred, found) < HIGHLIGHT.others:
             break
     return found
 

@@ -70,6 +70,23 @@ def test_patches_of_metal_make_one_highlight_together():
     assert found.width == pytest.approx(alone.width, rel=0.2)
 
 
+def test_pale_leaves_on_dark_ground_have_none():
+    """The brightest of them is one of many; seldom do they happen to crowd into a spot."""
+    setup = a_setup(offset=(0.1, 0.05, 0.0), intensity=10.0)
+    leaf, ground = (
+        photograph(setup, roughness=0.9, size=(256, 192), diffuse=(albedo,) * 3).pixels
+        for albedo in (0.5, 0.08)
+    )
+
+    def strewn(seed):
+        noise = np.random.default_rng(seed).standard_normal((192, 256)).astype(np.float32)
+        patches = cv2.GaussianBlur(noise, (0, 0), 3.0)
+        return np.where((patches > 1.4 * patches.std())[..., None], leaf, ground)
+
+    found = [find_highlight(light_of(strewn(seed).astype(np.float32))) for seed in range(16)]
+    assert sum(each is None for each in found) >= 8
+
+
 def test_matt_and_plaid_have_none():
     assert find_highlight(light_of(polished(roughness=0.9).pixels)) is None
     white = np.kron(np.indices((12, 16)).sum(0) % 2, np.ones((16, 16)))
