@@ -3,7 +3,6 @@
 import base64
 import io
 import math
-from dataclasses import replace
 
 import numpy as np
 from PIL import Image
@@ -49,17 +48,8 @@ def expected(maps, shape, span, exposure=0.0, lights=None, lamp=LAMP):
     if shape == "cylinder":  # relight's own camera crops it
         camera = Camera(position=(0.0, 0.0, 1.6 * WIDTH / HEIGHT * unit / math.tan(math.pi / 8)))
     scene = Scene(film, camera, Surface(shape, size=2 * unit), lights or (light,))
-    radiance = relit(maps, scene)
+    radiance = relight(maps, scene, effects=EFFECTS)
     return encode(radiance, film), radiance.max(axis=2) > 0
-
-
-def relit(maps, scene):
-    """(H, W, 3) radiance; of a coloured F0 channel by channel, each of which is a grey one's."""
-    if len(maps.specular) == 1:
-        return relight(maps, scene, effects=EFFECTS)
-    alone = (replace(maps, specular=maps.specular[c : c + 1]) for c in range(3))
-    channels = [relight(one, scene, effects=EFFECTS)[..., c] for c, one in enumerate(alone)]
-    return np.stack(channels, axis=-1)
 
 
 def around(material, x, y, side=1024, **which):

@@ -1,7 +1,7 @@
 """F0 with a colour: what of it is sent to the page, and that the page draws it as relight does."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +10,9 @@ import torch
 from example.exemplars import an_example
 from four_metals import METALS, metal, repeated, side_by_side
 from materials import a_material
-from shown import HEIGHT, STEP, WIDTH, expected, inner, picture, room_light
+from shown import HEIGHT, STEP, WIDTH, around, expected, inner, picture, room_light
 
+from matcap.brdf.adjust import adjusted, parse_adjustments
 from matcap.capture.piece.find import piece_maps
 from matcap.example.example import Example
 from matcap.field.plane import Rectangle
@@ -26,7 +27,7 @@ from matcap.view.library import Library
 from matcap.view.moments import edged, moments_of
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, Pages, Place
 from matcap.view.pages import WIDTH as PAGE_WIDTH
-from matcap.view.subject import Maps, Materials
+from matcap.view.subject import Maps, Materials, open_subject
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
 server = pytest.importorskip("matcap.view.server")
@@ -238,16 +239,26 @@ def test_what_appears_keeps_its_colour(tab, served):
 
 def test_saturation_is_of_f0s_colour_too(metals_tab):
     """As brdf/adjust.py has it: what colours differ from the grey of their luminance by."""
-    adjust = {"relief": 1, "roughness": 0, "saturation": 0.3, "brightness": 1, "tint": "#ffffff"}
-    shown = picture(metals_tab, x=0, y=0, span=WIDTH, lamp=HIGH, exposure=1, adjust=adjust)
+    state = parse_adjustments("saturation=0.3")
+    shown = picture(metals_tab, x=0, y=0, span=WIDTH, lamp=HIGH, exposure=1, adjust=asdict(state))
+    wanted, _ = expected(adjusted(repeated(side_by_side()), state), "plane", WIDTH, 1, lamp=HIGH)
+    assert np.abs(shown - wanted).max() <= 2 * STEP
 
-    def dulled(colour):
-        grey = torch.tensordot(torch.tensor([0.2126, 0.7152, 0.0722]), colour, dims=1)
-        return grey + 0.3 * (colour - grey)
 
-    maps = repeated(side_by_side())
-    maps = replace(maps, diffuse=dulled(maps.diffuse), specular=dulled(maps.specular))
-    wanted, _ = expected(maps, "plane", WIDTH, 1, lamp=HIGH)
+def test_an_endless_field_from_its_file_and_enclosed(tab, served, tmp_path):
+    material = golden()
+    material.save(tmp_path / "golden.matcap")
+    subject = open_subject(tmp_path / "golden.matcap")
+    assert len(material.maps(8, 8).specular) == 3
+    with served(subject) as address:
+        shown = picture(tab(address.url), x=256, y=256, span=WIDTH, lamp=HIGH)
+    wanted, _ = expected(around(material, 256, 256), "plane", WIDTH, lamp=HIGH)
+    assert np.abs(shown - wanted).max() <= 2 * STEP
+    path = tmp_path / "page.html"
+    path.write_text(sealed_page(subject, 256), encoding="utf-8")
+    shown = picture(tab(path.as_uri()), x=0, y=0, span=WIDTH, lamp=HIGH)
+    tiled = around(material, 0, 0, period=(256, 256))
+    wanted, _ = expected(tiled, "plane", WIDTH, lamp=HIGH)
     assert np.abs(shown - wanted).max() <= 2 * STEP
 
 
@@ -294,10 +305,9 @@ def test_a_coloured_piece_beside_a_grey_field(tab, served):
     assert off.max() <= 1.01 * STEP and spread.max() > 40 * STEP
 
 
-def test_the_enclosed_piece_has_its_colour(tab, tmp_path, monkeypatch):
-    monkeypatch.setattr("matcap.view.document._tile", lambda subject, size: side_by_side())
+def test_the_enclosed_piece_has_its_colour(tab, tmp_path):
     path = tmp_path / "page.html"
-    path.write_text(sealed_page(Materials(golden())), encoding="utf-8")
+    path.write_text(sealed_page(Materials(golden()), 256), encoding="utf-8")
     page = tab(path.as_uri())
     page.loaded()
     exemplar = golden_exemplar()
