@@ -16,7 +16,9 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from matcap.brdf.metals import METAL_F0
 from matcap.example.exemplar import Exemplar
@@ -82,6 +84,18 @@ class ScaleSettings:
 
 
 SCALE = ScaleSettings()
+
+
+def how_metallic(levels: Tensor) -> float:
+    """Log of how much more probable metal is than what is none, by F0 over albedo alone.
+
+    Args:
+        levels: (5,) as SurfaceParameters.levels has them, under a flash of any strength.
+    """
+    luminance = float((torch.from_numpy(_LUMINANCE) * levels[:3].exp()).sum())
+    found = math.log(max(luminance, _LEAST)), float(levels[3])
+    plain, metal = (kind.scale(*found)[1] - math.log(kind.share) for kind in SCALE.kinds)
+    return metal - plain
 
 
 def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32] | None = None) -> float:

@@ -26,7 +26,16 @@ from matcap.capture.piece.adapt import Adapted, Change, adapt
 from matcap.capture.piece.contrast import even_contrast
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
-from matcap.capture.piece.metal import believed, even_beside, less_diffuse, seen_colour, tint
+from matcap.capture.piece.kind_levels import ShownKinds
+from matcap.capture.piece.kinds import Kinds, two_kinds
+from matcap.capture.piece.metal import (
+    believed,
+    even_beside,
+    less_diffuse,
+    seen_colour,
+    tint,
+    with_diffuse,
+)
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import (
     ExpectedErrors,
@@ -148,12 +157,16 @@ class Reading:
         errors: what the network expects to be off by.
         trusted: (4, H, W) confidence of diffuse, specular, roughness and height, in [0, 1].
         metal: (H, W) share of each texel that is metal; None where hardly any is.
+        logit: (1, H, W) of that, as the network has it; likewise.
+        kinds: metal and the rest, where the photograph shows both.
     """
 
     departures: SurfaceParameters
     errors: ExpectedErrors
     trusted: NDArray[np.float32]
     metal: NDArray[np.float32] | None = None
+    logit: Tensor | None = None
+    kinds: Kinds | None = None
 
     @property
     def confidence(self) -> dict[str, NDArray[np.float32]]:
@@ -201,7 +214,7 @@ def find_piece(
         sight, reading = read_piece(sight, network)
     with stage("strengths"):
         strengths = tell_strengths(sight, reading)
-        reading = strengthened(sight, reading, strengths)
+        sight, reading = parted(sight, strengthened(sight, reading, strengths))
     explained = _Explained(reading)
     with explained.until_interrupted():
         with stage("refine"):
@@ -274,16 +287,22 @@ def read_piece(sight: Sight, network: Inverse) -> tuple[Sight, Reading]:
     """What the network reads; and the sight of it, which has metal's colour."""
     answer = NetworkAnswer.from_stacked(_read(network, sight.inputs.stacked()))
     trusted = confidence(answer.errors, sight.seen)
-    departures, metal = answer.departures, believed(answer.metal)
-    if metal is not None:
-        seen = seen_colour(sight.plane.linear, metal * sight.shown.all(0, keepdim=True))
-        sight = replace(sight, light=replace(sight.light, hue=tint(metal, seen)))
-        departures = replace(departures, diffuse=less_diffuse(departures.diffuse, metal))
-    departures = replace(departures, specular=even_beside(departures.specular, metal))
-    shared = None if metal is None else metal[0].numpy()
-    reading = Reading(departures, answer.errors, trusted, shared)
+    metal = believed(answer.metal)
+    specular = even_beside(answer.departures.specular, metal)
+    reading = Reading(replace(answer.departures, specular=specular), answer.errors, trusted)
     reading.confidence["diffuse"][:] *= 1.0 - sight.glare
-    return sight, reading
+    if metal is None:
+        return sight, reading
+    diffuse = less_diffuse(answer.departures.diffuse, metal)
+    reading = replace(reading, metal=metal[0].numpy(), logit=answer.metal)
+    departures = replace(reading.departures, diffuse=diffuse)
+    return tinted(sight, metal), replace(reading, departures=departures)
+
+
+def tinted(sight: Sight, metal: Tensor) -> Sight:
+    """The sight of a piece of which shares (1, H, W) are metal of the colour that is seen there."""
+    seen = seen_colour(sight.plane.linear, metal * sight.shown.all(0, keepdim=True))
+    return replace(sight, light=replace(sight.light, hue=tint(metal, seen)))
 
 
 def tell_strengths(sight: Sight, reading: Reading) -> Strengths | None:
@@ -299,11 +318,43 @@ def strengthened(sight: Sight, reading: Reading, strengths: Strengths | None) ->
     return replace(reading, departures=replace(drawn, height=height))
 
 
+def parted(sight: Sight, reading: Reading) -> tuple[Sight, Reading]:
+    """Metal told apart from the rest, each with its own levels, where the photograph shows both."""
+    if reading.metal is None or reading.logit is None:
+        return sight, reading
+    plane, departures = sight.plane, reading.departures
+    read = replace(
+        departures,
+        diffuse=with_diffuse(departures.diffuse, torch.from_numpy(reading.metal)[None]),
+    )
+    width, height = plane.size
+    x, y = highlight_foot(sight.coarse.setup)
+    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    counts = torch.from_numpy(inside((height, width), sight.coarse.setup))
+    shown = ShownKinds(
+        linear=plane.linear,
+        measured=sight.shown,
+        counts=counts if plane.left_out is None else counts & ~plane.left_out,
+        away=torch.hypot(points[0] - x, points[1] - y),
+        flash=sight.light.flash,
+        normal=sight.light.maps(read).normal,
+        uniform=sight.light.uniform,
+    )
+    kinds = two_kinds(read, reading.logit, shown)
+    if not kinds.believed(shown.uniform):
+        return sight, reading
+    metal = kinds.metal[0].numpy()
+    return tinted(sight, kinds.metal), replace(
+        reading, departures=kinds.told(read), metal=metal, kinds=kinds
+    )
+
+
 def levelled(sight: Sight, reading: Reading) -> Reading:
     """Levels of the whole, then albedo and gloss of every texel, as the photograph has them."""
     flat = evened(sight, reading, reading.departures)
-    plane = sight.plane
-    return _rerendered(sight, reading, level(flat, plane.linear, sight.shown, sight.light))
+    if reading.kinds is None:
+        flat = level(flat, sight.plane.linear, sight.shown, sight.light)
+    return _rerendered(sight, reading, flat)
 
 
 @dataclass(frozen=True)
@@ -396,9 +447,13 @@ def _in_detail(sight: Sight, exemplar: Exemplar, whole: Plane) -> Exemplar:
 
 
 def evened(sight: Sight, reading: Reading, departures: SurfaceParameters) -> SurfaceParameters:
-    """Departures whose albedo and gloss do not drift over the piece."""
+    """Departures whose albedo and gloss do not drift over the piece, beyond what its kinds do."""
     trusted = {name: torch.from_numpy(plane) for name, plane in reading.confidence.items()}
-    return flatten(departures, trusted, sight.glare, highlight_foot(sight.coarse.setup))
+    foot = highlight_foot(sight.coarse.setup)
+    if reading.kinds is None:
+        return flatten(departures, trusted, sight.glare, foot)
+    kinds = reading.kinds.departures()
+    return flatten(departures - kinds, trusted, sight.glare, foot) + kinds
 
 
 def _rerendered(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:

@@ -40,10 +40,16 @@ def seen_colour(linear: Tensor, weight: Tensor) -> Tensor:
             counts has the colour of all, and where none counts anywhere all is grey.
     """
     counted = linear.clamp_min(0.0) * weight.to(linear)
+    around = _mean(counted) + _DARK * whole_colour(linear, weight)
+    return around / around.mean(-3, keepdim=True)
+
+
+def whole_colour(linear: Tensor, weight: Tensor) -> Tensor:
+    """(..., 3, 1, 1) colour of all, told where it is bright; arguments as of seen_colour."""
+    counted = linear.clamp_min(0.0) * weight.to(linear)
     bright = counted.mean(-3, keepdim=True)
     whole = (counted * bright).sum((-2, -1), keepdim=True) + _LEAST
-    around = _mean(counted) + _DARK * whole / whole.mean(-3, keepdim=True)
-    return around / around.mean(-3, keepdim=True)
+    return whole / whole.mean(-3, keepdim=True)
 
 
 def believed(metal: Tensor) -> Tensor | None:
@@ -77,6 +83,11 @@ def even_beside(specular: Tensor, metal: Tensor | None) -> Tensor:
     counted = smoothed(other[0].numpy(), READ.specular_around)
     even = torch.from_numpy(around / np.maximum(counted, _LEAST))[None]
     return specular + other * (even - specular)
+
+
+def with_diffuse(diffuse: Tensor, metal: Tensor) -> Tensor:
+    """The inverse of less_diffuse."""
+    return diffuse - torch.log1p((_DIFFUSE_LEFT - 1.0) * metal)
 
 
 def tint(metal: Tensor, colour: Tensor) -> Tensor:

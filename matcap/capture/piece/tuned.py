@@ -131,6 +131,57 @@ class StrengthSettings:
 
 
 @dataclass(frozen=True)
+class KindSettings:
+    """Metal beside what is none, told apart and each given levels of its own; docs/notes/metal.md.
+
+    Attributes:
+        around: the long side over the deviation of a neighbourhood that a texel is compared with.
+        drawn: logit of metal for a deviation of what goes with the network's. More believes its
+            borders, and less the photograph.
+        texels: along the short side that kinds are fitted on.
+        rounds: of fitting levels and telling texels apart.
+        steps: of a fit.
+        ring: plane units, width of a ring. Less parts narrow highlights, and is noisier.
+        ring_texels: of a kind in a ring, at which it counts half.
+        noise, huber: of a ring's log radiance: deviation, and beyond which it counts linearly.
+        albedo, specular, roughness: deviations of levels as read (log, log, logit).
+        most: that a level moves in a step.
+        grey, colour: of a texel's log radiance: what relief and grain leave unexplained, of all
+            channels together and apart. Less tears kinds apart by relief.
+        patch: of the long side, deviation of a neighbourhood that is told apart as one. More rounds
+            borders off, less tears kinds apart by relief.
+        counts: power of what a texel's radiance tells: not all it is off by is by chance.
+        least_share: of either kind.
+        sure: log odds that a kind is metal, or none.
+        agreed: correlation of the photograph's and the network's telling of texels, below which
+            there are no two kinds.
+        most_off: of rings' log radiance; beyond, the two kinds are not what is seen.
+    """
+
+    around: float = 10.0
+    drawn: float = 2.0
+    texels: int = 128
+    rounds: int = 3
+    steps: int = 8
+    ring: float = 0.05
+    ring_texels: float = 50.0
+    noise: float = 0.1
+    huber: float = 0.3
+    albedo: float = 1.5
+    specular: float = 2.0
+    roughness: float = 0.7
+    most: float = 0.7
+    grey: float = 1.0
+    colour: float = 0.2
+    patch: float = 0.002
+    counts: float = 3.0
+    least_share: float = 0.03
+    sure: float = 1.0
+    agreed: float = 0.3
+    most_off: float = 0.15
+
+
+@dataclass(frozen=True)
 class RefineSettings:
     """Levels and texels moved until they re-render to the photograph.
 
@@ -343,6 +394,7 @@ class FinestSettings:
 READ = ReadSettings()
 NOISE = NoiseSettings()
 STRENGTH = StrengthSettings()
+KINDS = KindSettings()
 REFINE = RefineSettings()
 RINGS = RingSettings()
 ADAPT = AdaptSettings()

@@ -1,0 +1,122 @@
+"""Metal beside what is none: told apart, and each given levels of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from photographed import photographed
+
+from matcap.brdf.metals import METAL_F0
+from matcap.capture.piece.kind_levels import ShownKinds
+from matcap.capture.piece.kinds import Kinds, goes_with_metal, two_kinds
+from matcap.capture.piece.refine import PieceLight
+from matcap.flash.geometry import highlight_foot
+from matcap.flash.render import render_flash
+
+HEIGHT, WIDTH = 96, 128
+GOLD = torch.tensor(METAL_F0["gold"])[:, None, None]
+BOLE = torch.tensor([0.24, 0.06, 0.03])[:, None, None]
+
+
+def patches() -> torch.Tensor:
+    """(1, H, W) a board of 0 and 1."""
+    y, x = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
+    return ((x // 8 + y // 8) % 2)[None].float()
+
+
+def photograph(metal: torch.Tensor, brightness: float = 1.0):
+    """(what is shown, departures of the truth, departures as a network in doubt reads them)."""
+    shot = photographed(0.15, 0.1, width=WIDTH, height=HEIGHT)
+    one = torch.ones(1, HEIGHT, WIDTH)
+    maps = replace(
+        shot.maps,
+        diffuse=0.004 * metal + BOLE * (1.0 - metal),
+        specular=0.9 * GOLD * metal + 0.04 * (1.0 - metal),
+        roughness=0.3 * metal + 0.7 * (1.0 - metal),
+    )
+    linear = brightness * render_flash(maps, shot.uniform.setup, shot.points)
+    light = PieceLight.of(shot.uniform, shot.points)
+    grey = replace(maps, specular=maps.specular.mean(0, keepdim=True))
+    truth = light.departures(grey)
+    read = replace(
+        truth,
+        diffuse=light.departures(replace(grey, diffuse=0.08 * one + 0.0 * BOLE)).diffuse,
+        specular=light.departures(replace(grey, specular=0.1 * one)).specular,
+        roughness=light.departures(replace(grey, roughness=0.45 * one)).roughness,
+    )
+    x, y = highlight_foot(shot.uniform.setup)
+    shown = ShownKinds(
+        linear=linear.clamp_max(1.0),
+        measured=linear < 1.0,
+        counts=torch.ones(HEIGHT, WIDTH, dtype=torch.bool),
+        away=torch.hypot(shot.points[0] - x, shot.points[1] - y),
+        flash=light.flash,
+        normal=light.maps(read).normal,
+        uniform=light.uniform,
+    )
+    return shown, truth, read
+
+
+def doubtful(metal: torch.Tensor) -> torch.Tensor:
+    """A logit that is right about borders, wrong about one texel in six and drifts."""
+    draw = torch.Generator().manual_seed(2)
+    noise = torch.randn(metal.shape, generator=draw)
+    return metal - 0.5 + 0.5 * noise + torch.linspace(3.0, 0.0, WIDTH)
+
+
+def reached(kinds: Kinds, shown: ShownKinds) -> tuple[torch.Tensor, torch.Tensor]:
+    """(2,) F0 and (2, 3) albedo of metal and of the rest."""
+    levels = (shown.uniform.levels() + kinds.levels).exp()
+    return levels[:, 3], levels[:, :3]
+
+
+@pytest.mark.parametrize("brightness", [0.05, 1.0])
+def test_each_kind_has_its_own_levels_though_they_were_read_alike(brightness: float) -> None:
+    metal = patches()
+    shown, _, read = photograph(metal, brightness)
+    clipped = float((~shown.measured).float().mean())
+    assert (clipped > 0.02) == (brightness == 1.0)
+    kinds = two_kinds(read, doubtful(metal), shown)
+    assert kinds.believed(shown.uniform)
+    right = ((kinds.metal > 0.5) == (metal > 0.5)).float().mean()
+    assert float(right) > 0.9
+    f0, albedo = reached(kinds, shown)
+    assert float(f0[0]) == pytest.approx(brightness * 0.9 * float(GOLD.mean()), rel=0.3)
+    assert float(f0[0] / f0[1]) > 6.0  # 16 in truth, 1 as read
+    assert float((albedo[1] / (brightness * BOLE.flatten()) - 1.0).abs().max()) < 0.4
+    assert float(albedo[0].max()) < 0.02 * brightness
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_one_kind_is_not_taken_for_two(share: float) -> None:
+    metal = patches()
+    shown, _, read = photograph(share * torch.ones_like(metal))
+    kinds = two_kinds(read, doubtful(metal), shown)
+    assert not kinds.believed(shown.uniform)
+
+
+def test_departures_take_their_kinds_levels_and_keep_what_is_their_own() -> None:
+    metal = patches()
+    shown, _, read = photograph(metal)
+    grain = 0.1 * torch.sin(torch.arange(WIDTH) * 1.7).expand(1, HEIGHT, WIDTH)
+    kinds = two_kinds(read, doubtful(metal), shown)
+    told = kinds.told(replace(read, specular=read.specular + grain))
+    plain = kinds.told(read)
+    off = (told.specular - plain.specular) - grain
+    assert float(off.std()) < 0.03
+    weight = kinds.metal > 0.99
+    assert float(plain.specular[weight].mean()) == pytest.approx(
+        float(kinds.levels[0, 3]), abs=0.05
+    )
+    assert torch.equal(told.height, read.height)
+
+
+def test_what_goes_with_metal_is_told_beside_a_drift() -> None:
+    metal = patches()
+    _, truth, _ = photograph(metal)
+    score = goes_with_metal(truth, doubtful(metal))
+    assert float(score.std()) == pytest.approx(1.0, abs=0.01)
+    right = ((score > 0.0) == (metal > 0.5)).float().mean()
+    assert float(right) > 0.95
