@@ -199,6 +199,48 @@ def floors(
 
 
 @app.command()
+def metals(
+    material: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MATERIAL]...",
+            help="Simulated metals by name, kinds (rusted, or rusted:7 for another), map sets.",
+        ),
+    ] = None,
+    sets: Annotated[Path | None, typer.Option(help="Folder of artists' map sets.")] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for photographs.")] = Path(
+        "bench/metals"
+    ),
+    detail: Annotated[int, typer.Option(min=128, max=4096, help="Of the captures.")] = 512,
+    preset: Annotated[str, typer.Option(help="Of the captures.")] = "instant",
+    pixels: Annotated[
+        int, typer.Option(min=256, max=8192, help="Of photographs, along the long side.")
+    ] = 1600,
+) -> None:
+    """What is told of metals' F0: by channel, its hue, and beside what is no metal.
+
+    Photographs known metals, captures them, and compares F0 where the truth is metal and where it
+    is none, texel by texel. Prints a table as it is measured.
+    """
+    from matcap.brdf.metals import METAL_F0
+    from matcap.capture.settings import CaptureSettings
+    from matcap.files.staging import check_writable
+    from matcap.lab.bench.metals import metals_markdown, run_metals
+    from matcap.lab.floors.subjects import subjects
+    from matcap.lab.simulate.photograph import PhoneCamera
+
+    check_writable(out, 200_000_000)
+    rows = run_metals(
+        subjects(material or tuple(METAL_F0), sets),
+        out,
+        CaptureSettings(preset, detail=detail),
+        camera=PhoneCamera(width=pixels, height=pixels // 8 * 6),
+        tell=lambda line: typer.echo(line, err=True),
+    )
+    typer.echo(metals_markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
+
+
+@app.command()
 def fields(
     material: Annotated[
         list[str] | None,
