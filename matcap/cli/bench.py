@@ -216,6 +216,10 @@ def metals(
     pixels: Annotated[
         int, typer.Option(min=256, max=8192, help="Of photographs, along the long side.")
     ] = 1600,
+    known: Annotated[
+        bool,
+        typer.Option("--known-flash", help="The flash's strength is known, as by a card."),
+    ] = False,
 ) -> None:
     """What is told of metals' F0: by channel, its hue, and beside what is no metal.
 
@@ -235,6 +239,7 @@ def metals(
         out,
         CaptureSettings(preset, detail=detail),
         camera=PhoneCamera(width=pixels, height=pixels // 8 * 6),
+        known=known,
         tell=lambda line: typer.echo(line, err=True),
     )
     typer.echo(metals_markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))

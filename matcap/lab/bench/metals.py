@@ -7,7 +7,7 @@ told apart by the truth, and how bright either is found counts too: nothing is s
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch.nn.functional as F
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.find import piece_maps
-from matcap.capture.pipeline import capture_file
+from matcap.capture.pipeline import capture_photo, read_photograph
 from matcap.capture.settings import CaptureSettings
 from matcap.lab.simulate.photograph import PhoneCamera, true_maps
 from matcap.lab.simulate.specimen import Specimen, photograph
@@ -89,6 +89,7 @@ def run_metals(
     settings: CaptureSettings,
     *,
     camera: PhoneCamera | None = None,
+    known: bool = False,
     tell: Callable[[str], None] = lambda _line: None,
 ) -> list[MetalRow]:
     """Photograph and capture each, and see what is told of F0.
@@ -98,13 +99,18 @@ def run_metals(
         out: folder for the photographs.
         settings: of the captures.
         camera: that takes the photographs.
+        known: the flash's strength is told, as a calibration card tells it; else F0 is as bright as
+            materials most probably are (capture/piece/absolute.py).
         tell: called with a line of the table for each.
     """
     camera = camera or PhoneCamera()
     rows = []
     for subject in chosen:
-        path, _ = photograph(subject, camera, out)
-        result = capture_file(path, settings)
+        path, shot = photograph(subject, camera, out)
+        photo = read_photograph(path, settings)
+        if known:
+            photo = replace(photo, flash_intensity=shot.setup.intensity[1])
+        result = capture_photo(photo, settings)
         assert result.found is not None
         truth = true_maps(subject.pieces(subject.seed), camera, subject.setup)
         rows.append(metal_row(subject.name, piece_maps(result.found.exemplar), truth))
