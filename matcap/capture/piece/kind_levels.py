@@ -159,7 +159,8 @@ def _linear(
     parts = shown.rendered(levels)
     duller = shown.rendered(levels, _STEP)
     shares = (metal, 1.0 - metal)
-    mixed = sum(share * sum(part) for share, part in zip(shares, parts, strict=True))
+    bare, rest = (diffuse + mirrored for diffuse, mirrored in parts)
+    mixed = metal * bare + (1.0 - metal) * rest
     mean = rings.means(mixed.clamp_max(1.0)).clamp_min(DARKEST)
     below = mixed < 1.0
     columns = []

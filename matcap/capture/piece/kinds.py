@@ -47,11 +47,11 @@ class Kinds:
     def departures(self) -> SurfaceParameters:
         """Of the two uniform kinds, flat."""
         bare, rest = (SurfaceParameters.from_levels(level) for level in self.levels)
-        mixed = (
-            self.metal * getattr(bare, name) + (1.0 - self.metal) * getattr(rest, name)
+        mixed = {
+            name: self.metal * getattr(bare, name) + (1.0 - self.metal) * getattr(rest, name)
             for name in REFLECTANCE
-        )
-        return SurfaceParameters(*mixed, torch.zeros_like(self.metal))
+        }
+        return SurfaceParameters(**mixed, height=torch.zeros_like(self.metal))
 
     def told(self, departures: SurfaceParameters) -> SurfaceParameters:
         """Departures whose means over both kinds are the kinds' levels."""
