@@ -31,6 +31,7 @@ from matcap.capture.together.texels import (
     under_room,
 )
 from matcap.capture.together.views import PieceView, SetLight, ViewPlace
+from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.adjust import AdjustSettings, Pair, adjust
 from matcap.flash.registration.camera import Doubles, PosedCamera
@@ -80,11 +81,18 @@ class Aligned:
     light: SetLight
 
     @staticmethod
-    def of(registration: Registration, setup: FlashSetup, light: SetLight) -> Aligned:
+    def of(
+        registration: Registration, setup: FlashSetup, light: SetLight, extent: Extent = OWN
+    ) -> Aligned:
         """Where features lie."""
-        place = ViewPlace(np.eye(3), None, registration.views[0].camera.place)
+        place = ViewPlace(np.eye(3), None, registration.views[0].camera.place, extent)
         views = registration.views
         return Aligned(setup, views, (place,) * len(views), light)
+
+    @property
+    def extent(self) -> Extent:
+        """Of the piece."""
+        return self.places[0].extent
 
 
 @torch.no_grad()
@@ -95,6 +103,7 @@ def aligned(
     light: SetLight,
     *,
     radiometric: bool,
+    extent: Extent = OWN,
     settings: AlignSettings | None = None,
     tell: Callable[[float], None] | None = None,
 ) -> Aligned:
@@ -103,6 +112,7 @@ def aligned(
     Args:
         registration: by features.
         prior, doubt, light, radiometric: as for solve, on the registration's plane.
+        extent: of the piece, and of those.
         settings: see AlignSettings.
         tell: called with the share that is done.
     """
@@ -112,31 +122,32 @@ def aligned(
     views, setup = list(registration.views), registration.setup
     # Maps were read on the plane of a lens without distortion.
     start = PosedCamera.of(setup)
-    places = [ViewPlace(np.eye(3), None, start.place) for _ in views]
+    places = [ViewPlace(np.eye(3), None, start.place, extent) for _ in views]
     width, height = prior.size
-    finest = min(width, settings.finest)
+    finest = min(extent.unit(width), settings.finest)
     numbers = relief = None
     done, effort = 0, len(settings.levels) * (1 + max(settings.rounds))
     schedule = zip(settings.levels, settings.rounds, settings.steps, strict=True)
     for level, rounds, steps in schedule:
-        across = max(64, round(level * finest))
+        across = extent.across(max(64, round(level * finest)))
         down = max(8, round(height * across / width))
-        small, unsure = shrunk(prior, doubt, (down, across))
-        small = reframed(small, start, views[0].camera)
+        small, unsure = shrunk(prior, doubt, (down, across), extent)
+        small = reframed(small, start, views[0].camera, extent)
         believed, spread = numbers_of(small), spread_of(unsure, solving)
         for turn in range(rounds):
             both = zip(views, places, strict=True)
             seen = [PieceView.of(v, across, down, p, hue) for v, p in both]
             if turn == 0 or numbers is None:
                 numbers = _begun(seen, numbers, believed, spread, light, radiometric, steps)
-                relief = _relief(numbers, small.texel_size, settings)
+                relief = _relief(numbers, small.texel_size, extent.unit(across), settings)
             seen = under_room(seen, numbers)
             light, moves = shared_step(
                 seen, numbers, believed, spread, light, radiometric, solving, moving=True
             )
             first = views[0].camera.place
             places = [
-                ViewPlace(p.nudge @ m, relief, first) for p, m in zip(places, moves, strict=True)
+                ViewPlace(p.nudge @ m, relief, first, extent)
+                for p, m in zip(places, moves, strict=True)
             ]
             setup, views, places = _posed(registration.setup, views, places, settings)
             done += 1
@@ -146,10 +157,12 @@ def aligned(
     return Aligned(setup, known, tuple(places), light)
 
 
-def _relief(numbers: Tensor, texel_size: float, settings: AlignSettings) -> NDArray[np.float32]:
+def _relief(
+    numbers: Tensor, texel_size: float, unit: float, settings: AlignSettings
+) -> NDArray[np.float32]:
     """(H, W) height that has parallax; what is slow in a surface made of slopes is not known."""
     height = surface_of(numbers[SLOPES], texel_size)[0].numpy()
-    return height - smoothed(height, settings.slow * max(height.shape))
+    return height - smoothed(height, settings.slow * unit)
 
 
 def _begun(
@@ -206,12 +219,14 @@ def _moved(homography: Doubles, points: Doubles) -> Doubles:
     return np.stack([there[0] / there[2], there[1] / there[2], np.zeros_like(points[0])])
 
 
-def reframed(maps: MapSet, old: PosedCamera, new: PosedCamera) -> MapSet:
+def reframed(maps: MapSet, old: PosedCamera, new: PosedCamera, extent: Extent = OWN) -> MapSet:
     """Maps on the plane of a camera as it is now believed to stand, on its rays as they were."""
     across, down = maps.size
-    points = old.on_plane(new.sees(grid_points(across, down)))
-    x = (points[0] + 1.0) * across / 2.0 - 0.5
-    y = (down - points[1] * across) / 2.0 - 0.5
+    points = old.on_plane(new.sees(grid_points(across, down, extent)))
+    middle = np.asarray(extent.middle)[:, None, None]
+    u, v = (points[:2] - middle) / extent.half
+    x = (u + 1.0) * across / 2.0 - 0.5
+    y = (down - v * across) / 2.0 - 0.5
     return MapSet.from_stacked(
         torch.stack([_looked_up(channel, x, y) for channel in maps.stacked().float()]),
         maps.texel_size,
@@ -229,8 +244,10 @@ def _looked_up(channel: Tensor, x: Doubles, y: Doubles) -> Tensor:
     return torch.from_numpy(found)
 
 
-def shrunk(prior: MapSet, doubt: Tensor, size: tuple[int, int]) -> tuple[MapSet, Tensor]:
+def shrunk(
+    prior: MapSet, doubt: Tensor, size: tuple[int, int], extent: Extent = OWN
+) -> tuple[MapSet, Tensor]:
     """What was read, and its doubts, on fewer texels."""
     stacked = F.interpolate(prior.stacked()[None], size=size, mode="area")[0]
     unsure = F.interpolate(doubt[None], size=size, mode="area")[0]
-    return MapSet.from_stacked(stacked, 2.0 / size[1]), unsure
+    return MapSet.from_stacked(stacked, extent.texel(size[1])), unsure

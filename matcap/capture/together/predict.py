@@ -73,7 +73,7 @@ def predictions(
     settings = settings or PredictSettings()
     first = next(read for read in readings if read is not None)
     height, width = first.numbers.shape[1:]
-    across = min(settings.across, width)
+    across = min(found.extent.across(settings.across), width)
     down = max(8, round(height * across / width))
     few = fewer(readings, (down, across))
     views = [

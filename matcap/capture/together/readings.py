@@ -25,6 +25,7 @@ from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, maps_of, numbers_of
 from matcap.capture.together.views import SetLight, ViewPlace
 from matcap.flash.coarse import CoarseFit
+from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.registration.camera import Doubles, PosedCamera
@@ -108,10 +109,12 @@ class ReadView:
     Attributes:
         numbers: (NUMBERS, H, W).
         doubt: (4, H, W) log of what it is expected to be off by (solve.py).
+        extent: of those texels.
     """
 
     numbers: Tensor
     doubt: Tensor
+    extent: Extent = OWN
 
 
 def read_views(
@@ -134,15 +137,17 @@ def read_views(
     Returns:
         For each photograph, None where it was not read: of the room's light, or too steep.
     """
-    across = min(READINGS.across, prior.size[0])
+    extent = found.extent
+    own_across = min(READINGS.across, round(extent.unit(prior.size[0])))
+    across = extent.across(own_across)
     down = max(8, round(prior.size[1] * across / prior.size[0]))
-    small, unsure = shrunk(prior, doubt, (down, across))
-    readings: list[ReadView | None] = [ReadView(numbers_of(small), unsure)]
+    small, unsure = shrunk(prior, doubt, (down, across), extent)
+    readings: list[ReadView | None] = [ReadView(numbers_of(small), unsure, extent)]
     for number, view in enumerate(found.views[1:], 1):
         readings.append(None)
         if view.flash and math.degrees(view.camera.tilt) < READINGS.steepest:
             own = OwnPlane.of(view.camera, found.light, number)
-            plane = read_plane(view.photo, own.setup, across)
+            plane = read_plane(view.photo, own.setup, own_across)
             maps, errors = read(plane, replace(coarse, setup=own.setup))
             place = found.places[number]
             readings[-1] = brought_over(maps, errors, own, view.camera, place, (across, down))
@@ -172,12 +177,16 @@ def brought_over(
     logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
     stacked = torch.stack([there(c) for c in torch.cat([logs, maps.roughness, maps.height])])
     over = MapSet(
-        stacked[:3].exp(), stacked[3:4].exp(), stacked[4:5], own.scale * stacked[5:], 2.0 / size[0]
+        stacked[:3].exp(),
+        stacked[3:4].exp(),
+        stacked[4:5],
+        own.scale * stacked[5:],
+        place.extent.texel(size[0]),
     )
     unsure = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in doubt])
     outside = (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
     unsure = torch.where(torch.from_numpy(outside), torch.tensor(_NOWHERE), unsure)
-    return ReadView(numbers_of(over), unsure)
+    return ReadView(numbers_of(over), unsure, place.extent)
 
 
 def joined(readings: Sequence[ReadView | None]) -> tuple[MapSet, Tensor]:
@@ -197,7 +206,7 @@ def joined(readings: Sequence[ReadView | None]) -> tuple[MapSet, Tensor]:
     alike = weights.amax(0).reciprocal()
     doubt = 0.5 * (READINGS.shared * alike + (1.0 - READINGS.shared) / whole).log()
     told = (-2.0 * doubt[3]).exp()
-    texel_size = 2.0 / numbers.shape[-1]
+    texel_size = every[0].extent.texel(numbers.shape[-1])
     precision = torch.stack([told, told, torch.zeros_like(told)])
     height = surface_of(numbers[SLOPES], texel_size, precision)
     return maps_of(numbers, height, texel_size), doubt
@@ -228,4 +237,4 @@ def fewer(readings: Sequence[ReadView | None], size: tuple[int, int]) -> list[Re
     def small(values: Tensor) -> Tensor:
         return F.interpolate(values[None], size=size, mode="area")[0]
 
-    return [one and ReadView(small(one.numbers), small(one.doubt)) for one in readings]
+    return [one and ReadView(small(one.numbers), small(one.doubt), one.extent) for one in readings]

@@ -26,6 +26,7 @@ from matcap.capture.together.texels import (
     weights,
 )
 from matcap.capture.together.views import PieceView, SetLight, light_at
+from matcap.flash.extent import OWN
 from matcap.flash.registration.camera import Doubles
 
 _LIGHT = 4  # flash's offset, vignetting
@@ -111,9 +112,8 @@ def shared_step(
         moving: whether photographs may move; else all are the identity.
     """
     shared = shared or SharedSettings()
-    texel = 2.0 / numbers.shape[-1]
-    generator = torch.Generator().manual_seed(0)
-    chosen = torch.randint(numbers[0].numel(), (1, shared.sampled), generator=generator)
+    texel = views[0].extent.texel(numbers.shape[-1])
+    chosen = _chosen(views, shared.sampled)
     samples = _sampled(views, chosen, moving)
     some, prior, held = (each.flatten(1)[:, chosen] for each in (numbers, believed, spread))
     own = _GAINS + (_MOVES if moving else 0)
@@ -141,13 +141,26 @@ def shared_step(
     return _light_of(values, light, own), moves
 
 
+def _chosen(views: Sequence[PieceView], count: int) -> Tensor:
+    """(1, count) texels by chance; of a piece larger than a photograph, such as two show."""
+    generator = torch.Generator().manual_seed(0)
+    every = views[0].log[0].numel()
+    chosen = torch.randint(every, (1, count), generator=generator)
+    if views[0].extent == OWN:
+        return chosen
+    shared = torch.stack([view.seen.all(0) for view in views]).sum(0) > 1
+    places = shared.flatten().nonzero()[:, 0]
+    return places[chosen % len(places)] if len(places) else chosen
+
+
 def _sampled(views: Sequence[PieceView], chosen: Tensor, moving: bool) -> _Samples:
     size = views[0].log.shape[-2:]
-    points = points_of(size).flatten(1)[:, chosen]
+    texel = views[0].extent.texel(size[-1])
+    points = points_of(size, extent=views[0].extent).flatten(1)[:, chosen]
     along = []
     for view in views:
         dx, dy = (
-            (plane.flatten(1)[:, chosen] for plane in _gradient(view.log))
+            (plane.flatten(1)[:, chosen] for plane in _gradient(view.log, texel))
             if moving
             else (
                 torch.zeros(3, *chosen.shape),
@@ -166,9 +179,9 @@ def _sampled(views: Sequence[PieceView], chosen: Tensor, moving: bool) -> _Sampl
     )
 
 
-def _gradient(log: Tensor) -> tuple[Tensor, Tensor]:
+def _gradient(log: Tensor, texel: float) -> tuple[Tensor, Tensor]:
     """(3, H, W) each: what log radiance gains by plane units to the right, and up."""
-    scale = 0.125 / (2.0 / log.shape[-1])
+    scale = 0.125 / texel
     found: tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]] = ([], [])
     for plane in log.numpy():
         smooth = cv2.GaussianBlur(plane, (0, 0), 0.7)

@@ -95,6 +95,7 @@ def solve(
     spread = spread_of(doubt, settings)
     light = shared_light(views, believed, believed, spread, light, radiometric, settings)
     numbers = believed.clone() if begun is None else _continued(believed, prior, begun)
+    unit = views[0].extent.unit(numbers.shape[-1])
     total, done, interrupted = sum(settings.rounds) + 2, 0, False
     precision = torch.zeros(())
     relief: Tensor | None = None
@@ -108,9 +109,10 @@ def solve(
                 done += 1
                 if tell:
                     tell(done / total)
-            numbers[SLOPES] = _without_slow(numbers[SLOPES], settings)
+            numbers[SLOPES] = _without_slow(numbers[SLOPES], unit, settings)
             if index == 0:
-                believed, spread = _told_around(believed, spread, numbers, precision, settings)
+                told = believed, spread, numbers, precision
+                believed, spread = _told_around(*told, unit, settings)
     except KeyboardInterrupt:
         interrupted = True
     height = surface_of(numbers[SLOPES], prior.texel_size, relief)
@@ -143,7 +145,9 @@ def predicted(view: PieceView, solved: Solved) -> float:
     numbers = numbers_of(solved.maps)
     size = view.log.shape[-2:]
     light = replace(solved.light, gain=torch.zeros(1, 3))
-    found = rendered(numbers, [light_at(0, view, light, points_of(size))])[0].log()
+    found = rendered(numbers, [light_at(0, view, light, points_of(size, extent=view.extent))])[
+        0
+    ].log()
     off = view.log - found
     for channel in range(3):
         told = off[channel][view.seen[channel]]
@@ -153,22 +157,27 @@ def predicted(view: PieceView, solved: Solved) -> float:
     return float(told.abs().median()) if told.numel() else math.nan
 
 
-def _without_slow(slopes: Tensor, settings: SolveSettings) -> Tensor:
+def _without_slow(slopes: Tensor, unit: float, settings: SolveSettings) -> Tensor:
     """Slopes less what of them is slow, which cameras and lights a little beside their places tell.
 
     A sheet that lies bent or leans is no relief of its material either.
     """
-    deviation = settings.slow * max(slopes.shape[1:])
+    deviation = settings.slow * unit
     slow = [torch.from_numpy(smoothed(plane, deviation)) for plane in slopes.numpy()]
     return slopes - torch.stack(slow)
 
 
 def _told_around(
-    believed: Tensor, spread: Tensor, numbers: Tensor, precision: Tensor, settings: SolveSettings
+    believed: Tensor,
+    spread: Tensor,
+    numbers: Tensor,
+    precision: Tensor,
+    unit: float,
+    settings: SolveSettings,
 ) -> tuple[Tensor, Tensor]:
     """A prior of gloss from what was told of it around, however little of it was told here."""
     believed, spread = believed.clone(), spread.clone()
-    deviation = settings.around * max(numbers.shape[1:])
+    deviation = settings.around * unit
     for number in (F0, ROUGH):
         told = precision[number].numpy()
         weight = told / (told + float(np.median(told)) + 1e-6)
@@ -220,7 +229,8 @@ def _residuals(
     for k, view in enumerate(views):
         off = []
         for rows in strips(numbers.shape[1], settings.rows):
-            lit = light_at(k, view, light, points_of(numbers.shape[-2:], rows))
+            points = points_of(numbers.shape[-2:], rows, view.extent)
+            lit = light_at(k, view, light, points)
             found = rendered(numbers[:, rows], [lit])[0].log()
             off.append((view.log[:, rows] - found)[view.seen[:, rows]].abs())
         every = torch.cat(off)

@@ -16,6 +16,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_height, normals_from_slopes
 from matcap.capture.together.room import RoomLight, evenly_lit
 from matcap.capture.together.views import PieceView, SetLight, light_at, logarithm, radiance, strips
+from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight
 
@@ -43,7 +44,8 @@ class SolveSettings:
         step: of finite differences.
         damping: share of what is told of a number that holds it where it is; a step that is too
             bold overshoots, a timid one leaves what trades albedo for slope where it began.
-        around: texels' deviation, as a share of the long side, over which gloss is told to others.
+        around: texels' deviation, as a share of the first photograph's long side, over which gloss
+            is told to others.
         slow: deviation of what counts as slow in slopes, as a share of the long side.
         rows: solved at a time; memory is in proportion.
     """
@@ -111,13 +113,17 @@ def slopes_of(height: Tensor, texel_size: float) -> Tensor:
     return -normal[:2] / normal[2:]
 
 
-def points_of(size: torch.Size | tuple[int, ...], rows: slice | None = None) -> Tensor:
+def points_of(
+    size: torch.Size | tuple[int, ...], rows: slice | None = None, extent: Extent = OWN
+) -> Tensor:
     """(3, h, w) plane points of a grid, or of some rows of it."""
     height, width = size
     rows = rows or slice(0, height)
-    return plane_points(
+    points = plane_points(
         0, rows.start, width, rows.stop - rows.start, (width, height), dtype=torch.float32
     )
+    middle = torch.tensor([*extent.middle, 0.0])[:, None, None]
+    return extent.half * points + middle
 
 
 def spread_of(doubt: Tensor, settings: SolveSettings) -> Tensor:
@@ -168,7 +174,7 @@ def stepped(
     relief = torch.empty(3, *numbers.shape[1:])
     for rows in strips(numbers.shape[1], settings.rows):
         part = slice(None), rows
-        points = points_of(numbers.shape[-2:], rows)
+        points = points_of(numbers.shape[-2:], rows, views[0].extent)
         system = _system(views, rows, numbers[part], light, points, settings)
         moved[part], told[part], relief[part] = _solved(
             *system, numbers[part], believed[part], spread[part], settings.damping

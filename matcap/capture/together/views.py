@@ -13,6 +13,7 @@ from torch import Tensor
 
 from matcap.capture.together.hue import on_grid
 from matcap.capture.together.room import ROOM, RoomLight
+from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import FlashLight, log_vignette
 from matcap.flash.registration.camera import PosedCamera
@@ -78,15 +79,17 @@ class ViewPlace:
         relief: (h, w) height of the piece on any grid, plane units, which has parallax; None for
             none.
         first: (3,) place of the first camera, on whose rays the piece's texels lie.
+        extent: of the piece.
     """
 
     nudge: Doubles
     relief: NDArray[np.float32] | None
     first: Doubles
+    extent: Extent = OWN
 
     def points(self, across: int, down: int) -> Doubles:
         """(3, down, across) points of a grid's texels."""
-        points = grid_points(across, down)
+        points = grid_points(across, down, self.extent)
         height = np.zeros((down, across), np.float32)
         if self.relief is not None:
             wide = cv2.resize(self.relief, (across, down), interpolation=cv2.INTER_LINEAR)
@@ -114,6 +117,7 @@ class PieceView:
         camera: where it stood.
         room: what lit it where that was not its flash.
         noise: of log radiance, what it is off by beside what a flash photograph is.
+        extent: of the grid.
     """
 
     name: str
@@ -123,6 +127,7 @@ class PieceView:
     camera: PosedCamera
     room: RoomLight | None = None
     noise: float = 0.0
+    extent: Extent = OWN
 
     @staticmethod
     def of(
@@ -170,6 +175,7 @@ class PieceView:
             view.camera,
             None if view.flash else RoomLight(),
             0.0 if view.flash else ROOM.noise,
+            OWN if place is None else place.extent,
         )
 
 

@@ -1,16 +1,18 @@
-"""The plane's grid of the first photograph, and the pixels of a picture."""
+"""The plane's grid, and the pixels of a picture."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.flash.extent import OWN, Extent
 
-def grid_points(across: int, down: int) -> NDArray[np.float64]:
-    """(3, down, across) plane points of the first photograph's grid (geometry.plane_points)."""
-    texel = 2.0 / across
-    x = (np.arange(across) + 0.5 - across / 2.0) * texel
-    y = (down / 2.0 - np.arange(down) - 0.5) * texel
+
+def grid_points(across: int, down: int, extent: Extent = OWN) -> NDArray[np.float64]:
+    """(3, down, across) plane points of the texels of a rectangle (geometry.plane_points)."""
+    texel = extent.texel(across)
+    x = (np.arange(across) + 0.5 - across / 2.0) * texel + extent.middle[0]
+    y = (down / 2.0 - np.arange(down) - 0.5) * texel + extent.middle[1]
     return np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((down, across))])
 
 
