@@ -193,4 +193,4 @@ def _short(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-assert set(_RULES) == set(BatchSettings().named()) | {"crop", "mask"}
+assert set(_RULES) == set(BatchSettings().named()) | {"crop", "mask", "union"}

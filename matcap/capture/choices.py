@@ -94,6 +94,10 @@ CHOICES: Mapping[str, Choice] = MappingProxyType(
             (str,), "A picture of the photograph's size: white is the material, black (a finger, a "
             "label, the table's edge) is left out.", metavar="FILE.png",
         ),
+        "union": Choice(
+            (bool,), "Of several photographs of one piece: the piece is all that they show, not "
+            "the first one's rectangle alone.",
+        ),
         "aligned": Choice(
             (bool,), "Also the maps of the photographed piece itself, NAME_photo, with confidence.",
         ),

@@ -54,7 +54,7 @@ def judged(
             rerendered,
             waves,
             None if found is None else _piece_evidence(found, photo.kept_share),
-            marks=None if found is None else marks(found.exemplar, material.setup),
+            marks=None if found is None else marks(found.framed, material.setup),
             tilt=0.0 if found is None else _mean_tilt(found),
             # A regular order keeps its pieces together, however small its periods.
             variety=1.0 if found is None or waves else found.example.variety,

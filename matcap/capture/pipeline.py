@@ -213,7 +213,12 @@ def _captured_together(
     from matcap.capture.together.find import find_together
 
     together = find_together(
-        photos, load_inverse(), settings.detail, stage=clock.stage, tell=clock.within
+        photos,
+        load_inverse(),
+        settings.detail,
+        union=settings.union,
+        stage=clock.stage,
+        tell=clock.within,
     )
     found, coarse, plane = together.found, together.coarse, together.plane
     several = found.several

@@ -123,6 +123,8 @@ class CaptureSettings:
             it.
         crop: what of the photograph is the material, in its own pixels as it is looked at.
         mask: a picture of the photograph's size, white where it is the material.
+        union: of several photographs, the piece is all that they show, instead of the first one's
+            rectangle.
 
     With a time limit or a target, and without steps, the preset is "reference": the limit alone
     decides when to stop.
@@ -145,6 +147,7 @@ class CaptureSettings:
     width_cm: float | None = None
     crop: Region | None = None
     mask: Path | None = None
+    union: bool = False
 
     def __post_init__(self) -> None:
         for name in CHOICES:
@@ -173,9 +176,9 @@ class CaptureSettings:
     def named(self) -> dict[str, Any]:
         """All settings by name, as files tell of them: numbers, words and None."""
         told = asdict(self) | {"statistics": str(self.statistics)}
-        part = {"crop": self.crop, "mask": self.mask}
+        part = {"crop": self.crop, "mask": self.mask, "union": self.union}
         # Unsaid where there is none, as in files of before there were any.
-        told |= {name: str(value) for name, value in part.items() if value is not None}
+        told |= {n: str(v) for n, v in part.items() if v is not None and n != "union"}
         return {name: value for name, value in told.items() if name not in part or value}
 
     @property

@@ -29,6 +29,7 @@ from matcap.cli.options import (
     TargetOption,
     TimeOption,
     TrainedPriorOption,
+    UnionOption,
     WidthOption,
     typed,
 )
@@ -76,6 +77,7 @@ def batch(
     prior: TrainedPriorOption = None,
     statistics: StatisticsOption = None,
     generator: MadeByOption = None,
+    union: UnionOption = None,
     aligned: AlignedOption = None,
     group: Annotated[
         str | None,
@@ -124,6 +126,7 @@ def batch(
         "normal": normal.value if normal else None, "prior": prior, "group": group, "gap": gap,
         "generator": generator.value if generator else None, "aligned": aligned,
         "target": target, "statistics": statistics, "export": export or None, "card": card,
+        "union": union,
     }  # fmt: skip
     settings = settings_of(shoot, flags)
     policy = Policy(force, retry_failed, fail_fast, strict, overwrite)

@@ -33,6 +33,7 @@ from matcap.cli.options import (
     TargetOption,
     TimeOption,
     TrainedPriorOption,
+    UnionOption,
     WidthOption,
     typed,
 )
@@ -101,6 +102,7 @@ def capture(
             "them, called as the first, which gives it its frame.",
         ),
     ] = False,
+    union: UnionOption = None,
     aligned: AlignedOption = None,
     overwrite: OverwriteOption = False,
     strict: StrictOption = False,
@@ -122,13 +124,19 @@ def capture(
         "preset": preset, "steps": steps, "time_limit": time_limit, "target": target,
         "detail": detail, "fov": fov, "seed": seed, "prior": prior, "statistics": statistics,
         "generator": generator.value if generator else None, "aligned": aligned,
-        "width_cm": width_cm, "crop": crop, "mask": mask,
+        "width_cm": width_cm, "crop": crop, "mask": mask, "union": union,
     }  # fmt: skip
     settings = CaptureSettings.of({k: value for k, value in given.items() if value is not None})
     targets = OutputSettings.known_targets(export or [])
     side = (size.width, size.height)
     outputs = OutputSettings(side, settings.seed, png, normal.value, tile, targets)
     jobs = _jobs(photos, out)
+    if settings.union and not (together and len(photos) > 1):
+        raise UsageError(
+            "one photograph alone is no union",
+            where="--union",
+            remedy="give two or more of one piece, and --together",
+        )
     if together:
         jobs = [replace(jobs[0], others=tuple(photos[1:]))]
     check_writable(out, outputs.room)

@@ -206,4 +206,5 @@ StatisticsOption = Annotated[str | None, _setting("statistics", show_default="fi
 MadeByOption = Annotated[
     GeneratorName | None, _setting("generator", "--generator", show_default="example")
 ]
+UnionOption = Annotated[bool | None, _setting("union", "--union/--no-union")]
 AlignedOption = Annotated[bool | None, _setting("aligned", "--aligned/--no-aligned")]

@@ -89,6 +89,12 @@ class Exemplar:
         """Whether its F0 has a colour: three channels."""
         return len(self.specular) == COLOURED
 
+    def cut(self, rows: slice, columns: slice) -> Exemplar:
+        """Some of its texels."""
+        names = (*CHANNELS, "confidence")
+        some = {n: np.ascontiguousarray(getattr(self, n)[:, rows, columns]) for n in names}
+        return replace(self, **some)
+
     def stacked(self) -> Floats:
         """(6, H, W): diffuse, specular, roughness, height; 8 where F0 has a colour."""
         return np.concatenate([getattr(self, name) for name in CHANNELS])

@@ -40,6 +40,11 @@ class Extent:
         """A point of the plane in halves of this rectangle's width from its middle."""
         return (point[0] - self.middle[0]) / self.half, (point[1] - self.middle[1]) / self.half
 
+    def placed(self, points: Tensor) -> Tensor:
+        """(3, ...) plane points of a grid as if this were OWN, where they are."""
+        middle = torch.tensor([*self.middle, 0.0], dtype=points.dtype)
+        return self.half * points + middle.reshape(3, *(1,) * (points.ndim - 1))
+
 
 OWN = Extent()
 
@@ -66,6 +71,10 @@ class Margins:
         """Of the piece, where the first photograph's own grid is so many texels across."""
         middle = (self.right - self.left) / across, (self.top - self.bottom) / across
         return Extent(middle, (across + self.left + self.right) / across)
+
+    def inside_of(self, shape: tuple[int, int]) -> tuple[int, int]:
+        """(rows, columns) of the first photograph's own grid, of the piece's."""
+        return shape[0] - self.top - self.bottom, shape[1] - self.left - self.right
 
     def padded(self, planes: Tensor, value: float = 0.0) -> Tensor:
         """(..., H, W) of the piece, of the first photograph's own grid, the rest one value."""

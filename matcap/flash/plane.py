@@ -8,6 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from matcap.flash.extent import NO_MARGINS, Extent, Margins
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.rectify import MOST_CLIPPED, kept, measured, rectify, rectify_noise
 from matcap.photo.photo import Photo
@@ -29,6 +30,8 @@ class Plane:
         left_out: (H, W) bool, what is not the material and shows a mirror of what is; None where
             all of it is.
         developed: whether the camera developed the picture to codes of 8 bits.
+        margins: by which it reaches beyond the photograph's own grid, of a piece that others
+            show more of.
     """
 
     linear: Tensor
@@ -38,6 +41,7 @@ class Plane:
     channels: Tensor | None = None
     left_out: Tensor | None = None
     developed: bool = False
+    margins: Margins = NO_MARGINS
 
     @property
     def measured(self) -> Tensor:
@@ -54,7 +58,12 @@ class Plane:
     @property
     def texel_size(self) -> float:
         """A texel's side in plane units: the width spans x in [-1, 1]."""
-        return 2.0 / self.linear.shape[-1]
+        return self.extent.texel(self.linear.shape[-1])
+
+    @property
+    def extent(self) -> Extent:
+        """Of its texels."""
+        return self.margins.extent(self.linear.shape[-1] - self.margins.left - self.margins.right)
 
     def encoded(self) -> Tensor:
         """(3, H, W) texture colour of about unit variance, shading included."""
@@ -85,6 +94,28 @@ class Plane:
             channels=whole(self.measured),
             left_out=left_out,
             developed=self.developed,
+        )
+
+    def over(self, margins: Margins, known: Tensor) -> Plane:
+        """The same on the grid of a larger piece, where it measures nothing beyond its own.
+
+        Args:
+            margins: of the piece.
+            known: (H, W) bool of the piece: what is left out is what is not.
+        """
+
+        def padded(planes: Tensor) -> Tensor:
+            pad = (margins.left, margins.right, margins.top, margins.bottom)
+            return F.pad(planes[None], pad, mode="replicate")[0]
+
+        return replace(
+            self,
+            linear=padded(self.linear),
+            valid=margins.padded(self.valid),
+            noise=None if self.noise is None else padded(self.noise),
+            channels=margins.padded(self.measured),
+            left_out=~known,
+            margins=margins,
         )
 
 

@@ -99,8 +99,18 @@ class FoundPiece:
         """The maps."""
         return self.example.exemplar
 
+    @property
+    def framed(self) -> Exemplar:
+        """The maps within the photograph's own rectangle."""
+        several = self.several
+        if several is None or several.reach is None:
+            return self.exemplar
+        return self.exemplar.cut(*several.reach.margins.inside(several.reach.size))
+
     def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
         """By map, of what is the material: `kept` of the photograph."""
+        if self.several is not None and self.several.reach is not None:
+            kept = self.several.reach.known
         means = np.minimum(self.exemplar.confidence.mean((1, 2)) / np.float32(kept), 1.0).tolist()
         return dict(zip(CHANNELS, means, strict=True))
 
@@ -134,8 +144,11 @@ class Sight:
         """Work out what every stage looks at."""
         width, height = plane.size
         points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+        points = plane.extent.placed(points)
         # What lies beyond the photograph is its mirror, not glare.
-        beyond = torch.from_numpy(~inside((height, width), coarse.setup))
+        rows, columns = plane.margins.inside_of((height, width))
+        own = torch.from_numpy(inside((rows, columns), coarse.setup))
+        beyond = ~plane.margins.padded(own)
         mirrors = beyond if plane.left_out is None else beyond | plane.left_out
         inputs = network_inputs(plane.linear, plane.valid | mirrors, coarse, points)
         bright = lit(plane.linear)
@@ -449,11 +462,13 @@ def _in_detail(sight: Sight, exemplar: Exemplar, whole: Plane) -> Exemplar:
 def evened(sight: Sight, reading: Reading, departures: SurfaceParameters) -> SurfaceParameters:
     """Departures whose albedo and gloss do not drift over the piece, beyond what its kinds do."""
     trusted = {name: torch.from_numpy(plane) for name, plane in reading.confidence.items()}
-    foot = highlight_foot(sight.coarse.setup)
+    extent = sight.plane.extent
+    foot = extent.within(highlight_foot(sight.coarse.setup))
+    across = extent.unit(sight.plane.size[0]) if sight.plane.margins.any else None
     if reading.kinds is None:
-        return flatten(departures, trusted, sight.glare, foot)
+        return flatten(departures, trusted, sight.glare, foot, across=across)
     kinds = reading.kinds.departures()
-    return flatten(departures - kinds, trusted, sight.glare, foot) + kinds
+    return flatten(departures - kinds, trusted, sight.glare, foot, across=across) + kinds
 
 
 def _rerendered(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:
@@ -476,18 +491,24 @@ def piece_maps(exemplar: Exemplar) -> MapSet:
     return MapSet.from_stacked(stacked, exemplar.texel_size)
 
 
-def confidence(errors: ExpectedErrors, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+def confidence(
+    errors: ExpectedErrors, seen: NDArray[np.float32], unit: float | None = None
+) -> NDArray[np.float32]:
     """(4, H, W) in [0, 1] of expected errors and of what was seen (H, W).
 
     Of neighbourhoods: confidence is about where the light shows a map, not about which of the
     material's features are easily read, or only its plain places would be believed.
+
+    Args:
+        errors, seen: see there.
+        unit: texels of the photograph's long side, where the piece reaches beyond it.
     """
     doubt = errors.stacked().clamp(-8.0, 4.0).exp().numpy()
     units = (
         READ.doubted_albedo, READ.doubted_specular, READ.doubted_roughness, READ.doubted_slope,
     )  # fmt: skip
     doubt = doubt / np.array(units, np.float32)[:, None, None]
-    around = max(seen.shape) / READ.confidence_around
+    around = (unit or max(seen.shape)) / READ.confidence_around
     believed = np.stack([np.exp(-smoothed(plane, around)) for plane in doubt])
     return np.ascontiguousarray(believed * seen, dtype=np.float32)
 

@@ -221,6 +221,8 @@ def flatten(
     confidence: Mapping[str, Tensor],
     glare: NDArray[np.float32],
     foot: tuple[float, float] | None = None,
+    *,
+    across: float | None = None,
 ) -> SurfaceParameters:
     """Departures whose albedo and gloss are the same everywhere on average.
 
@@ -231,8 +233,9 @@ def flatten(
         departures: of the piece.
         confidence: (H, W) by map, in [0, 1].
         glare: (H, W) share of the radiance that is mirrored.
-        foot: where a mirror would show the flash, plane units: what is the same all around it is
-            no material's; None to leave that.
+        foot: where a mirror would show the flash, in halves of the width from the middle: what is
+            the same all around it is no material's; None to leave that.
+        across: texels of the photograph's long side, where the piece reaches beyond it.
     """
     rings = None if foot is None else Rings.around(foot, glare.shape)
     shape = np.stack([np.ones_like(glare), glare, np.square(glare)])
@@ -240,7 +243,7 @@ def flatten(
     def even(channel: Tensor, weight: Tensor) -> Tensor:
         mean = (channel * weight).sum() / weight.sum()
         channel = channel - torch.from_numpy(_following(channel.numpy(), shape))
-        slow = smoothed(channel.numpy(), max(channel.shape) / REFINE.stationary)
+        slow = smoothed(channel.numpy(), (across or max(channel.shape)) / REFINE.stationary)
         even = channel + (mean - torch.from_numpy(slow))
         return even if rings is None else even - torch.from_numpy(rings.marked(even.numpy()))
 

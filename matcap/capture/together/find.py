@@ -47,11 +47,13 @@ from matcap.capture.together.room import less_room
 from matcap.capture.together.set_report import SetReport
 from matcap.capture.together.solve import Solved, solve
 from matcap.capture.together.texels import SolveSettings
+from matcap.capture.together.union import Reach, reach_of, scatter, seen_by_any, spread_over, unread
 from matcap.capture.together.views import PieceView, SetLight
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.flash.coarse import CoarseFit, fit_coarse, under_flash
+from matcap.flash.extent import Extent
 from matcap.flash.plane import Plane
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.register import Registration
@@ -104,6 +106,7 @@ def find_together(
     network: Inverse,
     detail: int | None,
     *,
+    union: bool = False,
     stage: Stage,
     tell: Tell,
 ) -> FoundTogether:
@@ -113,6 +116,7 @@ def find_together(
         photos: two or more, the first of which with a flash gives the piece its frame.
         network: reads the first (piece/network/store.py).
         detail: texels across, or None for as many as by default.
+        union: the piece is all that photographs show (union.py), not the first one's rectangle.
         stage: entered with the name of each stage.
         tell: called with a stage and the share of it that is done.
 
@@ -122,37 +126,48 @@ def find_together(
     registration, coarse, plane = _registered(photos, detail, stage)
     first, single = registration.views[0].photo, _read_alone(plane, coarse, network, stage)
     radiometric = all(view.photo.radiometric for view in registration.views)
+    reach = reach_of(registration.views, plane.size) if union else Reach.own(plane.size)
+    read = spread_over(single.maps, single.errors, reach.margins)
     found, interrupted = _laid_over(
-        replace(registration, setup=coarse.setup), single, radiometric, stage, tell
+        replace(registration, setup=coarse.setup), read, reach.extent, radiometric, stage, tell
     )
     plane, lattice = plane_in_detail(first, found.setup, detail)
-    whole = reframed(single.maps, PosedCamera.of(registration.setup), found.views[0].camera)
-    prior, hue = uncoloured(whole)
-    doubt, readings = single.errors, None
+    posed = PosedCamera.of(registration.setup), found.views[0].camera
+    prior, hue = uncoloured(reframed(read[0], *posed, reach.extent))
+    doubt, readings = unread(read[1], reach), None
     if not interrupted:
         with stage("join"):
             prior, doubt, readings = _all_read(found, prior, doubt, coarse, network, tell)
         interrupted = readings is None
+    if reach.margins.any:
+        doubt = torch.minimum(doubt, scatter(single.maps, single.errors)[:, None, None])
     with stage("solve"):
-        views, solved = _solved(
-            found, prior, doubt, hue, plane.size, radiometric, partial(tell, "solve")
-        )
+        views, solved = _solved(found, prior, doubt, hue, radiometric, partial(tell, "solve"))
     interrupted |= solved.interrupted
     coarse = replace(coarse, setup=solved.light.onto(found.setup))
     with stage("predict"):
         ahead: Predictions | None = None
         if not interrupted and readings is not None:
             ahead = predictions(found, readings, solved, radiometric, hue)
-    told = SetReport.of(registration, found, solved, ahead)
     with stage("lend"):
-        exemplar = _lent(Sight.of(plane, coarse), solved, hue, views)
+        reach, whole = _whole(plane, found, reach)
+        exemplar = _lent(Sight.of(whole, coarse), solved, hue, views)
     with stage("index"):
-        example, scale = _indexed(first, exemplar, single.metal, lattice.waves)
-    sharp = sharpness(piece_maps(example.exemplar), plane, coarse)
+        example, scale = _indexed(first, exemplar, single.metal, lattice.waves, reach)
+    told = SetReport.of(registration, found, solved, ahead, reach)
     piece = FoundPiece(
-        example, single.strengths, solved.residual[0], 0.0, sharp, (), interrupted, told, scale
+        example, single.strengths, solved.residual[0], 0.0, 1.0, (), interrupted, told, scale
     )
-    return FoundTogether(piece, coarse, plane, lattice.waves, first)
+    sharp = sharpness(piece_maps(piece.framed), plane, coarse)
+    return FoundTogether(replace(piece, sharpness=sharp), coarse, plane, lattice.waves, first)
+
+
+def _whole(plane: Plane, found: Aligned, reach: Reach) -> tuple[Reach, Plane]:
+    """The first photograph on the piece's grid, what nobody saw left out."""
+    if not reach.margins.any:
+        return reach, plane
+    known = seen_by_any(found.views, reach)
+    return replace(reach, known=float(known.float().mean())), plane.over(reach.margins, known)
 
 
 @torch.no_grad()
@@ -185,10 +200,12 @@ def _indexed(
     exemplar: Exemplar,
     metal: NDArray[np.float32] | None,
     waves: tuple[Wave, ...],
+    reach: Reach,
 ) -> tuple[Example, float]:
     """The exemplar to be rearranged, and what its albedo and F0 were scaled by."""
     known = photo.flash_intensity is not None
-    scale = 1.0 if known else most_probable_scale(exemplar, metal)
+    own = exemplar.cut(*reach.margins.inside(reach.size)) if reach.margins.any else exemplar
+    scale = 1.0 if known else most_probable_scale(own, metal)
     return Example.of(scaled(exemplar, scale), tuple((w.fx, w.fy) for w in waves)), scale
 
 
@@ -217,17 +234,16 @@ def _solved(
     prior: MapSet,
     doubt: Tensor,
     hue: Tensor | None,
-    size: tuple[int, int],
     radiometric: bool,
     tell: Callable[[float], None],
 ) -> tuple[list[PieceView], Solved]:
     """All photographs on the piece's grid, and what they make of it: coarse, then fine."""
     begun: Solved | None = None
     light, rounds = found.light, SolveSettings().rounds
-    across, down = size
-    if across >= 2 * SolveSettings().coarse:
+    across, down = prior.size
+    if found.extent.unit(across) >= 2 * SolveSettings().coarse:
         half = (round(down / 2), round(across / 2))
-        small, unsure = shrunk(prior, doubt, half)
+        small, unsure = shrunk(prior, doubt, half, found.extent)
         views = _on_grid(found, half[1], half[0], hue)
         begun = solve(
             views,
@@ -285,7 +301,12 @@ def _read_alone(plane: Plane, coarse: CoarseFit, network: Inverse, stage: Stage)
 
 
 def _laid_over(
-    registration: Registration, single: _Single, radiometric: bool, stage: Stage, tell: Tell
+    registration: Registration,
+    read: tuple[MapSet, Tensor],
+    extent: Extent,
+    radiometric: bool,
+    stage: Stage,
+    tell: Tell,
 ) -> tuple[Aligned, bool]:
     """Photographs brought over each other, and whether that was interrupted: as they were then."""
     light = SetLight.of(registration.setup, len(registration.views))
@@ -293,14 +314,14 @@ def _laid_over(
         with stage("align"):
             return aligned(
                 registration,
-                single.maps,
-                single.errors,
+                *read,
                 light,
                 radiometric=radiometric,
+                extent=extent,
                 tell=partial(tell, "align"),
             ), False
     except KeyboardInterrupt:
-        return Aligned.of(registration, registration.setup, light), True
+        return Aligned.of(registration, registration.setup, light, extent), True
 
 
 def _all_read(
@@ -333,7 +354,11 @@ def _lent(sight: Sight, solved: Solved, hue: Tensor | None, views: Sequence[Piec
     maps = coloured(solved.maps, hue)
     seen = torch.stack([view.seen.float().mean(0) for view in views]).amax(0)
     errors = ExpectedErrors.from_stacked(solved.errors)
-    trusted = confidence(errors, np.asarray(seen.numpy(), np.float32))
+    unit = None
+    if sight.plane.margins.any:
+        seen = seen * ~sight.plane.left_out  # what nobody saw, or from too far aside
+        unit = sight.plane.extent.unit(sight.plane.size[0])
+    trusted = confidence(errors, np.asarray(seen.numpy(), np.float32), unit)
     reading = Reading(sight.light.departures(maps), errors, trusted)
     reading = replace(reading, departures=evened(sight, reading, reading.departures))
     return lent(sight, reading, LEND.tried_at_once)

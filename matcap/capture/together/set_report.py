@@ -9,6 +9,7 @@ from typing import Any
 from matcap.capture.together.align import Aligned
 from matcap.capture.together.predict import Predictions
 from matcap.capture.together.solve import Solved
+from matcap.capture.together.union import Reach
 from matcap.flash.registration.doubt import DOUBTED
 from matcap.flash.registration.register import LeftOut, RegisteredView, Registration
 
@@ -26,6 +27,7 @@ class SetReport:
         told: share of maps that was measured rather than read: albedo, F0, roughness, relief.
         flash_offset: of all photographs.
         bent: the lens's distortion.
+        reach: how far the piece reaches beyond the first photograph; None where it does not.
     """
 
     views: tuple[RegisteredView, ...]
@@ -35,6 +37,7 @@ class SetReport:
     told: tuple[float, float, float, float]
     flash_offset: tuple[float, float]
     bent: tuple[float, float]
+    reach: Reach | None = None
 
     @staticmethod
     def of(
@@ -42,6 +45,7 @@ class SetReport:
         found: Aligned,
         solved: Solved,
         ahead: Predictions | None,
+        reach: Reach | None = None,
     ) -> SetReport:
         """Of what was found."""
         x, y = solved.light.offset.tolist()
@@ -53,6 +57,7 @@ class SetReport:
             solved.told,
             (x, y),
             found.views[0].camera.lens.bent,
+            reach if reach is not None and reach.margins.any else None,
         )
 
     def doubted(self) -> str | None:
@@ -90,6 +95,7 @@ class SetReport:
             ),
             "flash_offset": list(self.flash_offset),
             "lens_distortion": list(self.bent),
+            **({} if self.reach is None else {"union": self.reach.document()}),
         }
 
 

@@ -122,8 +122,7 @@ def points_of(
     points = plane_points(
         0, rows.start, width, rows.stop - rows.start, (width, height), dtype=torch.float32
     )
-    middle = torch.tensor([*extent.middle, 0.0])[:, None, None]
-    return extent.half * points + middle
+    return extent.placed(points)
 
 
 def spread_of(doubt: Tensor, settings: SolveSettings) -> Tensor:

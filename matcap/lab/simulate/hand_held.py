@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
+from matcap.flash.extent import OWN, Extent
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import CORNER_SQUARED
 from matcap.flash.registration.camera import Lens, PosedCamera
@@ -189,6 +190,7 @@ def held_on(
     cameras: Sequence[PosedCamera],
     setup: FlashSetup,
     bent: tuple[float, float] = (0.0, 0.0),
+    extent: Extent = OWN,
 ) -> Callable[[int, int], MapSet]:
     """True maps of the very piece that take_several photographs, on a plane that was found.
 
@@ -199,21 +201,22 @@ def held_on(
         realise, phone, cameras: as of take_several.
         setup: of the first camera, as it was found.
         bent: of its lens, as it was found.
+        extent: of the plane, as it was found.
 
     Returns:
-        (columns, rows) of the plane to its maps.
+        (columns, rows) of that to its maps.
     """
     maps = _piece(realise, phone, cameras)
     believed, first = PosedCamera.of(setup, bent), cameras[0]
     texel, side = maps.texel_size, maps.size[0]
 
     def on(columns: int, rows: int) -> MapSet:
-        blur = 0.4 * 2.0 / columns / texel
+        blur = 0.4 * extent.texel(columns) / texel
         stacked = [
             np.asarray(cv2.GaussianBlur(channel, (0, 0), blur), np.float32)
             for channel in maps.stacked().float().numpy()
         ]
-        points = first.on_plane(believed.sees(grid_points(columns, rows)))
+        points = first.on_plane(believed.sees(grid_points(columns, rows, extent)))
         ray = points - first.place[:, None, None]
 
         def looked_up(channel: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -231,7 +234,7 @@ def held_on(
             share = (looked_up(stacked[-1]) - first.place[2]) / ray[2]
             points = first.place[:, None, None] + share * ray
         found = np.stack([looked_up(channel) for channel in stacked])
-        return MapSet.from_stacked(torch.from_numpy(found), 2.0 / columns)
+        return MapSet.from_stacked(torch.from_numpy(found), extent.texel(columns))
 
     return on
 

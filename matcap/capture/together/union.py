@@ -1,0 +1,249 @@
+"""The piece is all that photographs show, not the first one's rectangle alone, when asked.
+
+Texels stay the first photograph's, and more of them lie around its own. What photographs see of the
+plane is rarely a rectangle: the piece is the box around it, without sides that hardly anything is
+seen along, and what nobody saw within it is left out as what a mask leaves out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.smooth import filled
+from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, numbers_of
+from matcap.flash.extent import NO_MARGINS, Extent, Margins
+from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
+from matcap.flash.registration.grid import grid_points
+from matcap.flash.registration.register import RegisteredView
+
+Marks = NDArray[np.bool_]
+
+_UNREAD = 4.0  # log of what a reading is off by where there is none (readings.py)
+
+
+@dataclass(frozen=True)
+class UnionSettings:
+    """How far a piece reaches; docs/notes/several.md.
+
+    Attributes:
+        steepest: degrees between a ray and the plane's normal beyond which nothing counts as seen:
+            a texel is drawn half as long there, and smears.
+        least: share of a side that is seen: a side of less is not the piece's.
+        most: times the first photograph's rectangle; work and memory are in proportion.
+        texels: of the piece at most, for memory; never fewer than the first photograph's own.
+        cells: across the first photograph, that sides are found by.
+        farthest: cells that are looked at to each side.
+    """
+
+    steepest: float = 60.0
+    least: float = 0.3
+    most: float = 4.0
+    texels: int = 6_000_000
+    cells: int = 64
+    farthest: int = 256
+
+
+UNION = UnionSettings()
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far a piece reaches.
+
+    Attributes:
+        margins: texels, around the first photograph's own.
+        size: (width, height) of those.
+        held: share of all that photographs show that lies in it.
+        known: share of it that any photograph shows.
+    """
+
+    margins: Margins
+    size: tuple[int, int]
+    held: float = 1.0
+    known: float = 1.0
+
+    @property
+    def extent(self) -> Extent:
+        """Of the piece."""
+        return self.margins.extent(self.size[0])
+
+    @property
+    def times(self) -> float:
+        """How many times the first photograph's rectangle it is."""
+        width, height = self.margins.around(self.size)
+        return width * height / (self.size[0] * self.size[1])
+
+    @staticmethod
+    def own(size: tuple[int, int]) -> Reach:
+        """The first photograph's rectangle (width, height) in texels, and no more."""
+        return Reach(NO_MARGINS, size)
+
+    def says(self) -> str:
+        """A sentence."""
+        width, height = self.margins.around(self.size)
+        return (
+            f"The piece is all that the photographs show: {width} x {height} texels, "
+            f"{self.times:.1f} times the first photograph's."
+        )
+
+    def document(self) -> dict[str, Any]:
+        """JSON."""
+        m = self.margins
+        return {
+            "margins": {"left": m.left, "right": m.right, "top": m.top, "bottom": m.bottom},
+            "times": self.times,
+            "held_share": self.held,
+            "seen_share": self.known,
+        }
+
+
+def reach_of(
+    views: Sequence[RegisteredView], size: tuple[int, int], settings: UnionSettings = UNION
+) -> Reach:
+    """How far the piece reaches that photographs with flash show, the first one's grid the middle.
+
+    Args:
+        views: with their cameras, the first one first.
+        size: (width, height) of its own grid in texels.
+        settings: see there.
+    """
+    cells = settings.cells
+    rows = max(1, round(cells * size[1] / size[0]))
+    points = _cells(cells, rows, size, settings.farthest)
+    seen = np.zeros(points.shape[1:], np.bool_)
+    for view in views:
+        if view.flash:
+            up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
+            seen |= sees(view.camera, points, up, settings.steepest)
+    most = min(settings.most, max(1.0, settings.texels / (size[0] * size[1])))
+    box = _box(seen, (rows, cells), settings.farthest, settings.least, most * rows * cells)
+    top, bottom, left, right = (
+        round(count * size[0] / cells)
+        for count in (
+            settings.farthest - box[0].start,
+            box[0].stop - settings.farthest - rows,
+            settings.farthest - box[1].start,
+            box[1].stop - settings.farthest - cells,
+        )
+    )
+    held, every = float(seen[box].sum()), max(float(seen.sum()), 1.0)
+    return Reach(Margins(left, right, top, bottom), size, held / every, float(seen[box].mean()))
+
+
+def seen_by_any(
+    views: Sequence[RegisteredView], reach: Reach, settings: UnionSettings = UNION
+) -> Tensor:
+    """(H, W) bool of the piece: what any photograph with flash shows."""
+    width, height = reach.margins.around(reach.size)
+    points = grid_points(width, height, reach.extent)
+    seen = np.zeros((height, width), np.bool_)
+    for view in views:
+        if view.flash:
+            up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
+            seen |= sees(view.camera, points, up, settings.steepest)
+    return torch.from_numpy(seen)
+
+
+def sees(camera: PosedCamera, points: Doubles, up: float, steepest: float) -> Marks:
+    """(h, w) whether points (3, h, w) of the plane are in a picture, and not too obliquely.
+
+    Args:
+        camera: whose picture it is.
+        points: z = 0.
+        up: height of the picture over its width.
+        steepest: degrees from the plane's normal.
+    """
+    away = camera.place.reshape(3, 1, 1) - points
+    upright = away[2] > math.cos(math.radians(steepest)) * np.sqrt(np.square(away).sum(0))
+    u, v = camera.sees(points)
+    # Far outside of a picture a lens's polynomial may come back into it.
+    near = np.abs(replace(camera, lens=Lens(camera.lens.focal)).sees(points)).max(0) < 1.5
+    return np.asarray(upright & near & (np.abs(u) < 1.0) & (np.abs(v) < up))
+
+
+def _cells(cells: int, rows: int, size: tuple[int, int], far: int) -> Doubles:
+    """(3, h, w) middles of cells, the first photograph's own in the middle."""
+    across, up = 2.0 / cells, size[1] / size[0]
+    x = (np.arange(-far, cells + far) + 0.5) * across - 1.0
+    beyond = up + (np.arange(far) + 0.5) * across
+    own = up - (np.arange(rows) + 0.5) * 2.0 * up / rows
+    y = np.concatenate([beyond[::-1], own, -beyond])
+    return np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((len(y), len(x)))])
+
+
+def _box(
+    seen: Marks, own: tuple[int, int], far: int, least: float, most: float
+) -> tuple[slice, slice]:
+    """Rows and columns of what is seen, and of the first photograph's own, (rows, columns) of it.
+
+    The side that least of is seen goes first, until enough of every one is and all is no larger
+    than `most` cells.
+    """
+    held = seen.copy()
+    held[far : far + own[0], far : far + own[1]] = True
+    spans = [np.flatnonzero(held.any(axis)) for axis in (1, 0)]
+    low = [int(span[0]) for span in spans]
+    high = [int(span[-1]) + 1 for span in spans]
+    while True:
+        sides = []
+        for axis in (0, 1):
+            across = slice(low[1 - axis], high[1 - axis])
+            for edge, line in ((low, low[axis]), (high, high[axis] - 1)):
+                beyond = far - line if edge is low else line - far - own[axis] + 1
+                if beyond > 0:
+                    share = float(seen.take(line, axis)[across].mean())
+                    sides.append((share, -beyond, axis, edge is low))
+        small = (high[0] - low[0]) * (high[1] - low[1]) <= most
+        if not sides or (small and min(sides)[0] >= least):
+            return slice(low[0], high[0]), slice(low[1], high[1])
+        _, _, axis, lower = min(sides)
+        if lower:
+            low[axis] += 1
+        else:
+            high[axis] -= 1
+
+
+def spread_over(maps: MapSet, doubt: Tensor, margins: Margins) -> tuple[MapSet, Tensor]:
+    """What was read from the first photograph over a larger piece.
+
+    Beyond it maps go on smoothly, and are off by as much as the first one's own numbers scatter:
+    the material is the same.
+
+    Args:
+        maps: on its own grid.
+        doubt: (4, H, W) log of what they are expected to be off by.
+        margins: of the piece.
+    """
+    if not margins.any:
+        return maps, doubt
+    own = margins.own(maps.size)
+    known = own.numpy()
+    wide = [filled(plane.numpy(), known) for plane in margins.padded(maps.stacked().float())]
+    over = MapSet.from_stacked(torch.from_numpy(np.stack(wide)), maps.texel_size)
+    scattered = scatter(maps, doubt)[:, None, None]
+    return over, torch.where(own, margins.padded(doubt), scattered)
+
+
+def scatter(maps: MapSet, doubt: Tensor) -> Tensor:
+    """(4,) log of what numbers of maps deviate by, with what they are off by."""
+    numbers = numbers_of(maps)
+    parts = (numbers[ALBEDO].mean(0), numbers[F0], numbers[ROUGH], numbers[SLOPES])
+    own = torch.stack([part.std() for part in parts]).square()
+    off = (2.0 * doubt.clamp(-8.0, 2.0)).exp().mean((1, 2))
+    return 0.5 * (own + off).log()
+
+
+def unread(doubt: Tensor, reach: Reach) -> Tensor:
+    """Doubts (4, H, W) of a piece where the first photograph says nothing beyond its own."""
+    if not reach.margins.any:
+        return doubt
+    return torch.where(reach.margins.own(reach.size), doubt, torch.tensor(_UNREAD))
