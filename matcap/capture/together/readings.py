@@ -226,8 +226,13 @@ def with_others(
         return F.interpolate(change[None], size=size, mode="bilinear")[0]
 
     more = wide(numbers_of(together[0]) - numbers_of(alone[0]))
-    raised = prior.height + wide(together[0].height - alone[0].height)
-    maps = maps_of(numbers_of(prior) + more, raised, prior.texel_size)
+    numbers = numbers_of(prior) + more
+    if any(read is not None and read.extent != OWN for read in readings):
+        # Beyond the first one its height is none, and only slopes can be added to.
+        raised = surface_of(numbers[SLOPES], prior.texel_size)
+    else:
+        raised = prior.height + wide(together[0].height - alone[0].height)
+    maps = maps_of(numbers, raised, prior.texel_size)
     return maps, doubt + wide(together[1] - alone[1])
 
 

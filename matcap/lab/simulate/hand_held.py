@@ -190,7 +190,6 @@ def held_on(
     cameras: Sequence[PosedCamera],
     setup: FlashSetup,
     bent: tuple[float, float] = (0.0, 0.0),
-    extent: Extent = OWN,
 ) -> Callable[[int, int], MapSet]:
     """True maps of the very piece that take_several photographs, on a plane that was found.
 
@@ -201,13 +200,34 @@ def held_on(
         realise, phone, cameras: as of take_several.
         setup: of the first camera, as it was found.
         bent: of its lens, as it was found.
-        extent: of the plane, as it was found.
+
+    Returns:
+        (columns, rows) of the plane to its maps.
+    """
+    return held_along(realise, phone, cameras, 0, PosedCamera.of(setup, bent))
+
+
+def held_along(
+    realise: Realise,
+    phone: PhoneCamera,
+    cameras: Sequence[PosedCamera],
+    number: int,
+    believed: PosedCamera,
+    extent: Extent = OWN,
+) -> Callable[[int, int], MapSet]:
+    """True maps along the rays of any of the cameras, where it alone drew a piece's texels.
+
+    Args:
+        realise, phone, cameras: as of take_several.
+        number: of the camera.
+        believed: where it was found to stand.
+        extent: of the piece.
 
     Returns:
         (columns, rows) of that to its maps.
     """
     maps = _piece(realise, phone, cameras)
-    believed, first = PosedCamera.of(setup, bent), cameras[0]
+    first = cameras[number]
     texel, side = maps.texel_size, maps.size[0]
 
     def on(columns: int, rows: int) -> MapSet:
