@@ -225,15 +225,17 @@ def with_others(
     def wide(change: Tensor) -> Tensor:
         return F.interpolate(change[None], size=size, mode="bilinear")[0]
 
-    more = wide(numbers_of(together[0]) - numbers_of(alone[0]))
-    numbers = numbers_of(prior) + more
-    if any(read is not None and read.extent != OWN for read in readings):
-        # Beyond the first one its height is none, and only slopes can be added to.
+    unsure = doubt + wide(together[1] - alone[1])
+    first = readings[0]
+    if first is not None and first.extent != OWN:
+        # Beyond the first one there is no height of it, and only slopes can be added to.
+        numbers = numbers_of(prior) + wide(numbers_of(together[0]) - first.numbers)
         raised = surface_of(numbers[SLOPES], prior.texel_size)
-    else:
-        raised = prior.height + wide(together[0].height - alone[0].height)
-    maps = maps_of(numbers, raised, prior.texel_size)
-    return maps, doubt + wide(together[1] - alone[1])
+        return maps_of(numbers, raised, prior.texel_size), unsure
+    more = wide(numbers_of(together[0]) - numbers_of(alone[0]))
+    raised = prior.height + wide(together[0].height - alone[0].height)
+    maps = maps_of(numbers_of(prior) + more, raised, prior.texel_size)
+    return maps, unsure
 
 
 def fewer(readings: Sequence[ReadView | None], size: tuple[int, int]) -> list[ReadView | None]:

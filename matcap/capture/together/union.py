@@ -42,6 +42,7 @@ class UnionSettings:
         texels: of the piece at most, for memory; never fewer than the first photograph's own.
         cells: across the first photograph, that sides are found by.
         farthest: cells that are looked at to each side.
+        thinnest: cells that a margin has at least.
     """
 
     steepest: float = 60.0
@@ -50,6 +51,7 @@ class UnionSettings:
     texels: int = 6_000_000
     cells: int = 64
     farthest: int = 256
+    thinnest: int = 3
 
 
 UNION = UnionSettings()
@@ -126,14 +128,14 @@ def reach_of(
             seen |= sees(view.camera, points, up, settings.steepest)
     most = min(settings.most, max(1.0, settings.texels / (size[0] * size[1])))
     box = _box(seen, (rows, cells), settings.farthest, settings.least, most * rows * cells)
+    beyond = (
+        settings.farthest - box[0].start,
+        box[0].stop - settings.farthest - rows,
+        settings.farthest - box[1].start,
+        box[1].stop - settings.farthest - cells,
+    )
     top, bottom, left, right = (
-        round(count * size[0] / cells)
-        for count in (
-            settings.farthest - box[0].start,
-            box[0].stop - settings.farthest - rows,
-            settings.farthest - box[1].start,
-            box[1].stop - settings.farthest - cells,
-        )
+        round(count * size[0] / cells) if count >= settings.thinnest else 0 for count in beyond
     )
     held, every = float(seen[box].sum()), max(float(seen.sum()), 1.0)
     return Reach(Margins(left, right, top, bottom), size, held / every, float(seen[box].mean()))
