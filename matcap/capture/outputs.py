@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, mapset_bytes, mapset_files, write_mapset
 from matcap.brdf.stated import NormalStyle
@@ -151,7 +151,9 @@ def _write_piece(
     from matcap.capture.piece.find import piece_maps
 
     exemplar = found.exemplar
-    about = {"of": "the photographed piece", "error": found.error, SETUP: asdict(setup)}
+    about: dict[str, Any] = {"of": "the photographed piece", "error": found.error}
+    if found.framed is exemplar:  # else its middle is not the photograph's
+        about[SETUP] = asdict(setup)
     info = MapSetInfo(name + PIECE, None, provenance=about)
     write_mapset(piece_maps(exemplar), stage, info, png=settings.png, normal=settings.normal)
     trusted = dict(zip(CHANNELS, exemplar.confidence, strict=True))

@@ -3,7 +3,8 @@
 A block of two rows of equal panels (photograph, re-rendering, another light, the maps) and one row
 of crops at one picture pixel a texel, where grain, weave and checkerboards show. Where the maps of
 the photographed piece itself were found, a second block shows them, its crops of the same place; of
-several photographs a third one where each was taken from.
+several photographs a third one where each was taken from, and all of a piece that reaches beyond
+the first.
 """
 
 from __future__ import annotations
@@ -84,8 +85,12 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             from matcap.capture.together.picture import draw_set
 
             seen = srgb_picture(_picture(piece_maps(result.found.exemplar), "diffuse"))
-            drawn = draw_set(result.found.several, seen, blocks[0].width)
+            several = result.found.several
+            drawn = draw_set(several, seen, blocks[0].width)
             blocks.append(titled(drawn, "Cameras and flashes"))
+            if several.reach is not None:
+                whole = block(list(whole_panels(result, result.found)))
+                blocks.insert(2, titled(whole, several.reach.says()))
     blocks.insert(0, _headline(result.verdict, blocks[0].width))
     return stacked(blocks)
 
@@ -130,13 +135,23 @@ def piece_panels(result: CaptureResult, found: FoundPiece) -> Iterable[Panel]:
     from matcap.capture.piece.find import piece_maps
     from matcap.flash.render import render_rectified
 
-    maps, setup = piece_maps(found.exemplar), result.material.setup
+    maps, setup = piece_maps(found.framed), result.material.setup
     with torch.inference_mode():
         rerendered = render_rectified(maps, setup).movedim(0, -1).numpy()
     yield Panel("photograph", srgb_picture(result.rectified))
     yield Panel("re-rendered", srgb_picture(rerendered))
     for side in _LIGHTS:
         yield relit(side, maps, rerendered, setup)
+    yield from each_map(maps)
+
+
+def whole_panels(result: CaptureResult, found: FoundPiece) -> Iterable[Panel]:
+    """All of a piece that reaches beyond the first photograph, lit from two sides, and its maps."""
+    from matcap.capture.piece.find import piece_maps
+
+    maps = piece_maps(found.exemplar)
+    for side in _LIGHTS:
+        yield relit(side, maps, result.rerendered, result.material.setup)
     yield from each_map(maps)
 
 

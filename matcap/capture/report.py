@@ -42,7 +42,10 @@ Keys:
         `doubt`, what that place may be off by over its distance, one deviation, `residual` of its
         re-rendering, and `predicted`, the same where all others alone decided, or null),
         `left_out` (name and why), `measured_share` (by map: what photographs tell rather than the
-        network), flash offset and lens distortion.
+        network), flash offset and lens distortion;
+        of a union `union`: `margins` (texels around the first photograph's own), `times` (its
+        texels over those), `held_share` (of what photographs show, in it), `seen_share` (of it,
+        by any photograph) and `limited` (it would be larger but for memory).
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.
 """
@@ -66,6 +69,7 @@ from matcap.files.staging import staged
 if TYPE_CHECKING:
     from matcap.capture.piece.find import FoundPiece
     from matcap.capture.result import CaptureResult, Tuning
+    from matcap.capture.together.set_report import SetReport
 
 CURVE = "error.png"
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
@@ -99,7 +103,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "verdict": result.verdict.document(),
         "error": result.errors,
         "warnings": list(warnings(result)),
-        "notes": [*photo.notes, *_rules(result.settings)],
+        "notes": [*photo.notes, *_grown(result.found), *_rules(result.settings)],
         "photograph": {
             "name": photo.name,
             "path": None if photo.path is None else str(photo.path),
@@ -195,6 +199,7 @@ def warnings(result: CaptureResult) -> Iterable[str]:
         doubted = result.found.several.doubted()
         if doubted:
             yield doubted
+        yield from _union(result.found.several, result.settings)
     if photo.flash_fired is False:
         yield "The file says that the flash did not fire: photograph again with the flash on."
     if result.found is not None and result.found.strengths is None:
@@ -205,6 +210,24 @@ def warnings(result: CaptureResult) -> Iterable[str]:
     tilt = math.degrees(math.hypot(*result.material.setup.tilt))
     if tilt > _MUCH_TILT:
         yield f"The camera was tilted by {tilt:.0f} degrees: hold it parallel to the sample."
+
+
+def _union(several: SetReport, settings: CaptureSettings) -> Iterable[str]:
+    """What became of a union that was asked for, where it is not all."""
+    if several.reach is None and settings.union:
+        yield (
+            "The photographs show hardly more than the first one: the piece is its rectangle. "
+            "Move the phone farther from one to the next, by up to half a picture."
+        )
+    limited = several.reach and several.reach.warns()
+    if limited:
+        yield limited
+
+
+def _grown(found: FoundPiece | None) -> Iterable[str]:
+    """How large a piece is that reaches beyond the first photograph."""
+    if found is not None and found.several is not None and found.several.reach is not None:
+        yield found.several.reach.says()
 
 
 def _rules(settings: CaptureSettings) -> Iterable[str]:

@@ -141,6 +141,14 @@ def floors(
             "each count is captured without and with one more photograph without flash.",
         ),
     ] = 0.0,
+    union: Annotated[
+        bool,
+        typer.Option(
+            "--union",
+            help="With --photographs: the phone is moved by half a picture each time, and each "
+            "count is captured also as all that they show.",
+        ),
+    ] = False,
     weights: Annotated[
         Path | None, typer.Option(help="SqueezeNet 1.1 by ncnn, instead of what comes along.")
     ] = None,
@@ -167,6 +175,7 @@ def floors(
     if photographs:
         from matcap.lab.bench.plot import draw
         from matcap.lab.floors.several import run_several, several_markdown, several_points
+        from matcap.lab.simulate.hand_held import Hand
 
         several = run_several(
             subjects(material or (), sets),
@@ -175,6 +184,8 @@ def floors(
             settings,
             measure,
             room=room,
+            hand=Hand(aside=0.41, aimed=1.0) if union else None,
+            union=union,
             tell=typer.echo,
         )
         typer.echo(several_markdown(several, command))

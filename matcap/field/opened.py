@@ -171,7 +171,10 @@ def open_photographed(path: Path) -> PhotographedAs | None:
     path = _resolved(path)
     if path.suffix.lower() == ".matcap":
         material = _material(path)
-        return PhotographedAs(material.setup, material.generator.piece_size, endless=True)
+        size = material.generator.piece_size
+        # A piece that reaches beyond the photograph has other sides.
+        own = size is not None and size[0] == round(2.0 / material.texel_size)
+        return PhotographedAs(material.setup, size if own else None, endless=True)
     maps, document = read_mapset(path)
     try:
         setup = FlashSetup(**stated_setup(document["provenance"][SETUP]))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.capture.together.place import placed
+from matcap.capture.together.union import reach_of
 from matcap.errors import MatcapError
 from matcap.flash.registration.doubt import DOUBTED
 from matcap.flash.registration.grid import grid_points
@@ -73,7 +74,14 @@ def set_quality(found: Registration) -> Inspection:
     first, lit = found.views[0].photo.name, [view for view in found.views if view.flash]
     return Inspection(
         first,
-        (_belong(found), *_sides(lit), _places(lit), *_cameras(found.views), _common(found.views)),
+        (
+            _belong(found),
+            *_sides(lit),
+            _places(lit),
+            *_cameras(found.views),
+            _common(found.views),
+            *_union(found.views),
+        ),
     )
 
 
@@ -181,6 +189,22 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
         says,
         "Turn the phone towards the middle of the piece each time, so that all of it is seen.",
     )
+
+
+def _union(views: Sequence[RegisteredView]) -> tuple[Finding, ...]:
+    """How much all of them show; nothing is said of a single photograph."""
+    if len(views) < 2:
+        return ()
+    rows, columns = views[0].photo.pixels.shape[:2]
+    reach = reach_of(views, (LOOK.detail, round(LOOK.detail * rows / columns)))
+    value = round(reach.times, 2)
+    if not reach.margins.any:
+        says = "They show hardly more than the first one: with --union the piece is no larger."
+    else:
+        says = (
+            f"They show {value:g} times as much as the first one: --union makes it all the piece."
+        )
+    return (Finding("union", value, Verdict.GOOD, says),)
 
 
 def _seen(view: RegisteredView, first: RegisteredView) -> NDArray[np.bool_]:

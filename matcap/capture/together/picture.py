@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from matcap.capture.together.set_report import SetReport
+from matcap.flash.extent import OWN
 
 Doubles = NDArray[np.float64]
 CodeTriple = tuple[int, int, int]
@@ -79,11 +80,11 @@ def draw_set(report: SetReport, piece: NDArray[np.float32], width: int) -> Image
         piece: (H, W, 3) the piece from above, sRGB code values in [0, 1].
         width: of the picture, pixels.
     """
-    views = list(_views(report, piece.shape[0] / piece.shape[1]))
+    views = list(_views(report, _high(report, piece)))
     part, tall = width // 3, width // 4
     sheet = Image.new("RGB", (width, tall), _PAPER)
-    sheet.paste(_from_above(views, piece, part, tall), (0, 0))
-    sheet.paste(_from_the_side(views, part, tall), (part, 0))
+    sheet.paste(_from_above(views, piece, _rim(report, piece), part, tall), (0, 0))
+    sheet.paste(_from_the_side(views, _rim(report, piece), part, tall), (part, 0))
     sheet.paste(_words(report, width - 2 * part, tall), (2 * part, 0))
     return sheet
 
@@ -106,6 +107,8 @@ def told_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
     names = ("diffuse", "specular", "roughness", "height")
     shares = [f"{name} {100.0 * s:.0f} %" for name, s in zip(names, report.told, strict=True)]
     yield "measured, not guessed: " + ", ".join(shares), None
+    if report.reach is not None:
+        yield report.reach.says(), None
 
 
 def _views(report: SetReport, high: float) -> Iterator[_View]:
@@ -117,11 +120,22 @@ def _views(report: SetReport, high: float) -> Iterator[_View]:
         yield _View(number, camera.place, light, camera.on_plane(corners))
 
 
+def _high(report: SetReport, piece: NDArray[np.float32]) -> float:
+    """Height of the first photograph over its width."""
+    down, across = piece.shape[:2] if report.reach is None else report.reach.size[::-1]
+    return down / across
+
+
+def _rim(report: SetReport, piece: NDArray[np.float32]) -> Doubles:
+    """(2, 2) x and y of the piece's left bottom and right top."""
+    extent = OWN if report.reach is None else report.reach.extent
+    half = extent.half * np.array([[1.0], [piece.shape[0] / piece.shape[1]]])
+    return np.array(extent.middle)[:, None] + half * np.array([[-1.0, 1.0]])
+
+
 def _from_above(
-    views: list[_View], piece: NDArray[np.float32], width: int, height: int
+    views: list[_View], piece: NDArray[np.float32], rim: Doubles, width: int, height: int
 ) -> Image.Image:
-    high = piece.shape[0] / piece.shape[1]
-    rim = np.array([[-1.0, 1.0], [-high, high]])
     frame = _Frame.around(
         np.concatenate([rim, *(_ground(view) for view in views)], axis=1), width, height
     )
@@ -138,9 +152,9 @@ def _from_above(
     return sheet
 
 
-def _from_the_side(views: list[_View], width: int, height: int) -> Image.Image:
+def _from_the_side(views: list[_View], rim: Doubles, width: int, height: int) -> Image.Image:
     sheet, ink = _blank(width, height, "from the side")
-    ends = np.array([[-1.0, 1.0], [0.0, 0.0]])
+    ends = np.array([rim[0], [0.0, 0.0]])
     across = (0, 2)
     points = [view.place[[0, 2]][:, None] for view in views]
     points += [view.seen[[0, 2]] for view in views]

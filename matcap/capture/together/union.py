@@ -66,12 +66,14 @@ class Reach:
         size: (width, height) of those.
         held: share of all that photographs show that lies in it.
         known: share of it that any photograph shows.
+        limited: it would be larger, but for what it may be at most.
     """
 
     margins: Margins
     size: tuple[int, int]
     held: float = 1.0
     known: float = 1.0
+    limited: bool = False
 
     @property
     def extent(self) -> Extent:
@@ -97,6 +99,16 @@ class Reach:
             f"{self.times:.1f} times the first photograph's."
         )
 
+    def warns(self) -> str | None:
+        """A sentence, where it is less than it would be."""
+        if not self.limited:
+            return None
+        return (
+            f"{1.0 - self.held:.0%} of what the photographs show lies beyond the piece, which has "
+            f"{self.times:.1f} times the first photograph's texels and is to take no more memory: "
+            "capture it apart, or give a smaller --detail."
+        )
+
     def document(self) -> dict[str, Any]:
         """JSON."""
         m = self.margins
@@ -104,6 +116,7 @@ class Reach:
             "margins": {"left": m.left, "right": m.right, "top": m.top, "bottom": m.bottom},
             "times": self.times,
             "held_share": self.held,
+            "limited": self.limited,
             "seen_share": self.known,
         }
 
@@ -127,7 +140,9 @@ def reach_of(
             up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
             seen |= sees(view.camera, points, up, settings.steepest)
     most = min(settings.most, max(1.0, settings.texels / (size[0] * size[1])))
-    box = _box(seen, (rows, cells), settings.farthest, settings.least, most * rows * cells)
+    at = seen, (rows, cells), settings.farthest, settings.least
+    box = _box(*at, most * rows * cells)
+    limited = box != _box(*at, math.inf)
     beyond = (
         settings.farthest - box[0].start,
         box[0].stop - settings.farthest - rows,
@@ -137,8 +152,9 @@ def reach_of(
     top, bottom, left, right = (
         round(count * size[0] / cells) if count >= settings.thinnest else 0 for count in beyond
     )
-    held, every = float(seen[box].sum()), max(float(seen.sum()), 1.0)
-    return Reach(Margins(left, right, top, bottom), size, held / every, float(seen[box].mean()))
+    held = float(seen[box].sum()) / max(float(seen.sum()), 1.0)
+    margins = Margins(left, right, top, bottom)
+    return Reach(margins, size, held, float(seen[box].mean()), limited)
 
 
 def seen_by_any(

@@ -68,6 +68,8 @@ class Hand:
 
     Attributes:
         aside: how far the phone is moved, over its distance.
+        aimed: share of that by which it looks further: 1 looks straight down everywhere, and half
+            of what it sees is new where it is moved by half a picture.
         shaken: deviation of its place, over its distance.
         turned: deviation of where it looks, radians.
         flash: place of the flash beside the lens, plane units.
@@ -78,6 +80,7 @@ class Hand:
     """
 
     aside: float = 0.35
+    aimed: float = 0.25
     shaken: float = 0.03
     turned: float = 0.03
     flash: tuple[float, float, float] = (0.04, -0.07, 0.0)
@@ -113,7 +116,7 @@ def hold(phone: PhoneCamera, hand: Hand, count: int, seed: int) -> list[PosedCam
         angle = (number - 1) * math.pi / 2.0 + (0.0 if number <= 4 else math.pi / 4.0)
         aside = ring * hand.aside * np.array([math.cos(angle), math.sin(angle), 0.0])
         place = distance * (np.array([0.0, 0.0, 1.0]) + aside + rng.normal(0.0, hand.shaken, 3))
-        aim = np.append(distance * rng.normal(0.0, hand.turned, 2) + 0.25 * place[:2], 0.0)
+        aim = np.append(distance * rng.normal(0.0, hand.turned, 2) + hand.aimed * place[:2], 0.0)
         roll = rng.normal(0.0, 2.0 * hand.turned)
         cameras.append(PosedCamera(_looking(place, aim, roll), place, Lens(distance, hand.bent)))
     return cameras
