@@ -175,7 +175,7 @@ def floors(
     if photographs:
         from matcap.lab.bench.plot import draw
         from matcap.lab.floors.several import run_several, several_markdown, several_points
-        from matcap.lab.simulate.hand_held import Hand
+        from matcap.lab.simulate.hand_held import beside
 
         several = run_several(
             subjects(material or (), sets),
@@ -184,7 +184,7 @@ def floors(
             settings,
             measure,
             room=room,
-            hand=Hand(aside=0.41, aimed=1.0) if union else None,
+            hand=beside(settings.camera) if union else None,
             union=union,
             tell=typer.echo,
         )

@@ -103,6 +103,11 @@ class HeldShot:
     camera: PosedCamera
 
 
+def beside(phone: PhoneCamera) -> Hand:
+    """A hand that moves a phone by half a picture each time and looks straight down."""
+    return Hand(aside=math.tan(math.radians(phone.fov) / 2.0), aimed=1.0)
+
+
 def hold(phone: PhoneCamera, hand: Hand, count: int, seed: int) -> list[PosedCamera]:
     """Cameras: the first above the middle, the others moved to the sides, all looking there."""
     rng = np.random.default_rng(seed)

@@ -34,6 +34,7 @@ def test_a_set_is_told_what_it_lacks(looked):
     assert told["lit_from"].verdict is Verdict.NOTE
     assert told["places"].verdict is Verdict.GOOD
     assert told["common"].verdict is Verdict.GOOD
+    assert 1.05 < told["union"].value < 2.0 and "--union" in told["union"].says
     assert json.loads(json.dumps(told.document()))["verdict"] == "doubtful"
 
 

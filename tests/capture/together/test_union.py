@@ -1,0 +1,226 @@
+"""The piece is all that its photographs show: how far it reaches, and what it is there."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.find import piece_maps
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.report import report, warnings
+from matcap.capture.settings import CaptureSettings
+from matcap.capture.together.readings import ReadView, with_others
+from matcap.capture.together.texels import SLOPES, numbers_of
+from matcap.capture.together.union import (
+    UNION,
+    Reach,
+    reach_of,
+    scatter,
+    seen_by_any,
+    sees,
+    spread_over,
+    unread,
+)
+from matcap.cli.main import main
+from matcap.flash.extent import NO_MARGINS, OWN, Margins
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.registration.camera import PosedCamera
+from matcap.flash.registration.grid import grid_points
+from matcap.flash.registration.register import RegisteredView
+from matcap.lab.floors.several import MapsOff
+from matcap.lab.simulate.hand_held import beside, held_along, hold, take_several
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo
+from matcap.lab.simulate.specimen import named_specimen
+from matcap.photo.photo import Photo
+
+PHONE = PhoneCamera(width=640, height=480, supersampling=1)
+BESIDE = beside(PHONE)
+SIZE = (128, 96)
+
+
+def _view(camera, flash=True):
+    pixels = np.full((96, 128, 3), 0.5, np.float32)
+    photo = Photo(
+        pixels, np.zeros((96, 128), bool), PHONE.fov, "exif", True, "made", original_size=(128, 96)
+    )
+    return RegisteredView(photo, camera, flash=flash)
+
+
+def _camera(x=0.0, y=0.0, tilt=(0.0, 0.0)):
+    camera = PosedCamera.of(FlashSetup(fov=PHONE.fov, tilt=tilt))
+    return replace(camera, place=camera.place + np.array([x, y, 0.0]))
+
+
+def test_a_larger_piece_has_the_first_photographs_own_texels():
+    margins = Margins(left=3, right=40, top=5, bottom=0)
+    width, height = margins.around(SIZE)
+    assert (width, height) == (171, 101)
+    points = grid_points(width, height, margins.extent(SIZE[0]))
+    np.testing.assert_allclose(
+        points[:, *margins.inside(SIZE)], grid_points(*SIZE), rtol=0.0, atol=1e-12
+    )
+    floats = plane_points(0, 0, width, height, (width, height), dtype=torch.float64)
+    placed = margins.extent(SIZE[0]).placed(floats).numpy()
+    np.testing.assert_allclose(placed, points, rtol=0.0, atol=1e-12)
+    assert margins.own(SIZE).sum() == SIZE[0] * SIZE[1]
+    assert margins.extent(SIZE[0]).unit(width) == pytest.approx(SIZE[0])
+    assert NO_MARGINS.extent(128) == OWN and not NO_MARGINS.any
+
+
+def test_two_photographs_side_by_side_reach_half_as_far_again():
+    reach = reach_of([_view(_camera()), _view(_camera(x=1.0))], SIZE)
+    assert (reach.margins.left, reach.margins.top, reach.margins.bottom) == (0, 0, 0)
+    assert reach.margins.right == pytest.approx(64, abs=2)
+    assert reach.times == pytest.approx(1.5, abs=0.02)
+    assert reach.known > 0.98 and reach.held > 0.98
+    assert reach.warns() is None and "1.5 times" in reach.says()
+    # One that lights nothing reads nothing.
+    assert not reach_of([_view(_camera()), _view(_camera(x=1.0), flash=False)], SIZE).margins.any
+
+
+def test_what_nobody_saw_between_photographs_is_not_known():
+    views = [_view(_camera()), _view(_camera(x=1.2)), _view(_camera(y=0.9))]
+    reach = reach_of(views, SIZE)
+    known = seen_by_any(views, reach)
+    assert known.shape == reach.margins.around(SIZE)[::-1]
+    assert not known[0, -1] and known[-1, -1] and known[0, 0]
+    assert float(known.float().mean()) == pytest.approx(reach.known, abs=0.02)
+
+
+def test_a_leaning_camera_reaches_as_far_as_it_sees_well():
+    lean = math.radians(50.0)
+    camera = PosedCamera.of(FlashSetup(fov=PHONE.fov, tilt=(0.0, lean)))
+    reach = reach_of([_view(_camera()), _view(camera)], SIZE)
+    points = grid_points(*reach.margins.around(SIZE), reach.extent)
+    away = camera.place[:, None, None] - points
+    seen = sees(camera, points, 0.75, UNION.steepest)
+    steep = np.degrees(np.arccos(away[2] / np.linalg.norm(away, axis=0)))
+    assert steep[seen].max() <= UNION.steepest
+    assert sees(camera, points, 0.75, 89.0).sum() > seen.sum()
+    # And no side of the box is hardly seen at all.
+    known = seen_by_any([_view(_camera()), _view(camera)], reach).numpy()
+    for side in (known[0], known[-1], known[:, 0], known[:, -1]):
+        assert side.mean() > 0.9 * UNION.least
+
+
+def test_a_piece_grows_no_larger_than_memory_allows_and_says_so():
+    far = [_view(_camera())] + [_view(_camera(x=1.5 * n, y=1.1 * n)) for n in range(1, 5)]
+    reach = reach_of(far, SIZE)
+    assert reach.limited and reach.times <= UNION.most
+    assert "lies beyond the piece" in reach.warns()
+    few = reach_of(far, SIZE, replace(UNION, texels=1.2 * SIZE[0] * SIZE[1]))
+    assert few.times <= 1.2 and few.held < reach.held
+
+
+def _drawn(size, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    rows = torch.randn(6, *size[::-1], generator=generator)
+    maps = [0.3 * (0.1 * rows[:3]).exp(), 0.04 * (0.1 * rows[3:4]).exp(), 0.5 + 0.02 * rows[4:5]]
+    return MapSet(*maps, 0.002 * rows[5:], 2.0 / size[0])
+
+
+def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
+    maps, doubt = _drawn(SIZE), torch.full((4, *SIZE[::-1]), -2.0)
+    same = spread_over(maps, doubt, NO_MARGINS)
+    assert same[0] is maps and same[1] is doubt
+    assert unread(doubt, Reach.own(SIZE)) is doubt
+
+    margins = Margins(right=64, bottom=20)
+    over, unsure = spread_over(maps, doubt, margins)
+    inside = margins.inside(SIZE)
+    assert torch.equal(over.stacked()[:, *inside], maps.stacked())
+    assert torch.equal(unsure[:, *inside], doubt)
+    beyond = over.diffuse[:, :, SIZE[0] + 20 :]
+    assert float(beyond.log().std()) < 0.5 * float(maps.diffuse.log().std())
+    assert float(beyond.mean()) == pytest.approx(0.3, rel=0.1)
+    torch.testing.assert_close(unsure[:, -1, -1], scatter(maps, doubt))
+    nowhere = unread(unsure, Reach(margins, SIZE))
+    assert (nowhere[:, :, SIZE[0] :] > 3.0).all() and torch.equal(nowhere[:, *inside], doubt)
+
+
+def test_beyond_the_first_photograph_the_others_reading_holds():
+    margins = Margins(right=64)
+    extent, whole = margins.extent(SIZE[0]), margins.around(SIZE)
+    true = _drawn(whole, 3)
+    smooth = torch.nn.functional.avg_pool2d(true.stacked()[None], 5, 1, 2)[0]
+    true = MapSet.from_stacked(smooth, 2.0 / SIZE[0])
+    first = true.crop(0, 0, *SIZE)
+    over, unsure = spread_over(first, torch.full((4, *SIZE[::-1]), -3.0), margins)
+    unsure = unread(unsure, Reach(margins, SIZE))
+    read = [
+        ReadView(numbers_of(over), unsure, extent),
+        ReadView(numbers_of(true), torch.full_like(unsure, -3.0), extent),
+    ]
+    found, doubt = with_others(over, unsure, read)
+    off = (numbers_of(found) - numbers_of(true))[:, 2:-2, 2:-2]
+    assert float(off[: SLOPES.start].abs().max()) < 0.01
+    # Slopes too, and without a step where the first one ends.
+    steep = float(numbers_of(true)[SLOPES].square().mean().sqrt())
+    assert float(off[SLOPES].square().mean().sqrt()) < 0.2 * steep
+    assert float(off[SLOPES][..., SIZE[0] - 4 : SIZE[0] + 4].square().mean().sqrt()) < 0.4 * steep
+    assert (doubt < -2.5).all()
+
+
+@pytest.fixture(scope="module")
+def captured():
+    """(cameras, leather, result) of two photographs, each of which shows half of the other."""
+    leather = named_specimen("leather")
+    cameras = hold(PHONE, BESIDE, 2, 5)
+    shots = take_several(leather.pieces(leather.seed), PHONE, cameras, BESIDE, 5)
+    photos = [as_photo(one.shot, n, f"leather_{n}") for n, one in enumerate(shots)]
+    settings = CaptureSettings(preset="instant", detail=192, union=True)
+    return cameras, leather, capture_photo(photos[0], settings, others=photos[1:])
+
+
+def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
+    cameras, leather, result = captured
+    reach = result.found.several.reach
+    assert 1.35 < reach.times < 1.75
+    piece = piece_maps(result.found.exemplar)
+    assert piece.size == reach.margins.around((192, 144))
+    assert piece.texel_size == pytest.approx(2.0 / 192)
+    assert result.found.framed.size == (192, 144)
+    # What nobody saw is believed by nobody.
+    known = seen_by_any(result.found.several.views, reach).numpy()
+    trusted = result.found.exemplar.confidence
+    assert (trusted[:, ~known] == 0.0).all() and trusted[0][known].mean() > 0.3
+
+    other = result.found.several.views[1].camera
+    points = grid_points(*piece.size, reach.extent)
+    beyond = torch.from_numpy(sees(other, points, 0.75, UNION.steepest))
+    beyond &= ~reach.margins.own(reach.size)
+    args = leather.pieces(leather.seed), PHONE, cameras, 1, other, reach.extent
+    true = held_along(*args)(*piece.size)
+    off = MapsOff.of(piece, true, beyond)
+    assert off.normals < 0.9 * off.flat
+    log = true.diffuse.mean(0).log()[beyond]
+    assert off.albedo < 0.9 * float((log - log.median()).abs().mean())
+
+
+def test_a_union_is_told_in_report_and_sheet(captured):
+    from matcap.capture.preview import draw_sheet
+
+    _, _, result = captured
+    told = report(result)
+    assert told["several"]["union"]["times"] == pytest.approx(result.found.several.reach.times)
+    assert any("all that the photographs show" in note for note in told["notes"])
+    assert told["settings"]["union"] is True
+    assert not any("rectangle" in warning for warning in warnings(result))
+    plain = replace(result, found=replace(result.found, several=None))
+    assert draw_sheet(result).height > draw_sheet(plain).height
+
+
+def test_unsaid_where_it_is_not_asked_for():
+    assert "union" not in CaptureSettings().named()
+    assert CaptureSettings.of(CaptureSettings(union=True).named()).union
+
+
+def test_one_photograph_is_no_union(tmp_path, capsys):
+    photo = tmp_path / "a.jpg"
+    photo.write_bytes(b"")
+    for more in ([], ["--together"]):
+        assert main(["capture", str(photo), "--union", *more, "-o", str(tmp_path / "out")]) == 2
+        assert "give two or more of one piece" in capsys.readouterr().err
