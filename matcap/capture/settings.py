@@ -243,6 +243,12 @@ def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
             where="--target",
             remedy="give --generator decoder with it, or --time in its place",
         )
+    if settings.union and settings.generator == "decoder":
+        raise UsageError(
+            "a decoder has no piece that could be larger",
+            where="--union",
+            remedy="leave it out, or --generator decoder",
+        )
     effort = PRESETS[settings.preset]
     if settings.steps is not None:
         effort = replace(effort, steps=settings.steps, adapted=settings.steps)
