@@ -46,6 +46,7 @@ class SharedSettings:
         offset: deviation of the flash's place from where it is expected, plane units.
         vignetting: deviations of its exponents.
         gain: deviation of a photograph's gain, log.
+        apart: the same where no two of a larger piece show a texel: each would find its own.
         astray: deviation of a photograph's place, plane units.
         farthest: of a step, texels.
     """
@@ -56,6 +57,7 @@ class SharedSettings:
     offset: float = 0.06
     vignetting: tuple[float, float] = (0.4, 0.6)
     gain: float = 1.5
+    apart: float = 0.03
     astray: float = 0.004
     farthest: float = 2.0
 
@@ -113,7 +115,9 @@ def shared_step(
     """
     shared = shared or SharedSettings()
     texel = views[0].extent.texel(numbers.shape[-1])
-    chosen = _chosen(views, shared.sampled)
+    chosen, joined = _chosen(views, shared.sampled)
+    if not joined:
+        shared = replace(shared, gain=shared.apart)
     samples = _sampled(views, chosen, moving)
     some, prior, held = (each.flatten(1)[:, chosen] for each in (numbers, believed, spread))
     own = _GAINS + (_MOVES if moving else 0)
@@ -141,16 +145,18 @@ def shared_step(
     return _light_of(values, light, own), moves
 
 
-def _chosen(views: Sequence[PieceView], count: int) -> Tensor:
-    """(1, count) texels by chance; of a piece larger than a photograph, such as two show."""
+def _chosen(views: Sequence[PieceView], count: int) -> tuple[Tensor, bool]:
+    """(1, count) texels by chance, of a piece larger than a photograph such as two show; and
+    whether there are any.
+    """
     generator = torch.Generator().manual_seed(0)
     every = views[0].log[0].numel()
     chosen = torch.randint(every, (1, count), generator=generator)
     if views[0].extent == OWN:
-        return chosen
+        return chosen, True
     shared = torch.stack([view.seen.all(0) for view in views]).sum(0) > 1
     places = shared.flatten().nonzero()[:, 0]
-    return places[chosen % len(places)] if len(places) else chosen
+    return (places[chosen % len(places)], True) if len(places) else (chosen, False)
 
 
 def _sampled(views: Sequence[PieceView], chosen: Tensor, moving: bool) -> _Samples:

@@ -20,6 +20,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import filled
 from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, numbers_of
+from matcap.capture.together.views import strips
 from matcap.flash.extent import NO_MARGINS, Extent, Margins
 from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
 from matcap.flash.registration.grid import grid_points
@@ -43,15 +44,17 @@ class UnionSettings:
         cells: across the first photograph, that sides are found by.
         farthest: cells that are looked at to each side.
         thinnest: cells that a margin has at least.
+        rows: of texels that are looked at at a time.
     """
 
     steepest: float = 60.0
     least: float = 0.3
     most: float = 4.0
-    texels: int = 6_000_000
+    texels: int = 4_000_000
     cells: int = 64
     farthest: int = 256
     thinnest: int = 3
+    rows: int = 256
 
 
 UNION = UnionSettings()
@@ -134,11 +137,7 @@ def reach_of(
     cells = settings.cells
     rows = max(1, round(cells * size[1] / size[0]))
     points = _cells(cells, rows, size, settings.farthest)
-    seen = np.zeros(points.shape[1:], np.bool_)
-    for view in views:
-        if view.flash:
-            up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
-            seen |= sees(view.camera, points, up, settings.steepest)
+    seen = _any_sees(views, points, settings)
     most = min(settings.most, max(1.0, settings.texels / (size[0] * size[1])))
     at = seen, (rows, cells), settings.farthest, settings.least
     box = _box(*at, most * rows * cells)
@@ -162,13 +161,20 @@ def seen_by_any(
 ) -> Tensor:
     """(H, W) bool of the piece: what any photograph with flash shows."""
     width, height = reach.margins.around(reach.size)
-    points = grid_points(width, height, reach.extent)
     seen = np.zeros((height, width), np.bool_)
+    for rows in strips(height, settings.rows):
+        points = grid_points(width, height, reach.extent, rows)
+        seen[rows] = _any_sees(views, points, settings)
+    return torch.from_numpy(seen)
+
+
+def _any_sees(views: Sequence[RegisteredView], points: Doubles, settings: UnionSettings) -> Marks:
+    seen = np.zeros(points.shape[1:], np.bool_)
     for view in views:
         if view.flash:
             up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
             seen |= sees(view.camera, points, up, settings.steepest)
-    return torch.from_numpy(seen)
+    return seen
 
 
 def sees(camera: PosedCamera, points: Doubles, up: float, steepest: float) -> Marks:

@@ -24,6 +24,7 @@ from matcap.photo.photo import FULL
 _FINER = 2  # places a texel's side is seen at
 _MOST_CLIPPED = 0.25  # share of a texel that may have been clipped
 _DARKEST = 1e-5  # linear radiance
+_ROWS = 256  # of texels that are looked up at a time, of a piece larger than a photograph
 _BORDER = 2.0  # pixels at a photograph's border that are not used
 
 
@@ -87,13 +88,13 @@ class ViewPlace:
     first: Doubles
     extent: Extent = OWN
 
-    def points(self, across: int, down: int) -> Doubles:
-        """(3, down, across) points of a grid's texels."""
-        points = grid_points(across, down, self.extent)
-        height = np.zeros((down, across), np.float32)
+    def points(self, across: int, down: int, rows: slice = slice(None)) -> Doubles:
+        """(3, down, across) points of a grid's texels, or of some of its rows."""
+        points = grid_points(across, down, self.extent, rows)
+        height = np.zeros(points.shape[1:], np.float32)
         if self.relief is not None:
             wide = cv2.resize(self.relief, (across, down), interpolation=cv2.INTER_LINEAR)
-            height = np.asarray(wide, np.float32)
+            height = np.asarray(wide, np.float32)[rows]
         share = height / self.first[2]
         points = points + share * (self.first[:, None, None] - points)
         raised = points[2].copy()
@@ -153,8 +154,7 @@ class PieceView:
         full = (photo.clipped[..., None] & (photo.pixels > FULL)).astype(np.float32)
         clipped = _shrunk(full, size)
         fine = (across * _FINER, down * _FINER)
-        points = grid_points(*fine) if place is None else place.points(*fine)
-        x, y = to_pixels(view.camera.sees(points), *size)
+        x, y = _looked_up(view, place, fine, size)
         inside = (x > _BORDER) & (x < size[0] - _BORDER) & (y > _BORDER) & (y < size[1] - _BORDER)
 
         def gridded(picture: NDArray[np.float32], how: int) -> NDArray[np.float32]:
@@ -177,6 +177,18 @@ class PieceView:
             0.0 if view.flash else ROOM.noise,
             OWN if place is None else place.extent,
         )
+
+
+def _looked_up(
+    view: RegisteredView, place: ViewPlace | None, fine: tuple[int, int], size: tuple[int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Columns and rows of a photograph of a size that a grid of fine texels shows."""
+    if place is None:
+        return to_pixels(view.camera.sees(grid_points(*fine)), *size)
+    # A larger piece's points, doubles and many, are some rows' at a time.
+    parts = [slice(None)] if place.extent == OWN else [*strips(fine[1], _ROWS)]
+    found = [to_pixels(view.camera.sees(place.points(*fine, rows)), *size) for rows in parts]
+    return np.concatenate([x for x, _ in found]), np.concatenate([y for _, y in found])
 
 
 def _shrunk(picture: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:

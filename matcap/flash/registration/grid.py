@@ -8,12 +8,17 @@ from numpy.typing import NDArray
 from matcap.flash.extent import OWN, Extent
 
 
-def grid_points(across: int, down: int, extent: Extent = OWN) -> NDArray[np.float64]:
-    """(3, down, across) plane points of the texels of a rectangle (geometry.plane_points)."""
+def grid_points(
+    across: int, down: int, extent: Extent = OWN, rows: slice = slice(None)
+) -> NDArray[np.float64]:
+    """(3, down, across) plane points of the texels of a rectangle, or of some of its rows.
+
+    As geometry.plane_points has them.
+    """
     texel = extent.texel(across)
     x = (np.arange(across) + 0.5 - across / 2.0) * texel + extent.middle[0]
-    y = (down / 2.0 - np.arange(down) - 0.5) * texel + extent.middle[1]
-    return np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((down, across))])
+    y = (down / 2.0 - np.arange(down)[rows] - 0.5) * texel + extent.middle[1]
+    return np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((len(y), across))])
 
 
 def to_pixels(
