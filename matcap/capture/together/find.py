@@ -47,7 +47,15 @@ from matcap.capture.together.room import less_room
 from matcap.capture.together.set_report import SetReport
 from matcap.capture.together.solve import Solved, solve
 from matcap.capture.together.texels import SolveSettings
-from matcap.capture.together.union import Reach, reach_of, scatter, seen_by_any, spread_over, unread
+from matcap.capture.together.union import (
+    Reach,
+    hue_over,
+    reach_of,
+    scatter,
+    seen_by_any,
+    spread_over,
+    unread,
+)
 from matcap.capture.together.views import PieceView, SetLight
 from matcap.errors import MatcapError
 from matcap.example.example import Example
@@ -139,6 +147,7 @@ def find_together(
         with stage("join"):
             prior, doubt, readings = _all_read(found, prior, doubt, coarse, network, tell)
         interrupted = readings is None
+    hue = hue_over(hue, readings, reach)
     if reach.margins.any:
         doubt = torch.minimum(doubt, scatter(single.maps, single.errors)[:, None, None])
     with stage("solve"):

@@ -110,11 +110,13 @@ class ReadView:
         numbers: (NUMBERS, H, W).
         doubt: (4, H, W) log of what it is expected to be off by (solve.py).
         extent: of those texels.
+        hue: (3, H, W) metal's, that was taken off (hue.py), where it was read of any.
     """
 
     numbers: Tensor
     doubt: Tensor
     extent: Extent = OWN
+    hue: Tensor | None = None
 
 
 def read_views(
@@ -173,7 +175,7 @@ def brought_over(
         found = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
         return torch.from_numpy(found)
 
-    maps, _ = uncoloured(maps)
+    maps, hue = uncoloured(maps)
     logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
     stacked = torch.stack([there(c) for c in torch.cat([logs, maps.roughness, maps.height])])
     over = MapSet(
@@ -186,7 +188,8 @@ def brought_over(
     unsure = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in doubt])
     outside = (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
     unsure = torch.where(torch.from_numpy(outside), torch.tensor(_NOWHERE), unsure)
-    return ReadView(numbers_of(over), unsure, place.extent)
+    tint = None if hue is None else torch.stack([there(c, cv2.INTER_LINEAR) for c in hue])
+    return ReadView(numbers_of(over), unsure, place.extent, tint)
 
 
 def joined(readings: Sequence[ReadView | None]) -> tuple[MapSet, Tensor]:

@@ -118,10 +118,7 @@ def solve(
     height = surface_of(numbers[SLOPES], prior.texel_size, relief)
     numbers[SLOPES] = slopes_of(height, prior.texel_size)
     if settings.rounds and not interrupted:
-        held = spread.clone()
-        held[SLOPES] = 1e-4
-        held_to = _with_slopes(believed, numbers)
-        numbers = stepped(views, numbers, held_to, held, light, settings).numbers
+        numbers = _answering(views, numbers, believed, spread, light, settings)
         numbers[SLOPES] = slopes_of(height, prior.texel_size)
     errors = _errors(precision, spread)
     maps = maps_of(numbers, height, prior.texel_size)
@@ -192,10 +189,19 @@ def _told_around(
     return believed, spread
 
 
-def _with_slopes(believed: Tensor, numbers: Tensor) -> Tensor:
-    held = believed.clone()
-    held[SLOPES] = numbers[SLOPES]
-    return held
+def _answering(
+    views: Sequence[PieceView],
+    numbers: Tensor,
+    believed: Tensor,
+    spread: Tensor,
+    light: SetLight,
+    settings: SolveSettings,
+) -> Tensor:
+    """Numbers after a step in which slopes stay as they are."""
+    held, held_to = spread.clone(), believed.clone()
+    held[SLOPES] = 1e-4
+    held_to[SLOPES] = numbers[SLOPES]
+    return stepped(views, numbers, held_to, held, light, settings).numbers
 
 
 def _errors(precision: Tensor, spread: Tensor) -> Tensor:

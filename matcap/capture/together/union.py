@@ -19,6 +19,8 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import filled
+from matcap.capture.together.hue import on_grid
+from matcap.capture.together.readings import ReadView
 from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, numbers_of
 from matcap.capture.together.views import strips
 from matcap.flash.extent import NO_MARGINS, Extent, Margins
@@ -264,6 +266,31 @@ def scatter(maps: MapSet, doubt: Tensor) -> Tensor:
     own = torch.stack([part.std() for part in parts]).square()
     off = (2.0 * doubt.clamp(-8.0, 2.0)).exp().mean((1, 2))
     return 0.5 * (own + off).log()
+
+
+def hue_over(
+    hue: Tensor | None, readings: Sequence[ReadView | None] | None, reach: Reach
+) -> Tensor | None:
+    """Metal's hue (3, H, W) over a piece: beyond the first photograph as the others are read.
+
+    Args:
+        hue: as the first was read, going on beyond it; None where it shows no metal's.
+        readings: of each, the first one first; None where nothing was read.
+        reach: of the piece.
+    """
+    if hue is None or readings is None or not reach.margins.any:
+        return hue
+    total, weights = torch.zeros(3, 1, 1), torch.zeros(1, 1)
+    for read in readings[1:]:
+        if read is not None:
+            weight = (-2.0 * read.doubt[1]).exp()
+            total = total + weight * (torch.ones(3, 1, 1) if read.hue is None else read.hue)
+            weights = weights + weight
+    if weights.shape == (1, 1):
+        return hue
+    beyond = on_grid(total / weights, (hue.shape[-1], hue.shape[-2]))
+    told = on_grid(weights[None], (hue.shape[-1], hue.shape[-2])) > math.exp(-_UNREAD)
+    return torch.where(told & ~reach.margins.own(reach.size), beyond, hue)
 
 
 def unread(doubt: Tensor, reach: Reach) -> Tensor:

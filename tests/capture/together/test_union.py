@@ -17,6 +17,7 @@ from matcap.capture.together.texels import SLOPES, numbers_of
 from matcap.capture.together.union import (
     UNION,
     Reach,
+    hue_over,
     reach_of,
     scatter,
     seen_by_any,
@@ -162,6 +163,23 @@ def test_beyond_the_first_photograph_the_others_reading_holds():
     assert float(off[SLOPES].square().mean().sqrt()) < 0.2 * steep
     assert float(off[SLOPES][..., SIZE[0] - 4 : SIZE[0] + 4].square().mean().sqrt()) < 0.4 * steep
     assert (doubt < -2.5).all()
+
+
+def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
+    margins = Margins(right=64)
+    reach, extent = Reach(margins, SIZE), margins.extent(SIZE[0])
+    whole = margins.around(SIZE)[::-1]
+    gold = torch.tensor([1.3, 1.0, 0.7])[:, None, None].expand(3, *whole)
+    doubt = unread(torch.full((4, *whole), -2.0), reach)
+    numbers = torch.zeros(7, *whole)
+    first = ReadView(numbers, doubt, extent)
+    other = ReadView(numbers, torch.full((4, *whole), -2.0), extent, gold)
+    grey = torch.ones(3, *whole)
+    found = hue_over(grey, [first, other, None], reach)
+    assert torch.equal(found[..., : SIZE[0]], grey[..., : SIZE[0]])
+    torch.testing.assert_close(found[..., SIZE[0] :], gold[..., SIZE[0] :])
+    assert hue_over(None, [first, other], reach) is None
+    assert torch.equal(hue_over(grey, [first, None], reach), grey)
 
 
 @pytest.fixture(scope="module")
