@@ -132,6 +132,9 @@ def floors(
             min=1, max=12, help="Of one piece, from so many places; may be given several times."
         ),
     ] = None,
+    pixels: Annotated[
+        int, typer.Option(min=320, max=8192, help="Across the photographs, which are 4:3.")
+    ] = 1600,
     room: Annotated[
         float,
         typer.Option(
@@ -165,10 +168,16 @@ def floors(
     from matcap.lab.floors.run import FloorSettings, floors_csv, floors_markdown, run_floors
     from matcap.lab.floors.squeezenet import WEIGHTS, SqueezeNet
     from matcap.lab.floors.subjects import subjects
+    from matcap.lab.simulate.photograph import PhoneCamera
 
     check_writable(out, 200_000_000)
     settings = FloorSettings(
-        CaptureSettings(preset, detail=detail), judged, judged // 2, stops=stops, jpeg=jpeg
+        CaptureSettings(preset, detail=detail),
+        judged,
+        judged // 2,
+        stops=stops,
+        jpeg=jpeg,
+        camera=PhoneCamera(width=pixels, height=3 * pixels // 8 * 2),
     )
     measure = Measure(SqueezeNet.load(weights or WEIGHTS))
     command = shlex.join(["matcap", *sys.argv[1:]])

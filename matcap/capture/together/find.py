@@ -51,6 +51,7 @@ from matcap.capture.together.union import (
     Reach,
     hue_over,
     reach_of,
+    rounded_off,
     scatter,
     seen_by_any,
     spread_over,
@@ -159,7 +160,7 @@ def find_together(
         if not interrupted and readings is not None:
             ahead = predictions(found, readings, solved, radiometric, hue)
     with stage("lend"):
-        reach, whole = _whole(plane, found, reach)
+        reach, whole, solved = _whole(plane, found, reach, solved)
         exemplar = _lent(Sight.of(whole, coarse), solved, hue, views)
     with stage("index"):
         example, scale = _indexed(first, exemplar, single.metal, lattice.waves, reach)
@@ -171,12 +172,19 @@ def find_together(
     return FoundTogether(replace(piece, sharpness=sharp), coarse, plane, lattice.waves, first)
 
 
-def _whole(plane: Plane, found: Aligned, reach: Reach) -> tuple[Reach, Plane]:
-    """The first photograph on the piece's grid, what nobody saw left out."""
+def _whole(
+    plane: Plane, found: Aligned, reach: Reach, solved: Solved
+) -> tuple[Reach, Plane, Solved]:
+    """The first photograph on the piece's grid, what nobody saw left out, and maps there."""
     if not reach.margins.any:
-        return reach, plane
+        return reach, plane, solved
     known = seen_by_any(found.views, reach)
-    return replace(reach, known=float(known.float().mean())), plane.over(reach.margins, known)
+    slow = SolveSettings().slow * plane.size[0]
+    return (
+        replace(reach, known=float(known.float().mean())),
+        plane.over(reach.margins, known),
+        replace(solved, maps=rounded_off(solved.maps, known, slow)),
+    )
 
 
 @torch.no_grad()

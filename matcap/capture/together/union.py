@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.piece.smooth import filled
+from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.together.hue import on_grid
 from matcap.capture.together.readings import ReadView
 from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, numbers_of
@@ -266,6 +266,23 @@ def scatter(maps: MapSet, doubt: Tensor) -> Tensor:
     own = torch.stack([part.std() for part in parts]).square()
     off = (2.0 * doubt.clamp(-8.0, 2.0)).exp().mean((1, 2))
     return 0.5 * (own + off).log()
+
+
+def rounded_off(maps: MapSet, known: Tensor, slow: float) -> MapSet:
+    """Maps of a piece that go on smoothly where nobody saw it, without what is slow in heights.
+
+    Slopes that are a little off all along a photograph add up over a larger piece, and where none
+    are told a surface stands in cliffs.
+
+    Args:
+        maps: as solved.
+        known: (H, W) bool.
+        slow: texels, deviation of what counts as slow.
+    """
+    seen = known.numpy()
+    planes = np.stack([filled(plane.numpy(), seen) for plane in maps.stacked().float()])
+    planes[-1] -= smoothed(planes[-1], slow)
+    return MapSet.from_stacked(torch.from_numpy(planes), maps.texel_size)
 
 
 def hue_over(
