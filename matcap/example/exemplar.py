@@ -91,9 +91,18 @@ class Exemplar:
 
     def cut(self, rows: slice, columns: slice) -> Exemplar:
         """Some of its texels."""
-        names = (*CHANNELS, "confidence")
-        some = {n: np.ascontiguousarray(getattr(self, n)[:, rows, columns]) for n in names}
-        return replace(self, **some)
+
+        def some(planes: Floats) -> Floats:
+            return np.ascontiguousarray(planes[:, rows, columns])
+
+        return replace(
+            self,
+            diffuse=some(self.diffuse),
+            specular=some(self.specular),
+            roughness=some(self.roughness),
+            height=some(self.height),
+            confidence=some(self.confidence),
+        )
 
     def stacked(self) -> Floats:
         """(6, H, W): diffuse, specular, roughness, height; 8 where F0 has a colour."""

@@ -372,7 +372,7 @@ def _lent(sight: Sight, solved: Solved, hue: Tensor | None, views: Sequence[Piec
     seen = torch.stack([view.seen.float().mean(0) for view in views]).amax(0)
     errors = ExpectedErrors.from_stacked(solved.errors)
     unit = None
-    if sight.plane.margins.any:
+    if sight.plane.margins.any and sight.plane.left_out is not None:
         seen = seen * ~sight.plane.left_out  # what nobody saw, or from too far aside
         unit = sight.plane.extent.unit(sight.plane.size[0])
     trusted = confidence(errors, np.asarray(seen.numpy(), np.float32), unit)

@@ -226,7 +226,7 @@ def _box(
             for edge, line in ((low, low[axis]), (high, high[axis] - 1)):
                 beyond = far - line if edge is low else line - far - own[axis] + 1
                 if beyond > 0:
-                    share = float(seen.take(line, axis)[across].mean())
+                    share = float(np.take(seen, [line], axis).ravel()[across].mean())
                     sides.append((share, -beyond, axis, edge is low))
         small = (high[0] - low[0]) * (high[1] - low[1]) <= most
         if not sides or (small and min(sides)[0] >= least):
