@@ -292,7 +292,26 @@ def several_markdown(rows: Sequence[SeveralRow], command: str) -> str:
         of = [row for row in rows if _count(row) == count]
         floors = sum(row.floors.floors for row in of) / len(of)
         lines.append(f"| mean | {count} | | {floors:.2f} | | | | | | | |")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *_beyond_lines(rows)]) + "\n"
+
+
+def _beyond_lines(rows: Sequence[SeveralRow]) -> list[str]:
+    """A second table, of what pieces are off by beyond the first photograph, if any reaches it."""
+    lines = [
+        f"| {row.floors.material} | {row.photographs} | {row.times:.2f} "
+        f"| {row.beyond.normals:.1f}, {row.beyond.flat:.1f} | {row.beyond.albedo:.3f} "
+        f"| {row.beyond.roughness:.3f} |"
+        for row in rows
+        if row.beyond is not None
+    ]
+    head = [
+        "",
+        "Beyond the first photograph:",
+        "",
+        "| material | photographs | times the first | normals off, of | albedo off | roughness off |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    return [*head, *lines] if lines else []
 
 
 def several_points(rows: Sequence[SeveralRow]) -> list[Point]:

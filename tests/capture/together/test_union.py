@@ -1,5 +1,6 @@
 """The piece is all that its photographs show: how far it reaches, and what it is there."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -7,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
+from matcap.capture.outputs import OutputSettings, write_outputs
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_photo
-from matcap.capture.report import report, warnings
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.together.readings import ReadView, with_others
 from matcap.capture.together.texels import SLOPES, numbers_of
@@ -26,6 +28,7 @@ from matcap.capture.together.union import (
     unread,
 )
 from matcap.cli.main import main
+from matcap.field.opened import open_photographed
 from matcap.flash.extent import NO_MARGINS, OWN, Margins
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.registration.camera import PosedCamera
@@ -218,17 +221,20 @@ def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
     assert off.albedo < 0.9 * float((log - log.median()).abs().mean())
 
 
-def test_a_union_is_told_in_report_and_sheet(captured):
-    from matcap.capture.preview import draw_sheet
-
+def test_a_union_is_written_and_told(captured, tmp_path):
     _, _, result = captured
-    told = report(result)
+    result = replace(result, settings=replace(result.settings, aligned=True))
+    write_outputs(result, tmp_path / "leather", OutputSettings((32, 32)))
+    told = json.loads((tmp_path / "leather/report.json").read_text())
     assert told["several"]["union"]["times"] == pytest.approx(result.found.several.reach.times)
     assert any("all that the photographs show" in note for note in told["notes"])
     assert told["settings"]["union"] is True
-    assert not any("rectangle" in warning for warning in warnings(result))
-    plain = replace(result, found=replace(result.found, several=None))
-    assert draw_sheet(result).height > draw_sheet(plain).height
+    assert not any("its rectangle" in warning for warning in told["warnings"])
+    # Maps of all of the piece, whose middle is not the photograph's.
+    piece, _ = read_mapset(tmp_path / "leather/leather_photo.json")
+    assert piece.size == result.found.exemplar.size
+    assert open_photographed(tmp_path / "leather/leather_photo.json") is None
+    assert open_photographed(tmp_path / "leather/leather.matcap").size is None
 
 
 def test_unsaid_where_it_is_not_asked_for():
