@@ -107,7 +107,7 @@ class Index:
         for level, shift in enumerate(shifts):
             weights = unpack(tensor(f"basis.{level}"), (DIMENSIONS, TAPS), np.int8)
             bases.append(Basis(weights, shift, step_of(level)))
-            shape = (2, *_shape(width, height, similar_bits(level)))
+            shape = (2, *_similar_shape(width, height, level))
             places = unpack(tensor(f"similar.{level}"), shape, np.int16)
             _check_places(places, width, height)
             similar.append(np.ascontiguousarray(places.transpose(1, 2, 0)))
@@ -210,6 +210,12 @@ def _shape(width: int, height: int, bits: int) -> tuple[int, int]:
     """(rows, columns) of a grid of squares of 2^bits texels."""
     side = 1 << bits
     return -(-height // side), -(-width // side)
+
+
+def _similar_shape(width: int, height: int, level: int) -> tuple[int, int]:
+    """(rows, columns) of a level's similar places: its appearance's grid is rounded down."""
+    bits = grid_bits(level)
+    return _shape(width >> bits, height >> bits, similar_bits(level) - bits)
 
 
 def _check_places(places: NDArray[np.int16], width: int, height: int) -> None:

@@ -32,6 +32,18 @@ def test_a_file_gives_back_the_same_field(example):
     assert again.index.left_out == example.index.left_out
 
 
+@pytest.mark.parametrize("size", [(114, 113), (97, 128)])
+def test_a_file_is_read_again_whatever_the_sides_of_its_piece(size):
+    """Grids of its levels are rounded down at each, which is less than by all at once."""
+    piece = blobs(*size)
+    example = Example.of(piece)
+    assert len(example.index.bases) > 2
+    tensors, about = example.stored()
+    again = Example.read(json.loads(json.dumps(about)), tensors.__getitem__)
+    area = Rectangle(5, -9, 70, 50)
+    assert np.array_equal(again.maps(3, area, None), example.maps(3, area, None))
+
+
 def test_damaged_indices_are_refused():
     tensors, about = ordered().stored()
 

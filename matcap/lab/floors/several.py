@@ -308,7 +308,7 @@ def _beyond_lines(rows: Sequence[SeveralRow]) -> list[str]:
         "",
         "Beyond the first photograph:",
         "",
-        "| material | photographs | times the first | normals off, of | albedo off | roughness off |",
+        "| material | photographs | times the first | normals off, of | albedo | roughness |",
         "|---|---:|---:|---:|---:|---:|",
     ]
     return [*head, *lines] if lines else []
