@@ -2,12 +2,14 @@
 
 Features are found to half a pixel, and shift with relief and light. So maps are solved coarsely
 and, texels answering, every photograph but the first is moved until all explain it best
-(shared.py), coarse to fine; relief's parallax goes along.
+(shared.py), coarse to fine; relief's parallax goes along. A coarse grid errs by a part of its
+texels, and where threads are as fine as these by whole ones: a photograph whose features are surer
+than that stays where they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -46,7 +48,8 @@ class AlignSettings:
     Attributes:
         levels: texels across of the grids, coarse to fine, over the piece's.
         finest: texels across at most.
-        rounds: of moving on each.
+        rounds: of moving on each, at most.
+        settled: texels: where no photograph is moved by more, a grid is done with.
         steps: of all texels' numbers on each, for relief's parallax; on the finest level only the
             texels that are sampled move.
         slow: deviation of what counts as slow in heights, as a share of the long side.
@@ -58,10 +61,12 @@ class AlignSettings:
     levels: tuple[float, ...] = (0.25, 0.5, 1.0)
     finest: int = 768
     rounds: tuple[int, ...] = (3, 4, 4)
+    settled: float = 0.05
     steps: tuple[int, ...] = (2, 1, 0)
     slow: float = 0.06
     pixel: float = 1e-3
     doubtful: float = 0.5
+    surer: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -116,8 +121,7 @@ def aligned(
         settings: see AlignSettings.
         tell: called with the share that is done.
     """
-    settings = settings or AlignSettings()
-    solving = SolveSettings()
+    settings, solving = settings or AlignSettings(), SolveSettings()
     prior, hue = uncoloured(prior)
     views, setup = list(registration.views), registration.setup
     # Maps were read on the plane of a lens without distortion.
@@ -125,7 +129,7 @@ def aligned(
     places = [ViewPlace(np.eye(3), None, start.place, extent) for _ in views]
     width, height = prior.size
     finest = min(extent.unit(width), settings.finest)
-    numbers = relief = None
+    numbers, relief, moved = None, None, set[int]()
     done, effort = 0, len(settings.levels) * (1 + max(settings.rounds))
     schedule = zip(settings.levels, settings.rounds, settings.steps, strict=True)
     for level, rounds, steps in schedule:
@@ -134,27 +138,46 @@ def aligned(
         small, unsure = shrunk(prior, doubt, (down, across), extent)
         small = reframed(small, start, views[0].camera, extent)
         believed, spread = numbers_of(small), spread_of(unsure, solving)
-        for turn in range(rounds):
-            both = zip(views, places, strict=True)
-            seen = [PieceView.of(v, across, down, p, hue) for v, p in both]
+        sure = [n for n, v in enumerate(views) if v.astray < settings.surer * small.texel_size]
+        moving = len(sure) < len(views)
+        moved |= set(range(len(views))).difference(sure)
+        for turn in range(rounds if moving or steps else 0):
+            seen = [
+                PieceView.of(v, across, down, p, hue) for v, p in zip(views, places, strict=True)
+            ]
             if turn == 0 or numbers is None:
                 numbers = _begun(seen, numbers, believed, spread, light, radiometric, steps)
                 relief = _relief(numbers, small.texel_size, extent.unit(across), settings)
             seen = under_room(seen, numbers)
             light, moves = shared_step(
-                seen, numbers, believed, spread, light, radiometric, solving, moving=True
-            )
-            first = views[0].camera.place
-            places = [
-                ViewPlace(p.nudge @ m, relief, first, extent)
-                for p, m in zip(places, moves, strict=True)
-            ]
-            setup, views, places = _posed(registration.setup, views, places, settings)
+                seen, numbers, believed, spread, light, radiometric, solving,
+                moving=moving, held=sure,
+            )  # fmt: skip
+            first, both = views[0].camera.place, zip(places, moves, strict=True)
+            places = [ViewPlace(p.nudge @ m, relief, first, extent) for p, m in both]
+            if moving:
+                setup, views, places = _posed(registration.setup, views, places, settings)
             done += 1
             if tell:
                 tell(done / effort)
-    known = tuple(replace(v, doubt=settings.doubtful * v.doubt) for v in views)
-    return Aligned(setup, known, tuple(places), light)
+            if _farthest(moves) < settings.settled * small.texel_size:
+                break
+    return Aligned(setup, _less_doubted(views, moved, settings), tuple(places), light)
+
+
+def _less_doubted(
+    views: Sequence[RegisteredView], moved: Container[int], settings: AlignSettings
+) -> tuple[RegisteredView, ...]:
+    return tuple(
+        replace(v, doubt=settings.doubtful * v.doubt) if n in moved else v
+        for n, v in enumerate(views)
+    )
+
+
+def _farthest(moves: Sequence[Doubles]) -> float:
+    """Plane units that any photograph is moved by, anywhere."""
+    points = grid_points(8, 6).reshape(3, -1)
+    return max(float(np.abs(_moved(move, points) - points).max()) for move in moves)
 
 
 def _relief(

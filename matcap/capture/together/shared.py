@@ -8,7 +8,7 @@ texel's own numbers could explain moves anything.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -32,6 +32,7 @@ from matcap.flash.registration.camera import Doubles
 _LIGHT = 4  # flash's offset, vignetting
 _GAINS = 3
 _MOVES = 8  # of a homography near the identity
+_FOURTH = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12.0
 _ROUNDING = 1e-5  # of a diagonal, by which single precision may make it indefinite
 
 
@@ -101,6 +102,7 @@ def shared_step(
     shared: SharedSettings | None = None,
     *,
     moving: bool,
+    held: Container[int] = (),
 ) -> tuple[SetLight, list[Doubles]]:
     """The light of all photographs, and (3, 3) each by which they are to be looked up elsewhere.
 
@@ -112,6 +114,7 @@ def shared_step(
         radiometric: vignetting is held where it is.
         settings, shared: see there.
         moving: whether photographs may move; else all are the identity.
+        held: numbers of photographs that stay where they are all the same.
     """
     shared = shared or SharedSettings()
     texel = views[0].extent.texel(numbers.shape[-1])
@@ -119,7 +122,7 @@ def shared_step(
     if not joined:
         shared = replace(shared, gain=shared.apart)
     samples = _sampled(views, chosen, moving)
-    some, prior, held = (each.flatten(1)[:, chosen] for each in (numbers, believed, spread))
+    some, prior, doubted = (each.flatten(1)[:, chosen] for each in (numbers, believed, spread))
     own = _GAINS + (_MOVES if moving else 0)
     count = _LIGHT + own * (len(views) - 1)
     # Offset and vignetting, then of every photograph but the first its gains and its move.
@@ -127,10 +130,10 @@ def shared_step(
     for k in range(1, len(views)):
         first = _LIGHT + own * (k - 1)
         start[first : first + _GAINS] = light.gain[k]
-    deviation = _deviations(count, own, radiometric, shared)
+    deviation = _deviations(len(views), own, radiometric, held, shared)
     values, some = start.clone(), some.clone()
     for _ in range(shared.steps):
-        system = _eliminated(views, samples, some, prior, held, values, light, own, settings)
+        system = _eliminated(views, samples, some, prior, doubted, values, light, own, settings)
         normal = shared.counted * system.normal + torch.diag(deviation**-2)
         gradient = shared.counted * system.gradient + (start - values) / deviation**2
         step = torch.linalg.solve(normal, gradient)
@@ -186,13 +189,17 @@ def _sampled(views: Sequence[PieceView], chosen: Tensor, moving: bool) -> _Sampl
 
 
 def _gradient(log: Tensor, texel: float) -> tuple[Tensor, Tensor]:
-    """(3, H, W) each: what log radiance gains by plane units to the right, and up."""
-    scale = 0.125 / texel
+    """(3, H, W) each: what log radiance gains by plane units to the right, and up.
+
+    To fourth order: central differences halve what a weave of four texels gains, and photographs
+    are then moved twice as far as they lie astray, to and fro.
+    """
+    right = _FOURTH / texel
     found: tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]] = ([], [])
     for plane in log.numpy():
-        smooth = cv2.GaussianBlur(plane, (0, 0), 0.7)
-        found[0].append(np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3, scale=scale)))
-        found[1].append(np.asarray(-cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3, scale=scale)))
+        for way, kernel in zip(found, (right, -right.T), strict=True):
+            gained = cv2.filter2D(plane, cv2.CV_32F, kernel, borderType=cv2.BORDER_REFLECT_101)
+            way.append(np.asarray(gained, np.float32))
     return torch.from_numpy(np.stack(found[0])), torch.from_numpy(np.stack(found[1]))
 
 
@@ -304,10 +311,14 @@ def _by_shared(
     return torch.stack(columns), torch.tensor(places)
 
 
-def _deviations(count: int, own: int, radiometric: bool, shared: SharedSettings) -> Tensor:
+def _deviations(
+    photographs: int, own: int, radiometric: bool, held: Container[int], shared: SharedSettings
+) -> Tensor:
     vignetting = (1e-3, 1e-3) if radiometric else shared.vignetting
-    each = [shared.gain] * _GAINS + [shared.astray] * (own - _GAINS)
-    whole = [shared.offset, shared.offset, *vignetting] + each * ((count - _LIGHT) // own)
+    whole = [shared.offset, shared.offset, *vignetting]
+    for number in range(1, photographs):
+        moves = 1e-9 if number in held else shared.astray
+        whole += [shared.gain] * _GAINS + [moves] * (own - _GAINS)
     return torch.tensor(whole, dtype=torch.float64)
 
 

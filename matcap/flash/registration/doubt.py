@@ -10,13 +10,15 @@ the plane. It is considered, not solved for (Schmidt 1966).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from matcap.flash.registration.adjust import Adjusted, Pair, apart, less_relief
 from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
+from matcap.flash.registration.grid import grid_points
 
 DOUBTED = 0.002  # of the distance: what may be farther off is said
 
@@ -62,9 +64,28 @@ def doubts(
         pairs: the matches they were found by.
         settings: see DoubtSettings.
     """
-    settings = settings or DoubtSettings()
-    if not pairs:
-        return np.zeros(0)
+    covariance = _covariance(found, pairs, settings or DoubtSettings())
+    cameras = found.cameras
+    return np.array([_off(cameras, number, covariance) for number in range(1, len(cameras))])
+
+
+def astray(
+    found: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings | None = None
+) -> Doubles:
+    """(photographs - 1,) plane units that each may lie beside the first one, one deviation.
+
+    Much less than cameras may be off by: one that is moved and turned sees the plane alike.
+
+    Args:
+        found, pairs, settings: as of doubts.
+    """
+    covariance = _covariance(found, pairs, settings or DoubtSettings())
+    cameras = found.cameras
+    return np.array([_beside(cameras, number, covariance) for number in range(1, len(cameras))])
+
+
+def _covariance(found: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings) -> Doubles:
+    """Of what cameras have in common, and of each but the first, what shading moves them by too."""
     cameras = found.cameras
     size = _COMMON + _OWN * len(pairs)
     deviation = np.array([settings.focal, settings.bent, settings.tilt, settings.tilt])
@@ -79,13 +100,19 @@ def doubts(
         # Those far off are outliers, which weigh nothing.
         kept = np.tile(np.hypot(*less_relief(residual, parallax)) < 4.0 * noise, 2)
         weight = settings.alone * kept / noise**2
-        places = np.r_[0:_COMMON, _COMMON + _OWN * number : _COMMON + _OWN * (number + 1)]
+        places = _numbers(number + 1)
         normal[np.ix_(places, places)] += (jacobian.T * weight) @ jacobian
         pulled[places] += (jacobian.T * weight) @ shading
     covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(size)), np.float64)
-    moved = settings.alike * float(np.median(depths)) * (covariance @ pulled)
-    covariance += np.outer(moved, moved)
-    return np.array([_off(cameras, number, covariance) for number in range(1, len(cameras))])
+    depth = float(np.median(depths)) if depths else 0.0
+    moved = settings.alike * depth * (covariance @ pulled)
+    return covariance + np.outer(moved, moved)
+
+
+def _numbers(number: int) -> NDArray[np.int64]:
+    """Where what is common and a photograph's own stands among all numbers."""
+    own = _COMMON + _OWN * (number - 1)
+    return np.r_[0:_COMMON, own : own + _OWN]
 
 
 def _scatter(residual: Doubles, parallax: Doubles, settings: DoubtSettings) -> tuple[float, float]:
@@ -151,18 +178,43 @@ def _turn(vector: Doubles) -> Doubles:
     return np.asarray(np.eye(3) + cross + 0.5 * cross @ cross)
 
 
+def _both(
+    cameras: Sequence[PosedCamera], number: int, change: Doubles
+) -> tuple[PosedCamera, PosedCamera]:
+    """The first camera and another, after a change of what they have in common and its own."""
+    one = _changed(cameras[0], np.r_[change[:_COMMON], np.zeros(_OWN)])
+    return one, _changed(cameras[number], np.r_[change[:2], 0.0, 0.0, change[_COMMON:]])
+
+
 def _off(cameras: Sequence[PosedCamera], number: int, covariance: Doubles) -> float:
     """What a camera's place in the first one's frame may be off by, over its distance."""
-    own = _COMMON + _OWN * (number - 1)
-    places = np.r_[0:_COMMON, own : own + _OWN]
-    first, camera = cameras[0], cameras[number]
 
     def between(change: Doubles) -> Doubles:
-        one = _changed(first, np.r_[change[:_COMMON], np.zeros(_OWN)])
-        other = _changed(camera, np.r_[change[:2], 0.0, 0.0, change[_COMMON:]])
+        one, other = _both(cameras, number, change)
         return np.asarray(one.turn @ (other.place - one.place))
 
-    here = between(np.zeros(len(places)))
-    jacobian = np.stack([(between(_STEP * unit) - here) / _STEP for unit in np.eye(len(places))], 1)
-    spread = jacobian @ covariance[np.ix_(places, places)] @ jacobian.T
-    return math.sqrt(float(np.trace(spread))) / float(np.linalg.norm(camera.place))
+    variance = _variance(between, covariance, number)
+    return math.sqrt(float(variance.sum())) / float(np.linalg.norm(cameras[number].place))
+
+
+def _beside(cameras: Sequence[PosedCamera], number: int, covariance: Doubles) -> float:
+    """Plane units that a photograph may lie beside the first, where both show the plane."""
+    points = grid_points(16, 12).reshape(3, -1)
+    both = (np.abs(cameras[number].sees(points)) < 1.0).all(0)
+    image = cameras[0].sees(points[:, both] if both.any() else points)
+
+    def seen(change: Doubles) -> Doubles:
+        one, other = _both(cameras, number, change)
+        return cameras[number].on_plane(other.sees(one.on_plane(image)))[:2].ravel()
+
+    return math.sqrt(2.0 * float(_variance(seen, covariance, number).mean()))
+
+
+def _variance(told: Callable[[Doubles], Doubles], covariance: Doubles, number: int) -> Doubles:
+    """(n,) variances of what a change (10,) of a photograph's numbers makes of something (n,)."""
+    places = _numbers(number)
+    nothing = np.zeros(len(places))
+    here = told(nothing)
+    jacobian = np.stack([(told(_STEP * unit) - here) / _STEP for unit in np.eye(len(places))], 1)
+    spread = covariance[np.ix_(places, places)]
+    return np.asarray(np.einsum("ni,ij,nj->n", jacobian, spread, jacobian))

@@ -15,7 +15,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.adjust import Adjusted, Pair, adjust
 from matcap.flash.registration.ambient import without_flash
 from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.doubt import doubts
+from matcap.flash.registration.doubt import astray, doubts
 from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.flash.registration.keypoints import KeypointFinder
 from matcap.flash.registration.sharp import SHARP, blurring
@@ -70,6 +70,7 @@ class RegisteredView:
         flash: whether its own flash lit it; else the room did.
         doubt: what its camera's place beside the first one's may be off by, over its distance, one
             deviation (doubt.py).
+        astray: plane units that it may lie beside the first by, one deviation, likewise.
     """
 
     photo: Photo
@@ -79,6 +80,7 @@ class RegisteredView:
     alike: float = 1.0
     flash: bool = True
     doubt: float = 0.0
+    astray: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,8 @@ def _views(
 ) -> tuple[tuple[RegisteredView, ...], dict[int, str]]:
     """Photographs with flash, then the best without, and why others without are not used."""
     lit, unlit = [RegisteredView(photos[0], found.cameras[0])], dict[int, RegisteredView]()
-    unsure = doubts(found, list(pairs.values()))
+    matches = list(pairs.values())
+    unsure, beside = doubts(found, matches), astray(found, matches)
     for number, (index, pair) in enumerate(pairs.items()):
         view = RegisteredView(photos[index], found.cameras[number + 1])
         view = replace(
@@ -171,6 +174,7 @@ def _views(
             alike=likeness(lit[0], view, settings),
             flash=index not in dark,
             doubt=float(unsure[number]),
+            astray=float(beside[number]),
         )
         if view.flash:
             lit.append(view)

@@ -5,7 +5,7 @@ import pytest
 
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.adjust import Adjusted, Pair, adjust
-from matcap.flash.registration.doubt import DOUBTED, DoubtSettings, doubts
+from matcap.flash.registration.doubt import DOUBTED, DoubtSettings, astray, doubts
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera
 
@@ -48,6 +48,18 @@ def _off(true, found):
     )
 
 
+def _beside(true, found):
+    """Plane units that photographs lie beside the first, where both show the plane."""
+    points = np.stack([*np.random.default_rng(0).uniform(-0.7, 0.7, (2, 500)), np.zeros(500)])
+    image = found.cameras[0].sees(points)
+    off = []
+    for camera, other in zip(found.cameras[1:], true[1:], strict=True):
+        there = other.sees(true[0].on_plane(image))
+        apart = camera.on_plane(there) - points
+        off.append(np.sqrt(np.square(apart[:, np.abs(there).max(0) < 1.0]).sum(0).mean()))
+    return np.array(off)
+
+
 def _flat(rng, count):
     return np.zeros(count)
 
@@ -74,6 +86,17 @@ def test_shading_that_moves_cameras_is_said():
         assert 0.3 < np.sqrt(np.mean((off / said) ** 2)) < 2.0
 
 
+def test_how_far_photographs_lie_beside_each_other_is_said():
+    for seed in range(3):
+        true, pairs = _matched(seed, 0.4, _bumps)
+        found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
+        off, said = _beside(true, found), astray(found, pairs)
+        assert 0.3 < np.sqrt(np.mean((off / said) ** 2)) < 2.0
+    _, pairs = _matched(0, 0.1, _flat)
+    surer = astray(adjust(FlashSetup(fov=PHONE.fov), pairs, known=True), pairs)
+    assert (surer < 0.25 * said).all()
+
+
 @pytest.mark.parametrize("more", [1.0, 2.0])
 def test_more_scatter_is_more_doubt(more):
     _, pairs = _matched(2, 0.4, lambda rng, count: more * _bumps(rng, count))
@@ -93,3 +116,4 @@ def test_fewer_matches_are_more_doubt():
 def test_nothing_is_said_where_nothing_is_matched():
     found = adjust(FlashSetup(fov=PHONE.fov), [], known=True)
     assert isinstance(found, Adjusted) and doubts(found, []).shape == (0,)
+    assert astray(found, []).shape == (0,)

@@ -1,0 +1,149 @@
+"""Photographs are moved as far as they lie astray, and stay where features are surer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.together.align import AlignSettings, aligned
+from matcap.capture.together.shared import shared_step
+from matcap.capture.together.solve import solve
+from matcap.capture.together.texels import (
+    SolveSettings,
+    numbers_of,
+    points_of,
+    rendered,
+    spread_of,
+)
+from matcap.capture.together.views import PieceView, SetLight, light_at
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.registration.register import register
+from matcap.lab.simulate.hand_held import Hand, hold
+from matcap.lab.simulate.photograph import PhoneCamera
+
+PHONE = PhoneCamera(width=640, height=480)
+SIZE = (48, 64)
+RIBS = 4.7  # texels
+DOUBT = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.15]))[:, None, None]
+
+
+def _woven(astray=0.0, size=SIZE):
+    """A flat weave whose threads lie so many texels to the right."""
+    texel = 2.0 / size[1]
+    x, y = torch.arange(size[1]) - astray, torch.arange(size[0])[:, None]
+    threads = torch.sin(2.0 * torch.pi * x / RIBS) + torch.sin(2.0 * torch.pi * y / RIBS)
+    return MapSet(
+        diffuse=(0.2 * (0.2 * threads).exp()).float().expand(3, -1, -1).contiguous(),
+        specular=torch.full((1, *size), 0.04),
+        roughness=torch.full((1, *size), 0.6),
+        height=torch.zeros(1, *size),
+        texel_size=texel,
+    )
+
+
+def _flat(maps):
+    mean = maps.diffuse.mean((1, 2), keepdim=True).expand_as(maps.diffuse).contiguous()
+    return replace(maps, diffuse=mean)
+
+
+def _photographed(pieces):
+    """A photograph of each by the renderer itself, from elsewhere, and their light."""
+    count = len(pieces)
+    cameras = hold(PHONE, Hand(), count, 1)
+    nowhere = torch.zeros(count, 3)
+    light = SetLight(torch.tensor((0.04, -0.07)), torch.zeros(2), nowhere, torch.full((3,), 5.0))
+    views = []
+    for number, (camera, maps) in enumerate(zip(cameras, pieces, strict=True)):
+        empty = torch.zeros(3, *SIZE)
+        view = PieceView("made", empty, empty == 0.0, torch.zeros(SIZE), camera)
+        lit = light_at(number, view, light, points_of(SIZE))
+        views.append(replace(view, log=rendered(numbers_of(maps), [lit])[0].log()))
+    return views, light
+
+
+@pytest.fixture(scope="module")
+def moved():
+    """(texels, held) to the right by which one of five is moved that lies 0.4 texels further."""
+    views, light = _photographed([_woven(), _woven(), _woven(), _woven(0.4), _woven()])
+    flat, settings = _flat(_woven()), SolveSettings()
+    doubt = DOUBT.expand(4, *SIZE)
+    found = solve(views, flat, doubt, light, radiometric=True)
+
+    def by(held):
+        _, moves = shared_step(
+            views,
+            numbers_of(found.maps),
+            numbers_of(flat),
+            spread_of(doubt, settings),
+            found.light,
+            True,
+            settings,
+            moving=True,
+            held=held,
+        )
+        return [float(move[0, 2]) / flat.texel_size for move in moves]
+
+    return by
+
+
+def test_threads_of_five_texels_are_moved_as_far_as_they_lie_astray_and_no_farther(moved):
+    """Twice as far, and photographs go to and fro for ever."""
+    texels = moved(())
+    assert 0.3 < texels[3] < 0.5
+    assert max(abs(texels[k]) for k in (1, 2, 4)) < 0.15
+
+
+def test_a_photograph_that_is_held_stays_and_others_move(moved):
+    texels = moved((0, 2, 3))
+    assert abs(texels[3]) < 1e-6 and abs(texels[2]) < 1e-6
+    assert abs(texels[1]) > 0.05
+
+
+@pytest.fixture(scope="module")
+def laid(held):
+    """Photographs of plaster laid over each other, as sure of their places as is said."""
+    _, photos = held
+    found = register(photos, FlashSetup(fov=PHONE.fov))
+    rows, columns = 96, 128
+    maps = MapSet(
+        diffuse=torch.full((3, rows, columns), 0.4),
+        specular=torch.full((1, rows, columns), 0.04),
+        roughness=torch.full((1, rows, columns), 0.6),
+        height=torch.zeros(1, rows, columns),
+        texel_size=2.0 / columns,
+    )
+    light = SetLight.of(FlashSetup(fov=PHONE.fov, intensity=(5.0, 5.0, 5.0)), len(found.views))
+    doubt = DOUBT.expand(4, rows, columns)
+
+    def over(astray, settings):
+        views = tuple(replace(view, astray=astray) for view in found.views)
+        told = []
+        by = aligned(
+            replace(found, views=(found.views[0], *views[1:])), maps, doubt, light,
+            radiometric=True, settings=settings, tell=told.append,
+        )  # fmt: skip
+        return found, by, len(told)
+
+    return over
+
+
+def test_photographs_whose_features_are_sure_stay_and_relief_is_known(laid):
+    found, by, grids = laid(1e-4, AlignSettings())
+    assert grids == 2  # the finest tells nothing more of relief
+    for before, after, place in zip(found.views, by.views, by.places, strict=True):
+        assert (before.camera.place == after.camera.place).all()
+        assert before.doubt == after.doubt
+        assert np.ptp(place.relief) > 0.0
+
+
+def test_photographs_whose_features_are_not_sure_are_moved_until_they_hardly_move(laid):
+    settings = AlignSettings(levels=(0.5, 1.0), rounds=(3, 3), steps=(1, 0))
+    found, by, every = laid(1.0, replace(settings, settled=0.0))
+    assert every == 6
+    for before, after in zip(found.views[1:], by.views[1:], strict=True):
+        assert (before.camera.place != after.camera.place).any()
+        assert after.doubt == settings.doubtful * before.doubt
+    _, _, settled = laid(1.0, replace(settings, settled=100.0))
+    assert settled == 2
