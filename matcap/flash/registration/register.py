@@ -18,6 +18,7 @@ from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.doubt import astray, doubts
 from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.flash.registration.keypoints import KeypointFinder
+from matcap.flash.registration.period import repeats_itself
 from matcap.flash.registration.sharp import SHARP, blurring
 from matcap.photo.photo import DEFAULT_FOV, Photo
 
@@ -126,9 +127,10 @@ def register(
     for index in range(1, len(photos)):
         first, second, pixel = finder.matched(photos[0], photos[index])
         if first.shape[1] < settings.matches:
-            left_out[index] = (
-                f"too little of it is found in {photos[0].name} ({first.shape[1]} matches)"
-            )
+            why = f"too little of it is found in {photos[0].name} ({first.shape[1]} matches)"
+            if repeats_itself(photos[0]):
+                why += ", whose pattern repeats itself: let all show a border, or a mark laid on it"
+            left_out[index] = why
             continue
         ratio = FlashSetup(fov=photos[index].fov).distance / FlashSetup(fov=photos[0].fov).distance
         pairs[index] = Pair(first, second, pixel, ratio)
