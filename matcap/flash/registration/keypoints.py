@@ -20,6 +20,8 @@ from matcap.photo.photo import Photo
 
 Doubles = NDArray[np.float64]
 
+_AT_ONCE = 1024  # features whose distances are known at a time: 25 MB
+
 
 @dataclass(frozen=True)
 class KeypointSettings:
@@ -154,18 +156,9 @@ def matched(
     nothing = np.zeros((2, 0))
     if min(len(first.described), len(second.described)) < 8:
         return nothing, nothing
-    nearest = cv2.BFMatcher().knnMatch(first.described, second.described, k=2)
-    back = {
-        m.queryIdx: m.trainIdx for m in cv2.BFMatcher().match(second.described, first.described)
-    }
-    pairs = [
-        a
-        for a, b in nearest
-        if a.distance < settings.ratio * b.distance and back.get(a.trainIdx) == a.queryIdx
-    ]
-    if len(pairs) < 8:
+    i, j = best_both_ways(first.described, second.described, settings.ratio)
+    if len(i) < 8:
         return nothing, nothing
-    i, j = np.array([(pair.queryIdx, pair.trainIdx) for pair in pairs]).T
     one, other = first.image[:, i], second.image[:, j]
     # In pixels: thresholds know no other scale.
     places = one / first.pixel, other / second.pixel
@@ -175,6 +168,37 @@ def matched(
         among = _told_by(voted, *places, settings)
         chosen = among if among.sum() > chosen.sum() else chosen
     return one[:, chosen], other[:, chosen]
+
+
+def best_both_ways(
+    first: NDArray[np.float32], second: NDArray[np.float32], ratio: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of two descriptions (n, 128), (m, 128) that are each other's nearest.
+
+    By one product of matrices, whose squares are 2 - 2 a b but for lengths: what is compared one
+    by one takes five times as long.
+
+    Args:
+        first, second: at least two rows each.
+        ratio: of the first one's distance to its nearest over that to the next, at most.
+    """
+    lengths = np.square(second).sum(1)
+    nearest, clear = np.zeros(len(first), np.int64), np.zeros(len(first), bool)
+    back, least = np.zeros(len(second), np.int64), np.full(len(second), np.inf, np.float32)
+    for top in range(0, len(first), _AT_ONCE):
+        some = first[top : top + _AT_ONCE]
+        apart = np.square(some).sum(1)[:, None] + lengths - 2.0 * (some @ second.T)
+        rows = np.arange(len(some))
+        low, found = apart.min(0), apart.argmin(0)
+        back[low < least] = top + found[low < least]
+        least = np.minimum(least, low)
+        best = apart.argmin(1)
+        closest = apart[rows, best]
+        apart[rows, best] = np.inf
+        nearest[top + rows] = best
+        clear[top + rows] = np.maximum(closest, 0.0) < ratio**2 * apart.min(1)
+    kept = np.flatnonzero(clear & (back[nearest] == np.arange(len(first))))
+    return kept, nearest[kept]
 
 
 def _homography(

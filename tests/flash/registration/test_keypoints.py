@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pytest
 
 from matcap.flash.registration.keypoints import (
     Keypoints,
     KeypointSettings,
+    best_both_ways,
     even_contrast,
     find_keypoints,
     matched,
@@ -66,3 +68,23 @@ def test_what_agrees_by_chance_is_too_little():
     for seed in range(3):
         found, _ = matched(*_mistaken(0, 900, seed), KeypointSettings())
         assert found.shape[1] < RegisterSettings().matches - 4
+
+
+@pytest.mark.parametrize("ratio", [0.8, 0.95])
+def test_features_are_matched_that_are_nearest_both_ways(ratio):
+    """Beside OpenCV's matcher, one by one; more than are compared at a time."""
+    rng = np.random.default_rng(0)
+    first = rng.random((2100, 128), np.float32)
+    second = np.concatenate(
+        [first[rng.permutation(2100)[:1500]], rng.random((400, 128), np.float32)]
+    )
+    second += 0.25 * rng.normal(size=second.shape).astype(np.float32)
+    forth = cv2.BFMatcher().knnMatch(first, second, k=2)
+    back = {m.queryIdx: m.trainIdx for m in cv2.BFMatcher().match(second, first)}
+    plain = [
+        (a.queryIdx, a.trainIdx)
+        for a, b in forth
+        if a.distance < ratio * b.distance and back[a.trainIdx] == a.queryIdx
+    ]
+    assert 500 < len(plain) < 1800
+    assert list(zip(*best_both_ways(first, second, ratio), strict=True)) == plain
