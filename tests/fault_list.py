@@ -922,4 +922,66 @@ METALS = (
     ),
 )
 
-FAULTS = (*RELIGHTING_AND_FILES, *CAPTURE, *FIELD, *PICTURES, *SHOOTS_AND_PAGE, *METALS)
+_KEYPOINTS = "tests/flash/registration/test_keypoints.py"
+_ALIGN = "tests/capture/together/test_align.py"
+
+SEVERAL = (
+    Fault(
+        "several: features a quarter of a pixel beside their places",
+        "flash/registration/keypoints.py",
+        "enable_precise_upscale=True",
+        "enable_precise_upscale=False",
+        (_KEYPOINTS, "-k", "whichever_way"),
+    ),
+    Fault(
+        "several: no match votes",
+        "flash/registration/keypoints.py",
+        "if chosen.sum() < settings.enough:",
+        "if False:",
+        (_KEYPOINTS, "-k", "one_match_in_thirty"),
+    ),
+    Fault(
+        "several: the best one way only",
+        "flash/registration/keypoints.py",
+        "clear & (back[nearest] == np.arange(len(first)))",
+        "clear",
+        (_KEYPOINTS, "-k", "both_ways"),
+    ),
+    Fault(
+        "several: shading leaves no doubt",
+        "flash/registration/doubt.py",
+        "return covariance + np.outer(moved, moved)",
+        "return covariance",
+        ("tests/flash/registration/test_doubt.py", "-k", "is_said"),
+    ),
+    Fault(
+        "several: moved twice as far as they lie astray",
+        "capture/together/shared.py",
+        "np.float32) / 12.0",
+        "np.float32) / 24.0",
+        (_ALIGN, "-k", "no_farther"),
+    ),
+    Fault(
+        "several: those that are held move",
+        "capture/together/shared.py",
+        "1e-9 if number in held else",
+        "1e-9 if False else",
+        (_ALIGN, "-k", "held_stays"),
+    ),
+    Fault(
+        "several: sure photographs are moved",
+        "capture/together/align.py",
+        "moving = len(sure) < len(views)",
+        "moving = True",
+        (_ALIGN, "-k", "are_sure_stay"),
+    ),
+    Fault(
+        "several: every pattern repeats itself",
+        "flash/registration/period.py",
+        "likeness_further(photo) > PERIOD.alike",
+        "likeness_further(photo) > 0.0 * PERIOD.alike",
+        ("tests/flash/registration/test_period.py", "-k", "grain"),
+    ),
+)
+
+FAULTS = (*RELIGHTING_AND_FILES, *CAPTURE, *FIELD, *PICTURES, *SHOOTS_AND_PAGE, *METALS, *SEVERAL)

@@ -26,10 +26,12 @@ class PredictSettings:
     Attributes:
         across: texels; a prediction's error is that of shading and gloss, which show there.
         rounds: of solving.
+        sampled: texels that the light of all is found from, which is nearly known.
     """
 
     across: int = 224
     rounds: tuple[int, ...] = (2, 1)
+    sampled: int = 1500
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def predictions(
             doubt,
             solved.light.of_some(kept),
             radiometric=radiometric,
-            settings=SolveSettings(rounds=settings.rounds),
+            settings=SolveSettings(rounds=settings.rounds, sampled=settings.sampled),
         )
 
     every = list(range(len(views)))

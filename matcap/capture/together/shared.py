@@ -41,7 +41,6 @@ class SharedSettings:
     """How what is shared is found; docs/notes/several.md.
 
     Attributes:
-        sampled: texels that it is found from.
         steps: Gauss-Newton steps.
         counted: what a texel weighs: neighbours lie beside their truth together.
         offset: deviation of the flash's place from where it is expected, plane units.
@@ -52,7 +51,6 @@ class SharedSettings:
         farthest: of a step, texels.
     """
 
-    sampled: int = 4000
     steps: int = 3
     counted: float = 0.03
     offset: float = 0.06
@@ -118,7 +116,7 @@ def shared_step(
     """
     shared = shared or SharedSettings()
     texel = views[0].extent.texel(numbers.shape[-1])
-    chosen, joined = _chosen(views, shared.sampled)
+    chosen, joined = _chosen(views, settings.sampled)
     if not joined:
         shared = replace(shared, gain=shared.apart)
     samples = _sampled(views, chosen, moving)

@@ -93,11 +93,11 @@ def solve(
     given, believed = views, numbers_of(prior)
     views = under_room(given, believed)
     spread = spread_of(doubt, settings)
-    light = shared_light(views, believed, believed, spread, light, radiometric, settings)
+    if not settings.rounds:
+        light = shared_light(views, believed, believed, spread, light, radiometric, settings)
     numbers = believed.clone() if begun is None else _continued(believed, prior, begun)
     unit = views[0].extent.unit(numbers.shape[-1])
-    total, done, interrupted = sum(settings.rounds) + 2, 0, False
-    precision = torch.zeros(())
+    precision, total, done, interrupted = torch.zeros(()), sum(settings.rounds) + 2, 0, False
     relief: Tensor | None = None
     try:
         for index, steps in enumerate(settings.rounds):

@@ -47,6 +47,7 @@ class SolveSettings:
         around: texels' deviation, as a share of the first photograph's long side, over which gloss
             is told to others.
         slow: deviation of what counts as slow in slopes, as a share of the long side.
+        sampled: texels that what all share is found from.
         rows: solved at a time; memory is in proportion.
     """
 
@@ -64,6 +65,7 @@ class SolveSettings:
     damping: float = 0.005
     around: float = 0.02
     slow: float = 0.08
+    sampled: int = 4000
     rows: int = 48
 
 
