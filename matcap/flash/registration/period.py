@@ -24,7 +24,7 @@ class PeriodSettings:
         nearest: pixels: what lies nearer is like itself for being smooth.
         reach: share of the long side up to which periods are looked for.
         alike: correlation with itself a period further, at least; of leather, stone and plaster it
-            is below 0.07, of weaves 0.15 to 0.94 (docs/notes/several.md).
+            is below 0.07, of most weaves 0.46 to 0.94 (docs/notes/several.md).
     """
 
     across: int = 640
