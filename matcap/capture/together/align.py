@@ -127,12 +127,10 @@ def aligned(
     # Maps were read on the plane of a lens without distortion.
     start = PosedCamera.of(setup)
     places = [ViewPlace(np.eye(3), None, start.place, extent) for _ in views]
-    width, height = prior.size
-    finest = min(extent.unit(width), settings.finest)
+    (width, height), finest = prior.size, min(extent.unit(prior.size[0]), settings.finest)
     numbers, relief, moved = None, None, set[int]()
     done, effort = 0, len(settings.levels) * (1 + max(settings.rounds))
-    schedule = zip(settings.levels, settings.rounds, settings.steps, strict=True)
-    for level, rounds, steps in schedule:
+    for level, rounds, steps in zip(settings.levels, settings.rounds, settings.steps, strict=True):
         across = extent.across(max(64, round(level * finest)))
         down = max(8, round(height * across / width))
         small, unsure = shrunk(prior, doubt, (down, across), extent)
