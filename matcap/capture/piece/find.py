@@ -30,9 +30,9 @@ from matcap.capture.piece.kind_levels import ShownKinds
 from matcap.capture.piece.kinds import Kinds, two_kinds
 from matcap.capture.piece.metal import (
     believed,
-    even_beside,
     less_diffuse,
     seen_colour,
+    slow_specular,
     tint,
     with_diffuse,
 )
@@ -301,11 +301,11 @@ def read_piece(sight: Sight, network: Inverse) -> tuple[Sight, Reading]:
     answer = NetworkAnswer.from_stacked(_read(network, sight.inputs.stacked()))
     trusted = confidence(answer.errors, sight.seen)
     metal = believed(answer.metal)
-    specular = even_beside(answer.departures.specular, metal)
-    reading = Reading(replace(answer.departures, specular=specular), answer.errors, trusted)
+    reading = Reading(answer.departures, answer.errors, trusted)
     reading.confidence["diffuse"][:] *= 1.0 - sight.glare
     if metal is None:
-        return sight, reading
+        even = slow_specular(answer.departures.specular)
+        return sight, replace(reading, departures=replace(answer.departures, specular=even))
     diffuse = less_diffuse(answer.departures.diffuse, metal)
     reading = replace(reading, metal=metal[0].numpy(), logit=answer.metal)
     departures = replace(reading.departures, diffuse=diffuse)

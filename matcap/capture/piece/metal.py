@@ -11,7 +11,6 @@ with m from the network and base the colour seen. A texel half metal is both sid
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -67,22 +66,14 @@ def less_diffuse(diffuse: Tensor, metal: Tensor) -> Tensor:
     return diffuse + torch.log1p((_DIFFUSE_LEFT - 1.0) * metal)
 
 
-def even_beside(specular: Tensor, metal: Tensor | None) -> Tensor:
-    """(1, H, W) log F0, drawn in detail only where it is metal; elsewhere what is slow of it.
+def slow_specular(specular: Tensor) -> Tensor:
+    """(1, H, W) log F0, or a departure of it, without detail: of a piece of which nothing is metal.
 
     What mirrors white hardly differs in how much it does, and under one flash the rest of the
     photograph does not depend on it. What a network draws of it in detail goes with slopes towards
     the light: rings around the flash's foot (docs/notes/network.md).
-
-    Args:
-        specular: (1, H, W) log F0, or a departure of it.
-        metal: (1, H, W) share that is metal, or None.
     """
-    other = torch.ones_like(specular) if metal is None else 1.0 - metal
-    around = smoothed((specular * other)[0].numpy(), READ.specular_around)
-    counted = smoothed(other[0].numpy(), READ.specular_around)
-    even = torch.from_numpy(around / np.maximum(counted, _LEAST))[None]
-    return specular + other * (even - specular)
+    return torch.from_numpy(smoothed(specular[0].numpy(), READ.specular_around))[None]
 
 
 def with_diffuse(diffuse: Tensor, metal: Tensor) -> Tensor:

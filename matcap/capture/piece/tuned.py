@@ -25,7 +25,7 @@ class ReadSettings:
         confidence_around: the long side over the deviation of a neighbourhood's confidence. More
             follows single features, and only plain places are believed.
         beside: texels, deviation: how far light spreads into what lies beside a clipped texel.
-        specular_around: texels, deviation: F0 of what is no metal is drawn no finer.
+        specular_around: texels, deviation: F0 of a piece without metal is drawn no finer.
         unlit, unlit_around: where a neighbourhood (deviation in texels) has less light than this,
             of 1 at clipping, a photograph of 8 bits has its last codes, a RAW the sensor's noise.
     """

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from photographed import photographed
 
-from matcap.capture.piece.metal import believed, even_beside, less_diffuse, seen_colour, tint
+from matcap.capture.piece.metal import believed, less_diffuse, seen_colour, slow_specular, tint
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.refine import PieceLight, refine
 from matcap.flash.render import render_flash
@@ -54,23 +54,11 @@ def test_what_is_no_metal_stays_grey_and_doubt_counts_as_none() -> None:
     assert torch.equal(tint(torch.zeros(1, 8, 8), colour), torch.ones(3, 8, 8))
 
 
-def test_f0_has_no_detail_but_where_it_is_metal() -> None:
+def test_f0_without_metal_is_slow() -> None:
     generator = torch.Generator().manual_seed(3)
-    drawn = 0.3 * torch.randn(1, 128, 192, generator=generator)
-    metal = torch.zeros(1, 128, 192)
-    metal[..., 96:] = 1.0
-    specular = drawn - 3.2 + 2.5 * metal
-    even = even_beside(specular, metal)
-    rust, steel = even[..., :96], even[..., 96:]
-    assert torch.allclose(steel, specular[..., 96:])  # as it was read
-    assert float(rust.std()) < 0.03
-    assert abs(float(rust.mean()) + 3.2) < 0.03  # none of the metal's beside it
-    assert float(even_beside(drawn, None).std()) < 0.03
-
-
-def test_slow_f0_stays() -> None:
     slow = torch.linspace(0.0, 1.0, 256).expand(1, 128, 256)
-    assert float((even_beside(slow, None) - slow)[..., 64:-64].abs().max()) < 0.02
+    even = slow_specular(slow + 0.3 * torch.randn(1, 128, 256, generator=generator))
+    assert float((even - slow)[..., 64:-64].abs().max()) < 0.03
 
 
 def test_refining_keeps_hue_and_finds_how_bright_metal_is() -> None:
