@@ -109,7 +109,7 @@ def test_half_the_exposure_gives_the_same_maps():
     spreads = torch.stack([one.std(1), other.std(1)])
     others = [0, 1, 2, 4, 5]
     assert torch.allclose(*spreads[:, others], rtol=0.05)
-    # F0 of what is no metal is drawn by its ties alone, which so few steps tell to a fortieth of it.
+    # F0 without metal is drawn by its ties alone, which so few steps tell to a fortieth of it.
     assert torch.allclose(*spreads[:, 3], rtol=0.0, atol=0.025 * float(one[3].mean()))
     apart = (one - other).square().mean(1).sqrt()
     assert (apart / one.std(1)).max() < 0.3
