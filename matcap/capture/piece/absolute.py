@@ -112,9 +112,7 @@ def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32] | None = 
     else:
         factor = _factor_of_parts(exemplar, metal)
         brightest = SCALE.most_of_metal
-    # Of all channels together: gold's red is as bright as anything, and its mean is not.
-    mirrored = exemplar.specular.mean(0)
-    most = max(_most(exemplar.diffuse, SCALE.most_of), _most(mirrored, brightest))
+    most = max(_most(exemplar.diffuse, SCALE.most_of), _most(exemplar.specular, brightest))
     return min(math.exp(factor), max(SCALE.brightest / most, 1.0))
 
 
