@@ -52,12 +52,22 @@ _OWN = 6  # turns about x, y and z, place
 _STEP = 1e-6
 
 
-def doubts(
-    found: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings | None = None
-) -> Doubles:
-    """(photographs - 1,) what each camera's place beside the first one's may be off by.
+@dataclass(frozen=True)
+class Doubts:
+    """What registration may be off by, (photographs - 1,) each, one deviation.
 
-    Over its distance, one deviation.
+    Attributes:
+        places: of each camera beside the first one, over its distance.
+        astray: plane units that a photograph may lie beside the first one. Much less than cameras
+            may be off by: one that is moved and turned sees the plane alike.
+    """
+
+    places: Doubles
+    astray: Doubles
+
+
+def doubts(found: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings | None = None) -> Doubts:
+    """What cameras and their photographs may be off by.
 
     Args:
         found: cameras.
@@ -65,23 +75,11 @@ def doubts(
         settings: see DoubtSettings.
     """
     covariance = _covariance(found, pairs, settings or DoubtSettings())
-    cameras = found.cameras
-    return np.array([_off(cameras, number, covariance) for number in range(1, len(cameras))])
-
-
-def astray(
-    found: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings | None = None
-) -> Doubles:
-    """(photographs - 1,) plane units that each may lie beside the first one, one deviation.
-
-    Much less than cameras may be off by: one that is moved and turned sees the plane alike.
-
-    Args:
-        found, pairs, settings: as of doubts.
-    """
-    covariance = _covariance(found, pairs, settings or DoubtSettings())
-    cameras = found.cameras
-    return np.array([_beside(cameras, number, covariance) for number in range(1, len(cameras))])
+    cameras, others = found.cameras, range(1, len(found.cameras))
+    return Doubts(
+        np.array([_off(cameras, number, covariance) for number in others]),
+        np.array([_beside(cameras, number, covariance) for number in others]),
+    )
 
 
 def _covariance(found: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings) -> Doubles:

@@ -15,7 +15,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.adjust import Adjusted, Pair, adjust
 from matcap.flash.registration.ambient import without_flash
 from matcap.flash.registration.camera import PosedCamera
-from matcap.flash.registration.doubt import astray, doubts
+from matcap.flash.registration.doubt import doubts
 from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.flash.registration.keypoints import KeypointFinder
 from matcap.flash.registration.period import repeats_itself
@@ -165,8 +165,7 @@ def _views(
 ) -> tuple[tuple[RegisteredView, ...], dict[int, str]]:
     """Photographs with flash, then the best without, and why others without are not used."""
     lit, unlit = [RegisteredView(photos[0], found.cameras[0])], dict[int, RegisteredView]()
-    matches = list(pairs.values())
-    unsure, beside = doubts(found, matches), astray(found, matches)
+    unsure = doubts(found, list(pairs.values()))
     for number, (index, pair) in enumerate(pairs.items()):
         view = RegisteredView(photos[index], found.cameras[number + 1])
         view = replace(
@@ -175,8 +174,8 @@ def _views(
             off=found.off[number],
             alike=likeness(lit[0], view, settings),
             flash=index not in dark,
-            doubt=float(unsure[number]),
-            astray=float(beside[number]),
+            doubt=float(unsure.places[number]),
+            astray=float(unsure.astray[number]),
         )
         if view.flash:
             lit.append(view)

@@ -5,7 +5,7 @@ import pytest
 
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.adjust import Adjusted, Pair, adjust
-from matcap.flash.registration.doubt import DOUBTED, DoubtSettings, astray, doubts
+from matcap.flash.registration.doubt import DOUBTED, DoubtSettings, doubts
 from matcap.lab.simulate.hand_held import Hand, hold
 from matcap.lab.simulate.photograph import PhoneCamera
 
@@ -72,14 +72,14 @@ def _bumps(rng, count):
 def test_features_of_a_flat_piece_leave_no_doubt():
     _, pairs = _matched(1, 0.1, _flat)
     found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
-    assert doubts(found, pairs).max() < DOUBTED
+    assert doubts(found, pairs).places.max() < DOUBTED
 
 
 def test_shading_that_moves_cameras_is_said():
     for seed in range(3):
         true, pairs = _matched(seed, 0.4, _bumps)
         found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
-        off, said = _off(true, found), doubts(found, pairs)
+        off, said = _off(true, found), doubts(found, pairs).places
         assert off.max() > DOUBTED  # else this tells nothing
         assert (said[off > DOUBTED] > DOUBTED).all()
         # Neither lulls nor cries wolf.
@@ -90,10 +90,10 @@ def test_how_far_photographs_lie_beside_each_other_is_said():
     for seed in range(3):
         true, pairs = _matched(seed, 0.4, _bumps)
         found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
-        off, said = _beside(true, found), astray(found, pairs)
+        off, said = _beside(true, found), doubts(found, pairs).astray
         assert 0.3 < np.sqrt(np.mean((off / said) ** 2)) < 2.0
     _, pairs = _matched(0, 0.1, _flat)
-    surer = astray(adjust(FlashSetup(fov=PHONE.fov), pairs, known=True), pairs)
+    surer = doubts(adjust(FlashSetup(fov=PHONE.fov), pairs, known=True), pairs).astray
     assert (surer < 0.25 * said).all()
 
 
@@ -101,8 +101,8 @@ def test_how_far_photographs_lie_beside_each_other_is_said():
 def test_more_scatter_is_more_doubt(more):
     _, pairs = _matched(2, 0.4, lambda rng, count: more * _bumps(rng, count))
     found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
-    alone = doubts(found, pairs, DoubtSettings(alike=0.0))
-    assert (doubts(found, pairs) > 1.5 * alone).all()
+    alone = doubts(found, pairs, DoubtSettings(alike=0.0)).places
+    assert (doubts(found, pairs).places > 1.5 * alone).all()
 
 
 def test_fewer_matches_are_more_doubt():
@@ -110,10 +110,10 @@ def test_fewer_matches_are_more_doubt():
     found = adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
     few = [Pair(p.first[:, ::8], p.second[:, ::8], p.pixel) for p in pairs]
     settings = DoubtSettings(alike=0.0)
-    assert (doubts(found, few, settings) > 1.5 * doubts(found, pairs, settings)).all()
+    assert (doubts(found, few, settings).places > 1.5 * doubts(found, pairs, settings).places).all()
 
 
 def test_nothing_is_said_where_nothing_is_matched():
     found = adjust(FlashSetup(fov=PHONE.fov), [], known=True)
-    assert isinstance(found, Adjusted) and doubts(found, []).shape == (0,)
-    assert astray(found, []).shape == (0,)
+    assert isinstance(found, Adjusted) and doubts(found, []).places.shape == (0,)
+    assert doubts(found, []).astray.shape == (0,)
