@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from matcap.batch.settings import BatchSettings
+from matcap.capture.detail import UNION_TIMES
 from matcap.files.memory import free_bytes
 
 _LIBRARIES = 1_150_000_000  # and one window being tuned
 _BY_PIXEL = {"raw": 22, "other": 12}  # bytes a pixel of the file
 _BY_TEXEL = 250  # of the photograph as it is used, detail x 3/4 detail
 _BY_MAP_TEXEL = 110  # bytes
-_UNION = 4  # times the texels of a photograph, at most (capture/together/union.py)
 _USUAL_PIXELS = 12_000_000  # where a file does not tell
 _SPARE = 0.85  # of what is free: the rest is for everybody else
 _RAW_FORMS = ("RAW", "DNG")
@@ -36,7 +36,7 @@ def worker_bytes(settings: BatchSettings, pixels: int, *, raw: bool) -> int:
     return (
         _LIBRARIES
         + _BY_PIXEL["raw" if raw else "other"] * pixels
-        + _BY_TEXEL * detail * detail * 3 // 4 * (_UNION if settings.capture.union else 1)
+        + _BY_TEXEL * detail * detail * 3 // 4 * (UNION_TIMES if settings.capture.union else 1)
         + _BY_MAP_TEXEL * width * height
     )
 

@@ -30,7 +30,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.registration.camera import Doubles, PosedCamera
 
-_NOWHERE = 4.0  # log of what a reading is off by where its photograph does not show the piece
+UNREAD = 4.0  # log of what a reading is off by where its photograph does not show the piece
 
 # What a photograph alone is read as, on its own plane: maps, and (4, H, W) log of their errors.
 ReadAlone = Callable[[Plane, CoarseFit], tuple[MapSet, Tensor]]
@@ -187,7 +187,7 @@ def brought_over(
     )
     unsure = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in doubt])
     outside = (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
-    unsure = torch.where(torch.from_numpy(outside), torch.tensor(_NOWHERE), unsure)
+    unsure = torch.where(torch.from_numpy(outside), torch.tensor(UNREAD), unsure)
     tint = None if hue is None else torch.stack([there(c, cv2.INTER_LINEAR) for c in hue])
     return ReadView(numbers_of(over), unsure, place.extent, tint)
 

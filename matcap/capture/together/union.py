@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
+from matcap.capture.detail import UNION_TIMES
 from matcap.capture.piece.smooth import filled, smoothed
 from matcap.capture.together.hue import on_grid
-from matcap.capture.together.readings import ReadView
+from matcap.capture.together.readings import UNREAD, ReadView
 from matcap.capture.together.texels import ALBEDO, F0, ROUGH, SLOPES, numbers_of
 from matcap.capture.together.views import strips
 from matcap.flash.extent import NO_MARGINS, Extent, Margins
@@ -29,8 +30,6 @@ from matcap.flash.registration.grid import grid_points
 from matcap.flash.registration.register import RegisteredView
 
 Marks = NDArray[np.bool_]
-
-_UNREAD = 4.0  # log of what a reading is off by where there is none (readings.py)
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class UnionSettings:
 
     steepest: float = 60.0
     least: float = 0.3
-    most: float = 4.0
+    most: float = UNION_TIMES
     texels: int = 4_000_000
     cells: int = 64
     farthest: int = 256
@@ -306,7 +305,7 @@ def hue_over(
     if weights.shape == (1, 1):
         return hue
     beyond = on_grid(total / weights, (hue.shape[-1], hue.shape[-2]))
-    told = on_grid(weights[None], (hue.shape[-1], hue.shape[-2])) > math.exp(-_UNREAD)
+    told = on_grid(weights[None], (hue.shape[-1], hue.shape[-2])) > math.exp(-UNREAD)
     return torch.where(told & ~reach.margins.own(reach.size), beyond, hue)
 
 
@@ -314,4 +313,4 @@ def unread(doubt: Tensor, reach: Reach) -> Tensor:
     """Doubts (4, H, W) of a piece where the first photograph says nothing beyond its own."""
     if not reach.margins.any:
         return doubt
-    return torch.where(reach.margins.own(reach.size), doubt, torch.tensor(_UNREAD))
+    return torch.where(reach.margins.own(reach.size), doubt, torch.tensor(UNREAD))
