@@ -123,6 +123,7 @@ class Sight:
         plane: the photograph; valid where it tells anything.
         coarse: its coarse fit.
         shown: (3, H, W) bool: seen and lit, or beyond the photograph, by channel.
+        within: (H, W) bool: the material, in the photograph.
         seen: (H, W) share of each place that was seen, in [0, 1].
         inputs: what the network is told.
         light: the photograph's, at every texel.
@@ -133,6 +134,7 @@ class Sight:
     plane: Plane
     coarse: CoarseFit
     shown: Tensor
+    within: Tensor
     seen: NDArray[np.float32]
     inputs: NetworkInputs
     light: PieceLight
@@ -158,7 +160,9 @@ class Sight:
         glare = inputs.gloss[0].clamp(0.0, 1.0).numpy()
         light = PieceLight.of(coarse, points)
         seen = seen_share(measured)
-        return Sight(plane, coarse, shown, seen, inputs, light, glare, channel_noise(plane))
+        return Sight(
+            plane, coarse, shown, ~mirrors, seen, inputs, light, glare, channel_noise(plane)
+        )
 
 
 @dataclass(frozen=True)
@@ -301,15 +305,14 @@ def read_piece(sight: Sight, network: Inverse) -> tuple[Sight, Reading]:
     answer = NetworkAnswer.from_stacked(_read(network, sight.inputs.stacked()))
     trusted = confidence(answer.errors, sight.seen)
     metal = believed(answer.metal)
-    reading = Reading(answer.departures, answer.errors, trusted)
-    reading.confidence["diffuse"][:] *= 1.0 - sight.glare
+    trusted[0] *= 1.0 - sight.glare
+    read = answer.departures
     if metal is None:
-        even = slow_specular(answer.departures.specular)
-        return sight, replace(reading, departures=replace(answer.departures, specular=even))
-    diffuse = less_diffuse(answer.departures.diffuse, metal)
-    reading = replace(reading, metal=metal[0].numpy(), logit=answer.metal)
-    departures = replace(reading.departures, diffuse=diffuse)
-    return tinted(sight, metal), replace(reading, departures=departures)
+        even = replace(read, specular=slow_specular(read.specular))
+        return sight, Reading(even, answer.errors, trusted)
+    bare = replace(read, diffuse=less_diffuse(read.diffuse, metal))
+    shares = metal[0].numpy()
+    return tinted(sight, metal), Reading(bare, answer.errors, trusted, shares, answer.metal)
 
 
 def tinted(sight: Sight, metal: Tensor) -> Sight:
@@ -343,11 +346,11 @@ def parted(sight: Sight, reading: Reading) -> tuple[Sight, Reading]:
     width, height = plane.size
     x, y = highlight_foot(sight.coarse.setup)
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    counts = torch.from_numpy(inside((height, width), sight.coarse.setup))
+    points = plane.extent.placed(points)
     shown = ShownKinds(
         linear=plane.linear,
         measured=sight.shown,
-        counts=counts if plane.left_out is None else counts & ~plane.left_out,
+        counts=sight.within,
         away=torch.hypot(points[0] - x, points[1] - y),
         flash=sight.light.flash,
         normal=sight.light.maps(read).normal,
