@@ -175,11 +175,13 @@ class CaptureSettings:
 
     def named(self) -> dict[str, Any]:
         """All settings by name, as files tell of them: numbers, words and None."""
-        told = asdict(self) | {"statistics": str(self.statistics)}
-        part = {"crop": self.crop, "mask": self.mask, "union": self.union}
+        told = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
         # Unsaid where there is none, as in files of before there were any.
-        told |= {n: str(v) for n, v in part.items() if v is not None and n != "union"}
-        return {name: value for name, value in told.items() if name not in part or value}
+        told |= {
+            name: part and str(part) for name, part in (("crop", self.crop), ("mask", self.mask))
+        }
+        unsaid = {"crop", "mask", "union"}
+        return {name: value for name, value in told.items() if value or name not in unsaid}
 
     @property
     def millimetres_per_unit(self) -> float | None:
