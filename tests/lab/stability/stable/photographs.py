@@ -22,6 +22,7 @@ Pixels = NDArray[np.float32]
 Hard = Callable[[int, int, int], Pixels]
 
 FOV = 65.0  # a phone's
+GOLD = (0.95, 0.75, 0.35)  # F0 by channel
 
 
 def textured(
@@ -30,12 +31,13 @@ def textured(
     seed: int,
     *,
     diffuse: float = 0.3,
-    specular: float = 0.04,
+    specular: float | tuple[float, float, float] = 0.04,
     roughness: float = 0.4,
     offset: tuple[float, float, float] = (0.1, 0.05, 0.0),
     tilt: tuple[float, float] = (0.0, 0.0),
 ) -> Pixels:
     """The flash picture of blotches and bumps of about five pixels; its brightest are 0.9."""
+    f0 = torch.tensor(specular).reshape(-1, 1, 1)
     generator = torch.Generator().manual_seed(seed)
 
     def blotches(channels: int) -> torch.Tensor:
@@ -47,7 +49,7 @@ def textured(
     texel = 2.0 / width
     maps = MapSet(
         diffuse=albedo.clamp(0.0, 1.0),
-        specular=(specular * torch.exp(0.1 * blotches(1))).clamp(0.0, 1.0),
+        specular=(f0 * torch.exp(0.1 * blotches(1))).clamp(0.0, 1.0),
         roughness=(roughness * torch.exp(0.1 * blotches(1))).clamp(0.0, 1.0),
         height=0.2 * texel * blotches(1),
         texel_size=texel,
@@ -134,10 +136,17 @@ def _overexposed(width: int, height: int, seed: int) -> Pixels:
     return np.minimum(3.0 * textured(width, height, seed), 1.0).astype(np.float32)
 
 
+def _half_metal(width: int, height: int, seed: int) -> Pixels:
+    pixels = textured(width, height, seed, specular=0.04)
+    metal = textured(width, height, seed + 1, diffuse=1e-3, specular=GOLD, roughness=0.3)
+    pixels[:, width // 2 :] = metal[:, width // 2 :]
+    return pixels
+
+
 def _made(
     *,
     diffuse: float = 0.3,
-    specular: float = 0.04,
+    specular: float | tuple[float, float, float] = 0.04,
     roughness: float = 0.4,
     offset: tuple[float, float, float] = (0.1, 0.05, 0.0),
     tilt: tuple[float, float] = (0.0, 0.0),
@@ -178,6 +187,11 @@ HARD_PHOTOGRAPHS: Mapping[str, Hard] = MappingProxyType(
         "no hot spot": _made(specular=0.0, offset=(0.0, 0.0, 3.0)),
         "hot spot at the edge": _made(offset=(1.9, 0.0, 0.0), roughness=0.2),
         "mirror": _made(diffuse=1e-3, specular=0.95, roughness=0.02),
+        "gold": _made(diffuse=1e-3, specular=GOLD, roughness=0.3),
+        "coloured mirror": _made(diffuse=1e-3, specular=GOLD, roughness=0.02),
+        "gloss in red alone": _made(diffuse=0.0, specular=(0.9, 0.0, 0.0), roughness=0.2),
+        "coloured gloss on white": _made(diffuse=0.8, specular=(0.0, 0.2, 0.9), roughness=0.2),
+        "half of it gold": _half_metal,
         "perfect diffuser": _made(diffuse=0.9, specular=0.0, roughness=1.0),
         "black albedo": _made(diffuse=0.0, specular=0.04),
         "tilted by 35 degrees": _made(tilt=(0.6, 0.0)),

@@ -122,7 +122,7 @@ def _words(inputs: list[Tensor], at: int) -> str:
     length = float(half.norm())
     off = float(torch.linalg.cross(normal, half).norm()) / length if length > 0 else math.nan
     return (
-        f"roughness {float(roughness):.2g}, F0 {float(specular):.2g}, "
+        f"roughness {float(roughness):.2g}, F0 {float(specular.max()):.2g}, "
         f"n.l {float(normal @ light):.2g}, n.v {float(normal @ view):.2g}, sin(n,h) {off:.2g}"
     )
 
@@ -249,7 +249,7 @@ def _opposed(n: int, g: torch.Generator) -> Draws:
 def _constants(
     *,
     diffuse: tuple[float, float, float] | None = None,
-    specular: float | None = None,
+    specular: float | tuple[float, float, float] | None = None,
     roughness: float | None = None,
 ) -> Case:
     def draw(n: int, g: torch.Generator) -> Draws:
@@ -258,7 +258,8 @@ def _constants(
             colour = torch.tensor(diffuse, dtype=torch.float64)[:, None, None]
             base = replace(base, diffuse=colour.expand(3, 1, n))
         if specular is not None:
-            base = replace(base, specular=torch.full_like(base.specular, specular))
+            f0 = torch.tensor(specular, dtype=torch.float64).reshape(-1, 1, 1)
+            base = replace(base, specular=f0.expand(-1, 1, n))
         if roughness is not None:
             base = replace(base, roughness=torch.full_like(base.roughness, roughness))
         return base
@@ -274,6 +275,10 @@ CASES: Mapping[str, Case] = MappingProxyType(
         "red 0, roughness 0": _constants(diffuse=(0.0, 0.5, 0.5), roughness=0.0),
         "F0 = 0": _constants(specular=0.0),
         "F0 = 1": _constants(specular=1.0),
+        "F0 1 in red, 0 in blue": _constants(specular=(1.0, 0.5, 0.0)),
+        "coloured gloss alone, roughness 0": _constants(
+            diffuse=(0.0, 0.0, 0.0), specular=(1.0, 0.5, 0.1), roughness=0.0
+        ),
         "roughness 0": _constants(roughness=0.0),
         "roughness 1": _constants(roughness=1.0),
         "the whole hemisphere": _anywhere,

@@ -77,6 +77,8 @@ HARD_SETS: Mapping[str, Set] = MappingProxyType(
         "stripes": _all("stripes"),
         "left half clipped": _all("left half clipped"),
         "mirror": _all("mirror"),
+        "gold": _all("gold"),
+        "half of it gold": _all("half of it gold"),
         "one of another material": _last(
             lambda pixels, seed: textured(*pixels.shape[1::-1], seed + 1000, diffuse=0.1)
         ),
