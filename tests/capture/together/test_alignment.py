@@ -5,28 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from seen_views import DOUBT, PHONE, SIZE, seen
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.together.align import AlignSettings, aligned
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.solve import solve
-from matcap.capture.together.texels import (
-    SolveSettings,
-    numbers_of,
-    points_of,
-    rendered,
-    spread_of,
-)
-from matcap.capture.together.views import PieceView, SetLight, light_at
+from matcap.capture.together.texels import SolveSettings, numbers_of, spread_of
+from matcap.capture.together.views import SetLight
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.register import register
-from matcap.lab.simulate.hand_held import Hand, hold
-from matcap.lab.simulate.photograph import PhoneCamera
 
-PHONE = PhoneCamera(width=640, height=480)
-SIZE = (48, 64)
 RIBS = 4.7  # texels
-DOUBT = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.15]))[:, None, None]
 
 
 def _woven(astray=0.0, size=SIZE):
@@ -48,25 +38,10 @@ def _flat(maps):
     return replace(maps, diffuse=mean)
 
 
-def _photographed(pieces):
-    """A photograph of each by the renderer itself, from elsewhere, and their light."""
-    count = len(pieces)
-    cameras = hold(PHONE, Hand(), count, 1)
-    nowhere = torch.zeros(count, 3)
-    light = SetLight(torch.tensor((0.04, -0.07)), torch.zeros(2), nowhere, torch.full((3,), 5.0))
-    views = []
-    for number, (camera, maps) in enumerate(zip(cameras, pieces, strict=True)):
-        empty = torch.zeros(3, *SIZE)
-        view = PieceView("made", empty, empty == 0.0, torch.zeros(SIZE), camera)
-        lit = light_at(number, view, light, points_of(SIZE))
-        views.append(replace(view, log=rendered(numbers_of(maps), [lit])[0].log()))
-    return views, light
-
-
 @pytest.fixture(scope="module")
 def moved():
     """(texels, held) to the right by which one of five is moved that lies 0.4 texels further."""
-    views, light = _photographed([_woven(), _woven(), _woven(), _woven(0.4), _woven()])
+    views, light = seen([_woven(), _woven(), _woven(), _woven(0.4), _woven()])
     flat, settings = _flat(_woven()), SolveSettings()
     doubt = DOUBT.expand(4, *SIZE)
     found = solve(views, flat, doubt, light, radiometric=True)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from seen_views import DOUBT, OFFSET, PHONE, SIZE, seen
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.outputs import OutputSettings, write_outputs
@@ -19,20 +20,12 @@ from matcap.capture.together.solve import predicted, solve
 from matcap.capture.together.texels import (
     SolveSettings,
     numbers_of,
-    points_of,
-    rendered,
     spread_of,
 )
-from matcap.capture.together.views import PieceView, SetLight, light_at
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.register import register
 from matcap.lab.simulate.hand_held import Hand, hold
-from matcap.lab.simulate.photograph import PhoneCamera
-
-PHONE = PhoneCamera(width=640, height=480)
-SIZE = (48, 64)
-OFFSET = (0.04, -0.07)
 
 
 def _true(seed=0):
@@ -54,30 +47,13 @@ def _true(seed=0):
     )
 
 
-def _views(maps, count, noise=0.0):
-    """Photographs of maps by the renderer itself, on the maps' own grid."""
-    cameras = hold(PHONE, Hand(), count, 1)
-    light = SetLight(
-        torch.tensor(OFFSET), torch.zeros(2), torch.zeros(count, 3), torch.full((3,), 5.0)
-    )
-    generator = torch.Generator().manual_seed(3)
-    views = []
-    for number, camera in enumerate(cameras):
-        empty = torch.zeros(3, *SIZE)
-        view = PieceView("made", empty, empty == 0.0, torch.zeros(SIZE), camera)
-        lit = light_at(number, view, light, points_of(SIZE))
-        log = rendered(numbers_of(maps), [lit])[0].log()
-        views.append(replace(view, log=log + noise * torch.randn(log.shape, generator=generator)))
-    return views, light
-
-
 def _flat(maps):
     """What says nothing: the mean of everything, and no relief."""
     mean = maps.diffuse.mean((1, 2), keepdim=True).expand(3, *SIZE).contiguous()
     return replace(maps, diffuse=mean, height=torch.zeros(1, *SIZE))
 
 
-NOTHING_KNOWN = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.15]))[:, None, None].expand(4, *SIZE)
+NOTHING_KNOWN = DOUBT.expand(4, *SIZE)
 
 
 def _degrees(one, other):
@@ -86,7 +62,7 @@ def _degrees(one, other):
 
 def test_five_photographs_tell_relief_that_nothing_else_does():
     maps = _true()
-    views, light = _views(maps, 5, 0.005)
+    views, light = seen([maps] * 5, 0.005)
     found = solve(views, _flat(maps), NOTHING_KNOWN, light, radiometric=True)
     assert _degrees(found.maps, maps) < 0.2 * _degrees(_flat(maps), maps)
     off = (found.maps.diffuse.log() - maps.diffuse.log()).abs().mean()
@@ -99,7 +75,7 @@ def test_more_photographs_tell_more():
     maps = _true(1)
     off = []
     for count in (2, 3, 5):
-        views, light = _views(maps, count, 0.01)
+        views, light = seen([maps] * count, 0.01)
         found = solve(views, _flat(maps), NOTHING_KNOWN, light, radiometric=True)
         off.append(_degrees(found.maps, maps))
     assert off[0] > 1.2 * off[1] and off[1] > 1.2 * off[2]
@@ -107,7 +83,7 @@ def test_more_photographs_tell_more():
 
 def test_a_photograph_is_predicted_from_the_others():
     maps = _true(2)
-    views, light = _views(maps, 5, 0.01)
+    views, light = seen([maps] * 5, 0.01)
     some = light.of_some([0, 1, 2, 4])
     kept = [views[k] for k in (0, 1, 2, 4)]
     found = solve(kept, _flat(maps), NOTHING_KNOWN, some, radiometric=True)
@@ -118,7 +94,7 @@ def test_a_photograph_is_predicted_from_the_others():
 
 def test_the_flash_is_found_beside_the_lens():
     maps = _true(3)
-    views, light = _views(maps, 5)
+    views, light = seen([maps] * 5)
     numbers, spread = numbers_of(maps), spread_of(NOTHING_KNOWN, SolveSettings())
     begun = replace(light, offset=torch.zeros(2))
     found, _ = shared_step(
@@ -130,7 +106,7 @@ def test_the_flash_is_found_beside_the_lens():
 def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it():
     """The maps that are begun with are what the shifted photograph made of them."""
     maps = _true(4)
-    views, light = _views(maps, 5)
+    views, light = seen([maps] * 5)
     # By two texels to the right: what is looked up there lay two texels further left.
     shifted = [*views[:3], replace(views[3], log=views[3].log.roll(2, dims=2)), *views[4:]]
     settings = SolveSettings()
@@ -155,7 +131,7 @@ def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it(
 
 def test_slopes_stay_finite_where_nothing_is_seen():
     maps = _true(5)
-    views, light = _views(maps, 3)
+    views, light = seen([maps] * 3)
     blind = [replace(view, seen=torch.zeros_like(view.seen)) for view in views]
     found = solve(blind, maps, NOTHING_KNOWN, light, radiometric=False)
     for channel in found.maps.stacked():
