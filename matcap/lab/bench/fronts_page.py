@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from matcap.errors import MatcapError
+from matcap.files.note import note
 from matcap.lab.bench.fronts_plot import draw_fronts
 from matcap.lab.bench.table import Measurement, Point, front, points, read
 from matcap.lab.bench.ways import BASE, WAYS, preset_points
@@ -57,12 +58,17 @@ def fronts_section(table: Path, page: Path) -> list[str]:
     found, presets = points(measured, BASE), preset_points()
     picture = table.with_suffix(".png")
     folder = table.parent / "sheets" / _SHEETS_OF
+    sheets = {sheet.stem: sheet for sheet in sorted(folder.glob("*.png"))}
+    if not sheets:
+        note(
+            f"no sheets lie in {folder}, so {picture} shows none: copy them from the bench's folder"
+        )
     draw_fronts(
         found,
         presets,
         picture,
         title="What accuracy costs: more photographs buy what more work on one cannot",
-        sheets={sheet.stem: sheet for sheet in sorted(folder.glob("*.png"))},
+        sheets=sheets,
     )
     machines = "; ".join(dict.fromkeys(one.machine for one in measured if one.machine))
     subjects = list(dict.fromkeys(one.subject for one in measured))

@@ -65,12 +65,14 @@ def draw_fronts(
     drawn = [point for point in found if point.group in _DRAWN]
     for point in drawn:
         preset = presets.get(point.name)
-        if preset or point in best:
+        if preset or (point in best and point.name not in sheets):  # sheets have names
             axes.annotate(
                 preset or point.name,
                 (point.seconds, point.error),
-                xytext=(5, 5) if preset else (5, -12),
+                xytext=(4, 6) if preset else (4, -8),
                 textcoords="offset points",
+                rotation=25 if preset else -25,  # neighbours are closer than names are long
+                rotation_mode="anchor",
                 fontsize=10 if preset else 8,
                 fontweight="bold" if preset else "normal",
             )
@@ -84,7 +86,7 @@ def draw_fronts(
     axes.set_xlabel("processor seconds of the whole command")
     axes.set_ylabel("floors by SqueezeNet: 1 is another true piece")
     axes.grid(alpha=0.25)
-    axes.legend(fontsize=8, loc="upper right")
+    axes.legend(fontsize=8, loc="center right")
     figure.suptitle(title, fontsize=12)
     _sheets(figure, axes, best, presets, sheets)
     with staged_file(path) as file:

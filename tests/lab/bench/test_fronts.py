@@ -13,6 +13,7 @@ from matcap.capture.settings import PRESETS
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
+from matcap.files.note import Note
 from matcap.lab.bench import clocked, fronts
 from matcap.lab.bench.fronts import Fronts, run_fronts
 from matcap.lab.bench.pairs import write_pairs
@@ -116,6 +117,15 @@ def some(path):
                 machine="a machine", verdict="doubtful: dark", seen="good",
             )  # fmt: skip
             append(path, one)
+
+
+def test_a_picture_without_sheets_is_no_surprise(tmp_path):
+    pytest.importorskip("matplotlib", reason="the extra bench is not installed")
+    table = tmp_path / "fronts.csv"
+    some(table)
+    with pytest.warns(Note, match="no sheets lie in .*leather, so .*fronts.png shows none: copy"):
+        write_report([table], tmp_path / "page.md", ["matcap", "bench", "report"])
+    assert table.with_suffix(".png").is_file()
 
 
 def test_the_page_says_what_is_on_the_front_and_keeps_what_is_by_hand(tmp_path):
