@@ -143,7 +143,7 @@ class Yardstick:
                 realisation(material, seed)(pixels, pixels, texel),
                 flash.intensity,
                 self.scene,
-                finer=_FINER,
+                size=(settings.size, settings.size),
                 blur=camera.blur * settings.detail * _FINER / camera.width,
             )
             for seed in _TRUTH_SEEDS

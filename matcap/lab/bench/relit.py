@@ -78,7 +78,7 @@ def relight(
     scene: BenchScene,
     light: BenchLight,
     *,
-    finer: int = 1,
+    size: tuple[int, int] | None = None,
     blur: float = 0.0,
 ) -> Tensor:
     """(3, H, W) float32 sRGB picture in [0, 1] of maps in the middle of the plane.
@@ -92,7 +92,8 @@ def relight(
         intensity: of the flash that goes with the maps.
         scene: where the camera is.
         light: where and how strong.
-        finer: the maps have this many texels a side to each pixel; their radiance is averaged.
+        size: (H, W) of the picture, the maps' by default: radiance of finer maps is averaged over
+            its pixels as a sensor does, that of coarser ones interpolated.
         blur: standard deviation of the lens's blur before that, in texels.
     """
     width, height = maps.size
@@ -115,7 +116,7 @@ def relight(
         linear = torch.from_numpy(
             cv2.GaussianBlur(linear.permute(1, 2, 0).contiguous().numpy(), (0, 0), blur)
         ).permute(2, 0, 1)
-    return srgb_encode_tensor(F.avg_pool2d(linear, finer).clamp(0.0, 1.0))
+    return srgb_encode_tensor(_resized(linear, size or (height, width)).clamp(0.0, 1.0))
 
 
 def relight_all(
@@ -123,11 +124,21 @@ def relight_all(
     intensity: tuple[float, float, float],
     scene: BenchScene,
     *,
-    finer: int = 1,
+    size: tuple[int, int] | None = None,
     blur: float = 0.0,
 ) -> Tensor:
     """(L, 3, H, W) pictures under each light of a scene."""
     pictures = [
-        relight(maps, intensity, scene, light, finer=finer, blur=blur) for light in scene.lights
+        relight(maps, intensity, scene, light, size=size, blur=blur) for light in scene.lights
     ]
     return torch.stack(pictures)
+
+
+def _resized(linear: Tensor, size: tuple[int, int]) -> Tensor:
+    """Means of a picture (3, H, W) over larger pixels, or it interpolated on smaller ones."""
+    height, width = linear.shape[-2:]
+    if size == (height, width):
+        return linear
+    if size[0] <= height and size[1] <= width:
+        return F.interpolate(linear[None], size, mode="area")[0]
+    return F.interpolate(linear[None], size, mode="bilinear", align_corners=False)[0]

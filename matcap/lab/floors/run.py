@@ -135,6 +135,7 @@ class Judge:
         self._truths = [subject.pieces(seed)(pixels, pixels, texel) for seed in seeds]
         self._blur = settings.camera.blur * finest / settings.camera.width
         self._flash = flash
+        self._size = (settings.size, settings.size)
         self.pictures = self.relit_truths(self.scene)
         self.floor = Floor([measure.style(pictures) for pictures in self.pictures])
 
@@ -142,7 +143,7 @@ class Judge:
         """(L, 3, H, W) of each true piece, under a scene's lights."""
         intensity = self._flash.intensity
         return [
-            relight_all(maps, intensity, scene, finer=self._settings.finer, blur=self._blur)
+            relight_all(maps, intensity, scene, size=self._size, blur=self._blur)
             for maps in self._truths
         ]
 
@@ -153,11 +154,8 @@ class Judge:
         scene: BenchScene | None = None,
     ) -> Tensor:
         """(L, 3, H, W) of maps under the flash that goes with them, as truths are compared."""
-        pictures = relight_all(maps.map(lambda m: m.float()), intensity, scene or self.scene)
-        size = (self._settings.size, self._settings.size)
-        if pictures.shape[-2:] != size:
-            pictures = F.interpolate(pictures, size, mode="bilinear", antialias=True)
-        return pictures
+        floats = maps.map(lambda m: m.float())
+        return relight_all(floats, intensity, scene or self.scene, size=self._size)
 
     def floors(self, maps: MapSet, intensity: tuple[float, float, float]) -> float:
         """Error of maps under the flash that goes with them, in floors."""

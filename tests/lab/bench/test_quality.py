@@ -42,7 +42,9 @@ def _pictures(yardstick, shot, settings, material="leather", seed=55):
     fine = 2 * settings.size
     maps = realisation(material, seed)(fine, fine, 1.0 / settings.detail)
     blur = settings.camera.blur * 2 * settings.detail / settings.camera.width
-    return relight_all(maps, shot.setup.intensity, yardstick.scene, finer=2, blur=blur)
+    return relight_all(
+        maps, shot.setup.intensity, yardstick.scene, size=(settings.size, settings.size), blur=blur
+    )
 
 
 @pytest.fixture(scope="module")

@@ -79,7 +79,19 @@ def test_strips_do_not_show():
 def test_finer_maps_are_averaged():
     scene = bench_scene(FLASH)
     coarse = relight(_grey(64), FLASH.intensity, scene, scene.lights[2])
-    fine = relight(_grey(128, 1.0 / 256), FLASH.intensity, scene, scene.lights[2], finer=2)
+    fine = relight(_grey(128, 1.0 / 256), FLASH.intensity, scene, scene.lights[2], size=(64, 64))
     torch.testing.assert_close(fine, coarse, atol=1e-4, rtol=0)
     blurred = relight(_grey(64), FLASH.intensity, scene, scene.lights[2], blur=0.8)
     torch.testing.assert_close(blurred, coarse, atol=2e-3, rtol=0)
+
+
+def test_what_pixels_show_of_finer_maps_is_their_mean_radiance():
+    # A checkerboard of black and white: half of white's light, not half of its code.
+    scene = bench_scene(FLASH)
+    board = (torch.arange(64)[:, None] + torch.arange(64)) % 2
+    full = torch.full((1, 64, 64), 0.5)
+    maps = MapSet((board * full).expand(3, -1, -1), 0.0 * full, 2.0 * full, 0.0 * full, 2.0 / 256)
+    seen = relight(maps, FLASH.intensity, scene, scene.lights[2], size=(32, 32))
+    half = (0.5 * FLASH.intensity[0], 0.5 * FLASH.intensity[1], 0.5 * FLASH.intensity[2])
+    grey = relight(_grey(32, 2.0 / 128), half, scene, scene.lights[2])
+    torch.testing.assert_close(seen, grey, atol=2e-3, rtol=0)
