@@ -199,12 +199,12 @@ class _Yard:
             zip(_MEASURES, (measure.style, Patches().style, RandomFilters()), strict=True)
         )
         floors = {
-            name: tuple(_Floors(style, pictures) for pictures in true)
+            name: (_Floors(style, true[0]), _Floors(style, true[1]))
             for name, style in styles.items()
         }
         _write_sheet(bench.out, specimen.name, "truth", true[0][0])
         seen = _inspected(photographs[0])
-        return _Yard(specimen.name, photographs, judge, fine, scenes, floors, seen, settings)  # type: ignore[arg-type]
+        return _Yard(specimen.name, photographs, judge, fine, scenes, floors, seen, settings)
 
 
 class _Floors:
