@@ -55,7 +55,10 @@ def fronts_section(table: Path, page: Path) -> list[str]:
     measured = [one for one in read(table) if one.bench == "capture"]
     if not measured:
         raise MatcapError("the table is empty", where=str(table), remedy="measure first")
-    found, presets = points(measured, BASE), preset_points()
+    # Other photographs than the rest, which nothing of the others can be compared with.
+    large = [one for one in measured if WAYS[one.point].pixels]
+    usual = [one for one in measured if one not in large] or measured
+    found, presets = points(usual, BASE), preset_points()
     picture = table.with_suffix(".png")
     folder = table.parent / "sheets" / _SHEETS_OF
     sheets = {sheet.stem: sheet for sheet in sorted(folder.glob("*.png"))}
@@ -80,6 +83,7 @@ def fronts_section(table: Path, page: Path) -> list[str]:
         f"Every measurement: [{numbers}]({numbers}). On the front: *. Presets by their names.", "",
         *_table(found, presets), "",
         *_dominance(found, presets), "",
+        *_of_large_photographs(large),
         "### By material", "", *_by_material(measured), "",
         "### The ten worst", "", *_worst(measured), "",
         "### Where the measures disagree", "", *_disagreements(found), "",
@@ -118,6 +122,22 @@ def _dominance(found: Sequence[Point], presets: Mapping[str, str]) -> list[str]:
         )
         lines.append(f"- preset `{presets[point.name]}` ({point.name}): {says}.")
     return lines
+
+
+def _of_large_photographs(measured: Sequence[Measurement]) -> list[str]:
+    """What finer detail costs and buys, of photographs that have it."""
+    if not measured:
+        return []
+    lines = [
+        "### Detail, of large photographs", "",
+        "| material | point | processor s | MB | field | piece | fine | flash |",
+        "|---|---|---:|---:|---:|---:|---:|---:|",
+    ]  # fmt: skip
+    for one in measured:
+        cells = [one.subject, one.point, _number(one.seconds), _number(one.megabytes)]
+        cells += [_floors(v) for v in (one.error, one.piece, one.fine, one.flash)]
+        lines.append(f"| {' | '.join(cells)} |")
+    return [*lines, ""]
 
 
 def _by_material(measured: Sequence[Measurement]) -> list[str]:

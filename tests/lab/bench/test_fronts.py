@@ -174,6 +174,22 @@ def test_a_dominated_preset_is_named(tmp_path):
     assert f"({BASE}): dominated by 512 texels, 0 steps." in write_report([table], page, ["x"])
 
 
+def test_large_photographs_are_compared_with_no_others(tmp_path):
+    pytest.importorskip("matplotlib", reason="the extra bench is not installed")
+    table, page = tmp_path / "fronts.csv", tmp_path / "page.md"
+    some(table)
+    large = replace(
+        read(table)[0], point="12 megapixels, 512 texels", group="detail", seconds=9.0, error=0.5
+    )
+    append(table, large)
+    text = write_report([table], page, ["x"])
+    assert f"({BASE}): dominated by no other point of one photograph." in text
+    assert "| leather | 12 megapixels, 512 texels | 9 | 800 | 0.50 | 2.00 | 2.00 | 1.00 |" in text
+    alone = tmp_path / "alone.csv"
+    append(alone, large)
+    assert "| * | 12 megapixels, 512 texels |" in write_report([alone], page, ["x"])
+
+
 def test_missing_and_empty_tables_are_told(tmp_path):
     with pytest.raises(MatcapError, match="no such table"):
         write_report([tmp_path / "none.csv"], tmp_path / "page.md", ["matcap"])
