@@ -77,7 +77,7 @@ def draw_fronts(
                 fontweight="bold" if preset else "normal",
             )
     axes.set_xscale("log")
-    seconds = [point.seconds for point in drawn]
+    seconds = [point.seconds for point in drawn or found]
     axes.set_xlim(min(seconds) / 1.2, max(seconds) * 1.7)  # names stand to the right of points
     axes.set_ylim(bottom=1.0)
     axes.xaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))
