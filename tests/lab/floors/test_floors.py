@@ -61,6 +61,16 @@ def test_true_maps_are_nearer_than_flat_ones_in_any_detail(measure):
     assert pictures.shape[-1] == 256  # compared with pictures of 128
 
 
+def test_a_true_piece_in_finer_detail_looks_as_truths_do(measure):
+    (subject,) = subjects(["plaster"])
+    shot = photograph_setup()
+    sharp = replace(SMALL, camera=replace(SMALL.camera, blur=0.0))
+    judge = Judge(subject, shot, sharp, measure)
+    side, texel = sharp.finer * sharp.size, 2.0 / (sharp.finer * sharp.detail)
+    true = subject.pieces(subject.seed + 1)(side, side, texel)
+    torch.testing.assert_close(judge.relit(true, shot.intensity), judge.pictures[0])
+
+
 def photograph_setup():
     from matcap.flash.geometry import FlashSetup
 
