@@ -44,7 +44,7 @@ from matcap.capture.piece.network.network import (
     NetworkInputs,
 )
 from matcap.capture.piece.noise import channel_noise
-from matcap.capture.piece.refine import PieceLight, flatten, level, refine, remaining
+from matcap.capture.piece.refine import PieceLight, Refined, flatten, level, refine, remaining
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.told import plane_strengths
@@ -288,16 +288,26 @@ def _found(
     """The piece, and what its re-rendering leaves of the photograph."""
     departures, plane = explained.reading.departures, sight.plane
     left = remaining(departures, plane.linear, plane.measured, sight.light)
-    seen = left.residual[:, plane.valid]
     return FoundPiece(
         example=example,
         strengths=strengths,
-        error=float(seen.abs().median()) if seen.numel() else 0.0,
+        error=_median(left, sight),
         slow=float(left.slow.abs().mean()),
         sharpness=sharpness(piece_maps(example.exemplar), fine, sight.coarse),
         adaptation=tuple(explained.changes),
         interrupted=explained.interrupted,
     )
+
+
+def unexplained(sight: Sight, reading: Reading) -> float:
+    """Median difference of log radiance between photograph and re-rendering, where it was seen."""
+    plane = sight.plane
+    return _median(remaining(reading.departures, plane.linear, plane.measured, sight.light), sight)
+
+
+def _median(left: Refined, sight: Sight) -> float:
+    seen = left.residual[:, sight.plane.valid]
+    return float(seen.abs().median()) if seen.numel() else 0.0
 
 
 def read_piece(sight: Sight, network: Inverse) -> tuple[Sight, Reading]:
@@ -408,7 +418,11 @@ def legs(
 def adapted(
     sight: Sight, reading: Reading, target: PhotographTarget, leg: Leg
 ) -> tuple[Reading, Adapted]:
-    """A leg of adaptation, if it earns its place, and what it came to."""
+    """A leg of adaptation, if it earns its place, and what it came to.
+
+    Statistics may come nearer while the piece itself no longer looks like the photograph: bare iron
+    beside rust, told as paint, gains a likeness from rings. Such a leg is not taken.
+    """
     plane = sight.plane
     departures = reading.departures
     weight = np.square(reading.confidence["diffuse"])
@@ -426,7 +440,11 @@ def adapted(
     )
     if found.change is None or not found.change.kept:
         return reading, found
-    return _rerendered(sight, reading, sight.light.departures(found.maps)), found
+    tried = _rerendered(sight, reading, sight.light.departures(found.maps))
+    before = max(unexplained(sight, reading), ADAPT.unexplained)
+    if unexplained(sight, tried) > ADAPT.more_unexplained * before:
+        return reading, replace(found, change=replace(found.change, kept=False))
+    return tried, found
 
 
 def exemplar_of(sight: Sight, reading: Reading) -> Exemplar:

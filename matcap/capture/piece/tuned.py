@@ -276,6 +276,9 @@ class AdaptSettings:
         belief: of the distance of statistics, for a number that is off by its deviation.
         logit_epsilon: of albedo, F0 and roughness: bounds the logit at 0 and 1.
         seen: share of a window that must have been seen; of the best windows, if none has.
+        unexplained: of log radiance, that pieces leave of their photographs anyway.
+        more_unexplained: times that, or what was left before, at which a leg is not taken. On rust
+            1.7, with rings and blue specks; 1.2 at most on 21 real photographs.
         penalties: specks are what was photographed, here.
         tie_specular, tie_roughness: logits of F0 and roughness believed to go with a logarithm of
             lightness, with one of colour, with a deviation of a band of relief. What hardly varies
@@ -308,6 +311,8 @@ class AdaptSettings:
     belief: float = 0.005
     logit_epsilon: float = 1e-4
     seen: float = 0.95
+    unexplained: float = 0.15
+    more_unexplained: float = 1.3
     penalties: Penalties = Penalties(outlier=0.0)
     tie_specular: tuple[float, float, float] = (0.3, 1.0, 0.1)
     tie_roughness: tuple[float, float, float] = (0.8, 1.0, 0.3)

@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from photographed import photographed
 
-from matcap.capture.piece.find import _read, confidence, find_piece, lit, piece_maps, seen_share
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.adapt import Adapted, Change
+from matcap.capture.piece.find import (
+    Leg,
+    Sight,
+    _read,
+    adapted,
+    confidence,
+    find_piece,
+    levelled,
+    lit,
+    piece_maps,
+    read_piece,
+    seen_share,
+    unexplained,
+)
 from matcap.capture.piece.network.network import (
     ERRORS,
     INPUTS,
@@ -45,6 +62,28 @@ def test_the_piece_re_renders_to_its_photograph() -> None:
     # Brightness is the truth's, whatever the network has learnt yet.
     ratio = maps.diffuse.mean((1, 2)) / shot.maps.diffuse.mean((1, 2))
     assert float((ratio.log()).abs().max()) < 0.25
+
+
+@pytest.mark.parametrize(("stronger", "taken"), [(1.02, True), (30.0, False)])
+def test_a_leg_after_which_the_piece_looks_otherwise_is_not_taken(
+    monkeypatch: pytest.MonkeyPatch, stronger: float, taken: bool
+) -> None:
+    """However much nearer the statistics came: here relief is as strong as it may be told."""
+    plane, coarse, _ = _plane()
+    sight, read = read_piece(Sight.of(plane, coarse), load_inverse())
+    reading = levelled(sight, read)
+    before = unexplained(sight, reading)
+
+    def nearer(maps: MapSet, *_: object, **__: object) -> Adapted:
+        change = Change(2.0, 1.0, True, stronger, 0.0, 0.0, 0.0)
+        return Adapted(replace(maps, height=stronger * maps.height), change=change)
+
+    monkeypatch.setattr(sys.modules[adapted.__module__], "adapt", nearer)
+    target = SimpleNamespace()
+    found, told = adapted(sight, reading, target, Leg(1, 1.0, (), None, 0, None))  # type: ignore[arg-type]
+    assert told.change is not None and told.change.kept is taken
+    assert (found is reading) is not taken
+    assert unexplained(sight, found) < 1.3 * max(before, 0.15)
 
 
 def test_even_an_untaught_network_gives_maps_within_their_ranges() -> None:
