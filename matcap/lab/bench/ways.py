@@ -49,6 +49,8 @@ def _ways() -> dict[str, Way]:
     for detail in (512, 1024, 2048, 4096):
         options = ("--detail", f"{detail}", "--steps", "0")
         ways[f"12 megapixels, {detail} texels"] = Way("detail", options, pixels=_LARGE)
+        options = ("--detail", f"{detail}", "--steps", "40")
+        ways[f"12 megapixels, {detail} texels, 40 steps"] = Way("detail", options, pixels=_LARGE)
     ways[PAPER] = Way("paper")
     return ways
 
