@@ -56,7 +56,7 @@ HELD_OUT = (
     "plastic004",
 )
 _FINER = 2  # times as many texels, of the second look
-_NINE = ("granite",)  # of which nine photographs are taken; else five
+_NINE = ("granite", "leather", "plaster", "asphalt10")  # of which nine are taken; else five
 _MEASURES = ("error", "patches", "filters")
 # Enough for 1024 texels; shaded as finely as its pixels are, for five and nine cost a minute else.
 _CAMERA = PhoneCamera(1200, 900, supersampling=1)
