@@ -1,8 +1,8 @@
 """The finest bands, carried over from the photograph to maps that were read on fewer texels.
 
 Networks read, strengths tell and statistics compare at the scale they were made for (detail.py);
-the photograph resolves more. What its finest bands show beyond the enlarged maps' re-rendering goes
-to albedo, but for what relief must show of it: relief has as much of every finer octave as its own
+the photograph resolves more. What its finest bands show beyond the enlarged maps' re-rendering, and
+is not the sensor's noise, goes to albedo, but for what relief must show of it: relief has as much of every finer octave as its own
 last octaves let one expect. It is drawn along with the photograph's own grain, high where that is
 bright or where it is dark, as its coarser bands are. A drawing from what shows of slope would run
 along the light's tangents: streaks all around the flash (docs/notes/exemplar.md).
@@ -22,8 +22,8 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS, Reflectance
 from matcap.capture.piece.refine import PieceLight
-from matcap.capture.piece.smooth import split
-from matcap.capture.piece.tuned import FINEST
+from matcap.capture.piece.smooth import smoothed, split
+from matcap.capture.piece.tuned import FINEST, NOISE
 from matcap.example.exemplar import Exemplar
 from matcap.flash.geometry import plane_points
 from matcap.flash.plane import Plane
@@ -107,7 +107,31 @@ def _unshown(
     found, share = light.logs(maps, light.flash.onto(maps.normal))
     left = plane.linear.clamp_min(FINEST.darkest).log() - found
     left = torch.where(plane.measured, left, left.clamp_min(0.0)).clamp(-FINEST.most, FINEST.most)
-    return _beyond(left, coarse), share
+    return _without_noise(_beyond(left, coarse), plane, coarse), share
+
+
+def _without_noise(grain: Tensor, plane: Plane, coarse: tuple[int, int]) -> Tensor:
+    """Grain (3, H, W) of log radiance, weakened where it is the sensor's (a Wiener filter).
+
+    What channels have in common apart from their colours: grain is grey, noise is not. A developed
+    picture's noise is not known, and left.
+    """
+    if plane.noise is None:
+        return grain
+    light = np.stack([smoothed(c, NOISE.around) for c in plane.linear.numpy()])
+    noise = plane.noise / torch.from_numpy(light).clamp_min(FINEST.darkest)
+    noise = _beyond(noise.clamp(-FINEST.most, FINEST.most), coarse)
+    grey, chance = grain.mean(0, keepdim=True), noise.mean(0, keepdim=True)
+    return _believed(grey, chance) + _believed(grain - grey, noise - chance)
+
+
+def _believed(seen: Tensor, chance: Tensor) -> Tensor:
+    """What is seen (C, H, W), by its neighbourhoods' energy that is not chance's (C, H, W)."""
+    energy, of_chance = (
+        torch.from_numpy(np.stack([smoothed(c, NOISE.around) for c in part.square().numpy()]))
+        for part in (seen, chance)
+    )
+    return seen * (1.0 - of_chance / energy.clamp_min(1e-12)).clamp_min(0.0)
 
 
 def _beyond(picture: Tensor, coarse: tuple[int, int]) -> Tensor:

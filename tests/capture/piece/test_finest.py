@@ -58,15 +58,39 @@ def test_the_piece_is_as_sharp_as_its_photograph(shot) -> None:
 def test_grain_of_albedo_comes_back_and_what_is_coarser_stays(shot) -> None:
     half = _halved(shot.maps)
     found = piece_maps(finest(half, _plane(shot.linear), shot.uniform))
-    log, true = (m.diffuse.log().mean(0) for m in (found, shot.maps))
-
-    def fine(plane: torch.Tensor) -> torch.Tensor:
-        held = F.interpolate(F.avg_pool2d(plane[None, None], 2), scale_factor=2.0)[0, 0]
-        return (plane - held).flatten()
-
-    assert float(torch.corrcoef(torch.stack([fine(log), fine(true)]))[0, 1]) > 0.9
+    fine, true = _fine(found), _fine(shot.maps)
+    assert float(torch.corrcoef(torch.stack([fine, true]))[0, 1]) > 0.9
     coarse = F.avg_pool2d(found.diffuse[None], 4)[0] / F.avg_pool2d(shot.maps.diffuse[None], 4)[0]
     assert float(coarse.log().abs().mean()) < 0.03
+
+
+def test_the_sensors_noise_is_not_drawn_for_grain(shot) -> None:
+    """Of a smooth albedo little is drawn, and what is drawn of grain is nearer to the truth."""
+    rng = np.random.default_rng(5)
+    true = _fine(shot.maps)
+    smooth = replace(shot.maps, diffuse=torch.full_like(shot.maps.diffuse, 0.3))
+    drawn = {}
+    for name, maps in (("grain", shot.maps), ("smooth", smooth)):
+        linear = render_flash(maps, shot.uniform.setup, shot.points)
+        noisy, told = (
+            0.15 * linear * torch.from_numpy(rng.standard_normal(linear.shape)).float()
+            for _ in range(2)
+        )
+        plane = _plane((linear + noisy).clamp_min(0.0))
+        for noise in (None, told):
+            found = finest(_halved(maps), replace(plane, noise=noise), shot.uniform)
+            drawn[name, noise is not None] = _fine(piece_maps(found))
+    kept = drawn["smooth", True].std() / drawn["smooth", False].std()
+    assert float(kept) < 0.3
+    off = [float((drawn["grain", told] - true).square().mean()) for told in (False, True)]
+    assert off[1] < 0.9 * off[0]
+
+
+def _fine(maps: MapSet) -> torch.Tensor:
+    """What of log albedo half as many texels cannot hold."""
+    log = maps.diffuse.log().mean(0)
+    held = F.interpolate(F.avg_pool2d(log[None, None], 2), scale_factor=2.0)[0, 0]
+    return (log - held).flatten()
 
 
 def test_flat_maps_stay_flat(shot) -> None:
