@@ -9,7 +9,8 @@ Some windows are held back: what was found is taken if it is nearer there. Relie
 photograph tells outright (strengths.py) hardly moves.
 
 Gloss shows near the highlight alone, and there in statistics more than texel by texel. So among the
-numbers is how F0 and roughness go with lightness and with relief: grooves are rougher than ridges.
+numbers is how F0 and roughness go with lightness and colour, and roughness with relief: grooves are
+rougher than ridges.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import REFLECTANCE
 from matcap.capture.piece.smooth import split
-from matcap.capture.piece.ties import ties
+from matcap.capture.piece.ties import OF_SPECULAR, ties
 from matcap.capture.piece.tuned import ADAPT
 from matcap.flash.adam import Adam
 from matcap.flash.likeness import PhotographTarget, compare_windows, render_windows, shuffled
@@ -238,7 +239,7 @@ class Scaling:
             from their mean; one of all of albedo's channels.
         relief: logarithm of the factor on heights.
         bands: likewise on each band beside.
-        tie_specular, tie_roughness: added to logits, for a deviation of every feature (ties.py).
+        tie_specular, tie_roughness: added to logits, for a deviation of a feature (ties.py).
     """
 
     offset_diffuse: Tensor
@@ -259,7 +260,7 @@ class Scaling:
     @staticmethod
     def of(vector: Tensor, bands: int, features: int) -> Scaling:
         """The inverse of vector() for so many bands and features."""
-        return Scaling(*vector.split([3, 1, 1, 1, 1, 1, 1, bands, features, features]))
+        return Scaling(*vector.split([3, 1, 1, 1, 1, 1, 1, bands, OF_SPECULAR, features]))
 
 
 class _ScaledMaps:
@@ -318,7 +319,7 @@ class _ScaledMaps:
         apart = self._logits[:, rows, columns] - self._means
         logits = self._means + offsets[:, None, None] + gains[:, None, None] * apart
         tied = [
-            (tie[:, None, None] * features).sum(0, keepdim=True)
+            (tie[:, None, None] * features[: len(tie)]).sum(0, keepdim=True)
             for tie in (by.tie_specular, by.tie_roughness)
         ]
         diffuse, specular, roughness = logits.split(sizes)

@@ -2,10 +2,11 @@
 
 Networks read, strengths tell and statistics compare at the scale they were made for (detail.py);
 the photograph resolves more. What its finest bands show beyond the enlarged maps' re-rendering, and
-is not the sensor's noise, goes to albedo, but for what relief must show of it: relief has as much of every finer octave as its own
-last octaves let one expect. It is drawn along with the photograph's own grain, high where that is
-bright or where it is dark, as its coarser bands are. A drawing from what shows of slope would run
-along the light's tangents: streaks all around the flash (docs/notes/exemplar.md).
+is not the sensor's noise, goes to albedo, but for what relief must show of it: relief has as much
+of every finer octave as its own last octaves let one expect. It is drawn along with the
+photograph's own grain, high where that is bright or where it is dark, as its coarser bands are. A
+drawing from what shows of slope would run along the light's tangents: streaks all around the flash
+(docs/notes/exemplar.md).
 """
 
 from __future__ import annotations

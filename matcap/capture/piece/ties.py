@@ -1,7 +1,8 @@
-"""What gloss may go with: lightness, colour, and relief's bands.
+"""What gloss may go with: lightness and colour, and roughness with relief's bands, too.
 
 Gloss shows near the highlight alone; albedo and relief show everywhere. Where gloss goes with them
-(bare metal is grey between rust, grooves are rougher than ridges) they carry it to the rest.
+(bare metal is grey between rust, grooves are rougher than ridges) they carry it to the rest. F0 is
+the substance's, which relief does not change.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import torch
 from torch import Tensor
 
 from matcap.capture.piece.tuned import ADAPT
+
+OF_SPECULAR = 2  # of the features: the first ones, which F0 may go with
 
 
 @dataclass(frozen=True)
@@ -28,13 +31,13 @@ class Ties:
     colour: float
 
     def deviations(self) -> tuple[list[float], list[float]]:
-        """How far a deviation of every feature is believed to move F0, and roughness (logits)."""
-        bands = len(self.features) - 2
+        """How far a deviation of a feature is believed to move F0, and roughness (logits)."""
         of_specular, of_roughness = (
-            [by_light * self.lightness, by_colour * self.colour, *[by_band] * bands]
-            for by_light, by_colour, by_band in (ADAPT.tie_specular, ADAPT.tie_roughness)
+            [by_light * self.lightness, by_colour * self.colour]
+            for by_light, by_colour in (ADAPT.tie_specular, ADAPT.tie_roughness)
         )
-        return of_specular, of_roughness
+        bands = len(self.features) - len(of_roughness)
+        return of_specular, of_roughness + [ADAPT.tie_band] * bands
 
 
 def ties(diffuse: Tensor, bands: Tensor | None = None) -> Ties:

@@ -281,8 +281,9 @@ class AdaptSettings:
             1.7, with rings and blue specks; 1.2 at most on 21 real photographs.
         penalties: specks are what was photographed, here.
         tie_specular, tie_roughness: logits of F0 and roughness believed to go with a logarithm of
-            lightness, with one of colour, with a deviation of a band of relief. What hardly varies
-            tells next to nothing: a plaster has no colours to go with.
+            lightness, and with one of colour. What hardly varies tells next to nothing: a plaster
+            has no colours to go with.
+        tie_band: of roughness, with a deviation of a band of relief.
         tie_darkest: albedo.
         tie_farthest: deviations: a speck's gloss is not far beyond the others'.
         contrast_around: texels, deviation of a neighbourhood of albedo's contrast.
@@ -314,8 +315,9 @@ class AdaptSettings:
     unexplained: float = 0.15
     more_unexplained: float = 1.3
     penalties: Penalties = Penalties(outlier=0.0)
-    tie_specular: tuple[float, float, float] = (0.3, 1.0, 0.1)
-    tie_roughness: tuple[float, float, float] = (0.8, 1.0, 0.3)
+    tie_specular: tuple[float, float] = (0.3, 1.0)
+    tie_roughness: tuple[float, float] = (0.8, 1.0)
+    tie_band: float = 0.3
     tie_darkest: float = 1e-4
     tie_farthest: float = 3.0
     contrast_around: float = 64.0

@@ -1,11 +1,11 @@
-"""What gloss may go with: lightness, colour, relief's bands."""
+"""What gloss may go with: lightness, colour, and roughness with relief's bands."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
 
-from matcap.capture.piece.ties import ties
+from matcap.capture.piece.ties import OF_SPECULAR, ties
 
 
 def _noise(seed: int) -> torch.Tensor:
@@ -30,11 +30,11 @@ def test_a_grey_even_material_is_believed_to_be_tied_to_nothing_but_relief() -> 
     bands = torch.stack([_noise(k) for k in range(7)])
     found = ties(torch.full((3, 40, 60), 0.3), bands)
     assert bool(torch.isfinite(found.features).all())
-    deviations = found.deviations()
-    for by_light, by_colour, *by_bands in deviations:
-        assert len(by_bands) == len(found.features) - 2 == 3
-        assert max(by_light, by_colour) < 1e-5
-        assert min(by_bands) > 0.05
+    of_specular, of_roughness = found.deviations()
+    assert len(of_specular) == OF_SPECULAR
+    assert len(of_roughness) == len(found.features) == OF_SPECULAR + 3
+    assert max(of_specular + of_roughness[:2]) < 1e-5
+    assert min(of_roughness[2:]) > 0.05
 
 
 def test_specks_count_for_no_more_than_a_few_deviations() -> None:
