@@ -56,6 +56,7 @@ HELD_OUT = (
     "plastic004",
 )
 _FINER = 2  # times as many texels, of the second look
+_FINEST = 4  # likewise, of photographs of 12 megapixels
 _NINE = ("granite", "leather", "plaster", "asphalt10")  # of which nine are taken; else five
 _MEASURES = ("error", "patches", "filters")
 # Enough for 1024 texels; shaded as finely as its pixels are, for five and nine cost a minute else.
@@ -186,11 +187,12 @@ class _Yard:
         settings = replace(bench.settings, camera=held.phone)
         measure = Measure()
         judge = Judge(held.specimen, flash, settings, measure)
+        times = _FINEST if large else _FINER
         finer = replace(
             settings,
-            detail=_FINER * settings.detail,
-            size=_FINER * settings.size,
-            finer=max(1, settings.finer // _FINER),
+            detail=times * settings.detail,
+            size=times * settings.size,
+            finer=max(1, settings.finer // times),
         )
         fine = Judge(held.specimen, flash, finer, measure)
         scenes = (judge.scene, _own_scene(flash))

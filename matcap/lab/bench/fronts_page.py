@@ -130,6 +130,7 @@ def _of_large_photographs(measured: Sequence[Measurement]) -> list[str]:
         return []
     lines = [
         "### Detail, of large photographs", "",
+        "*Fine* is judged on 2048 texels across, here.", "",
         "| material | point | processor s | MB | field | piece | fine | flash |",
         "|---|---|---:|---:|---:|---:|---:|---:|",
     ]  # fmt: skip

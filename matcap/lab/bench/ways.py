@@ -47,10 +47,8 @@ def _ways() -> dict[str, Way]:
         options = ("--generator", "decoder", "--preset", "reference", "--steps", f"{steps}")
         ways[f"decoder, {steps} steps"] = Way("decoder", options)
     for detail in (512, 1024, 2048, 4096):
-        options = ("--detail", f"{detail}", "--steps", "0")
-        ways[f"12 megapixels, {detail} texels"] = Way("detail", options, pixels=_LARGE)
         options = ("--detail", f"{detail}", "--steps", "40")
-        ways[f"12 megapixels, {detail} texels, 40 steps"] = Way("detail", options, pixels=_LARGE)
+        ways[f"12 megapixels, {detail} texels"] = Way("detail", options, pixels=_LARGE)
     ways[PAPER] = Way("paper")
     return ways
 
