@@ -45,8 +45,8 @@ def self_difference(windows: Windows, weights: Weights) -> float:
 def forecast(history: History, seconds: float) -> float | None:
     """The running error to be expected after so many more seconds, or None where too early to say.
 
-    Errors of such searches fall about evenly with the logarithm of time; the slope is that of the
-    later half of the time. Never higher than what there is: the best is kept.
+    Errors of such searches fall about evenly with the logarithm of time; the slope is that of all
+    but the beginning. Never higher than what there is: the best is kept.
 
     Args:
         history: of fine-tuning.
@@ -54,7 +54,7 @@ def forecast(history: History, seconds: float) -> float | None:
     """
     if not history:
         return None
-    later = [point for point in history if point[0] >= 0.5 * history[-1][0]]
+    later = [point for point in history if point[0] >= FORECAST.since * history[-1][0]]
     if len(later) < FORECAST.least_steps:
         return None
     times = np.log([max(point[0], 1e-3) for point in later])

@@ -55,10 +55,13 @@ class ForecastSettings:
     Attributes:
         every: steps.
         least_steps: fewer do not show where the error is going.
+        since: share of the time from which errors count. Of the later half alone, a few low windows
+            were taken for a fall: off by up to a third.
     """
 
     every: int = 20
     least_steps: int = 20
+    since: float = 0.1
 
 
 FORECAST = ForecastSettings()

@@ -61,6 +61,20 @@ def test_more_time_buys_what_the_trend_says():
     assert forecast(history, 0.0) == pytest.approx(history[-1][2])
 
 
+def test_a_few_low_windows_are_not_taken_for_a_fall():
+    """The last half of the time wavers as much as it falls; all of it tells where it goes."""
+
+    def true(seconds):
+        return 1.6 - 0.15 * math.log10(seconds)
+
+    times = [0.3 * step for step in range(1, 81)]
+    history = [
+        (t, i, true(t) - 0.1 * math.cos(2.0 * math.pi * t / times[-1]))
+        for i, t in enumerate(times, start=1)
+    ]
+    assert forecast(history, 60.0) == pytest.approx(true(times[-1] + 60.0), rel=0.12)
+
+
 def test_more_time_never_makes_it_worse_nor_better_than_perfect():
     rising = [(t, i, 1.0 + t) for t, i, _ in falling(10)]
     assert forecast(rising, 60.0) == rising[-1][2]
