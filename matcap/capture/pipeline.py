@@ -91,6 +91,7 @@ def capture_into(
     settings: CaptureSettings,
     outputs: OutputSettings,
     progress: TellCapture | None = None,
+    spent: float = 0.0,
 ) -> CaptureResult:
     """The whole way: photographs of one sample to a folder with everything that is left of it.
 
@@ -100,11 +101,12 @@ def capture_into(
         settings: what the user decides.
         outputs: what is written.
         progress: called as the work goes on.
+        spent: seconds of the time limit that are gone already: starting takes some, too.
 
     Raises:
         UsageError, MatcapError: as capture_photo; a full disk, an unwritable folder.
     """
-    clock = clock_of(settings, progress, len(paths))
+    clock = clock_of(settings, progress, len(paths), spent)
     result = _read_and_captured(paths, settings, clock)
     with clock.stage("write"), postponed() as stopped:
         write_outputs(result, folder, outputs)
@@ -146,12 +148,15 @@ def capture_photo(
 
 
 def clock_of(
-    settings: CaptureSettings, progress: TellCapture | None, photographs: int = 1
+    settings: CaptureSettings,
+    progress: TellCapture | None,
+    photographs: int = 1,
+    spent: float = 0.0,
 ) -> CaptureClock:
     """The clock of a capture of so many photographs; `write` is the caller's last stage."""
     by_example = TOGETHER_STAGES if photographs > 1 else PIECE_STAGES
     stages = DECODER_STAGES if settings.generator == "decoder" else by_example
-    return CaptureClock(progress, stages, settings.time_limit)
+    return CaptureClock(progress, stages, settings.time_limit, spent)
 
 
 def capture_under(

@@ -14,16 +14,16 @@ from matcap.files.progress import Progress, nobody
 # of 12 megapixels (report.json's stage_seconds).
 PIECE_STAGES: Mapping[str, float] = MappingProxyType(
     {
-        "read": 0.10,
-        "coarse fit": 0.10,
-        "piece": 0.08,
-        "strengths": 0.02,
-        "refine": 0.08,
-        "adapt": 0.36,
-        "lend": 0.05,
-        "index": 0.06,
-        "verdict": 0.07,
-        "write": 0.08,
+        "read": 0.03,
+        "coarse fit": 0.08,
+        "piece": 0.11,
+        "strengths": 0.07,
+        "refine": 0.03,
+        "adapt": 0.30,
+        "lend": 0.12,
+        "index": 0.07,
+        "verdict": 0.12,
+        "write": 0.07,
     }
 )
 # Of five photographs of one piece.
@@ -88,6 +88,7 @@ class CaptureClock:
         tell: Callable[[CaptureProgress], None] | None,
         stages: Mapping[str, float] = PIECE_STAGES,
         limit: float | None = None,
+        spent: float = 0.0,
     ) -> None:
         """Start the clock.
 
@@ -95,11 +96,13 @@ class CaptureClock:
             tell: called as the work goes on.
             stages: what there is to do, with shares of the time.
             limit: seconds for the whole command, or None.
+            spent: seconds of them that the command took until now.
         """
         self.seconds: dict[str, float] = {}
         self.interrupted = False
         self._tell = tell or nobody
         self._stages, self._limit = stages, limit
+        self._spent = spent
         self._started = time.monotonic()
 
     @property
@@ -138,8 +141,8 @@ class CaptureClock:
         if self._limit is None:
             return float("inf")
         before, after = self._shares(name)
-        rest = self.elapsed * after / max(before, 1e-6)
-        return max(0.0, self._limit - self.elapsed - rest)
+        until = self._spent + self.elapsed
+        return max(0.0, self._limit - until - until * after / max(before, 1e-6))
 
     def _shares(self, name: str) -> tuple[float, float]:
         """Shares of what comes before a stage and of what comes after it."""

@@ -143,7 +143,9 @@ def capture(
     results = []
     with display(quiet=quiet) as shown:
         for job in jobs:
-            results.append(_attempt(job, settings, outputs, shown, overwrite=overwrite))
+            # All that the process has done before its first photograph is starting.
+            spent = time.process_time() if job is jobs[0] else 0.0
+            results.append(_attempt(job, settings, outputs, shown, spent, overwrite=overwrite))
             if results[-1]["status"] == "interrupted":
                 break
     if as_json:
@@ -171,6 +173,7 @@ def _attempt(
     settings: CaptureSettings,
     outputs: OutputSettings,
     shown: Display,
+    spent: float,
     *,
     overwrite: bool,
 ) -> dict[str, Any]:
@@ -181,7 +184,7 @@ def _attempt(
     try:
         if not overwrite:
             refuse_to_replace_capture(job.folder, job.photo.name, settings, outputs)
-        done = _capture(job, settings, outputs, shown)
+        done = _capture(job, settings, outputs, shown, spent)
     except UsageError:
         raise  # wrong for every photograph alike
     except MatcapError as error:
@@ -197,14 +200,20 @@ def _attempt(
 
 
 def _capture(
-    job: _Job, settings: CaptureSettings, outputs: OutputSettings, shown: Display
+    job: _Job,
+    settings: CaptureSettings,
+    outputs: OutputSettings,
+    shown: Display,
+    spent: float,
 ) -> dict[str, Any]:
+    began = time.perf_counter()
     from matcap.capture.outputs import no_repeat
     from matcap.capture.pipeline import capture_into
 
+    spent += time.perf_counter() - began
     shown.started(job.photo)
     photos = (job.photo, *job.others)
-    result = capture_into(job.folder, photos, settings, outputs, shown.progress)
+    result = capture_into(job.folder, photos, settings, outputs, shown.progress, spent)
     alignment = result.material.alignment
     if not outputs.repeats(alignment):
         shown.note(no_repeat(outputs.size, alignment))

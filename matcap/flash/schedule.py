@@ -46,7 +46,7 @@ class Schedule:
             self._steps = min(self._steps, math.ceil(self.step / (1.0 - SCHEDULE.frozen_share)))
         self.share = self.step / self._steps
         if self._limit is not None:
-            self.share = max(self.share, self.seconds / self._limit)
+            self.share = max(self.share, self.seconds / self._limit if self._limit > 0.0 else 1.0)
         return self.share >= 1.0
 
     @property

@@ -52,6 +52,12 @@ def test_a_time_limit_leaves_room_for_what_comes_after():
     assert CaptureClock(None, stages, limit=0.0).left_for("long") == 0.0
 
 
+def test_what_starting_took_is_taken_off_a_time_limit():
+    stages = {"before": 0.2, "long": 0.6, "after": 0.2}
+    whole, started = (CaptureClock(None, stages, 1000.0, spent) for spent in (0.0, 10.0))
+    assert whole.left_for("long") - started.left_for("long") == pytest.approx(20.0, abs=1.0)
+
+
 def test_a_stage_without_a_share_is_a_bug():
     with pytest.raises(ValueError), CaptureClock(None).stage("fine-tuning"):
         pass

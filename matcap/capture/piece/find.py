@@ -221,7 +221,7 @@ def find_piece(
         absolute: the flash's strength is known, and albedo with it.
         target: gives the photograph's statistics; without them the piece is not adapted.
         steps: of adaptation.
-        seconds: of adaptation at most, asked when it begins.
+        seconds: of adaptation at most from now on, asked when each leg of it begins.
         seed: of adaptation.
         stage: entered with the name of each stage.
         tell: called as adaptation goes on with the share that is done.
@@ -239,8 +239,8 @@ def find_piece(
         if target is not None and steps:
             with stage("adapt"):
                 doubt = strengths.doubts() if strengths else ()
-                wanted, limit = target(), seconds() if seconds else None
-                for each in legs(steps, limit, seed, doubt, tell):
+                wanted = target()
+                for each in legs(steps, seconds, seed, doubt, tell):
                     explained.adapt(sight, wanted, each)
     whole = plane if fine is None else fine
     with stage("lend"):
@@ -397,19 +397,19 @@ class Leg:
 
 def legs(
     steps: int,
-    seconds: float | None,
+    seconds: Callable[[], float] | None,
     seed: int,
     doubt: Sequence[float],
     tell: Callable[[float], None] | None,
 ) -> Iterator[Leg]:
-    """The legs of so many steps and seconds in all."""
+    """The legs of so many steps in all, and of as many seconds as there still are."""
     count = len(ADAPT.legs)
     for number, reach in enumerate(ADAPT.legs):
         yield Leg(
             -(-steps // count),
             reach,
             doubt,
-            None if seconds is None else seconds / count,
+            None if seconds is None else ADAPT.stepping * seconds() / (count - number),
             seed * count + number,
             tell and _shared(tell, number),
         )

@@ -12,7 +12,7 @@ drawing from what shows of slope would run along the light's tangents: streaks a
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -48,11 +48,12 @@ def finest(exemplar: Exemplar, plane: Plane, uniform: Uniform) -> Exemplar:
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     light = PieceLight.of(uniform, points)
     maps = _enlarged(exemplar, plane)
-    grain, _ = _unshown(maps, plane, light, exemplar.size)
+    noise = _Noise.of(plane, exemplar.size)
+    grain, _ = _unshown(maps, plane, light, exemplar.size, noise)
     relief = _relief(exemplar, grain.mean(0).numpy(), maps, light)
     maps = replace(maps, height=maps.height + torch.from_numpy(relief)[None] * plane.texel_size)
     for _ in range(FINEST.rounds):
-        left, share = _unshown(maps, plane, light, exemplar.size)
+        left, share = _unshown(maps, plane, light, exemplar.size, noise)
         more = left * share / (share.square() + FINEST.hidden)
         maps = replace(maps, diffuse=(maps.diffuse * more.exp()).clamp(*ALBEDO_LIMITS))
     return Exemplar(
@@ -100,7 +101,7 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
 
 
 def _unshown(
-    maps: MapSet, plane: Plane, light: PieceLight, coarse: tuple[int, int]
+    maps: MapSet, plane: Plane, light: PieceLight, coarse: tuple[int, int], noise: _Noise | None
 ) -> tuple[Tensor, Tensor]:
     """(3, H, W) each: what the photograph's log radiance has beyond maps', finer than `coarse`
     texels, and the diffuse share of theirs.
@@ -108,31 +109,49 @@ def _unshown(
     found, share = light.logs(maps, light.flash.onto(maps.normal))
     left = plane.linear.clamp_min(FINEST.darkest).log() - found
     left = torch.where(plane.measured, left, left.clamp_min(0.0)).clamp(-FINEST.most, FINEST.most)
-    return _without_noise(_beyond(left, coarse), plane, coarse), share
+    grain = _beyond(left, coarse)
+    return grain if noise is None else noise.left_out(grain), share
 
 
-def _without_noise(grain: Tensor, plane: Plane, coarse: tuple[int, int]) -> Tensor:
-    """Grain (3, H, W) of log radiance, weakened where it is the sensor's (a Wiener filter).
+@dataclass(frozen=True)
+class _Noise:
+    """Energy of the sensor's noise in the finest bands, of neighbourhoods.
 
-    What channels have in common apart from their colours: grain is grey, noise is not. A developed
-    picture's noise is not known, and left.
+    What channels have in common apart from their colours: grain is grey, noise is not.
+
+    Attributes:
+        grey: (1, H, W).
+        colours: (3, H, W), beside it.
     """
-    if plane.noise is None:
-        return grain
-    light = np.stack([smoothed(c, NOISE.around) for c in plane.linear.numpy()])
-    noise = plane.noise / torch.from_numpy(light).clamp_min(FINEST.darkest)
-    noise = _beyond(noise.clamp(-FINEST.most, FINEST.most), coarse)
-    grey, chance = grain.mean(0, keepdim=True), noise.mean(0, keepdim=True)
-    return _believed(grey, chance) + _believed(grain - grey, noise - chance)
+
+    grey: Tensor
+    colours: Tensor
+
+    @staticmethod
+    def of(plane: Plane, coarse: tuple[int, int]) -> _Noise | None:
+        """Of log radiance; None of a developed picture, whose noise is not known."""
+        if plane.noise is None:
+            return None
+        light = np.stack([smoothed(c, NOISE.around) for c in plane.linear.numpy()])
+        noise = plane.noise / torch.from_numpy(light).clamp_min(FINEST.darkest)
+        noise = _beyond(noise.clamp(-FINEST.most, FINEST.most), coarse)
+        grey = noise.mean(0, keepdim=True)
+        return _Noise(_energy(grey), _energy(noise - grey))
+
+    def left_out(self, grain: Tensor) -> Tensor:
+        """Grain (3, H, W), weakened where its energy is the noise's (a Wiener filter)."""
+        grey = grain.mean(0, keepdim=True)
+        return _believed(grey, self.grey) + _believed(grain - grey, self.colours)
 
 
 def _believed(seen: Tensor, chance: Tensor) -> Tensor:
-    """What is seen (C, H, W), by its neighbourhoods' energy that is not chance's (C, H, W)."""
-    energy, of_chance = (
-        torch.from_numpy(np.stack([smoothed(c, NOISE.around) for c in part.square().numpy()]))
-        for part in (seen, chance)
-    )
-    return seen * (1.0 - of_chance / energy.clamp_min(1e-12)).clamp_min(0.0)
+    """What is seen (C, H, W), as far as its energy is more than that of chance (C, H, W)."""
+    return seen * (1.0 - chance / _energy(seen).clamp_min(1e-12)).clamp_min(0.0)
+
+
+def _energy(picture: Tensor) -> Tensor:
+    """(C, H, W) mean square of neighbourhoods."""
+    return torch.from_numpy(np.stack([smoothed(c, NOISE.around) for c in picture.square().numpy()]))
 
 
 def _beyond(picture: Tensor, coarse: tuple[int, int]) -> Tensor:

@@ -262,6 +262,8 @@ class AdaptSettings:
     Attributes:
         legs: how far each leg reaches; in between, what relief no longer explains goes back to
             albedo. Short steps at the end: long ones stray by a tenth of relief's strength.
+        stepping: share of a leg's seconds that are for steps; the rest is for judging and
+            re-rendering what they came to.
         rate: of Adam, in logits and in logarithms of gains.
         betas: of Adam: short memories, for there are few steps.
         windows: a step, of exemplar and of photograph.
@@ -293,6 +295,7 @@ class AdaptSettings:
     """
 
     legs: tuple[float, ...] = (1.0, 0.35)
+    stepping: float = 0.8
     rate: float = 0.06
     betas: tuple[float, float] = (0.8, 0.95)
     windows: int = 3

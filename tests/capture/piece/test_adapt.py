@@ -105,6 +105,11 @@ def test_what_is_not_nearer_on_windows_held_back_is_not_taken(shot, scene) -> No
     assert found.change.kept and found.change.albedo > 0.0
 
 
+def test_without_time_maps_stay_as_they_are(shot, scene) -> None:
+    found = adapt(shot.maps, SEEN, scene, 20, seconds=0.0)
+    assert not found.interrupted and torch.equal(found.maps.stacked(), shot.maps.stacked())
+
+
 def test_relief_that_is_told_stands(shot, scene) -> None:
     weak = replace(shot.maps, height=0.5 * shot.maps.height)
     free = adapt(weak, SEEN, scene, 20).change.relief
