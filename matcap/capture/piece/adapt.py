@@ -27,7 +27,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.parameters import REFLECTANCE
 from matcap.capture.piece.smooth import split
-from matcap.capture.piece.ties import OF_SPECULAR, ties
+from matcap.capture.piece.ties import ties
 from matcap.capture.piece.tuned import ADAPT
 from matcap.flash.adam import Adam
 from matcap.flash.likeness import PhotographTarget, compare_windows, render_windows, shuffled
@@ -260,7 +260,8 @@ class Scaling:
     @staticmethod
     def of(vector: Tensor, bands: int, features: int) -> Scaling:
         """The inverse of vector() for so many bands and features."""
-        return Scaling(*vector.split([3, 1, 1, 1, 1, 1, 1, bands, OF_SPECULAR, features]))
+        of_specular = len(ADAPT.tie_specular)
+        return Scaling(*vector.split([3, 1, 1, 1, 1, 1, 1, bands, of_specular, features]))
 
 
 class _ScaledMaps:

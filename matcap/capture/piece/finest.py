@@ -129,7 +129,7 @@ class _Noise:
 
     @staticmethod
     def of(plane: Plane, coarse: tuple[int, int]) -> _Noise | None:
-        """Of log radiance; None of a developed picture, whose noise is not known."""
+        """Of log radiance; None where it is not known: of a developed picture, or without steps."""
         if plane.noise is None:
             return None
         light = np.stack([smoothed(c, NOISE.around) for c in plane.linear.numpy()])

@@ -14,8 +14,6 @@ from torch import Tensor
 
 from matcap.capture.piece.tuned import ADAPT
 
-OF_SPECULAR = 2  # of the features: the first ones, which F0 may go with
-
 
 @dataclass(frozen=True)
 class Ties:

@@ -23,18 +23,18 @@ _MEASURES = {
     "filters": "filters",
 }
 _WORDS = (
-    "*Floors*: how far what is read from the material is from other true pieces of the same, "
-    "under lights away from the flash, in multiples of what true pieces differ by; 1 is "
-    "indistinguishable. By SqueezeNet, which nothing is tuned by, unless another measure is "
-    "named; *patches*: sliced Wasserstein distance of patches of 3, 7 and 15 texels at three "
-    "scales; *filters*: random filters, statistics of the kind that decoders are tuned by. "
-    "*Field* is the endless material, *piece* the photographed piece as it lies, *flash* the "
-    "field under the photograph's own light, *fine* the field on 1024 texels across, where the "
-    "others are judged on 512 and see nothing finer. Seconds of the processor and memory are of "
-    "the whole command, libraries included, on one thread; seconds by the clock were taken while "
-    "other programs ran, and count for little, but for those of `--time`, on two threads at rest."
-    " A point measured on fewer materials is told by its ratio to `standard` on the same ones; "
-    "*over seeds* is the standard deviation between seeds, its mean over materials."
+    "*Floors*: how far what is read from the material is from other true pieces of the same, under "
+    "lights away from the flash, in multiples of what true pieces differ by; 1 is "
+    "indistinguishable. By SqueezeNet, which nothing is tuned by, unless another measure is named; "
+    "*patches*: sliced Wasserstein distance of patches of 3, 7 and 15 texels at three scales; "
+    "*filters*: random filters, statistics of the kind that decoders are tuned by. *Field* is the "
+    "endless material, *piece* the photographed piece as it lies, *flash* the field under the "
+    "photograph's own light, *fine* the field on 1024 texels across, where the others are judged "
+    "on 512 and see nothing finer. Seconds of the processor and memory are of the whole command, "
+    "libraries included, on one thread; seconds by the clock were taken while other programs ran, "
+    "and count for little. A point measured on fewer materials is told by its ratio to `standard` "
+    "on the same ones; *over seeds* is the standard deviation between seeds, its mean over "
+    "materials."
 )
 _WORST = 10
 _APART = 1.1  # of errors: less is as far as seeds scatter
@@ -169,12 +169,12 @@ def _by_material(measured: Sequence[Measurement]) -> list[str]:
 def _worst(measured: Sequence[Measurement]) -> list[str]:
     """The worst of `standard`, what was said of them, and what five photographs make of them."""
     ones = [one for one in measured if one.point == BASE and one.seed == 0]
-    known = {(one.point, one.subject): one for one in measured if one.seed == 0}
+    # On the finer texels, where they were measured on both.
     five = {
-        one.subject: known[point, one.subject]
+        one.subject: one
         for point in reversed(_FIVE)
-        for one in ones
-        if (point, one.subject) in known
+        for one in measured
+        if one.point == point and one.seed == 0
     }
     heads = ["material", "field", "piece", "`inspect`", "verdict", "of five photographs"]
     lines = [f"| {' | '.join(heads)} |", "|---|---:|---:|---|---|---|"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -38,6 +38,7 @@ from matcap.capture.piece.network.network import (
 from matcap.capture.piece.network.store import load_inverse, read_inverse, save_inverse
 from matcap.errors import MatcapError
 from matcap.flash.coarse import CoarseFit
+from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import plane_of
 from matcap.flash.rectify import inside
 
@@ -79,8 +80,8 @@ def test_a_leg_after_which_the_piece_looks_otherwise_is_not_taken(
         return Adapted(replace(maps, height=stronger * maps.height), change=change)
 
     monkeypatch.setattr(sys.modules[adapted.__module__], "adapt", nearer)
-    target = SimpleNamespace()
-    found, told = adapted(sight, reading, target, Leg(1, 1.0, (), None, 0, None))  # type: ignore[arg-type]
+    nothing = cast(PhotographTarget, None)  # which what is put in adapt's place does not look at
+    found, told = adapted(sight, reading, nothing, Leg(1, 1.0, (), None, 0, None))
     assert told.change is not None and told.change.kept is taken
     assert (found is reading) is not taken
     assert unexplained(sight, found) < 1.3 * max(before, 0.15)

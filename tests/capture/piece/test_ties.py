@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from matcap.capture.piece.ties import OF_SPECULAR, ties
+from matcap.capture.piece.ties import ties
 
 
 def _noise(seed: int) -> torch.Tensor:
@@ -31,8 +31,8 @@ def test_a_grey_even_material_is_believed_to_be_tied_to_nothing_but_relief() -> 
     found = ties(torch.full((3, 40, 60), 0.3), bands)
     assert bool(torch.isfinite(found.features).all())
     of_specular, of_roughness = found.deviations()
-    assert len(of_specular) == OF_SPECULAR
-    assert len(of_roughness) == len(found.features) == OF_SPECULAR + 3
+    assert len(of_specular) == 2
+    assert len(of_roughness) == len(found.features) == 2 + 3
     assert max(of_specular + of_roughness[:2]) < 1e-5
     assert min(of_roughness[2:]) > 0.05
 

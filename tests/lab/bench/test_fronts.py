@@ -190,6 +190,18 @@ def test_large_photographs_are_compared_with_no_others(tmp_path):
     assert "| * | 12 megapixels, 512 texels |" in write_report([alone], page, ["x"])
 
 
+def test_five_photographs_are_told_of_on_the_finer_texels(tmp_path):
+    """In whatever order they were measured."""
+    pytest.importorskip("matplotlib", reason="the extra bench is not installed")
+    table, page = tmp_path / "fronts.csv", tmp_path / "page.md"
+    some(table)
+    for texels, error in ((1024, 1.25), (512, 1.75)):
+        point = f"{texels} texels, 5 photographs"
+        append(table, replace(read(table)[0], point=point, group="several", error=error))
+    worst = write_report([table], page, ["x"]).partition("### The ten worst")[2]
+    assert "| 1.25, " in worst and "| 1.75, " not in worst
+
+
 def test_missing_and_empty_tables_are_told(tmp_path):
     with pytest.raises(MatcapError, match="no such table"):
         write_report([tmp_path / "none.csv"], tmp_path / "page.md", ["matcap"])
