@@ -25,7 +25,9 @@ from matcap.capture.together.texels import (
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.register import register
-from matcap.lab.simulate.hand_held import Hand, hold
+from matcap.lab.floors.subjects import subjects
+from matcap.lab.simulate.hand_held import Hand, hold, take_several
+from matcap.lab.simulate.photograph import as_photo
 
 
 def _true(seed=0):
@@ -175,6 +177,16 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
         assert 0.0 <= one["doubt"] < 0.01
         assert 0.0 < one["residual"] < 0.1 and math.isfinite(one["predicted"])
     assert all(0.0 <= share <= 1.0 for share in several["measured_share"].values())
+
+
+def test_boards_are_kept_whole_as_of_one_photograph():
+    (planks,) = subjects(("planks",))
+    cameras = hold(PHONE, Hand(), 2, 5)
+    shots = take_several(planks.pieces(planks.seed), PHONE, cameras, Hand(), 5)
+    photos = [as_photo(one.shot, n, f"planks_{n}") for n, one in enumerate(shots)]
+    settings = CaptureSettings(preset="instant", detail=192)
+    result = capture_photo(photos[0], settings, others=photos[1:])
+    assert result.found is not None and result.found.example.variety < 1.0
 
 
 def test_nothing_in_common_is_refused(held, foreign):
