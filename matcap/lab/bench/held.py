@@ -67,7 +67,7 @@ class Held:
         )
 
     def photographs(self, count: int, out: Path) -> tuple[list[Path], FlashSetup]:
-        """So many DNGs in a folder, and the first one's true setup; taken once.
+        """So many DNGs in a folder, and the first one's true setup; taken where any is missing.
 
         Raises:
             MatcapError: the folder cannot be written.
@@ -75,7 +75,7 @@ class Held:
         subject = self.specimen
         paths = [out / f"{subject.name.replace(':', '-')}_{number}.dng" for number in range(count)]
         told = out / "setup.json"
-        if not told.exists():
+        if not all(path.exists() for path in (told, *paths)):
             cameras = hold(self.phone, self.hand, count, subject.seed)
             first = FlashSetup(fov=self.phone.fov, tilt=self.tilt)
             cameras[0] = PosedCamera.of(first, self.hand.bent)

@@ -58,6 +58,8 @@ def test_photographs_are_taken_once_and_their_truth_is_kept(tmp_path):
     written = paths[0].stat().st_mtime_ns
     again, same = held.photographs(2, tmp_path)
     assert again == paths and same == setup and paths[0].stat().st_mtime_ns == written
+    more, _ = held.photographs(3, tmp_path)
+    assert len(more) == 3 and all(path.exists() for path in more)
     mean = float(load_photo(paths[0], noise=False).pixels.mean())
     assert mean <= held.phone.brightness * 1.1
     assert setup.tilt == held.tilt and setup.intensity[0] > 0.0
