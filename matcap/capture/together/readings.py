@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
@@ -32,6 +33,9 @@ from matcap.flash.registration.camera import Doubles, PosedCamera
 
 UNREAD = 4.0  # log of what a reading is off by where its photograph does not show the piece
 
+_NOTHING = 1e-8  # that a border weighs at last: beyond UNREAD
+
+Floats = NDArray[np.float32]
 # What a photograph alone is read as, on its own plane: maps, and (4, H, W) log of their errors.
 ReadAlone = Callable[[Plane, CoarseFit], tuple[MapSet, Tensor]]
 
@@ -45,11 +49,13 @@ class ReadingSettings:
         steepest: degrees of tilt beyond which a photograph is not read: no training has seen it.
         shared: of what readings are off by, in squares: the network's habit, which more of them
             do not lessen.
+        fades: of a reading's width: as wide a border counts less and less, to nothing.
     """
 
     across: int = 384
     steepest: float = 35.0
     shared: float = 0.5
+    fades: float = 0.12
 
 
 READINGS = ReadingSettings()
@@ -186,10 +192,18 @@ def brought_over(
         place.extent.texel(size[0]),
     )
     unsure = torch.stack([there(channel, cv2.INTER_LINEAR) for channel in doubt])
-    outside = (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
-    unsure = torch.where(torch.from_numpy(outside), torch.tensor(UNREAD), unsure)
+    unsure = (unsure + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNREAD)
     tint = None if hue is None else torch.stack([there(c, cv2.INTER_LINEAR) for c in hue])
     return ReadView(numbers_of(over), unsure, place.extent, tint)
+
+
+def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
+    """Log by which doubt grows towards a reading's border: maps would show where one begins."""
+    width, height = size
+    within = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y))
+    share = (within / (READINGS.fades * width)).clip(0.0, 1.0)
+    weight = share**2 * (3.0 - 2.0 * share)
+    return np.asarray(-0.5 * np.log(np.maximum(weight, _NOTHING)), np.float32)
 
 
 def joined(readings: Sequence[ReadView | None]) -> tuple[MapSet, Tensor]:

@@ -16,7 +16,7 @@ from matcap.capture.together.readings import (
     joined,
     with_others,
 )
-from matcap.capture.together.texels import SLOPES, numbers_of
+from matcap.capture.together.texels import F0, SLOPES, numbers_of
 from matcap.capture.together.views import SetLight, ViewPlace
 from matcap.flash.geometry import camera_in_plane
 from matcap.flash.registration.camera import PosedCamera
@@ -82,6 +82,20 @@ def test_a_reading_is_brought_over_the_first(cameras):
     known = known & (torch.nn.functional.avg_pool2d(known.float(), 5, 1, 2) > 0.999)
     assert 0.4 < known.float().mean() < 1.0
     assert float((read.numbers - true)[known].abs().max()) < 0.03
+
+
+def test_no_border_of_a_reading_is_seen(cameras):
+    own = OwnPlane.of(cameras[1], _light(3), 1)
+    even = _waves(np.zeros((2, 192, 256)), 2.0 / 256)
+    place = ViewPlace(np.eye(3), None, cameras[0].place)
+    doubt = torch.full((4, 192, 256), -2.0)
+    theirs = brought_over(even, doubt, own, cameras[1], place, (SIZE[1], SIZE[0]))
+    otherwise = numbers_of(_waves(np.zeros((2, *SIZE)), 2.0 / SIZE[1]))
+    otherwise[F0] += 1.0
+    both = numbers_of(joined([ReadView(otherwise, torch.full((4, *SIZE), -2.0)), theirs])[0])[F0]
+    assert float(both.max() - both.min()) > 0.4
+    steps = torch.cat([both.diff(dim=0).abs().flatten(), both.diff(dim=1).abs().flatten()])
+    assert float(steps.max()) < 0.1
 
 
 def _read(maps, off, generator, doubt):
