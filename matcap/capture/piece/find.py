@@ -248,10 +248,19 @@ def find_piece(
         exemplar = _in_detail(sight, lent(sight, explained.reading, tried), whole)
         scale = 1.0 if absolute else most_probable_scale(exemplar, explained.reading.metal)
     with stage("index"):
-        longer = whole.size[0] / plane.size[0]
-        ordered = tuple((w.fx / longer, w.fy / longer) for w in waves)
-        example = chosen(Example.of(scaled(exemplar, scale), ordered))
+        example = indexed(scaled(exemplar, scale), waves, whole.size[0] / plane.size[0])
     return replace(_found(sight, whole, explained, strengths, example), scale=scale)
+
+
+def indexed(exemplar: Exemplar, waves: Sequence[Wave], longer: float = 1.0) -> Example:
+    """An exemplar ready to be rearranged, as varied as keeps what is long in it.
+
+    Args:
+        exemplar: the piece.
+        waves: of its regular order.
+        longer: texels across of it over those that waves are told in.
+    """
+    return chosen(Example.of(exemplar, tuple((w.fx / longer, w.fy / longer) for w in waves)))
 
 
 @dataclass

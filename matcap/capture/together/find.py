@@ -27,6 +27,7 @@ from matcap.capture.piece.find import (
     confidence,
     evened,
     exemplar_of,
+    indexed,
     lent,
     levelled,
     piece_maps,
@@ -61,7 +62,6 @@ from matcap.capture.together.views import PieceView, SetLight
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
-from matcap.example.variety import chosen
 from matcap.flash.coarse import CoarseFit, fit_coarse, under_flash
 from matcap.flash.extent import Extent
 from matcap.flash.plane import Plane
@@ -224,8 +224,7 @@ def _indexed(
     known = photo.flash_intensity is not None
     own = exemplar.cut(*reach.margins.inside(reach.size)) if reach.margins.any else exemplar
     scale = 1.0 if known else most_probable_scale(own, metal)
-    ordered = tuple((w.fx, w.fy) for w in waves)
-    return chosen(Example.of(scaled(exemplar, scale), ordered)), scale
+    return indexed(scaled(exemplar, scale), waves), scale
 
 
 def _registered(

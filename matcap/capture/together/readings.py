@@ -32,8 +32,7 @@ from matcap.flash.plane import Plane, read_plane
 from matcap.flash.registration.camera import Doubles, PosedCamera
 
 UNREAD = 4.0  # log of what a reading is off by where its photograph does not show the piece
-
-_NOTHING = 1e-8  # that a border weighs at last: beyond UNREAD
+_NOTHING = 1e-8  # that a reading weighs at its border: its doubt is beyond UNREAD then
 
 Floats = NDArray[np.float32]
 # What a photograph alone is read as, on its own plane: maps, and (4, H, W) log of their errors.
