@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import UsageError
+from matcap.files.rec709 import LUMINANCE
 from matcap.files.srgb import srgb_decode
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ RANGES = {
     "brightness": (0.0, 8.0),
 }
 _WHITE = "#ffffff"
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec.709
+_LUMINANCE = np.array(LUMINANCE, np.float32)
 _LONGEST = 10_000  # bytes of a file of adjustments
 
 

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from matcap.example.exemplar import Exemplar
 from matcap.example.tuned import FEATURE
+from matcap.files.rec709 import LUMINANCE
 
 FeatureMap = NDArray[np.int16]
 
 PLANES = 8
-_REC709 = (0.2126, 0.7152, 0.0722)
 LIMIT = 127  # of a feature
 
 
@@ -97,7 +97,7 @@ def smoothed(features: FeatureMap) -> FeatureMap:
 
 def _luminance(colour: NDArray[np.float32]) -> NDArray[np.float32]:
     """(H, W) of (3, H, W): sums in a fixed order, for the same bits on every machine."""
-    red, green, blue = (np.float32(w) * plane for w, plane in zip(_REC709, colour, strict=True))
+    red, green, blue = (np.float32(w) * plane for w, plane in zip(LUMINANCE, colour, strict=True))
     return red + green + blue
 
 

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.files.maker import SOFTWARE
+from matcap.files.rec709 import REC709
 
-# x and y of the red, green and blue primaries and of white (ITU-R BT.709-6; D65).
-REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 LARGEST_HALF = 65504.0  # of half float (IEEE 754)
 
 

@@ -50,3 +50,9 @@ def srgb_encode_tensor(light: Tensor) -> Tensor:
     """The same as srgb_encode for PyTorch; its gradient is finite everywhere."""
     power = 1.055 * light.clamp_min(_KNEE_LIGHT).pow(1.0 / 2.4) - 0.055
     return (12.92 * light).where(light <= _KNEE_LIGHT, power)
+
+
+def srgb_slope(light: CodeValues) -> CodeValues:
+    """D code / d light at linear light, any shape: 12.92 near black, 0.439583 at the light 1."""
+    power = np.maximum(light, _KNEE_LIGHT) ** light.dtype.type(1.0 / 2.4 - 1.0)
+    return np.where(light <= _KNEE_LIGHT, light.dtype.type(12.92), power * (1.055 / 2.4))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from matcap.files.srgb import srgb_slope
 from matcap.relight.scene import Film
 from matcap.relight.vectors import Array
 
@@ -20,9 +21,6 @@ from matcap.relight.vectors import Array
 # is what their rules were measured to be off; hardly a pixel mirrors so little of its surroundings
 # that any share would let it leave them out.
 SHARES: Mapping[str, float] = {"area": 0.4, "environment": 0.05, "interreflection": 0.55}
-# The sRGB curve's slope: 12.92 near black, 1.055 / 2.4 light^(1 / 2.4 - 1) beyond.
-_STEEPEST, _FACTOR, _POWER = 12.92, 1.055 / 2.4, 1.0 / 2.4 - 1.0
-_KNEE = 0.0031308
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,5 @@ class Budget:
         allowed = np.float32(share * self.codes / self.film.gain)
         if self.film.transfer == "linear":
             return np.broadcast_to(allowed, known.shape)
-        light = np.maximum(known * np.float32(self.film.gain), np.float32(_KNEE))
-        found: Array = allowed / np.float32(_FACTOR) * light ** np.float32(-_POWER)
-        found[light <= _KNEE] = allowed / np.float32(_STEEPEST)
+        found: Array = allowed / srgb_slope(known * np.float32(self.film.gain))
         return found

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.exr import LARGEST_HALF, REC709
+from matcap.files.exr import LARGEST_HALF
+from matcap.files.rec709 import REC709
 
 TILE = 64
 _MAGIC, _VERSION_TILED = 20000630, 2 | 0x200

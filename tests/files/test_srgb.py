@@ -12,6 +12,7 @@ from matcap.files.srgb import (
     srgb_encode,
     srgb_encode_tensor,
     srgb_picture,
+    srgb_slope,
 )
 
 # (linear light, code value): black, the knee, middle grey, half the light, white.
@@ -67,3 +68,11 @@ def test_a_picture_is_clipped():
     found = srgb_picture(linear)
     assert found.dtype == np.float32
     assert found == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0], abs=1e-6)
+
+
+@pytest.mark.parametrize("light", [0.0, 0.001, 0.01, 0.2, 1.0, 3.0])
+def test_its_slope_is_that_of_the_curve(light):
+    at = np.array([light - 1e-6, light + 1e-6])
+    rise = np.diff(srgb_encode(at))[0] / 2e-6
+    assert srgb_slope(np.array(light)) == pytest.approx(rise, rel=1e-4)
+    assert srgb_slope(np.array([light], np.float32)).dtype == np.float32

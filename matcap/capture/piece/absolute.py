@@ -22,8 +22,9 @@ from torch import Tensor
 
 from matcap.brdf.metals import METAL_F0
 from matcap.example.exemplar import Exemplar
+from matcap.files.rec709 import LUMINANCE
 
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec.709
+_LUMINANCE = np.array(LUMINANCE, np.float32)
 _LEAST = 1e-4  # of albedo and F0
 
 

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.tuned import NOISE
+from matcap.files.srgb import srgb_slope
 from matcap.flash.plane import Plane
 
 Floats = NDArray[np.float32]
@@ -44,9 +45,7 @@ def channel_weights(noise: Tensor) -> Tensor:
 
 def code_step(linear: Floats) -> Floats:
     """What one of 255 codes is of linear radiance (any shape), by the curve of sRGB."""
-    curve = (1.0 / 12.92, 2.4 / 1.055)
-    encoded = np.power(np.maximum(linear, 0.0031308), np.float32(1.4 / 2.4)) * curve[1]
-    return np.asarray(np.where(linear <= 0.0031308, curve[0], encoded) / 255.0, np.float32)
+    return np.asarray(1.0 / (255.0 * srgb_slope(linear)), np.float32)
 
 
 def noise_level(plane: Plane) -> float:

@@ -26,14 +26,13 @@ import torch
 from torch import Tensor
 
 from matcap.errors import MatcapError
+from matcap.files.rec709 import LUMINANCE
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
 from matcap.statistics.gram import gram
 
 _CODE_VALUE = 0.005
 _CORRELATION = 0.05
 _MOMENT = 0.2
-
-_LUMA = (0.2126, 0.7152, 0.0722)  # Rec.709
 
 # Groups of plenoptic's statistics and the size below which each cannot be seen.
 _GROUPS: Mapping[str, float] = {
@@ -105,7 +104,7 @@ class PortillaSimoncelli:
     @torch.no_grad()
     def __call__(self, pictures: Tensor) -> StyleStatistics:
         """Describe (B, 3, H, W)."""
-        luma = torch.tensor(_LUMA).to(pictures)[:, None, None]
+        luma = torch.tensor(LUMINANCE).to(pictures)[:, None, None]
         grey = (pictures * luma).sum(1, keepdim=True)
         told = self._model.convert_to_dict(self._model(grey))
         groups = {name: Group(_finite(told[name]), unseen) for name, unseen in _GROUPS.items()}

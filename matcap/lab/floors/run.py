@@ -24,6 +24,7 @@ from matcap.capture.pipeline import capture_file
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError
+from matcap.files.rec709 import LUMINANCE
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.bench.baselines import photo_as_albedo
 from matcap.lab.bench.relit import BenchScene, bench_scene, relight_all
@@ -35,7 +36,6 @@ ALBEDO, PIECE, FIELD = "photograph as albedo", "piece", "field"
 
 _EVERY = 2  # of the bench's lights
 _DARK = 1e-3  # of albedo
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec.709
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class MapNumbers:
     @staticmethod
     def of(maps: MapSet) -> MapNumbers:
         """Of one map set."""
-        luminance = torch.tensor(_LUMINANCE)[:, None, None] * maps.diffuse.float()
+        luminance = torch.tensor(LUMINANCE)[:, None, None] * maps.diffuse.float()
         return MapNumbers(
             float(maps.normal[2].clamp(-1.0, 1.0).acos().rad2deg().mean()),
             float((luminance.sum(0) + _DARK).log().std()),

@@ -24,6 +24,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from matcap.errors import MatcapError
+from matcap.files.srgb import srgb_decode
 from matcap.files.tensors import write_tensors
 from matcap.lab.simulate.map_sets import bare_metals
 
@@ -92,7 +93,7 @@ def read_set(folder: Path, *, bare_metal: bool = False) -> tuple[Picture, Pictur
         folder: of one set; sides multiples of 2^(LEVELS - 1).
         bare_metal: all of it is metal where nothing else is said.
     """
-    colour = _linear(_read(folder, "basecolor", 3))
+    colour = srgb_decode(_read(folder, "basecolor", 3))
     normal = _read(folder, "normal", 3) * 2.0 - 1.0
     roughness = _read(folder, "roughness", 1)
     plain = np.full_like(roughness, 1.0 if bare_metal else 0.0)
@@ -188,11 +189,6 @@ def _read(folder: Path, name: str, channels: int) -> Picture:
     if channels == 1:
         return np.ascontiguousarray(scaled[None])
     return np.ascontiguousarray(scaled[..., ::-1].transpose(2, 0, 1))
-
-
-def _linear(colour: Picture) -> Picture:
-    low, high = colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4
-    return np.asarray(np.where(colour <= 0.04045, low, high), np.float32)
 
 
 def _slopes(height: Picture) -> Picture:
