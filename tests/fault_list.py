@@ -842,7 +842,7 @@ SHOOTS_AND_PAGE = (
     ),
     Fault(
         "photographs: colours of the matrix's other side",
-        "photo/color.py",
+        "files/color.py",
         "self.matrix.T.astype",
         "self.matrix.astype",
         ("tests/photo/test_color.py",),

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.photo.color import LINEAR, SRGB, ColorSpace
+from matcap.files.color import LINEAR, ColorSpace
+from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo.decoded import Decoded
 from matcap.photo.exif import Exif, read_exif
-from matcap.photo.icc import lineariser_of
 from matcap.photo.refusals import check_size, decoding, missing_extra, unreadable
 from matcap.photo.shrink import Rows, shrink
 
@@ -42,8 +42,7 @@ class Coded:
     width: int
     height: int
     dtype: np.dtype[Any]
-    space: ColorSpace = SRGB
-    profile: bytes | None = None
+    color: StatedColor = StatedColor()
     clip_at: float = 1.0
     notes: tuple[str, ...] = ()
 
@@ -79,7 +78,7 @@ def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
         image.width,
         image.height,
         np.dtype(np.uint8),
-        profile=image.info.get("icc_profile"),
+        color=stated_color(path),
         clip_at=_LOSSY_CLIP,
         notes=_hdr_notes(path),
     )
@@ -108,7 +107,7 @@ def read_heic(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
         pixels.shape[1],
         pixels.shape[0],
         pixels.dtype,
-        profile=info.get("icc_profile"),
+        color=stated_color(path),
         clip_at=_LOSSY_CLIP,
         notes=_hdr_notes(path),
     )
@@ -140,16 +139,16 @@ def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Deco
     if pixels is None or broken:
         raise unreadable(path, form)
     floating = bool(np.issubdtype(pixels.dtype, np.floating))
-    light = floating or str(spec.getattribute("oiio:ColorSpace")).startswith("lin")
-    profile = spec.getattribute("ICCProfile")
+    color = stated_color(path)
+    if floating and color.profile is None:
+        color = StatedColor(space=ColorSpace(LINEAR.name, LINEAR.curves, color.space.matrix))
     pixels, notes = _below_one(pixels) if floating else (pixels, ())
     coded = Coded(
         lambda top, bottom: _three_channels(pixels[top:bottom]),
         spec.width,
         spec.height,
         pixels.dtype,
-        space=LINEAR if light else SRGB,
-        profile=None if profile is None else np.asarray(profile).tobytes(),
+        color=color,
         notes=notes,
     )
     exif = read_exif(path)
@@ -162,7 +161,7 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
     Raises:
         MatcapError: a value is NaN or infinite.
     """
-    linearise, notes = lineariser_of(coded.profile, coded.dtype, coded.space)
+    linearise, notes = coded.color.lineariser(coded.dtype)
     whole = np.issubdtype(coded.dtype, np.integer)
     clip_code = np.ceil(coded.clip_at * np.iinfo(coded.dtype).max) if whole else coded.clip_at
     at_limit = 0

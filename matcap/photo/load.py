@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
-from matcap.photo.color import LINEAR
+from matcap.files.color import LINEAR
+from matcap.files.stated_color import StatedColor
 from matcap.photo.decoded import Decoded
 from matcap.photo.developed import Coded, decode, read_heic, read_jpeg, read_png_or_tiff
 from matcap.photo.dng import Corrections, read_corrections
@@ -89,7 +90,9 @@ def photo_from_array(
         )
     height, width = array.shape[:2]
     check_size(Path(name), width, height)
-    coded = Coded(lambda a, b: array[a:b], width, height, array.dtype, space=LINEAR)
+    coded = Coded(
+        lambda a, b: array[a:b], width, height, array.dtype, color=StatedColor(space=LINEAR)
+    )
     picture = decode(coded, long_side, name, 1)
     return _photo(picture, Exif(), fov, name, name, radiometric)
 

@@ -16,9 +16,9 @@ from icc_files import (
 )
 from PIL import Image, ImageCms
 
+from matcap.files.color import SRGB
+from matcap.files.icc import lineariser_of, read_profile
 from matcap.files.srgb import srgb_decode, srgb_encode
-from matcap.photo.color import SRGB
-from matcap.photo.icc import lineariser_of, read_profile
 from matcap.photo.load import load_photo
 
 # Linear Display P3 to linear Rec.709, both D65: from the primaries' chromaticities.

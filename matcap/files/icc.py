@@ -14,12 +14,25 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.photo.color import REC709_TO_D50, SRGB, ColorSpace, Curve, Linearise, Values
+from matcap.files.color import (
+    REC709_TO_D50,
+    SRGB,
+    ColorSpace,
+    Curve,
+    Linearise,
+    Values,
+    assumed,
+    power,
+    space_of_code_points,
+)
+from matcap.files.srgb import srgb_decode
 
 _COLORANTS = (b"rXYZ", b"gXYZ", b"bXYZ")
 _CURVES = (b"rTRC", b"gTRC", b"bTRC")
 # How many parameters each type of parametric curve has, table 68.
 _PARAMETERS = (1, 3, 4, 5, 7)
+# What a profile calls the colours it is for, to Pillow's name of them.
+_MODES = {b"RGB ": "RGB", b"GRAY": "L", b"CMYK": "CMYK"}
 
 
 def lineariser_of(
@@ -37,28 +50,48 @@ def lineariser_of(
     try:
         space = read_profile(profile)
     except (ValueError, struct.error, IndexError):
-        space = None
+        space = None  # LittleCMS may be able to; else it is said
     if space is not None:
         note = f"Colours converted from the file's profile ({space.name}) to Rec.709."
-        plain = space.matrix is None and "sRGB" in space.name
-        return space.lineariser(dtype), () if plain else (note,)
-    managed = _managed(profile, dtype)
+        return space.lineariser(dtype), () if _is_srgb(space) else (note,)
+    managed = _managed(profile, dtype) if profile[16:20] != b"CMYK" else None
     if managed is not None:
         return managed, ("Colours converted through the file's profile at 8 bits.",)
-    unread = f"The file's colour profile cannot be read: {default.name} assumed."
-    return default.lineariser(dtype), (unread,)
+    return default.lineariser(dtype), (assumed(default, "colour profile"),)
+
+
+def _is_srgb(space: ColorSpace) -> bool:
+    """Whether it differs from sRGB by no more than profiles of sRGB differ from each other."""
+    codes = np.linspace(0.0, 1.0, 64)
+    apart = max(float(np.abs(curve(codes) - srgb_decode(codes)).max()) for curve in space.curves)
+    return space.matrix is None and space.system_gamma == 1.0 and apart < 2e-3
+
+
+def inks_lineariser_of(
+    profile: bytes, dtype: np.dtype[np.generic]
+) -> tuple[Linearise, tuple[str, ...]] | None:
+    """How to linearise rows (n, W, 4) of inks, 1 being full; None where the profile is no help."""
+    managed = _managed(profile, dtype) if profile[16:20] == b"CMYK" else None
+    note = "Colours converted from inks through the file's profile at 8 bits."
+    return None if managed is None else (managed, (note,))
 
 
 def read_profile(profile: bytes) -> ColorSpace | None:
-    """A matrix profile's curves and matrix; None when it is not of this kind.
+    """What a profile says by code points, a matrix or grey's curve; None where by tables.
 
     Raises:
         ValueError, struct.error, IndexError: it is damaged.
     """
-    if profile[16:20] != b"RGB " or profile[20:24] != b"XYZ ":
+    if profile[16:20] == b"GRAY":
+        return _grey(profile)
+    if profile[16:20] != b"RGB ":
         return None
     tags = _tags(profile)
-    if any(name not in tags for name in _COLORANTS + _CURVES):
+    if len(tags.get(b"cicp", b"")) >= 12:  # ICC.1:2022, 9.2.17
+        stated = space_of_code_points(tags[b"cicp"][8], tags[b"cicp"][9])
+        if stated is not None:
+            return stated
+    if profile[20:24] != b"XYZ " or any(name not in tags for name in _COLORANTS + _CURVES):
         return None
     red, green, blue = (_checked(_curve(tags[name])) for name in _CURVES)
     colorants = np.stack([_xyz(tags[name]) for name in _COLORANTS], axis=1)
@@ -69,6 +102,24 @@ def read_profile(profile: bytes) -> ColorSpace | None:
         raise ValueError("the colorants are no basis")
     same = bool(np.abs(matrix - np.eye(3)).max() < 2e-3)
     return ColorSpace(_description(tags), (red, green, blue), None if same else matrix)
+
+
+def _grey(profile: bytes) -> ColorSpace | None:
+    """A grey profile's curve: to luminance, or to lightness where it is relative to CIELAB."""
+    tags = _tags(profile)
+    if b"kTRC" not in tags or profile[20:24] not in (b"XYZ ", b"Lab "):
+        return None
+    curve = _checked(_curve(tags[b"kTRC"]))
+    if profile[20:24] == b"Lab ":
+        lightness = curve
+        curve = _checked(lambda code: _of_lightness(lightness(code)))
+    return ColorSpace(_description(tags), (curve,) * 3)
+
+
+def _of_lightness(lightness: Values) -> Values:
+    """Luminance of CIE L* in [0, 1] (CIE 15:2004, 8.2.1.1)."""
+    root = (100.0 * lightness + 16.0) / 116.0
+    return np.where(lightness > 0.08, root**3, 100.0 * lightness * 27.0 / 24389.0)
 
 
 def _tags(profile: bytes) -> dict[bytes, bytes]:
@@ -90,9 +141,9 @@ def _curve(tag: bytes) -> Curve:
         raise ValueError("not a curve")
     (count,) = struct.unpack_from(">I", tag, 8)
     if count == 0:
-        return _power(1.0)
+        return power(1.0)
     if count == 1:
-        return _power(struct.unpack_from(">H", tag, 12)[0] / 256.0)
+        return power(struct.unpack_from(">H", tag, 12)[0] / 256.0)
     points = np.frombuffer(tag, ">u2", count, 12) / 65535.0
     return lambda code: np.interp(code, np.linspace(0.0, 1.0, count), points)
 
@@ -105,10 +156,6 @@ def _checked(curve: Curve) -> Curve:
     return curve
 
 
-def _power(gamma: float) -> Curve:
-    return lambda code: np.maximum(code, 0.0) ** gamma
-
-
 def _parametric(tag: bytes) -> Curve:
     (kind,) = struct.unpack_from(">H", tag, 8)
     if kind >= len(_PARAMETERS):
@@ -117,8 +164,8 @@ def _parametric(tag: bytes) -> Curve:
     gamma, a, b, c, d, e, f = _full_parameters(kind, values)
 
     def evaluate(code: Values) -> Values:
-        power = np.maximum(a * code + b, 0.0) ** gamma + e
-        return np.where(code >= d, power, c * code + f)
+        above = np.maximum(a * code + b, 0.0) ** gamma + e
+        return np.where(code >= d, above, c * code + f)
 
     return evaluate
 
@@ -151,12 +198,15 @@ def _managed(profile: bytes, dtype: np.dtype[np.generic]) -> Linearise | None:
     """A lineariser through Pillow's ImageCms, for profiles made of tables."""
     from PIL import Image, ImageCms
 
+    mode = _MODES.get(profile[16:20])
+    if mode is None:
+        return None
     try:
         source = ImageCms.getOpenProfile(io.BytesIO(profile))
         transform = ImageCms.buildTransform(
             source,
             ImageCms.createProfile("sRGB"),
-            "RGB",
+            mode,
             "RGB",
             ImageCms.Intent.RELATIVE_COLORIMETRIC,  # the perceptual one moves the shadows
         )
@@ -166,7 +216,8 @@ def _managed(profile: bytes, dtype: np.dtype[np.generic]) -> Linearise | None:
     to_8_bits = _to_8_bits(dtype)
 
     def linearise(rows: NDArray[np.generic]) -> NDArray[np.float32]:
-        strip = Image.fromarray(np.ascontiguousarray(to_8_bits(rows)))
+        codes = to_8_bits(rows if mode != "L" else rows[..., 0])
+        strip = Image.fromarray(np.ascontiguousarray(codes), mode=None if mode != "CMYK" else mode)
         converted = ImageCms.applyTransform(strip, transform)
         return decode(np.asarray(converted))
 

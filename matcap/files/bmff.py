@@ -1,0 +1,120 @@
+"""What HEIC and AVIF files say of their primary picture (ISO/IEC 14496-12 and 23008-12).
+
+Decoders hand out pixels and leave out what is not needed for that: the colour space as code
+points, and the camera's intrinsic matrix. Only the boxes meta, pitm, iprp, ipco, ipma are read.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+_MOST = 1 << 26  # bytes of a meta box that is looked at: a header may claim any size
+
+
+@dataclass(frozen=True)
+class Properties:
+    """Of the primary picture.
+
+    Attributes:
+        profile: ICC profile, or None.
+        code_points: (primaries, transfer) of ITU-T H.273 from nclx, or None.
+        focal_length: of the camera matrix (cmin), in widths of the stored picture, or None.
+        sideways: the decoded picture is the stored one after an odd number of quarter turns (irot).
+    """
+
+    profile: bytes | None = None
+    code_points: tuple[int, int] | None = None
+    focal_length: float | None = None
+    sideways: bool = False
+
+
+def primary_properties(path: Path) -> Properties:
+    """Read the boxes.
+
+    Raises:
+        ValueError, struct.error, IndexError: they are damaged.
+        OSError: the file cannot be read.
+    """
+    meta = _meta(path)[4:]  # a full box: version and flags first
+    boxes = dict(_boxes(meta))
+    primary = boxes[b"pitm"]
+    wide = primary[0] > 0
+    (item,) = struct.unpack_from(">I" if wide else ">H", primary, 4)
+    groups = list(_boxes(boxes[b"iprp"]))
+    shared = list(_boxes(dict(groups)[b"ipco"]))
+    found = Properties()
+    for name, data in groups:
+        if name != b"ipma":
+            continue
+        for index in _of_item(data, item):
+            if 0 < index <= len(shared):
+                found = _with(found, *shared[index - 1])
+    return found
+
+
+def _with(found: Properties, name: bytes, data: bytes) -> Properties:
+    if name == b"colr" and data[:4] == b"nclx":
+        return replace(found, code_points=struct.unpack_from(">2H", data, 4))
+    if name == b"colr" and data[:4] in (b"prof", b"rICC"):
+        return replace(found, profile=data[4:])
+    if name == b"irot":
+        return replace(found, sideways=bool(data[0] & 1))
+    if name == b"cmin":
+        # Flags: bits 8 to 12 are log2 of the denominator (ISO/IEC 23008-12, 6.5.43).
+        flags = int.from_bytes(data[1:4], "big")
+        (focal_length,) = struct.unpack_from(">i", data, 4)
+        widths = focal_length / (1 << (flags >> 8 & 31))
+        return replace(found, focal_length=widths if widths > 0.0 else None)
+    return found
+
+
+def _meta(path: Path) -> bytes:
+    with path.open("rb") as file:
+        while len(head := file.read(8)) == 8:
+            size, name = struct.unpack(">I4s", head)
+            begun = 8
+            if size == 1:
+                (size,) = struct.unpack(">Q", file.read(8))
+                begun = 16
+            if name == b"meta" and begun <= size <= _MOST:
+                return file.read(size - begun)
+            if size < begun:
+                break
+            file.seek(size - begun, 1)
+    raise ValueError("no meta box")
+
+
+def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    at = 0
+    while at + 8 <= len(data):
+        size, name = struct.unpack_from(">I4s", data, at)
+        begun = 8
+        if size == 1:
+            (size,) = struct.unpack_from(">Q", data, at + 8)
+            begun = 16
+        elif size == 0:
+            size = len(data) - at
+        if size < begun:
+            raise ValueError("a box shorter than its head")
+        yield name, data[at + begun : at + size]
+        at += size
+
+
+def _of_item(data: bytes, item: int) -> Iterator[int]:
+    """Indices, from 1, of the properties of an item in an ipma box."""
+    version, wide = data[0], data[3] & 1
+    (count,) = struct.unpack_from(">I", data, 4)
+    at = 8
+    for _ in range(count):
+        (each,) = struct.unpack_from(">H" if version < 1 else ">I", data, at)
+        at += 2 if version < 1 else 4
+        links = data[at]
+        at += 1
+        for _ in range(links):
+            (index,) = struct.unpack_from(">H" if wide else ">B", data, at)
+            at += 2 if wide else 1
+            if each == item:
+                yield index & (0x7FFF if wide else 0x7F)

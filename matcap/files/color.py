@@ -1,0 +1,213 @@
+"""From code values to linear Rec.709: transfer functions, and the colour spaces of files.
+
+A file states its colours by an ICC profile (`icc`), by code points (ITU-T H.273: cICP in PNG, nclx
+in HEIC and AVIF) or by primaries and an exponent (gAMA and cHRM in PNG). All of them become one
+ColorSpace here. The sRGB curve is files/srgb.py, primaries are files/rec709.py.
+
+Display-referred codes (sRGB, PQ, HLG) become display light, where 1 is diffuse white: 203 cd/m2 of
+PQ, and of HLG on a display of 1000 cd/m2 (ITU-R BT.2408, table 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.files.rec709 import LUMINANCE, REC709, rec709_from
+from matcap.files.srgb import srgb_decode
+
+Values = NDArray[np.float64]
+Curve = Callable[[Values], Values]
+Linearise = Callable[[NDArray[np.generic]], NDArray[np.float32]]
+
+# Linear Rec.709 to XYZ relative to D50, Bradford-adapted: the colorants of sRGB's ICC profile.
+REC709_TO_D50 = np.array(
+    [
+        [0.4360747, 0.3850649, 0.1430804],
+        [0.2225045, 0.7168786, 0.0606169],
+        [0.0139322, 0.0971045, 0.7141733],
+    ]
+)
+
+
+def linear(code: Values) -> Values:
+    """The curve of a file that stores light itself."""
+    return code
+
+
+@dataclass(frozen=True)
+class ColorSpace:
+    """How a file's code values stand for light.
+
+    Attributes:
+        name: for the report.
+        curves: code values in [0, 1] to linear light, one for each of red, green and blue.
+        matrix: (3, 3) from the file's linear colours to Rec.709, or None where they are that.
+        system_gamma: power of luminance from scene to display light (HLG; ITU-R BT.2100, table 5).
+    """
+
+    name: str
+    curves: tuple[Curve, Curve, Curve]
+    matrix: Values | None = None
+    system_gamma: float = 1.0
+
+    def lineariser(self, dtype: np.dtype[np.generic]) -> Linearise:
+        """A function from rows (n, W, 3) of this dtype to linear Rec.709 float32, at least 0.
+
+        Integers go through a table of every code value, so that nothing of full size is ever made
+        in floating point. Colours outside Rec.709 come out at 0 or above 1 in a channel.
+        """
+        curves, exponent = self.curves, self.system_gamma - 1.0
+        luminance = np.array(LUMINANCE, np.float32)
+        matrix = None if self.matrix is None else self.matrix.T.astype(np.float32)
+
+        def finish(light: NDArray[np.float32]) -> NDArray[np.float32]:
+            turned = light if matrix is None else light @ matrix
+            np.maximum(turned, 0.0, out=turned)
+            if exponent:
+                turned *= (turned @ luminance)[..., None] ** np.float32(exponent)
+            return turned
+
+        if not np.issubdtype(dtype, np.integer):
+
+            def from_floats(rows: NDArray[np.generic]) -> NDArray[np.float32]:
+                channels = [curves[c](rows[..., c].astype(np.float64)) for c in range(3)]
+                return finish(np.stack(channels, axis=-1).astype(np.float32))
+
+            return from_floats
+
+        largest = int(np.iinfo(dtype).max)  # type: ignore[type-var]
+        codes = np.arange(largest + 1, dtype=np.float64) / largest
+        tables = [curve(codes).astype(np.float32) for curve in curves]
+
+        def from_integers(rows: NDArray[np.generic]) -> NDArray[np.float32]:
+            light = np.empty(rows.shape, np.float32)
+            for channel, table in enumerate(tables):
+                light[..., channel] = table[rows[..., channel]]
+            return finish(light)
+
+        def from_bytes(rows: NDArray[np.generic]) -> NDArray[np.float32]:
+            import cv2  # looks up bytes, and them alone, in a tenth of the time
+
+            return finish(np.asarray(cv2.LUT(np.asarray(rows), np.stack(tables, axis=-1)[None])))
+
+        return from_bytes if largest == 255 else from_integers
+
+
+SRGB = ColorSpace("sRGB", (srgb_decode,) * 3)
+LINEAR = ColorSpace("linear Rec.709", (linear,) * 3)
+
+# Primaries and white by code point (ITU-T H.273, table 2), and what they are called.
+_PRIMARIES: dict[int, tuple[str, tuple[float, ...]]] = {
+    1: ("Rec.709", REC709),
+    4: ("BT.470 M", (0.67, 0.33, 0.21, 0.71, 0.14, 0.08, 0.310, 0.316)),
+    5: ("BT.470 BG", (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, 0.3127, 0.3290)),
+    6: ("SMPTE 170M", (0.630, 0.340, 0.310, 0.595, 0.155, 0.070, 0.3127, 0.3290)),
+    7: ("SMPTE 240M", (0.630, 0.340, 0.310, 0.595, 0.155, 0.070, 0.3127, 0.3290)),
+    8: ("film", (0.681, 0.319, 0.243, 0.692, 0.145, 0.049, 0.310, 0.316)),
+    9: ("BT.2020", (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290)),
+    11: ("DCI-P3", (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, 0.314, 0.351)),
+    12: ("Display P3", (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, 0.3127, 0.3290)),
+    22: ("EBU 3213", (0.630, 0.340, 0.295, 0.605, 0.155, 0.077, 0.3127, 0.3290)),
+}
+_UNSPECIFIED = 2  # a code point
+_WHITE = 203.0  # cd/m2, diffuse white (ITU-R BT.2408, table 1)
+_HLG_PEAK, _HLG_GAMMA = 1000.0, 1.2  # cd/m2 and system gamma (ITU-R BT.2100, table 5)
+
+
+def power(exponent: float) -> Curve:
+    """The curve light = code^exponent, 0 for negative codes."""
+    return lambda code: np.maximum(code, 0.0) ** exponent
+
+
+def rec709_decode(code: Values) -> Values:
+    """Inverse of the camera's curve of ITU-R BT.709-6, item 1.2; code 0.5 is the light 0.2597."""
+    above = (np.maximum(code, 0.081) + 0.099) / 1.099
+    return np.where(code < 0.081, code / 4.5, above ** (1.0 / 0.45))
+
+
+def _smpte240_decode(code: Values) -> Values:
+    """SMPTE ST 240 (ITU-T H.273, table 3)."""
+    above = (np.maximum(code, 0.0913) + 0.1115) / 1.1115
+    return np.where(code < 0.0913, code / 4.0, above ** (1.0 / 0.45))
+
+
+def pq_decode(code: Values) -> Values:
+    """SMPTE ST 2084 (ITU-R BT.2100, table 4), in parts of 203 cd/m2; code 0.5806 is the light 1."""
+    m1, m2 = 2610.0 / 16384.0, 2523.0 / 4096.0 * 128.0
+    c1, c2, c3 = 3424.0 / 4096.0, 2413.0 / 4096.0 * 32.0, 2392.0 / 4096.0 * 32.0
+    root = np.clip(code, 0.0, 1.0) ** (1.0 / m2)
+    light = (np.maximum(root - c1, 0.0) / (c2 - c3 * root)) ** (1.0 / m1)
+    return light * (10_000.0 / _WHITE)
+
+
+def hlg_decode(code: Values) -> Values:
+    """Hybrid log-gamma to scene light (ITU-R BT.2100, table 5), in parts of that of diffuse white.
+
+    With the system gamma applied to luminance, code 0.75 is 203 cd/m2 on a display of 1000.
+    """
+    a, b, c = 0.17883277, 0.28466892, 0.55991073
+    held = np.clip(code, 0.0, 1.0)
+    scene = np.where(held <= 0.5, held**2 / 3.0, (np.exp((held - c) / a) + b) / 12.0)
+    return scene / (_WHITE / _HLG_PEAK) ** (1.0 / _HLG_GAMMA)
+
+
+# Curves by code point (ITU-T H.273, table 3).
+_TRANSFERS: dict[int, tuple[str, Curve]] = {
+    **dict.fromkeys((1, 6, 11, 12, 14, 15), ("the curve of BT.709", rec709_decode)),
+    4: ("gamma 2.2", power(2.2)),
+    5: ("gamma 2.8", power(2.8)),
+    7: ("the curve of SMPTE 240M", _smpte240_decode),
+    8: ("linear", linear),
+    13: ("the curve of sRGB", srgb_decode),
+    16: ("PQ", pq_decode),
+    17: ("gamma 2.6", lambda code: power(2.6)(code) * (52.37 / 48.0)),
+    18: ("HLG", hlg_decode),
+}
+
+
+def space_of_code_points(primaries: int, transfer: int) -> ColorSpace | None:
+    """The colour space of ITU-T H.273's code points; None where one of them is not known.
+
+    Unspecified ones are sRGB's, as ISO/IEC 23000-22 has it of pictures.
+    """
+    primaries = 1 if primaries == _UNSPECIFIED else primaries
+    transfer = 13 if transfer == _UNSPECIFIED else transfer
+    if primaries not in _PRIMARIES or transfer not in _TRANSFERS:
+        return None
+    (name, corners), (way, curve) = _PRIMARIES[primaries], _TRANSFERS[transfer]
+    if (primaries, transfer) == (1, 13):
+        return SRGB
+    gamma = _HLG_GAMMA if curve is hlg_decode else 1.0
+    return ColorSpace(f"{name}, {way}", (curve,) * 3, rec709_from(corners), gamma)
+
+
+def space_of_primaries(primaries: Sequence[float] | None, curve: Curve, name: str) -> ColorSpace:
+    """The colour space of primaries (rec709_from) and one curve; without primaries, Rec.709's.
+
+    Raises:
+        ValueError: the primaries are no basis of colours.
+    """
+    matrix = None if primaries is None else rec709_from(primaries)
+    return ColorSpace(name, (curve,) * 3, matrix)
+
+
+# Adobe RGB (1998), section 4.3; Exif calls it by "R03" (DCF 2.0).
+ADOBE_RGB = space_of_primaries(
+    (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290), power(563.0 / 256.0), "Adobe RGB (1998)"
+)
+
+
+def converted(space: ColorSpace) -> tuple[str, ...]:
+    """What the user is told of a file in this colour space: nothing where it is sRGB."""
+    if space is SRGB or space is LINEAR:
+        return ()
+    return (f"Colours converted from the file's {space.name} to Rec.709.",)
+
+
+def assumed(space: ColorSpace, what: str) -> str:
+    """What the user is told where the file states colours that are not read."""
+    return f"The file's {what} cannot be read: {space.name} assumed."

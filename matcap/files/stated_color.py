@@ -1,0 +1,226 @@
+"""Which colour space a picture file states, in whatever way its format has.
+
+| format | stated by, the first that is there |
+| --- | --- |
+| PNG | cICP, iCCP, sRGB, gAMA with cHRM (PNG 3rd edition, 11.3.2) |
+| JPEG | ICC profile; Exif's InteroperabilityIndex R03, Adobe RGB (DCF 2.0) |
+| TIFF | ICC profile; R03; WhitePoint with PrimaryChromaticities (TIFF 6.0, section 20) |
+| WebP | ICC profile |
+| HEIC, AVIF | ICC profile; nclx (ISO/IEC 23008-12) |
+
+Files that state nothing are sRGB. What is stated and cannot be read is said in a note. EXR files
+state primaries (`rec709.rec709_from`).
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from matcap.files import bmff
+from matcap.files.color import (
+    ADOBE_RGB,
+    SRGB,
+    ColorSpace,
+    Linearise,
+    assumed,
+    converted,
+    linear,
+    power,
+    space_of_code_points,
+    space_of_primaries,
+)
+from matcap.files.icc import lineariser_of
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_MOST_CHUNK = 1 << 26  # bytes of one chunk that is looked at: a header may claim any size
+_ICC_TAG, _WHITE_POINT, _PRIMARIES = 34675, 318, 319  # of TIFF
+_EXIF_IFD, _INTEROPERABILITY_IFD, _COLOR_SPACE, _UNCALIBRATED = 0x8769, 0xA005, 0xA001, 65535
+_DECODED = 1 << 24  # bytes a compressed profile may have
+
+
+@dataclass(frozen=True)
+class StatedColor:
+    """What a file says of its colours.
+
+    Attributes:
+        profile: an ICC profile, which goes before the rest, or None.
+        space: what it says otherwise; sRGB where it says nothing.
+        notes: sentences for the user.
+    """
+
+    profile: bytes | None = None
+    space: ColorSpace = SRGB
+    notes: tuple[str, ...] = ()
+
+    def lineariser(self, dtype: np.dtype[Any]) -> tuple[Linearise, tuple[str, ...]]:
+        """From rows (n, W, 3) of codes of this dtype to linear Rec.709, and all there is to say."""
+        linearise, notes = lineariser_of(self.profile, dtype, self.space)
+        return linearise, self.notes + notes
+
+
+def stated_color(path: Path) -> StatedColor:
+    """Look into a PNG, JPEG, TIFF, WebP, HEIC or AVIF file; anything else states nothing.
+
+    Broken statements are no statements: their files are judged by whoever reads the pixels.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(32)
+    try:
+        if head.startswith(_PNG):
+            return of_png(dict(png_chunks(path)))
+        if head.startswith(b"\xff\xd8"):
+            return _of_jpeg(path)
+        if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+            return _of_tiff(path)
+        if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+            return StatedColor(dict(riff_chunks(path)).get(b"ICCP"))
+        if head[4:8] == b"ftyp":
+            return of_properties(bmff.primary_properties(path))
+    except OSError:
+        raise
+    except Exception:  # foreign parsers raise anything at all on broken bytes
+        return StatedColor(notes=(assumed(SRGB, "statement of its colours"),))
+    return StatedColor()
+
+
+def png_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
+    """(type, data) of a PNG's chunks, without those of its picture, up to where it breaks off."""
+    with path.open("rb") as file:
+        file.seek(len(_PNG))
+        while len(head := file.read(8)) == 8:
+            (size,) = struct.unpack(">I", head[:4])
+            if head[4:] in (b"IDAT", b"fdAT") or size > _MOST_CHUNK:
+                file.seek(size + 4, 1)
+                continue
+            data = file.read(size)
+            if len(data) < size or head[4:] == b"IEND":
+                return
+            file.seek(4, 1)
+            yield head[4:], data
+
+
+def riff_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
+    """(type, data) of a WebP's chunks, without those of its picture."""
+    with path.open("rb") as file:
+        file.seek(12)
+        while len(head := file.read(8)) == 8:
+            (size,) = struct.unpack("<I", head[4:])
+            if head[:4] in (b"VP8 ", b"VP8L", b"ALPH", b"ANMF") or size > _MOST_CHUNK:
+                file.seek(size + size % 2, 1)
+                continue
+            yield head[:4], file.read(size)
+            file.seek(size % 2, 1)
+
+
+def of_png(chunks: dict[bytes, bytes]) -> StatedColor:
+    """What a PNG's chunks state."""
+    if len(chunks.get(b"cICP", b"")) >= 2:
+        return _of_code_points(chunks[b"cICP"][0], chunks[b"cICP"][1], "cICP")
+    if b"iCCP" in chunks:
+        return StatedColor(_inflated(chunks[b"iCCP"]))
+    if b"sRGB" in chunks or not {b"gAMA", b"cHRM"} & chunks.keys():
+        return StatedColor()
+    try:
+        return _of_gamma(chunks.get(b"gAMA"), chunks.get(b"cHRM"))
+    except (ValueError, struct.error, ZeroDivisionError):
+        return StatedColor(notes=(assumed(SRGB, "gAMA and cHRM"),))
+
+
+def of_properties(properties: bmff.Properties) -> StatedColor:
+    """What an ISO base media file states of its primary picture."""
+    if properties.profile is not None:
+        return StatedColor(properties.profile)
+    if properties.code_points is None:
+        return StatedColor()
+    return _of_code_points(*properties.code_points, "nclx")
+
+
+def of_exif(exif: bytes) -> StatedColor:
+    """What Exif states: R03 is Adobe RGB (DCF 2.0); an uncalibrated space is told of."""
+    from PIL import Image
+
+    tags = Image.Exif()
+    tags.load(exif)
+    index = tags.get_ifd(_INTEROPERABILITY_IFD).get(1, "")
+    stated = tags.get_ifd(_EXIF_IFD).get(_COLOR_SPACE, 1)
+    if str(index).startswith("R03") and stated != 1 or stated == 2:  # 2: what some cameras write
+        return StatedColor(space=ADOBE_RGB, notes=converted(ADOBE_RGB))
+    if stated == _UNCALIBRATED:
+        says = "The file calls its colours uncalibrated and has no profile: sRGB assumed."
+        return StatedColor(notes=(says,))
+    return StatedColor()
+
+
+def _of_code_points(primaries: int, transfer: int, name: str) -> StatedColor:
+    space = space_of_code_points(primaries, transfer)
+    if space is None:
+        what = f"colour space ({name}: primaries {primaries}, transfer {transfer})"
+        return StatedColor(notes=(assumed(SRGB, what),))
+    return StatedColor(space=space, notes=converted(space))
+
+
+def _of_gamma(gamma: bytes | None, corners: bytes | None) -> StatedColor:
+    """Of gAMA and cHRM. The usual 0.45455 with sRGB's primaries, or none, stands for sRGB."""
+    primaries = None
+    if corners is not None:
+        white_x, white_y, *rest = (v / 100_000.0 for v in struct.unpack(">8I", corners))
+        primaries = (*rest, white_x, white_y)
+    exponent = None if gamma is None else 100_000.0 / struct.unpack(">I", gamma)[0]
+    usual = exponent is None or abs(exponent - 2.2) < 0.01
+    if exponent is not None and not 0.1 < exponent < 10.0:
+        raise ValueError("an exponent that no picture has")
+    flat = exponent is not None and abs(exponent - 1.0) < 1e-3
+    curve = linear if flat else power(exponent or 2.2)
+    said = [] if exponent is None else [f"gamma {exponent:.3g}"]
+    said += ["primaries"] if primaries is not None else []
+    space = space_of_primaries(primaries, curve, " and ".join(said))
+    if usual and space.matrix is None:
+        return StatedColor()
+    if exponent is None:
+        space = ColorSpace("primaries", SRGB.curves, space.matrix)
+    return StatedColor(space=space, notes=converted(space))
+
+
+def _inflated(chunk: bytes) -> bytes:
+    """The profile of an iCCP chunk: a name, a zero, the method 0, deflated bytes."""
+    start = chunk.index(b"\0") + 2
+    return zlib.decompressobj().decompress(chunk[start:], _DECODED)
+
+
+def _of_jpeg(path: Path) -> StatedColor:
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    with path.open("rb") as file:
+        info = JpegImageFile(file).info
+    if info.get("icc_profile"):
+        return StatedColor(info["icc_profile"])
+    return of_exif(info["exif"]) if info.get("exif") else StatedColor()
+
+
+def _of_tiff(path: Path) -> StatedColor:
+    import tifffile
+
+    with tifffile.TiffFile(path) as file:
+        tags = file.pages.first.tags
+        if _ICC_TAG in tags:
+            return StatedColor(bytes(tags[_ICC_TAG].value))
+        stated = tuple(tags[t].value if t in tags else () for t in (_PRIMARIES, _WHITE_POINT))
+    corners, white = (np.ravel(values).astype(np.float64) for values in stated)
+    if len(corners) == 12 and len(white) == 4:
+        primaries = np.concatenate([corners, white]).reshape(-1, 2)
+        space = space_of_primaries(
+            (primaries[:, 0] / primaries[:, 1]).tolist(), SRGB.curves[0], "primaries"
+        )
+        if space.matrix is not None:
+            return StatedColor(space=space, notes=converted(space))
+    return StatedColor()
