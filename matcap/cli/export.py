@@ -38,7 +38,6 @@ class ExportTile(Enum):
     piece = "piece"
 
 
-_AS_BEFORE = {"gltf": "gltf-textures"}  # what --preset called otherwise than --to
 _LARGEST = 65_536  # texels a side
 _TEXEL_BYTES = 150  # of memory that an export takes at least
 
@@ -55,10 +54,6 @@ def export(
             "packed as polyhaven, ambientcg, raw, unreal, unity-hdrp, unity-urp, godot, "
             "gltf-textures or substance.",
         ),
-    ] = None,
-    preset: Annotated[
-        str | None,
-        typer.Option(hidden=True, help="What --to was called for presets."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -157,9 +152,6 @@ def export(
             help="Of a preset: normals with +Y up (gl), down (dx), or both.",
         ),
     ] = None,
-    onnx: Annotated[
-        bool, typer.Option("--onnx", help="A material's network as an ONNX file instead.")
-    ] = False,
     overwrite: OverwriteOption = False,
     json: JsonOption = False,
     quiet: QuietOption = False,
@@ -187,21 +179,15 @@ def export(
     from matcap.files.memory import check_memory
     from matcap.files.staging import check_writable
 
-    if preset is not None and to is None:
-        to, preset = _AS_BEFORE.get(preset, preset), None
-    if preset is not None or onnx == (to is not None):
-        raise UsageError("give a target with --to, or --onnx", where="matcap export")
-    target = "" if to is None else check_target(to)
+    if to is None:
+        raise UsageError("there is no target", where="matcap export", remedy="give one with --to")
+    target = check_target(to)
     asked = {"--name": name, "--maps": maps, "--normal": normal}
     for option in (option for option, value in asked.items() if value is not None):
-        if onnx or target in DOCUMENTS:
+        if target in DOCUMENTS:
             raise UsageError("this is for presets alone", where=option, remedy="leave it out")
     changes = parse_adjustments(adjust)
-    if onnx and changes.changes:
-        raise UsageError("a network is not adjusted", where="--adjust", remedy="leave it out")
-    if onnx and variety is not None:
-        raise UsageError("a network has no pieces", where="--variety", remedy="leave it out")
-    if normals is not None and (onnx or udim is not None):
+    if udim is not None and normals is not None:
         raise UsageError("this is for map sets alone", where="--normals", remedy="leave it out")
     if udim is not None and changes.changes:
         raise UsageError("a texture set is not adjusted", where="--adjust", remedy="leave it out")
@@ -212,11 +198,6 @@ def export(
             where=f"{option} with --tile piece",
             remedy="leave one of the two out",
         )
-    if onnx and tile:
-        raise UsageError("a network has no piece", where="--tile", remedy="leave it out")
-    if onnx:
-        _export_onnx(path, out or Path("."), as_json=json, quiet=quiet, overwrite=overwrite)
-        return
     largest, count = size or values.DEFAULT_SIZE, udim.width * udim.height if udim else 1
     if out is not None:
         check_writable(out, count * export_bytes(largest.width, largest.height))
@@ -276,33 +257,6 @@ def export(
     inputs = [file for file in files_read(path) if file.name != sidecar.name]
     done = write_export(job, target, folder, choice, form, inputs=inputs, overwrite=overwrite)
     _report(done, as_json=json, quiet=quiet)
-
-
-def _export_onnx(path: Path, folder: Path, *, as_json: bool, quiet: bool, overwrite: bool) -> None:
-    from matcap.export.onnx import write_onnx
-    from matcap.field.material import Material
-    from matcap.files.mark import check_replaceable
-    from matcap.files.names import kept_plain
-    from matcap.files.staging import check_writable
-
-    file = folder / f"{kept_plain(path.stem)}.onnx"
-    check_replaceable([file], "matcap export", inputs=[path], overwrite=overwrite, own=_is_network)
-    material = Material.load(path)
-    check_writable(folder, path.stat().st_size)
-    folder.mkdir(parents=True, exist_ok=True)
-    error = write_onnx(material, file)
-    if as_json:
-        from json import dumps
-
-        typer.echo(dumps({"file": str(file), "error": error}, indent=2))
-    elif not quiet:
-        typer.echo(f"wrote {file}; onnxruntime's maps differ by at most {error:.1e}", err=True)
-
-
-def _is_network(file: Path) -> bool:
-    """Whether an ONNX file names matcap as its producer."""
-    with file.open("rb") as opened:
-        return b"matcap" in opened.read(64)
 
 
 def _report(done: Exported, *, as_json: bool, quiet: bool) -> None:

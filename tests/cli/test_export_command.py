@@ -153,9 +153,7 @@ _UDIM_ROWS = (("1011", "1012"), ("1001", "1002"))
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ([], 2, "give a target with --to, or --onnx"),
-        (["--to", "usd", "--preset", "raw"], 2, "give a target with --to, or --onnx"),
-        (["--to", "usd", "--onnx"], 2, "give a target with --to, or --onnx"),
+        ([], 2, "there is no target; give one with --to"),
         (["--to", "raw", "--name", "{map:>999999999}"], 2, "without a width or a conversion"),
         (["--to", "raw", "--name", "{map!r}"], 2, "without a width or a conversion"),
         (["--to", "raw", "--name", "../{map}"], 2, "it leads to another folder"),
@@ -163,8 +161,6 @@ _UDIM_ROWS = (("1011", "1012"), ("1001", "1002"))
         (["--to", "usd", "--unit", "nan"], 2, "'nan' is not from 1e-06 to 1e+09"),
         (["--to", "usd", "--seed", "9" * 25], 2, "is out of range"),
         (["--to", "usd", "--size", "99999999"], 2, "has a side of more than 65536"),
-        (["--onnx", "--maps", "diffuse"], 2, "--maps: this is for presets alone; leave it out."),
-        (["--onnx"], 3, "give a .matcap file"),
         (["--to", "gtlf"], 2, "--to: there is no 'gtlf'; did you mean 'gltf'."),
         (["--to", "unral"], 2, "--to: there is no 'unral'; did you mean 'unreal'."),
         (["--to", "usd", "--name", "{map}"], 2, "--name: this is for presets alone; leave it out."),
@@ -236,14 +232,6 @@ def test_a_size_of_a_map_set_is_refused_and_an_earlier_export_is_kept(matcap, fo
 def test_a_preset_is_a_target_too(matcap, folder):
     assert matcap("export", "set", "--to", "unreal").code == 0
     assert (folder / "moss_unreal" / "moss_unreal.json").is_file()
-
-
-def test_a_preset_by_its_old_option_meets_the_same_earlier_export(matcap, folder):
-    assert matcap("export", "set", "--preset", "gltf", "-o", "out").code == 0
-    assert (folder / "out" / "moss_gltf-textures.json").is_file()
-    for spelling in (("--preset", "gltf"), ("--to", "gltf-textures")):
-        said = matcap("export", "set", *spelling, "-o", "out")
-        assert said.code == 3 and "an earlier export stands here" in said.err
 
 
 def test_every_target_is_told_where_one_is_none_of_them(matcap, folder):

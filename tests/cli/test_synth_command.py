@@ -172,14 +172,6 @@ def test_failures_leave_nothing(matcap, material, tmp_path):
     assert list(tmp_path.iterdir()) == [material]
 
 
-def test_the_network_is_exported(matcap, material, tmp_path):
-    pytest.importorskip("onnxruntime", reason="needs the extra `onnx`")
-    said = matcap("export", material, "--onnx", "--json", "-o", "net")
-    assert said.code == 0 and json.loads(said.out)["error"] < 1e-5
-    assert [file.name for file in (tmp_path / "net").iterdir()] == ["leather.onnx"]
-    assert matcap("export", material, "--onnx", "--to", "gltf").code == 2
-
-
 def test_cuda_where_there_is_none(matcap, material, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     said = matcap("synth", material, "--size", "8x8", "--device", "cuda")

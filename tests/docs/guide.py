@@ -53,7 +53,7 @@ def pages() -> list[str]:
 def words_of(line: str) -> list[str]:
     """A line's words behind `matcap`, quick."""
     words = [SHORTER.get(word, word) for word in shlex.split(line)[1:]]
-    quick = () if {"--onnx", "--tile"} & set(words) else QUICK.get(words[0], ())
+    quick = () if "--tile" in words else QUICK.get(words[0], ())
     # A target is told in what the photograph's own windows differ by, which takes several.
     quick += ("--detail", "512") * ("--target" in words)
     spread = (sorted(map(str, Path().glob(word))) if "*" in word else [word] for word in words)
@@ -75,12 +75,8 @@ def prepare(folder: Path, page: str) -> None:
     shutil.copy(ROOT / "examples" / "scenes" / "flash.toml", folder / "scene.toml")
     text = " ".join(lines_of(page))
     if "out/" in text or "MATERIAL" in text:
-        network = ("--generator", "decoder") * ("--onnx" in text)
         assert main(["capture", "leather.dng", "cloth.jpg", "-o", "out", *QUICK["capture"]]) == 0
-        if network:
-            assert main(["capture", "leather.dng", "-o", "net", *network, *QUICK["capture"]]) == 0
-        source = "net" if network else "out"
-        shutil.copy(folder / source / "leather" / "leather.matcap", folder / "MATERIAL.matcap")
+        shutil.copy(folder / "out" / "leather" / "leather.matcap", folder / "MATERIAL.matcap")
         shutil.copy(folder / "out" / "cloth" / "cloth.matcap", folder / "OTHER.matcap")
     if "bricks/" in text:
         _foreign(folder / "bricks")
@@ -132,8 +128,6 @@ def run(page: str, folder: Path) -> Iterator[tuple[str, str]]:
         prepare(folder, page)
         for line in lines_of(page):
             words = words_of(line)
-            if "--onnx" in words and "MATERIAL.matcap" not in words:
-                words = ["MATERIAL.matcap" if "leather.matcap" in word else word for word in words]
             code = main([*words, *_again(words)])
             wrong = f"exit code {code}" if code else ""
             yield line, wrong or _missing(words)
