@@ -1,4 +1,4 @@
-"""What a DNG's tags say that LibRaw does not act on: lens shading, and JPEG XL compression."""
+"""What a DNG's tags say that LibRaw does not act on: lens shading, whites, JPEG XL compression."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from matcap.photo.dng_color import COLOR_TAGS, DngColor, dng_color
 from matcap.photo.gainmap import GainMap, parse_opcodes
 from matcap.photo.refusals import decoding
 
@@ -30,6 +31,7 @@ class Corrections:
         jpeg_xl: the raw picture is compressed with JPEG XL, which LibRaw cannot open.
         active_area: top, left, bottom, right of what the maps refer to, in the stored picture; the
             last two excluded. None where the file does not say: all of it.
+        color: white balance and matrix, or None where the file has no colour matrix.
         notes: what is asked for and not done.
     """
 
@@ -37,6 +39,7 @@ class Corrections:
     after_demosaic: tuple[GainMap, ...] = ()
     jpeg_xl: bool = False
     active_area: tuple[int, int, int, int] | None = None
+    color: DngColor | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -46,10 +49,11 @@ class Corrections:
 
 
 def read_corrections(path: Path) -> Corrections:
-    """Read a DNG's opcode lists and the compression of its raw picture.
+    """Read a DNG's opcode lists, its colours and the compression of its raw picture.
 
     Raises:
-        MatcapError: the tags or the gain maps are damaged: falloff would be fitted as light.
+        MatcapError: the tags or the gain maps are damaged: falloff would be fitted as light, or
+            the light's colour as the material's.
     """
     import tifffile
 
@@ -65,6 +69,7 @@ def read_corrections(path: Path) -> Corrections:
             after,
             int(page.compression) == _JPEG_XL,
             _active_area(page),
+            dng_color(_values(page) | _values(file.pages.first)),
             (note,) if vignette or other_vignette else (),
         )
 
@@ -80,6 +85,10 @@ def _pages(file: Any) -> Iterator[Any]:  # noqa: ANN401
     for page in file.pages:
         yield page
         yield from page.pages or ()
+
+
+def _values(page: Any) -> dict[int, Any]:  # noqa: ANN401
+    return {tag.code: tag.value for tag in page.tags if tag.code in COLOR_TAGS}
 
 
 def _active_area(page: Any) -> tuple[int, int, int, int] | None:  # noqa: ANN401

@@ -1,5 +1,9 @@
 """RAW files through rawpy (LibRaw): scene-linear, camera white balance, Rec.709, nothing more.
 
+A DNG's white balance and colours are worked out from its tags (`dng_color`), so that LibRaw hands
+over camera colours and nothing outside Rec.709 is cut off. Of other files they are LibRaw's; where
+a file states no white balance, LibRaw's daylight multipliers are taken, never its grey world.
+
 LibRaw ignores a DNG's lens-shading maps, so they are applied to its mosaic before it develops it.
 White balance makes the channels clip at different numbers, so what was clipped is read off the
 mosaic. JPEG-XL DNGs, which it cannot open, go to `jxl`.
@@ -57,19 +61,19 @@ def read_raw(
         half = bayer and long_side is not None and 2 * long_side <= max(width, height)
         # LibRaw forgets the flip once it has developed without it.
         orientation = _ORIENTATION[raw.sizes.flip]
-        saturated, share = _saturated(raw, bayer, half)
+        balance, unstated = _balance(raw, corrections)
+        saturated, share = _saturated(raw, balance, bayer, half)
         if bayer and noise and max(width, height) < _AVERAGED * (long_side or max(width, height)):
             noisy = _noisy(raw)
         else:
             noisy = None
-        developed, headroom = _develop(raw, corrections, half)
-        balance, balanced = _balance(raw), _positive(raw.camera_whitebalance) is not None
+        developed, headroom = _develop(raw, corrections, balance, half)
     again = None
     if noisy is not None:
         # Opened once more: what LibRaw shows of a mosaic changes when it has developed it.
         with decoding(path, "RAW"), _opened(path) as raw:
             raw.raw_image_visible[...] = noisy
-            again, _ = _develop(raw, corrections, half)
+            again, _ = _develop(raw, corrections, balance, half)
     if developed.shape != (*saturated.shape, 3):
         raise MatcapError(
             "the camera's sensor is not laid out in rows and columns of square pixels",
@@ -77,10 +81,16 @@ def read_raw(
             remedy="give a developed picture, a TIFF say",
         )
 
+    scale = np.float32(headroom / _FULL)
+    own = corrections.color
+    matrix = None if own is None else own.matrix.T.astype(np.float32) * scale
+
     def rows_of(picture: NDArray[np.uint16], top: int, bottom: int) -> Rows:
         rows = picture[top:bottom]
         clipped = saturated[top:bottom] | (rows == _FULL).any(axis=-1)
-        return rows * np.float32(headroom / _FULL), clipped
+        if matrix is None:
+            return rows * scale, clipped
+        return np.maximum(rows.astype(np.float32) @ matrix, 0.0), clipped
 
     size = developed.shape[1], developed.shape[0]
     pixels, clipped = shrink(partial(rows_of, developed), *size, long_side)
@@ -88,7 +98,6 @@ def read_raw(
     if again is not None:
         noisy_pixels, _ = shrink(partial(rows_of, again), *size, long_side)
         drawn = noisy_pixels - pixels
-    unbalanced = "The file states no white balance: daylight assumed."
     return Decoded(
         pixels,
         clipped,
@@ -96,7 +105,7 @@ def read_raw(
         orientation,
         radiometric=True,
         gain_map_applied=corrections.has_maps,
-        notes=corrections.notes + (() if balanced else (unbalanced,)),
+        notes=corrections.notes + ((unstated,) if unstated else ()),
         clipped_share=share,
         noise=drawn,
         balance=balance,
@@ -114,6 +123,7 @@ def _noisy(raw: Any) -> NDArray[np.uint16] | None:  # noqa: ANN401
 def _develop(
     raw: Any,  # noqa: ANN401
     corrections: Corrections,
+    balance: tuple[float, float, float],
     half: bool,
 ) -> tuple[NDArray[np.uint16], float]:
     """(H, W, 3), or half of it, linear; and what its largest number stands for, 1 at white."""
@@ -125,8 +135,8 @@ def _develop(
         gamma=(1, 1),
         no_auto_bright=True,
         output_bps=16,
-        output_color=rawpy.ColorSpace.sRGB,
-        use_camera_wb=True,
+        output_color=rawpy.ColorSpace.raw if corrections.color else rawpy.ColorSpace.sRGB,
+        user_wb=[*balance, balance[1]],
         adjust_maximum_thr=0,
         user_flip=0,
         half_size=half,
@@ -159,7 +169,12 @@ def _check_levels(path: Path, raw: Any) -> None:  # noqa: ANN401
         raise unreadable(path, "RAW")
 
 
-def _saturated(raw: Any, bayer: bool, half: bool) -> tuple[NDArray[np.bool_], float]:  # noqa: ANN401
+def _saturated(
+    raw: Any,  # noqa: ANN401
+    balance: tuple[float, float, float],
+    bayer: bool,
+    half: bool,
+) -> tuple[NDArray[np.bool_], float]:
     """(H, W), or half of it: True where a developed pixel draws on a photosite at its limit.
 
     Also the share of photosites at their limit, of the colour that has most of them.
@@ -170,8 +185,7 @@ def _saturated(raw: Any, bayer: bool, half: bool) -> tuple[NDArray[np.bool_], fl
     import cv2
 
     mosaic = raw.raw_image_visible
-    balance = np.array(_balance(raw))
-    lift = np.append(balance, balance[1])
+    lift = np.array([*balance, balance[1]])
     black = np.array(raw.black_level_per_channel, np.float64)
     limit = black + CLIP_SHARE * (raw.white_level - black) / lift
     if mosaic.ndim == 3:
@@ -200,15 +214,26 @@ def _two_by_two(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return (even[::2, ::2] | even[1::2, ::2] | even[::2, 1::2] | even[1::2, 1::2]) > 0
 
 
-def _balance(raw: Any) -> tuple[float, float, float]:  # noqa: ANN401
-    """What white balance lifts red, green and blue by, the least of them by 1."""
-    red, green, blue = (
-        _positive(raw.camera_whitebalance)
-        or _positive(raw.daylight_whitebalance)
-        or (1.0, 1.0, 1.0)
-    )
+def _balance(
+    raw: Any,  # noqa: ANN401
+    corrections: Corrections,
+) -> tuple[tuple[float, float, float], str]:
+    """What white balance lifts red, green and blue by, the least by 1; and a note, or ""."""
+    note = ""
+    if corrections.color is not None:
+        red, green, blue = (1.0 / channel for channel in corrections.color.neutral)
+        note = corrections.color.note
+    elif (stated := _positive(raw.camera_whitebalance)) is not None:
+        red, green, blue = stated
+    else:
+        daylight = _positive(raw.daylight_whitebalance)
+        red, green, blue = daylight or (1.0, 1.0, 1.0)
+        what = (
+            "daylight assumed" if daylight else "and nothing is known of the camera: none applied"
+        )
+        note = f"The file states no white balance: {what}."
     least = min(red, green, blue)
-    return (red / least, green / least, blue / least)
+    return (red / least, green / least, blue / least), note
 
 
 def _positive(balance: Sequence[float]) -> tuple[float, float, float] | None:

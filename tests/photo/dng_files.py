@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +65,8 @@ def write_dng(
     path: Path,
     samples: NDArray[np.uint16],
     *,
-    neutral: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    neutral: tuple[float, float, float] | None = (1.0, 1.0, 1.0),
+    more: Sequence[tuple] = (),
     orientation: int = 1,
     opcodes2: bytes = b"",
     opcodes3: bytes = b"",
@@ -75,7 +77,7 @@ def write_dng(
     active_area: tuple[int, int, int, int] | None = None,
     **options: object,
 ) -> Path:
-    """Samples (H, W) of a mosaic, or (H, W, 3) linear camera colours, as a DNG."""
+    """Samples (H, W) of a mosaic, or (H, W, 3) linear camera colours, as a DNG; `more` tags."""
     cfa = samples.ndim == 2
     planes = 1 if cfa else 3
     tags: list[tuple] = [
@@ -94,9 +96,11 @@ def write_dng(
             rationals(np.ravel(XYZ_TO_REC709 if color_matrix is None else color_matrix)),
             True,
         ),
-        (50728, 5, 3, rationals(neutral), True),
         (50778, 3, 1, 21, True),
+        *more,
     ]
+    if neutral is not None:
+        tags.append((50728, 5, 3, rationals(neutral), True))
     if cfa:
         tags += [
             (33421, 3, 2, (2, 2), True),

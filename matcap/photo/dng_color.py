@@ -1,0 +1,222 @@
+"""How a DNG's colours become white-balanced Rec.709 (Adobe DNG 1.7.1, chapter 6).
+
+LibRaw balances by AsShotNeutral alone and knows one matrix. Here the white is AsShotNeutral's or
+AsShotWhiteXY's, or daylight (D65) where the file states none; matrices are interpolated between the
+calibration illuminants by the white's temperature; CameraCalibration, AnalogBalance and
+ForwardMatrix count where they are given. Third illuminants and reduction matrices are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.files.color import REC709_TO_D50
+
+Matrix = NDArray[np.float64]
+
+_D65 = (0.3127, 0.3290)
+# Linear Rec.709 to XYZ, D65 (IEC 61966-2-1).
+_REC709_TO_XYZ = np.array(
+    [
+        [0.4123908, 0.3575843, 0.1804808],
+        [0.2126390, 0.7151687, 0.0721923],
+        [0.0193308, 0.1191948, 0.9505322],
+    ]
+)
+_COLOR, _CALIBRATION, _FORWARD = (50721, 50722), (50723, 50724), (50964, 50965)  # tags
+_ANALOG_BALANCE, _NEUTRAL, _WHITE_XY, _ILLUMINANTS = 50727, 50728, 50729, (50778, 50779)
+_SIGNATURES = (50931, 50932)  # CameraCalibrationSignature, ProfileCalibrationSignature
+COLOR_TAGS = frozenset(
+    {*_COLOR, *_CALIBRATION, *_FORWARD, *_ILLUMINANTS, *_SIGNATURES}
+    | {_ANALOG_BALANCE, _NEUTRAL, _WHITE_XY}
+)
+# Kelvin of Exif's LightSource, as Adobe's DNG SDK has them.
+_KELVIN = {
+    1: 5500.0, 2: 4150.0, 3: 2850.0, 4: 5500.0, 9: 5500.0, 10: 6500.0, 11: 7500.0, 12: 6400.0,
+    13: 5050.0, 14: 4150.0, 15: 3525.0, 16: 2925.0, 17: 2850.0, 18: 5500.0, 19: 6500.0,
+    20: 5500.0, 21: 6500.0, 22: 7500.0, 23: 5000.0, 24: 3200.0,
+}  # fmt: skip
+_ROUNDS = 30  # of looking for the white that a neutral stands for
+
+
+@dataclass(frozen=True)
+class DngColor:
+    """From a DNG's camera colours to Rec.709.
+
+    Attributes:
+        neutral: (3,) camera colours of white; its inverse is what white balance lifts by.
+        matrix: (3, 3) from balanced camera colours to linear Rec.709; rows add up to 1.
+        note: what was done, where the file states no neutral; or "".
+    """
+
+    neutral: tuple[float, float, float]
+    matrix: Matrix
+    note: str = ""
+
+
+def dng_color(tags: Mapping[int, Any]) -> DngColor | None:
+    """Work out a DNG's colours; None where it has no colour matrix for three colours.
+
+    Args:
+        tags: values by number, rationals as numerators and denominators in turn.
+
+    Raises:
+        ValueError, TypeError: the tags make no sense.
+    """
+    camera = _Camera.of(tags)
+    if camera is None:
+        return None
+    neutral, white = _stated_neutral(tags), _stated_white(tags)
+    note = ""
+    if neutral is not None:
+        white = camera.white_of(neutral)
+    elif white is not None:
+        neutral = camera.neutral_of(white)
+        note = "White balance from the file's white point ({:.4f}, {:.4f}).".format(*white)
+    else:
+        white, neutral = _D65, camera.neutral_of(_D65)
+        note = "The file states no white balance: daylight (D65) assumed."
+    if not (np.isfinite(neutral).all() and neutral.min() > 1e-3 * neutral.max() > 0.0):
+        raise ValueError("no white that a camera could see")
+    red, green, blue = (neutral / neutral.max()).tolist()
+    return DngColor((red, green, blue), camera.to_rec709(white, neutral), note)
+
+
+@dataclass(frozen=True)
+class _Camera:
+    """Matrices under one or two illuminants.
+
+    Attributes:
+        kelvin: of the illuminants.
+        color: XYZ to the reference camera, one each.
+        own: reference camera to this one (AnalogBalance times CameraCalibration), one each.
+        forward: balanced reference camera to XYZ relative to D50, one each, or None.
+    """
+
+    kelvin: tuple[float, ...]
+    color: tuple[Matrix, ...]
+    own: tuple[Matrix, ...]
+    forward: tuple[Matrix, ...] | None
+
+    @staticmethod
+    def of(tags: Mapping[int, Any]) -> _Camera | None:
+        color = [_matrix(tags, tag) for tag in _COLOR]
+        known = [_KELVIN.get(_whole(tags.get(tag)), 0.0) for tag in _ILLUMINANTS]
+        # Two matrices serve only where both illuminants are known and differ.
+        both = color[1] is not None and min(known) > 0.0 and known[0] != known[1]
+        kept = [i for i in (0, 1) if color[i] is not None][: 2 if both else 1]
+        if not kept:
+            return None
+        gains = _numbers(tags.get(_ANALOG_BALANCE))
+        balance = np.diag(gains) if len(gains) == 3 and gains.min() > 0.0 else np.eye(3)
+        signatures = [_text(tags.get(tag)) for tag in _SIGNATURES]
+        calibrations = [
+            _matrix(tags, tag) if signatures[0] == signatures[1] else None for tag in _CALIBRATION
+        ]
+        own = [balance @ (np.eye(3) if c is None else c) for c in calibrations]
+        forward = [_matrix(tags, tag) for tag in _FORWARD]
+        whole = all(forward[i] is not None for i in kept)
+        return _Camera(
+            tuple(known[i] for i in kept),
+            tuple(c for i in kept if (c := color[i]) is not None),
+            tuple(own[i] for i in kept),
+            tuple(f for i in kept if (f := forward[i]) is not None) if whole else None,
+        )
+
+    def neutral_of(self, white: tuple[float, float]) -> Matrix:
+        """(3,) camera colours of a white (x, y)."""
+        return np.asarray(self._from_xyz(white) @ _xyz(white))
+
+    def white_of(self, neutral: Matrix) -> tuple[float, float]:
+        """The white (x, y) of a neutral: its temperature chooses the matrix that gives it."""
+        white = (0.3457, 0.3585)  # D50, where the specification begins
+        for _ in range(_ROUNDS):
+            x, y, z = np.linalg.solve(self._from_xyz(white), neutral)
+            total = x + y + z
+            if not total > 0.0 or not 0.0 < y / total < 1.0:
+                return _D65
+            found = (float(x / total), float(y / total))
+            if abs(found[0] - white[0]) + abs(found[1] - white[1]) < 1e-7:
+                return found
+            # Half way on: it may else swing to and fro between two.
+            white = ((white[0] + found[0]) / 2.0, (white[1] + found[1]) / 2.0)
+        return white
+
+    def to_rec709(self, white: tuple[float, float], neutral: Matrix) -> Matrix:
+        """(3, 3) balanced camera colours to Rec.709, white to white."""
+        own = self._mixed(self.own, white)
+        if self.forward is not None:
+            reference = np.linalg.solve(own, np.diag(neutral))
+            reference /= reference.sum(axis=1, keepdims=True)
+            to_d50 = self._mixed(self.forward, white) @ reference
+            matrix = np.linalg.solve(REC709_TO_D50, to_d50)
+        else:
+            seen = own @ self._mixed(self.color, white) @ _REC709_TO_XYZ
+            matrix = np.linalg.inv(seen / seen.sum(axis=1, keepdims=True))
+        matrix /= matrix.sum(axis=1, keepdims=True)
+        if not np.isfinite(matrix).all() or np.abs(matrix).max() > 50.0:
+            raise ValueError("the colour matrices are no basis")
+        return np.asarray(matrix, np.float64)
+
+    def _from_xyz(self, white: tuple[float, float]) -> Matrix:
+        return np.asarray(self._mixed(self.own, white) @ self._mixed(self.color, white))
+
+    def _mixed(self, matrices: tuple[Matrix, ...], white: tuple[float, float]) -> Matrix:
+        """Linear in the inverse temperature between the illuminants, held beyond them."""
+        if len(matrices) == 1:
+            return matrices[0]
+        first, second = (1.0 / kelvin for kelvin in self.kelvin)
+        share = np.clip((1.0 / temperature(white) - second) / (first - second), 0.0, 1.0)
+        return np.asarray(share * matrices[0] + (1.0 - share) * matrices[1])
+
+
+def temperature(white: tuple[float, float]) -> float:
+    """Correlated colour temperature, kelvin, of (x, y) (McCamy 1992), in [1500, 50000]."""
+    n = (white[0] - 0.3320) / (0.1858 - white[1])
+    return float(np.clip(((449.0 * n + 3525.0) * n + 6823.3) * n + 5520.33, 1500.0, 50_000.0))
+
+
+def _xyz(white: tuple[float, float]) -> Matrix:
+    x, y = white
+    return np.array([x / y, 1.0, (1.0 - x - y) / y])
+
+
+def _stated_neutral(tags: Mapping[int, Any]) -> Matrix | None:
+    values = _numbers(tags.get(_NEUTRAL))
+    return values if len(values) == 3 and values.min() > 0.0 else None
+
+
+def _stated_white(tags: Mapping[int, Any]) -> tuple[float, float] | None:
+    values = _numbers(tags.get(_WHITE_XY))
+    if len(values) != 2 or values.min() < 0.05 or values.sum() > 0.95:
+        return None
+    return float(values[0]), float(values[1])
+
+
+def _matrix(tags: Mapping[int, Any], tag: int) -> Matrix | None:
+    values = _numbers(tags.get(tag))
+    if len(values) != 9 or not values.any():
+        return None
+    return values.reshape(3, 3)
+
+
+def _numbers(value: Any) -> Matrix:  # noqa: ANN401
+    """Rationals as numbers; none where there are none, or a denominator is 0."""
+    parts = np.ravel(np.asarray(() if value is None else value, np.float64))
+    if len(parts) % 2 or not len(parts) or not parts[1::2].all():
+        return np.empty(0)
+    return np.asarray(parts[0::2] / parts[1::2])
+
+
+def _whole(value: Any) -> int:  # noqa: ANN401
+    return -1 if value is None else int(np.ravel(value)[0])
+
+
+def _text(value: Any) -> bytes:  # noqa: ANN401
+    data = value.encode() if isinstance(value, str) else bytes(() if value is None else value)
+    return data.rstrip(b"\0")
