@@ -22,12 +22,14 @@ class Properties:
         profile: ICC profile, or None.
         code_points: (primaries, transfer) of ITU-T H.273 from nclx, or None.
         focal_length: of the camera matrix (cmin), in widths of the stored picture, or None.
+        bits: of a channel (pixi), or 8 where it is not said.
         sideways: the decoded picture is the stored one after an odd number of quarter turns (irot).
     """
 
     profile: bytes | None = None
     code_points: tuple[int, int] | None = None
     focal_length: float | None = None
+    bits: int = 8
     sideways: bool = False
 
 
@@ -62,6 +64,8 @@ def _with(found: Properties, name: bytes, data: bytes) -> Properties:
         return replace(found, profile=data[4:])
     if name == b"irot":
         return replace(found, sideways=bool(data[0] & 1))
+    if name == b"pixi" and len(data) > 5:
+        return replace(found, bits=max(data[5 : 5 + data[4]]))
     if name == b"cmin":
         # Flags: bits 8 to 12 are log2 of the denominator (ISO/IEC 23008-12, 6.5.43).
         flags = int.from_bytes(data[1:4], "big")

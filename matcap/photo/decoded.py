@@ -24,6 +24,7 @@ class Decoded:
             most), before shrinking, or None where only `clipped` tells.
         noise: like pixels, see Photo.
         balance: see Photo.
+        opacity: (h, w) float32 in [0, 1], or None where everything is opaque.
     """
 
     pixels: NDArray[np.float32]
@@ -36,3 +37,4 @@ class Decoded:
     clipped_share: float | None = None
     noise: NDArray[np.float32] | None = None
     balance: tuple[float, float, float] | None = None
+    opacity: NDArray[np.float32] | None = None

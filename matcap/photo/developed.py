@@ -1,158 +1,54 @@
-"""Developed pictures: JPEG and HEIC (lossy, 8 bits), PNG and TIFF (8, 16 bits, floating point).
+"""Developed pictures: code values to linear light, shrunk.
 
 None of them is radiometric: the camera's or a program's curve is in them, and only the colour
-space's own curve is undone. Pillow decodes JPEG because it reports a truncated file, OpenImageIO
-the rest because it keeps 16 bits.
+space's own curve is undone. `lossy` and `lossless` read the files.
 """
 
 from __future__ import annotations
 
-import mmap
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.color import LINEAR, ColorSpace
-from matcap.files.stated_color import StatedColor, stated_color
+from matcap.files.color import Linearise
+from matcap.files.stated_color import StatedColor
 from matcap.photo.decoded import Decoded
-from matcap.photo.exif import Exif, read_exif
-from matcap.photo.refusals import check_size, decoding, missing_extra, unreadable
-from matcap.photo.shrink import Rows, shrink
+from matcap.photo.shrink import Rows, shrink, shrunk_size
 
-# Lossy coding rings: what was at 255 comes back at 254 as well.
-_LOSSY_CLIP = 254.0 / 255.0
-
-# What marks a picture that carries a second one to brighten it on HDR screens: Ultra HDR and
-# Adobe, Apple, ISO 21496-1.
-_HDR_MARKS = (b"ns.adobe.com/hdr-gain-map", b"aux:hdrgainmap", b"iso:ts:21496:-1")
-_HDR_NOTE = "The file carries an HDR gain map, which was not applied."
+_WHITE = 0.995  # light at which colours that are no red, green and blue count as clipped
 
 
 @dataclass(frozen=True)
 class Coded:
-    """A picture as code values: rows (first, after the last) give (n, W, 3) of dtype."""
+    """A picture as code values: rows (first, after the last) give (n, W, 3) of dtype.
+
+    Attributes:
+        rows: called once for each strip, from the top.
+        width, height: of what rows give.
+        dtype: of the codes.
+        color: what the file says of red, green and blue.
+        other: how to linearise codes that are none of these (inks, CIELAB), and what to say of it.
+        clip_at: share of the largest code that counts as clipped.
+        opacity: (H, W) codes of alpha, or None where all is opaque.
+        size: (width, height) of the file's picture, where decoding has shrunk it.
+        notes: sentences for the report.
+    """
 
     rows: Callable[[int, int], NDArray[Any]]
     width: int
     height: int
     dtype: np.dtype[Any]
     color: StatedColor = StatedColor()
+    other: tuple[Linearise, tuple[str, ...]] | None = None
     clip_at: float = 1.0
+    opacity: NDArray[Any] | None = None
+    size: tuple[int, int] | None = None
     notes: tuple[str, ...] = ()
-
-
-def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
-    """Read a JPEG; one with a gain map or several pictures gives the first, as it looks.
-
-    Raises:
-        MatcapError: truncated, damaged, too small, too large, or CMYK.
-    """
-    from PIL import Image
-
-    with decoding(path, "JPEG"), warnings.catch_warnings(), path.open("rb") as file:
-        warnings.simplefilter("ignore")  # large, and harmlessly malformed tags: judged below
-        try:
-            image = Image.open(file, formats=("JPEG", "MPO"))
-        except Image.DecompressionBombError as error:
-            raise MatcapError(
-                "the picture is larger than can be read", where=str(path), remedy="reduce it"
-            ) from error
-        check_size(path, *image.size)
-        image.load()
-    if image.mode not in ("RGB", "L"):
-        raise MatcapError(
-            f"the picture's colours are {image.mode}", where=str(path), remedy="export it as RGB"
-        )
-
-    def rows(top: int, bottom: int) -> NDArray[Any]:
-        return _three_channels(np.asarray(image.crop((0, top, image.width, bottom))))
-
-    coded = Coded(
-        rows,
-        image.width,
-        image.height,
-        np.dtype(np.uint8),
-        color=stated_color(path),
-        clip_at=_LOSSY_CLIP,
-        notes=_hdr_notes(path),
-    )
-    exif = read_exif(path)
-    return decode(coded, long_side, str(path), exif.orientation), exif
-
-
-def read_heic(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
-    """Read a HEIC through pillow-heif, an extra.
-
-    Raises:
-        MatcapError: pillow-heif is not installed, or the file is truncated, damaged or too small.
-    """
-    try:
-        import pillow_heif
-    except ImportError as error:
-        raise missing_extra(path, "HEIC", "heic") from error
-
-    with decoding(path, "HEIC"):
-        image = pillow_heif.open_heif(path, convert_hdr_to_8bit=False)
-        check_size(path, *image.size)
-        pixels = np.asarray(image)
-        info = dict(image.info)
-    coded = Coded(
-        lambda top, bottom: _three_channels(pixels[top:bottom]),
-        pixels.shape[1],
-        pixels.shape[0],
-        pixels.dtype,
-        color=stated_color(path),
-        clip_at=_LOSSY_CLIP,
-        notes=_hdr_notes(path),
-    )
-    # The container's own rotation has been applied; the Exif block repeats it.
-    return decode(coded, long_side, str(path), 1), read_exif(info.get("exif") or b"")
-
-
-def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Decoded, Exif]:
-    """Read a PNG or TIFF of 8 or 16 bits, or a TIFF in floating point (taken as linear light).
-
-    Raises:
-        MatcapError: truncated, damaged, too small, too large; NaN or infinite values.
-    """
-    import OpenImageIO as oiio
-
-    with decoding(path, form):
-        config = oiio.ImageSpec()
-        config.attribute("oiio:UnassociatedAlpha", 1)  # colours are not to be darkened by alpha
-        source = oiio.ImageInput.open(str(path), config)
-        if source is None:
-            oiio.geterror()  # or it is printed at exit
-            raise unreadable(path, form)
-        spec = source.spec()
-        check_size(path, spec.width, spec.height)
-        stored = _stored_type(spec.format)
-        pixels = source.read_image(0, 0, 0, spec.nchannels, stored)
-        broken = source.geterror()
-        source.close()
-    if pixels is None or broken:
-        raise unreadable(path, form)
-    floating = bool(np.issubdtype(pixels.dtype, np.floating))
-    color = stated_color(path)
-    if floating and color.profile is None:
-        color = StatedColor(space=ColorSpace(LINEAR.name, LINEAR.curves, color.space.matrix))
-    pixels, notes = _below_one(pixels) if floating else (pixels, ())
-    coded = Coded(
-        lambda top, bottom: _three_channels(pixels[top:bottom]),
-        spec.width,
-        spec.height,
-        pixels.dtype,
-        color=color,
-        notes=notes,
-    )
-    exif = read_exif(path)
-    return decode(coded, long_side, str(path), exif.orientation), exif
 
 
 def decode(coded: Coded, long_side: int | None, where: str, orientation: int) -> Decoded:
@@ -161,7 +57,7 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
     Raises:
         MatcapError: a value is NaN or infinite.
     """
-    linearise, notes = coded.color.lineariser(coded.dtype)
+    linearise, notes = coded.other or coded.color.lineariser(coded.dtype)
     whole = np.issubdtype(coded.dtype, np.integer)
     clip_code = np.ceil(coded.clip_at * np.iinfo(coded.dtype).max) if whole else coded.clip_at
     at_limit = 0
@@ -174,25 +70,27 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
                 where=where,
                 remedy="export it again without them",
             )
-        red, green, blue = (codes[..., channel] >= clip_code for channel in range(3))
+        light = linearise(codes)
+        judged, limit = (codes, clip_code) if coded.other is None else (light, _WHITE)
+        red, green, blue = (judged[..., channel] >= limit for channel in range(3))
         clipped: NDArray[np.bool_] = red | green | blue
         nonlocal at_limit
         at_limit += int(np.count_nonzero(clipped))
-        return linearise(codes), clipped
+        return light, clipped
 
     pixels, clipped = shrink(read, coded.width, coded.height, long_side)
-    size = (coded.width, coded.height)
     return Decoded(
         pixels,
         clipped,
-        size,
+        coded.size or (coded.width, coded.height),
         orientation,
-        notes=coded.notes + notes,
+        notes=coded.notes + notes + _transparent_alike(coded),
         clipped_share=at_limit / (coded.width * coded.height),
+        opacity=_opacity(coded, long_side),
     )
 
 
-def _three_channels(codes: NDArray[Any]) -> NDArray[Any]:
+def three_channels(codes: NDArray[Any]) -> NDArray[Any]:
     """Grey repeated, alpha dropped: (n, W), (n, W, 1 to 4 or more) to (n, W, 3)."""
     if codes.ndim == 2:
         codes = codes[..., None]
@@ -201,22 +99,23 @@ def _three_channels(codes: NDArray[Any]) -> NDArray[Any]:
     return codes[..., :3]
 
 
-def _stored_type(form: Any) -> str:  # noqa: ANN401
-    """The type to read OpenImageIO's format as: whole numbers of 8 or 16 bits, or float."""
-    name = str(form)
-    if name in ("half", "float", "double"):
-        return "float"
-    return "uint8" if name in ("uint8", "int8") else "uint16"
+def _opacity(coded: Coded, long_side: int | None) -> NDArray[np.float32] | None:
+    """(h, w) share of each pixel that is more opaque than not; None where there is no shape."""
+    codes = coded.opacity
+    if codes is None or codes.min() == codes.max():
+        return None
+    largest = np.iinfo(codes.dtype).max if np.issubdtype(codes.dtype, np.integer) else 1.0
+    shown = np.where(codes > 0.5 * largest, np.uint8(255), np.uint8(0))
+    size = shrunk_size(coded.width, coded.height, long_side)
+    resized = cv2.resize(shown, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(resized / np.float32(255.0), np.float32)
 
 
-def _below_one(pixels: NDArray[np.float32]) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """Scale numbers without a stated maximum so that the largest is 1, the clip level."""
-    largest = float(pixels.max())
-    if not (np.isfinite(largest) and largest > 1.0):
-        return pixels, ()
-    return pixels / np.float32(largest), (f"Values reach {largest:.4g}: scaled to reach 1.",)
-
-
-def _hdr_notes(path: Path) -> tuple[str, ...]:
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        return (_HDR_NOTE,) if any(data.find(mark) >= 0 for mark in _HDR_MARKS) else ()
+def _transparent_alike(coded: Coded) -> tuple[str, ...]:
+    """What is said of a picture that is transparent, but nowhere more than elsewhere."""
+    codes = coded.opacity
+    if codes is None or codes.min() != codes.max():
+        return ()
+    whole = np.iinfo(codes.dtype).max if np.issubdtype(codes.dtype, np.integer) else 1.0
+    says = "The picture is transparent all over alike: its transparency is ignored."
+    return () if codes.flat[0] >= whole else (says,)

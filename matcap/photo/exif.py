@@ -1,14 +1,52 @@
-"""What a photograph says of itself: orientation, field of view, flash (Exif 2.32)."""
+"""What a photograph says of itself: orientation, field of view, flash (Exif 2.32, XMP).
+
+| container | where it is said |
+| --- | --- |
+| JPEG, TIFF, RAW | Exif; XMP where Exif has no orientation or focal length |
+| PNG | eXIf, ImageMagick's "Raw profile type exif" and orNT, XMP |
+| WebP | EXIF and XMP |
+| HEIC, AVIF | Exif as the decoder hands it over; the camera matrix (`files/bmff.py`) |
+"""
 
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
-from math import atan, degrees
+import re
+import zlib
+from dataclasses import dataclass, replace
+from math import atan, degrees, hypot, radians, tan
 from pathlib import Path
 from typing import Any, BinaryIO
 
-_FILM_LONG_SIDE = 36.0  # mm, of the 35 mm frame that FocalLengthIn35mmFilm refers to
+from matcap.files.stated_color import png_chunks, riff_chunks
+
+# mm, diagonal of the 36 x 24 mm frame, which FocalLengthIn35mmFilm refers to (CIPA DCG-001).
+_FILM_DIAGONAL = hypot(36.0, 24.0)
+_LARGEST_XMP = 1 << 22  # bytes that are looked at
+# Millimetres of a unit of FocalPlaneResolutionUnit (Exif 2.32), 4 and 5 as some cameras have them.
+_UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+# Focal plane resolution and FocalLengthIn35mmFilm that differ by more are not of one picture.
+_CONTRADICTS = 1.5
+_DIFFERS = 1.06  # worth a word: a focal length of 20 mm is rounded by 2.5 %
+_NARROWEST, _WIDEST = 2.0, 150.0  # degrees that lenses for photographs see
+_LARGEST_INFLATED = 1 << 24  # bytes a compressed text may have
+
+
+@dataclass(frozen=True)
+class FocalPlane:
+    """A sensor's scale.
+
+    Attributes:
+        pixels: focal length in pixels of a picture of that size.
+        long_side: of that picture, pixels, or None where it is the file's own.
+    """
+
+    pixels: float
+    long_side: int | None = None
+
+    def fov(self, long_side: int) -> float:
+        """Degrees across the long side of a file's picture of so many pixels."""
+        return degrees(2.0 * atan((self.long_side or long_side) / 2.0 / self.pixels))
 
 
 @dataclass(frozen=True)
@@ -17,32 +55,149 @@ class Exif:
 
     Attributes:
         orientation: 1 to 8, how the stored picture lies; 1 is upright.
-        fov: field of view across the long side, degrees, or None.
+        film_focal_length: FocalLengthIn35mmFilm, mm, or None.
+        focal_plane: of FocalLength and FocalPlaneXResolution, or of a camera matrix, or None.
+        measured: focal_plane is a camera matrix, which nothing contradicts.
         flash_fired: or None where the file does not say.
         exposure: how much light it took in, in units that compare within a shoot: exposure time
             times sensitivity over the squared f-number; None where the file lacks one.
     """
 
     orientation: int = 1
-    fov: float | None = None
+    film_focal_length: float | None = None
+    focal_plane: FocalPlane | None = None
+    measured: bool = False
     flash_fired: bool | None = None
     exposure: float | None = None
 
+    def view(self, width: int, height: int) -> tuple[float | None, tuple[str, ...]]:
+        """Field of view across the long side in degrees, or None; and what is to be said of it.
 
-def fov_of_focal_length(focal_length: float) -> float:
-    """Degrees across the long side of a 36 x 24 mm frame, from a focal length in mm, over 0."""
-    return degrees(2.0 * atan(_FILM_LONG_SIDE / 2.0 / focal_length))
+        Args:
+            width, height: of the file's picture.
+        """
+        film = None
+        if self.film_focal_length is not None:
+            film = fov_of_film(self.film_focal_length, width, height)
+        if self.focal_plane is None:
+            return film, ()
+        own = self.focal_plane.fov(max(width, height))
+        if not _NARROWEST < own < _WIDEST:  # a unit gone wrong
+            return film, ()
+        if self.measured or film is None:
+            return own, ()
+        apart = tan(radians(own / 2.0)) / tan(radians(film / 2.0))
+        if 1.0 / _DIFFERS < apart < _DIFFERS:
+            return own, ()
+        kept = own if 1.0 / _CONTRADICTS < apart < _CONTRADICTS else film
+        note = (
+            f"Its focal plane resolution says a field of view of {own:.1f} degrees, its focal "
+            f"length on 35 mm film {film:.1f}: {kept:.1f} taken."
+        )
+        return kept, (note,)
 
 
-def read_exif(source: Path | bytes) -> Exif:
+def fov_of_film(focal_length: float, width: int, height: int) -> float:
+    """Degrees across the long side of a picture, from FocalLengthIn35mmFilm in mm, over 0.
+
+    The field of view across the diagonal is that of 43.27 mm of film (CIPA DCG-001): 28 mm are
+    65.5 degrees across 3:2, 63.4 across 4:3 and 57.4 across a square.
+    """
+    share = max(width, height) / hypot(width, height)
+    return degrees(2.0 * atan(share * _FILM_DIAGONAL / 2.0 / focal_length))
+
+
+def read_exif(source: Path | bytes, xmp: bytes = b"") -> Exif:
     """Read a file's tags, or a block of Exif bytes; what is absent or broken stays at its default.
 
     Never raises for what the file holds: a photograph with broken tags is still a photograph.
+
+    Args:
+        source: a file that is there, or Exif bytes.
+        xmp: the packet beside Exif bytes; a file's own is found.
     """
-    if isinstance(source, Path):
-        with source.open("rb") as file:
-            return _interpret(_tags(file))
-    return _interpret(_tags(io.BytesIO(source.removeprefix(b"Exif\0\0"))))
+    if isinstance(source, bytes):
+        return _interpret(_tags(io.BytesIO(source.removeprefix(b"Exif\0\0"))), xmp)
+    with source.open("rb") as file:
+        head = file.read(16)
+        if head.startswith(b"\x89PNG"):
+            return _of_png(list(png_chunks(source)))
+        if head[:4] == b"RIFF":
+            chunks = dict(riff_chunks(source))
+            return read_exif(chunks.get(b"EXIF", b""), chunks.get(b"XMP ", b""))
+        file.seek(0)
+        tags = _tags(file)
+    return _interpret(tags, _xmp_of(source, head))
+
+
+def _of_png(chunks: list[tuple[bytes, bytes]]) -> Exif:
+    exif = xmp = b""
+    orientation = 0
+    for kind, data in chunks:
+        if kind == b"eXIf":
+            exif = data
+        elif kind == b"orNT" and len(data) == 1:  # ImageMagick's own
+            orientation = data[0]
+        elif kind in (b"tEXt", b"zTXt", b"iTXt"):
+            key, text = _text(kind, data)
+            if key == b"XML:com.adobe.xmp":
+                xmp = text
+            elif key in (b"Raw profile type exif", b"Raw profile type APP1") and not exif:
+                exif = _hexadecimal(text)
+    found = read_exif(exif, xmp)
+    if found.orientation == 1 and orientation in range(1, 9):
+        return replace(found, orientation=orientation)
+    return found
+
+
+def _text(kind: bytes, data: bytes) -> tuple[bytes, bytes]:
+    """Key and text of a PNG's text chunk (PNG 3rd edition, 11.3.3); no text where it is broken."""
+    key, _, rest = data.partition(b"\0")
+    packed = kind == b"zTXt"
+    if kind == b"zTXt":
+        rest = rest[1:]
+    if kind == b"iTXt":
+        packed, rest = rest[:1] == b"\1", rest[2:].split(b"\0", 2)[-1]
+    if packed:
+        try:
+            rest = zlib.decompressobj().decompress(rest, _LARGEST_INFLATED)
+        except zlib.error:
+            rest = b""
+    return key, rest
+
+
+def _hexadecimal(text: bytes) -> bytes:
+    """ImageMagick's raw profile: a name, a length, then hexadecimal digits, in lines."""
+    lines = text.strip().split(b"\n", 2)
+    try:
+        return bytes.fromhex(b"".join(lines[2].split()).decode("ascii"))
+    except (IndexError, ValueError):
+        return b""
+
+
+def _xmp_of(path: Path, head: bytes) -> bytes:
+    """The XMP packet of a JPEG or TIFF; empty where there is none."""
+    try:
+        if head.startswith(b"\xff\xd8"):
+            from PIL.JpegImagePlugin import JpegImageFile
+
+            with path.open("rb") as file:
+                return bytes(JpegImageFile(file).info.get("xmp", b""))[:_LARGEST_XMP]
+        if head[:4] in (b"II*\0", b"MM\0*"):
+            import tifffile
+
+            with tifffile.TiffFile(path) as tiff:
+                tag = tiff.pages.first.tags.get(700)
+                return b"" if tag is None else bytes(tag.value)[:_LARGEST_XMP]
+    except Exception:  # broken files raise anything at all, and are judged by their pixels
+        return b""
+    return b""
+
+
+def _of_xmp(xmp: bytes, name: bytes) -> int:
+    """A whole number that XMP states as attribute or element, or -1."""
+    found = re.search(name + rb"\s*(?:=\s*[\"']|>)\s*(\d{1,5})\b", xmp)
+    return int(found[1]) if found else -1
 
 
 def _exposure(tags: dict[str, Any]) -> float | None:
@@ -54,10 +209,24 @@ def _exposure(tags: dict[str, Any]) -> float | None:
     return time * sensitivity / aperture**2
 
 
+def _focal_plane(tags: dict[str, Any]) -> FocalPlane | None:
+    """Of FocalLength and FocalPlaneXResolution, of the size that Exif says the picture has."""
+    length = _ratio(tags, "EXIF FocalLength")
+    resolution = _ratio(tags, "EXIF FocalPlaneXResolution")
+    unit = _UNITS.get(_number(tags, "EXIF FocalPlaneResolutionUnit"), _UNITS[2])
+    if length is None or resolution is None:
+        return None
+    sides = [_number(tags, f"EXIF ExifImage{side}") for side in ("Width", "Length")]
+    long_side = max(sides) if min(sides) > 0 else None
+    return FocalPlane(length * resolution / unit, long_side)
+
+
 def _ratio(tags: dict[str, Any], name: str) -> float | None:
     """The tag's first value, where it is a positive number."""
     try:
-        value = float(tags[name].values[0])
+        first = tags[name].values[0]
+        # Numbers in floating point come as a tuple of one.
+        value = float(first[0] if isinstance(first, tuple) else first)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError):
         return None
     return value if 0.0 < value < 1e9 else None
@@ -72,14 +241,20 @@ def _tags(file: BinaryIO) -> dict[str, Any]:
         return {}
 
 
-def _interpret(tags: dict[str, Any]) -> Exif:
+def _interpret(tags: dict[str, Any], xmp: bytes) -> Exif:
     orientation = _number(tags, "Image Orientation")
-    focal_length = _number(tags, "EXIF FocalLengthIn35mmFilm")
+    if orientation not in range(1, 9):
+        orientation = _of_xmp(xmp, b"tiff:Orientation")
+    film = _ratio(tags, "EXIF FocalLengthIn35mmFilm")
+    if film is None:
+        stated = _of_xmp(xmp, b"exif:FocalLengthIn35mmFilm")
+        film = float(stated) if stated > 0 else None
     flash = _number(tags, "EXIF Flash")
     return Exif(
         orientation=orientation if orientation in range(1, 9) else 1,
         # Zero means unknown; no lens for photographs is longer than 10 m.
-        fov=fov_of_focal_length(focal_length) if 0 < focal_length < 10_000 else None,
+        film_focal_length=film if film is not None and film < 10_000 else None,
+        focal_plane=_focal_plane(tags),
         flash_fired=bool(flash & 1) if flash >= 0 else None,
         exposure=_exposure(tags),
     )

@@ -10,6 +10,7 @@ from enum import Enum
 from pathlib import Path
 
 from matcap.errors import MatcapError
+from matcap.photo.dng import raw_page
 from matcap.photo.refusals import READABLE, decoding
 
 
@@ -22,13 +23,16 @@ class FileKind(Enum):
     PNG = "PNG"
     TIFF = "TIFF"
     HEIC = "HEIC"
+    AVIF = "AVIF"
+    WEBP = "WebP"
 
 
 _JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _RAW = (b"FUJIFILM", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM")
-_HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+_HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
+_AVIF_BRANDS = {b"avif", b"avis"}
 # Makers whose RAW files are TIFFs inside, and carry nothing near the start that says so.
 _RAW_SUFFIXES = frozenset(
     f".{maker}"
@@ -38,6 +42,7 @@ _RAW_SUFFIXES = frozenset(
     )
 )
 _DNG_VERSION = 50706  # a TIFF tag
+_HEAD = 64  # bytes that are looked at
 
 
 def file_kind(path: Path) -> FileKind:
@@ -51,14 +56,19 @@ def file_kind(path: Path) -> FileKind:
         return FileKind.JPEG
     if head.startswith(_PNG):
         return FileKind.PNG
-    if head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS:
-        return FileKind.HEIC
+    if head[4:8] == b"ftyp":
+        brands = {head[8:12], *(head[at : at + 4] for at in range(16, len(head), 4))}
+        # Of the brands that both may have, the first others say which.
+        if brands & _AVIF_BRANDS:
+            return FileKind.AVIF
+        if brands & _HEIC_BRANDS:
+            return FileKind.HEIC
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        return FileKind.WEBP
     if head[4:12] == b"ftypcrx " or head.startswith(_RAW):
         return FileKind.RAW
     if head.startswith(_TIFF):
-        if _has_dng_version(path):
-            return FileKind.DNG
-        return FileKind.RAW if path.suffix.lower() in _RAW_SUFFIXES else FileKind.TIFF
+        return _of_tiff(path)
     raise MatcapError(f"this is not a photograph{_guess(head)}", where=str(path), remedy=READABLE)
 
 
@@ -71,7 +81,7 @@ def _head(path: Path) -> bytes:
         if path.exists() and not path.is_file():
             raise MatcapError("this is not a file", where=str(path), remedy=READABLE)
         with path.open("rb") as file:
-            head = file.read(32)
+            head = file.read(_HEAD)
     except FileNotFoundError as error:
         raise MatcapError(
             "there is no such file", where=str(path), remedy="check the name"
@@ -93,19 +103,34 @@ def _head(path: Path) -> bytes:
     return head
 
 
-def _has_dng_version(path: Path) -> bool:
+def _of_tiff(path: Path) -> FileKind:
+    """A DNG by its version, a RAW by its suffix or by a sensor's mosaic in it."""
     import tifffile
 
     with decoding(path, "TIFF"), tifffile.TiffFile(path) as file:
-        return _DNG_VERSION in file.pages.first.tags
+        if _DNG_VERSION in file.pages.first.tags:
+            return FileKind.DNG
+        if path.suffix.lower() in _RAW_SUFFIXES or raw_page(file) is not None:
+            return FileKind.RAW
+        return FileKind.TIFF
+
+
+# What is easily told, by its first bytes.
+_KNOWN = {
+    b"\x76\x2f\x31\x01": "an OpenEXR picture", b"#?": "a Radiance picture", b"GIF8": "a GIF",
+    b"BM": "a BMP picture", b"8BPS": "a Photoshop document", b"%PDF": "a PDF document",
+    b"\xff\x0a": "a JPEG XL picture", b"\0\0\0\x0cJXL ": "a JPEG XL picture",
+    b"\xff\x4f\xff\x51": "a JPEG 2000 picture", b"\0\0\0\x0cjP  ": "a JPEG 2000 picture",
+}  # fmt: skip
 
 
 def _guess(head: bytes) -> str:
     """A word on what it seems to be, where that is easily told."""
-    if all(byte in b"\t\n\r\f\x1b" or 32 <= byte < 127 for byte in head):
-        return " but a text file"
-    if head.startswith(b"\x76\x2f\x31\x01"):
-        return " but an OpenEXR picture"
+    for begins, what in _KNOWN.items():
+        if head.startswith(begins):
+            return f" of a kind that is read but {what}"
     if head[4:8] == b"ftyp":
         return " but a video or another container"
+    if all(byte in b"\t\n\r\f\x1b" or 32 <= byte < 127 for byte in head):
+        return " but a text file"
     return ""

@@ -1,4 +1,4 @@
-"""What of a photograph is not the material: outside of a crop, or black in a mask.
+"""What of a photograph is not the material: outside of a crop, black in a mask, or transparent.
 
 The photograph keeps its size, so that its middle stays the camera's axis and the flash's foot stays
 where it is; nothing is measured where something is left out, and nothing drawn from there. For
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
+from matcap.files.mask import read_mask
 from matcap.files.values import Region
 from matcap.photo.orient import quarter_turn
 from matcap.photo.photo import Photo
@@ -47,18 +48,39 @@ def leave_out(photo: Photo, crop: Region | None, mask: Path | None) -> Photo:
         kept &= _cropped(crop, width, height)
     if mask is not None:
         kept &= _masked(mask, width, height)
-    if kept.mean() < _LEAST:
-        raise MatcapError(
-            f"the mask leaves {100 * kept.mean():.2g} % of the photograph",
-            where=str(mask or photo.name),
-            remedy="paint the material white and only what is none of it black",
-        )
     lying = np.ascontiguousarray(quarter_turn(kept) if photo.turned else kept)
     rows, columns = photo.pixels.shape[:2]
     share = cv2.resize(lying.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    return _only(photo, np.asarray(share, np.float32), "the mask leaves", str(mask or photo.name))
+
+
+def leave_transparent_out(photo: Photo, opacity: NDArray[np.float32], where: str) -> Photo:
+    """A cut-out photograph: what is transparent in it, however little, is not the material.
+
+    Args:
+        photo: as read.
+        opacity: (H, W) of its pixels, in [0, 1].
+        where: the file.
+
+    Raises:
+        MatcapError: hardly anything is opaque.
+    """
+    return _only(photo, opacity, "what is opaque comes to", where)
+
+
+def _only(photo: Photo, share: NDArray[np.float32], what: str, where: str) -> Photo:
+    """The photograph where share (H, W) is 1, and of what it already was only there."""
     left_out = share < 1.0 - 1e-3
     if not left_out.any():
         return photo
+    if photo.left_out is not None:
+        left_out = left_out | photo.left_out
+    if 1.0 - left_out.mean() < _LEAST:
+        raise MatcapError(
+            f"{what} {100 * (1.0 - left_out.mean()):.2g} % of the photograph",
+            where=where,
+            remedy="paint the material white (or leave it opaque), and only the rest black",
+        )
     places = mirrored(left_out)
     return replace(
         photo,
@@ -98,9 +120,7 @@ def _masked(mask: Path, width: int, height: int) -> Marks:
     """(H, W) what is white in a mask."""
     if not mask.is_file():
         raise MatcapError("there is no such file", where=str(mask), remedy="give a PNG file")
-    grey = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE)
-    if grey is None:
-        raise MatcapError("this is no picture", where=str(mask), remedy="save it as a PNG")
+    grey = read_mask(mask)
     if grey.shape != (height, width):
         raise MatcapError(
             f"the mask is {grey.shape[1]} x {grey.shape[0]} pixels, the photograph "
@@ -108,7 +128,7 @@ def _masked(mask: Path, width: int, height: int) -> Marks:
             where=str(mask),
             remedy="paint it over the photograph as it is looked at, at its full size",
         )
-    return np.asarray(grey > 255 * _GREY)
+    return np.asarray(grey > _GREY)
 
 
 def mirrored(left_out: Marks) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

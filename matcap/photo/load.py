@@ -14,11 +14,14 @@ from matcap.errors import MatcapError, UsageError
 from matcap.files.color import LINEAR
 from matcap.files.stated_color import StatedColor
 from matcap.photo.decoded import Decoded
-from matcap.photo.developed import Coded, decode, read_heic, read_jpeg, read_png_or_tiff
+from matcap.photo.developed import Coded, decode
 from matcap.photo.dng import Corrections, read_corrections
 from matcap.photo.exif import Exif, read_exif
 from matcap.photo.jxl import read_jxl
 from matcap.photo.kind import FileKind, file_kind
+from matcap.photo.left_out import leave_transparent_out
+from matcap.photo.lossless import read_png_or_tiff
+from matcap.photo.lossy import read_heic, read_jpeg, read_webp_or_avif
 from matcap.photo.orient import quarter_turn, upright
 from matcap.photo.photo import DEFAULT_FOV, Photo
 from matcap.photo.quiet import quiet_decoders
@@ -39,7 +42,8 @@ def load_photo(
     """Read a photograph, whatever it is stored as.
 
     Args:
-        path: DNG or other RAW, JPEG, PNG, TIFF (8, 16 bits or float), HEIC (extra `heic`).
+        path: DNG or other RAW, JPEG, PNG, TIFF (8, 16 bits or float), WebP, AVIF, HEIC (extra
+            `heic`). What is transparent in it is left out, as by a mask.
         long_side: average down to this many pixels along the long side; never up.
         fov: field of view across the long side, degrees; by default the file's, or 45.
         noise: draw a RAW's noise once more (Photo.noise), for which it is developed twice.
@@ -103,6 +107,8 @@ def _read(path: Path, long_side: int | None, noise: bool) -> tuple[Decoded, Exif
         return read_jpeg(path, long_side)
     if kind is FileKind.HEIC:
         return read_heic(path, long_side)
+    if kind in (FileKind.WEBP, FileKind.AVIF):
+        return read_webp_or_avif(path, kind.value, long_side)
     if kind in (FileKind.PNG, FileKind.TIFF):
         return read_png_or_tiff(path, kind.value, long_side)
     corrections = read_corrections(path) if kind is FileKind.DNG else Corrections()
@@ -127,8 +133,9 @@ def _photo(
         standing = upright(stored, picture.orientation)
         return np.ascontiguousarray(quarter_turn(standing) if turned else standing)
 
-    known, source = (fov, "given") if fov is not None else (exif.fov, "exif")
-    return Photo(
+    stated, said = exif.view(*picture.size)
+    known, source, said = (fov, "given", ()) if fov is not None else (stated, "exif", said)
+    photo = Photo(
         pixels=lying(picture.pixels),
         clipped=lying(picture.clipped),
         fov=DEFAULT_FOV if known is None else known,
@@ -139,12 +146,15 @@ def _photo(
         turned=turned,
         flash_fired=exif.flash_fired,
         gain_map_applied=picture.gain_map_applied,
-        notes=picture.notes,
+        notes=picture.notes + said,
         stored_clipped_share=picture.clipped_share,
         noise=None if picture.noise is None else lying(picture.noise),
         exposure=exif.exposure,
         balance=picture.balance,
     )
+    if picture.opacity is None:
+        return photo
+    return leave_transparent_out(photo, lying(picture.opacity), where)
 
 
 def _check_request(long_side: int | None, fov: float | None) -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 from matcap.errors import MatcapError
 
 SHORTEST_SIDE = 64  # pixels: below this no texture is left to look at
-MOST_PIXELS = 178_000_000  # the largest picture that is opened; a header may claim any size
+MOST_PIXELS = 260_000_000  # the largest picture that is opened; a header may claim any size
 
-READABLE = "give a DNG or other RAW, a JPEG, PNG, TIFF or HEIC"
+READABLE = "give a DNG or other RAW, a JPEG, PNG, TIFF, HEIC, AVIF or WebP"
 
 
 def check_size(path: Path, width: int, height: int) -> None:
@@ -61,6 +61,15 @@ def unreadable(path: Path, form: str) -> MatcapError:
         f"the {form} file is truncated or damaged",
         where=str(path),
         remedy="copy it from the camera again",
+    )
+
+
+def unsupported(path: Path, what: str) -> MatcapError:
+    """The file may be whole; how it is coded is not known here."""
+    return MatcapError(
+        f"{what} is not supported",
+        where=str(path),
+        remedy="export it as a JPEG, PNG or TIFF of 8 or 16 bits in RGB",
     )
 
 

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from icc_files import ink_profile
 from PIL import Image, PngImagePlugin
 
 from matcap.errors import MatcapError
@@ -91,9 +92,38 @@ def test_other_png_modes(tmp_path, codes, mode):
 def test_transparency_does_not_darken(tmp_path, codes):
     rgba = np.dstack([codes, np.full(codes.shape[:2], 60, np.uint8)])
     Image.fromarray(rgba).save(tmp_path / "a.png")
-    np.testing.assert_allclose(
-        load_photo(tmp_path / "a.png").pixels, srgb_decode(codes / 255), rtol=1e-6
-    )
+    photo = load_photo(tmp_path / "a.png")
+    np.testing.assert_allclose(photo.pixels, srgb_decode(codes / 255), rtol=1e-6)
+    assert photo.left_out is None and "transparent all over alike" in photo.notes[0]
+
+
+@pytest.mark.parametrize("form", ["png", "tif", "webp"])
+def test_a_cut_out_photograph_s_transparency_is_a_mask(tmp_path, codes, form):
+    """What is transparent is left out, and its colours, any at all, show nowhere."""
+    alpha = np.full(codes.shape[:2], 255, np.uint8)
+    alpha[:, :40], alpha[:, 40:44] = 0, 100
+    painted = codes.copy()
+    painted[alpha == 0] = (255, 0, 255)
+    options = {"lossless": True, "exact": True} if form == "webp" else {}
+    Image.fromarray(np.dstack([painted, alpha])).save(tmp_path / f"a.{form}", **options)
+    photo = load_photo(tmp_path / f"a.{form}")
+    np.testing.assert_array_equal(photo.left_out, alpha < 128)
+    kept = ~photo.left_out
+    np.testing.assert_allclose(photo.pixels[kept], srgb_decode(codes / 255)[kept], rtol=1e-6)
+    assert photo.pixels.max() < 0.9 and "left out" in photo.notes[0]
+    shrunk = load_photo(tmp_path / f"a.{form}", long_side=64)
+    np.testing.assert_array_equal(shrunk.left_out, np.indices((48, 64))[1] < 22)
+
+
+def test_opaque_alpha_and_next_to_nothing(tmp_path, codes):
+    alpha = np.full(codes.shape[:2], 255, np.uint8)
+    Image.fromarray(np.dstack([codes, alpha])).save(tmp_path / "a.png")
+    photo = load_photo(tmp_path / "a.png")
+    assert photo.left_out is None and photo.notes == ()
+    alpha[:, 3:] = 0
+    Image.fromarray(np.dstack([codes, alpha])).save(tmp_path / "b.png")
+    with pytest.raises(MatcapError, match="opaque comes to"):
+        load_photo(tmp_path / "b.png")
 
 
 def test_content_wins_over_the_name(tmp_path, codes):
@@ -159,6 +189,98 @@ def test_cmyk_is_refused(tmp_path, codes):
     Image.fromarray(codes).convert("CMYK").save(tmp_path / "a.jpg")
     with pytest.raises(MatcapError, match="CMYK.*export it as RGB"):
         load_photo(tmp_path / "a.jpg")
+
+
+@pytest.mark.parametrize("form", ["webp", "avif"])
+def test_webp_and_avif(tmp_path, codes, form):
+    turned, seen = Image.Exif(), Image.Exif()
+    turned[0x0112] = 3  # which Pillow stores in AVIF as the container's own rotation
+    seen.get_ifd(0x8769)[0xA405] = 26
+    options = {"lossless": True} if form == "webp" else {"quality": 100, "subsampling": "4:4:4"}
+    Image.fromarray(codes).save(tmp_path / f"a.{form}", exif=turned, **options)
+    photo = load_photo(tmp_path / f"a.{form}")
+    expected = srgb_decode(codes / 255)[::-1, ::-1]
+    np.testing.assert_allclose(photo.pixels, expected, atol=1e-6 if form == "webp" else 0.03)
+    assert photo.notes == ()
+    Image.fromarray(codes).save(tmp_path / f"b.{form}", exif=seen.tobytes(), **options)
+    assert load_photo(tmp_path / f"b.{form}").fov_source == "exif"
+
+
+def test_a_thumbnail_before_the_picture_is_passed_over(tmp_path, codes):
+    """A first page that says so, and one that only is smaller; masks are none either."""
+    for options in ({"subfiletype": 1}, {}):
+        with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+            file.write(255 - codes[:70, :80], photometric="rgb", **options)
+            file.write(codes, photometric="rgb")
+            file.write(np.zeros((200, 200), np.uint8), subfiletype=1)
+        with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as file:
+            file.pages[2].tags["NewSubfileType"].overwrite(4)
+        photo = load_photo(tmp_path / "a.tif")
+        np.testing.assert_allclose(photo.pixels, srgb_decode(codes / 255), rtol=1e-6)
+        assert photo.notes == ()
+
+
+def test_of_several_pictures_the_first_is_read_and_that_is_said(tmp_path, codes):
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for page in (codes, 255 - codes):
+            file.write(page, photometric="rgb")
+    photo = load_photo(tmp_path / "a.tif")
+    np.testing.assert_allclose(photo.pixels, srgb_decode(codes / 255), rtol=1e-6)
+    assert photo.notes == ("The file holds 2 pictures: the first is read.",)
+
+
+def test_a_larger_picture_in_a_sub_directory_is_not_overlooked(tmp_path, codes):
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        file.write(codes[:64, :64], photometric="rgb", subifds=1)
+        file.write(codes, photometric="rgb")
+    with pytest.raises(MatcapError, match="sub-directory.* is not supported"):
+        load_photo(tmp_path / "a.tif")
+
+
+# (L*, a*, b*) relative to D50 and the linear Rec.709 they are, by an independent calculator's
+# formulas: Lindbloom's Lab to XYZ, Bradford, and the inverse of IEC 61966-2-1's matrix.
+LAB = (53.0, 40.0, 30.0)
+LAB_IN_REC709 = (0.5527, 0.1157, 0.0752)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("kind", ["cielab", "icclab"])
+def test_cielab_is_converted(tmp_path, bits, kind):
+    lightness, a, b = LAB
+    if kind == "cielab":
+        coded = (lightness * 2.55, a, b) if bits == 8 else (lightness * 655.35, a * 256, b * 256)
+    else:
+        coded = (lightness * 2.55, a + 128, b + 128)
+        coded = coded if bits == 8 else (lightness * 652.8, (a + 128) * 256, (b + 128) * 256)
+    numbers = np.rint(np.array(coded)).astype(np.uint8 if bits == 8 else np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", np.full((96, 128, 3), numbers), photometric=kind)
+    photo = load_photo(tmp_path / "a.tif")
+    np.testing.assert_allclose(photo.pixels[50, 50], LAB_IN_REC709, atol=4e-3)
+    assert "CIELAB" in photo.notes[0]
+
+
+@pytest.mark.parametrize("form", ["jpg", "tif"])
+def test_inks_need_a_profile(tmp_path, codes, form):
+    inks = Image.fromarray(np.dstack([255 - codes, np.zeros(codes.shape[:2], np.uint8)]), "CMYK")
+    inks.save(tmp_path / f"a.{form}")
+    with pytest.raises(MatcapError, match="inks .CMYK., and no profile"):
+        load_photo(tmp_path / f"a.{form}")
+
+
+@pytest.mark.parametrize("form", ["jpg", "tif"])
+def test_inks_are_converted_through_their_profile(tmp_path, form):
+    """A profile whose red, green and blue are what cyan, magenta and yellow leave."""
+    levels = np.array([40, 100, 160, 220], np.uint8).repeat(32)
+    numbers = np.zeros((96, 128, 4), np.uint8)
+    numbers[..., 0], numbers[..., 1], numbers[..., 2] = levels, 255 - levels, 128
+    picture = Image.frombytes("CMYK", (128, 96), numbers.tobytes())
+    options = {"quality": 100, "subsampling": 0} if form == "jpg" else {}
+    picture.save(tmp_path / f"a.{form}", icc_profile=ink_profile(), **options)
+    photo = load_photo(tmp_path / f"a.{form}")
+    measured = photo.pixels[48, 16::32]
+    left = 1 - numbers[48, 16::32, :3] / 255
+    np.testing.assert_allclose(measured, left, atol=0.03)
+    assert "inks" in photo.notes[0]
 
 
 def test_heic(tmp_path, codes):

@@ -1,13 +1,18 @@
 """Orientation, field of view and flash, from whatever the tags hold."""
 
+import struct
+import zlib
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, PngImagePlugin
 
 from matcap.errors import UsageError
-from matcap.photo.exif import Exif, fov_of_focal_length, read_exif
+from matcap.files.png import png_chunk
+from matcap.photo.exif import Exif, fov_of_film, read_exif
 from matcap.photo.load import load_photo
 from matcap.photo.orient import upright
 
@@ -24,9 +29,20 @@ def exif(orientation=1, focal_length=None, flash=None) -> Image.Exif:
     return tags
 
 
-def test_field_of_view_worked_values():
-    assert fov_of_focal_length(18.0) == pytest.approx(90.0)
-    assert fov_of_focal_length(26.0) == pytest.approx(69.39, abs=0.01)
+@pytest.mark.parametrize(
+    ("focal_length", "size", "degrees"),
+    [
+        (18, (3, 2), 90.0),
+        (26, (3, 2), 69.39),
+        (26, (4, 3), 67.3),
+        (18, (1, 1), 80.7),
+        (26, (1, 1), 60.9),
+        (26, (9, 16), 71.9),
+    ],
+)
+def test_focal_lengths_on_film_refer_to_the_diagonal(focal_length, size, degrees):
+    """43.27 mm (CIPA DCG-001): a square sees less across than 3:2 with the same diagonal."""
+    assert fov_of_film(focal_length, *size) == pytest.approx(degrees, abs=0.06)
 
 
 @pytest.mark.parametrize("form", ["jpg", "png"])
@@ -34,7 +50,7 @@ def test_field_of_view_and_flash(tmp_path, codes, form):
     path = tmp_path / f"a.{form}"
     Image.fromarray(codes).save(path, exif=exif(1, 26, 0x19))
     photo = load_photo(path)
-    assert photo.fov == pytest.approx(fov_of_focal_length(26))
+    assert photo.fov == pytest.approx(fov_of_film(26, 4, 3))
     assert (photo.fov_source, photo.flash_fired) == ("exif", True)
     given_fov = load_photo(path, fov=60.0)
     assert (given_fov.fov, given_fov.fov_source) == (60.0, "given")
@@ -46,6 +62,162 @@ def test_unknown_field_of_view_is_assumed(tmp_path, codes, focal_length):
     Image.fromarray(codes).save(path, exif=exif(1, focal_length, 0x10))
     photo = load_photo(path)
     assert (photo.fov, photo.fov_source, photo.flash_fired) == (45.0, "assumed", False)
+
+
+def focal_plane(length=4.0, per_unit=1000.0, unit=3, film=None, pixels=None):
+    tags = exif(focal_length=film)
+    inside = tags.get_ifd(EXIF_IFD)
+    inside |= {0x920A: length, 0xA20E: per_unit, 0xA210: unit}
+    if pixels:
+        inside |= {0xA002: pixels[0], 0xA003: pixels[1]}
+    return tags
+
+
+@pytest.mark.parametrize(
+    ("tags", "half", "says"),
+    [
+        # 128 pixels at 100 a millimetre are 1.28 mm, seen from so many millimetres.
+        ({"length": 0.64}, 1.0, False),
+        ({"length": 0.64, "per_unit": 2540.0, "unit": 2}, 1.0, False),
+        # Of the size that the camera gave it, whatever the file has been shrunk to.
+        ({"length": 2.56, "pixels": (512, 384)}, 1.0, False),
+        # Near enough to the focal length on film, it goes before that.
+        ({"length": 0.7, "film": 17}, 0.64 / 0.7, True),
+        ({"length": 0.7, "film": 19}, 0.64 / 0.7, False),
+        # A unit gone wrong is no field of view.
+        ({"length": 0.64, "unit": 2, "film": 26}, 0.8 * 43.2666 / 2 / 26, True),
+        ({"length": 64.0, "unit": 4, "film": 26}, 0.8 * 43.2666 / 2 / 26, False),
+    ],
+    ids=str,
+)
+def test_the_focal_plane_goes_before_film(tmp_path, codes, tags, half, says):
+    path = tmp_path / "a.jpg"
+    Image.fromarray(codes).save(path, exif=focal_plane(**tags))
+    photo = load_photo(path)
+    assert np.tan(np.radians(photo.fov / 2)) == pytest.approx(half, rel=1e-3)
+    assert [f"{photo.fov:.1f} taken" in note for note in photo.notes] == ([True] if says else [])
+
+
+@pytest.mark.parametrize("sideways", [False, True])
+def test_a_camera_matrix_goes_before_exif(tmp_path, codes, sideways):
+    """ISO/IEC 23008-12's cmin in place of a property that is not needed: pasp made into it."""
+    pillow_heif = pytest.importorskip("pillow_heif")
+    heif = pillow_heif.from_pillow(Image.fromarray(codes))
+    path = tmp_path / "a.heic"
+    heif.save(path, quality=90, exif=exif(1, 26).tobytes())
+    data = path.read_bytes()
+    matrix = struct.pack(">I4s4i", 24, b"cmin", 0x1000, round(0.6 * 65536), 32768, 32768)
+    turn = struct.pack(">I4sB", 9, b"irot", 1) if sideways else b""
+    path.write_bytes(with_properties(data, [matrix] + ([turn] if sideways else [])))
+    photo = load_photo(path)
+    assert photo.original_size == ((96, 128) if sideways else (128, 96))
+    # Six tenths of the stored picture's width, which is the long side whichever way it lies.
+    assert np.tan(np.radians(photo.fov / 2)) == pytest.approx(0.5 / 0.6, rel=1e-3)
+
+
+def with_properties(data: bytes, added: list[bytes]) -> bytes:
+    """A HEIF file with more properties of its first item; offsets in iloc moved with them."""
+    data = bytearray(data)
+    count = data.index(b"ipco") - 4
+    (size,) = struct.unpack_from(">I", data, count)
+    shared, at = 0, count + 8
+    while at < count + size:
+        at += struct.unpack_from(">I", data, at)[0]
+        shared += 1
+    links = data.index(b"ipma") - 4
+    entry = links + 16  # size, name, version and flags, number of items
+    assert struct.unpack_from(">I", data, links + 8)[0] & 1 == 0, "narrow indices"
+    number = data[entry + 2]
+    grown = sum(map(len, added))
+    data[entry + 2] += len(added)
+    indices = bytes(shared + 1 + i for i in range(len(added)))
+    data[entry + 3 + number : entry + 3 + number] = indices
+    data[at:at] = b"".join(added)
+    more = grown + len(indices)
+    for name, by in ((b"ipco", grown), (b"ipma", len(indices)), (b"iprp", more), (b"meta", more)):
+        place = data.index(name) - 4
+        struct.pack_into(">I", data, place, struct.unpack_from(">I", data, place)[0] + by)
+    moved(data, more)
+    return bytes(data)
+
+
+def moved(data: bytearray, by: int) -> None:
+    """Every extent of iloc (version 0 or 1, no base offset) begins later."""
+    at = data.index(b"iloc")
+    version, sizes, bases = data[at + 4], data[at + 8], data[at + 9]
+    assert version in (0, 1) and sizes == 0x44 and bases >> 4 in (0, 4)
+    (items,) = struct.unpack_from(">H", data, at + 10)
+    place = at + 12
+    for _ in range(items):
+        place += (4 if version == 0 else 6) + (bases >> 4)
+        (extents,) = struct.unpack_from(">H", data, place)
+        place += 2
+        for _ in range(extents):
+            (offset,) = struct.unpack_from(">I", data, place)
+            struct.pack_into(">I", data, place, offset + by)
+            place += 8
+
+
+XMP = (
+    '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-'
+    'syntax-ns#"><rdf:Description xmlns:tiff="http://ns.adobe.com/tiff/1.0/" xmlns:exif="http://ns.'
+    'adobe.com/exif/1.0/" {}</rdf:RDF></x:xmpmeta>'
+)
+AS_ATTRIBUTES = XMP.format('tiff:Orientation="3" exif:FocalLengthIn35mmFilm="26"/>')
+AS_ELEMENTS = XMP.format(
+    "><tiff:Orientation>3</tiff:Orientation><exif:FocalLengthIn35mmFilm>26</exif:FocalLengthIn35mm"
+    "Film></rdf:Description>"
+)
+
+
+def save_with_xmp(path: Path, codes, xmp: str, **options) -> None:
+    image = Image.fromarray(codes)
+    if path.suffix == ".png":
+        text = PngImagePlugin.PngInfo()
+        text.add_itxt("XML:com.adobe.xmp", xmp, zip="3" not in path.stem)
+        image.save(path, pnginfo=text, **options)
+    elif path.suffix == ".tif":
+        image.save(path, tiffinfo={700: xmp.encode()})
+    else:
+        image.save(path, xmp=xmp.encode(), **options)
+
+
+@pytest.mark.parametrize("xmp", [AS_ATTRIBUTES, AS_ELEMENTS], ids=["attributes", "elements"])
+@pytest.mark.parametrize("form", ["jpg", "png", "tif", "webp"])
+def test_orientation_in_xmp_alone(tmp_path, codes, form, xmp):
+    options = {"lossless": True} if form == "webp" else {}
+    save_with_xmp(tmp_path / f"a.{form}", codes, xmp, **options)
+    Image.fromarray(codes).save(tmp_path / f"b.{form}", **options)
+    photo, plain = (load_photo(tmp_path / f"{name}.{form}") for name in "ab")
+    np.testing.assert_array_equal(photo.pixels, plain.pixels[::-1, ::-1])
+    assert photo.fov == pytest.approx(fov_of_film(26, 4, 3)) and plain.fov == 45.0
+
+
+def test_exif_goes_before_xmp(tmp_path, codes):
+    save_with_xmp(tmp_path / "a.jpg", codes, AS_ATTRIBUTES, exif=exif(1, 30))
+    found = read_exif(tmp_path / "a.jpg")
+    assert (found.orientation, found.film_focal_length) == (1, 30)
+
+
+@pytest.mark.parametrize("key", [b"exif", b"APP1"])
+@pytest.mark.parametrize("kind", [b"tEXt", b"zTXt"])
+def test_orientation_as_imagemagick_writes_it_into_png(tmp_path, codes, key, kind):
+    block = exif(3).tobytes()
+    text = b"\n%s\n%8d\n%s\n" % (key, len(block), block.hex().encode())
+    body = text if kind == b"tEXt" else b"\0" + zlib.compress(text)
+    add_chunk(tmp_path / "a.png", codes, kind, b"Raw profile type " + key + b"\0" + body)
+    assert read_exif(tmp_path / "a.png").orientation == 3
+
+
+def test_orientation_in_imagemagick_s_own_chunk(tmp_path, codes):
+    add_chunk(tmp_path / "a.png", codes, b"orNT", b"\6")
+    assert load_photo(tmp_path / "a.png").original_size == (96, 128)
+
+
+def add_chunk(path: Path, codes, kind: bytes, data: bytes) -> None:
+    Image.fromarray(codes).save(path)
+    png = path.read_bytes()
+    path.write_bytes(png[:33] + png_chunk(kind, data) + png[33:])
 
 
 def test_no_exif_at_all(tmp_path, codes):

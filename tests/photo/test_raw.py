@@ -128,7 +128,7 @@ def test_linear_dng_white_is_one(tmp_path):
 def test_exif_of_a_dng(tmp_path, light):
     path = write_dng(tmp_path / "a.dng", mosaic(light), exif={0xA405: 26, 0x9209: 1})
     photo = load_photo(path)
-    assert photo.fov == pytest.approx(2 * np.degrees(np.arctan(18 / 26)))
+    assert photo.fov == pytest.approx(2 * np.degrees(np.arctan(0.8 * np.hypot(18, 12) / 26)))
     assert (photo.fov_source, photo.flash_fired) == ("exif", True)
 
 

@@ -7,6 +7,7 @@ GainMaps says by how much.
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from fractions import Fraction
@@ -28,6 +29,7 @@ _GAIN_MAP_ID = 9
 _DNG_1_3 = bytes((1, 3, 0, 0))
 _D65 = 21
 _CFA = 32803
+_PIXELS_PER_MM = 289  # of a small sensor
 _EXIF_IFD = 34665
 _EXIF_PLACE = 34666  # unassigned; keeps the place of _EXIF_IFD, which tifffile refuses to write
 
@@ -113,14 +115,21 @@ def write_dng(path: Path, shot: Shot, sensor: Sensor, seed: int) -> None:
 def exif_of(shot: Shot) -> dict[int, int | Fraction | bytes]:
     """EXIF tags that say how the shot was taken, by number; the JPEG carries the same."""
     camera = shot.camera
+    width_mm = camera.width / _PIXELS_PER_MM
+    length = Fraction(width_mm / 36.0 * camera.focal_length).limit_denominator(100_000)
+    on_film = camera.focal_length * math.hypot(36.0, 24.0) / 36.0
+    on_film *= camera.width / math.hypot(camera.width, camera.height)
     return {
         33434: Fraction(shot.exposure / 60.0).limit_denominator(1_000_000),  # ExposureTime, s
         33437: Fraction(9, 5),  # FNumber
         34855: 100,  # ISOSpeedRatings
         36864: b"0230",  # ExifVersion
         37385: 9 if shot.fired else 16,  # Flash: fired, or not, because told to
-        37386: Fraction(camera.focal_length * 10, 65),  # FocalLength, mm, of a small sensor
-        41989: camera.focal_length,  # FocalLengthIn35mmFilm
+        37386: length,  # FocalLength, mm
+        # FocalPlaneXResolution and its unit, cm: with them the field of view is exactly told.
+        41486: Fraction(10 * _PIXELS_PER_MM),
+        41488: 3,
+        41989: round(on_film),  # FocalLengthIn35mmFilm, which refers to the diagonal (CIPA DCG-001)
     }
 
 

@@ -14,6 +14,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.lab.simulate.photograph import PhoneCamera, Shot, expose
 from matcap.lab.simulate.write_dng import Sensor, gain_map, write_dng
 from matcap.lab.simulate.write_jpeg import write_jpeg
+from matcap.photo.load import load_photo
 
 CAMERA = PhoneCamera(width=240, height=180)
 
@@ -67,7 +68,9 @@ def test_exif_is_readable(shot, tmp_path, suffix):
     else:
         write_jpeg(path, shot, seed=1)
     tags = _exif(path)
-    assert tags["EXIF FocalLengthIn35mmFilm"].values == [28]
+    # 28 mm across the long side of 36 are 27 by the diagonal of 4:3.
+    assert tags["EXIF FocalLengthIn35mmFilm"].values == [27]
+    assert load_photo(path).fov == pytest.approx(CAMERA.fov, abs=1e-3)
     assert tags["EXIF Flash"].values[0] & 1
     assert tags["Image Orientation"].values == [1]
     assert str(tags["Image Make"]) == "matcap"

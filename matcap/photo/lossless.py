@@ -1,0 +1,249 @@
+"""PNG and TIFF of 8 and 16 bits, TIFF in floating point, through OpenImageIO, which keeps 16 bits.
+
+Of a TIFF with several pages the picture is read, not its thumbnails or masks. Inks (CMYK) and
+CIELAB are converted here: OpenImageIO's own conversion of them ignores what their numbers mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import MatcapError
+from matcap.files.color import LINEAR, REC709_TO_D50, ColorSpace, Linearise
+from matcap.files.exr import forget_error
+from matcap.files.stated_color import StatedColor, stated_color
+from matcap.photo.decoded import Decoded
+from matcap.photo.developed import Coded, decode, three_channels
+from matcap.photo.exif import Exif, read_exif
+from matcap.photo.lossy import inks
+from matcap.photo.refusals import check_size, decoding, unreadable, unsupported
+
+# TIFF 6.0, and the supplements 1 and 2: PhotometricInterpretation.
+_GREYS, _MASK, _INKS, _LAB, _ICC_LAB = (0, 1), 4, 5, 8, 9
+_REDUCED, _IS_MASK = 1, 4  # bits of NewSubfileType
+_MOST_PAGES = 64  # a damaged file may claim any number of them
+# Compressions that every OpenImageIO decodes; what else fails is unsupported, not damaged.
+_USUAL = {1, 2, 3, 4, 5, 6, 7, 8, 32771, 32773, 32946}
+_SHADOW = 6.0 / 29.0  # where CIE L*'s cube root begins (CIE 15:2004, 8.2.1.1)
+
+
+@dataclass(frozen=True)
+class _Page:
+    """Which picture of a file is read.
+
+    Attributes:
+        index: among its pages.
+        photometric: what its numbers are; -1 for a PNG.
+        compression: its name, and whether everybody decodes it.
+        profile: ICC profile of a TIFF of inks.
+        notes: what is to be said of other pages.
+    """
+
+    index: int = 0
+    photometric: int = -1
+    compression: tuple[str, bool] = ("", True)
+    profile: bytes | None = None
+    notes: tuple[str, ...] = ()
+
+
+def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Decoded, Exif]:
+    """Read a PNG or TIFF of 8 or 16 bits, or a TIFF in floating point (taken as linear light).
+
+    Raises:
+        MatcapError: truncated, damaged, too small, too large, of a coding that is not supported;
+            NaN or infinite values.
+    """
+    import OpenImageIO as oiio
+
+    page = _page_of(path) if form == "TIFF" else _Page()
+    with decoding(path, form):
+        config = oiio.ImageSpec()
+        config.attribute("oiio:UnassociatedAlpha", 1)  # colours are not to be darkened by alpha
+        config.attribute("oiio:RawColor", int(page.photometric in (_INKS, _LAB, _ICC_LAB)))
+        source = oiio.ImageInput.open(str(path), config)
+        if source is None:
+            forget_error(oiio.geterror)  # or it is printed at exit
+            raise _broken(path, form, page)
+        if page.index and not source.seek_subimage(page.index, 0):
+            forget_error(source.geterror)
+            raise _broken(path, form, page)
+        spec = source.spec()
+    check_size(path, spec.width, spec.height)
+    alpha = spec.alpha_channel if page.photometric != _INKS else -1
+    stored = _stored_type(spec.format)
+    dtype = np.dtype("float32" if stored == "float" else stored)
+    in_strips = alpha < 0 and dtype.kind == "u" and not spec.tile_width
+    rows = _read_rows(source, spec, stored, lambda: _broken(path, form, page))
+    notes, opacity = page.notes, None
+    if not in_strips:
+        whole = rows(0, spec.height)
+        if alpha >= 0:
+            opacity = np.ascontiguousarray(whole[..., alpha])
+        if dtype.kind == "f":
+            whole, scaled = _below_one(whole)
+            notes += scaled
+
+        def rows(top: int, bottom: int) -> NDArray[Any]:
+            return whole[top:bottom]
+
+    coded = Coded(
+        rows
+        if page.photometric == _INKS
+        else lambda top, bottom: three_channels(rows(top, bottom)),
+        spec.width,
+        spec.height,
+        dtype,
+        _color(path, dtype),
+        _other(path, page, spec.nchannels, dtype),
+        opacity=opacity,
+        notes=notes,
+    )
+    exif = read_exif(path)
+    return decode(coded, long_side, str(path), exif.orientation), exif
+
+
+def _read_rows(
+    source: Any,  # noqa: ANN401
+    spec: Any,  # noqa: ANN401
+    stored: str,
+    broken: Callable[[], MatcapError],
+) -> Callable[[int, int], NDArray[Any]]:
+    """Rows (n, W, C) of an open picture, from the top; all at once where it is tiled."""
+    import OpenImageIO as oiio
+
+    def rows(top: int, bottom: int) -> NDArray[Any]:
+        try:
+            if (top, bottom) == (0, spec.height):
+                codes = source.read_image(source.current_subimage(), 0, 0, spec.nchannels, stored)
+            else:
+                y = spec.y
+                codes = source.read_scanlines(
+                    y + top, y + bottom, 0, 0, spec.nchannels, oiio.TypeDesc(stored)
+                )
+            said = source.has_error
+            forget_error(source.geterror)
+            if bottom == spec.height:
+                source.close()
+        except Exception as error:
+            raise broken() from error
+        if codes is None or said:
+            raise broken()
+        return np.asarray(codes)
+
+    return rows
+
+
+def _page_of(path: Path) -> _Page:
+    """The largest page that is neither a thumbnail nor a mask, the first of equals."""
+    import tifffile
+
+    with decoding(path, "TIFF"), tifffile.TiffFile(path) as file:
+        pages: list[Any] = list(islice(file.pages, _MOST_PAGES))
+        sizes = [page.imagewidth * page.imagelength for page in pages]
+        whole = [
+            index
+            for index, page in enumerate(pages)
+            if not int(page.subfiletype) & (_REDUCED | _IS_MASK) and int(page.photometric) != _MASK
+        ]
+        chosen = max(whole or range(len(pages)), key=lambda index: (sizes[index], -index))
+        page = pages[chosen]
+        inside = [sub for each in pages for sub in islice(each.pages or (), _MOST_PAGES)]
+        larger = [sub for sub in inside if sub.imagewidth * sub.imagelength > sizes[chosen]]
+        photometric, code = int(page.photometric), int(page.compression)
+        bands = int(page.samplesperpixel) - len(page.extrasamples)
+        name = str(getattr(page.compression, "name", code)).upper()
+        profile = page.tags.get(34675)
+        equal = sum(sizes[index] == sizes[chosen] for index in whole)
+        known = _Page(
+            chosen,
+            photometric,
+            (name, code in _USUAL),
+            None if profile is None else bytes(profile.value),
+            (f"The file holds {equal} pictures: the first is read.",) if equal > 1 else (),
+        )
+    if larger:
+        raise unsupported(path, "a TIFF whose picture is in a sub-directory behind a smaller one")
+    if photometric in _GREYS and bands > 1:
+        raise unsupported(path, f"a TIFF of {bands} bands that are not named red, green and blue")
+    if photometric == _INKS and bands != 4:
+        raise unsupported(path, f"a TIFF of {bands} inks")
+    return known
+
+
+def _broken(path: Path, form: str, page: _Page) -> MatcapError:
+    name, usual = page.compression
+    return unreadable(path, form) if usual else unsupported(path, f"TIFF compression {name}")
+
+
+def _color(path: Path, dtype: np.dtype[Any]) -> StatedColor:
+    color = stated_color(path)
+    if dtype.kind != "f" or color.profile is not None:
+        return color
+    # Floating point is light itself, of whatever primaries are stated.
+    space = ColorSpace(LINEAR.name, LINEAR.curves, color.space.matrix)
+    return StatedColor(space=space, notes=color.notes)
+
+
+def _other(
+    path: Path, page: _Page, channels: int, dtype: np.dtype[Any]
+) -> tuple[Linearise, tuple[str, ...]] | None:
+    """How to linearise what is no red, green and blue; None where it is."""
+    if page.photometric == _INKS:
+        return inks(path, page.profile, dtype)
+    if page.photometric not in (_LAB, _ICC_LAB):
+        return None
+    if channels < 3 or dtype.kind != "u":
+        raise unsupported(path, "CIELAB in floating point or without colours")
+    lab = lab_of if page.photometric == _LAB else icc_lab_of
+    return lambda codes: lab_light(lab(codes)), ("Colours converted from CIELAB (D50) to Rec.709.",)
+
+
+def lab_of(codes: NDArray[Any]) -> NDArray[np.float32]:
+    """L*, a*, b* of TIFF's CIELAB, 8 or 16 bits: a* and b* are signed (TIFF 6.0, section 23)."""
+    largest = np.iinfo(codes.dtype).max
+    lightness = codes[..., :1].astype(np.float32) * np.float32(100.0 / largest)
+    signed = codes[..., 1:3].astype(codes.dtype.str.replace("u", "i")).astype(np.float32)
+    return np.concatenate([lightness, signed * np.float32(1.0 if largest == 255 else 1 / 256)], -1)
+
+
+def icc_lab_of(codes: NDArray[Any]) -> NDArray[np.float32]:
+    """L*, a*, b* of TIFF's ICCLAB, 8 or 16 bits: a* and b* have an offset (ICC.1:2001-04)."""
+    small = np.iinfo(codes.dtype).max == 255
+    unit = np.float32(1.0 if small else 1.0 / 256.0)
+    lightness = codes[..., :1].astype(np.float32) * np.float32(
+        100.0 / (255.0 if small else 65280.0)
+    )
+    return np.concatenate([lightness, codes[..., 1:3].astype(np.float32) * unit - 128.0], -1)
+
+
+def lab_light(lab: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Linear Rec.709 of CIELAB relative to D50 (CIE 15:2004, 8.2.1), at least 0."""
+    y = (lab[..., 0] + 16.0) / 116.0
+    roots = np.stack([y + lab[..., 1] / 500.0, y, y - lab[..., 2] / 200.0], axis=-1)
+    linear = 3.0 * _SHADOW**2 * (roots - 4.0 / 29.0)
+    relative = np.where(roots > _SHADOW, roots**3, linear)
+    xyz = relative * REC709_TO_D50.sum(axis=1)
+    return np.maximum(xyz @ np.linalg.inv(REC709_TO_D50).T, 0.0).astype(np.float32)
+
+
+def _stored_type(form: Any) -> str:  # noqa: ANN401
+    """The type to read OpenImageIO's format as: whole numbers of 8 or 16 bits, or float."""
+    name = str(form)
+    if name in ("half", "float", "double"):
+        return "float"
+    return "uint8" if name in ("uint8", "int8") else "uint16"
+
+
+def _below_one(pixels: NDArray[np.float32]) -> tuple[NDArray[np.float32], tuple[str, ...]]:
+    """Scale numbers without a stated maximum so that the largest is 1, the clip level."""
+    largest = float(pixels[..., :3].max())
+    if not (np.isfinite(largest) and largest > 1.0):
+        return pixels, ()
+    return pixels / np.float32(largest), (f"Values reach {largest:.4g}: scaled to reach 1.",)

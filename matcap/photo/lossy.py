@@ -1,0 +1,225 @@
+"""JPEG, WebP, AVIF and HEIC, through Pillow and pillow-heif: 8 bits, HEIC up to 12.
+
+Pillow decodes JPEG because it reports a truncated file. Its readers are called by name: its general
+one refuses pictures of more than 178 megapixels, which phones take.
+"""
+
+from __future__ import annotations
+
+import mmap
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import MatcapError
+from matcap.files import bmff
+from matcap.files.color import Linearise
+from matcap.files.icc import inks_lineariser_of
+from matcap.files.stated_color import StatedColor, stated_color
+from matcap.photo.decoded import Decoded
+from matcap.photo.developed import Coded, decode, three_channels
+from matcap.photo.exif import Exif, FocalPlane, read_exif
+from matcap.photo.refusals import check_size, decoding, missing_extra, unsupported
+
+# Lossy coding rings: what was at 255 comes back at 254 as well.
+_LOSSY_CLIP = 254.0 / 255.0
+# Pixels beyond which a JPEG is decoded at half its size (DCT scaling), where that is enough.
+_LARGE = 100_000_000
+
+# What marks a picture that carries a second one to brighten it on HDR screens: Ultra HDR and
+# Adobe, Apple, ISO 21496-1.
+_HDR_MARKS = (b"ns.adobe.com/hdr-gain-map", b"aux:hdrgainmap", b"iso:ts:21496:-1")
+_HDR_NOTE = "The file carries an HDR gain map, which was not applied."
+_MODES = {"RGB", "RGBA", "RGBX", "L", "LA"}  # Pillow's, of red, green, blue, grey and alpha
+
+
+def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
+    """Read a JPEG; one with a gain map or several pictures gives the first, as it looks.
+
+    Raises:
+        MatcapError: truncated, damaged, too small, too large, of 12 bits, or of inks without a
+            profile that says their colours.
+    """
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    _check_jpeg_coding(path)
+    with decoding(path, "JPEG"), warnings.catch_warnings(), path.open("rb") as file:
+        warnings.simplefilter("ignore")  # harmlessly malformed tags
+        image = JpegImageFile(file)
+        size = image.size
+        check_size(path, *size)
+        if size[0] * size[1] > _LARGE and long_side is not None and 2 * long_side <= max(size):
+            image.draft(image.mode, ((size[0] + 1) // 2, (size[1] + 1) // 2))
+        image.load()
+    profile = image.info.get("icc_profile")
+    other = inks(path, profile, np.dtype(np.uint8)) if image.mode == "CMYK" else None
+    if other is None and image.mode not in _MODES:
+        raise unsupported(path, f"a JPEG of {image.mode} colours")
+
+    def rows(top: int, bottom: int) -> NDArray[Any]:
+        strip = np.asarray(image.crop((0, top, image.width, bottom)))
+        return three_channels(strip) if other is None else strip
+
+    coded = Coded(
+        rows,
+        image.width,
+        image.height,
+        np.dtype(np.uint8),
+        stated_color(path),
+        other,
+        _LOSSY_CLIP,
+        size=size,
+        notes=_hdr_notes(path),
+    )
+    exif = read_exif(path)
+    return decode(coded, long_side, str(path), exif.orientation), exif
+
+
+def read_webp_or_avif(path: Path, form: str, long_side: int | None) -> tuple[Decoded, Exif]:
+    """Read a WebP or AVIF picture, the first of several.
+
+    Raises:
+        MatcapError: truncated, damaged, too small, too large, or this Pillow reads no AVIF.
+    """
+    from PIL import features
+    from PIL.AvifImagePlugin import AvifImageFile
+    from PIL.WebPImagePlugin import WebPImageFile
+
+    if not features.check(form.lower()):
+        raise unsupported(path, f"{form} by the Pillow that is installed")
+    with decoding(path, form), warnings.catch_warnings(), path.open("rb") as file:
+        warnings.simplefilter("ignore")
+        image: Any = (WebPImageFile if form == "WebP" else AvifImageFile)(file)
+        check_size(path, *image.size)
+        image.load()
+        if image.mode not in _MODES:
+            image = image.convert("RGB")
+        pixels, info = np.asarray(image), dict(image.info)
+    # Pillow turns an AVIF's own rotation into Exif's.
+    exif = read_exif(path) if form == "WebP" else read_exif(info.get("exif") or b"")
+    notes = (
+        () if getattr(image, "n_frames", 1) == 1 else ("The first of several pictures is read.",)
+    )
+    properties = bmff.Properties() if form == "WebP" else _properties(path)
+    if properties.bits > 8:
+        notes = (*notes, f"The picture's {properties.bits} bits are read as 8.")
+    picture = _coded(pixels, stated_color(path), (*notes, *_hdr_notes(path)))
+    exif = with_camera_matrix(exif, properties, image.size)
+    return decode(picture, long_side, str(path), exif.orientation), exif
+
+
+def read_heic(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
+    """Read a HEIC through pillow-heif, an extra.
+
+    Raises:
+        MatcapError: pillow-heif is not installed, or the file is truncated, damaged or too small.
+    """
+    try:
+        import pillow_heif
+    except ImportError as error:
+        raise missing_extra(path, "HEIC", "heic") from error
+
+    with decoding(path, "HEIC"):
+        image = pillow_heif.open_heif(path, convert_hdr_to_8bit=False)
+        check_size(path, *image.size)
+        pixels = np.asarray(image)
+        info = dict(image.info)
+    coded = _coded(pixels, stated_color(path), _hdr_notes(path))
+    if pixels.dtype == np.uint16:
+        coded = replace(coded, rows=_filled(coded.rows, int(info.get("bit_depth") or 10)))
+    # The container's own rotation has been applied; the Exif block repeats it.
+    exif = replace(read_exif(info.get("exif") or b""), orientation=1)
+    size = (coded.width, coded.height)
+    return decode(coded, long_side, str(path), 1), with_camera_matrix(exif, _properties(path), size)
+
+
+def inks(
+    path: Path, profile: bytes | None, dtype: np.dtype[Any]
+) -> tuple[Linearise, tuple[str, ...]]:
+    """How a file of cyan, magenta, yellow and black is linearised.
+
+    Raises:
+        MatcapError: no profile says what colours the inks have.
+    """
+    found = inks_lineariser_of(profile, dtype) if profile else None
+    if found is None:
+        raise MatcapError(
+            "the picture's colours are inks (CMYK), and no profile in it says how they look",
+            where=str(path),
+            remedy="export it as RGB",
+        )
+    return found
+
+
+def with_camera_matrix(exif: Exif, properties: bmff.Properties, size: tuple[int, int]) -> Exif:
+    """Exif with a file's own camera matrix before all else; size as decoded."""
+    if properties.focal_length is None:
+        return exif
+    pixels = properties.focal_length * size[1 if properties.sideways else 0]
+    return replace(exif, focal_plane=FocalPlane(pixels, max(size)), measured=True)
+
+
+def _properties(path: Path) -> bmff.Properties:
+    """What the container says; nothing where its boxes are broken: pixels have been read."""
+    try:
+        return bmff.primary_properties(path)
+    except Exception:  # struct.error, KeyError, IndexError and what else broken boxes come to
+        return bmff.Properties()
+
+
+def _coded(pixels: NDArray[Any], color: StatedColor, notes: tuple[str, ...]) -> Coded:
+    """A decoded picture (H, W) or (H, W, 1 to 4); 2 and 4 channels have alpha."""
+    alpha = pixels.ndim == 3 and pixels.shape[2] in (2, 4)
+    return Coded(
+        lambda top, bottom: three_channels(pixels[top:bottom]),
+        pixels.shape[1],
+        pixels.shape[0],
+        pixels.dtype,
+        color,
+        clip_at=_LOSSY_CLIP,
+        opacity=np.ascontiguousarray(pixels[..., -1]) if alpha else None,
+        notes=notes,
+    )
+
+
+def _filled(
+    rows: Callable[[int, int], NDArray[Any]], bits: int
+) -> Callable[[int, int], NDArray[Any]]:
+    """Codes of 10 or 12 bits, which stand at the top of 16, so that the largest is the largest."""
+
+    def filled(top: int, bottom: int) -> NDArray[Any]:
+        codes = rows(top, bottom)
+        return np.asarray(codes | codes >> bits)
+
+    return filled
+
+
+def _check_jpeg_coding(path: Path) -> None:
+    """Refuse what libjpeg does not decode, by the frame's header (ITU-T T.81, table B.1)."""
+    with path.open("rb") as file:
+        file.seek(2)
+        while len(marker := file.read(2)) == 2:
+            if marker[0] != 0xFF or marker[1] == 0xDA:
+                return
+            if marker[1] == 0xFF:  # a filling byte
+                file.seek(-1, 1)
+                continue
+            if marker[1] in range(0xC0, 0xD0) and marker[1] not in (0xC4, 0xC8, 0xCC):
+                bits = file.read(3)[-1:]
+                if marker[1] in (0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF):
+                    raise unsupported(path, "lossless or hierarchical JPEG")
+                if bits and bits[0] != 8:
+                    raise unsupported(path, f"JPEG of {bits[0]} bits")
+                return
+            length = int.from_bytes(file.read(2), "big")
+            file.seek(max(length - 2, 0), 1)
+
+
+def _hdr_notes(path: Path) -> tuple[str, ...]:
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return (_HDR_NOTE,) if any(data.find(mark) >= 0 for mark in _HDR_MARKS) else ()
