@@ -267,7 +267,7 @@ def _renderer(
     *,
     quiet: bool,
 ) -> Renderer:
-    from matcap.relight.foreign import read_foreign
+    from matcap.relight.foreign.read import read_foreign
     from matcap.relight.render import Renderer
 
     if maps_from is None:

@@ -1,15 +1,21 @@
 """Map sets of others, written here from a material that is known."""
 
+import struct
+
 import cv2
 import numpy as np
 import pytest
+import tifffile
 import torch
+from PIL import Image
 from relight_samples import bumpy
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
-from matcap.files.srgb import srgb_picture
-from matcap.relight.foreign import read_foreign
+from matcap.files.exr import write_exr
+from matcap.files.png import PNG_HEADER, png_chunk
+from matcap.files.srgb import srgb_decode, srgb_picture
+from matcap.relight.foreign.read import read_foreign
 
 AMBIENTCG = {
     "base": "Bricks066_1K-PNG_Color.png",
@@ -133,3 +139,292 @@ def test_folders_that_are_no_map_sets(tmp_path, maps):
     (tmp_path / AMBIENTCG["base"]).write_text("no picture")
     with pytest.raises(MatcapError, match="not a readable picture"):
         read_foreign(tmp_path)
+
+
+# Kinds of files, each against the same maps as plain PNGs of 16 bits.
+
+
+def pictures_of(maps):
+    """By map (H, W, C) in [0, 1], as stored."""
+    height = maps.height.numpy()
+    coded = (height - height.min()) / np.ptp(height)
+    metal = np.broadcast_to(np.linspace(0.0, 1.0, 64, dtype=np.float32), height.shape)
+    stored = {
+        "base": srgb_picture(maps.diffuse.numpy()),
+        "normal": 0.5 + 0.5 * maps.normal.numpy(),
+        "rough": maps.roughness.numpy(),
+        "height": coded,
+        "metal": metal,
+    }
+    return {kind: np.moveaxis(one, 0, -1).astype(np.float32) for kind, one in stored.items()}
+
+
+def code(picture, bits=8):
+    return np.rint(picture * (2**bits - 1)).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def png(path, picture, bits=16):
+    stored = code(picture, bits)
+    turned = stored[..., [2, 1, 0, 3][: stored.shape[2]]] if stored.shape[2] > 1 else stored
+    cv2.imwrite(str(path), turned)
+
+
+@pytest.fixture
+def plain(tmp_path, maps):
+    """A folder of PNGs, the pictures in it, and what comes of them."""
+    pictures = pictures_of(maps)
+    for name, kind in (("a_Color", "base"), ("a_NormalGL", "normal"), ("a_Roughness", "rough")):
+        png(tmp_path / f"{name}.png", pictures[kind])
+    return tmp_path, pictures, read_foreign(tmp_path).texture
+
+
+def same(found, expected, atol=2e-3):
+    for map_ in ("diffuse", "specular", "roughness", "slopes", "height"):
+        np.testing.assert_allclose(getattr(found, map_), getattr(expected, map_), atol=atol)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("a_Color", "base"), ("a_NormalGL", "normal")])
+@pytest.mark.parametrize("form", ["png", "tif", "tga", "webp"])
+def test_data_in_alpha_is_not_multiplied_in(plain, name, kind, form):
+    folder, pictures, expected = plain
+    alpha = np.linspace(0.0, 1.0, 64 * 64, dtype=np.float32).reshape(64, 64, 1)
+    (folder / f"{name}.png").unlink()
+    four = code(np.concatenate([pictures[kind], alpha], axis=-1))
+    if form == "tif":
+        tifffile.imwrite(folder / f"{name}.tif", four, extrasamples="unassalpha")
+    else:
+        lossless = {"lossless": True, "exact": True} if form == "webp" else {}
+        Image.fromarray(four).save(folder / f"{name}.{form}", **lossless)
+    found = read_foreign(folder)
+    same(found.texture, expected, atol=0.02)
+    assert any("transparency" in note for note in found.notes) == (kind == "base")
+
+
+@pytest.mark.parametrize("form", ["tga", "webp", "bmp", "tif"])
+def test_other_kinds_of_files(plain, form):
+    folder, pictures, expected = plain
+    for name, kind in (("a_Color", "base"), ("a_NormalGL", "normal"), ("a_Roughness", "rough")):
+        (folder / f"{name}.png").unlink()
+        colour = np.repeat(code(pictures[kind]), 3 // pictures[kind].shape[2], axis=-1)
+        lossless = {"lossless": True} if form == "webp" else {}
+        Image.fromarray(colour).save(folder / f"{name}.{form}", **lossless)
+    same(read_foreign(folder).texture, expected, atol=0.02)
+
+
+def test_floats_are_light(plain):
+    folder, _, expected = plain
+    (folder / "a_Color.png").unlink()
+    light = np.moveaxis(expected.diffuse, 0, -1)
+    tifffile.imwrite(folder / "a_Color.tif", light, photometric="rgb")
+    same(read_foreign(folder).texture, expected)
+    (folder / "a_Color.tif").unlink()
+    write_exr(folder / "a_Color.exr", light, half=True)
+    same(read_foreign(folder).texture, expected)
+
+
+def exr_normals(folder, normal, names=("R", "G", "B")):
+    import OpenEXR
+
+    (folder / "a_NormalGL.png").unlink()
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    planes = {name: np.ascontiguousarray(normal[..., i]) for i, name in enumerate(names)}
+    OpenEXR.File(header, planes).write(str(folder / "a_NormalGL.exr"))
+
+
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize("channels", [3, 2])
+@pytest.mark.parametrize("stray", [None, -0.002, 3.0])
+def test_normals_in_floats_are_judged_by_most_of_them(plain, signed, channels, stray):
+    """One texel below 0 or far above 1, of resampling or compression, changes nothing else."""
+    folder, pictures, expected = plain
+    normal = pictures["normal"].copy()
+    normal = 2.0 * normal - 1.0 if signed else normal
+    if stray is not None:
+        normal[3, 5, 0] = stray
+    exr_normals(folder, normal[..., :channels], ("R", "G", "B")[:channels])
+    found = read_foreign(folder).texture
+    off = np.abs(found.slopes - expected.slopes)
+    off[:, 3, 5] = 0.0
+    assert off.max() < 2e-3
+
+
+def test_normals_named_as_vectors(plain):
+    folder, pictures, expected = plain
+    exr_normals(folder, 2.0 * pictures["normal"] - 1.0, ("Normal.X", "Normal.Y", "Normal.Z"))
+    same(read_foreign(folder).texture, expected)
+
+
+def test_normals_of_which_two_channels_are_stored(plain):
+    """Blue empty, or x in alpha beside a constant red (DXT5)."""
+    folder, pictures, expected = plain
+    x, y, _ = np.moveaxis(pictures["normal"], -1, 0)
+    full, none = np.ones_like(x), np.zeros_like(x)
+    for stored in ((x, y, none), (full, y, y, x)):
+        png(folder / "a_NormalGL.png", np.stack(stored, axis=-1))
+        found = read_foreign(folder)
+        np.testing.assert_allclose(found.texture.slopes, expected.slopes, atol=2e-3)
+        assert any("z is computed" in note for note in found.notes)
+
+
+def test_what_is_no_normal_map_is_refused(plain):
+    folder, pictures, _ = plain
+    png(folder / "a_NormalGL.png", pictures["rough"])
+    with pytest.raises(MatcapError, match="one channel"):
+        read_foreign(folder)
+    below = pictures["normal"] * [1.0, 1.0, -1.0] + [0.0, 0.0, 1.0]
+    png(folder / "a_NormalGL.png", below)
+    with pytest.raises(MatcapError, match="point away"):
+        read_foreign(folder)
+
+
+def test_colours_of_other_primaries_are_converted(plain):
+    """Display P3 by a PNG's cICP, and XYZ by an EXR's chromaticities."""
+    folder, pictures, expected = plain
+    to_p3 = np.array([[0.8225, 0.1774, 0.0], [0.0332, 0.9669, 0.0], [0.0171, 0.0724, 0.9108]])
+    light = np.moveaxis(expected.diffuse, 0, -1)
+    png(folder / "a_Color.png", srgb_picture((light @ to_p3.T).astype(np.float32)))
+    stored = (folder / "a_Color.png").read_bytes()
+    chunk = png_chunk(b"cICP", bytes((12, 13, 0, 1)))
+    (folder / "a_Color.png").write_bytes(stored[:PNG_HEADER] + chunk + stored[PNG_HEADER:])
+    found = read_foreign(folder)
+    np.testing.assert_allclose(found.texture.diffuse, expected.diffuse, atol=3e-3)
+    assert any("P3" in note for note in found.notes)
+    (folder / "a_Color.png").unlink()
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    write_exr(folder / "a_Color.exr", (light @ np.transpose(to_xyz)).astype(np.float32), half=False)
+    rec709 = struct.pack("<8f", 0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+    exr = (folder / "a_Color.exr").read_bytes()
+    assert rec709 in exr
+    xyz = struct.pack("<8f", 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)
+    (folder / "a_Color.exr").write_bytes(exr.replace(rec709, xyz))
+    found = read_foreign(folder)
+    np.testing.assert_allclose(found.texture.diffuse, expected.diffuse, atol=2e-3)
+    assert any("chromaticities" in note for note in found.notes)
+
+
+def packed(folder, name, *planes):
+    png(folder / name, np.concatenate(planes, axis=-1))
+
+
+@pytest.mark.parametrize("packing", ["orm", "gltf", "unity", "hdrp"])
+def test_packed_maps_by_their_packing(plain, packing):
+    folder, pictures, _ = plain
+    png(folder / "a_Metallic.png", pictures["metal"])
+    expected = read_foreign(folder).texture
+    (folder / "a_Roughness.png").unlink()
+    (folder / "a_Metallic.png").unlink()
+    rough, metal, other = pictures["rough"], pictures["metal"], pictures["height"]
+    if packing == "orm":
+        packed(folder, "a_OcclusionRoughnessMetallic.png", other, rough, metal)
+    elif packing == "gltf":
+        packed(folder, "a_metallicRoughness.png", other, rough, metal)
+    elif packing == "unity":
+        packed(folder, "a_MetallicSmoothness.png", metal, metal, metal, 1.0 - rough)
+    else:
+        packed(folder, "a_MaskMap.png", metal, other, other, 1.0 - rough)
+    found = read_foreign(folder)
+    same(found.texture, expected)
+    assert not any("no roughness" in note for note in found.notes)
+
+
+def test_a_packed_map_that_lacks_its_channel_is_told(plain):
+    folder, pictures, _ = plain
+    (folder / "a_Roughness.png").unlink()
+    packed(folder, "a_MetallicSmoothness.png", *[pictures["metal"]] * 3)
+    notes = read_foreign(folder).notes
+    assert any("has no channel A" in note for note in notes)
+    assert any("no roughness map" in note for note in notes)
+
+
+def test_specular_with_gloss_is_f0_and_without_it_is_left_out(plain):
+    folder, pictures, expected = plain
+    png(folder / "a_Specular.png", np.full((64, 64, 3), 0.5, np.float32))
+    found = read_foreign(folder)
+    same(found.texture, expected)
+    assert any("a_Specular.png" in note and "not used" in note for note in found.notes)
+    (folder / "a_Roughness.png").unlink()
+    png(folder / "a_Glossiness.png", 1.0 - pictures["rough"])
+    found = read_foreign(folder).texture
+    np.testing.assert_allclose(found.specular, srgb_decode(np.array(0.5)), atol=1e-4)
+    np.testing.assert_allclose(found.roughness, expected.roughness, atol=1e-4)
+
+
+def test_specular_level_is_a_part_of_eight_percent(plain):
+    folder, _, _ = plain
+    png(folder / "a_specularlevel.png", np.full((64, 64, 1), 0.75, np.float32))
+    np.testing.assert_allclose(read_foreign(folder).texture.specular, 0.06, atol=1e-4)
+
+
+def test_a_flat_height_is_called_flat(plain):
+    folder, pictures, expected = plain
+    png(folder / "a_Displacement.png", np.full((64, 64, 1), 0.5, np.float32))
+    found = read_foreign(folder)
+    assert not found.texture.height.any()
+    np.testing.assert_allclose(found.texture.slopes, expected.slopes)
+    assert any("the height map is flat" in note for note in found.notes)
+    assert not any("contradicts" in note for note in found.notes)
+
+
+def test_a_bump_map_that_holds_normals_is_a_normal_map(plain):
+    folder, pictures, expected = plain
+    (folder / "a_NormalGL.png").rename(folder / "a_BumpMap.png")
+    found = read_foreign(folder, normal="gl")
+    same(found.texture, expected)
+    assert any("normal map by its colours" in note for note in found.notes)
+
+
+def test_a_height_alone_in_floats_spans_what_it_spans(plain):
+    folder, pictures, _ = plain
+    (folder / "a_NormalGL.png").unlink()
+    write_exr(folder / "a_Displacement.exr", 30.0 * pictures["height"][..., 0] - 10.0, half=False)
+    assert np.ptp(read_foreign(folder).texture.height) == pytest.approx(0.04, rel=1e-3)
+
+
+def test_a_scalar_map_with_colours_is_told(plain):
+    folder, pictures, _ = plain
+    png(folder / "a_Roughness.png", pictures["base"])
+    assert any("has colours" in note for note in read_foreign(folder).notes)
+
+
+def test_the_finest_of_the_maps_decides_the_size(plain):
+    folder, _, expected = plain
+    png(folder / "a_Color.png", np.full((1, 1, 3), 0.5, np.float32))
+    found = read_foreign(folder).texture
+    np.testing.assert_allclose(found.slopes, expected.slopes)
+    png(folder / "a_Color.png", np.full((64, 32, 3), 0.5, np.float32))
+    with pytest.raises(MatcapError, match="another shape"):
+        read_foreign(folder)
+
+
+def test_values_that_no_albedo_has_are_clipped_and_told(plain):
+    folder, _, expected = plain
+    (folder / "a_Color.png").unlink()
+    light = np.moveaxis(expected.diffuse, 0, -1).copy()
+    light[0, 0], light[0, 1] = 7.0, -1.0
+    write_exr(folder / "a_Color.exr", light, half=False)
+    found = read_foreign(folder)
+    assert found.texture.diffuse.min() == 0.0 and found.texture.diffuse.max() == 1.0
+    assert any("clipped" in note for note in found.notes)
+
+
+def test_files_that_are_not_understood_are_named(plain):
+    folder, pictures, _ = plain
+    png(folder / "a_xyz.png", pictures["rough"])
+    assert any("a_xyz.png" in note for note in read_foreign(folder).notes)
+    (folder / "a_Color.png").rename(folder / "a_quux.png")
+    with pytest.raises(MatcapError, match="a_quux.png"):
+        read_foreign(folder)
+
+
+def test_pictures_of_unsupported_kinds_are_called_so(plain):
+    folder, pictures, _ = plain
+    (folder / "a_Color.png").unlink()
+    Image.fromarray(code(pictures["base"])).convert("CMYK").save(folder / "a_Color.tif")
+    with pytest.raises(MatcapError, match="colours are CMYK"):
+        read_foreign(folder)
+    (folder / "a_Color.tif").unlink()
+    Image.fromarray(code(pictures["base"])).save(folder / "a_Color.jpg")
+    whole = (folder / "a_Color.jpg").read_bytes()
+    (folder / "a_Color.jpg").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(MatcapError, match="truncated or corrupt"):
+        read_foreign(folder)

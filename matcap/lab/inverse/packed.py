@@ -16,22 +16,20 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from matcap.brdf.integrate import integrated
 from matcap.errors import MatcapError
-from matcap.files.srgb import srgb_decode
 from matcap.files.tensors import write_tensors
-from matcap.lab.simulate.map_sets import bare_metals
+from matcap.lab.simulate.map_sets import bare_metals, read_surface
 
 LEVELS = 3  # full, half, quarter
 _ROUGHNESS = slice(6, 7)  # of a surface
 _EVERY, _LEFT_OUT = 5, 1  # of so many sets one is held out: the rest that has something of each
-_DIELECTRIC = 0.04  # F0 of what is no metal
 _STEEPEST = math.tan(math.radians(75.0))  # a normal map's texels further down are no slopes
 _KEY = "matcap-maps"
 _VERSION = 2  # 1 had F0 without a colour
@@ -93,35 +91,11 @@ def read_set(folder: Path, *, bare_metal: bool = False) -> tuple[Picture, Pictur
         folder: of one set; sides multiples of 2^(LEVELS - 1).
         bare_metal: all of it is metal where nothing else is said.
     """
-    colour = srgb_decode(_read(folder, "basecolor", 3))
-    normal = _read(folder, "normal", 3) * 2.0 - 1.0
-    roughness = _read(folder, "roughness", 1)
-    plain = np.full_like(roughness, 1.0 if bare_metal else 0.0)
-    has_metal = any(folder.glob("metallic.*"))
-    metallic = _read(folder, "metallic", 1) if has_metal else plain
-    specular = _DIELECTRIC * (1.0 - metallic) + colour * metallic
-    surface = np.concatenate([colour * (1.0 - metallic), specular, roughness, metallic])
-    slopes = -normal[:2] / np.maximum(normal[2:], math.cos(math.atan(_STEEPEST)))
-    steepness = np.sqrt(np.square(slopes).sum(0, keepdims=True))
-    slopes = slopes * np.minimum(1.0, _STEEPEST / np.maximum(steepness, 1e-6))
+    maps = read_surface(folder, bare_metal=bare_metal)
+    surface = np.concatenate([maps.diffuse, maps.specular, maps.roughness, maps.metallic])
+    steepness = np.sqrt(np.square(maps.slopes).sum(0, keepdims=True))
+    slopes = maps.slopes * np.minimum(1.0, _STEEPEST / np.maximum(steepness, 1e-6))
     return surface.astype(np.float32), integrated(slopes)
-
-
-def integrated(slopes: NDArray[np.floating]) -> Picture:
-    """(1, H, W) periodic height in texels whose central differences are nearest to slopes.
-
-    Args:
-        slopes: (2, H, W) dh/dx and dh/dy, y upwards; their means, which no tile has, are left out.
-    """
-    height, width = slopes.shape[-2:]
-    across = 1j * np.sin(2.0 * np.pi * np.fft.fftfreq(width))[None, :]
-    down = -1j * np.sin(2.0 * np.pi * np.fft.fftfreq(height))[:, None]
-    power = np.abs(across) ** 2 + np.abs(down) ** 2
-    spectrum = np.conj(across) * np.fft.fft2(slopes[0]) + np.conj(down) * np.fft.fft2(slopes[1])
-    # Central differences do not see the finest waves: those are not made up.
-    seen = power > 1e-9
-    spectrum = np.where(seen, spectrum / np.where(seen, power, 1.0), 0.0)
-    return np.real(np.fft.ifft2(spectrum)).astype(np.float32)[None]
 
 
 def halved(surface: Picture, height: Picture) -> tuple[Picture, Picture]:
@@ -172,23 +146,6 @@ def training_sets(path: Path) -> tuple[PackedSet, ...]:
 def held_out_sets(path: Path) -> tuple[PackedSet, ...]:
     """The sets of a file that are left out."""
     return tuple(s for name, s in open_pack(path).items() if is_held_out(name))
-
-
-def _read(folder: Path, name: str, channels: int) -> Picture:
-    """(channels, H, W) in [0, 1] of a picture, whatever its kind."""
-    found = sorted(folder.glob(f"{name}.*"))
-    flag = cv2.IMREAD_COLOR if channels == 3 else cv2.IMREAD_GRAYSCALE
-    picture = cv2.imread(str(found[0]), flag | cv2.IMREAD_ANYDEPTH) if found else None
-    if picture is None:
-        raise MatcapError(
-            f"there is no {name} in this set, or it cannot be read",
-            where=str(folder),
-            remedy="give a folder of folders with basecolor, normal and roughness",
-        )
-    scaled = np.asarray(picture, np.float32) / (65535.0 if picture.dtype == np.uint16 else 255.0)
-    if channels == 1:
-        return np.ascontiguousarray(scaled[None])
-    return np.ascontiguousarray(scaled[..., ::-1].transpose(2, 0, 1))
 
 
 def _slopes(height: Picture) -> Picture:

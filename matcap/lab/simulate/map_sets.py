@@ -17,14 +17,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from matcap.brdf.integrate import integrated
 from matcap.brdf.maps import HEIGHT, SURFACE, MapSet
 from matcap.errors import MatcapError
-from matcap.files.srgb import srgb_decode_tensor
+from matcap.relight.foreign.channels import read_channels
+from matcap.relight.foreign.read import metallic_of
 
 SPAN = 2.0  # plane units of a set's width, by default: as much as a photograph spans
 
-_DIELECTRIC = 0.04  # F0 of what is no metal
-_STEEPEST = 0.05  # least z of a normal: 8 bits tell no slope beyond 20
 _PLASTIC = (0.7549, 0.5698)  # Roberts's R2 sequence: any few of its points lie far apart
 
 Floats = NDArray[np.float32]
@@ -79,35 +79,66 @@ class MapSetMaterial:
 def read_map_set(folder: Path, span: float = SPAN) -> MapSetMaterial:
     """Read a folder.
 
-    Diffuse albedo is basecolor (1 - metallic); F0 is 0.04 (1 - metallic) + basecolor metallic, of
-    three channels where any of it is metal. Relief is the surface whose slopes come nearest to the
-    normal's.
+    F0 has three channels where any of it is metal. Relief is integrated from the normals, whose
+    scale is told, where a height's is not.
 
     Args:
         folder: of one material.
         span: width of the tile, in plane units.
 
     Raises:
-        MatcapError: a map is missing, cannot be read or has another size.
+        MatcapError: a map is missing, or cannot be read.
     """
-    colour = torch.from_numpy(_read(folder / "basecolor.jpg")).permute(2, 0, 1)
-    base = srgb_decode_tensor(colour).numpy()
-    rows, columns = base.shape[1:]
-    roughness = _read(folder / "roughness.png").mean(2)
-    normal = _read(folder / "normal.png") * 2.0 - 1.0
-    is_metal = (folder / "metallic.png").is_file()
-    bare = float(not is_metal and folder.name in bare_metals(folder.parent / "manifest.json"))
-    metal = _read(folder / "metallic.png").mean(2) if is_metal else np.full_like(roughness, bare)
-    if not roughness.shape == normal.shape[:2] == metal.shape == (rows, columns):
-        raise MatcapError("the maps of this set have different sizes", where=str(folder))
-    steep = np.maximum(normal[..., 2], _STEEPEST)
-    height = _integrated(-normal[..., 0] / steep, -normal[..., 1] / steep)
-    specular = _DIELECTRIC * (1.0 - metal) + base * metal
-    if not metal.any():
-        specular = specular[:1]
-    gloss = np.stack([roughness, height])
-    stacked = np.concatenate([base * (1.0 - metal), specular, gloss])
-    return MapSetMaterial(folder.name, stacked.astype(np.float32), span / columns)
+    bare = folder.name in bare_metals(folder.parent / "manifest.json")
+    maps = read_surface(folder, bare_metal=bare)
+    specular = maps.specular if maps.metallic.any() else maps.specular[:1]
+    stacked = np.concatenate([maps.diffuse, specular, maps.roughness, integrated(maps.slopes)])
+    return MapSetMaterial(folder.name, stacked.astype(np.float32), span / stacked.shape[2])
+
+
+@dataclass(frozen=True)
+class SurfaceMaps:
+    """The maps of a set, all of one size.
+
+    Attributes:
+        diffuse: (3, H, W) albedo, linear.
+        specular: (3, H, W) F0, linear.
+        roughness: (1, H, W) perceptual.
+        metallic: (1, H, W) share that is metal.
+        slopes: (2, H, W) of the normals, y upwards.
+    """
+
+    diffuse: Floats
+    specular: Floats
+    roughness: Floats
+    metallic: Floats
+    slopes: Floats
+
+
+def read_surface(folder: Path, *, bare_metal: bool) -> SurfaceMaps:
+    """The maps of a folder, by the reader of other people's map sets.
+
+    Args:
+        folder: of one material.
+        bare_metal: all of it is metal where no map says how much is.
+
+    Raises:
+        MatcapError: base colour, normal or roughness is missing, or cannot be read.
+    """
+    found = read_channels(folder, normal="gl")
+    missing = [k for k in ("roughness", "slopes") if getattr(found, k) is None]
+    if missing:
+        raise MatcapError(
+            f"there is no map of {missing[0]} that can be read",
+            where=str(folder),
+            remedy="give a folder with basecolor, normal and roughness",
+        )
+    assert found.roughness is not None and found.slopes is not None
+    metallic = found.metallic
+    if metallic is None:
+        metallic = np.full_like(found.roughness, float(bare_metal))
+    both = metallic_of(found.base, metallic)
+    return SurfaceMaps(both[:3], both[3:], found.roughness, metallic, found.slopes)
 
 
 def map_set_folders(folder: Path) -> list[Path]:
@@ -121,26 +152,6 @@ def bare_metals(manifest: Path) -> frozenset[str]:
         return frozenset()
     told = json.loads(manifest.read_text())
     return frozenset(one["name"] for one in told if "bare metal" in one.get("remarks", ""))
-
-
-def _read(path: Path) -> Floats:
-    """(H, W, 3) float32 in [0, 1], red first."""
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise MatcapError("there is no map that can be read", where=str(path))
-    return np.ascontiguousarray(picture[..., ::-1], np.float32) / np.float32(255.0)
-
-
-def _integrated(across: Floats, up: Floats) -> Floats:
-    """(H, W) the repeating surface, in texels, of slopes (Frankot and Chellappa 1988)."""
-    rows, columns = across.shape
-    wx = 2.0 * np.pi * np.fft.fftfreq(columns)[None, :]
-    wy = -2.0 * np.pi * np.fft.fftfreq(rows)[:, None]
-    squared = wx * wx + wy * wy
-    squared[0, 0] = 1.0
-    spectrum = -1j * (wx * np.fft.fft2(across) + wy * np.fft.fft2(up)) / squared
-    spectrum[0, 0] = 0.0
-    return np.fft.ifft2(spectrum).real.astype(np.float32)
 
 
 def _shrunk(tile: Floats, step: float) -> Floats:

@@ -84,8 +84,8 @@ def _setup():
 def test_folders_are_listed_and_broken_ones_told(tmp_path, waves):
     write_set(tmp_path / "again")
     assert [f.name for f in map_set_folders(tmp_path)] == ["again", "waves"]
-    save(waves / "roughness.png", np.zeros((8, 8)))
-    with pytest.raises(MatcapError, match="different sizes"):
+    save(waves / "roughness.png", np.zeros((8, 16)))
+    with pytest.raises(MatcapError, match="another shape"):
         read_map_set(waves)
     (waves / "roughness.png").unlink()
     with pytest.raises(MatcapError, match="can be read"):

@@ -1,0 +1,312 @@
+"""A picture file's numbers as they are stored: EXR, TIFF, PNG, JPEG, TGA, BMP, WebP, Radiance HDR.
+
+Alpha is never multiplied into colours, nothing is converted. Pillow decodes JPEG because it reports
+a truncated file, OpenImageIO the rest. What the numbers mean is said by who asks: stated_color.py
+for colours. Not here: photographs, which are read strip by strip (matcap/photo).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.errors import MatcapError
+from matcap.files.color import LINEAR
+from matcap.files.exr import forget_error
+from matcap.files.icc import lineariser_of
+from matcap.files.rec709 import rec709_from
+from matcap.files.stated_color import stated_color
+
+MOST_PIXELS = 2**28  # 16384 x 16384; a header may claim any size
+_COLOURS = ("R", "G", "B")
+# Names of channels, in lower case and without their layer, by what they hold.
+_ROLES = {
+    **{"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"},
+    **{"a": "A", "alpha": "A"},
+}
+_AXES = {"x": "R", "y": "G", "z": "B"}  # of vectors, as Blender's normal pass has them
+_NO_COLOURS = ("CMYK", "CIELAB", "YCCK")  # of TIFF and JPEG, whose conversion is not the decoder's
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """A picture.
+
+    Attributes:
+        path: of its file.
+        stored: (H, W, C) uint8, uint16 or float32.
+        roles: by "R", "G", "B", "A" the channel that holds it; grey has the same for all three.
+        primaries: x and y of red, green, blue and white, where an EXR file states them.
+        surroundings: what an EXR file says its picture of all directions is, or "".
+    """
+
+    path: Path
+    stored: NDArray[Any]
+    roles: Mapping[str, int]
+    primaries: tuple[float, ...] | None = None
+    surroundings: str = ""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.stored.shape[1], self.stored.shape[0]
+
+    @property
+    def whole(self) -> bool:
+        """Whether the numbers are whole ones, code values, and not light or lengths."""
+        return bool(np.issubdtype(self.stored.dtype, np.integer))
+
+    @property
+    def grey(self) -> bool:
+        """Whether there is one channel beside alpha."""
+        return self.roles["R"] == self.roles.get("G")
+
+    def channel(self, role: str) -> NDArray[np.float32]:
+        """(H, W) float32; whole numbers over the largest of their bits.
+
+        Raises:
+            KeyError: there is none.
+        """
+        plane = self.stored[..., self.roles[role]]
+        if not self.whole:
+            return np.ascontiguousarray(plane, np.float32)
+        return plane.astype(np.float32) / np.float32(np.iinfo(plane.dtype).max)
+
+    def colours(self) -> NDArray[Any]:
+        """(H, W, 3) as stored; grey repeated.
+
+        Raises:
+            KeyError: one of them is missing.
+        """
+        places = [self.roles[role] for role in _COLOURS]
+        return np.ascontiguousarray(self.stored[..., places])
+
+
+def read_pixels(path: Path, *, outside: float | None = None) -> Pixels:
+    """Read a picture.
+
+    An EXR file's data window is placed in its display window, the picture that is meant.
+
+    Args:
+        path: the file.
+        outside: what the display window shows beyond the data window; None: that is refused.
+
+    Raises:
+        MatcapError: missing, no picture, truncated, too large, of an unsupported kind, with values
+            that are not finite, or without a channel that could be looked at.
+    """
+    where = str(path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        missing = isinstance(error, FileNotFoundError)
+        raise MatcapError(
+            "the file is missing" if missing else "the file cannot be read",
+            where=where,
+            remedy="check the path",
+        ) from error
+    try:
+        found = _from_jpeg(path) if head.startswith(b"\xff\xd8\xff") else _decoded(path, outside)
+    except MemoryError as error:
+        raise MatcapError(
+            "there is not enough memory to read it",
+            where=where,
+            remedy="free some memory or reduce the picture",
+        ) from error
+    if not found.whole and not np.isfinite(found.stored).all():
+        raise MatcapError(
+            "has values that are not finite (NaN or infinity)",
+            where=where,
+            remedy="replace them in a picture editor",
+        )
+    return found
+
+
+def _from_jpeg(path: Path) -> Pixels:
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings(), path.open("rb") as file:
+            warnings.simplefilter("ignore")  # large, and harmlessly malformed tags
+            image = Image.open(file, formats=("JPEG", "MPO"))
+            _check_size(path, *image.size)
+            _check_colours(path, image.mode)
+            image.load()
+    except (MatcapError, MemoryError):
+        raise
+    except Image.DecompressionBombError as error:
+        raise _too_large(path) from error
+    except Exception as error:  # Pillow raises anything at all on broken bytes
+        raise _broken(path) from error
+    stored = np.asarray(image.convert("L") if image.mode == "1" else image)
+    stored = stored[..., None] if stored.ndim == 2 else stored
+    return Pixels(path, stored, dict.fromkeys(_COLOURS, 0) if stored.shape[2] == 1 else _rgb())
+
+
+def _decoded(path: Path, outside: float | None) -> Pixels:
+    import OpenImageIO as oiio
+
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    source = oiio.ImageInput.open(str(path), config)
+    if source is None:
+        forget_error(oiio.geterror)
+        raise MatcapError(
+            "this is not a readable picture",
+            where=str(path),
+            remedy="give an EXR, TIFF, PNG, JPEG, TGA, BMP or WebP file",
+        )
+    try:
+        spec, exr = source.spec(), source.format_name() == "openexr"
+        if spec.deep:
+            raise MatcapError(
+                "this is a deep EXR file, which is not supported",
+                where=str(path),
+                remedy="flatten it, and save it with one sample a pixel",
+            )
+        _check_size(path, max(spec.width, spec.full_width), max(spec.height, spec.full_height))
+        _check_colours(path, str(spec.getattribute("tiff:ColorSpace") or ""))
+        roles = _roles(path, spec.channelnames)
+        read = {"uint8": "uint8", "uint16": "uint16"}.get(str(spec.format), "float")
+        stored = source.read_image(0, 0, 0, spec.nchannels, read)
+        broken = source.has_error
+        forget_error(source.geterror)
+    finally:
+        source.close()
+    if stored is None or broken:
+        raise _broken(path)
+    stored = np.asarray(stored)
+    if exr:  # in other formats an offset is the place on a page
+        stored = _in_display_window(path, spec, stored, outside)
+    stated = spec.getattribute("chromaticities") if exr else None
+    primaries = None if stated is None else tuple(float(value) for value in stated)
+    return Pixels(path, stored, roles, primaries, str(spec.getattribute("textureformat") or ""))
+
+
+def _rgb() -> dict[str, int]:
+    return {role: place for place, role in enumerate(_COLOURS)}
+
+
+def _roles(path: Path, names: Sequence[str]) -> dict[str, int]:
+    """Which channel is which; of several layers the first that has colours."""
+    layers: dict[str, dict[str, int]] = {}
+    for place, name in enumerate(names):
+        layer, _, tail = name.rpartition(".")
+        layers.setdefault(layer, {}).setdefault(tail.lower(), place)
+    if any({"ry", "by"} & set(tails) for tails in layers.values()):
+        raise MatcapError(
+            "this EXR file holds luminance and chroma, which is not supported",
+            where=str(path),
+            remedy="save it as RGB",
+        )
+    for tails in layers.values():
+        known = _ROLES | (_AXES if {"x", "y"} <= set(tails) else {})
+        roles = {known[tail]: place for tail, place in tails.items() if tail in known}
+        if "R" in roles:
+            return roles if "G" in roles else roles | dict.fromkeys(_COLOURS, roles["R"])
+    tails = next(iter(layers.values()))
+    alpha = next((tail for tail in tails if _ROLES.get(tail) == "A"), None)
+    grey = next((place for tail, place in tails.items() if tail != alpha), 0)
+    return dict.fromkeys(_COLOURS, grey) | ({} if alpha is None else {"A": tails[alpha]})
+
+
+def _in_display_window(
+    path: Path,
+    spec: Any,  # noqa: ANN401
+    stored: NDArray[Any],
+    outside: float | None,
+) -> NDArray[Any]:
+    """The picture that is meant, where an EXR file holds more or less than it (OpenEXR)."""
+    left, top = spec.x - spec.full_x, spec.y - spec.full_y
+    width, height = spec.full_width, spec.full_height
+    if (left, top, width, height) == (0, 0, spec.width, spec.height):
+        return stored
+    right, bottom = left + spec.width, top + spec.height
+    if outside is None and (left > 0 or top > 0 or right < width or bottom < height):
+        raise MatcapError(
+            f"holds {spec.width} x {spec.height} of its {width} x {height} pixels (its data window "
+            "is smaller than its display window)",
+            where=str(path),
+            remedy="save it whole",
+        )
+    whole = np.full((height, width, stored.shape[2]), outside or 0.0, stored.dtype)
+    rows, columns = slice(max(top, 0), min(bottom, height)), slice(max(left, 0), min(right, width))
+    seen = stored[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
+    if seen.size:
+        whole[rows, columns] = seen
+    return whole
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if width * height > MOST_PIXELS:
+        raise _too_large(path)
+
+
+def _check_colours(path: Path, space: str) -> None:
+    if space in _NO_COLOURS:
+        raise MatcapError(
+            f"the picture's colours are {space}", where=str(path), remedy="save it as RGB"
+        )
+
+
+def _too_large(path: Path) -> MatcapError:
+    return MatcapError(
+        "the picture is larger than can be read",
+        where=str(path),
+        remedy=f"reduce it to under {MOST_PIXELS // 1_000_000} megapixels",
+    )
+
+
+def _broken(path: Path) -> MatcapError:
+    return MatcapError(
+        "the file is truncated or corrupt", where=str(path), remedy="save or download it again"
+    )
+
+
+def linear_colours(
+    pixels: Pixels, *, light: bool = False
+) -> tuple[NDArray[np.float32], tuple[str, ...]]:
+    """(H, W, 3) linear Rec.709 of a picture's colours, and notes.
+
+    Whole numbers follow the curve that their file states (stated_color.py), or sRGB's. Floats are
+    light itself unless the file states another curve; an EXR file's primaries are converted.
+    Floats may come out negative, where a colour lies outside of Rec.709.
+
+    Args:
+        pixels: the picture.
+        light: whole numbers are light, too, whatever the file states.
+
+    Raises:
+        MatcapError: there are no three colours.
+    """
+    if "G" not in pixels.roles or "B" not in pixels.roles:
+        raise MatcapError(
+            "has two channels, which are no colour", where=str(pixels.path), remedy="save it as RGB"
+        )
+    colours = pixels.colours()
+    if light and pixels.whole:
+        return colours.astype(np.float32) / np.float32(np.iinfo(colours.dtype).max), ()
+    stated = stated_color(pixels.path)
+    if pixels.whole:
+        linearise, notes = stated.lineariser(colours.dtype)
+        return linearise(colours), notes
+    if stated.profile is not None:
+        linearise, notes = lineariser_of(stated.profile, colours.dtype, LINEAR)
+        return linearise(colours), notes
+    if pixels.primaries is None:
+        return colours, ()
+    try:
+        matrix = rec709_from(pixels.primaries)
+    except ValueError:
+        return colours, ("The file's chromaticities are no colour space: Rec.709 assumed.",)
+    if matrix is None:
+        return colours, ()
+    turned = colours @ matrix.T.astype(np.float32)
+    return turned, ("Colours converted from the file's chromaticities to Rec.709.",)

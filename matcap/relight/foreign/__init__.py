@@ -1,0 +1,1 @@
+"""Map sets that matcap did not make, told apart by their files' names."""

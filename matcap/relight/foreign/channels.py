@@ -1,0 +1,294 @@
+"""The channels of a set of others, read from its files and brought to one size.
+
+Nothing is made up here for what a set lacks: read.py does that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from matcap.errors import MatcapError
+from matcap.files.pixels import Pixels, linear_colours, read_pixels
+from matcap.photo.quiet import quiet_decoders
+from matcap.relight.foreign.exported import TOKEN, Stated, stated_export
+from matcap.relight.foreign.names import NamedFile, assigned
+from matcap.relight.foreign.normals import (
+    NormalStyle,
+    gradient,
+    looks_like_normals,
+    slopes_of,
+    style_of,
+)
+from matcap.relight.vectors import Array
+
+_COLOURED = 0.02  # mean difference of channels beyond which a picture is not grey
+_SHAPE = 0.02  # by which sides' ratios may differ, of maps of one set
+
+
+@dataclass(frozen=True)
+class SetChannels:
+    """What a set's files say, all of one size; None what they do not say.
+
+    Attributes:
+        base: (3, H, W) base colour, or diffuse albedo where F0 is there, linear Rec.709, [0, 1].
+        roughness: (1, H, W) perceptual, of its own map or 1 - gloss.
+        metallic: (1, H, W).
+        specular: (3, H, W) F0, linear.
+        level: (1, H, W) F0 of what is no metal, over 0.08.
+        height: (1, H, W) as stored; in plane units where `exact`.
+        whole: whether heights are whole numbers, [0, 1] of their range.
+        slopes: (2, H, W) of the normal map, y upwards.
+        texel: in plane units.
+        exact: unit and texel are stated, not assumed.
+        conserving: diffuse albedo is the base colour times 1 - F0.
+        periodic: whether opposite borders fit each other.
+        notes: what had to be guessed or left out, a sentence each.
+        files: names by map.
+    """
+
+    base: Array
+    roughness: Array | None
+    metallic: Array | None
+    specular: Array | None
+    level: Array | None
+    height: Array | None
+    whole: bool
+    slopes: Array | None
+    texel: float
+    exact: bool
+    conserving: bool
+    periodic: bool
+    notes: tuple[str, ...] = ()
+    files: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.base.shape[1], self.base.shape[2]
+
+
+def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> SetChannels:
+    """Read the maps of a folder, told apart by their names, or by the sidecar of matcap's export.
+
+    Args:
+        folder: holds the pictures of one set.
+        normal: which way green points, where no name says it.
+
+    Raises:
+        MatcapError: no folder, no map of colour in it, two files for one map, maps of different
+            shapes, a picture that cannot be read or used.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise MatcapError("no such folder", where=str(folder), remedy="check the path")
+    stated = stated_export(folder)
+    found = stated.files if stated else assigned(folder)
+    if "base" not in found.files:
+        beside = f" (not used: {', '.join(found.left_out)})" if found.left_out else ""
+        raise MatcapError(
+            f"there is no map of base colour in this folder{beside}",
+            where=str(folder),
+            remedy="name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
+        )
+    with quiet_decoders():
+        set_ = _Set(dict(found.files), stated.grid if stated else None)
+        channels = set_.channels(stated, normal)
+    left_out = (*found.left_out, *set_.left_out)
+    if left_out:
+        set_.notes.append(f"not used: {', '.join(left_out)}")
+    names = {kind: file.path.name for kind, file in set_.files.items()}
+    return replace(channels, notes=tuple(set_.notes), files=names)
+
+
+@dataclass
+class _Set:
+    """A set being read: files are opened once, and dropped with it.
+
+    Attributes:
+        files: by map; what cannot be used is taken out.
+        grid: of tiles.
+        notes: gathered on the way.
+        left_out: files that turned out to be no use.
+    """
+
+    files: dict[str, NamedFile]
+    grid: tuple[int, int] | None
+    notes: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    _opened: dict[Path, Pixels] = field(default_factory=dict)
+
+    def channels(self, stated: Stated | None, normal: NormalStyle | None) -> SetChannels:
+        """All of them, without notes and names."""
+        self._leave_out_what_is_not_there()
+        self._judge_height()
+        sizes = [self._pixels(k).size for k in ("base", "normal", "height") if k in self.files]
+        size = max(sizes, key=lambda one: one[0] * one[1])
+        texel = stated.texel if stated else 2.0 / size[0]
+        scalars = {kind: self._scalar(kind, size) for kind in ("roughness", "gloss", "metallic")}
+        height, whole = self._height(size, stated)
+        base = self._colour("base", size)
+        assert base is not None
+        return SetChannels(
+            base=base,
+            roughness=self._roughness(scalars),
+            metallic=scalars["metallic"],
+            specular=self._colour("specular", size),
+            level=self._scalar("specular level", size),
+            height=height,
+            whole=whole,
+            slopes=self._slopes(size, height, texel, normal),
+            texel=texel,
+            exact=stated is not None,
+            conserving=stated.conserving if stated else self._is_packed_specular(),
+            periodic=stated.periodic if stated else True,
+        )
+
+    def _pixels(self, kind: str) -> Pixels:
+        path = self.files[kind].path
+        if path not in self._opened:
+            self._opened[path] = _read(path, self.grid)
+        return self._opened[path]
+
+    def _leave_out_what_is_not_there(self) -> None:
+        """A packed map whose file has fewer channels: MetallicSmoothness without alpha."""
+        for kind, file in list(self.files.items()):
+            role = file.channels[kind]
+            if role != "RGB" and role not in self._pixels(kind).roles:
+                self.notes.append(
+                    f"{file.path.name}: has no channel {role}, that {kind} belongs in"
+                )
+                del self.files[kind]
+
+    def _judge_height(self) -> None:
+        """A bump map may be a normal map: Unity calls it so."""
+        if "height" not in self.files or not looks_like_normals(self._pixels("height")):
+            return
+        file = self.files.pop("height")
+        if "normal" in self.files:
+            self.left_out.append(f"{file.path.name} (a normal map by its colours)")
+            return
+        self.files["normal"] = NamedFile(file.path, {"normal": "RGB"})
+        self.notes.append(f"{file.path.name} is a normal map by its colours, and taken as one")
+
+    def _colour(self, kind: str, size: tuple[int, int]) -> Array | None:
+        """(3, H, W) linear, clipped to [0, 1]."""
+        if kind not in self.files:
+            return None
+        pixels = self._pixels(kind)
+        colours, notes = linear_colours(pixels, light=self.files[kind].light)
+        self.notes += [f"{pixels.path.name}: {note}" for note in notes]
+        if "A" in pixels.roles and "A" not in self.files[kind].channels.values():
+            opaque = float(pixels.channel("A").min()) >= 0.999
+            if not opaque:
+                self.notes.append(f"{pixels.path.name}: its transparency is not used")
+        return self._fitted(self._clipped(np.moveaxis(colours, -1, 0), pixels), size, pixels)
+
+    def _scalar(self, kind: str, size: tuple[int, int]) -> Array | None:
+        """(1, H, W) clipped to [0, 1]."""
+        if kind not in self.files:
+            return None
+        pixels, role = self._pixels(kind), self.files[kind].channels[kind]
+        self._tell_of_colours(pixels, self.files[kind])
+        return self._fitted(self._clipped(pixels.channel(role)[None], pixels), size, pixels)
+
+    def _height(self, size: tuple[int, int], stated: Stated | None) -> tuple[Array | None, bool]:
+        if "height" not in self.files:
+            return None, False
+        pixels, file = self._pixels("height"), self.files["height"]
+        self._tell_of_colours(pixels, file)
+        height = self._fitted(pixels.channel(file.channels["height"])[None], size, pixels)
+        if stated is not None and stated.height is not None:
+            scale, midlevel = stated.height
+            height = (height - np.float32(midlevel)) * np.float32(scale)
+        return height, pixels.whole
+
+    def _slopes(
+        self, size: tuple[int, int], height: Array | None, texel: float, style: NormalStyle | None
+    ) -> Array | None:
+        if "normal" not in self.files:
+            return None
+        file, pixels = self.files["normal"], self._pixels("normal")
+        found, notes = slopes_of(pixels)
+        self.notes += notes
+        slopes = self._fitted(found, size, pixels)
+        named: NormalStyle | None = "gl" if file.style == "gl" else "dx" if file.style else style
+        if named is None:
+            named = style_of(slopes, None if height is None else gradient(height, texel))
+            self.notes.append(
+                f"{file.path.name} does not say which way green points: taken as +Y "
+                f"{'up (gl)' if named == 'gl' else 'down (dx)'}; say --normal if that is wrong"
+            )
+        return (
+            slopes if named == "gl" else slopes * np.array([1.0, -1.0], np.float32)[:, None, None]
+        )
+
+    def _roughness(self, scalars: Mapping[str, Array | None]) -> Array | None:
+        if scalars["roughness"] is not None:
+            if scalars["gloss"] is not None and self.files["gloss"].path not in (
+                self.files[kind].path for kind in self.files if kind != "gloss"
+            ):
+                self.left_out.append(f"{self.files['gloss'].path.name} (roughness is taken)")
+            return scalars["roughness"]
+        return None if scalars["gloss"] is None else 1.0 - scalars["gloss"]
+
+    def _is_packed_specular(self) -> bool:
+        """Whether F0 has gloss in its alpha, as Unity and glTF have it: these conserve energy."""
+        return "specular" in self.files and "gloss" in self.files["specular"].channels
+
+    def _tell_of_colours(self, pixels: Pixels, file: NamedFile) -> None:
+        if len(file.channels) > 1 or pixels.grey or "B" not in pixels.roles:
+            return
+        red, *others = (pixels.channel(role) for role in ("R", "G", "B"))
+        if max(float(np.abs(red - one).mean()) for one in others) > _COLOURED:
+            self.notes.append(f"{pixels.path.name}: has colours, of which red is taken")
+
+    def _clipped(self, values: Array, pixels: Pixels) -> Array:
+        found: Array = np.clip(values, 0.0, 1.0).astype(np.float32, copy=False)
+        if not pixels.whole:
+            off = float(np.abs(found - values).max())
+            if off > 1e-3:
+                self.notes.append(f"{pixels.path.name}: values outside of 0 to 1 are clipped")
+        return found
+
+    def _fitted(self, values: Array, size: tuple[int, int], pixels: Pixels) -> Array:
+        """(C, H, W) at (width, height), for sets whose maps differ in size."""
+        import cv2
+
+        width, height = values.shape[2], values.shape[1]
+        if (width, height) == size:
+            return np.ascontiguousarray(values, dtype=np.float32)
+        if min(width, height) > 1 and abs(width * size[1] / (height * size[0]) - 1.0) > _SHAPE:
+            raise MatcapError(
+                f"is {width} x {height} pixels, another shape than the set's {size[0]} x {size[1]}",
+                where=str(pixels.path),
+                remedy="give maps of the same extent",
+            )
+        way = cv2.INTER_AREA if width > size[0] else cv2.INTER_LINEAR
+        resized = [cv2.resize(one, size, interpolation=way) for one in values.astype(np.float32)]
+        return np.stack(resized)
+
+
+def _read(path: Path, grid: tuple[int, int] | None) -> Pixels:
+    """A picture, or the tiles of one put together."""
+    if grid is None or TOKEN not in path.name:
+        return read_pixels(path)
+    columns, rows = grid
+    tiles = [
+        [
+            read_pixels(path.with_name(path.name.replace(TOKEN, str(1001 + x + 10 * y))))
+            for x in range(columns)
+        ]
+        for y in reversed(range(rows))
+    ]
+    first = tiles[0][0]
+    parts = [one for row in tiles for one in row]
+    if any(one.stored.shape != first.stored.shape for one in parts):
+        raise MatcapError(
+            "its tiles differ in size", where=str(path), remedy="export the material again"
+        )
+    whole = np.concatenate([np.concatenate([one.stored for one in row], axis=1) for row in tiles])
+    return Pixels(first.path, whole, first.roles, first.primaries)

@@ -1,0 +1,140 @@
+"""What `matcap export` wrote, read by the sidecar that it leaves beside its textures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from matcap.brdf.stated import SCALE
+from matcap.errors import MatcapError
+from matcap.files.names import flaw
+from matcap.files.values import bounded, whole
+from matcap.relight.foreign.names import Assigned, NamedFile, Packing
+
+TOKEN = "<UDIM>"  # in names, for a tile's number: 1001 left bottom, one more to the right, ten up
+_FORMAT = "matcap export"
+# Of a texture's meaning its beginning, and what the texture holds.
+_MEANINGS: tuple[tuple[str, Packing], ...] = (
+    ("diffuse albedo", {"base": "RGB"}),
+    ("base colour", {"base": "RGB"}),
+    ("specular albedo F0", {"specular": "RGB"}),
+    ("F0, on the sRGB curve", {"specular": "RGB"}),
+    ("RGB: F0, on the sRGB curve, A: smoothness", {"specular": "RGB", "gloss": "A"}),
+    ("F0 / 0.08 of the dielectric", {"specular level": "R"}),
+    ("perceptual roughness", {"roughness": "R"}),
+    ("roughness", {"roughness": "R"}),
+    ("metallic", {"metallic": "R"}),
+    ("R: occlusion, G: roughness, B: metallic", {"roughness": "G", "metallic": "B"}),
+    ("R: metallic, G: occlusion, B: detail, A: smoothness", {"metallic": "R", "gloss": "A"}),
+    ("RGB: metallic, A: smoothness", {"metallic": "R", "gloss": "A"}),
+    ("unit normal", {"normal": "RGB"}),
+    ("height", {"height": "R"}),
+)
+# Targets whose base colour is multiplied by 1 - F0 where F0 is a texture of its own.
+_CONSERVING = ("unity-hdrp", "unity-urp", "usd", "usd-specular")
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a sidecar says.
+
+    Attributes:
+        files: the textures by map.
+        texel: a texel's side in plane units.
+        height: (scale, midlevel): height in plane units = (value - midlevel) scale.
+        conserving: diffuse albedo is the base colour times 1 - F0.
+        grid: (columns, rows) of tiles whose numbers stand in the names, see TOKEN.
+        periodic: whether opposite borders fit each other.
+    """
+
+    files: Assigned
+    texel: float
+    height: tuple[float, float] | None
+    conserving: bool
+    grid: tuple[int, int] | None
+    periodic: bool
+
+
+def stated_export(folder: Path) -> Stated | None:
+    """What the sidecar of a folder's export says; None where there is none.
+
+    Raises:
+        MatcapError: several exports, one without textures of its own, or a damaged sidecar.
+    """
+    found = [(file, about) for file in sorted(folder.glob("*.json")) if (about := _read(file))]
+    if not found:
+        return None
+    if len(found) > 1:
+        raise MatcapError(
+            f"there are {len(found)} exports in this folder",
+            where=str(folder),
+            remedy="keep one export in a folder",
+        )
+    file, about = found[0]
+    try:
+        return _stated(folder, about)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise MatcapError(
+            f"the export's description is damaged ({error})",
+            where=str(file),
+            remedy="export the material again, or remove this file to go by the textures' names",
+        ) from error
+
+
+def _read(file: Path) -> dict[str, Any] | None:
+    """A sidecar; None of any other JSON file."""
+    try:
+        about = json.loads(file.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+    return about if isinstance(about, dict) and about.get("format") == _FORMAT else None
+
+
+def _stated(folder: Path, about: Mapping[str, Any]) -> Stated:
+    unit = 1.0
+    if about["unit"] == "mm":
+        unit = bounded(about["provenance"][SCALE], f"'{SCALE}'", 1e-9, 1e9)
+    named = [_named(folder, name, told) for name, told in about["files"].items()]
+    files: dict[str, NamedFile] = {}
+    left_out = []
+    # Of normals in both directions the first; of colours made for one shader and others the maps.
+    for one in sorted(named, key=lambda one: (one.style == "dx", one.rank)):
+        taken = [kind for kind in one.channels if kind not in files]
+        files |= {kind: one for kind in taken}
+        if not taken:
+            left_out.append(f"{one.path.name} (no map of its own)")
+    code = about.get("height_code")
+    height = None
+    if "height" in files and code is not None:
+        height = (
+            bounded(code["scale"], "the height's scale", 0.0, 1e9) / unit,
+            bounded(code["midlevel"], "the height's midlevel", -1e9, 1e9),
+        )
+    texel = bounded(about["texel"], "'texel'", 1e-9, 1e9) / unit
+    conserving = about["target"] in _CONSERVING and "specular" in files
+    grid = about["udim"]
+    if grid is not None:
+        columns, rows = grid
+        grid = whole(columns, "'udim'", 1, 10), whole(rows, "'udim'", 1, 900)
+    assignment = Assigned(files, tuple(left_out))
+    return Stated(assignment, texel, height, conserving, grid, about["periodic"] is True)
+
+
+def _named(folder: Path, name: str, told: Mapping[str, str]) -> NamedFile:
+    meaning = told["meaning"]
+    wrong = flaw(name.replace(TOKEN, "1001"))
+    if wrong:
+        raise ValueError(f"the file {name!r} {wrong}")
+    fits = [held for start, held in _MEANINGS if meaning == start or _goes_on(meaning, start)]
+    channels = fits[0] if fits else {}
+    style = "dx" if "-Y" in meaning or "+Y down" in meaning else "gl"
+    rank = 0 if meaning.startswith(("diffuse albedo", "specular albedo")) else 1
+    style = style if "normal" in channels else ""
+    return NamedFile(folder / name, channels, style, rank, light=told["colour_space"] == "linear")
+
+
+def _goes_on(meaning: str, start: str) -> bool:
+    return meaning.startswith((f"{start},", f"{start} ", f"{start};"))

@@ -1,0 +1,357 @@
+"""Which map each file of a set is, by its name.
+
+    Bricks066_1K-JPG_Color.jpg   _NormalGL  _Roughness  _Displacement  _Metalness    ambientCG
+    rock_wall_08_diff_2k.jpg     _nor_gl    _rough      _disp          _arm          Poly Haven
+    brushed-metal-albedo.png     -normal-ogl  -roughness  -height  -metallic  -ao    FreePBR
+    T_Brick_BC.png               _N  _ORM                                            Unreal
+    b_BaseMap.png                _MaskMap  _MetallicSmoothness  _Normal              Unity
+    mat_metallicRoughness.png    _occlusionRoughnessMetallic  _specularGlossiness    glTF
+
+A name is cut into words at separators and capitals. Words that the folder's files begin or end
+with are the material's name or the resolution. Of what is left the last word that names a map
+decides; several in a row are a packed map (_channels). Words are those of the sources above, of
+Blender's Node Wrangler, and of Quixel, Substance, Textures.com and 3DTextures.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import permutations
+from pathlib import Path
+
+from matcap.errors import MatcapError
+
+# Read; of several files of one map that with the earlier suffix.
+READ_SUFFIXES = (
+    ".exr", ".tif", ".tiff", ".tx", ".png", ".tga", ".bmp", ".webp", ".jpg", ".jpeg",
+)  # fmt: skip
+# Pictures that are not read: named where they lie beside those that are.
+_OTHER_SUFFIXES = (
+    ".dds", ".ktx", ".ktx2", ".basis", ".psd", ".psb", ".xcf", ".kra", ".hdr", ".gif", ".jp2",
+    ".jxl", ".avif", ".heic", ".svg", ".sbsar", ".pfm", ".rat",
+)  # fmt: skip
+
+USED = (
+    "base", "normal", "roughness", "gloss", "metallic", "height", "specular", "specular level",
+)  # fmt: skip
+# Of each map the words that name it, in lower case; of one set's files the earlier word is taken.
+_WORDS: dict[str, tuple[str, ...]] = {
+    "base": (
+        "basecolor", "basecolour", "basemap", "base", "bc", "albedo", "alb", "maintex", "color",
+        "colour", "col", "diffuse", "diff", "dif",
+    ),
+    "normal": ("normal", "normals", "nor", "nrm", "norm", "nrml", "nml"),
+    "roughness": ("roughness", "rough", "rgh", "rou"),
+    "gloss": ("glossiness", "gloss", "smoothness", "smooth", "gls"),
+    "metallic": ("metallic", "metalness", "metal", "metallness", "mtl", "met"),
+    "height": (
+        "displacement", "displace", "disp", "dsp", "height", "heightmap", "hgt", "parallax", "bump",
+        "bmp",
+    ),
+    "specular": ("specular", "spec", "spc", "f0", "reflection", "refl"),
+    "specular level": ("specularlevel", "speclevel"),
+    "ambient occlusion": ("ao", "occlusion", "occ", "ambientocclusion", "aoc"),
+    "opacity": ("opacity", "alpha", "transparency", "cutout"),
+    "bent normal": ("bent",),
+    "cavity": ("cavity", "cav", "curvature", "curv", "edge", "edges", "convexity", "concavity"),
+    "emission": ("emissive", "emission", "emit", "glow"),
+    "mask": ("id", "mask", "masks", "matid"),
+    "translucency": (
+        "translucency", "transmission", "thickness", "subsurface", "sss", "scattering", "fuzz",
+    ),
+    "coating": ("clearcoat", "coat", "sheen", "anisotropy", "anisotropic", "ior"),
+    "preview": ("preview", "thumb", "thumbnail", "render", "combined", "uv", "wireframe"),
+}  # fmt: skip
+_STYLES = {
+    "gl": ("gl", "ogl", "opengl", "yup"),
+    "dx": ("dx", "directx", "d3d", "ydown"),
+}
+# Said beside the map's word, without changing which map it is.
+_BESIDE = (
+    "map", "tex", "texture", "srgb", "linear", "lin", "raw", "noncolor", "data", "ambient", "mixed",
+    "tangent", "pbr",
+)  # fmt: skip
+_RESOLUTION = re.compile(r"\d+|\d+k|\d+x\d+|\d+px|jpe?g|png|exr|tiff?|tga|webp|lod\d|v\d+|bake\d*")
+# Where a name ends with one letter after others, as in T_Brick_N.
+_LETTERS = {
+    "d": "base", "c": "base", "n": "normal", "r": "roughness", "g": "gloss", "m": "metallic",
+    "h": "height", "s": "specular", "o": "ambient occlusion", "e": "emission",
+}  # fmt: skip
+
+# By map the channel of a picture that holds it: "R", "G", "B", "A", or "RGB".
+Packing = Mapping[str, str]
+_LEVEL = {"a": "ambient occlusion", "o": "ambient occlusion", "r": "roughness", "m": "metallic"}
+# Packed maps by their short names.
+_SHORT: dict[str, Packing] = {
+    "maskmap": {"metallic": "R", "ambient occlusion": "G", "gloss": "A"},  # Unity HDRP
+    "mads": {"metallic": "R", "ambient occlusion": "G", "gloss": "A"},
+    "mods": {"metallic": "R", "ambient occlusion": "G", "gloss": "A"},
+    "mohs": {"metallic": "R", "ambient occlusion": "G", "height": "B", "gloss": "A"},
+    "ord": {"ambient occlusion": "R", "roughness": "G", "height": "B"},  # Quixel
+    "ordp": {"ambient occlusion": "R", "roughness": "G", "height": "B"},
+    **{
+        "".join(letters): {_LEVEL[one[0]]: role for one, role in zip(letters, "RGB", strict=True)}
+        for occlusion in ("a", "o", "ao")
+        for letters in permutations((occlusion, "r", "m"))
+    },
+}
+# Packed maps by the maps that their name spells: glTF 2.0, 3.9.2; Unity.
+_SPELLED: dict[tuple[str, ...], Packing] = {
+    ("metallic", "roughness"): {"roughness": "G", "metallic": "B"},
+    ("metallic", "gloss"): {"metallic": "R", "gloss": "A"},
+    ("base", "opacity"): {"base": "RGB", "opacity": "A"},
+    ("bent normal", "normal"): {"bent normal": "RGB"},
+    ("base", "specular"): {"specular": "RGB"},  # specular colour, said the other way round
+    ("specular", "base"): {"specular": "RGB"},
+}
+_COLOURS = ("base", "specular", "normal", "bent normal")
+_SCALARS = (
+    "roughness", "gloss", "metallic", "height", "ambient occlusion", "opacity", "cavity",
+)  # fmt: skip
+_KIND = {word: kind for kind, words in _WORDS.items() for word in words}
+_STYLE = {word: style for style, words in _STYLES.items() for word in words}
+
+
+@dataclass(frozen=True)
+class NamedFile:
+    """A file and the maps that its name says it holds.
+
+    Attributes:
+        path: of the file.
+        channels: of each map; empty where the name is not understood.
+        style: which way green points, where the name says so: "gl", "dx" or "".
+        rank: of the word: of two files of the same map the one of lower rank is taken.
+        stem: the name without the words that name a map: files of one set have the same.
+        light: its colours are light itself, whatever the file states.
+    """
+
+    path: Path
+    channels: Packing
+    style: str = ""
+    rank: int = 0
+    stem: str = ""
+    light: bool = False
+
+
+@dataclass(frozen=True)
+class Assigned:
+    """The files of a set.
+
+    Attributes:
+        files: by map.
+        left_out: the other files, each with the reason.
+    """
+
+    files: Mapping[str, NamedFile]
+    left_out: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Word:
+    """A word of a name: in lower case, and which of the parts between separators it is of."""
+
+    text: str
+    token: int
+
+    @property
+    def names(self) -> bool:
+        """Whether it names a map, or says something beside it."""
+        return self.text in _VOCABULARY
+
+
+_VOCABULARY = frozenset((*_KIND, *_STYLE, *_BESIDE, *_SHORT))
+
+
+def assigned(folder: Path) -> Assigned:
+    """The file of each map of a folder.
+
+    Raises:
+        MatcapError: two files are the same map, of two materials or of two sizes.
+    """
+    # macOS leaves ._NAME beside files on other file systems.
+    paths = [p for p in sorted(folder.iterdir()) if not p.name.startswith(".") and p.is_file()]
+    found = named([path for path in paths if path.suffix.lower() in READ_SUFFIXES])
+    files: dict[str, NamedFile] = {}
+    left_out = {
+        path: "a kind of file that is not read"
+        for path in paths
+        if path.suffix.lower() in _OTHER_SUFFIXES
+    }
+    for file in sorted(found, key=_preference):
+        wanted = [kind for kind in file.channels if kind in USED]
+        taken = [kind for kind in wanted if kind in files]
+        for kind in taken:
+            if files[kind].stem != file.stem:
+                raise MatcapError(
+                    f"{files[kind].path.name} and {file.path.name} are both its {kind} map",
+                    where=str(folder),
+                    remedy="keep the maps of one set, in one size, in a folder",
+                )
+        files |= {kind: file for kind in wanted if kind not in files}
+        if not wanted:
+            left_out[file.path] = " and ".join(file.channels) or "its name tells no map"
+        elif len(taken) == len(wanted):
+            left_out[file.path] = f"{files[taken[0]].path.name} is taken"
+    return Assigned(files, tuple(f"{path.name} ({why})" for path, why in sorted(left_out.items())))
+
+
+def named(paths: Sequence[Path]) -> list[NamedFile]:
+    """What the names of a folder's pictures say, in order."""
+    cut = [_words(path.stem) for path in paths]
+    before, after = _shared(cut), _shared([words[::-1] for words in cut])
+    found = [_named(path, words, before, after) for path, words in zip(paths, cut, strict=True)]
+    if not any("base" in file.channels for file in found):
+        # What all share was the map's own word: color.png beside color_ao.png.
+        found = [_named(path, words, (), ()) for path, words in zip(paths, cut, strict=True)]
+    return found
+
+
+def _preference(file: NamedFile) -> tuple[int, int, int, int, str]:
+    """Of files of the same map the first is taken: one of its own before a packed one."""
+    maps = sum(kind in USED for kind in file.channels)
+    suffix = READ_SUFFIXES.index(file.path.suffix.lower())
+    return maps, ("gl", "", "dx").index(file.style), file.rank, suffix, file.path.name
+
+
+def _words(stem: str) -> tuple[_Word, ...]:
+    tokens = [token for token in re.split(r"[\s_\-.,()\[\]+#@]+", stem) if token]
+    return tuple(_Word(text, place) for place, token in enumerate(tokens) for text in _cut(token))
+
+
+def _cut(token: str) -> tuple[str, ...]:
+    """Words of a token: those it is made of, or what stands between its capitals."""
+    plain = token.lower()
+    if plain in _SHORT:
+        return (plain,)
+    parts = [part.lower() for part in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[^A-Z]+", token)]
+    return _segmented(plain) or tuple(w for part in parts for w in _segmented(part) or (part,))
+
+
+@cache
+def _segmented(text: str) -> tuple[str, ...]:
+    """The fewest words of the vocabulary that make up a text; none where they do not."""
+    best: list[tuple[str, ...] | None] = [()]
+    for end in range(1, len(text) + 1):
+        ways = [
+            (*way, text[start:end])
+            for start, way in enumerate(best)
+            if way is not None and text[start:end] in _VOCABULARY
+        ]
+        best.append(min(ways, key=len, default=None))
+    return best[-1] or ()
+
+
+def _shared(cut: Sequence[Sequence[_Word]]) -> tuple[str, ...]:
+    """Words that most names begin with.
+
+    The first is that of more than half of the files; each other one nearly all of these go on
+    with: normal_gl and normal_dx beside a colour share nothing.
+    """
+    names = [tuple(word.text for word in words) for words in cut]
+    least = len(names) if len(names) < 4 else max(3, len(names) // 2 + 1)
+    found: tuple[str, ...] = ()
+    while True:
+        group = [name for name in names if name[: len(found)] == found and len(name) > len(found)]
+        following = Counter(name[len(found)] for name in group)
+        word, count = max(following.items(), key=lambda one: one[1], default=("", 0))
+        if count < max(2, least):
+            return found
+        found = (*found, word)
+        least = max(2, len(names) if len(names) < 4 else count - count // 5)
+
+
+def _named(
+    path: Path, words: tuple[_Word, ...], before: tuple[str, ...], after: tuple[str, ...]
+) -> NamedFile:
+    """What one name says, without the words that it shares with others."""
+    texts = tuple(word.text for word in words)
+    first = len(before) if texts[: len(before)] == before else 0
+    last = len(words) - (len(after) if texts[::-1][: len(after)] == after else 0)
+    rest = list(words[first:last])
+    while rest and _RESOLUTION.fullmatch(rest[-1].text):
+        rest.pop()
+    said = _said(rest, alone=first + len(rest) < 2)
+    kinds = tuple(dict.fromkeys(kind for kind, _ in said if kind in _WORDS))
+    styles = [kind for kind, _ in said if kind in _STYLES]
+    short = next((_SHORT[word.text] for _, word in said if word.text in _SHORT), None)
+    channels = short or _channels(kinds)
+    rank = max((_rank(kind, word.text) for kind, word in said), default=0)
+    used = {id(word) for _, word in said}
+    stem = " ".join(word.text for word in words if id(word) not in used)
+    style = styles[-1] if styles and "normal" in channels else ""
+    return NamedFile(path, channels, style, rank, stem)
+
+
+def _said(rest: Sequence[_Word], *, alone: bool) -> list[tuple[str, _Word]]:
+    """The words at a name's end that say which map it is, each with what it names.
+
+    Args:
+        rest: words of the name.
+        alone: there are no others, so that a single letter is no map's.
+    """
+    if rest and rest[-1].text in _LETTERS and not alone:
+        return [(_LETTERS[rest[-1].text], rest[-1])]
+    end = len(rest)
+    while end and not (rest[end - 1].text in _KIND or rest[end - 1].text in _SHORT):
+        end -= 1
+    start = end
+    while start and rest[start - 1].token == rest[end - 1].token and rest[start - 1].names:
+        start -= 1  # all of the part between separators
+    while start and _goes_with(rest[start - 1], rest[start:end]):
+        start -= 1
+    stop = end
+    while stop < len(rest) and rest[stop].names:
+        stop += 1
+    return [(_KIND.get(w.text) or _STYLE.get(w.text, ""), w) for w in rest[start:stop]]
+
+
+def _goes_with(word: _Word, following: Sequence[_Word]) -> bool:
+    """Whether a word before a separator belongs to the map's words after it.
+
+    An abbreviation does not make a packed map: metal_rough is a metal's roughness.
+    """
+    if word.text in _STYLE or word.text in _BESIDE:
+        return True
+    kind = _KIND.get(word.text)
+    kinds = tuple(dict.fromkeys(_KIND[w.text] for w in following if w.text in _KIND))
+    if kind is None or not kinds:
+        return False
+    if kind == kinds[0]:
+        return (word.text, following[0].text) in (("base", "color"), ("base", "colour"))
+    whole = all(w.text == _WORDS[_KIND[w.text]][0] or w.text in _LONG for w in following)
+    whole = whole and (word.text == _WORDS[kind][0] or word.text in _LONG)
+    return whole and (kind, *kinds) in _JOINED
+
+
+_LONG = ("occlusion", "smoothness", "bent", "normal", "specular", "color", "ao")
+_JOINED = {
+    ("metallic", "roughness"),
+    ("metallic", "gloss"),
+    ("roughness", "metallic"),
+    ("ambient occlusion", "roughness", "metallic"),
+    ("bent normal", "normal"),
+    ("specular", "base"),
+    ("specular", "gloss"),
+}
+
+
+def _channels(kinds: tuple[str, ...]) -> Packing:
+    """Where a picture holds the maps that its name spells; nothing where nobody says."""
+    if kinds in _SPELLED:
+        return _SPELLED[kinds]
+    if len(kinds) == 1:
+        return {kinds[0]: "RGB" if kinds[0] in _COLOURS else "R"}
+    if len(kinds) == 2 and kinds[0] in _COLOURS and kinds[1] in _SCALARS:
+        return {kinds[0]: "RGB", kinds[1]: "A"}
+    if len(kinds) in (3, 4) and all(kind in _SCALARS for kind in kinds):
+        return dict(zip(kinds, "RGBA", strict=False))
+    return {}
+
+
+def _rank(kind: str, word: str) -> int:
+    words = _WORDS.get(kind, ())
+    return words.index(word) if word in words else len(words)

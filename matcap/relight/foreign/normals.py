@@ -1,0 +1,127 @@
+"""Normal maps of others: which numbers are which vectors, and which way green points."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from matcap.errors import MatcapError
+from matcap.files.pixels import Pixels
+from matcap.relight.vectors import Array
+
+NormalStyle = Literal["gl", "dx"]
+
+_STEEPEST = 20.0  # a slope: 8 bits tell none beyond
+_STEP = 2.0 / 255.0  # a channel that varies by less is constant
+_UNIT = 0.05  # by which vectors' length may be off, on average
+_NEGATIVE = 0.01  # share of texels: fewer are what resampling leaves of a coded map
+_FACING_AWAY = 0.5  # share of texels of which a map is of no surface seen from above
+_CLEARLY = 0.9  # by which the curl must be less: most sets that do not say are +Y up
+_SAMPLE = 1_000_000  # texels that a map's coding is judged by
+
+
+def slopes_of(pixels: Pixels) -> tuple[Array, tuple[str, ...]]:
+    """(2, H, W) dh/dx and dh/dy of a normal map, along its own green; and notes.
+
+    Whole numbers are 0.5 + 0.5 n. Floats are that or n itself: whichever gives vectors of length 1.
+    Where blue is missing or constant, z = sqrt(1 - x^2 - y^2); where red is constant too and alpha
+    is not, x is in alpha (as DXT5 compression has it).
+
+    Raises:
+        MatcapError: one channel, or most of its vectors point away from the viewer.
+    """
+    name = pixels.path.name
+    if pixels.grey:
+        raise MatcapError(
+            "has one channel, and a normal map needs two",
+            where=str(pixels.path),
+            remedy="leave it out, or call it height if that is what it is",
+        )
+    x, y = pixels.channel("R"), pixels.channel("G")
+    z = pixels.channel("B") if "B" in pixels.roles else None
+    notes = []
+    if "A" in pixels.roles and _constant(x) and not _constant(y):
+        alpha = pixels.channel("A")
+        if not _constant(alpha):
+            x, z = alpha, None
+            notes.append(f"{name}: x is taken from alpha, y from green")
+    if pixels.whole or _coded(x, y, z):
+        x, y = 2.0 * x - 1.0, 2.0 * y - 1.0
+        z = None if z is None else 2.0 * z - 1.0
+    if z is not None and _constant(z) and not (_constant(x) and _constant(y)):
+        unit = np.abs(np.sqrt(x * x + y * y + z * z) - 1.0).mean() < _UNIT
+        z = z if unit and float(z.flat[0]) > 0.0 else None
+    if z is None:
+        notes.append(f"{name}: z is computed from x and y")
+        z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
+    away = float((z <= 0.0).mean())
+    if away > _FACING_AWAY:
+        raise MatcapError(
+            f"{away:.0%} of its normals point away from the surface",
+            where=str(pixels.path),
+            remedy="bake it in tangent space",
+        )
+    if away > 1e-3:
+        notes.append(f"{name}: {away:.1%} of its normals point away and are taken as steep")
+    z = np.maximum(z, 1.0 / _STEEPEST)
+    slopes = np.stack([-x / z, -y / z])
+    # What is steeper is no normal of length 1.
+    length = np.sqrt((slopes * slopes).sum(0))
+    return slopes * np.minimum(1.0, _STEEPEST / np.maximum(length, 1e-9)), tuple(notes)
+
+
+def looks_like_normals(pixels: Pixels) -> bool:
+    """Whether most of a picture's colours are those of a normal map: bluish, of length 1."""
+    if pixels.grey or not pixels.whole or "B" not in pixels.roles:
+        return False
+    n = [2.0 * _sample(pixels.channel(role)) - 1.0 for role in ("R", "G", "B")]
+    length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+    x, y, z, unit = (float(np.median(one)) for one in (*n, length))
+    return z > 0.5 and max(abs(x), abs(y)) < 0.2 and abs(unit - 1.0) < 0.1
+
+
+def style_of(slopes: Array, rise: Array | None) -> NormalStyle:
+    """Which way green points: the way the height rises, else the way that makes a surface.
+
+    Args:
+        slopes: (2, H, W) along green.
+        rise: (2, H, W) slopes of the height map, y upwards; None without one.
+    """
+    if rise is not None and (rise[1] * slopes[1]).any():
+        return "gl" if (rise[1] * slopes[1]).sum() >= 0.0 else "dx"
+
+    def curl(sign: float) -> float:
+        # A surface's slopes have none: dsx/dy = dsy/dx; rows run downwards.
+        twist = np.roll(slopes[0], 1, 0) - np.roll(slopes[0], -1, 0)
+        twist = twist - sign * (np.roll(slopes[1], -1, 1) - np.roll(slopes[1], 1, 1))
+        return float((twist * twist).mean())
+
+    return "dx" if curl(-1.0) < _CLEARLY * curl(1.0) else "gl"
+
+
+def gradient(height: Array, texel: float) -> Array:
+    """(2, H, W) slopes of a repeating height (1, H, W), y up."""
+    field = height[0]
+    across = (np.roll(field, -1, 1) - np.roll(field, 1, 1)) / (2.0 * texel)
+    up = (np.roll(field, 1, 0) - np.roll(field, -1, 0)) / (2.0 * texel)
+    return np.stack([across, up])
+
+
+def _coded(x: Array, y: Array, z: Array | None) -> bool:
+    """Whether floats are 0.5 + 0.5 n, by what most texels are: single ones may be anything."""
+    if z is None:
+        return bool(max(float((one < 0.0).mean()) for one in (x, y)) < _NEGATIVE)
+    n = np.stack([_sample(one) for one in (x, y, z)])
+    plain, coded = (
+        float(np.median(np.abs(np.sqrt((one * one).sum(0)) - 1.0))) for one in (n, 2.0 * n - 1.0)
+    )
+    return coded < plain
+
+
+def _sample(plane: Array) -> Array:
+    return plane.reshape(-1)[:: max(1, plane.size // _SAMPLE)]
+
+
+def _constant(plane: Array) -> bool:
+    return bool(float(plane.max()) - float(plane.min()) < _STEP)

@@ -1,0 +1,132 @@
+"""Map sets that matcap did not make, as a texture to relight.
+
+Base colour and metallic become diffuse and (coloured) specular: diffuse = base (1 - metallic),
+F0 = 0.04 (1 - metallic) + base metallic. Where a set has specular and gloss and no metallic, its
+specular is F0. Height maps have no unit: theirs is the one whose slopes fit the normal map best.
+Without a height the normal map is integrated (brdf/integrate.py). The set spans two plane units
+from left to right, unless it is an export of matcap's, which says its size.
+
+Names are in names.py, the reading of pictures in channels.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from matcap.brdf.heights import check_heights
+from matcap.brdf.integrate import integrated
+from matcap.relight.foreign.channels import SetChannels, read_channels
+from matcap.relight.foreign.normals import NormalStyle, gradient
+from matcap.relight.texture import Texture
+from matcap.relight.vectors import Array
+
+DIELECTRIC = 0.04  # F0 of what is no metal
+_LEVEL = 0.08  # F0 of specular level 1 (Burley 2012)
+# Without a normal map nothing says how high a height map is: this much of its width.
+_ASSUMED_RELIEF = 0.02
+_FLAT = 1e-6  # of a height map's numbers: what varies by less is flat
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """A map set read for relighting.
+
+    Attributes:
+        texture: the material.
+        notes: what had to be guessed, a sentence each.
+        files: which file each map came from.
+    """
+
+    texture: Texture
+    notes: tuple[str, ...]
+    files: Mapping[str, str]
+
+
+def read_foreign(folder: str | Path, *, normal: NormalStyle | None = None) -> Foreign:
+    """Read a map set by its files' names.
+
+    Args:
+        folder: holds the pictures of one set.
+        normal: which way green points, where the file's name does not say.
+
+    Raises:
+        MatcapError: as read_channels; heights that are none of a surface.
+    """
+    found = read_channels(folder, normal=normal)
+    notes = list(found.notes)
+    roughness = found.roughness
+    if roughness is None:
+        roughness = np.full((1, *found.shape), 0.5, dtype=np.float32)
+        notes.append("no roughness map: 0.5 everywhere")
+    diffuse, specular = _reflectance(found, notes)
+    height, slopes = _relief(found, notes)
+    check_heights(height, str(folder))
+    maps = (diffuse, specular, roughness, height, slopes)
+    a, b, c, d, e = (np.ascontiguousarray(one, dtype=np.float32) for one in maps)
+    texture = Texture(a, b, c, d, e, found.texel, found.periodic)
+    return Foreign(texture, tuple(notes), found.files)
+
+
+def metallic_of(base: Array, metallic: Array, dielectric: Array | float = DIELECTRIC) -> Array:
+    """(6, H, W) diffuse albedo and F0 of base colour (3, H, W) and metallic (1, H, W)."""
+    specular = dielectric * (1.0 - metallic) + base * metallic
+    return np.concatenate([base * (1.0 - metallic), specular])
+
+
+def _reflectance(found: SetChannels, notes: list[str]) -> tuple[Array, Array]:
+    """(3, H, W) diffuse albedo and (1 or 3, H, W) F0."""
+    base, metallic, specular = found.base, found.metallic, found.specular
+    stated = found.exact or ("gloss" in found.files and metallic is None)
+    if specular is not None and stated:
+        if not found.exact:
+            notes.append(f"{found.files['specular']} is F0, as gloss comes with it")
+        if found.conserving:
+            base = base * (1.0 - specular.max(axis=0, keepdims=True))
+        grey = np.ptp(specular, axis=0).max() < 1e-6
+        return base, specular[:1] if grey else specular
+    if specular is not None:
+        notes.append(f"not used: {found.files['specular']} (F0 of what is no metal is 0.04)")
+    plain = DIELECTRIC if found.level is None else _LEVEL * found.level
+    if metallic is None:
+        metallic = np.zeros((1, *found.shape), dtype=np.float32)
+    both = metallic_of(base, metallic, plain)
+    return both[:3], both[3:] if metallic.any() else both[3:4]
+
+
+def _relief(found: SetChannels, notes: list[str]) -> tuple[Array, Array]:
+    """(1, H, W) heights and (2, H, W) slopes of the shading normal."""
+    height, slopes, texel = found.height, found.slopes, found.texel
+    if height is not None and np.ptp(height) <= _FLAT * max(1.0, float(np.abs(height).max())):
+        notes.append(f"the height map is flat ({found.files['height']})")
+        height = np.zeros_like(height)
+        return height, np.zeros((2, *found.shape), np.float32) if slopes is None else slopes
+    if height is not None and found.exact:
+        return height, gradient(height, texel) if slopes is None else slopes
+    if height is not None and slopes is not None:
+        return height * _scale(height, slopes, texel, notes), slopes
+    if height is not None:
+        span = 1.0 if found.whole else float(np.ptp(height))
+        height = height * np.float32(_ASSUMED_RELIEF * 2.0 / span)
+        notes.append(f"no normal map: the height is taken to span {_ASSUMED_RELIEF * 2.0:g} units")
+        return height, gradient(height, texel)
+    if slopes is not None:
+        notes.append("no height map: the normal map was integrated")
+        return integrated(slopes, texel), slopes
+    notes.append("neither normal nor height map: the surface is flat")
+    return np.zeros((1, *found.shape), np.float32), np.zeros((2, *found.shape), np.float32)
+
+
+def _scale(height: Array, slopes: Array, texel: float, notes: list[str]) -> np.float32:
+    """The unit of a height map: least squares of its slopes on the normal map's."""
+    own = gradient(height, texel)
+    power = float((own * own).sum())
+    scale = float((own * slopes).sum()) / power if power > 0.0 else 0.0
+    if scale <= 0.0:
+        notes.append("the height map contradicts the normal map and was left out")
+        return np.float32(0.0)
+    notes.append(f"height scaled by {scale:.3g} to fit the normal map")
+    return np.float32(scale)

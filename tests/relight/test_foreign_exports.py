@@ -1,0 +1,58 @@
+"""What matcap exports it reads back as a map set."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from relight_samples import bumpy
+
+from matcap.errors import MatcapError
+from matcap.export.job import ExportJob
+from matcap.export.targets import write_export
+from matcap.relight.foreign.read import read_foreign
+from matcap.relight.texture import Texture
+
+MAPS = bumpy(48, 32, seed=7, relief=0.05)
+MAPS = replace(MAPS, specular=0.0 * MAPS.specular + 0.045)
+# The nearest that each can say differs by what its own shading is off from matcap's.
+EXACT = ("raw", "polyhaven", "ambientcg", "blender", "mitsuba", "materialx")
+SHADED = ("usd", "unreal", "unity-hdrp", "unity-urp", "gltf-textures", "godot", "substance")
+
+
+@pytest.mark.parametrize("target", EXACT + SHADED)
+def test_it_is_read_back(tmp_path, target):
+    write_export(ExportJob(MAPS, "leather"), target, tmp_path)
+    found, whole = read_foreign(tmp_path).texture, Texture.from_maps(MAPS)
+    colour = 0.004 if target in EXACT else 0.05
+    np.testing.assert_allclose(found.diffuse, whole.diffuse, atol=colour)
+    np.testing.assert_allclose(found.roughness, whole.roughness, atol=colour)
+    np.testing.assert_allclose(found.specular.mean(0), whole.specular[0], atol=0.02)
+    np.testing.assert_allclose(found.slopes, whole.slopes, atol=0.02)
+    np.testing.assert_allclose(found.height, whole.height, atol=1e-4)
+    assert found.texel_size == pytest.approx(whole.texel_size)
+    assert found.periodic == whole.periodic
+
+
+@pytest.mark.parametrize("container", ["jpg", "webp", "exr", "tx"])
+def test_in_every_kind_of_file(tmp_path, container):
+    write_export(ExportJob(MAPS, "leather", container=container), "polyhaven", tmp_path)
+    found, whole = read_foreign(tmp_path).texture, Texture.from_maps(MAPS)
+    np.testing.assert_allclose(found.specular, whole.specular, atol=0.01)
+    assert np.abs(found.diffuse - whole.diffuse).mean() < 0.01
+    np.testing.assert_allclose(found.height, whole.height, atol=1e-3)
+
+
+def test_lengths_in_millimetres_are_brought_back(tmp_path):
+    write_export(ExportJob(MAPS, "leather", millimetres=40.0,
+                           provenance={"millimetres_per_unit": 40.0}), "raw", tmp_path)  # fmt: skip
+    found = read_foreign(tmp_path).texture
+    assert found.texel_size == pytest.approx(MAPS.texel_size)
+    np.testing.assert_allclose(found.height, MAPS.height, atol=1e-5)
+
+
+def test_a_damaged_sidecar_is_told(tmp_path):
+    write_export(ExportJob(MAPS, "leather"), "raw", tmp_path)
+    sidecar = tmp_path / "leather_raw.json"
+    sidecar.write_text(sidecar.read_text().replace('"texel": ', '"texel": -'))
+    with pytest.raises(MatcapError, match="description is damaged"):
+        read_foreign(tmp_path)
