@@ -7,6 +7,7 @@ the photograph as it is developed, what grows with the detail, and what grows wi
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -54,6 +55,7 @@ def photo_pixels(path: Path) -> tuple[int, bool]:
     """
     from matcap.photo.kind import file_kind
     from matcap.photo.quiet import quiet_decoders
+    from matcap.photo.refusals import MOST_PIXELS
 
     try:
         with quiet_decoders():
@@ -65,8 +67,13 @@ def photo_pixels(path: Path) -> tuple[int, bool]:
                     return int(file.sizes.raw_width) * int(file.sizes.raw_height), True
             from PIL import Image
 
-            with Image.open(path) as picture:
-                return picture.width * picture.height, False
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # of large pictures: they are counted here
+                    with Image.open(path) as picture:
+                        return picture.width * picture.height, False
+            except Image.DecompressionBombError:  # what Pillow's own limit lets not be counted
+                return MOST_PIXELS, False
     except Exception:
         return _USUAL_PIXELS, path.suffix.lower() not in (".jpg", ".jpeg", ".png")
 

@@ -22,7 +22,7 @@ from matcap.files.values import spoken_duration
 _COLUMNS = (
     "name", "state", "photographs", "verdict", "severity", "piece_error",
     "field_error", "tilt_x", "tilt_y", "clipped", "doubtful", "seconds", "detail", "warnings",
-    "reason",
+    "notes", "reason",
 )  # fmt: skip
 _STATES = {
     "made": "done", "kept": "done", "failed": "failed", "left": "not begun", "todo": "not begun",
@@ -107,6 +107,7 @@ def _told(record: dict[str, Any], state: str, name: str) -> dict[str, Any]:
         "seconds": record.get("seconds"),
         "detail": record.get("detail"),
         "warnings": list(record.get("warnings", [])),
+        "notes": list(record.get("notes", [])),  # of reading the file
         "reason": "",
     }
 
@@ -124,6 +125,7 @@ def _csv(rows: Sequence[dict[str, Any]]) -> str:
         joined = {
             "photographs": "; ".join(row["photographs"]),
             "warnings": " ".join(row["warnings"]),
+            "notes": " ".join(row["notes"]),
         }
         writer.writerow({name: _plain({**row, **joined}[name]) for name in _COLUMNS})
     return text.getvalue()
@@ -142,7 +144,7 @@ def _row(row: dict[str, Any], pictures: dict[str, str]) -> str:
     if row["tilt_x"] is not None:
         tilt = math.hypot(row["tilt_x"], row["tilt_y"])
     remarks = [row["reason"]] if row["reason"] else []
-    remarks += row["warnings"]
+    remarks += [*row["warnings"], *row["notes"]]
     listed = "".join(f"<li>{html.escape(text)}</li>" for text in remarks)
     return "".join(
         [

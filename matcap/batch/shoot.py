@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -22,8 +23,18 @@ _RAW = (
     *("mos", "mrw", "nef", "nrw", "orf", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw"),
     "x3f",
 )
-_CAMERA = ("jpg", "jpeg", "heic", "heif", "hif")  # what a camera writes beside a RAW
-_OTHER = ("png", "tif", "tiff")
+_CAMERA = ("jpg", "jpeg", "heic", "heif", "hif", "avif")  # what a camera writes beside a RAW
+_OTHER = ("png", "tif", "tiff", "webp")
+# Folders of thumbnails, waste baskets and snapshots, as NAS and systems make them.
+_NO_SHOOTS = frozenset({
+    "@eadir", "@tmp", "@recycle", "@recently-snapshot", "#recycle", "#snapshot", "$recycle.bin",
+    "__macosx", "system volume information", "lost+found",
+    "thumbs", "thumbnails", "_thumbs", "_thumbnails",
+})  # fmt: skip
+_PREVIEWS = (".lrdata", ".cocatalogdb")  # of catalogues: ends of folders' names
+# What Pixel phones put between the shot's name and the suffix: PXL_x.RAW-01.COVER.jpg and
+# PXL_x.RAW-02.ORIGINAL.dng, PXL_x.MP.jpg and PXL_x.dng.
+_PIXEL = re.compile(r"\.(raw-\d+|mp|cover|original|night|ts|macro|portrait(-\d+)?)$")
 WORKSPACE = ".matcap-batch"  # a folder that holds this is a batch's output, and no shoot
 # Names whose files would take the place of others in a material's folder.
 _TAKEN = frozenset({"report", "preview", "matcap-batch"})
@@ -54,8 +65,9 @@ def find_samples(
 ) -> list[ShotSample]:
     """All samples of a shoot, in the order of their folders and names.
 
-    Folders are searched to the bottom; hidden ones, links to folders and the output of batches are
-    passed over. A RAW and a camera's JPEG of one stem in one folder are one photograph, the RAW.
+    Folders are searched to the bottom; hidden ones, links to folders, folders of thumbnails
+    (@eaDir and its like) and the output of batches are passed over. A RAW and a camera's JPEG of
+    one shot in one folder are one photograph, the RAW: of one stem, or as Pixel phones name them.
 
     Args:
         shoot: the folder.
@@ -95,7 +107,7 @@ def find_samples(
         raise MatcapError(
             "there are no photographs in this folder",
             where=str(shoot),
-            remedy="give a folder of DNG, other RAW, JPEG, HEIC, PNG or TIFF files",
+            remedy="give a folder of DNG, other RAW, JPEG, HEIC, AVIF, WebP, PNG or TIFF files",
         )
     return _named(grouped)
 
@@ -131,7 +143,10 @@ def _folders(shoot: Path, passed_over: set[Path]) -> Iterator[tuple[Path, list[s
         folders[:] = sorted(
             name
             for name in folders
-            if not name.startswith(".") and (folder / name).resolve() not in passed_over
+            if not name.startswith(".")
+            and name.casefold() not in _NO_SHOOTS
+            and not name.casefold().endswith(_PREVIEWS)
+            and (folder / name).resolve() not in passed_over
         )
         yield folder, sorted(name for name in names if not name.startswith("."))
 
@@ -142,20 +157,28 @@ def _pairs(files: Sequence[Path]) -> list[_Shot]:
     def kind(path: Path) -> str:
         return path.suffix.lower().lstrip(".")
 
-    raws = {path.stem.casefold(): path for path in files if kind(path) in _RAW}
+    raws = {_shot_of(path): path for path in files if kind(path) in _RAW}
     shots: list[_Shot] = []
     for path in files:
-        raw = raws.get(path.stem.casefold())
+        raw = raws.get(_shot_of(path))
         if kind(path) in _RAW:
             beside = [
                 other
                 for other in files
-                if kind(other) in _CAMERA and other.stem.casefold() == path.stem.casefold()
+                if kind(other) in _CAMERA and _shot_of(other) == _shot_of(path)
             ]
             shots.append((path, tuple(beside) if raw == path else ()))
         elif kind(path) in _OTHER or (kind(path) in _CAMERA and raw is None):
             shots.append((path, ()))
     return shots
+
+
+def _shot_of(path: Path) -> str:
+    """What files of one shot have in common: the stem, of a Pixel's without what it adds."""
+    stem = path.stem.casefold()
+    while stem.startswith("pxl_") and (cut := _PIXEL.sub("", stem)) != stem:
+        stem = cut
+    return stem
 
 
 def _runs(shots: Sequence[_Shot], gap: float, taken: Taken) -> list[list[_Shot]]:

@@ -119,6 +119,8 @@ def _read_and_captured(
     with clock.stage("read"):
         several = len(paths) > 1
         photo, *more = (read_photograph(path, settings, several=several) for path in paths)
+        said = (f"{other.name}: {note}" for other in more for note in other.notes)
+        photo = replace(photo, notes=(*photo.notes, *said))
     return capture_under(photo, settings, clock, Method(), more)
 
 

@@ -56,7 +56,10 @@ class _Job:
 
 def capture(
     photos: Annotated[
-        list[Path], typer.Argument(metavar="PHOTO...", help="RAW (DNG, ...), JPEG, PNG or TIFF.")
+        list[Path],
+        typer.Argument(
+            metavar="PHOTO...", help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG or TIFF."
+        ),
     ],
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Each photograph gets a folder of its name here.")
@@ -224,6 +227,7 @@ def _capture(
         "material": str(job.folder / f"{job.folder.name}.matcap"),
         "verdict": result.verdict.document(),
         "error": result.errors,
+        "notes": list(result.photo.notes),
     }
 
 

@@ -68,6 +68,8 @@ class Display:
             early = " (interrupted: the best so far)" if done["status"] == "interrupted" else ""
             self._say(f"{photo.name}: {done['folder']}, {spoken_duration(done['seconds'])}{early}")
             self._say(f"  {done['verdict']['sentence']}")
+            for note in done["notes"]:
+                self.note(note)
 
     def note(self, sentence: str) -> None:
         """Something worth knowing."""

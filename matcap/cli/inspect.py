@@ -20,7 +20,8 @@ def inspect(
     photos: Annotated[
         list[Path],
         typer.Argument(
-            metavar="PHOTO...", help="RAW (DNG, ...), JPEG, PNG or TIFF; or a material (.matcap)."
+            metavar="PHOTO...",
+            help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG or TIFF; or a material (.matcap).",
         ),
     ],
     detail: Annotated[

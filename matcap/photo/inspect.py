@@ -75,6 +75,7 @@ class ShotSettings:
 
 
 SHOT = ShotSettings()
+_HDR = "HDR gain map"  # in a note that has a finding of its own
 
 
 class Verdict(Enum):
@@ -92,7 +93,8 @@ class Finding:
 
     Attributes:
         name: of it.
-        value: JSON: a number, True or False, a place (x, y), or None where it is not known.
+        value: JSON: a number, True or False, a place (x, y), sentences, or None where it is not
+            known.
         verdict: how good that is.
         says: what was found, a sentence.
         remedy: what to do at the next shot, a sentence, or "".
@@ -168,6 +170,7 @@ def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Insp
             _radiometric(photo),
             _shading_map(photo),
             _gain_map(photo),
+            *_reading(photo),
             *_border(photo),
         ),
     )
@@ -393,8 +396,16 @@ def _shading_map(photo: Photo) -> Finding:
     return Finding("shading_map", applied, Verdict.GOOD if applied else Verdict.NOTE, says)
 
 
+def _reading(photo: Photo) -> tuple[Finding, ...]:
+    """What was assumed, converted or left undone when the file was read."""
+    notes = [note for note in photo.notes if _HDR not in note]
+    if not notes:
+        return ()
+    return (Finding("reading", notes, Verdict.NOTE, " ".join(notes)),)
+
+
 def _gain_map(photo: Photo) -> Finding:
-    notes = [note for note in photo.notes if "HDR gain map" in note]
+    notes = [note for note in photo.notes if _HDR in note]
     if not notes:
         return Finding("gain_map", False, Verdict.GOOD, "It carries no HDR gain map.")
     return Finding(

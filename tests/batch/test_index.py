@@ -15,6 +15,7 @@ RECORD = {
     "tilt_degrees": [0.0, -7.5], "verdict": {"rating": "usable", "severity": 1.5},
     "clipped": 0.021, "doubtful": True, "seconds": 75.0, "detail": 512,
     "warnings": ["2.1 % of the picture is clipped. Lower the exposure by one stop."],
+    "notes": ["The file states no white balance: daylight (D65) assumed."],
     "thumbnails": {"photograph": "AAAA", "height: -1 to 1": "BBBB"},
 }  # fmt: skip
 
@@ -63,6 +64,13 @@ def test_the_page_fetches_nothing_and_escapes_everything(tmp_path):
     assert reader.sources and all(source.startswith("data:image/jpeg") for source in reader.sources)
     assert reader.tags.count("script") == 1 and "b" not in reader.tags
     assert "http://" not in page and "https://" not in page and "@ROWS@" not in page
+
+
+def test_what_was_noticed_when_reading_is_shown(tmp_path):
+    written(tmp_path)
+    assert "<li>The file states no white balance: daylight" in (tmp_path / "index.html").read_text()
+    with (tmp_path / "index.csv").open(newline="", encoding="utf-8") as file:
+        assert "daylight (D65)" in next(csv.DictReader(file))["notes"]
 
 
 def test_the_tables_hold_every_material_with_the_same_numbers(tmp_path):

@@ -29,6 +29,40 @@ def test_a_raw_and_its_jpeg_are_one_photograph(tmp_path):
     assert found[3].beside == ()
 
 
+@pytest.mark.parametrize(
+    ("raw", "developed"),
+    [
+        ("PXL_20251115_140015.RAW-02.ORIGINAL.dng", "PXL_20251115_140015.RAW-01.COVER.jpg"),
+        ("PXL_20251115_140015.RAW-02.ORIGINAL.dng", "PXL_20251115_140015.RAW-01.MP.COVER.jpg"),
+        ("PXL_20251115_140015.dng", "PXL_20251115_140015.MP.jpg"),
+        ("PXL_20251115_140015.dng", "PXL_20251115_140015.NIGHT.jpg"),
+    ],
+)
+def test_a_pixel_s_raw_and_its_cover_are_one_photograph(tmp_path, raw, developed):
+    touch(tmp_path, raw, developed, "PXL_20251115_140016.MP.jpg", "wall.cover.jpg", "wall.dng")
+    found = find_samples(tmp_path)
+    assert [(one.photos, one.beside) for one in found] == [
+        ((tmp_path / raw,), (tmp_path / developed,)),
+        ((tmp_path / "PXL_20251115_140016.MP.jpg",), ()),
+        ((tmp_path / "wall.cover.jpg",), ()),  # no Pixel's name: two photographs
+        ((tmp_path / "wall.dng",), ()),
+    ]
+
+
+@pytest.mark.parametrize(
+    "folder",
+    ["@eaDir/a.jpg", "#recycle", "@Recycle", "__MACOSX", "Thumbnails", "x Previews.lrdata"],
+)
+def test_folders_of_thumbnails_and_waste_are_passed_over(tmp_path, folder):
+    touch(tmp_path, "a.jpg", f"{folder}/SYNOPHOTO_THUMB_XL.jpg", f"sub/{folder}/b.jpg", "sub/c.jpg")
+    assert names(find_samples(tmp_path)) == ["a", "sub-c"]
+
+
+def test_webp_and_avif_are_photographs(tmp_path):
+    touch(tmp_path, "a.webp", "b.avif", "c.AVIF", "c.dng")
+    assert names(find_samples(tmp_path)) == ["a", "b", "c"]
+
+
 def test_a_developed_picture_is_a_photograph_of_its_own(tmp_path):
     """A TIFF beside a RAW was made by somebody for a reason."""
     touch(tmp_path, "a.dng", "a.tif", "b.png", "b.jpg")

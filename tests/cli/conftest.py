@@ -66,11 +66,12 @@ class FakePipeline:
 
     calls: list = field(default_factory=list)
     interrupt: bool = False
+    notes: tuple = ()
     failure: BaseException | None = None
 
     def load_photo(self, path, *, long_side=None, fov=None, noise=True):
         self.calls.append(SimpleNamespace(path=Path(path), long_side=long_side, fov=fov))
-        return fake_photo(Path(path))
+        return replace(fake_photo(Path(path)), notes=self.notes)
 
     def capture_under(self, photo, settings, clock, method, others):
         if self.failure is not None:

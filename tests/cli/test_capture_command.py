@@ -104,6 +104,17 @@ def test_progress_is_plain_lines_where_there_is_no_terminal(matcap, pipeline, ph
     assert len(said.err.splitlines()) == 4  # two stages, what was made, the verdict
 
 
+def test_what_was_noticed_when_reading_is_said(matcap, pipeline, photo, out):
+    pipeline.notes = ("The file states no white balance: daylight (D65) assumed.",)
+    said = matcap("capture", photo, "-o", out, "--size", 16, "--json")
+    assert said.err.splitlines()[-1].strip() == pipeline.notes[0]
+    assert json.loads(said.out)["photographs"][0]["notes"] == list(pipeline.notes)
+    other = photo.with_name("b.dng")
+    other.write_text("another photograph")
+    said = matcap("capture", photo, other, "--together", "-o", out, "--size", 16, "--overwrite")
+    assert f"b.dng: {pipeline.notes[0]}" in said.err
+
+
 def test_photographs_of_the_same_stem_do_not_overwrite_each_other(matcap, pipeline, photo, out):
     other = photo.with_suffix(".JPG")
     other.write_text("another photograph")

@@ -202,6 +202,15 @@ def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, c
     assert main(["inspect", str(tmp_path / "b.jpg")]) == 3
 
 
+def test_what_was_noticed_when_reading_is_a_finding():
+    plain = inspect_photo(photo_of(grey(), flash_fired=True))
+    assert "reading" not in plain.document()
+    notes = ("The file carries an HDR gain map, which was not applied.", "Daylight assumed.")
+    found = inspect_photo(replace(photo_of(grey(), flash_fired=True), notes=notes))
+    assert (found["reading"].value, found["reading"].verdict) == ([notes[1]], Verdict.NOTE)
+    assert found.verdict is plain.verdict
+
+
 def test_the_command_speaks_in_lines(shots, tmp_path, capsys):
     write_jpeg(tmp_path / "a.jpg", shots["granite", 1], 1)
     assert main(["inspect", str(tmp_path / "a.jpg")]) == 0
