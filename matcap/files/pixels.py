@@ -7,6 +7,7 @@ for colours. Not here: photographs, which are read strip by strip (matcap/photo)
 
 from __future__ import annotations
 
+import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from matcap.errors import MatcapError
 from matcap.files.color import LINEAR
 from matcap.files.exr import forget_error
 from matcap.files.icc import lineariser_of
+from matcap.files.radiance import MAGIC, radiance_header
 from matcap.files.rec709 import rec709_from
 from matcap.files.stated_color import stated_color
 
@@ -44,6 +46,7 @@ class Pixels:
         roles: by "R", "G", "B", "A" the channel that holds it; grey has the same for all three.
         primaries: x and y of red, green, blue and white, where an EXR file states them.
         surroundings: what an EXR file says its picture of all directions is, or "".
+        partial: the file holds a part of the picture only; see read_pixels.
     """
 
     path: Path
@@ -51,6 +54,7 @@ class Pixels:
     roles: Mapping[str, int]
     primaries: tuple[float, ...] | None = None
     surroundings: str = ""
+    partial: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -113,7 +117,12 @@ def read_pixels(path: Path, *, outside: float | None = None) -> Pixels:
             remedy="check the path",
         ) from error
     try:
-        found = _from_jpeg(path) if head.startswith(b"\xff\xd8\xff") else _decoded(path, outside)
+        if head.startswith(b"\xff\xd8\xff"):
+            found = _from_jpeg(path)
+        elif head.startswith(MAGIC):
+            found = _from_radiance(path)
+        else:
+            found = _decoded(path, outside)
     except MemoryError as error:
         raise MatcapError(
             "there is not enough memory to read it",
@@ -150,6 +159,24 @@ def _from_jpeg(path: Path) -> Pixels:
     return Pixels(path, stored, dict.fromkeys(_COLOURS, 0) if stored.shape[2] == 1 else _rgb())
 
 
+def _from_radiance(path: Path) -> Pixels:
+    """Radiance's, by OpenImageIO, which knows one of its formats and does not turn pictures."""
+    try:
+        header = radiance_header(path)
+        _check_size(path, header.scanlines, header.texels)
+        with tempfile.TemporaryDirectory() as place:
+            plain = Path(place) / "plain.hdr"
+            plain.write_bytes(header.plain() + path.read_bytes()[header.length :])
+            stored = _decoded(plain, None).stored
+    except (ValueError, OSError) as error:
+        raise MatcapError(
+            f"the Radiance file is damaged ({error})", where=str(path), remedy="download it again"
+        ) from error
+    except MatcapError as error:
+        raise MatcapError(error.what, where=str(path), remedy=error.remedy) from error
+    return Pixels(path, header.upright(stored), _rgb(), header.primaries)
+
+
 def _decoded(path: Path, outside: float | None) -> Pixels:
     import OpenImageIO as oiio
 
@@ -182,12 +209,14 @@ def _decoded(path: Path, outside: float | None) -> Pixels:
         source.close()
     if stored is None or broken:
         raise _broken(path)
-    stored = np.asarray(stored)
+    stored, partial = np.asarray(stored), False
     if exr:  # in other formats an offset is the place on a page
-        stored = _in_display_window(path, spec, stored, outside)
+        stored, partial = _in_display_window(path, spec, stored, outside)
     stated = spec.getattribute("chromaticities") if exr else None
     primaries = None if stated is None else tuple(float(value) for value in stated)
-    return Pixels(path, stored, roles, primaries, str(spec.getattribute("textureformat") or ""))
+    return Pixels(
+        path, stored, roles, primaries, str(spec.getattribute("textureformat") or ""), partial
+    )
 
 
 def _rgb() -> dict[str, int]:
@@ -222,14 +251,15 @@ def _in_display_window(
     spec: Any,  # noqa: ANN401
     stored: NDArray[Any],
     outside: float | None,
-) -> NDArray[Any]:
-    """The picture that is meant, where an EXR file holds more or less than it (OpenEXR)."""
+) -> tuple[NDArray[Any], bool]:
+    """The picture that is meant, where an EXR file holds more or less; whether it is less."""
     left, top = spec.x - spec.full_x, spec.y - spec.full_y
     width, height = spec.full_width, spec.full_height
     if (left, top, width, height) == (0, 0, spec.width, spec.height):
-        return stored
+        return stored, False
     right, bottom = left + spec.width, top + spec.height
-    if outside is None and (left > 0 or top > 0 or right < width or bottom < height):
+    partial = left > 0 or top > 0 or right < width or bottom < height
+    if outside is None and partial:
         raise MatcapError(
             f"holds {spec.width} x {spec.height} of its {width} x {height} pixels (its data window "
             "is smaller than its display window)",
@@ -241,7 +271,7 @@ def _in_display_window(
     seen = stored[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
     if seen.size:
         whole[rows, columns] = seen
-    return whole
+    return whole, partial
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
@@ -305,8 +335,8 @@ def linear_colours(
     try:
         matrix = rec709_from(pixels.primaries)
     except ValueError:
-        return colours, ("The file's chromaticities are no colour space: Rec.709 assumed.",)
+        return colours, ("The file's primaries are no colour space: Rec.709 assumed.",)
     if matrix is None:
         return colours, ()
     turned = colours @ matrix.T.astype(np.float32)
-    return turned, ("Colours converted from the file's chromaticities to Rec.709.",)
+    return turned, ("Colours converted from the file's primaries to Rec.709.",)

@@ -17,8 +17,8 @@ REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 # Luminance of linear red, green and blue (BT.709-6, item 3.2): white is 1.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 
-# Primaries that are the axes of CIE XYZ: red X, green Y, blue Z.
-_XYZ = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+# Primaries of numbers that are CIE XYZ themselves: red X, green Y, blue Z.
+XYZ = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0)
 _BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
 )
@@ -40,7 +40,7 @@ def rec709_from(primaries: Sequence[float]) -> Matrix | None:
     given = np.asarray(primaries, np.float64)
     if given.shape != (8,) or not np.isfinite(given).all():
         raise ValueError("the primaries are not eight finite numbers")
-    if np.abs(given[:6] - _XYZ).max() < _SAME:
+    if np.abs(given[:6] - XYZ[:6]).max() < _SAME:
         return np.asarray(np.linalg.inv(_to_xyz(np.array(REC709))))
     own, target = _to_xyz(given), _to_xyz(np.array(REC709))
     white = own.sum(axis=1)

@@ -9,14 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from matcap.errors import MatcapError
-from matcap.files.exr import forget_error
-from matcap.relight.brightness import BRIGHTEST
+from matcap.relight.environment_file import read_picture
 from matcap.relight.octahedron import Octahedra, octahedra
 from matcap.relight.scene import EnvironmentLight
 from matcap.relight.vectors import Array, Vec
@@ -290,45 +287,6 @@ def environment_of(light: EnvironmentLight) -> Environment:
         return Environment((np.broadcast_to(picture, (2, 4, 3)).copy(),), 0.0)
     picture = read_picture(light.file) * np.float32(light.scale)
     return Environment(_pyramid(picture), math.radians(light.rotation))
-
-
-def read_picture(path: Path) -> SkyPicture:
-    """(H, W, 3) linear radiance of an EXR or HDR file.
-
-    Raises:
-        MatcapError: missing, unreadable, negative, not finite, or too bright.
-    """
-    import OpenImageIO as oiio
-
-    where, remedy = str(path), "give a latitude-longitude EXR or HDR picture"
-    if not path.is_file():
-        raise MatcapError("no such file", where=where, remedy="check the path")
-    source = oiio.ImageInput.open(str(path))
-    if source is None:
-        forget_error(oiio.geterror)
-        raise MatcapError("this is not a readable picture", where=where, remedy=remedy)
-    try:
-        pixels = source.read_image("float")
-    except MemoryError as error:
-        raise MatcapError(
-            "there is not enough memory for it", where=where, remedy=remedy
-        ) from error
-    forget_error(source.geterror)
-    source.close()
-    if pixels is None:
-        raise MatcapError("the file is truncated or corrupt", where=where, remedy=remedy)
-    if pixels.shape[2] < 3:
-        pixels = np.repeat(pixels[..., :1], 3, axis=2)
-    pixels = np.ascontiguousarray(pixels[..., :3], dtype=np.float32)
-    if not np.isfinite(pixels).all() or pixels.min() < 0.0:
-        raise MatcapError("has values that are no radiance", where=where, remedy=remedy)
-    if pixels.max() > BRIGHTEST:
-        raise MatcapError(
-            f"has a value of {pixels.max():.2g}, too bright for single precision",
-            where=where,
-            remedy="clip its brightest pixels in a picture editor",
-        )
-    return pixels
 
 
 def _pyramid(picture: SkyPicture) -> tuple[SkyPicture, ...]:

@@ -26,7 +26,7 @@ def decoded(data: bytes) -> NDArray[np.float32]:
     """
     import cv2
 
-    from matcap.relight.environment_map import read_picture
+    from matcap.relight.environment_file import read_picture
 
     with tempfile.TemporaryDirectory() as place:
         file = Path(place) / "surroundings.exr"

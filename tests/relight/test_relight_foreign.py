@@ -299,7 +299,7 @@ def test_colours_of_other_primaries_are_converted(plain):
     (folder / "a_Color.exr").write_bytes(exr.replace(rec709, xyz))
     found = read_foreign(folder)
     np.testing.assert_allclose(found.texture.diffuse, expected.diffuse, atol=2e-3)
-    assert any("chromaticities" in note for note in found.notes)
+    assert any("primaries" in note for note in found.notes)
 
 
 def packed(folder, name, *planes):

@@ -118,7 +118,7 @@ def _exr(path: Path) -> None:
 
 
 def _picture(path: Path) -> None:
-    from matcap.relight.environment_map import read_picture
+    from matcap.relight.environment_file import read_picture
 
     read_picture(path)
 

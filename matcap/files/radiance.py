@@ -1,0 +1,100 @@
+"""Radiance's pictures: what their header says of the numbers, and of how they lie.
+
+Larson 1998, "Real Pixels" and Radiance's file formats: lines of text up to an empty one, then the
+resolution, such as `-Y 512 +X 1024`: the axis that the scanlines go along and how many there are,
+then the axis inside a scanline; `-Y` runs down, `+X` to the right. EXPOSURE and COLORCORR, each as
+often as it stands there, are what the light was multiplied by. FORMAT may be of CIE XYZ.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.files.rec709 import XYZ
+
+MAGIC = b"#?"
+_LONGEST = 1 << 16  # bytes of a header
+_RESOLUTION = re.compile(rb"([+-])([XY]) +(\d{1,6}) +([+-])([XY]) +(\d{1,6}) *\r?\n")
+
+
+@dataclass(frozen=True)
+class RadianceHeader:
+    """A header.
+
+    Attributes:
+        length: bytes of it.
+        scanlines: how many there are,
+        texels: in each.
+        columns: whether scanlines are columns.
+        flips: whether rows run upwards, and columns to the left.
+        exposure: (3,) what the light was multiplied by.
+        primaries: as EXR's chromaticities, where it states them.
+    """
+
+    length: int
+    scanlines: int
+    texels: int
+    columns: bool
+    flips: tuple[bool, bool]
+    exposure: NDArray[np.float64]
+    primaries: tuple[float, ...] | None
+
+    def plain(self) -> bytes:
+        """The header of the same scanlines without anything else to be heeded."""
+        size = f"-Y {self.scanlines} +X {self.texels}\n"
+        return f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n{size}".encode()
+
+    def upright(self, stored: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(H, W, 3) as it is looked at, in light, of (scanlines, texels, 3)."""
+        picture = stored.transpose(1, 0, 2) if self.columns else stored
+        picture = picture[:: -1 if self.flips[0] else 1, :: -1 if self.flips[1] else 1]
+        return np.ascontiguousarray(picture / self.exposure.astype(np.float32))
+
+
+def radiance_header(path: Path) -> RadianceHeader:
+    """Read the header of a file that begins with MAGIC.
+
+    Raises:
+        ValueError: it is damaged, or of an unknown format.
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(_LONGEST)
+    end = re.search(rb"\n\r?\n", head)
+    found = end and _RESOLUTION.match(head, end.end())
+    if not end or not found:
+        raise ValueError("it has no resolution")
+    lines = [line.strip() for line in head[: end.start()].decode("latin-1").split("\n")[1:]]
+    told = [line.split("=", 1) for line in lines if "=" in line]
+    formats = [value.strip() for key, value in told if key.strip() == "FORMAT"]
+    xyz = any(value == "32-bit_rle_xyze" for value in formats)
+    if not xyz and any(value != "32-bit_rle_rgbe" for value in formats):
+        raise ValueError(f"its format is {formats[0][:40]!r}")
+    exposure = np.ones(3)
+    primaries: tuple[float, ...] | None = XYZ if xyz else None
+    for key, value in told:
+        numbers = [float(word) for word in value.split()] if key in _NUMBERS else []
+        if len(numbers) != _NUMBERS.get(key, 0):
+            raise ValueError(f"its {key} is {value[:40]!r}")
+        if key == "PRIMARIES":
+            primaries = tuple(numbers)
+        elif numbers:
+            exposure = exposure * numbers
+    if not (np.isfinite(exposure).all() and exposure.min() > 0.0):
+        raise ValueError("its exposure is none")
+    (first, axis, scanlines), (second, other, texels) = found.groups()[:3], found.groups()[3:]
+    if axis == other or not int(scanlines) or not int(texels):
+        raise ValueError("its resolution is none")
+    signs = {axis: first, other: second}
+    flips = signs[b"Y"] == b"+", signs[b"X"] == b"-"
+    return RadianceHeader(
+        found.end(), int(scanlines), int(texels), axis == b"X", flips, exposure, primaries
+    )
+
+
+_NUMBERS = {"EXPOSURE": 1, "COLORCORR": 3, "PRIMARIES": 8}

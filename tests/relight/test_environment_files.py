@@ -1,0 +1,181 @@
+"""Pictures of surroundings as cameras, renderers and libraries write them."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from matcap.errors import MatcapError
+from matcap.files.exr import write_exr
+from matcap.files.note import Note
+from matcap.files.srgb import srgb_decode
+from matcap.relight.environment_file import read_picture
+
+ROWS, COLUMNS = 8, 16
+PICTURE = np.random.default_rng(0).uniform(0.1, 4.0, (ROWS, COLUMNS, 3)).astype(np.float32)
+
+
+def exr(path, picture, **header):
+    import OpenEXR
+
+    whole = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage} | header
+    OpenEXR.File(whole, {"RGB": np.ascontiguousarray(picture, np.float32)}).write(str(path))
+    return path
+
+
+def radiance(path, stored, *lines, resolution=f"-Y {ROWS} +X {COLUMNS}", form="rgbe"):
+    """Flat, uncompressed texels of (scanlines, texels, 3) light."""
+    exponent = np.ceil(np.log2(stored.max(axis=-1)))
+    mantissa = np.floor(stored / 2.0 ** exponent[..., None] * 256.0).clip(0, 255)
+    texels = np.concatenate([mantissa, exponent[..., None] + 128], axis=-1).astype(np.uint8)
+    head = "\n".join(("#?RADIANCE", f"FORMAT=32-bit_rle_{form}", *lines, "", resolution, ""))
+    path.write_bytes(head.encode() + texels.tobytes())
+    return path
+
+
+def near(found, expected, scale=1.0):
+    """RGBE is off by a 256th of a texel's largest channel as stored."""
+    off = np.abs(found - expected).max(axis=-1) / expected.max(axis=-1)
+    assert off.max() < 2.0 * scale / 256.0
+
+
+ORIENTATIONS = {
+    f"-Y {ROWS} +X {COLUMNS}": PICTURE,
+    f"+Y {ROWS} +X {COLUMNS}": PICTURE[::-1],
+    f"-Y {ROWS} -X {COLUMNS}": PICTURE[:, ::-1],
+    f"+Y {ROWS} -X {COLUMNS}": PICTURE[::-1, ::-1],
+    f"+X {COLUMNS} -Y {ROWS}": PICTURE.transpose(1, 0, 2),
+    f"+X {COLUMNS} +Y {ROWS}": PICTURE[::-1].transpose(1, 0, 2),
+    f"-X {COLUMNS} -Y {ROWS}": PICTURE[:, ::-1].transpose(1, 0, 2),
+    f"-X {COLUMNS} +Y {ROWS}": PICTURE[::-1, ::-1].transpose(1, 0, 2),
+}
+
+
+@pytest.mark.parametrize("resolution", ORIENTATIONS)
+def test_radiance_lies_as_its_resolution_says(tmp_path, resolution):
+    file = radiance(tmp_path / "a.hdr", ORIENTATIONS[resolution], resolution=resolution)
+    near(read_picture(file), PICTURE)
+
+
+def test_radiance_exposures_multiply(tmp_path):
+    stored = PICTURE * 6.0 * np.array([1.0, 2.0, 0.5], np.float32)
+    lines = ("EXPOSURE=2.0", "EXPOSURE= 3.0", "COLORCORR= 1.0 2.0 0.5")
+    near(read_picture(radiance(tmp_path / "a.hdr", stored, *lines)), PICTURE, 4.0)
+
+
+def test_radiance_in_xyz(tmp_path):
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    file = radiance(tmp_path / "a.hdr", PICTURE @ np.transpose(to_xyz), form="xyze")
+    with pytest.warns(Note, match="primaries"):
+        found = read_picture(file)
+    assert np.abs(found - PICTURE).max() < 0.08  # quantised before the matrix
+
+
+@pytest.mark.parametrize(
+    ("line", "resolution"),
+    [("EXPOSURE=none", ""), ("EXPOSURE=0", ""), ("FORMAT=64-bit", ""), ("", "8 x 16"),
+     ("", "-Y 8 +Y 16"), ("", "-Y 99999 +X 99999")],
+)  # fmt: skip
+def test_damaged_radiance_is_told(tmp_path, line, resolution):
+    more = {"resolution": resolution} if resolution else {}
+    file = radiance(tmp_path / "a.hdr", PICTURE, *[line] * bool(line), **more)
+    with pytest.raises(MatcapError, match=r"damaged|larger than"):
+        read_picture(file)
+
+
+def test_a_little_below_zero_is_clipped_and_told(tmp_path):
+    picture = PICTURE.copy()
+    picture[2, 3:5, 1] = -0.003
+    with pytest.warns(Note, match=r"2 pixels reach down to -0.003"):
+        found = read_picture(exr(tmp_path / "a.exr", picture))
+    np.testing.assert_array_equal(found, np.maximum(picture, 0.0))
+
+
+def test_mostly_below_zero_or_not_finite_is_refused(tmp_path):
+    with pytest.raises(MatcapError, match="no radiance"):
+        read_picture(exr(tmp_path / "a.exr", PICTURE * [1.0, -3.0, 1.0]))
+    picture = PICTURE.copy()
+    picture[0, 0] = np.inf
+    with pytest.raises(MatcapError, match="not finite"):
+        read_picture(exr(tmp_path / "b.exr", picture))
+
+
+def test_outside_of_the_data_window_it_is_black(tmp_path):
+    window = (np.array([0, 0], np.int32), np.array([COLUMNS - 1, ROWS - 1], np.int32))
+    data = (np.array([2, 0], np.int32), np.array([COLUMNS + 1, 3], np.int32))
+    file = exr(tmp_path / "a.exr", PICTURE[:4], displayWindow=window, dataWindow=data)
+    with pytest.warns(Note, match="a part of its picture"):
+        found = read_picture(file)
+    expected = np.zeros_like(PICTURE)
+    expected[:4, 2:] = PICTURE[:4, :-2]
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_code_values_are_decoded_and_told(tmp_path):
+    Image.new("RGB", (COLUMNS, ROWS), (128, 128, 128)).save(tmp_path / "a.png")
+    with pytest.warns(Note, match="code values"):
+        found = read_picture(tmp_path / "a.png")
+    np.testing.assert_allclose(found, srgb_decode(np.array(128 / 255)), rtol=1e-5)
+
+
+def test_primaries_are_converted(tmp_path):
+    picture = np.zeros((ROWS, COLUMNS, 3)) + [1.0, 0.5, 0.25]
+    rec2020 = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290)
+    file = exr(tmp_path / "a.exr", picture, chromaticities=rec2020)
+    with pytest.warns(Note, match="primaries"):
+        found = read_picture(file)
+    np.testing.assert_allclose(found[0, 0], [1.3486, 0.4398, 0.2113], atol=2e-3)
+
+
+def cube_of(radiance_along, side):
+    """(6 n, n, 3) faces as OpenEXR's ImfEnvmap.h places them."""
+    grid = np.linspace(-1.0, 1.0, side)
+    right, up = np.meshgrid(grid, grid[::-1])
+    one = np.ones_like(right)
+    faces = (
+        (one, up, right), (-one, up, -right),
+        (right, one, up), (right, -one, -up),
+        (-right, up, one), (right, up, -one),
+    )  # fmt: skip
+    towards = np.concatenate([np.stack(face, axis=-1) for face in faces])
+    return radiance_along(towards / np.linalg.norm(towards, axis=-1, keepdims=True))
+
+
+def smooth(towards):
+    """Radiance of another colour along each axis, and other behind than in front."""
+    return (2.0 + towards + 0.5 * towards**2).astype(np.float32)
+
+
+def as_cube(file):
+    """The attribute envmap, which OpenEXR's Python cannot write, in place of another as long."""
+    whole = file.read_bytes()
+    stand_in = b"xxxxxx\0string\0" + struct.pack("<I", 1) + b"A"
+    assert whole.count(stand_in) == 1
+    file.write_bytes(whole.replace(stand_in, b"envmap\0envmap\0" + struct.pack("<I", 1) + b"\1"))
+    return file
+
+
+def test_a_cube_map_is_looked_up_by_direction(tmp_path):
+    file = as_cube(exr(tmp_path / "a.exr", cube_of(smooth, 32), xxxxxx="A"))
+    found = read_picture(file)
+    polar = ((np.arange(64) + 0.5) / 64 * math.pi)[:, None]
+    azimuth = (((np.arange(128) + 0.5) / 128 - 0.5) * 2.0 * math.pi)[None]
+    ring = np.sin(polar)
+    towards = np.stack(
+        np.broadcast_arrays(-np.sin(azimuth) * ring, np.cos(polar), np.cos(azimuth) * ring), -1
+    )
+    np.testing.assert_allclose(found, smooth(towards), atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("size", "what"), [((64, 64), "mirror ball"), ((64, 48), "cross"), ((96, 16), "strip"),
+                       ((64, 20), "twice as wide")]
+)  # fmt: skip
+def test_other_projections_are_refused_and_named(tmp_path, size, what):
+    write_exr(tmp_path / "a.exr", np.ones((size[1], size[0], 3), np.float32), half=True)
+    with pytest.raises(MatcapError, match=what):
+        read_picture(tmp_path / "a.exr")
+    with pytest.raises(MatcapError, match="not 1 : 6"):
+        read_picture(as_cube(exr(tmp_path / "b.exr", np.ones((5, 4, 3)), xxxxxx="A")))
