@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
 from types import MappingProxyType
 
 from matcap.files.progress import Progress, nobody
@@ -101,7 +102,7 @@ class CaptureClock:
         self.seconds: dict[str, float] = {}
         self.interrupted = False
         self._tell = tell or nobody
-        self._stages, self._limit = stages, limit
+        self._bounds, self._limit = _bounds(stages), limit
         self._spent = spent
         self._started = time.monotonic()
 
@@ -140,20 +141,24 @@ class CaptureClock:
         """
         if self._limit is None:
             return float("inf")
-        before, after = self._shares(name)
+        before, until_end = self._bounds[name]
+        after = 1.0 - until_end
         until = self._spent + self.elapsed
         return max(0.0, self._limit - until - until * after / max(before, 1e-6))
 
-    def _shares(self, name: str) -> tuple[float, float]:
-        """Shares of what comes before a stage and of what comes after it."""
-        names = list(self._stages)
-        at = names.index(name)
-        shares = [self._stages[each] for each in names]
-        return sum(shares[:at]), sum(shares[at + 1 :])
-
     def _now(self, name: str, share: float) -> CaptureProgress:
-        before, _ = self._shares(name)
-        fraction = min(1.0, before + share * self._stages[name])
+        begin, end = self._bounds[name]
+        fraction = min(end, begin + share * (end - begin))
         elapsed = self.elapsed
         left = elapsed * (1.0 - fraction) / fraction if fraction > 0.15 else None
         return CaptureProgress(name, fraction, elapsed, left, interrupted=self.interrupted)
+
+
+def _bounds(stages: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """(begin, end) of every stage, as fractions of the whole time.
+
+    A stage begins at the very number at which the one before it ends: progress never goes back by
+    a rounding error, however floats are summed.
+    """
+    ends = [min(1.0, end) for end in accumulate(stages.values())]
+    return dict(zip(stages, pairwise([0.0, *ends]), strict=True))

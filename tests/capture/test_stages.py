@@ -59,7 +59,7 @@ def test_what_starting_took_is_taken_off_a_time_limit():
 
 
 def test_a_stage_without_a_share_is_a_bug():
-    with pytest.raises(ValueError), CaptureClock(None).stage("fine-tuning"):
+    with pytest.raises(KeyError), CaptureClock(None).stage("fine-tuning"):
         pass
 
 

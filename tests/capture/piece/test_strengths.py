@@ -82,13 +82,17 @@ def test_what_another_response_tells_differently_is_doubted() -> None:
 
 
 def test_streaks_that_are_stronger_at_the_rim_are_no_sure_relief() -> None:
-    """Albedo of one direction whose contrast grows by a tenth: what is told is within its doubt."""
+    """Albedo of one direction whose contrast grows by a tenth: what is told is within its doubt.
+
+    Bands that the streaks have no waves in are slopes of 1e-4 and less, and their standard errors
+    too: rounding errors of the regression, which differ with the machine. 1e-3 is none.
+    """
     streaks = 3.0 * _slopes()
     shows = np.zeros((2, *streaks.shape), np.float32)
     shows[0] = np.linspace(-0.6, 0.6, streaks.shape[1])
     log = streaks * (1.0 + 0.1 * np.square(shows[0] / 0.6))
     found = measure_strengths(log, shows, np.ones(streaks.shape, bool))
-    assert (np.square(found.slope).sum(1) < 2.5 * found.doubt).all()
+    assert (np.square(found.slope).sum(1) < 2.5 * found.doubt + 1e-3**2).all()
 
 
 def test_albedo_that_mirrored_light_dilutes_is_no_relief() -> None:

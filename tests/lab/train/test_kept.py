@@ -15,6 +15,10 @@ def result(style: float = 0.5) -> Result:
     return Result("m0", "prior, 2 steps", style, 0.1, 1.2, 3.5, picture)
 
 
+def numbers(of: Result) -> dict[str, object]:
+    return {name: value for name, value in vars(of).items() if name != "picture"}
+
+
 def never() -> Result:
     raise AssertionError("it was kept")
 
@@ -22,7 +26,7 @@ def never() -> Result:
 def test_what_is_kept_is_not_made_again(tmp_path):
     made = once(tmp_path / "kept", "a", result)
     again = once(tmp_path / "kept", "a", never)
-    assert replace(again, picture=made.picture) == made
+    assert numbers(again) == numbers(made)
     torch.testing.assert_close(again.picture, made.picture, rtol=0.0, atol=0.5 / 255.0)
 
 
