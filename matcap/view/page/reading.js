@@ -52,13 +52,16 @@ export function readHdr(bytes) {
     return text;
   };
   if (!line().startsWith("#?")) throw wrong("is none");
+  let exposure = 1; // what the light was multiplied by, as often as it is told
   for (let text = line(); text !== ""; text = line()) {
+    if (text.startsWith("EXPOSURE=")) exposure *= Number(text.slice(9));
     if (text.startsWith("FORMAT=") && !text.endsWith("rgbe")) throw wrong("is not stored as RGB");
   }
+  if (!(exposure > 0)) throw wrong("has no exposure");
   const [, tall, wide] = /^-Y (\d+) \+X (\d+)$/.exec(line()) || [];
   const [width, height] = [Number(wide), Number(tall)];
   if (!(width > 0 && height > 1 && width * height <= 2 ** 28)) throw wrong("has no size one can read");
-  const step = Math.ceil(width / WIDEST_READ), share = 1 / (step * step);
+  const step = Math.ceil(width / WIDEST_READ), share = 1 / (step * step * exposure);
   const across = Math.floor(width / step), down = Math.floor(height / step);
   const data = new Float32Array(3 * across * down), pixels = new Uint8Array(4 * width);
   for (let row = 0; row < down * step; row++) {
