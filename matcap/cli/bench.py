@@ -1,33 +1,49 @@
-"""`matcap bench`: the commands that measure what the documentation claims."""
+"""`matcap bench`: experiments that measure what the documentation claims, a command each.
+
+Every one writes a CSV, row by row, goes on from it when started again, and prints it as a table
+(matcap/lab/experiment). Here their options become an experiment's subjects and configurations.
+"""
 
 from __future__ import annotations
 
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli import bench_time, relight, synth
 from matcap.cli.laboratory import require_laboratory
-from matcap.cli.options import typed
+from matcap.cli.options import JsonOption, typed
+from matcap.errors import UsageError
 from matcap.files import values
 
+if TYPE_CHECKING:
+    from matcap.lab.experiment.results import Trial
+    from matcap.lab.experiment.runner import Experiment
+
 app = typer.Typer(help="Measure matcap on this machine.", no_args_is_help=True)
-app.command("relight")(relight.bench)
-app.command("fronts")(bench_time.fronts)
-app.command("pairs")(bench_time.pairs)
-app.command("report")(bench_time.report)
-app.command("synth")(synth.bench)
 
+MaterialArgument = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[MATERIAL]...",
+        help="Simulated materials by name, kinds (weave, or weave:7 for another), map sets.",
+    ),
+]
+OnlyOption = Annotated[
+    list[str] | None, typer.Option(help="Only this one; may be given several times.")
+]
+SetsOption = Annotated[
+    Path | None,
+    typer.Option(help="Folder of artists' map sets; without names, all of them are taken."),
+]
+OutOption = Annotated[
+    Path, typer.Option("--out", "-o", help="Folder for the table, and what it is measured of.")
+]
+PresetOption = Annotated[str, typer.Option(help="Of the captures.")]
 
-@app.callback()
-def _bench() -> None:
-    """Measure matcap on this machine."""
-    require_laboratory()
-
-
+_FRONTS = Path("bench/fronts")
 # Texels and degrees of what `bench fields --phases` measures.
 _LATTICES = (
     (2.5, 0.0),
@@ -40,18 +56,18 @@ _LATTICES = (
 )
 
 
+@app.callback()
+def _bench() -> None:
+    """Measure matcap on this machine."""
+    require_laboratory()
+
+
 @app.command()
 def quality(
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for photographs, pictures and tables.")
-    ] = Path("bench/quality"),
-    material: Annotated[
-        list[str] | None, typer.Option(help="Only this material; may be given several times.")
-    ] = None,
-    method: Annotated[
-        list[str] | None, typer.Option(help="Only this method; may be given several times.")
-    ] = None,
-    preset: Annotated[str, typer.Option(help="Of the captures.")] = "standard",
+    out: OutOption = Path("bench/quality"),
+    material: OnlyOption = None,
+    method: OnlyOption = None,
+    preset: PresetOption = "standard",
     steps: Annotated[
         int | None, typer.Option(min=0, help="Fine-tuning steps, instead of the preset's.")
     ] = None,
@@ -68,52 +84,31 @@ def quality(
     """How like the true material a capture looks under new lights.
 
     Photographs simulated materials, captures them, and compares the relit results with other true
-    pieces of the same materials, beside simple ways to do the same. Errors are multiples of what
-    two true pieces differ by. Writes quality.md, quality.csv and pictures; prints the table.
+    samples of the same materials, beside simple ways to do the same: normalised style distances,
+    1 is indistinguishable. Prints the table.
     """
     from matcap.capture import pipeline
     from matcap.capture.settings import CaptureSettings
-    from matcap.files.staging import check_writable
-    from matcap.lab.bench.quality import (
-        METHODS,
-        QualitySettings,
-        markdown,
-        run_quality,
-        write_scores,
-    )
-    from matcap.lab.simulate.examples import EXAMPLES
+    from matcap.lab.bench.quality import ABOUT, METHODS, quality_experiment
+    from matcap.lab.measures.evaluator import EvaluationSettings
 
-    check_writable(out, 200_000_000)
     captured = CaptureSettings(preset, steps, time_limit, detail=detail, generator="decoder")
-    scores = run_quality(
+    experiment = quality_experiment(
         lambda photo: pipeline.capture_file(photo, captured).material,
         out,
-        materials=material or EXAMPLES,
+        materials=material or (),
         methods=method or METHODS,
-        settings=QualitySettings(detail=detail),
-        tell=lambda line: typer.echo(line, err=True),
+        settings=EvaluationSettings(detail=detail, size=384),
+        captured=captured,
     )
-    command = shlex.join(["matcap", *sys.argv[1:]])
-    write_scores(scores, out, command)
-    typer.echo(markdown(scores, command))
+    _print(experiment, out, ABOUT)
 
 
 @app.command()
 def floors(
-    material: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[MATERIAL]...",
-            help="Simulated materials by name, kinds (weave, or weave:7 for another), map sets.",
-        ),
-    ] = None,
-    sets: Annotated[
-        Path | None,
-        typer.Option(help="Folder of artists' map sets; without names, all of them are taken."),
-    ] = None,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for photographs and floors.csv.")
-    ] = Path("bench/floors"),
+    material: MaterialArgument = None,
+    sets: SetsOption = None,
+    out: OutOption = Path("bench/floors"),
     detail: Annotated[
         int | None,
         typer.Option(min=128, max=4096, help="Of the captures; their own choice by default."),
@@ -122,14 +117,14 @@ def floors(
         int, typer.Option(min=256, max=4096, help="Texels along the long side that are compared.")
     ] = 512,
     stops: Annotated[
-        float, typer.Option(min=-8.0, max=8.0, help="Of exposure above what a camera chooses.")
+        float, typer.Option(min=-8.0, max=8.0, help="Exposure offset (EV) from the camera's own.")
     ] = 0.0,
     jpeg: Annotated[bool, typer.Option("--jpeg", help="Photographs are JPEGs, not RAW.")] = False,
-    preset: Annotated[str, typer.Option(help="Of the captures.")] = "standard",
+    preset: PresetOption = "standard",
     photographs: Annotated[
         list[int] | None,
         typer.Option(
-            min=1, max=12, help="Of one piece, from so many places; may be given several times."
+            min=1, max=12, help="Of one sample, from so many places; may be given several times."
         ),
     ] = None,
     pixels: Annotated[
@@ -140,8 +135,8 @@ def floors(
         typer.Option(
             min=0.0,
             max=10.0,
-            help="With --photographs: irradiance by the room, for a flash of 1 in plane units; "
-            "each count is captured without and with one more photograph without flash.",
+            help="With --photographs: irradiance of ambient light, for a flash of 1 in plane "
+            "units; each count is captured without and with one more photograph without flash.",
         ),
     ] = 0.0,
     union: Annotated[
@@ -158,81 +153,38 @@ def floors(
 ) -> None:
     """How far captures are from the truth, by a measure that nothing is tuned by.
 
-    Photographs known materials, captures them, and compares photograph, piece and field with other
-    true pieces under new lights, by the style that SqueezeNet sees. Errors are multiples of what
-    true pieces differ by. Prints a table as it is measured, and what the maps tell for the truth.
+    Photographs known materials, captures them, and compares photograph, exemplar and field with
+    other true samples under new lights, by the style that SqueezeNet sees: normalised style
+    distances, 1 is indistinguishable. Prints the table, with what the maps tell and what is true.
     """
     from matcap.capture.settings import CaptureSettings
-    from matcap.files.staging import check_writable
-    from matcap.lab.floors.distance import Measure
-    from matcap.lab.floors.run import FloorSettings, floors_csv, floors_markdown, run_floors
-    from matcap.lab.floors.squeezenet import WEIGHTS, SqueezeNet
-    from matcap.lab.floors.subjects import subjects
+    from matcap.lab.bench import nsd, several
+    from matcap.lab.measures.evaluator import EvaluationSettings
+    from matcap.lab.measures.squeezenet import WEIGHTS
+    from matcap.lab.simulate.hand_held import Hand, beside
     from matcap.lab.simulate.photograph import PhoneCamera
+    from matcap.lab.simulate.subjects import subjects
 
-    check_writable(out, 200_000_000)
-    settings = FloorSettings(
-        CaptureSettings(preset, detail=detail),
-        judged,
-        judged // 2,
-        stops=stops,
-        jpeg=jpeg,
-        camera=PhoneCamera(width=pixels, height=3 * pixels // 8 * 2),
-    )
-    measure = Measure(SqueezeNet.load(weights or WEIGHTS))
-    command = shlex.join(["matcap", *sys.argv[1:]])
-    if photographs:
-        from matcap.lab.bench.plot import draw
-        from matcap.lab.floors.several import run_several, several_markdown, several_points
-        from matcap.lab.simulate.hand_held import beside
-
-        several = run_several(
-            subjects(material or (), sets),
-            photographs,
-            out,
-            settings,
-            measure,
-            room=room,
-            hand=beside(settings.camera) if union else None,
-            union=union,
-            tell=typer.echo,
-        )
-        typer.echo(several_markdown(several, command))
-        if several:
-            draw(
-                several_points(several),
-                out / "photographs.png",
-                title="What more photographs of one piece are worth",
-                error="floors (SqueezeNet)",
-            )
+    camera = PhoneCamera(width=pixels, height=3 * pixels // 8 * 2)
+    evaluation = EvaluationSettings(judged, judged // 2, camera, weights=weights or WEIGHTS)
+    settings = nsd.PhotographSettings(CaptureSettings(preset, detail=detail), stops, jpeg)
+    chosen = subjects(material or (), sets)
+    if not photographs:
+        _print(nsd.nsd_experiment(chosen, out, settings, evaluation), out, nsd.ABOUT)
         return
-    rows = run_floors(
-        subjects(material or (), sets),
-        out,
-        settings,
-        measure=measure,
-        tell=lambda line: typer.echo(line, err=True),
-    )
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "floors.csv").write_text(floors_csv(rows))
-    typer.echo(floors_markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
+    ambient = several.Ambient(room, union, beside(camera) if union else Hand())
+    experiment = several.several_experiment(chosen, photographs, out, settings, evaluation, ambient)
+    rows = _print(experiment, out, several.ABOUT)
+    _draw(rows, out / "photographs.png", "What more photographs of one sample are worth")
 
 
 @app.command()
 def metals(
-    material: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[MATERIAL]...",
-            help="Simulated metals by name, kinds (rusted, or rusted:7 for another), map sets.",
-        ),
-    ] = None,
-    sets: Annotated[Path | None, typer.Option(help="Folder of artists' map sets.")] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for photographs.")] = Path(
-        "bench/metals"
-    ),
+    material: MaterialArgument = None,
+    sets: SetsOption = None,
+    out: OutOption = Path("bench/metals"),
     detail: Annotated[int, typer.Option(min=128, max=4096, help="Of the captures.")] = 512,
-    preset: Annotated[str, typer.Option(help="Of the captures.")] = "instant",
+    preset: PresetOption = "instant",
     pixels: Annotated[
         int, typer.Option(min=256, max=8192, help="Of photographs, along the long side.")
     ] = 1600,
@@ -241,62 +193,46 @@ def metals(
         typer.Option("--known-flash", help="The flash's strength is known, as by a card."),
     ] = False,
 ) -> None:
-    """What is told of metals' F0: by channel, its hue, and beside what is no metal.
+    """F0 of metals by channel, its hue, and that of what is no metal beside it.
 
     Photographs known metals, captures them, and compares F0 where the truth is metal and where it
-    is none, texel by texel. Prints a table as it is measured.
+    is none, texel by texel. Prints the table.
     """
     from matcap.brdf.metals import METAL_F0
     from matcap.capture.settings import CaptureSettings
-    from matcap.files.staging import check_writable
-    from matcap.lab.bench.metals import metals_markdown, run_metals
-    from matcap.lab.floors.subjects import subjects
+    from matcap.lab.bench.metals import ABOUT, metals_experiment
     from matcap.lab.simulate.photograph import PhoneCamera
+    from matcap.lab.simulate.subjects import subjects
 
-    check_writable(out, 200_000_000)
-    rows = run_metals(
-        subjects(material or tuple(METAL_F0), sets),
-        out,
-        CaptureSettings(preset, detail=detail),
-        camera=PhoneCamera(width=pixels, height=pixels // 8 * 6),
-        known=known,
-        tell=lambda line: typer.echo(line, err=True),
-    )
-    typer.echo(metals_markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
+    chosen = subjects(material or tuple(METAL_F0), sets)
+    camera = PhoneCamera(width=pixels, height=pixels // 8 * 6)
+    settings = CaptureSettings(preset, detail=detail)
+    _print(metals_experiment(chosen, out, settings, camera, known=known), out, ABOUT)
 
 
 @app.command()
 def fields(
-    material: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[MATERIAL]...",
-            help="Simulated materials by name, kinds (weave, or weave:7 for another), map sets.",
-        ),
-    ] = None,
-    sets: Annotated[
-        Path | None,
-        typer.Option(help="Folder of artists' map sets; without names, all of them are taken."),
-    ] = None,
+    material: MaterialArgument = None,
+    sets: SetsOption = None,
     phases: Annotated[
         bool,
         typer.Option("--phases", help="Also lattices of 2.5 to 300 texels, turned by some angle."),
     ] = False,
+    out: OutOption = Path("bench/fields"),
 ) -> None:
-    """How far fields and repeated pieces of true maps are from the truth.
+    """How far fields and repeated exemplars of true maps are from the truth.
 
-    The exemplar is the truth, so that only how it is rearranged, or made to repeat, is judged: in
-    floors as `bench floors` counts them, by the length of joints for the truth's, and by how far a
-    lattice's phase is off 16384 texels away. Prints a table, with the means of each group.
+    The exemplar is the truth, so that only how it is rearranged, or made to repeat, is measured: by
+    normalised style distance as `bench floors`, by the length of joints for the truth's, and by how
+    far a lattice's phase is off 16384 texels away. Prints the table.
     """
-    from matcap.lab.floors.fields import fields_markdown, grating, phase_off, run_fields
-    from matcap.lab.floors.subjects import subjects
+    from matcap.lab.bench.fields import ABOUT, fields_experiment, grating, phase_off
+    from matcap.lab.simulate.subjects import subjects
 
-    rows = run_fields(subjects(material or (), sets), tell=lambda line: typer.echo(line, err=True))
-    typer.echo(fields_markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
+    _print(fields_experiment(subjects(material or (), sets)), out, ABOUT)
     for period, angle in _LATTICES if phases else ():
         off = phase_off(grating(period, angle, (1280, 960)))
-        told = "no order" if off is None else f"{off:.4f} of a turn off"
+        told = "no lattice" if off is None else f"{off:.4f} of a turn off"
         typer.echo(f"period {period:g} at {angle:g} degrees: {told}")
 
 
@@ -308,25 +244,21 @@ def gloss(
     ] = None,
     stops: Annotated[
         list[int] | None,
-        typer.Option(min=-3, max=6, help="Above the camera's exposure; 0 to 3 if not given."),
+        typer.Option(min=-3, max=6, help="Exposure offsets (EV); 0 to 3 if not given."),
     ] = None,
     piece: Annotated[
-        bool, typer.Option("--piece", help="Of the captured piece, not of the coarse fit alone.")
+        bool, typer.Option("--piece", help="Of the captured exemplar, not the coarse fit alone.")
     ] = False,
+    out: OutOption = Path("bench/gloss"),
 ) -> None:
-    """What is told of the gloss of plain materials, polished to matte, the more is clipped.
+    """Roughness and F0 found of plain materials, polished to matte, the more is clipped.
 
-    Prints roughness and F0 as found, a line a material and a column an exposure.
+    Prints the table, a row a material and exposure.
     """
-    from matcap.lab.bench.gloss import gloss_markdown, materials, run_gloss
+    from matcap.lab.bench.gloss import ABOUT, gloss_experiment, materials
 
-    rows = run_gloss(
-        materials(slope or (0.0,)),
-        stops or (0, 1, 2, 3),
-        piece=piece,
-        tell=lambda line: typer.echo(line, err=True),
-    )
-    typer.echo(gloss_markdown(rows, shlex.join(["matcap", *sys.argv[1:]])))
+    chosen = materials(slope or (0.0,))
+    _print(gloss_experiment(chosen, stops or (0, 1, 2, 3), exemplar=piece), out, ABOUT)
 
 
 @app.command()
@@ -341,55 +273,30 @@ def highlight(
     tells_fov: Annotated[
         bool, typer.Option("--fov/--no-fov", help="Whether the simulated ones tell theirs.")
     ] = True,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="Folder for photograph and re-rendering side by side."),
-    ] = None,
+    out: OutOption = Path("bench/highlight"),
 ) -> None:
     """Whether the coarse fit keeps highlights, and finds flash and tilt where they were.
 
     Compares the highlight's centre, width and contrast in photographs and in re-renderings of
-    their coarse fits. Prints a line a photograph, and errors of offset and tilt on simulated ones.
+    their coarse fits, which are written side by side. Prints the table, and errors of offset and
+    tilt on simulated ones.
     """
-    from matcap.lab.bench.highlight import keep, markdown, place, write_pair
-    from matcap.lab.bench.highlight import simulated as make
-    from matcap.photo.load import load_photo
+    from matcap.lab.bench.highlight import ABOUT, highlight_experiment
 
-    kept = []
-    for path in photographs or []:
-        photo = load_photo(path, noise=False)
-        one, fit = keep(photo)
-        if one is None or fit is None:
-            continue
-        kept.append(one)
-        if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
-            write_pair(fit, photo, out / f"{path.stem}.png")
-    placed = [place(*shot) for shot in make(simulated, seed, tells_fov=tells_fov)]
-    typer.echo(markdown(kept, placed, shlex.join(["matcap", *sys.argv[1:]])))
+    experiment = highlight_experiment(photographs or (), simulated, seed, out, has_fov=tells_fov)
+    _print(experiment, out, ABOUT)
 
 
 @app.command()
-def aligned(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for photographs.")] = Path(
-        "bench/aligned"
-    ),
-    material: Annotated[
-        list[str] | None, typer.Option(help="Only this material; may be given several times.")
-    ] = None,
-) -> None:
-    """How right the maps of the photographed piece are, texel by texel.
+def aligned(out: OutOption = Path("bench/aligned"), material: OnlyOption = None) -> None:
+    """How right the maps of the photographed sample are, texel by texel.
 
     Photographs simulated materials and compares what is found with the true maps, by distance from
-    the flash, beside the photograph as albedo and the coarse fit alone. Prints a table.
+    the flash, beside the photograph as albedo and the coarse fit alone. Prints the table.
     """
-    from matcap.files.staging import check_writable
-    from matcap.lab.bench.aligned import aligned_markdown, run_aligned
-    from matcap.lab.simulate.examples import EXAMPLES
+    from matcap.lab.bench.aligned import ABOUT, aligned_experiment
 
-    check_writable(out, 100_000_000)
-    rows = run_aligned(out, material or EXAMPLES, tell=lambda line: typer.echo(line, err=True))
-    typer.echo(aligned_markdown(rows))
+    _print(aligned_experiment(material or (), out), out, ABOUT)
 
 
 @app.command()
@@ -402,17 +309,221 @@ def repetition(
         ),
     ] = None,
     size: Annotated[int, typer.Option(min=512, max=8192, help="Texels a side.")] = 4096,
+    out: OutOption = Path("bench/repetition"),
 ) -> None:
     """Whether a field by example shows its tricks.
 
     Its correlation with itself beside that of two seeds, sizes of verbatim copies, and how far two
-    seeds are apart. Prints a table.
+    seeds are apart. Prints the table.
     """
-    from matcap.lab.bench.repetition import example_of, markdown, measure
-    from matcap.lab.simulate.examples import EXAMPLES
+    from matcap.lab.bench.repetition import ABOUT, repetition_experiment
 
-    found = [
-        measure(Path(material).stem, example_of(material), size)
-        for material in materials or EXAMPLES
-    ]
-    typer.echo(markdown(found, size, shlex.join(["matcap", *sys.argv[1:]])))
+    _print(repetition_experiment(materials or (), size), out, ABOUT)
+
+
+@app.command()
+def fronts(
+    out: OutOption = _FRONTS,
+    sets: Annotated[
+        Path | None,
+        typer.Option(help="Folder of artists' map sets, of which six held out ones are taken."),
+    ] = None,
+    point: Annotated[
+        list[str] | None,
+        typer.Option(help="Only this way of capturing; may be given several times. See --list."),
+    ] = None,
+    material: Annotated[
+        list[str] | None,
+        typer.Option(help="Only this one, of names, kinds or sets; may be given several times."),
+    ] = None,
+    seed: Annotated[
+        list[int] | None, typer.Option(help="Of the captures; may be given several times. 0.")
+    ] = None,
+    show: Annotated[
+        bool, typer.Option("--list", help="Print points and materials, and end.")
+    ] = False,
+) -> None:
+    """Error, seconds and memory of captures, over work, photographs, detail, time and generators.
+
+    Photographs materials whose truth is known as real ones are photographed, runs `matcap capture`
+    on them and compares what it wrote with other true samples. Rows that another version of matcap
+    measured count. Seconds by the clock mean something on a quiet machine only.
+    """
+    from matcap.lab.bench.fronts import USUAL, WAYS, Fronts, fronts_experiment
+
+    bench = Fronts(out, sets, point or USUAL, material or (), tuple(seed or (0,)))
+    if show:
+        for name, way in WAYS.items():
+            typer.echo(f"point    {way.group:15} {name}{'' if name in USUAL else ' (on demand)'}")
+        for name in bench.chosen:
+            typer.echo(f"material {name}")
+        return
+    rows = _measured(fronts_experiment(bench), out)
+    typer.echo(f"{out / 'fronts.csv'}: {len(rows)} measurements")
+
+
+@app.command()
+def pairs(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="That bench fronts wrote.")
+    ] = _FRONTS,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for pages of pairs and pairs.csv.")
+    ] = Path("bench/pairs"),
+    count: Annotated[int, typer.Option("-n", min=1, help="How many.")] = 40,
+    seed: Annotated[int, typer.Option(min=0, help="Of which ones, and of their sides.")] = 0,
+) -> None:
+    """Captures of the fronts side by side, without names, the truth between them.
+
+    Look at the pages, write left, right or neither into the column `nearer` of pairs.csv, and put
+    it beside fronts.csv: bench report tells how often each measure agrees.
+    """
+    from matcap.lab.bench.pairs import write_pairs
+
+    typer.echo(str(write_pairs(folder, out, count, seed)))
+
+
+@app.command()
+def relight(
+    scenes: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Scene files, or studio, sunset, turntable; these without any."),
+    ] = None,
+    json: JsonOption = False,
+    tolerances: Annotated[
+        bool,
+        typer.Option("--tolerances", help="Time against accuracy instead, tolerance by tolerance."),
+    ] = False,
+    mitsuba: Annotated[
+        bool, typer.Option("--mitsuba", help="The named scenes against Mitsuba 3 instead.")
+    ] = False,
+    out: OutOption = Path("bench/relight"),
+    width: Annotated[
+        int, typer.Option(min=16, max=4096, help="Of the pictures of --tolerances.")
+    ] = 256,
+) -> None:
+    """What relighting costs, and what leaving effects out saves.
+
+    One megapixel under one light; each scene by its plan, by all effects, and the plan's next
+    picture. With --tolerances each scene at several tolerances, with all effects and with diffuse
+    light alone: seconds against the largest error, as a table and as a picture with the Pareto
+    front. With --mitsuba the named scenes' time and that of Mitsuba to 1 % of noise.
+    """
+    from matcap.lab.bench import relight as bench
+
+    if mitsuba:
+        _print(bench.mitsuba_experiment(), out, bench.NOISE, json=json)
+    elif tolerances:
+        experiment = bench.tolerance_experiment(scenes or (), width=width)
+        told = bench.TOLERANCE
+        rows = _print(experiment, out, told.about, json=json)
+        _draw(rows, out / "tolerances.png", told.title, told.axes, told.least)
+    else:
+        _print(bench.plan_experiment(scenes or ()), out, bench.PLAN.about, json=json)
+
+
+@app.command()
+def synth(
+    out: OutOption = Path("bench/synth"),
+    size: Annotated[
+        values.Size,
+        typer.Option(
+            parser=typed(values.size), metavar="WxH", show_default="4096x256", help="Of the map."
+        ),
+    ] = values.Size(4096, 256),  # noqa: B008
+    network: Annotated[
+        list[str] | None, typer.Option(help="shipped or paper; both by default.")
+    ] = None,
+    block: Annotated[
+        list[str] | None,
+        typer.Option(metavar="WxH", help="Of the field; may be given several times."),
+    ] = None,
+    workers: Annotated[
+        list[int] | None, typer.Option("--workers", "-j", min=1, help="Threads; 1 and 2.")
+    ] = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Of which the median counts.")] = 3,
+) -> None:
+    """What the endless field costs, beside the paper's form of the same network.
+
+    Prints the table. The paper's network takes a few gigabytes.
+    """
+    from matcap.lab.bench.synth import ABOUT, BLOCKS, NETWORKS, SynthSettings, synth_experiment
+    from matcap.space.decoder import ALIGNMENT
+
+    for name in network or ():
+        if name not in NETWORKS:
+            raise UsageError(
+                "there is no such network", where=name, remedy=f"use {' or '.join(NETWORKS)}"
+            )
+    blocks = [typed(values.size)(one) for one in block or BLOCKS]
+    for side in (side for one in (size, *blocks) for side in (one.width, one.height)):
+        if side % ALIGNMENT:
+            raise UsageError(
+                f"{side} is not a multiple of {ALIGNMENT}", remedy="round the sizes to multiples"
+            )
+    settings = SynthSettings(
+        (size.width, size.height),
+        tuple(network or NETWORKS),
+        tuple(str(one) for one in blocks),
+        tuple(workers or (1, 2)),
+        repeats,
+    )
+    _print(synth_experiment(settings), out, ABOUT)
+
+
+@app.command()
+def report(
+    tables: Annotated[
+        list[Path],
+        typer.Argument(metavar="TABLE...", help="CSVs of bench fronts and bench relight."),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="The page; a picture goes beside every CSV.")
+    ] = Path("docs/notes/accuracy-and-time.md"),
+) -> None:
+    """Write the page on accuracy and time from what was measured.
+
+    What stands under its last heading is written by hand, and kept.
+    """
+    from matcap.lab.bench.pairs import agreement
+    from matcap.lab.bench.presentations import presentation_of
+    from matcap.lab.experiment.page import write_page
+
+    told = {table: presentation_of(table) for table in tables}
+    more = {table: agreement(table) for table in tables}
+    write_page(told, out, ["matcap", *sys.argv[1:]], more)
+    typer.echo(str(out))
+
+
+def _measured(experiment: Experiment[Any, Any], out: Path) -> list[Trial]:
+    """Measure what the experiment's table in a folder lacks; its rows."""
+    from matcap.files.staging import check_writable
+    from matcap.lab.experiment.runner import run
+
+    check_writable(out, 200_000_000)
+    table = out / f"{experiment.name}.csv"
+    return run(experiment, table, lambda line: typer.echo(line, err=True))
+
+
+def _print(
+    experiment: Experiment[Any, Any], out: Path, about: str, *, json: bool = False
+) -> list[Trial]:
+    """Measure, and print the table."""
+    from matcap.lab.experiment.results import as_json, table
+
+    rows = _measured(experiment, out)
+    typer.echo(as_json(rows) if json else table(rows, shlex.join(["matcap", *sys.argv[1:]]), about))
+    return rows
+
+
+def _draw(
+    rows: list[Trial],
+    path: Path,
+    title: str,
+    axes: tuple[str, str] = ("seconds", "NSD"),
+    least: float | None = None,
+) -> None:
+    from matcap.lab.experiment.plot import draw
+    from matcap.lab.experiment.results import means
+
+    draw(means(rows), path, axes, title, least=least)

@@ -65,7 +65,7 @@ assert not any(name.startswith("matcap.lab") for name in sys.modules)
 USE_LAB = """
 import sys
 from pathlib import Path
-from matcap.lab.floors.squeezenet import WEIGHTS, SqueezeNet
+from matcap.lab.measures.squeezenet import WEIGHTS, SqueezeNet
 import matcap.lab
 assert Path(matcap.lab.__file__).is_relative_to(sys.argv[1]), matcap.lab.__file__
 SqueezeNet.load()
@@ -177,7 +177,7 @@ def test_the_wheel_works_away_from_the_source_tree_and_without_the_laboratory(di
 def test_only_commands_that_measure_or_train_know_the_laboratory():
     files = (f for f in (ROOT / "matcap").rglob("*.py") if not f.is_relative_to(LAB))
     knowing = {f.stem for f in files if "from matcap.lab" in f.read_text(encoding="utf-8")}
-    assert knowing == {"bench", "bench_time", "inverse", "prior", "relight", "synth"}
+    assert knowing == {"bench", "inverse", "prior"}
 
 
 def test_the_laboratory_is_a_wheel_of_its_own_that_goes_beside(dist, lab, tmp_path):
@@ -187,7 +187,7 @@ def test_the_laboratory_is_a_wheel_of_its_own_that_goes_beside(dist, lab, tmp_pa
     assert {name for name in names if name.endswith(".py")} == {
         name for name in code if "/build/" not in name
     }
-    assert names - code == {f"matcap/lab/floors/{name}" for name in LAB_DATA}
+    assert names - code == {f"matcap/lab/measures/{name}" for name in LAB_DATA}
     site = unpacked(tmp_path / "site", *dist.glob("*.whl"), lab)
     done = python(USE_LAB, site, tmp_path / "work")
     assert done.returncode == 0, done.stderr

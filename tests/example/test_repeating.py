@@ -18,7 +18,7 @@ from matcap.example.repeat.join import is_cut, joined
 from matcap.example.repeat.level import levelled
 from matcap.example.repeat.repeat import repeated
 from matcap.field.plane import Rectangle
-from matcap.lab.bench.by_example import true_exemplar
+from matcap.lab.bench.methods import true_exemplar
 
 MAPS = (slice(0, 3), slice(3, 4), slice(4, 5), slice(5, 6))
 MATERIALS = ("leather", "cloth", "granite", "rust", "tile")

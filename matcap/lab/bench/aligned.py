@@ -1,32 +1,40 @@
-"""Maps of the photographed piece against its true ones, texel by texel.
+"""`matcap bench aligned`: maps of the photographed sample against its true ones, by texel.
 
-Where quality.py compares styles, so that nothing wins by pixel alignment, here truth is at hand:
-each map against its own, and relit pictures pixel by pixel, by distance from the flash's foot.
+Where others compare styles, so that nothing wins by pixel alignment, here truth is at hand: each
+map against its own, and relit pictures pixel by pixel, by distance from the point below the flash.
 What one photograph cannot tell, the gain between flash and albedo, cancels.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import astuple, dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache, partial
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.errors import UsageError
 from matcap.files.srgb import srgb_decode_tensor
 from matcap.flash.coarse import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
-from matcap.lab.bench.baselines import photo_as_albedo
-from matcap.lab.bench.piece import photographed_piece
-from matcap.lab.bench.relit import BenchScene, bench_scene, relight_all
+from matcap.lab.bench.methods import photo_as_albedo, photographed_exemplar
+from matcap.lab.experiment.runner import Configuration, Experiment, choose
+from matcap.lab.measures.lights import BenchScene, bench_scene, relight_all
+from matcap.lab.measures.maps import shrunk_to
 from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 from matcap.lab.simulate.specimen import named_specimen, photograph
 
+ABOUT = (
+    "Albedo and specular: mean absolute differences of logarithms; roughness: of values; normal: "
+    "degrees, where the true relief is steeper than 3; height: correlation; relit: mean absolute "
+    "difference of log radiance over the bench's lights. By distance from the point below the "
+    "flash."
+)
+METHODS = ("exemplar", "photo-as-albedo", "coarse fit")
 # Distances from the flash's foot in plane units that divide the picture.
 RINGS = (("foot", 0.0, 0.35), ("middle", 0.35, 0.75), ("rim", 0.75, math.inf), ("all", 0.0, 9.0))
 _STEEP = math.radians(3.0)  # relief is judged where it is steeper
@@ -52,21 +60,6 @@ class AlignedErrors:
     normal: float
     height: float
     relit: float
-
-
-@dataclass(frozen=True)
-class AlignedRow:
-    """What was found of one material by one method.
-
-    Attributes:
-        material: its name.
-        method: that found the maps.
-        rings: errors by ring.
-    """
-
-    material: str
-    method: str
-    rings: dict[str, AlignedErrors]
 
 
 def aligned_errors(
@@ -104,20 +97,6 @@ def aligned_errors(
     return {name: ring(nearest, furthest) for name, nearest, furthest in RINGS}
 
 
-def aligned_markdown(rows: Sequence[AlignedRow]) -> str:
-    """A table of rows."""
-    names = [field.name for field in fields(AlignedErrors)]
-    lines = [
-        "| material | method | ring | " + " | ".join(names) + " |",
-        "|---|---|---|" + "---:|" * len(names),
-    ]
-    for row in rows:
-        for ring, errors in row.rings.items():
-            numbers = " | ".join(f"{value:.3g}" for value in astuple(errors))
-            lines.append(f"| {row.material} | {row.method} | {ring} | {numbers} |")
-    return "\n".join(lines) + "\n"
-
-
 def _difference(pictures: Tensor, truth: MapSet, setup: FlashSetup, scene: BenchScene) -> Tensor:
     """(H, W) mean absolute difference of log radiance over lights."""
     true = relight_all(truth, setup.intensity, scene)
@@ -146,59 +125,61 @@ def _mean(values: Tensor) -> float:
     return float(values.mean()) if values.numel() else 0.0
 
 
-def run_aligned(
-    out: Path,
-    materials: Iterable[str],
-    detail: int = 1024,
-    tell: Callable[[str], None] = lambda _line: None,
-) -> list[AlignedRow]:
-    """Photograph materials, find their maps, and compare them with the truth.
+@dataclass(frozen=True)
+class Aligned:
+    """A photograph's true maps, and errors of what was found of it, by method and ring."""
 
-    Beside two baselines: the photograph as albedo with flat relief, and the coarse fit alone.
+    found: Callable[[str], Mapping[str, AlignedErrors]]
+
+
+def aligned_experiment(
+    materials: Sequence[str], out: Path, detail: int = 1024
+) -> Experiment[Aligned, AlignedErrors]:
+    """The exemplar, beside the photograph as albedo and the coarse fit alone, ring by ring.
 
     Args:
+        materials: names in EXAMPLES; all by default.
         out: folder for the photographs (DNG).
-        materials: names in EXAMPLES.
         detail: texels across.
-        tell: called with a line for each row.
 
     Raises:
         UsageError: no such material.
     """
-    rows = []
-    camera = PhoneCamera()
-    for name in materials:
-        if name not in EXAMPLES:
-            raise UsageError(
-                "there is none of this name",
-                where=name,
-                remedy=f"choose from {', '.join(EXAMPLES)}",
-            )
-        example = EXAMPLES[name]
+
+    def prepare(name: str) -> Aligned:
+        example, camera = EXAMPLES[name], PhoneCamera()
         path, shot = photograph(named_specimen(name), camera, out)
         photo = as_photo(shot, example.seed, path.name)
-        truth = _shrunk(example.truth(camera), detail)
-        piece = photographed_piece(path, detail)
-        albedo = photo_as_albedo(photo, shot.setup, detail)
-        coarse = fit_coarse(photo)
-        scene = bench_scene(shot.setup)
-        for method, maps, setup in (
-            ("exemplar", piece.whole, piece.setup),
-            ("photo-as-albedo", albedo.whole, albedo.setup),
-            ("coarse fit", _uniform(coarse, truth), coarse.setup),
-        ):
-            found = aligned_errors(maps, setup, truth, shot.setup, scene)
-            rows.append(AlignedRow(name, method, found))
-            tell(f"{name} {method}: relit {found['all'].relit:.3f}")
-    return rows
+        truth, scene = shrunk_to(example.truth(camera), 2.0 / detail), bench_scene(shot.setup)
 
+        @cache
+        def errors(method: str) -> Mapping[str, AlignedErrors]:
+            if method == "exemplar":
+                piece = photographed_exemplar(path, detail)
+                return aligned_errors(piece.whole, piece.setup, truth, shot.setup, scene)
+            if method == "coarse fit":
+                coarse = fit_coarse(photo)
+                maps = _uniform(coarse, truth)
+                return aligned_errors(maps, coarse.setup, truth, shot.setup, scene)
+            albedo = photo_as_albedo(photo, shot.setup, detail)
+            return aligned_errors(albedo.whole, albedo.setup, truth, shot.setup, scene)
 
-def _shrunk(maps: MapSet, detail: int) -> MapSet:
-    """Means over texels of `detail` across."""
-    width, height = maps.size
-    size = (detail * height // width, detail)
-    mean = torch.nn.functional.interpolate(maps.stacked()[None].float(), size, mode="area")[0]
-    return MapSet.from_stacked(mean, 2.0 / detail)
+        return Aligned(errors)
+
+    def run(method: str, ring: str, aligned: Aligned, _seed: int) -> AlignedErrors:
+        return aligned.found(method)[ring]
+
+    return Experiment(
+        "aligned",
+        {name: partial(prepare, name) for name in choose(EXAMPLES, materials)},
+        {
+            f"{method}, {ring}": Configuration(partial(run, method, ring), method)
+            for method in METHODS
+            for ring, _, _ in RINGS
+        },
+        (lambda _aligned, errors: asdict(errors),),
+        settings=detail,
+    )
 
 
 def _uniform(coarse: CoarseFit, like: MapSet) -> MapSet:

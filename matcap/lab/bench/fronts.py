@@ -1,11 +1,9 @@
-"""`matcap bench fronts`: what accuracy costs, told by measures that nothing is tuned by.
+"""`matcap bench fronts`: what accuracy costs, by measures that nothing is tuned by.
 
-Every point is a command line (ways.py), every subject a material whose truth is known, photographed
-as real ones are (held.py). The command runs as a user runs it; what it wrote is relit and compared
-with other true pieces, in floors, by SqueezeNet first (floors/distance.py), by patches
-(floors/patches.py) and by random filters, as decoders are tuned by (style.py).
-
-Resumable: a measurement is a line of a CSV, appended when made; what is there is skipped.
+Every configuration is a command line, every subject a material whose truth is known, photographed
+as real ones are (simulate/phone_photographs.py). The command runs as a user runs it; what it wrote
+is relit and compared with other true samples: normalised style distance by SqueezeNet, by patches
+and by random filters, as decoders are tuned by.
 """
 
 from __future__ import annotations
@@ -15,9 +13,11 @@ import math
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -26,26 +26,27 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.inspection import inspect_file
 from matcap.capture.piece.find import piece_maps
-from matcap.errors import MatcapError, UsageError
+from matcap.capture.settings import PRESETS, CaptureSettings
+from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.field.material import Material
 from matcap.files.picture import write_picture
 from matcap.files.srgb import srgb_decode_tensor
-from matcap.flash.geometry import FlashSetup
-from matcap.lab.bench import clocked
-from matcap.lab.bench.held import Held
-from matcap.lab.bench.relit import BenchLight, BenchScene
-from matcap.lab.bench.style import RandomFilters, Style
-from matcap.lab.bench.table import Measurement, append, machine, read
-from matcap.lab.bench.ways import PAPER, USUAL, WAYS, Way
-from matcap.lab.floors.distance import Floor, Measure
-from matcap.lab.floors.patches import Patches
-from matcap.lab.floors.run import FloorSettings, Judge, middle_of, side_of
-from matcap.lab.floors.subjects import subjects
+from matcap.lab.experiment import clocked
+from matcap.lab.experiment.page import Presentation
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment, choose
+from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
+from matcap.lab.measures.patches import Patches
+from matcap.lab.measures.style import RandomFilters, Style
 from matcap.lab.simulate.examples import EXAMPLES
+from matcap.lab.simulate.phone_photographs import PhonePhotographs
 from matcap.lab.simulate.photograph import PhoneCamera
 from matcap.lab.simulate.specimen import Specimen
+from matcap.lab.simulate.subjects import subjects
 
+PAPER = "paper's form"  # no command line: bench/paper.py
+BASE = "1024 texels, 40 steps"  # that others are paired with
 # Map sets that no training has seen (inverse/packed.py), of six kinds.
 HELD_OUT = (
     "asphalt10",
@@ -55,10 +56,10 @@ HELD_OUT = (
     "metal_t3_metal_tiles_003",
     "plastic004",
 )
+_LARGE = 4096  # pixels across: photographs that have the finest detail
 _FINER = 2  # times as many texels, of the second look
 _FINEST = 4  # likewise, of photographs of 12 megapixels
 _NINE = ("granite", "leather", "plaster", "asphalt10")  # of which nine are taken; else five
-_MEASURES = ("error", "patches", "filters")
 # Enough for 1024 texels; shaded as finely as its pixels are, for five and nine cost a minute else.
 _CAMERA = PhoneCamera(1200, 900, supersampling=1)
 _SHOWN = (1, 3)  # of the lights, on sheets
@@ -68,30 +69,103 @@ _PAPER = "import sys; from matcap.lab.bench.paper import main; main(sys.argv[1:]
 
 
 @dataclass(frozen=True)
-class Fronts:
-    """What is measured.
+class Way:
+    """A way of capturing."""
 
-    Attributes:
-        out: folder of photographs, sheets and the table, fronts.csv.
-        sets: folder of map sets, or None.
-        points: names in WAYS.
-        materials: named ones, kinds and map sets; by default the six named ones and, with a
-            folder of sets, HELD_OUT.
-        seeds: of the captures and of what is drawn of them.
-        settings: sizes of what is compared, and the camera.
-    """
+    group: str
+    """What it varies."""
+
+    options: tuple[str, ...] = ()
+    """Of `matcap capture`."""
+
+    photographs: int = 1
+    """Of one sample."""
+
+    pixels: int = _CAMERA.width
+    """Across of the photographs."""
+
+
+def _ways() -> dict[str, Way]:
+    ways: dict[str, Way] = {}
+    options: tuple[str, ...]
+    for detail in (512, 1024):
+        for steps in (0, 16, 40, 120, 320):
+            options = ("--detail", f"{detail}", "--steps", f"{steps}")
+            ways[f"{detail} texels, {steps} steps"] = Way("one photograph", options)
+    for detail in (512, 1024):
+        for count in (2, 3, 5, 9):
+            options = ("--detail", f"{detail}", "--together")
+            ways[f"{detail} texels, {count} photographs"] = Way("several", options, count)
+    for seconds in (10, 20, 40, 60):
+        ways[f"--time {seconds}s"] = Way("time", ("--time", f"{seconds}s"))
+    for steps in (0, 32, 160, 320, 800):
+        options = ("--generator", "decoder", "--preset", "reference", "--steps", f"{steps}")
+        ways[f"decoder, {steps} steps"] = Way("decoder", options)
+    for detail in (512, 1024, 2048, 4096):
+        options = ("--detail", f"{detail}", "--steps", "40")
+        ways[f"12 megapixels, {detail} texels"] = Way("detail", options, pixels=_LARGE)
+    ways[PAPER] = Way("paper")
+    return ways
+
+
+WAYS: Mapping[str, Way] = MappingProxyType(_ways())
+# Without a choice all are measured but the paper's form, which takes an hour a subject, and what
+# needs large photographs.
+USUAL = tuple(name for name, way in WAYS.items() if way.group not in ("paper", "detail"))
+
+
+def preset_ways(pixels: int = _CAMERA.width) -> Mapping[str, str]:
+    """Names of the presets by the ways that they are, of photographs of so many pixels across."""
+    named: dict[str, str] = {}
+    for name, effort in PRESETS.items():
+        detail = CaptureSettings(preset=name).detail_of(pixels)
+        way = f"{detail} texels, {effort.adapted} steps"
+        named[way] = f"{named[way]}, {name}" if way in named else name
+    return named
+
+
+PRESENTATION = Presentation(
+    "Captures",
+    "*Field*, *exemplar*: normalised style distance by SqueezeNet of the endless material and of "
+    "the photographed rectangle, under lights away from the flash; 1 is indistinguishable from "
+    "another sample. *Flash*: of the field under the photograph's own light; *fine*: of the field "
+    "on twice as many texels across (1024; 2048 of large photographs), where the others see 512 "
+    "and nothing finer. *Patches*: by the sliced Wasserstein distance of patches of 3, 7 and 15 "
+    "texels at three scales; *filters*: by random filters, statistics of the kind that decoders "
+    "are tuned by. Seconds of the processor and memory are of the whole command, libraries "
+    "included, on one thread; seconds by the clock count for little where other programs ran. A "
+    "configuration measured on fewer materials is given by its ratio to `standard` on the same "
+    "ones; *over seeds*: standard deviation between seeds, its mean over materials.",
+    ("seconds", "field"),
+    BASE,
+    ("1024 texels, 5 photographs",),
+    preset_ways(),
+    frozenset({"detail"}),
+)
+
+
+@dataclass(frozen=True)
+class Fronts:
+    """What is measured."""
 
     out: Path
-    sets: Path | None = None
-    points: Sequence[str] = USUAL
-    materials: Sequence[str] = ()
-    seeds: Sequence[int] = (0,)
-    settings: FloorSettings = field(default_factory=lambda: FloorSettings(camera=_CAMERA))
+    """Folder of photographs, sheets, reports and the table."""
 
-    @property
-    def table(self) -> Path:
-        """Where the measurements go."""
-        return self.out / "fronts.csv"
+    sets: Path | None = None
+    """Folder of map sets."""
+
+    ways: Sequence[str] = USUAL
+    """Names in WAYS."""
+
+    materials: Sequence[str] = ()
+    """Named ones, kinds and map sets; by default the six named ones and, with a folder of sets,
+    HELD_OUT."""
+
+    seeds: Sequence[int] = (0,)
+    """Of the captures and of what is drawn of them."""
+
+    settings: EvaluationSettings = field(default_factory=lambda: EvaluationSettings(camera=_CAMERA))
+    """Sizes of what is compared, and the camera."""
 
     @property
     def chosen(self) -> tuple[str, ...]:
@@ -100,128 +174,136 @@ class Fronts:
         return tuple(self.materials) or usual
 
 
-def run_fronts(
-    bench: Fronts, tell: Callable[[str], None] = lambda _line: None
-) -> list[Measurement]:
-    """Measure whatever is not in the table yet; gives the whole table.
+@dataclass(frozen=True)
+class FrontSubject:
+    """A material photographed with so many pixels, and what captures of it are compared with."""
 
-    What cannot be captured is told, and is no line.
+    name: str
+    paths: Sequence[Path]
+    """Photographs of one sample."""
 
-    Raises:
-        UsageError: no such point or material.
-        MatcapError: `out` cannot be written.
-    """
-    for name in bench.points:
-        if name not in WAYS:
-            known = ", ".join(WAYS)
-            raise UsageError("there is no such point", where=name, remedy=f"choose from {known}")
-    done = {one.key for one in read(bench.table)}
-    specimens = {one.name: one for one in subjects(bench.chosen, bench.sets)}
-    for seed in bench.seeds:
-        for subject, specimen in specimens.items():
-            todo = [
-                point
-                for point in bench.points
-                if ("capture", point, subject, seed) not in done and _suits(point, subject)
-            ]
-            yards: dict[int, _Yard] = {}
-            for point in todo:
-                pixels = WAYS[point].pixels or bench.settings.camera.width
-                if pixels not in yards:
-                    yards[pixels] = _Yard.of(specimen, pixels, bench)
-                try:
-                    measured = _measured(yards[pixels], bench, point, seed)
-                except MatcapError as error:
-                    tell(f"{subject}, {point}: {error}")
-                    continue
-                append(bench.table, measured)
-                tell(
-                    f"{subject:24} {point:22} {seed} {measured.error:5.2f} floors, piece "
-                    f"{measured.piece:5.2f} {measured.seconds:6.1f} s {measured.megabytes:5.0f} MB"
-                )
-    return read(bench.table)
+    evaluator: Evaluator
+    fine: Evaluator
+    """On finer texels."""
 
-
-def _suits(point: str, subject: str) -> bool:
-    return WAYS[point].photographs <= _taken(subject)
-
-
-def _taken(subject: str) -> int:
-    return 9 if subject in _NINE else 5
+    seen: str
+    """What `inspect` says of the first photograph."""
 
 
 @dataclass(frozen=True)
-class _Yard:
-    """A material's photographs, and the true pieces that captures are held against.
+class CommandOutcome:
+    """What a command wrote and took."""
 
-    Attributes:
-        name: of the material.
-        photographs: of one piece.
-        judge, fine: relight as truths are, on the usual texels and on finer ones.
-        scenes: the bench's lights, and the photograph's own.
-        floors: by measure, of each scene.
-        seen: what `inspect` says of the first photograph.
-        settings: sizes.
+    way: str
+    seed: int
+    photographed: FrontSubject
+    material: Material
+    spent: Mapping[str, float]
+    verdict: str
+
+    @cached_property
+    def endless(self) -> MapSet:
+        """The field, as large as what is compared."""
+        side = self.photographed.evaluator.side(self.material.texel_size)
+        return self.material.maps(side, side, seed=self.seed)
+
+    @cached_property
+    def pictures(self) -> Tensor:
+        """It relit."""
+        own = self.material.setup.intensity
+        return self.photographed.evaluator.relit(self.endless, own)
+
+
+At = Callable[[int], FrontSubject]  # by pixels across
+
+
+def fronts_experiment(bench: Fronts) -> Experiment[At, CommandOutcome]:
+    """Every way on every material.
+
+    Raises:
+        UsageError: no such way or material.
     """
+    chosen = choose(WAYS, bench.ways)
+    specimens = subjects(bench.chosen, bench.sets)
+    counts = {specimen.name: 9 if specimen.name in _NINE else 5 for specimen in specimens}
 
-    name: str
-    photographs: Sequence[Path]
-    judge: Judge
-    fine: Judge
-    scenes: tuple[BenchScene, BenchScene]
-    floors: Mapping[str, tuple[_Floors, _Floors]]
-    seen: str
-    settings: FloorSettings
+    def prepare(specimen: Specimen) -> At:
+        return cache(partial(_photographed, specimen, bench, counts[specimen.name]))
 
-    @staticmethod
-    def of(specimen: Specimen, pixels: int, bench: Fronts) -> _Yard:
-        """Photograph a material, and relight other pieces of it."""
-        usual = bench.settings.camera
-        large = pixels != usual.width
-        phone = PhoneCamera(pixels, pixels * 3 // 4, supersampling=1) if large else usual
-        held = Held.of(specimen, phone)
-        folder = bench.out / "photographs" / f"{specimen.name.replace(':', '-')}-{pixels}"
-        folder.mkdir(parents=True, exist_ok=True)
-        count = 1 if large else _taken(specimen.name)
-        photographs, flash = held.photographs(count, folder)
-        settings = replace(bench.settings, camera=held.phone)
-        measure = Measure()
-        judge = Judge(held.specimen, flash, settings, measure)
-        times = _FINEST if large else _FINER
-        finer = replace(
-            settings,
-            detail=times * settings.detail,
-            size=times * settings.size,
-            finer=max(1, settings.finer // times),
-        )
-        fine = Judge(held.specimen, flash, finer, measure)
-        scenes = (judge.scene, _own_scene(flash))
-        true = [judge.pictures, judge.relit_truths(scenes[1])]
-        styles: dict[str, Style] = dict(
-            zip(_MEASURES, (measure.style, Patches().style, RandomFilters()), strict=True)
-        )
-        floors = {
-            name: (_Floors(style, true[0]), _Floors(style, true[1]))
-            for name, style in styles.items()
-        }
-        _write_sheet(bench.out, specimen.name, "truth", true[0][0])
-        seen = _inspected(photographs[0])
-        return _Yard(specimen.name, photographs, judge, fine, scenes, floors, seen, settings)
+    return Experiment(
+        "fronts",
+        {specimen.name: partial(prepare, specimen) for specimen in specimens},
+        {
+            name: Configuration(partial(_capture, name, way, bench.out), way.group)
+            for name, way in chosen.items()
+        },
+        (spent, errors, verdicts, partial(sheet, bench.out)),
+        bench.seeds,
+        lambda subject, name: WAYS[name].photographs > counts[subject],
+        any_version=True,
+    )
 
 
-class _Floors:
-    """True pieces under one scene, by one measure."""
-
-    def __init__(self, style: Style, pictures: Iterable[Tensor]) -> None:
-        self._style, self._floor = style, Floor([style(each) for each in pictures])
-
-    def of(self, found: Tensor) -> float:
-        return self._floor.of(self._style(found))
+def spent(_at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
+    """Seconds of the processor and by the clock, and memory."""
+    told = outcome.spent
+    return {
+        "seconds": told["processor"], "megabytes": told["megabytes"], "clock": told["clock"]
+    }  # fmt: skip
 
 
-def _own_scene(flash: FlashSetup) -> BenchScene:
-    x, y, z = flash.offset
-    return BenchScene(flash.distance, (BenchLight((x, y, z + flash.distance), 1.0),))
+def errors(_at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
+    """Normalised style distances of field and exemplar, by all measures."""
+    evaluator, fine = outcome.photographed.evaluator, outcome.photographed.fine
+    endless, own = outcome.endless, outcome.material.setup.intensity
+    example, scene = outcome.material.part(Example), evaluator.own_scene
+    exemplar = None if example is None else piece_maps(example.exemplar)
+    return {
+        "field": evaluator.nsd(outcome.pictures),
+        "exemplar": math.nan if exemplar is None else evaluator.nsd_of(exemplar, own),
+        "flash": evaluator.nsd(evaluator.relit(endless, own, scene), scene=scene),
+        "fine": fine.nsd(fine.relit(endless, own)),
+        "patches": evaluator.nsd(outcome.pictures, "patches"),
+        "filters": evaluator.nsd(outcome.pictures, "filters"),
+    }
+
+
+def verdicts(_at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
+    """What is said of the capture, and what `inspect` says of the photograph."""
+    return {"verdict": outcome.verdict, "seen": outcome.photographed.seen}
+
+
+def sheet(out: Path, _at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
+    """No column: a picture of the field under two lights, for `matcap bench pairs`."""
+    name = _kept_as(outcome.way, outcome.seed)
+    _write_sheet(out, outcome.photographed.name, name, outcome.pictures)
+    return {}
+
+
+def _photographed(specimen: Specimen, bench: Fronts, count: int, pixels: int) -> FrontSubject:
+    """Photograph a material, and relight other samples of it."""
+    usual = bench.settings.camera
+    large = pixels == _LARGE
+    phone = PhoneCamera(pixels, pixels * 3 // 4, supersampling=1) if large else usual
+    taken = PhonePhotographs.of(specimen, phone)
+    folder = bench.out / "photographs" / f"{specimen.name.replace(':', '-')}-{phone.width}"
+    folder.mkdir(parents=True, exist_ok=True)
+    paths, flash = taken.take(1 if large else count, folder)
+    settings = replace(bench.settings, camera=taken.phone)
+    styles: dict[str, Style] = {
+        "squeezenet": settings.squeezenet, "patches": Patches(), "filters": RandomFilters()
+    }  # fmt: skip
+    times = _FINEST if large else _FINER
+    finer = replace(
+        settings,
+        detail=times * settings.detail,
+        size=times * settings.size,
+        finer=max(1, settings.finer // times),
+    )
+    evaluator = Evaluator(taken.specimen, flash, settings, styles)
+    _write_sheet(bench.out, specimen.name, "truth", evaluator.pictures[0])
+    fine = Evaluator(taken.specimen, flash, finer, styles)
+    return FrontSubject(specimen.name, paths, evaluator, fine, _inspected(paths[0]))
 
 
 def _inspected(photograph: Path) -> str:
@@ -231,74 +313,59 @@ def _inspected(photograph: Path) -> str:
     return f"{quality.verdict.value}{': ' if told else ''}{', '.join(told)}"
 
 
-def _measured(yard: _Yard, bench: Fronts, point: str, seed: int) -> Measurement:
-    """Capture by a way, and judge."""
-    way, settings = WAYS[point], yard.settings
-    with tempfile.TemporaryDirectory(dir=bench.out) as folder:
-        spent = _spent(_command(point, way, yard.photographs, Path(folder), seed))
+def _capture(name: str, way: Way, out: Path, at: At, seed: int) -> CommandOutcome:
+    """Run a way's command."""
+    photographed = at(way.pixels)
+    with tempfile.TemporaryDirectory(dir=out) as folder:
+        used = command_spent(command_of(name, photographed.paths, Path(folder), seed))
         path = next(Path(folder).rglob("*.matcap"), None)
         if path is None:
             raise MatcapError("the command wrote no material", remedy="run it to see why")
         material = Material.load(path)
-        told = _reported(path.with_name("report.json"), yard.name, point, seed, bench.out)
-    side = side_of(material.texel_size, settings)
-    endless, own = material.maps(side, side, seed=seed), material.setup.intensity
-    pictures = yard.judge.relit(endless, own)
-    errors = {name: floors[0].of(pictures) for name, floors in yard.floors.items()}
-    example = material.part(Example)
-    piece = math.nan if example is None else yard.floors["error"][0].of(_piece(yard, example, own))
-    _write_sheet(bench.out, yard.name, kept_as(point, seed), pictures)
-    return Measurement(
-        "capture", way.group, point, yard.name, spent["processor"], spent["megabytes"],
-        **errors, piece=piece,
-        flash=yard.floors["error"][1].of(yard.judge.relit(endless, own, yard.scenes[1])),
-        fine=yard.fine.floors(endless, own),
-        clock=spent["clock"], machine=machine(), seed=seed, verdict=told, seen=yard.seen,
-    )  # fmt: skip
+        report = path.with_name("report.json")
+        kept = out / "reports" / photographed.name.replace(":", "-")
+        verdict = _reported(report, kept / f"{_kept_as(name, seed)}.json")
+    return CommandOutcome(name, seed, photographed, material, used, verdict)
 
 
-def _piece(yard: _Yard, example: Example, own: tuple[float, float, float]) -> Tensor:
-    """The piece that was found, relit."""
-    maps: MapSet = piece_maps(example.exemplar)
-    return yard.judge.relit(middle_of(maps, side_of(maps.texel_size, yard.settings)), own)
-
-
-def _command(
-    point: str, way: Way, photographs: Sequence[Path], folder: Path, seed: int
-) -> list[str]:
-    first = str(photographs[0])
-    if point == PAPER:
+def command_of(name: str, photographs: Sequence[Path], folder: Path, seed: int) -> list[str]:
+    """The command line of a way, writing into a folder."""
+    way, first = WAYS[name], str(photographs[0])
+    if name == PAPER:
         return [sys.executable, "-c", _PAPER, first, str(folder / "paper.matcap"), str(seed)]
     given = [str(path) for path in photographs[: way.photographs]]
     told = ["--quiet", "--seed", str(seed), "--out", str(folder)]
     return [sys.executable, "-c", _CAPTURE, "capture", *given, *way.options, *told]
 
 
-def _spent(command: Sequence[str]) -> dict[str, float]:
-    """What a command took, by clocked.py."""
+def command_spent(command: Sequence[str]) -> dict[str, float]:
+    """What a command took, by clocked.py: seconds by `clock` and `processor`, and `megabytes`.
+
+    Raises:
+        MatcapError: it failed.
+    """
     done = subprocess.run(
         [sys.executable, clocked.__file__, *command], capture_output=True, text=True, check=False
     )
     if done.returncode:
         told = done.stderr.strip().splitlines() or ["nothing was said"]
         raise MatcapError(f"the command failed: {told[-1]}", remedy="run it to see why")
-    spent: dict[str, float] = json.loads(done.stdout)
-    return spent
+    used: dict[str, float] = json.loads(done.stdout)
+    return used
 
 
-def kept_as(point: str, seed: int) -> str:
+def _kept_as(name: str, seed: int) -> str:
     """What a capture's sheet and report are called."""
-    return point if seed == 0 else f"{point}, seed {seed}"
+    return name if seed == 0 else f"{name}, seed {seed}"
 
 
-def _reported(report: Path, subject: str, point: str, seed: int, out: Path) -> str:
+def _reported(report: Path, kept: Path) -> str:
     """The verdict's first sentence, and the report kept; nothing where there is none."""
     if not report.exists():
         return ""
     text = report.read_text(encoding="utf-8")
-    folder = out / "reports" / subject.replace(":", "-")
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{kept_as(point, seed)}.json").write_text(text, encoding="utf-8")
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    kept.write_text(text, encoding="utf-8")
     told: dict[str, Any] = json.loads(text)["verdict"]
     return str(told["sentence"]).partition(". ")[0]
 
@@ -307,6 +374,6 @@ def _write_sheet(out: Path, subject: str, name: str, pictures: Tensor) -> None:
     """Two of the lights, one above the other."""
     folder = out / "sheets" / subject.replace(":", "-")
     folder.mkdir(parents=True, exist_ok=True)
-    sheet = torch.cat([pictures[light] for light in _SHOWN], dim=1)
-    linear = srgb_decode_tensor(sheet).permute(1, 2, 0).contiguous().numpy()
+    shown = torch.cat([pictures[light] for light in _SHOWN], dim=1)
+    linear = srgb_decode_tensor(shown).permute(1, 2, 0).contiguous().numpy()
     write_picture(linear, folder / f"{name}.png")

@@ -1,14 +1,15 @@
-"""What is told of a plain material's gloss: roughness and F0 found for true, over exposures.
+"""`matcap bench gloss`: roughness and F0 found of plain materials, over exposures.
 
 Even albedo, F0 and roughness, flat or with bumps that break the highlight up, photographed at the
-camera's own exposure and stops above it, so that more and more of the highlight is clipped.
+camera's own exposure and some EV above it, so that more and more of the highlight is clipped.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -19,8 +20,14 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
 from matcap.flash.coarse import fit_coarse
 from matcap.flash.geometry import FlashSetup
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.photograph import PhoneCamera, Shot, as_photo, take
 
+ABOUT = (
+    "Roughness and F0 as found; off: of roughness; near: 1 where that is within 0.05; clipped: "
+    "share of the photograph. Subjects: slope of bumps, red albedo, F0, roughness."
+)
 SETUP = FlashSetup(offset=(0.10, 0.05, 0.0), tilt=(0.02, -0.02))
 WITHIN = 0.05  # of roughness
 _BUMPS = 0.03  # plane units apart
@@ -41,6 +48,11 @@ class PlainMaterial:
     specular: float
     roughness: float
     slope: float
+
+    @property
+    def name(self) -> str:
+        """Slope, red albedo, F0 and roughness."""
+        return f"{self.slope:g}, {self.albedo[0]:g}, {self.specular:g}, {self.roughness:g}"
 
     def realise(self, width: int, height: int, texel_size: float) -> MapSet:
         """A piece of it; the same bumps at any detail."""
@@ -63,21 +75,12 @@ class PlainMaterial:
 
 
 @dataclass(frozen=True)
-class GlossRow:
-    """What one photograph told.
+class Gloss:
+    """What was found of one photograph: means, and its share that is clipped."""
 
-    Attributes:
-        material: what was photographed.
-        stops: above the camera's own exposure.
-        clipped: share of the photograph.
-        roughness, specular: as found by the coarse fit, or of the piece, mean.
-    """
-
-    material: PlainMaterial
-    stops: int
-    clipped: float
     roughness: float
     specular: float
+    clipped: float
 
 
 def materials(slopes: Sequence[float]) -> Iterator[PlainMaterial]:
@@ -91,79 +94,52 @@ def materials(slopes: Sequence[float]) -> Iterator[PlainMaterial]:
         yield PlainMaterial(albedo, specular, roughness, slope)
 
 
-def run_gloss(
-    chosen: Iterator[PlainMaterial],
-    stops: Sequence[int],
-    *,
-    piece: bool = False,
-    tell: Callable[[str], None] = lambda _line: None,
-) -> list[GlossRow]:
-    """Photograph materials at exposures, and see what is told.
+def gloss_experiment(
+    chosen: Iterator[PlainMaterial], evs: Sequence[int], *, exemplar: bool = False
+) -> Experiment[tuple[PlainMaterial, Shot], Gloss]:
+    """Photograph materials at exposures, and see what is found.
 
     Args:
         chosen: the materials.
-        stops: exposures.
-        piece: capture the piece, whose maps are told; the coarse fit alone otherwise.
-        tell: called with a line a material.
+        evs: exposure offsets in stops.
+        exemplar: capture it, whose maps are told; the coarse fit alone otherwise.
     """
-    rows = []
-    for material in chosen:
-        shot = take(material.realise, PhoneCamera(), SETUP)
-        found = [_told(material, shot, each, piece=piece) for each in stops]
-        rows += found
-        tell(f"{material} " + " ".join(f"{row.roughness:.2f}/{row.specular:.3f}" for row in found))
-    return rows
+
+    def prepare(material: PlainMaterial) -> tuple[PlainMaterial, Shot]:
+        return material, take(material.realise, PhoneCamera(), SETUP)
+
+    return Experiment(
+        "gloss",
+        {material.name: partial(prepare, material) for material in chosen},
+        {f"{ev:+d} EV": Configuration(partial(_found, ev, exemplar)) for ev in evs},
+        (gloss,),
+        settings=exemplar,
+    )
 
 
-def _told(material: PlainMaterial, shot: Shot, stops: int, *, piece: bool) -> GlossRow:
-    gain = 2.0**stops
+def gloss(subject: tuple[PlainMaterial, Shot], found: Gloss) -> Mapping[str, Value]:
+    """As found, and whether roughness is near the true one."""
+    off = found.roughness - subject[0].roughness
+    return {
+        "roughness": found.roughness,
+        "off": off,
+        "near": float(abs(off) <= WITHIN),
+        "F0": found.specular,
+        "clipped": found.clipped,
+    }
+
+
+def _found(ev: int, exemplar: bool, subject: tuple[PlainMaterial, Shot], _seed: int) -> Gloss:
+    shot = subject[1]
+    gain = 2.0**ev
     setup = shot.setup.with_intensity((gain * shot.setup.intensity[0],) * 3)
     brighter = replace(shot, linear=gain * shot.linear, setup=setup)
     photo = as_photo(brighter, 1, "plain")
     clipped = float((brighter.linear.max(-1) >= 1.0).mean())
-    if piece:
-        result = capture_photo(photo, CaptureSettings(preset="instant", detail=512))
-        assert result.found is not None
-        maps = result.found.exemplar
-        gloss = float(maps.roughness.mean()), float(maps.specular.mean())
-    else:
+    if not exemplar:
         fit = fit_coarse(photo)
-        gloss = fit.roughness, fit.specular
-    return GlossRow(material, stops, clipped, *gloss)
-
-
-def gloss_markdown(rows: Sequence[GlossRow], command: str) -> str:
-    """A table, a line a material, and how many are told within WITHIN where roughness is 0.2 or
-    less, at each exposure.
-    """
-    stops = sorted({row.stops for row in rows})
-    lines = [
-        f"    {command}",
-        "",
-        "| slope | albedo | F0 | roughness | " + " | ".join(f"{s:+d} stops" for s in stops) + " |",
-        "| --- " * (4 + len(stops)) + "|",
-    ]
-    for material in dict.fromkeys(row.material for row in rows):
-        found = [
-            f"{row.roughness:.2f}, {row.specular:.3f} ({100.0 * row.clipped:.0f} %)"
-            for row in rows
-            if row.material == material
-        ]
-        lines.append(
-            f"| {material.slope:g} | {material.albedo[0]:g} | {material.specular:g} "
-            f"| {material.roughness:g} | " + " | ".join(found) + " |"
-        )
-    lines += ["", "Roughness and F0 as found, share clipped."]
-    for slope in sorted({row.material.slope for row in rows}):
-        polished = [r for r in rows if r.material.slope == slope and r.material.roughness <= 0.2]
-        near = [
-            f"{sum(map(_near, at))} of {len(at)} at {s:+d}"
-            for s in stops
-            if (at := [row for row in polished if row.stops == s])
-        ]
-        lines.append(f"Slope {slope:g}, roughness 0.2 or less, within {WITHIN}: {', '.join(near)}.")
-    return "\n".join(lines)
-
-
-def _near(row: GlossRow) -> bool:
-    return abs(row.roughness - row.material.roughness) <= WITHIN
+        return Gloss(fit.roughness, fit.specular, clipped)
+    result = capture_photo(photo, CaptureSettings(preset="instant", detail=512))
+    assert result.found is not None
+    maps = result.found.exemplar
+    return Gloss(float(maps.roughness.mean()), float(maps.specular.mean()), clipped)

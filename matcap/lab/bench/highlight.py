@@ -1,4 +1,4 @@
-"""Whether the coarse fit keeps a photograph's highlight, and finds flash and tilt where they were.
+"""`matcap bench highlight`: whether the coarse fit keeps highlights, and finds flash and tilt.
 
 Real photographs have no truth but themselves: the highlight is measured alike in photograph and
 re-rendering (flash/highlight.py). Simulated ones tell offset and tilt.
@@ -7,10 +7,9 @@ re-rendering (flash/highlight.py). Simulated ones tell offset and tilt.
 from __future__ import annotations
 
 import math
-import statistics
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -19,15 +18,25 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.verdict.checks import plain
+from matcap.errors import MatcapError
 from matcap.files.picture import write_picture
 from matcap.flash.coarse import CoarseFit, fit_coarse, render_coarse
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.highlight import CELLS, Highlight, find_highlight, light_of
+from matcap.flash.highlight import CELLS, find_highlight, light_of
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.simulate.materials import random_material
 from matcap.lab.simulate.materials.kinds import random_kind
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take
+from matcap.photo.load import load_photo
 from matcap.photo.photo import DEFAULT_FOV, Photo
 
+ABOUT = (
+    "Of real photographs: apart: plane units between the highlight's centres in photograph and "
+    "re-rendering; width and contrast: the re-rendering's over the photograph's; kept: 1 where all "
+    "three are within 0.03, 20 % and 20 %. Of simulated ones: errors of the flash's offset (plane "
+    "units) and tilt (degrees); visible: 1 where the highlight is plain to see."
+)
 # What keeping it means: plane units between centres, and shares of width and of contrast.
 CENTRE, WIDTH, CONTRAST = 0.03, 0.2, 0.2
 # Simulated photographs: degrees across, plane units of offset, degrees of tilt.
@@ -35,76 +44,70 @@ _FOV, _OFFSET, _TILT = (40.0, 90.0), (0.02, 0.2), 15.0
 _CAMERA = (512, 384)
 
 
-@dataclass(frozen=True)
-class Kept:
-    """A photograph's highlight beside its re-rendering's.
+Seen = tuple[Photo, FlashSetup | None]  # and its true setup where it was simulated
 
-    Attributes:
-        name: of the photograph.
-        photograph: its highlight.
-        rendering: the re-rendering's, or None where nothing stands out.
-        seconds: of processor time that the fit took.
+
+def highlight_experiment(
+    photographs: Sequence[Path], count: int, seed: int, out: Path, *, has_fov: bool = True
+) -> Experiment[Seen, CoarseFit]:
+    """The coarse fit of real photographs that have a highlight, and of simulated ones.
+
+    Args:
+        photographs: real ones.
+        count: of simulated ones.
+        seed: of those.
+        out: folder for photographs beside their re-renderings.
+        has_fov: False for simulated files that do not tell their field of view.
     """
 
-    name: str
-    photograph: Highlight
-    rendering: Highlight | None
-    seconds: float
+    def real(path: Path) -> Seen:
+        photo = load_photo(path, noise=False)
+        if not plain(find_highlight(light_of(photo.pixels))):
+            raise MatcapError("no highlight is plain to see in it")
+        return photo, None
 
-    @property
-    def apart(self) -> float:
-        """Between the centres, plane units."""
-        if self.rendering is None:
-            return math.inf
-        return math.dist(self.photograph.centre, self.rendering.centre)
+    def pair(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
+        if seen[1] is None:
+            _write_pair(fit, seen[0], out / f"{Path(seen[0].name).stem}.png")
+        return {}
 
-    @property
-    def width(self) -> float:
-        """The re-rendering's width over the photograph's."""
-        return 0.0 if self.rendering is None else self.rendering.width / self.photograph.width
-
-    @property
-    def contrast(self) -> float:
-        """Likewise of the peak over its surroundings."""
-        return 0.0 if self.rendering is None else self.rendering.contrast / self.photograph.contrast
-
-    @property
-    def whole(self) -> bool:
-        """Whether place, width and contrast are all kept."""
-        return (
-            self.apart <= CENTRE
-            and abs(self.width - 1.0) <= WIDTH
-            and abs(self.contrast - 1.0) <= CONTRAST
-        )
+    return Experiment(
+        "highlight",
+        {path.name: partial(real, path) for path in photographs}
+        | simulated(count, seed, has_fov=has_fov),
+        {"coarse fit": Configuration(lambda seen, _seed: fit_coarse(seen[0]))},
+        (kept, placed, pair),
+        settings=(has_fov, [(str(path), path.stat().st_mtime_ns) for path in photographs]),
+    )
 
 
-@dataclass(frozen=True)
-class Placed:
-    """Errors of offset (plane units) and tilt (degrees) on a simulated photograph.
-
-    Attributes:
-        kind: of the material.
-        visible: whether its highlight is plain to see.
-        offset, tilt: the errors.
-    """
-
-    kind: str
-    visible: bool
-    offset: float
-    tilt: float
-
-
-def keep(photo: Photo) -> tuple[Kept | None, CoarseFit | None]:
-    """Fit a photograph and compare highlights; None where none is plain to see."""
+def kept(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
+    """A real photograph's highlight beside its re-rendering's."""
+    photo, truth = seen
+    names = ("apart", "width", "contrast", "kept")
+    if truth is not None:
+        return dict.fromkeys(names, math.nan)
     found = find_highlight(light_of(photo.pixels))
-    if found is None or not plain(found):
-        return None, None
-    start = time.process_time()
-    fit = fit_coarse(photo)
-    seconds = time.process_time() - start
-    return Kept(
-        photo.name, found, find_highlight(_rerendered(fit, photo).mean(axis=2)), seconds
-    ), fit
+    again = find_highlight(_rerendered(fit, photo).mean(axis=2))
+    assert found is not None
+    if again is None:
+        return dict(zip(names, (math.inf, 0.0, 0.0, 0.0), strict=True))
+    apart = math.dist(found.centre, again.centre)
+    width, contrast = again.width / found.width, again.contrast / found.contrast
+    near = apart <= CENTRE and abs(width - 1.0) <= WIDTH and abs(contrast - 1.0) <= CONTRAST
+    return dict(zip(names, (apart, width, contrast, float(near)), strict=True))
+
+
+def placed(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
+    """Errors on a simulated photograph."""
+    photo, truth = seen
+    if truth is None:
+        return dict.fromkeys(("offset", "tilt", "visible"), math.nan)
+    return {
+        "offset": math.dist(fit.setup.offset[:2], truth.offset[:2]),
+        "tilt": math.degrees(math.dist(fit.setup.tilt, truth.tilt)),
+        "visible": float(plain(find_highlight(light_of(photo.pixels)))),
+    }
 
 
 def _rerendered(fit: CoarseFit, photo: Photo) -> NDArray[np.float64]:
@@ -113,7 +116,7 @@ def _rerendered(fit: CoarseFit, photo: Photo) -> NDArray[np.float64]:
     return np.minimum(render_coarse(fit, CELLS, max(8, round(CELLS * rows / columns))), 1.0)
 
 
-def write_pair(fit: CoarseFit, photo: Photo, path: Path) -> None:
+def _write_pair(fit: CoarseFit, photo: Photo, path: Path) -> None:
     """Photograph and re-rendering side by side, sRGB."""
     again = _rerendered(fit, photo).astype(np.float32)
     height, width = again.shape[:2]
@@ -121,18 +124,11 @@ def write_pair(fit: CoarseFit, photo: Photo, path: Path) -> None:
     write_picture(np.concatenate([np.minimum(small, 1.0), again], axis=1), path)
 
 
-def simulated(
-    count: int, seed: int, *, tells_fov: bool = True
-) -> Iterator[tuple[str, Photo, FlashSetup]]:
-    """(kind of material, photograph, true setup): RAW, any field of view, offset and tilt.
-
-    Args:
-        count: how many.
-        seed: of materials and setups.
-        tells_fov: False for files that do not tell their field of view, which is assumed then.
-    """
+def simulated(count: int, seed: int, *, has_fov: bool = True) -> dict[str, Callable[[], Seen]]:
+    """So many photographs by name: RAW, any field of view, offset and tilt."""
     rng = np.random.default_rng(seed)
     width, height = _CAMERA
+    found: dict[str, Callable[[], Seen]] = {}
     for number in range(count):
         material = random_kind(rng) if number % 3 else random_material(rng)
         half = math.tan(math.radians(rng.uniform(*_FOV)) / 2.0)
@@ -143,67 +139,23 @@ def simulated(
             tilt=(lean * math.cos(about), lean * math.sin(about)),
             vignetting=0.02,
         )
-        camera = PhoneCamera(
-            width=width, height=height, focal_length=round(18.0 / half), supersampling=1, blur=0.5
-        )
-
-        def piece(width: int, height: int, texel: float) -> MapSet:
-            return material.realise(width, height, number, texel)  # noqa: B023
-
-        shot = take(piece, camera, setup)
-        name = getattr(material, "kind", "pattern")
-        photo = as_photo(shot, number, f"{name} {number}")
-        if not tells_fov:
-            photo = replace(photo, fov=DEFAULT_FOV, fov_source="assumed")
-        yield name, photo, shot.setup
+        focal_length = round(18.0 / half)
+        camera = PhoneCamera(width, height, focal_length, supersampling=1, blur=0.5)
+        name = f"{getattr(material, 'kind', 'pattern')} {seed}/{number}"
+        found[name] = partial(_taken, material.realise, number, camera, setup, has_fov=has_fov)
+    return found
 
 
-def place(kind: str, photo: Photo, truth: FlashSetup) -> Placed:
-    """Errors of the coarse fit of a simulated photograph."""
-    fit = fit_coarse(photo)
-    found = fit.setup
-    return Placed(
-        kind,
-        plain(find_highlight(light_of(photo.pixels))),
-        math.dist(found.offset[:2], truth.offset[:2]),
-        math.degrees(math.dist(found.tilt, truth.tilt)),
-    )
-
-
-def markdown(kept: Sequence[Kept], placed: Sequence[Placed], command: str) -> str:
-    """Both tables, and the command that made them."""
-    return "\n".join([f"`{command}`", "", *_kept_table(kept), *_placed_table(placed)])
-
-
-def _kept_table(kept: Sequence[Kept]) -> Iterable[str]:
-    if not kept:
-        return
-    yield "| photograph | centres apart | width | contrast | kept |"
-    yield "| --- | --- | --- | --- | --- |"
-    for one in kept:
-        told = f"{one.apart:.3f} | {one.width:.2f} | {one.contrast:.2f}"
-        yield f"| {one.name} | {told} | {'yes' if one.whole else 'no'} |"
-    share = sum(one.whole for one in kept) / len(kept)
-    seconds = statistics.fmean(one.seconds for one in kept)
-    yield f"\nKept whole: {share:.0%} of {len(kept)}, in {seconds:.1f} s of processor time each.\n"
-
-
-def _placed_table(placed: Sequence[Placed]) -> Iterable[str]:
-    if not placed:
-        return
-    yield "| simulated | number | offset median | worst | tilt median | worst | beyond |"
-    yield "| --- | --- | --- | --- | --- | --- | --- |"
-    groups: tuple[tuple[str, Callable[[Placed], bool]], ...] = (
-        ("all", lambda one: True),
-        ("highlight plain to see", lambda one: one.visible),
-        ("none", lambda one: not one.visible),
-    )
-    for name, of in groups:
-        group = [one for one in placed if of(one)]
-        if group:
-            offsets, tilts = [one.offset for one in group], [one.tilt for one in group]
-            beyond = sum(one.offset > 0.1 or one.tilt > 5.0 for one in group)
-            yield (
-                f"| {name} | {len(group)} | {statistics.median(offsets):.3f} | {max(offsets):.3f} "
-                f"| {statistics.median(tilts):.2f}° | {max(tilts):.2f}° | {beyond} |"
-            )
+def _taken(
+    realise: Callable[[int, int, int, float], MapSet],
+    number: int,
+    camera: PhoneCamera,
+    setup: FlashSetup,
+    *,
+    has_fov: bool,
+) -> Seen:
+    shot = take(lambda w, h, texel: realise(w, h, number, texel), camera, setup)
+    photo = as_photo(shot, number, f"{number}")
+    if not has_fov:
+        photo = replace(photo, fov=DEFAULT_FOV, fov_source="assumed")
+    return photo, shot.setup

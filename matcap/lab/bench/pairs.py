@@ -1,6 +1,6 @@
 """Pairs of captures to be looked at without names: does the eye say what the measures say?
 
-Sheets of the fronts (fronts.py), the truth in the middle, one capture on either side, several pairs
+Sheets of `matcap bench fronts`, the truth in the middle, one capture on either side, several pairs
 to a page. Which is which stands in a CSV, which is not to be read before its column `nearer` is
 written: left, right or neither.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import itertools
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,9 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
+from matcap.lab.experiment.results import markdown, read
 
 _ON_A_PAGE = 5
 _MARGIN = 8  # pixels
+_MEASURES = ("field", "fine", "flash", "patches", "filters")
+_APART = 1.1  # of errors: less is as far as seeds scatter
 
 
 def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:
@@ -54,6 +58,40 @@ def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:
         writer.writerow(("pair", "material", "left", "right", "nearer"))
         writer.writerows((number, *each, "") for number, each in enumerate(drawn, start=1))
     return table
+
+
+def agreement(table: Path) -> list[str]:
+    """How often each measure says what was written of pairs; nothing without pairs.csv beside it.
+
+    Lines of Markdown: of all pairs in which one was nearer, and of those that a measure tells
+    apart by 10 % and more.
+    """
+    path = table.with_name("pairs.csv")
+    if not path.exists():
+        return []
+    known = {(row.subject, row.configuration): row for row in read(table) if row.seed == 0}
+    with path.open(encoding="utf-8") as file:
+        told = [row for row in csv.DictReader(file) if row["nearer"] in ("left", "right")]
+    looked = [
+        (known[row["material"], row["left"]], known[row["material"], row["right"]], row["nearer"])
+        for row in told
+        if all((row["material"], row[side]) in known for side in ("left", "right"))
+    ]
+    rows = []
+    for name in _MEASURES:
+        both = [(a.number(name), b.number(name), nearer) for a, b, nearer in looked]
+        both = [(a, b, nearer) for a, b, nearer in both if not math.isnan(a + b)]
+        apart = [(a, b, nearer) for a, b, nearer in both if max(a, b) >= _APART * min(a, b)]
+        rows.append([name, _agreed(both), _agreed(apart)])
+    head = ["measure", "agrees", f"{_APART - 1.0:.0%} apart, agrees"]
+    about = f"Pairs looked at without names ({path.name}); in {len(looked)} of them one was nearer."
+    return ["### What eyes say", "", about, "", *markdown(head, rows), ""]
+
+
+def _agreed(pairs: Sequence[tuple[float, float, str]]) -> str:
+    """How many of how many, and the share."""
+    count = sum((left < right) == (nearer == "left") for left, right, nearer in pairs)
+    return f"{count} of {len(pairs)}, {count / max(len(pairs), 1):.0%}"
 
 
 def _drawn(sheets: Path, count: int, seed: int) -> list[tuple[str, str, str]]:

@@ -1,261 +1,349 @@
-"""What relighting costs, and what leaving effects out saves.
+"""`matcap bench relight`: what relighting costs, and what leaving effects out saves.
 
-Speed: one megapixel, one point light, flat. Saving: each scene with its automatic plan against
-`--effects all`, both by the same loops; and the next picture of a sequence against the first, for
-which horizons are known. Mitsuba, where it is installed: the time it takes to render a diffuse
-plane under a rectangular light to the same error. Times are of the processor, all cores together,
-so that other programs do not count; the megapixel also by the wall's clock.
+- *relight*: each scene by its plan against all effects, by the same loops; and the next picture of
+  the same surface, for which horizons are known.
+- *tolerances*: each scene at several tolerances, with all effects, and with diffuse light alone.
+- *mitsuba*: the named scenes against Mitsuba 3, to a picture with 1 % of noise: the same camera,
+  lights, film and maps, leather as a `principled` material with a normal map, on Mitsuba's own
+  sphere, cylinder or plane. Only direct light is asked of it, and the relief has normals but no
+  geometry, all of which matcap's picture has: Mitsuba would take longer for the picture itself.
+
+Times are of the processor, all cores together, so that other programs do not count.
 """
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from matcap.errors import MatcapError
+from matcap.files.srgb import srgb_encode
+from matcap.lab.experiment.page import Presentation
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment
+from matcap.lab.simulate.materials import realise
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.named import SCENES
 from matcap.relight.render import Renderer
-from matcap.relight.scene import Film, RectangleLight, Scene, Surface, scene_from_light
+from matcap.relight.scene import (
+    Colour,
+    DirectionalLight,
+    EnvironmentLight,
+    Film,
+    Light,
+    PointLight,
+    RectangleLight,
+    Scene,
+    scene_from_light,
+)
 from matcap.relight.scenefile import read_scene
 from matcap.relight.texture import Texture
 
-# Root mean square of half an 8-bit step: the error at which Mitsuba's time is taken.
-_EQUAL_ERROR = 0.5 / 255.0
-# Seconds beyond which one run is enough.
-_LONG = 4.0
+MEGAPIXEL = "one megapixel"  # under one point light, flat
+# Of the plan, in steps of 8 bits; the default is half of one.
+TOLERANCES = (0.03, 0.125, 0.5, 2.0, 8.0, 32.0)
+EVERYTHING = "all effects"
+
+PLAN = Presentation(
+    "Relighting",
+    "Processor seconds by the plan, by all effects, and of the plan's next picture of the same "
+    "surface; clock: by the wall. The plan leaves out what changes less than half an 8-bit step.",
+    ("seconds", "effects"),
+)
+TOLERANCE = Presentation(
+    "Relighting: time against accuracy",
+    "Processor seconds and the largest difference of codes from all effects at a 16th of the "
+    "default tolerance, in 8-bit steps.",
+    ("seconds", "steps"),
+    least=0.01,
+)
+NOISE = (
+    "Processor seconds; of Mitsuba to 1 % of noise: a pixel's deviation relative to its own "
+    "radiance, in the middle of all lit pixels, from the difference of two renderings. It falls "
+    "with the square root of the samples, so the time is extrapolated from 16 a pixel."
+)
+
+_LONG = 4.0  # seconds beyond which one run is enough
+_STEP = 1.0 / 255.0
+_FINE = 16.0  # the reference's tolerance is the default's so many-eth part
+_NOISE = 0.01
+_SAMPLES = 16
+# Median of the difference of two normal numbers of deviation 1.
+_MEDIAN = 0.6745 * 2.0**0.5
+# Of Mitsuba: needs no compiler, which not every machine has in a form that it can use.
+_VARIANT = "scalar_rgb"
 
 
 @dataclass(frozen=True)
-class Saving:
-    """One scene.
+class LitScene:
+    """A scene and what is lit."""
 
-    Attributes:
-        scene: its name.
-        automatic: seconds with the automatic plan.
-        everything: seconds with every effect.
-        next: seconds of the plan's next picture of the same surface.
-        running: how many of the effects the plan runs.
-    """
+    scene: Scene
+    texture: Texture
 
-    scene: str
-    automatic: float
-    everything: float
-    next: float
-    running: int
-
-    @property
-    def ratio(self) -> float:
-        """How many times faster the plan is."""
-        return self.everything / self.automatic
+    @cached_property
+    def true(self) -> NDArray[np.float32]:
+        """Radiance with all effects, finer than asked for."""
+        fine = DEFAULT_TOLERANCE / _FINE
+        return Renderer(self.texture, self.scene).render(tolerance=fine, effects="all").radiance
 
 
-def megapixel_milliseconds(repeats: int = 15) -> tuple[float, float]:
-    """1024 x 1024 pixels, one point light, flat: median by the wall's clock and the processor's."""
-    texture = leather(1024)
-    scene = scene_from_light("top")
-    scene = replace(scene, surface=replace(scene.surface, displacement=0.0))
-    renderer = Renderer(texture, scene)
-    return (
-        1e3 * median_seconds(renderer.render, repeats, perf_counter),
-        1e3 * median_seconds(renderer.render, repeats),
+def plan_experiment(scenes: Sequence[Path], repeats: int = 3) -> Experiment[LitScene, Timed]:
+    """Every scene by its plan, by all effects, and the plan's next picture."""
+
+    def megapixel() -> LitScene:
+        scene = scene_from_light("top")
+        return _lit(replace(scene, surface=replace(scene.surface, displacement=0.0)))
+
+    def plan(lit: LitScene, _seed: int) -> Timed:
+        running = len(Renderer(lit.texture, lit.scene).render().plan.running)
+        return timed(lambda: Renderer(lit.texture, lit.scene).render(), repeats, effects=running)
+
+    def everything(lit: LitScene, _seed: int) -> Timed:
+        return timed(lambda: Renderer(lit.texture, lit.scene).render(effects="all"), repeats)
+
+    def following(lit: LitScene, _seed: int) -> Timed:
+        renderer = Renderer(lit.texture, lit.scene)
+        renderer.render()
+        return timed(renderer.render, repeats)
+
+    return Experiment(
+        "relight",
+        {MEGAPIXEL: megapixel}
+        | {name: partial(_lit, scene) for name, scene in chosen_scenes(scenes).items()},
+        {
+            "plan": Configuration(plan),
+            EVERYTHING: Configuration(everything),
+            "next picture": Configuration(following),
+        },
+        (lambda _lit, found: found.values,),
+        settings=(chosen_scenes(scenes), repeats),
+        skips=lambda subject, name: subject == MEGAPIXEL and name == EVERYTHING,
     )
 
 
-def savings(scenes: Sequence[Path], *, width: int | None = None, repeats: int = 3) -> list[Saving]:
-    """Every scene, with the plan and with everything.
+def tolerance_experiment(
+    scenes: Sequence[Path], *, width: int = 256, texels: int = 512, repeats: int = 3
+) -> Experiment[LitScene, Timed]:
+    """Every scene at every tolerance, with all effects and with diffuse light alone.
 
     Args:
         scenes: see chosen_scenes().
-        width: of the pictures, instead of the scenes' own.
-        repeats: of which the median counts; reading the maps is not counted, horizons are.
+        width: of the pictures.
+        texels: across the leather that is lit.
+        repeats: of which the median counts.
     """
-    texture = leather(1024)
-    found = []
-    for name, scene in chosen_scenes(scenes):
-        film = scene.film or Film()
-        if width is not None:
-            height = max(1, round(width * film.height / film.width))
-            film = replace(film, width=width, height=height)
-        scene = replace(scene, film=film)
+    points = {f"{steps:g} steps": ("tolerance", "auto", steps) for steps in TOLERANCES}
+    points[EVERYTHING] = ("effects", "all", 0.5)
+    points["diffuse alone"] = ("effects", "none,+diffuse,+falloff", 0.5)
+    chosen = {name: _resized(scene, width) for name, scene in chosen_scenes(scenes).items()}
 
-        def automatic(scene: Scene = scene) -> object:
-            return Renderer(texture, scene).render()
+    def run(effects: str, steps: float, lit: LitScene, _seed: int) -> Timed:
+        def render() -> NDArray[np.float32]:
+            renderer = Renderer(lit.texture, lit.scene)
+            return renderer.render(tolerance=steps * _STEP, effects=effects).radiance
 
-        def everything(scene: Scene = scene) -> object:
-            return Renderer(texture, scene).render(effects="all")
+        film = lit.scene.film or Film()
+        off = np.abs(_codes(render(), film) - _codes(lit.true, film)).max() / _STEP
+        return timed(render, repeats, steps=float(off))
 
-        kept = Renderer(texture, scene)
-        running = len(kept.render().plan.running)
-        found.append(
-            Saving(
-                name,
-                median_seconds(automatic, repeats),
-                median_seconds(everything, repeats),
-                median_seconds(kept.render, repeats),
-                running,
-            )
-        )
-    return found
+    return Experiment(
+        "tolerances",
+        {name: partial(_lit, scene, texels) for name, scene in chosen.items()},
+        {
+            name: Configuration(partial(run, effects, steps), group)
+            for name, (group, effects, steps) in points.items()
+        },
+        (lambda _lit, found: found.values,),
+        settings=(chosen, texels, repeats),
+    )
 
 
-def chosen_scenes(scenes: Sequence[Path]) -> list[tuple[str, Scene]]:
-    """Names and scenes: of scene files, or of scenes that have names; all these without any."""
-    named = [(path.stem, SCENES.get(str(path)) or read_scene(path)) for path in scenes]
-    return named or list(SCENES.items())
+def mitsuba_experiment(*, width: int = 320, texels: int = 512) -> Experiment[LitScene, Timed]:
+    """The named scenes, by matcap and by Mitsuba.
 
-
-def mitsuba_ratio(size: int = 256) -> dict[str, float]:
-    """Time of Mitsuba 3 over matcap's, for the same picture at the same error.
-
-    Mitsuba's error falls with the square root of its samples: its time at half an 8-bit step is
-    extrapolated from 64 samples a pixel.
+    Args:
+        width: of the pictures, which are 4:3.
+        texels: across the leather.
 
     Raises:
-        ImportError: Mitsuba is not installed.
+        MatcapError: Mitsuba is not installed.
     """
-    import mitsuba
-
-    mitsuba.set_variant("scalar_rgb")
-    light = RectangleLight(
-        (0.6, 0.4, 1.4), (-0.6, -0.4, -1.4), size=(0.8, 0.6), radiance=(4.0,) * 3
-    )
-    scene = Scene(Film(size, size), None, Surface(displacement=0.0), (light,))
-    renderer = Renderer(_grey(), scene)
-    effects = "none,+diffuse,+falloff,+area"
-    ours = median_seconds(lambda: renderer.render(effects=effects), 5)
-    picture = renderer.render(effects=effects).radiance
-    theirs = _mitsuba_scene(mitsuba, light, size)
-    start = process_time()
-    rough = np.array(mitsuba.render(theirs, spp=64))
-    seconds = process_time() - start
-    error = float(np.sqrt(np.mean((rough - picture) ** 2)))
-    return {
-        "matcap": ours,
-        "mitsuba": seconds * (error / _EQUAL_ERROR) ** 2,
-        "mitsuba at 64 samples": seconds,
-        "its error there": error,
-    }
-
-
-def report(scenes: Sequence[Path]) -> dict[str, Any]:
-    """All of it, for printing."""
-    wall, processor = megapixel_milliseconds()
-    found = savings(scenes)
-    result: dict[str, Any] = {
-        "megapixel_wall_ms": wall,
-        "megapixel_processor_ms": processor,
-        "scenes": [
-            {
-                "scene": one.scene,
-                "automatic_s": one.automatic,
-                "all_s": one.everything,
-                "ratio": one.ratio,
-                "next_s": one.next,
-                "effects": one.running,
-            }
-            for one in found
-        ],
-        "median_ratio": statistics.median(one.ratio for one in found),
-    }
     try:
-        result["mitsuba"] = mitsuba_ratio()
-    except ImportError:
-        result["mitsuba"] = None
-    return result
+        import mitsuba
+    except ImportError as error:
+        raise MatcapError(
+            "the comparison needs Mitsuba 3", remedy="pip install 'matcap[reference]'"
+        ) from error
+    mitsuba.set_variant(_VARIANT)
+
+    def ours(lit: LitScene, _seed: int) -> Timed:
+        return timed(lambda: Renderer(lit.texture, lit.scene).render(), 3)
+
+    def theirs(lit: LitScene, _seed: int) -> Timed:
+        seconds, noise = _seconds(mitsuba, _described(mitsuba, lit.scene, lit.texture))
+        return Timed({"seconds": seconds, "noise": noise})
+
+    chosen = {
+        name: replace(given, film=replace(given.film or Film(), width=width, height=width * 3 // 4))
+        for name, given in SCENES.items()
+    }
+    return Experiment(
+        "mitsuba",
+        {name: partial(_lit, scene, texels) for name, scene in chosen.items()},
+        {"matcap": Configuration(ours), "Mitsuba to 1 % of noise": Configuration(theirs)},
+        (lambda _lit, found: found.values,),
+        settings=(width, texels),
+    )
 
 
-def table(result: dict[str, Any]) -> str:
-    """The report as text."""
-    wall, processor = result["megapixel_wall_ms"], result["megapixel_processor_ms"]
-    lines = [
-        f"one megapixel, one point light, flat: {wall:.1f} ms, {processor:.1f} ms of the processor",
-        "",
-    ]
-    lines.append(f"{'scene':<14}{'effects':>8}{'plan s':>9}{'all s':>9}{'ratio':>8}{'next s':>9}")
-    lines += [
-        f"{one['scene']:<14}{one['effects']:>8}{one['automatic_s']:>9.3f}{one['all_s']:>9.3f}"
-        f"{one['ratio']:>8.2f}{one['next_s']:>9.3f}"
-        for one in result["scenes"]
-    ]
-    lines += [f"median ratio {result['median_ratio']:.2f}", ""]
-    times = result["mitsuba"]
-    if times is None:
-        lines.append("Mitsuba is not installed: pip install mitsuba")
-    else:
-        lines.append(
-            f"diffuse plane, rectangular light, to half an 8-bit step: matcap "
-            f"{times['matcap']:.4f} s, Mitsuba {times['mitsuba']:.4f} s, "
-            f"{times['mitsuba'] / times['matcap']:.1f} times as long "
-            f"(from an error of {times['its error there']:.4f} after "
-            f"{times['mitsuba at 64 samples']:.3f} s)"
-        )
-    return "\n".join(lines)
+@dataclass(frozen=True)
+class Timed:
+    """What was timed, as columns."""
+
+    values: Mapping[str, Value]
 
 
-def median_seconds(
-    call: Callable[[], object], repeats: int, clock: Callable[[], float] = process_time
-) -> float:
-    """Median seconds: of one run where runs are long, else of `repeats` after one to warm up."""
+def timed(call: Callable[[], object], repeats: int, **others: float) -> Timed:
+    """Median seconds of the processor and by the wall, and other columns."""
+    seconds, clock = median_seconds(call, repeats)
+    return Timed({"seconds": seconds, "clock": clock, **{k: float(v) for k, v in others.items()}})
+
+
+def median_seconds(call: Callable[[], object], repeats: int) -> tuple[float, float]:
+    """Median seconds of the processor and by the wall.
+
+    Of one run where runs are long, else of `repeats` after one to warm up.
+    """
     times = []
     for _ in range(repeats + 1):
-        start = clock()
+        worked, started = process_time(), perf_counter()
         call()
-        times.append(clock() - start)
-        if times[0] > _LONG:
+        times.append((process_time() - worked, perf_counter() - started))
+        if times[0][0] > _LONG:
             return times[0]
-    return statistics.median(times[1:])
+    seconds, clock = zip(*times[1:], strict=True)
+    return statistics.median(seconds), statistics.median(clock)
 
 
-def leather(size: int) -> Texture:
+def chosen_scenes(scenes: Sequence[Path]) -> dict[str, Scene]:
+    """Scenes by name: of scene files, or of scenes that have names; all these without any."""
+    named = {path.stem: SCENES.get(str(path)) or read_scene(path) for path in scenes}
+    return named or dict(SCENES)
+
+
+def leather(size: int = 1024) -> Texture:
     """Simulated leather of so many texels a side, two plane units wide."""
-    from matcap.lab.simulate.materials import realise
-
     return Texture.from_maps(realise("leather", size, size, 1, 2.0 / size))
 
 
-def _grey() -> Texture:
-    grey, none = np.full((3, 8, 8), 0.5, np.float32), np.zeros((2, 8, 8), np.float32)
-    return Texture(grey, none[:1], grey[:1], none[:1], none, 0.25)
+def _lit(scene: Scene, texels: int = 1024) -> LitScene:
+    return LitScene(scene, leather(texels))
 
 
-def _mitsuba_scene(mitsuba: Any, light: RectangleLight, size: int) -> Any:  # noqa: ANN401
-    """The same diffuse plane under the same light; the light is out of the camera's way."""
+def _resized(scene: Scene, width: int) -> Scene:
+    film = scene.film or Film()
+    height = max(1, round(width * film.height / film.width))
+    return replace(scene, film=replace(film, width=width, height=height))
+
+
+def _codes(radiance: NDArray[np.float32], film: Film) -> NDArray[np.float64]:
+    """Codes of the film, not clipped above, so that nothing hides."""
+    light = radiance.astype(np.float64) * film.gain
+    return light if film.transfer == "linear" else srgb_encode(light)
+
+
+def _seconds(mitsuba: Any, scene: Any) -> tuple[float, float]:  # noqa: ANN401
+    """Seconds to 1 % of noise, and the noise at _SAMPLES samples."""
+    np.array(mitsuba.render(scene, spp=1, seed=0))  # what is compiled is compiled once
+    start = process_time()
+    one, other = (np.array(mitsuba.render(scene, spp=_SAMPLES, seed=seed)) for seed in (1, 2))
+    seconds = (process_time() - start) / 2.0
+    mean = (one + other).mean(axis=-1) / 2.0
+    apart = np.abs(one - other).mean(axis=-1)[mean > 0.0] / mean[mean > 0.0]
+    noise = float(np.median(apart)) / _MEDIAN
+    return seconds * (noise / _NOISE) ** 2, noise
+
+
+def _described(mitsuba: Any, scene: Scene, texture: Texture) -> Any:  # noqa: ANN401
     transform = mitsuba.ScalarTransform4f
-    target = [p + n for p, n in zip(light.position, light.normal, strict=True)]
-    place = transform().look_at(list(light.position), target, list(light.up))
-    half = transform().scale([light.size[0] / 2.0, light.size[1] / 2.0, 1.0])
+    camera, film, surface = scene.camera, scene.film, scene.surface
+    assert camera is not None and film is not None and surface.size is not None
+    radius = surface.size / 2.0
+    # How often the material repeats around and up.
+    around = {"plane": surface.size, "sphere": 2 * np.pi * radius, "cylinder": 2 * np.pi * radius}
+    up = {"plane": surface.size, "sphere": np.pi * radius, "cylinder": surface.size}
+    repeats = around[surface.type] / texture.extent[0], up[surface.type] / texture.extent[1]
+    uv = transform().scale([*repeats, 1.0])
+
+    def bitmap(array: Any) -> dict[str, Any]:  # noqa: ANN401
+        pixels = mitsuba.Bitmap(np.ascontiguousarray(np.moveaxis(array, 0, -1)))
+        return {"type": "bitmap", "bitmap": pixels, "raw": True, "to_uv": uv}
+
+    material = {
+        "type": "normalmap",
+        "normalmap": bitmap(0.5 + 0.5 * texture.normal),
+        "bsdf": {
+            "type": "principled",
+            "base_color": bitmap(texture.diffuse),
+            "roughness": bitmap(texture.roughness),
+        },
+    }
+    shapes = {
+        "plane": {"type": "rectangle", "to_world": transform().scale([radius, radius, 1.0])},
+        "sphere": {"type": "sphere", "radius": radius},
+        "cylinder": {
+            "type": "cylinder", "p0": [0, -radius, 0], "p1": [0, radius, 0], "radius": radius,
+        },
+    }  # fmt: skip
+    sensor = {
+        "type": "perspective",
+        "fov": camera.fov,
+        "fov_axis": "larger",
+        "to_world": transform().look_at(list(camera.position), list(camera.target), [0, 1, 0]),
+        "film": {
+            "type": "hdrfilm", "width": film.width, "height": film.height,
+            "rfilter": {"type": "box"}, "pixel_format": "rgb",
+        },
+    }  # fmt: skip
+    lights = {f"light{i}": _light(mitsuba, light) for i, light in enumerate(scene.lights)}
     return mitsuba.load_dict(
         {
             "type": "scene",
-            "integrator": {"type": "direct", "hide_emitters": True},
-            "sensor": {
-                "type": "perspective",
-                "fov": 45.0,
-                "to_world": transform().look_at([0, 0, 2.41421356], [0, 0, 0], [0, 1, 0]),
-                "film": {
-                    "type": "hdrfilm",
-                    "width": size,
-                    "height": size,
-                    "rfilter": {"type": "box"},
-                    "pixel_format": "rgb",
-                },
-            },
-            "ground": {
-                "type": "rectangle",
-                "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}},
-            },
-            "light": {
-                "type": "rectangle",
-                "to_world": place @ half,
-                "emitter": {
-                    "type": "area",
-                    "radiance": {"type": "rgb", "value": list(light.radiance)},
-                },
-            },
+            "integrator": {"type": "path", "max_depth": 2, "hide_emitters": True},
+            "sensor": sensor,
+            "surface": {**shapes[surface.type], "bsdf": material},
+            **lights,
         }
     )
+
+
+def _light(mitsuba: Any, light: Light) -> dict[str, Any]:  # noqa: ANN401
+    def rgb(colour: Colour) -> dict[str, Any]:
+        return {"type": "rgb", "value": list(colour)}
+
+    if isinstance(light, PointLight):
+        position = list(light.position)
+        return {"type": "point", "position": position, "intensity": rgb(light.intensity)}
+    if isinstance(light, DirectionalLight):
+        direction = [-c for c in light.direction]
+        return {"type": "directional", "direction": direction, "irradiance": rgb(light.irradiance)}
+    if isinstance(light, EnvironmentLight):
+        return {"type": "constant", "radiance": rgb(light.radiance)}
+    assert isinstance(light, RectangleLight)
+    transform = mitsuba.ScalarTransform4f
+    target = [p + n for p, n in zip(light.position, light.normal, strict=True)]
+    place = transform().look_at(list(light.position), target, list(light.up))
+    return {
+        "type": "rectangle",
+        "to_world": place @ transform().scale([light.size[0] / 2.0, light.size[1] / 2.0, 1.0]),
+        "emitter": {"type": "area", "radiance": rgb(light.radiance)},
+    }

@@ -1,4 +1,4 @@
-"""Whether a field by example shows its tricks: does it repeat, and how large are its copies?
+"""`matcap bench repetition`: does a field by example repeat, and how large are its copies?
 
 1. *Correlation* of a map with itself, the largest at any shift of more than a piece's length,
    beside that of the maps of two seeds, which share no random number: what a finite map correlates
@@ -11,7 +11,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -25,9 +26,17 @@ from matcap.example.example import Example
 from matcap.example.stored import read_exemplified
 from matcap.field.header import REMEDY
 from matcap.field.plane import Rectangle
-from matcap.lab.bench.by_example import true_exemplar
+from matcap.lab.bench.methods import true_exemplar
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment
+from matcap.lab.simulate.examples import EXAMPLES
 from matcap.statistics.lattice import find_lattice
 
+ABOUT = (
+    "With itself, of two seeds: largest correlation of roughness at shifts of more than 128 texels "
+    "(matcap/lab/bench/repetition.py); below n, larger: share of texels in verbatim copies of such "
+    "a size; diversity: how far two seeds are apart, 1 for maps without relation."
+)
 NEAR = 128  # texels: twice what a piece is begun with
 SIZES = (16, 256, 1024, 4096, 16384, 65536)  # texels of a piece, upper ends of the classes
 _SEEDS = (1, 2)
@@ -36,25 +45,6 @@ _EXEMPLAR = (1024, 768)  # texels of a simulated one
 _COPIED = 1024  # texels a side of the map whose copies are counted
 
 MapArray = NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class Repetition:
-    """Of one field.
-
-    Attributes:
-        name: of the material.
-        own: largest correlation of roughness with itself, farther than NEAR.
-        other: of the roughness of two seeds.
-        copies: share of texels in pieces below each of SIZES, and of larger ones.
-        diversity: of two seeds.
-    """
-
-    name: str
-    own: float
-    other: float
-    copies: tuple[float, ...]
-    diversity: float
 
 
 def example_of(material: str) -> Example:
@@ -74,21 +64,47 @@ def example_of(material: str) -> Example:
     return Example.of(exemplar, tuple((wave.fx, wave.fy) for wave in lattice.waves))
 
 
-def measure(name: str, example: Example, size: int) -> Repetition:
-    """Read two seeds of so many texels a side, and compare."""
-    maps = [example.maps(seed, Rectangle(0, 0, size, size), None) for seed in _SEEDS]
+def repetition_experiment(
+    materials: Sequence[str], size: int
+) -> Experiment[Example, list[MapArray]]:
+    """Fields of two seeds of so many texels a side.
+
+    Args:
+        materials: names of simulated ones, or .matcap files; all simulated ones by default.
+        size: texels.
+    """
+
+    def read(example: Example, _seed: int) -> list[MapArray]:
+        return [example.maps(seed, Rectangle(0, 0, size, size), None) for seed in _SEEDS]
+
+    return Experiment(
+        "repetition",
+        {Path(material).stem: partial(example_of, material) for material in materials or EXAMPLES},
+        {f"{size} x {size} texels": Configuration(read)},
+        (correlations, copied, diversity_of_seeds),
+        settings=[(m, Path(m).stat().st_mtime_ns) for m in materials if Path(m).is_file()],
+    )
+
+
+def correlations(_example: Example, maps: list[MapArray]) -> Mapping[str, Value]:
+    """The largest of roughness with itself, and of that of two seeds."""
     first, second = (one[_ROUGHNESS] for one in maps)
+    return {"with itself": correlation(first, first), "of two seeds": correlation(first, second)}
+
+
+def copied(example: Example, _maps: list[MapArray]) -> Mapping[str, Value]:
+    """Shares of texels in verbatim copies, by their size."""
     places = example.places(_SEEDS[0], Rectangle(0, 0, _COPIED, _COPIED), None)
+    names = [*(f"below {size}" for size in SIZES), "larger"]
+    return dict(zip(names, copies(places), strict=True))
+
+
+def diversity_of_seeds(example: Example, maps: list[MapArray]) -> Mapping[str, Value]:
+    """How far they are apart, as a share of what texels drawn at random are."""
     texels = example.exemplar.stacked().reshape(len(maps[0]), -1)
     drawn = np.random.default_rng(_SEEDS[0]).permutation(texels.shape[1])
     unrelated = _apart(texels, texels[:, drawn])
-    return Repetition(
-        name,
-        correlation(first, first),
-        correlation(first, second),
-        copies(places),
-        float((_apart(*maps) / unrelated).mean()),
-    )
+    return {"diversity": float((_apart(*maps) / unrelated).mean())}
 
 
 def correlation(first: MapArray, second: MapArray) -> float:
@@ -118,24 +134,6 @@ def copies(places: NDArray[np.int16]) -> tuple[float, ...]:
     counts = np.bincount(labels[::2, ::2].ravel())
     shares = np.bincount(np.searchsorted(SIZES, counts, "right"), counts, len(SIZES) + 1)
     return tuple((shares / (rows * columns)).tolist())
-
-
-def markdown(found: list[Repetition], size: int, command: str) -> str:
-    """The measurements as a section of documentation."""
-    below = [f"below {size}" for size in SIZES]
-    names = ["material", "with itself", "of two seeds", *below, "larger", "diversity"]
-    lines = [
-        f"Measured by `{command}`, on {size} x {size} texels.",
-        "",
-        f"| {' | '.join(names)} |",
-        f"|---|{'---:|' * (len(names) - 1)}",
-        *(
-            f"| {one.name} | {one.own:.3f} | {one.other:.3f} | "
-            f"{' | '.join(f'{share:.0%}' for share in one.copies)} | {one.diversity:.2f} |"
-            for one in found
-        ),
-    ]
-    return "\n".join(lines) + "\n"
 
 
 def _apart(first: MapArray, second: MapArray) -> NDArray[np.float64]:

@@ -1,12 +1,12 @@
-"""What the endless field costs: the decoder's beside the same network in the paper's form, and
-the one by example (by_example.py).
+"""`matcap bench synth`: what the endless field costs, by the decoder and by example.
 
-The paper's form: instance normalisation over the whole picture, circular padding, a blur after
-each upsampling, channels first, weights that nothing is folded into; at matcap's own widths and at
-the paper's (width 32, 2.2 million parameters). The two forms run in one process, in turn, so that
-their ratio holds whatever else the machine does: in one with the allocator as it comes, then in
-another with memory kept for both. With several workers, the field's blocks are computed side by
-side on one thread each, and the paper's form uses as many threads for every operator.
+The decoder's stands beside the same network in the paper's form: instance normalisation over the
+whole picture, circular padding, a blur after each upsampling, channels first, weights that nothing
+is folded into; at matcap's own widths and at the paper's (width 32, 2.2 million parameters). The
+two forms run in one process, in turn, so that their ratio holds whatever else the machine does:
+with the allocator as it comes, or with memory kept for both. With several workers, the field's
+blocks are computed side by side on one thread each, and the paper's form uses as many threads for
+every operator.
 
 Convolution efficiency: multiply-adds a second of a whole block, beside those of plain 3 x 3
 convolutions of the same shapes alone.
@@ -14,28 +14,29 @@ convolutions of the same shapes alone.
 
 from __future__ import annotations
 
-import csv
-import io
 import resource
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from multiprocessing import get_context
-from pathlib import Path
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from matcap.example.example import Example
+from matcap.example.exemplar import Exemplar
 from matcap.field.blocks import Grid
 from matcap.field.field import read_source
 from matcap.field.plane import Rectangle, Span
 from matcap.field.single import single_threaded
-from matcap.files.staging import staged
-from matcap.lab.bench.by_example import ExampleCost, example_costs, example_table
+from matcap.lab.bench.methods import true_exemplar
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.space.decoder import (
     CODE_SIZE,
     DEPTH,
@@ -53,145 +54,195 @@ from matcap.space.tuned import TunedDecoder
 from matcap.synth.precision import multiplies_bfloat16
 from matcap.synth.workers import keep_memory
 
+ABOUT = (
+    "Seconds by the wall, processor: of all cores; paper: the paper's form beside it, ratio: how "
+    "many times as long it takes, also in processor time, which other programs disturb less. GMAC: "
+    "10^9 multiply-adds a second on one thread, of whole blocks and of plain convolutions of the "
+    "same shapes. By example: a megatexel's processor seconds. Megabytes: most memory of the "
+    "process."
+)
 NETWORKS = {"shipped": DecoderConfig(), "paper": PAPER_CONFIG}
 BLOCKS = ("256x256", "512x256", "512x512", "1024x256", "1024x1024")
+ALLOCATORS = ("as it comes", "kept")
+BY_EXAMPLE = "by example"
 _BLUR = (1.0, 2.0, 1.0)
+_MATERIAL = "leather"  # without order: the dearer kind
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What is measured.
-
-    Attributes:
-        size: (width, height) of the map in texels.
-        networks: names in NETWORKS.
-        blocks: sizes such as "512x256".
-        workers: numbers of threads.
-        repeats: of every measurement, of which the median counts.
-        exemplar: (width, height) of the piece that is rearranged by example.
-    """
+class SynthSettings:
+    """What is measured."""
 
     size: tuple[int, int] = (4096, 256)
+    """(width, height) of the map in texels."""
+
     networks: tuple[str, ...] = tuple(NETWORKS)
+    """Names in NETWORKS."""
+
     blocks: tuple[str, ...] = BLOCKS
+    """Sizes such as "512x256"."""
+
     workers: tuple[int, ...] = (1, 2)
+    """Numbers of threads."""
+
     repeats: int = 3
+    """Of every measurement, of which the median counts."""
+
     exemplar: tuple[int, int] = (1024, 768)
+    """(width, height) of the piece that is rearranged by example."""
 
 
 @dataclass(frozen=True)
-class Timing:
-    """One measurement.
+class SynthSubject:
+    """A network by name, or what is rearranged by example."""
 
-    Attributes:
-        network: a name in NETWORKS.
-        allocator: "as it comes" or "kept".
-        workers: threads, of both forms.
-        block: of the field.
-        precision: of the field.
-        seconds: of the field, by the wall.
-        paper_seconds: of the paper's form beside it.
-        processor_seconds, paper_processor_seconds: the same, of all cores together.
-    """
+    name: str
+    exemplar_size: tuple[int, int]
 
-    network: str
-    allocator: str
-    workers: int
-    block: str
-    precision: str
-    seconds: float
-    paper_seconds: float
-    processor_seconds: float
-    paper_processor_seconds: float
+    @cached_property
+    def exemplar(self) -> Exemplar:
+        """True maps."""
+        return true_exemplar(_MATERIAL, *self.exemplar_size)
 
-    @property
-    def ratio(self) -> float:
-        """How many times faster than the paper's form, by the wall."""
-        return self.paper_seconds / self.seconds
-
-    @property
-    def processor_ratio(self) -> float:
-        """The same in processor time, which other programs disturb less."""
-        return self.paper_processor_seconds / self.processor_seconds
+    @cached_property
+    def example(self) -> Example:
+        """Of it, indexed."""
+        return Example.of(self.exemplar)
 
 
-@dataclass(frozen=True)
-class Efficiency:
-    """Multiply-adds a second on one thread, in thousands of millions.
-
-    Attributes:
-        network, precision: which.
-        field: of whole blocks, everything counted.
-        plain: of plain convolutions of the same shapes.
-    """
-
-    network: str
-    precision: str
-    field: float
-    plain: float
-
-    @property
-    def share(self) -> float:
-        """Of what plain convolutions reach."""
-        return self.field / self.plain
+Costs = Mapping[str, Value]
 
 
-@dataclass(frozen=True)
-class Report:
-    """All of it.
-
-    Attributes:
-        rows: the table.
-        efficiencies: one a network and precision.
-        megabytes: of memory at most, of one process, paper's form and all.
-        examples: what the field by example costs.
-    """
-
-    rows: list[Timing]
-    efficiencies: list[Efficiency]
-    megabytes: float
-    examples: list[ExampleCost]
-
-
-def run_synth(settings: Settings, tell: Callable[[str], None]) -> Report:
-    """Measure; calls `tell` with a line for each row, when all of an allocator are there."""
-    halves = []
-    for allocator in ("as it comes", "kept"):
-        # A process each: heaps that threads once had are used again, whatever is set later.
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
-            half = alone.submit(_measure, settings, allocator).result()
-        for row in half.rows:
-            tell(_line(row))
-        for one in half.efficiencies:
-            tell(f"{one.network} {one.precision}: {one.share:.0%} of plain convolutions")
-        halves.append(half)
-    return Report(
-        [row for half in halves for row in half.rows],
-        [one for half in halves for one in half.efficiencies],
-        max(half.megabytes for half in halves),
-        [one for half in halves for one in half.examples],
+def synth_experiment(settings: SynthSettings) -> Experiment[SynthSubject, Costs]:
+    """Every network by every allocator, number of workers, block and precision; and by example."""
+    ways: dict[str, Configuration[SynthSubject, Costs]] = {}
+    for allocator in ALLOCATORS:
+        for workers in settings.workers:
+            for block in settings.blocks:
+                for precision in _precisions():
+                    name = f"memory {allocator}, {workers} workers, {block}, {precision}"
+                    run = partial(_alone, settings, allocator, workers, block, precision)
+                    ways[name] = Configuration(run, allocator)
+    for precision in _precisions():
+        run = partial(_efficiency_alone, precision, settings.repeats)
+        ways[f"convolutions, {precision}"] = Configuration(run, "convolutions")
+    for name, step in _steps(settings).items():
+        ways[name] = Configuration(step, BY_EXAMPLE)
+    names = (*settings.networks, BY_EXAMPLE)
+    return Experiment(
+        "synth",
+        {name: partial(SynthSubject, name, settings.exemplar) for name in names},
+        ways,
+        (lambda _subject, costs: costs,),
+        settings=settings,
+        skips=lambda subject, name: (subject == BY_EXAMPLE) != (ways[name].group == BY_EXAMPLE),
     )
 
 
-def _measure(settings: Settings, allocator: str) -> Report:
-    """All rows of an allocator; where memory is kept, the efficiencies too."""
-    if allocator == "kept":
-        keep_memory()
-    materials = {name: material(NETWORKS[name]) for name in settings.networks}
-    rows = [row for name, one in materials.items() for row in _rows(name, one, allocator, settings)]
-    efficiencies = [
-        efficiency(name, one, precision, settings.repeats)
-        for name, one in materials.items()
-        for precision in _precisions()
-        if allocator == "kept"
-    ]
-    examples = []
-    if allocator == "kept":
-        examples = list(
-            example_costs(settings.size, settings.exemplar, settings.workers, settings.repeats)
+def _alone(
+    settings: SynthSettings,
+    allocator: str,
+    workers: int,
+    block: str,
+    precision: str,
+    subject: SynthSubject,
+    _seed: int,
+) -> Costs:
+    """In a process of its own: heaps that threads once had are used again, whatever is set."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
+        work = alone.submit(
+            field_costs, settings, subject.name, allocator == "kept", (workers, block, precision)
         )
+        return work.result()
+
+
+def _efficiency_alone(precision: str, repeats: int, subject: SynthSubject, _seed: int) -> Costs:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
+        return alone.submit(_efficiency_of, subject.name, precision, repeats).result()
+
+
+def _efficiency_of(network: str, precision: str, repeats: int) -> Costs:
+    keep_memory()
+    return efficiency(material(NETWORKS[network]), precision, repeats)
+
+
+def field_costs(
+    settings: SynthSettings, network: str, keeps: bool, way: tuple[int, str, str]
+) -> Costs:
+    """Of the field and of the paper's form beside it.
+
+    Args:
+        settings: sizes and repeats.
+        network: a name in NETWORKS.
+        keeps: memory is kept by the allocator.
+        way: workers, block and precision.
+    """
+    if keeps:
+        keep_memory()
+    subject, (workers, block, precision) = material(NETWORKS[network]), way
+    width, height = settings.size
+    config = subject.decoder.config
+    noise = noise_of(Patch(1, Rectangle(0, 0, width, height)), config.noise_channels, config.grains)
+    noise = noise[None].contiguous()
+    source = _source(subject, _grid(block), precision)
+
+    def ours() -> None:
+        read_source(source, Rectangle(0, 0, width, height), workers)
+
+    def theirs() -> None:
+        torch.set_num_threads(workers)
+        with torch.inference_mode():
+            paper_form(subject.decoder, subject.code, noise)
+
+    (seconds, paper), (processor, paper_processor) = _in_turn((ours, theirs), settings.repeats)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return Report(rows, efficiencies, peak / (1e6 if sys.platform == "darwin" else 1e3), examples)
+    return {
+        "seconds": seconds,
+        "paper": paper,
+        "ratio": paper / seconds,
+        "processor": processor,
+        "processor ratio": paper_processor / processor,
+        "megabytes": peak / (1e6 if sys.platform == "darwin" else 1e3),
+    }
+
+
+def _steps(
+    settings: SynthSettings,
+) -> dict[str, Callable[[SynthSubject, int], Costs]]:
+    """What the field by example does, by name: its index once, its start, its texels."""
+
+    def index(subject: SynthSubject, _seed: int) -> Costs:
+        return _costs(lambda: Example.of(subject.exemplar), 1)
+
+    def ready(subject: SynthSubject, _seed: int) -> Costs:
+        tensors, about = subject.example.stored()
+
+        def read() -> None:
+            found = Example.read(about, tensors.__getitem__)
+            found.source(0).maps(Rectangle(0, 0, 16, 16))
+
+        return _costs(read, settings.repeats)
+
+    def texels(size: tuple[int, int], workers: int, subject: SynthSubject, _seed: int) -> Costs:
+        source, wanted = subject.example.source(1), Rectangle(0, 0, *size)
+        found = _costs(lambda: read_source(source, wanted, workers), settings.repeats)
+        each = float(found["processor"]) * 1e6 / (size[0] * size[1])
+        return {**found, "a megatexel": each}
+
+    steps: dict[str, Callable[[SynthSubject, int], Costs]] = {
+        "index": index, "unpack and prepare": ready
+    }  # fmt: skip
+    side = round((settings.size[0] * settings.size[1]) ** 0.5)
+    for size in (settings.size, (side, side), (4 * side, 4 * side)):
+        for workers in settings.workers:
+            name = f"{size[0]}x{size[1]}, {workers} workers"
+            steps[name] = partial(texels, size, workers)
+    return steps
+
+
+def _costs(call: Callable[[], object], repeats: int) -> Costs:
+    (seconds,), (processor,) = _in_turn((call,), repeats)
+    return {"seconds": seconds, "processor": processor}
 
 
 def material(config: DecoderConfig) -> TunedDecoder:
@@ -233,8 +284,8 @@ def paper_form(decoder: Decoder, code: Tensor, noise: Tensor) -> Tensor:
     return step(decoder.head, features, decoder.head.convolution.weight.contiguous())
 
 
-def efficiency(name: str, subject: TunedDecoder, precision: str, repeats: int) -> Efficiency:
-    """Multiply-adds a second of one block and of its convolutions alone, on one thread."""
+def efficiency(subject: TunedDecoder, precision: str, repeats: int) -> dict[str, float]:
+    """10^9 multiply-adds a second of one block and of its convolutions alone, on one thread."""
     source = _source(subject, Grid(), precision)
     block = Rectangle(0, 0, source.grid.width, source.grid.height)
     shapes = list(_convolutions(source.decoder, spans_of_block(block, source.decoder.convolutions)))
@@ -259,80 +310,14 @@ def efficiency(name: str, subject: TunedDecoder, precision: str, repeats: int) -
             for _ in range(max(repeats, 2))
         ]
     ours, theirs = (min(column) for column in zip(*times, strict=True))
-    return Efficiency(name, precision, count / ours / 1e9, count / theirs / 1e9)
+    return {
+        "GMAC": count / ours / 1e9, "GMAC plain": count / theirs / 1e9, "share": theirs / ours
+    }  # fmt: skip
 
 
-def write_report(report: Report, out: Path, command: str) -> None:
-    """Write synth.md and synth.csv into a folder.
-
-    Raises:
-        MatcapError: the folder cannot be written.
-    """
-    with staged(out) as stage:
-        (stage / "synth.md").write_text(markdown(report, command))
-        (stage / "synth.csv").write_text(comma_separated(report))
-
-
-def markdown(report: Report, command: str) -> str:
-    """The report as a section of documentation."""
-    lines = [
-        f"Measured by `{command}`. Ratios are how many times as long the paper's form takes.",
-        "",
-        "| network | allocator | workers | block | precision | s | paper's form s | ratio "
-        "| ratio of processor time |",
-        "|---|---|---:|---|---|---:|---:|---:|---:|",
-        *(_line(row) for row in report.rows),
-        "",
-        "| network | precision | 10^9 multiply-adds/s | plain convolutions | share |",
-        "|---|---|---:|---:|---:|",
-        *(
-            f"| {one.network} | {one.precision} | {one.field:.1f} | {one.plain:.1f} "
-            f"| {one.share:.0%} |"
-            for one in report.efficiencies
-        ),
-        "",
-        *example_table(report.examples),
-        "",
-        f"Peak memory of the whole benchmark: {report.megabytes:.0f} MB.",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def comma_separated(report: Report) -> str:
-    """The rows as CSV."""
-    text = io.StringIO()
-    names = [field.name for field in fields(Timing)]
-    table = csv.DictWriter(text, [*names, "ratio", "processor_ratio"], lineterminator="\n")
-    table.writeheader()
-    for row in report.rows:
-        table.writerow(asdict(row) | {"ratio": row.ratio, "processor_ratio": row.processor_ratio})
-    return text.getvalue()
-
-
-def _rows(name: str, subject: TunedDecoder, allocator: str, settings: Settings) -> Iterator[Timing]:
-    width, height = settings.size
-    config = subject.decoder.config
-    noise = noise_of(Patch(1, Rectangle(0, 0, width, height)), config.noise_channels, config.grains)
-    noise = noise[None]
-    noise = noise.contiguous()
-    for workers in settings.workers:
-        for block in settings.blocks:
-            for precision in _precisions():
-                source = _source(subject, _grid(block), precision)
-
-                def ours(source: DecoderSource = source, workers: int = workers) -> None:
-                    read_source(source, Rectangle(0, 0, width, height), workers)
-
-                def theirs(workers: int = workers) -> None:
-                    torch.set_num_threads(workers)
-                    with torch.inference_mode():
-                        paper_form(subject.decoder, subject.code, noise)
-
-                wall, processor = _in_turn((ours, theirs), settings.repeats)
-                yield Timing(name, allocator, workers, block, precision, *wall, *processor)
-
-
-def _in_turn(calls: Sequence[Callable[[], None]], repeats: int) -> tuple[list[float], list[float]]:
+def _in_turn(
+    calls: Sequence[Callable[[], object]], repeats: int
+) -> tuple[list[float], list[float]]:
     """Median seconds of each by the wall and by the processor, one after the other each time."""
     wall: list[list[float]] = [[] for _ in calls]
     processor: list[list[float]] = [[] for _ in calls]
@@ -392,11 +377,3 @@ def _blurred(features: Tensor) -> Tensor:
     kernel = (line[:, None] * line).expand(channels, 1, 3, 3).contiguous()
     padded = F.pad(features, (1, 1, 1, 1), mode="circular")
     return F.conv2d(padded, kernel, groups=channels)
-
-
-def _line(row: Timing) -> str:
-    return (
-        f"| {row.network} | {row.allocator} | {row.workers} | {row.block} | {row.precision} "
-        f"| {row.seconds:.2f} | {row.paper_seconds:.2f} | {row.ratio:.2f} "
-        f"| {row.processor_ratio:.2f} |"
-    )

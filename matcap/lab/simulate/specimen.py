@@ -41,7 +41,7 @@ def named_specimen(name: str) -> Specimen:
 
 
 def photograph(
-    specimen: Specimen, camera: PhoneCamera, out: Path, *, stops: float = 0.0, jpeg: bool = False
+    specimen: Specimen, camera: PhoneCamera, out: Path, *, ev: float = 0.0, jpeg: bool = False
 ) -> tuple[Path, Shot]:
     """Photograph a specimen into a folder.
 
@@ -49,7 +49,7 @@ def photograph(
         specimen: the material.
         camera: that takes the photograph.
         out: the folder, made when missing.
-        stops: of exposure above what the camera would choose.
+        ev: exposure offset in stops, above what the camera would choose.
         jpeg: a JPEG, instead of a DNG.
 
     Returns:
@@ -59,7 +59,7 @@ def photograph(
         MatcapError: the folder cannot be written.
     """
     shot = take(specimen.pieces(specimen.seed), camera, specimen.setup)
-    gain = 2.0**stops
+    gain = 2.0**ev
     red, green, blue = (gain * channel for channel in shot.setup.intensity)
     shot = Shot(gain * shot.linear, shot.setup.with_intensity((red, green, blue)), camera)
     path = out / f"{specimen.name.replace(':', '-')}.{'jpg' if jpeg else 'dng'}"

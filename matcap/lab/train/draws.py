@@ -2,7 +2,7 @@
 
 Draws lie in the middle of a photograph's plane under a flash; of every photograph, held out or
 simulated of a seed that training never draws, the middle is taken. All are brought to the same
-mean radiance, and compared as bench/variety.py says.
+mean radiance, and compared as measures/variety.py says.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from matcap.lab.bench.variety import Variety, describe_pictures, joined, variety
+from matcap.lab.measures.variety import Variety, describe_pictures, joined, variety
 from matcap.lab.train.evaluate import UNSEEN
 from matcap.lab.train.journal import first_of_each
 from matcap.lab.train.middles import Middle, middles
@@ -105,7 +105,7 @@ def markdown(
         ),
         "",
         "Precision and recall after Kynkaanniemi et al. (2019), third neighbours, by statistics of",
-        "random filters that nothing is trained on (bench/variety.py); all pictures are brought to",
+        "random filters that nothing is trained on; all pictures are brought to",
         "the same mean radiance. Pairwise distance: mean style distance of two of them, and its",
         "share of that of two photographs. The rows of training photographs say what a space that",
         "shows nothing but what it was trained on would reach.",

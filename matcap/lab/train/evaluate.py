@@ -16,7 +16,7 @@ from pathlib import Path
 
 from torch import Tensor, zeros
 
-from matcap.lab.bench.baselines import photo_as_albedo
+from matcap.lab.bench.methods import photo_as_albedo
 from matcap.lab.train.align import evaluate_alignment, make
 from matcap.lab.train.journal import first_of_each
 from matcap.lab.train.kept import key_of, once, photograph_key, prior_key

@@ -1,8 +1,8 @@
 """Held-out photographs, and what pictures of a material are worth beside them.
 
 Everything is compared under the photograph's own flash in the middle of the photograph, where both
-have the same light: style by random filters that no capture optimises (bench/style.py), colours by
-XYZ histograms (bench/xyz.py), and the realisations with each other (bench/diversity.py).
+have the same light: style by random filters that no capture optimises, colours by
+XYZ histograms, and the realisations with each other.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.render import render_flash
 from matcap.flash.windows import cut_windows
-from matcap.lab.bench.diversity import diversity
-from matcap.lab.bench.style import RandomFilters, difference
-from matcap.lab.bench.xyz import xyz_difference
+from matcap.lab.measures.diversity import diversity
+from matcap.lab.measures.style import RandomFilters, difference
+from matcap.lab.measures.xyz import xyz_difference
 from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap.lab.train.pack import Entry
 from matcap.photo.photo import Photo

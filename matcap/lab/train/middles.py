@@ -1,7 +1,7 @@
 """Whether a blend passes through materials: how far its middle is from any photograph.
 
 Pairs of held-out photographs are blended untuned, as they lie in the space. A picture's distance
-from photographs is the style distance to the nearest of them (bench/variety.py); a middle that is
+from photographs is the style distance to the nearest of them; a middle that is
 no material is farther from all of them than the ends of its blend are.
 """
 
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from matcap.lab.bench.style import StyleStatistics
-from matcap.lab.bench.variety import describe_pictures, style_distances
+from matcap.lab.measures.style import StyleStatistics
+from matcap.lab.measures.variety import describe_pictures, style_distances
 from matcap.lab.train.pack import Entry
 from matcap.lab.train.pictures import lit
 from matcap.space.between import blend

@@ -18,9 +18,9 @@ _QUALITY = 85  # of sheets; they are looked at, not measured
 # Ends of pages: what the columns count in.
 COLUMNS = """\
 Style: error of the statistics of random filters that no capture optimises, 0 for the same, 2 for
-as unlike as can be (bench/style.py). XYZ: share of the picture whose colour the photograph does
-not have (bench/xyz.py). Diversity: mean distance between the features of realisations, place by
-place, 0 for the same picture, at most 2 (bench/diversity.py). All three under the photograph's own
+as unlike as can be. XYZ: share of the picture whose colour the photograph does
+not have. Diversity: mean distance between the features of realisations, place by
+place, 0 for the same picture, at most 2. All three under the photograph's own
 flash, in its middle; medians over the materials."""
 
 

@@ -25,9 +25,9 @@ from matcap.capture.together.texels import (
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.register import register
-from matcap.lab.floors.subjects import subjects
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import as_photo
+from matcap.lab.simulate.subjects import subjects
 
 
 def _true(seed=0):

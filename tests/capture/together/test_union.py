@@ -34,7 +34,7 @@ from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.grid import grid_points
 from matcap.flash.registration.register import RegisteredView
-from matcap.lab.floors.several import MapsOff
+from matcap.lab.measures.maps import MapsOff
 from matcap.lab.simulate.hand_held import beside, held_along, hold, take_several
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 from matcap.lab.simulate.specimen import named_specimen

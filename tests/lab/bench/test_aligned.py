@@ -9,8 +9,8 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
-from matcap.lab.bench.aligned import RINGS, AlignedRow, aligned_errors, aligned_markdown
-from matcap.lab.bench.relit import bench_scene
+from matcap.lab.bench.aligned import RINGS, aligned_errors
+from matcap.lab.measures.lights import bench_scene
 
 SETUP = FlashSetup(fov=60.0, offset=(0.1, 0.0, 0.0), intensity=(8.0,) * 3)
 
@@ -54,4 +54,3 @@ def test_what_is_wrong_at_the_rim_is_told_there() -> None:
     )
     assert found["foot"].roughness == 0.0
     assert found["rim"].roughness > 0.01
-    assert "| tile | exemplar | rim |" in aligned_markdown([AlignedRow("tile", "exemplar", found)])

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from matcap.lab.bench.gloss import GlossRow, PlainMaterial, gloss_markdown, run_gloss
+from matcap.lab.bench.gloss import PlainMaterial, gloss_experiment
+from matcap.lab.experiment.runner import run
 
 SATIN = PlainMaterial((0.3, 0.2, 0.15), 0.04, 0.2, 0.0)
 
@@ -15,15 +16,11 @@ def test_bumps_are_as_steep_as_asked_for_at_any_detail(size):
     assert np.sqrt((down**2 + across**2).mean()) == pytest.approx(0.1, rel=1e-3)
 
 
-def test_polish_is_told_though_two_stops_of_its_highlight_are_clipped():
-    whole, clipped = run_gloss(iter([SATIN]), (0, 2))
-    assert clipped.clipped > 2.0 * whole.clipped
-    assert whole.roughness == pytest.approx(0.2, abs=0.05)
-    assert clipped.roughness == pytest.approx(0.2, abs=0.05)
-
-
-def test_the_table_counts_what_is_near():
-    rows = [GlossRow(SATIN, 0, 0.01, 0.24, 0.04), GlossRow(SATIN, 1, 0.05, 0.4, 0.04)]
-    table = gloss_markdown(rows, "matcap bench gloss")
-    assert "| 0 | 0.3 | 0.04 | 0.2 | 0.24, 0.040 (1 %) | 0.40, 0.040 (5 %) |" in table
-    assert "within 0.05: 1 of 1 at +0, 0 of 1 at +1." in table
+def test_polish_is_found_though_two_stops_of_its_highlight_are_clipped(tmp_path):
+    experiment = gloss_experiment(iter([SATIN]), (0, 2))
+    whole, clipped = run(experiment, tmp_path / "gloss.csv")
+    assert clipped.number("clipped") > 2.0 * whole.number("clipped")
+    assert (whole.configuration, whole.subject) == ("+0 EV", "0, 0.3, 0.04, 0.2")
+    for row in (whole, clipped):
+        assert row.number("roughness") == pytest.approx(0.2, abs=0.05)
+        assert row.number("near") == 1.0

@@ -1,13 +1,15 @@
-"""What is told of metals' F0, by rows whose answer is known."""
+"""What F0 of metals is off by, where the answer is known."""
 
 from __future__ import annotations
+
+import math
 
 import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.metals import METAL_F0
-from matcap.lab.bench.metals import metal_row, metals_markdown
+from matcap.lab.bench.metals import f0_errors
 
 GOLD = torch.tensor(METAL_F0["gold"])[:, None, None]
 
@@ -26,19 +28,18 @@ def half(metal, rest) -> torch.Tensor:
 def test_brightness_hue_and_what_lies_beside_are_told_apart() -> None:
     truth = maps(half(GOLD, 0.04))
     blue = GOLD * torch.tensor([0.5, 0.5, 0.6])[:, None, None]
-    row = metal_row("gold", maps(half(blue, 0.06)), truth)
-    assert row.brightness == pytest.approx((0.5, 0.5, 0.6))
+    told = f0_errors(maps(half(blue, 0.06)), truth)
+    colours = ("red", "green", "blue")
+    assert [told[name] for name in colours] == pytest.approx([0.5, 0.5, 0.6])
     mean = float(blue.sum() / GOLD.sum())
-    assert row.hue == pytest.approx((0.5 / mean - 1.0, 0.5 / mean - 1.0, 0.6 / mean - 1.0))
-    assert (row.rest, row.true_rest) == pytest.approx((0.06, 0.04))
-    told = metals_markdown([row], "matcap bench metals gold")
-    assert "| gold | 0.50, 0.50, 0.60 |" in told and "| 0.060 / 0.040 |" in told
+    hue = [100.0 * (one / mean - 1.0) for one in (0.5, 0.5, 0.6)]
+    assert [told[f"{name} hue"] for name in colours] == pytest.approx(hue)
+    assert (told["beside"], told["true beside"]) == pytest.approx((0.06, 0.04))
 
 
 def test_truth_on_a_finer_grid_and_a_grey_answer() -> None:
     truth = maps(GOLD.expand(-1, 8, 16))
     fine = truth.map(lambda m: m.repeat_interleave(2, -1).repeat_interleave(2, -2))
-    row = metal_row("gold", maps(0.7 * torch.ones(1, 8, 16)), fine)
-    assert row.rest is None and row.channels == 1
-    assert row.true == pytest.approx(METAL_F0["gold"])
-    assert "grey" in metals_markdown([row], "")
+    told = f0_errors(maps(0.7 * torch.ones(1, 8, 16)), fine)
+    assert math.isnan(told["beside"]) and math.isnan(told["red hue"])
+    assert told["red"] == pytest.approx(0.7 / METAL_F0["gold"][0])

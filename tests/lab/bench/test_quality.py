@@ -7,13 +7,15 @@ import torch.nn.functional as F
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError, UsageError
-from matcap.lab.bench import quality
-from matcap.lab.bench.baselines import Fixed, photo_as_albedo
-from matcap.lab.bench.quality import Score, Yardstick, comma_separated, markdown, write_scores
-from matcap.lab.bench.relit import relight_all
-from matcap.lab.bench.style import PortillaSimoncelli, RandomFilters, difference
+from matcap.lab.bench.methods import Fixed, photo_as_albedo
+from matcap.lab.bench.quality import quality_experiment
+from matcap.lab.experiment.runner import run
+from matcap.lab.measures.evaluator import Evaluator
+from matcap.lab.measures.lights import relight_all
+from matcap.lab.measures.style import PortillaSimoncelli, RandomFilters, difference
 from matcap.lab.simulate.examples import EXAMPLES, realisation
 from matcap.lab.simulate.photograph import as_photo
+from matcap.lab.simulate.specimen import named_specimen
 
 needs_plenoptic = pytest.mark.skipif(
     importlib.util.find_spec("plenoptic") is None, reason="plenoptic (extra bench) is missing"
@@ -33,44 +35,42 @@ def shot(settings):
 
 
 @pytest.fixture(scope="module")
-def yardstick(style, shot, settings):
-    return Yardstick("leather", shot.setup, settings, [style])
+def evaluator(style, shot, settings):
+    return Evaluator(named_specimen("leather"), shot.setup, settings, {"one": style})
 
 
-def _pictures(yardstick, shot, settings, material="leather", seed=55):
-    """Another true piece, seen as the yardstick's."""
+def _pictures(evaluator, shot, settings, material="leather", seed=55):
+    """Another true piece, seen as the evaluator's."""
     fine = 2 * settings.size
     maps = realisation(material, seed)(fine, fine, 1.0 / settings.detail)
     blur = settings.camera.blur * 2 * settings.detail / settings.camera.width
     return relight_all(
-        maps, shot.setup.intensity, yardstick.scene, size=(settings.size, settings.size), blur=blur
+        maps, shot.setup.intensity, evaluator.scene, size=(settings.size, settings.size), blur=blur
     )
 
 
 @pytest.fixture(scope="module")
-def truth(yardstick, shot, settings):
-    return _pictures(yardstick, shot, settings)
+def truth(evaluator, shot, settings):
+    return _pictures(evaluator, shot, settings)
 
 
-def test_another_true_piece_scores_one(yardstick, truth):
-    assert yardstick.measure(truth)[0] == pytest.approx(1.0, abs=0.25)
+def test_another_true_piece_scores_one(evaluator, truth):
+    assert evaluator.nsd(truth) == pytest.approx(1.0, abs=0.25)
 
 
-def test_blur_and_colour_are_noticed(yardstick, truth):
-    right = yardstick.measure(truth)[0]
+def test_blur_and_colour_are_noticed(evaluator, truth):
+    right = evaluator.nsd(truth)
     kernel = torch.ones(3, 1, 5, 5) / 25
     blurred = F.conv2d(F.pad(truth, (2, 2, 2, 2), mode="reflect"), kernel, groups=3)
     recoloured = truth * torch.tensor([0.7, 1.0, 1.3])[:, None, None]
     darker = 0.7 * truth
     for wrong in (blurred, recoloured.clamp(0, 1), darker):
-        assert yardstick.measure(wrong)[0] > 1.25 * right
+        assert evaluator.nsd(wrong) > 1.25 * right
 
 
-def test_error_grows_towards_a_wrong_material(yardstick, truth, shot, settings):
-    wrong = _pictures(yardstick, shot, settings, material="plaster")
-    errors = [
-        yardstick.measure(torch.lerp(truth, wrong, share))[0] for share in (0.0, 0.4, 0.7, 1.0)
-    ]
+def test_error_grows_towards_a_wrong_material(evaluator, truth, shot, settings):
+    wrong = _pictures(evaluator, shot, settings, material="plaster")
+    errors = [evaluator.nsd(torch.lerp(truth, wrong, share)) for share in (0.0, 0.4, 0.7, 1.0)]
     assert errors == sorted(errors)
     assert errors[-1] > 2.5
 
@@ -121,18 +121,17 @@ def test_run_measures_every_method_and_writes_what_it_saw(tmp_path, settings):
         return Fixed(maps, setup)
 
     lines = []
-    scores = quality.run_quality(
-        perfect,
-        tmp_path,
-        materials=["plaster"],
-        methods=["decoder", "photo-as-albedo"],
-        settings=settings,
-        tell=lines.append,
+    methods = ["decoder", "photo-as-albedo"]
+    experiment = quality_experiment(
+        perfect, tmp_path, materials=["plaster"], methods=methods, settings=settings
     )
-    assert [score.method for score in scores] == ["decoder", "photo-as-albedo"]
-    assert len(lines) == 2
-    assert scores[0].mean < 0.6 * scores[1].mean
+    table = tmp_path / "quality.csv"
+    rows = run(experiment, table, lines.append)
+    assert [row.configuration for row in rows] == methods and len(lines) == 2
+    assert rows[0].number("mean") < 0.6 * rows[1].number("mean")
+    assert rows[0].number("mean") == (rows[0].number("PS") + rows[0].number("RF")) / 2.0
     assert (tmp_path / "plaster.png").is_file()
+    assert [row.line for row in run(experiment, table)] == [row.line for row in rows]
 
 
 @needs_plenoptic
@@ -143,44 +142,21 @@ def test_maps_of_another_detail_are_refused(tmp_path, settings):
     def coarse(path):
         return Fixed(maps, EXAMPLES["plaster"].setup)
 
+    experiment = quality_experiment(
+        coarse, tmp_path, materials=["plaster"], methods=["decoder"], settings=settings
+    )
     with pytest.raises(UsageError, match="capture with a detail of 512"):
-        quality.run_quality(
-            coarse, tmp_path, materials=["plaster"], methods=["decoder"], settings=settings
-        )
+        run(experiment, tmp_path / "quality.csv")
 
 
-def test_unknown_names_are_usage_errors(tmp_path):
-    for wrong in ({"materials": ["velvet"]}, {"methods": ["magic"]}):
-        with pytest.raises(UsageError, match="choose from"):
-            quality.run_quality(None, tmp_path, **wrong)
-    assert not list(tmp_path.iterdir())
+@needs_plenoptic
+@pytest.mark.parametrize("wrong", [{"materials": ["velvet"]}, {"methods": ["magic"]}])
+def test_unknown_names_are_usage_errors(tmp_path, wrong):
+    with pytest.raises(UsageError, match="choose from"):
+        quality_experiment(None, tmp_path, **wrong)
 
 
 def test_plenoptic_missing_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "plenoptic.models", None)
     with pytest.raises(MatcapError, match=r"pip install 'matcap\[bench\]'"):
         PortillaSimoncelli((64, 64))
-
-
-SCORES = [
-    Score("leather", "decoder", 1.5, 2.5, 60.0),
-    Score("tile", "decoder", 2.5, 3.5, 70.0),
-    Score("tile", "per-texel", 4.0, 6.0, 50.0),
-]
-
-
-def test_table_has_scores_means_and_the_command():
-    text = markdown(SCORES, "matcap bench quality")
-    assert "    matcap bench quality" in text
-    assert "| leather | decoder | 1.50 | 2.50 | 2.00 | 60 |" in text
-    assert "| mean | decoder | 2.00 | 3.00 | 2.50 | 65 |" in text
-    assert "| mean | per-texel | 4.00 | 6.00 | 5.00 | 50 |" in text
-
-
-def test_csv_and_markdown_are_written(tmp_path):
-    write_scores(SCORES, tmp_path / "new", "matcap bench quality")
-    lines = (tmp_path / "new" / "quality.csv").read_text().splitlines()
-    assert lines[0].split(",")[:2] == ["material", "method"]
-    assert lines[1] == "leather,decoder,1.5000,2.5000,2.0000,60.0000"
-    assert lines == comma_separated(SCORES).splitlines()
-    assert (tmp_path / "new" / "quality.md").read_text() == markdown(SCORES, "matcap bench quality")

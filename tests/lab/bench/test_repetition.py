@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from matcap.cli.main import main
-from matcap.lab.bench.repetition import SIZES, copies, correlation, measure
+from matcap.lab.bench.repetition import SIZES, copies, correlation, repetition_experiment
+from matcap.lab.experiment.results import read
+from matcap.lab.experiment.runner import run
 
 
 def noise(seed, size=512):
@@ -34,25 +36,26 @@ def test_copies_are_counted_by_their_texels():
     assert len(found) == len(SIZES) + 1 and sum(found) == pytest.approx(1.0)
 
 
-def test_a_small_field_is_measured(monkeypatch):
+def test_a_small_field_is_measured(monkeypatch, tmp_path):
     monkeypatch.setattr("matcap.lab.bench.repetition._COPIED", 256)
-    from matcap.example.example import Example
-    from matcap.lab.bench.by_example import true_exemplar
-
-    found = measure("leather", Example.of(true_exemplar("leather", 192, 160)), 512)
-    assert found.own < found.other + 0.15 and 0.8 < found.diversity < 1.2
-    assert sum(found.copies) == pytest.approx(1.0)
+    monkeypatch.setattr("matcap.lab.bench.repetition._EXEMPLAR", (192, 160))
+    (row,) = run(repetition_experiment(["leather"], 512), tmp_path / "repetition.csv")
+    assert row.number("with itself") < row.number("of two seeds") + 0.15
+    assert 0.8 < row.number("diversity") < 1.2
+    shares = [value for name, value in row.values.items() if name.startswith(("below", "larger"))]
+    assert sum(shares) == pytest.approx(1.0, abs=1e-4)
 
 
 def test_a_material_without_an_exemplar_is_refused(tmp_path, capsys):
-    assert main(["bench", "repetition", str(tmp_path / "none.matcap"), "--size", "512"]) == 3
+    asked = [str(tmp_path / "none.matcap"), "--size", "512", "-o", str(tmp_path)]
+    assert main(["bench", "repetition", *asked]) == 3
     assert "no such file" in capsys.readouterr().err
 
 
-def test_the_command_keeps_the_lattice_of_a_simulated_material(monkeypatch, capsys):
+def test_the_command_keeps_the_lattice_of_a_simulated_material(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("matcap.lab.bench.repetition._EXEMPLAR", (320, 288))
-    assert main(["bench", "repetition", "tile", "--size", "512"]) == 0
-    row = capsys.readouterr().out.splitlines()[-2].split("|")
-    assert row[1].strip() == "tile"
+    assert main(["bench", "repetition", "tile", "--size", "512", "-o", str(tmp_path)]) == 0
+    assert "| tile | 512 x 512 texels |" in capsys.readouterr().out
+    (row,) = read(tmp_path / "repetition.csv")
     # What a lattice repeats by right is in both.
-    assert 0.3 < float(row[2]) < float(row[3]) + 0.1
+    assert 0.3 < row.number("with itself") < row.number("of two seeds") + 0.1

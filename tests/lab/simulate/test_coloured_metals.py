@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from matcap.flash.render import render_rectified
-from matcap.lab.floors.subjects import subjects
 from matcap.lab.simulate.map_sets import read_map_set
 from matcap.lab.simulate.materials.kinds import COLOURED_METALS, KINDS, kind_of, random_kind
 from matcap.lab.simulate.materials.kinds.coloured_metals import (
@@ -15,6 +14,7 @@ from matcap.lab.simulate.materials.kinds.coloured_metals import (
     anodised_f0,
     metal_colour,
 )
+from matcap.lab.simulate.subjects import subjects
 
 WIDTH, HEIGHT, TEXEL = 192, 144, 2.0 / 512.0
 DRAWN = [

@@ -35,7 +35,7 @@ def test_pictures_are_brought_to_the_same_radiance(prior, pack):
 
 def test_a_photograph_itself_is_no_distance_away(prior, pack, monkeypatch):
     """Ends that are among the photographs leave the middle to be told alone."""
-    from matcap.lab.bench.variety import describe_pictures
+    from matcap.lab.measures.variety import describe_pictures
 
     monkeypatch.setattr(pictures, "_SIZE", 64)
     entries = first_of_each(pack.reporting)[:2]

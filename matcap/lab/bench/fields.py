@@ -1,0 +1,185 @@
+"""`matcap bench fields`: fields and repeated samples of true maps, so that captures do not count.
+
+True maps of a sample of a known material are the exemplar. Its field and the sample made to repeat
+are relit and compared with other true samples, as the exemplar itself is. Beside them: how long
+joints are for the truth's, and how far the lattice's phase is off far away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from matcap.brdf.maps import CHANNELS, MapSet
+from matcap.example.example import Example, detail_bits
+from matcap.example.exemplar import Exemplar
+from matcap.example.variety import chosen
+from matcap.field.plane import Rectangle
+from matcap.lab.bench.methods import exemplar_of
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment
+from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
+from matcap.lab.simulate.specimen import Specimen
+from matcap.statistics.lattice import find_lattice
+
+ABOUT = (
+    "NSD of true maps: 1 is indistinguishable from another sample. Variety: that was chosen; "
+    "joints: median length of a joint in the field over that of the exemplar; phase: turns that a "
+    "lattice is off by, 16384 texels away, of its worst wave."
+)
+_SIZE = (1024, 768)  # texels of the exemplar
+_SEEDS = (0, 1)
+_ELSEWHERE = (300, 100)  # texels: nothing special about the origin
+_FAR = 16384  # texels
+_SHORTEST = 8  # texels: of a joint
+_JOINT = 9  # texels: wider valleys are none
+
+
+@dataclass(frozen=True)
+class TrueExample:
+    """A material whose exemplar is the truth."""
+
+    example: Example
+    evaluator: Evaluator
+
+    @cached_property
+    def fields(self) -> list[MapSet]:
+        """Of two seeds, as large as what is compared."""
+        texel = self.example.exemplar.texel_size
+        side = self.evaluator.side(texel)
+        read = [self.example.maps(s, Rectangle(*_ELSEWHERE, side, side), None) for s in _SEEDS]
+        return [MapSet.from_stacked(torch.from_numpy(maps), texel) for maps in read]
+
+    @cached_property
+    def repeated(self) -> MapSet:
+        """The exemplar made to repeat; where the copies meet lies in the middle."""
+        texel = self.example.exemplar.texel_size
+        side = self.evaluator.side(texel)
+        tile = self.example.repeating().stacked()
+        around = tile.roll((side // 2, side // 2), (1, 2)).repeat(1, 2, 2)[:, :side, :side]
+        return MapSet.from_stacked(around, texel)
+
+
+Samples = list[MapSet]  # of what is measured
+
+
+def fields_experiment(
+    subjects: Sequence[Specimen], evaluation: EvaluationSettings | None = None
+) -> Experiment[TrueExample, Samples]:
+    """The exemplar itself, its field and it made to repeat, of true maps of each subject."""
+    settings = evaluation or EvaluationSettings()
+    style = settings.squeezenet
+
+    def prepare(subject: Specimen) -> TrueExample:
+        maps = subject.pieces(subject.seed)(*_SIZE, 2.0 / _SIZE[0])
+        evaluator = Evaluator(subject, subject.setup, settings, {"NSD": style})
+        return TrueExample(true_example(maps), evaluator)
+
+    return Experiment(
+        "fields",
+        {subject.name: partial(prepare, subject) for subject in subjects},
+        {
+            "exemplar": Configuration(lambda true, _seed: [true.example.piece()]),
+            "field": Configuration(lambda true, _seed: true.fields),
+            "repeated": Configuration(lambda true, _seed: [true.repeated]),
+        },
+        (nsd, variety, joints, phase),
+        settings=settings,
+    )
+
+
+def nsd(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
+    """Normalised style distance, the mean over samples."""
+    light = true.evaluator.flash.intensity
+    found = [true.evaluator.nsd_of(maps, light) for maps in samples]
+    return {"NSD": sum(found) / len(found)}
+
+
+def variety(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
+    """That was chosen by synthesis."""
+    return {"variety": true.example.variety if samples is true.fields else math.nan}
+
+
+def joints(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
+    """Median length of the field's joints over the exemplar's, where there are enough."""
+    if samples is not true.fields:
+        return {"joints": math.nan}
+    of_field = joint_length(samples[0].height[0].numpy())
+    own = joint_length(true.example.exemplar.height[0])
+    return {"joints": of_field / own if of_field and own else math.nan}
+
+
+def phase(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
+    """Of the field's lattice."""
+    off = phase_off(true.example) if samples is true.fields else None
+    return {"phase": math.nan if off is None else off}
+
+
+def true_example(maps: MapSet) -> Example:
+    """An exemplar of true maps, as a capture indexes one."""
+    exemplar, (width, height) = exemplar_of(maps), maps.size
+    colour = torch.from_numpy(exemplar.diffuse).clamp(0.0, 1.0) ** (1.0 / 2.2)
+    lattice = find_lattice(colour, torch.ones(height, width, dtype=torch.bool))
+    return chosen(Example.of(exemplar, tuple((w.fx, w.fy) for w in lattice.waves)))
+
+
+def joint_length(height: NDArray[np.float32]) -> float | None:
+    """Median length in texels of the lines that narrow valleys are, from crossing to crossing.
+
+    None where there are less than twenty.
+    """
+    smooth = cv2.GaussianBlur(height.astype(np.float32), (0, 0), 1.0)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_JOINT, _JOINT))
+    deep = cv2.morphologyEx(smooth, cv2.MORPH_BLACKHAT, kernel)
+    top = float(np.quantile(deep, 0.999))
+    if top <= 0.0:
+        return None
+    eight = (deep / top * 255.0).clip(0.0, 255.0).astype(np.uint8)
+    _, valleys = cv2.threshold(eight, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    lines = (cv2.ximgproc.thinning(valleys) > 0).astype(np.uint8)
+    around = cv2.filter2D(lines, -1, np.ones((3, 3), np.uint8)) - lines
+    ends = lines * (around < 3)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(ends, connectivity=8)
+    sizes = stats[1:, cv2.CC_STAT_AREA]
+    long = sizes[sizes >= _SHORTEST]
+    return float(np.median(long)) if len(long) >= 20 else None
+
+
+def phase_off(example: Example) -> float | None:
+    """Turns that the field's lattice is off by at 16384 texels both ways; None without one."""
+    order = example.index.order
+    if order is None:
+        return None
+    bits = detail_bits(example.exemplar)
+    worst = 0.0
+    for x, y in ((_FAR, 0), (0, _FAR), (-_FAR, _FAR)):
+        places = example.places(0, Rectangle(x, y, 256, 256), None).astype(np.int64) >> bits
+        columns, rows = (np.arange(at, at + 256) >> bits for at in (x, y))
+        wanted = order.wanted(0, columns[None, :], rows[:, None], (None, None))
+        apart = (order.phases(places[..., 0], places[..., 1]) - wanted).astype(np.int16)
+        turns = np.exp(2j * np.pi * apart.astype(np.float64) / 2**16).mean(axis=(0, 1))
+        worst = max(worst, float(np.abs(np.angle(turns)).max()) / (2.0 * np.pi))
+    return worst
+
+
+def grating(period: float, angle: float, size: tuple[int, int] = _SIZE) -> Example:
+    """A weave of one period at an angle in degrees, of true maps."""
+    y, x = np.mgrid[: size[1], : size[0]].astype(np.float64)
+    turn = np.deg2rad(angle)
+    waves = [(np.cos(turn) / period, np.sin(turn) / period)]
+    waves += [(-np.sin(turn) / period, np.cos(turn) / period)]
+    threads = sum(np.cos(2.0 * np.pi * (fx * x + fy * y)) for fx, fy in waves)
+    noise = np.random.default_rng(0).standard_normal(x.shape)
+    plane = (0.4 + 0.1 * threads + 0.02 * noise).clip(0.0, 1.0).astype(np.float32)[None]
+    exemplar = Exemplar(
+        plane.repeat(3, axis=0), 0.1 * plane, plane, 0.01 * plane,
+        np.ones((len(CHANNELS), *x.shape), np.float32), 2.0 / size[0],
+    )  # fmt: skip
+    return replace(Example.of(exemplar, tuple(waves)), variety=1.0)

@@ -1,0 +1,137 @@
+"""`matcap bench floors`: captures of known materials, by a measure that nothing is tuned by.
+
+A sample of a material is photographed and captured. The photograph as albedo, the exemplar that was
+found and the field that rearranges it are relit and compared with other true samples: normalised
+style distance (measures/nsd.py). Beside it what the maps tell, and what is true.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.find import piece_maps
+from matcap.capture.pipeline import capture_file
+from matcap.capture.result import CaptureResult
+from matcap.capture.settings import CaptureSettings
+from matcap.lab.bench.methods import photo_as_albedo
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment
+from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator, Intensity
+from matcap.lab.measures.maps import numbers_beside
+from matcap.lab.simulate.photograph import Shot, as_photo
+from matcap.lab.simulate.specimen import Specimen, photograph
+
+ABOUT = (
+    "NSD: normalised style distance by SqueezeNet under new lights; 1 is indistinguishable from "
+    "another sample (matcap/lab/measures/nsd.py). Tilt: mean, degrees; albedo: standard deviation "
+    "of its logarithm; roughness: mean; each beside that of true samples."
+)
+ALBEDO, EXEMPLAR, FIELD = "photograph as albedo", "exemplar", "field"
+
+
+@dataclass(frozen=True)
+class PhotographSettings:
+    """How materials are photographed and captured."""
+
+    captured: CaptureSettings = field(default_factory=CaptureSettings)
+    """Of the captures; their detail is what the exemplar is found in."""
+
+    ev: float = 0.0
+    """Exposure offset in stops, above what the camera would choose."""
+
+    jpeg: bool = False
+    """JPEGs, instead of RAW."""
+
+
+@dataclass(frozen=True)
+class Captured:
+    """A material, its photograph, what was made of that, and what that is compared with."""
+
+    subject: Specimen
+    shot: Shot
+    result: CaptureResult
+    evaluator: Evaluator
+
+
+Maps = tuple[MapSet, Intensity]  # and the flash that goes with them
+
+
+def nsd_experiment(
+    subjects: Sequence[Specimen],
+    out: Path,
+    settings: PhotographSettings,
+    evaluation: EvaluationSettings,
+) -> Experiment[Captured, Maps]:
+    """Photograph and capture each subject once; what is found of it three ways.
+
+    Args:
+        subjects: materials.
+        out: folder for the photographs.
+        settings: of photographs and captures.
+        evaluation: what is compared.
+    """
+    style = evaluation.squeezenet
+
+    def prepare(subject: Specimen) -> Callable[[], Captured]:
+        def prepared() -> Captured:
+            path, shot = photograph(
+                subject, evaluation.camera, out, ev=settings.ev, jpeg=settings.jpeg
+            )
+            result = capture_file(path, settings.captured)
+            evaluator = Evaluator(subject, shot.setup, evaluation, {"NSD": style})
+            return Captured(subject, shot, result, evaluator)
+
+        return prepared
+
+    return Experiment(
+        "floors",
+        {subject.name: prepare(subject) for subject in subjects},
+        {
+            ALBEDO: Configuration(_albedo),
+            EXEMPLAR: Configuration(_exemplar),
+            FIELD: Configuration(_field),
+        },
+        (nsd, map_numbers, capture_seconds),
+        settings=(settings, evaluation),
+    )
+
+
+def nsd(captured: Captured, maps: Maps) -> Mapping[str, Value]:
+    """Normalised style distance."""
+    return {"NSD": captured.evaluator.nsd_of(*maps)}
+
+
+def map_numbers(captured: Captured, maps: Maps) -> Mapping[str, Value]:
+    """What the maps tell, and what is true."""
+    evaluator = captured.evaluator
+    return numbers_beside(evaluator.middle(maps[0]), evaluator.truths)
+
+
+def capture_seconds(captured: Captured, maps: Maps) -> Mapping[str, Value]:
+    """That the capture took, in place of the configuration's own."""
+    del maps
+    return {"seconds": sum(captured.result.stage_seconds.values())}
+
+
+def _albedo(captured: Captured, seed: int) -> Maps:
+    del seed
+    photo = as_photo(captured.shot, captured.subject.seed, captured.subject.name)
+    detail = captured.evaluator.settings.detail
+    albedo = photo_as_albedo(photo, captured.shot.setup, detail)
+    return albedo.whole, albedo.setup.intensity
+
+
+def _exemplar(captured: Captured, seed: int) -> Maps:
+    del seed
+    assert captured.result.found is not None
+    maps = piece_maps(captured.result.found.exemplar)
+    return maps, captured.result.material.setup.intensity
+
+
+def _field(captured: Captured, seed: int) -> Maps:
+    material = captured.result.material
+    side = captured.evaluator.side(material.texel_size)
+    return material.maps(side, side, seed=seed), material.setup.intensity

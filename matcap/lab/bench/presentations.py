@@ -1,0 +1,34 @@
+"""How each experiment's table is told on the page that `matcap bench report` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from matcap.errors import MatcapError
+from matcap.lab.bench import fronts, relight
+from matcap.lab.experiment.page import Presentation
+from matcap.lab.experiment.results import read
+
+PRESENTATIONS: Mapping[str, Presentation] = MappingProxyType(
+    {
+        "fronts": fronts.PRESENTATION,
+        "relight": relight.PLAN,
+        "tolerances": relight.TOLERANCE,
+    }
+)
+
+
+def presentation_of(table: Path) -> Presentation:
+    """Of the experiment whose rows a CSV holds.
+
+    Raises:
+        MatcapError: it is empty or missing, or no experiment that is reported wrote it.
+    """
+    rows = read(table)
+    if not rows or rows[0].experiment not in PRESENTATIONS:
+        what = f"bench {rows[0].experiment} is not reported" if rows else "no rows stand in it"
+        remedy = f"give a CSV of {', '.join(PRESENTATIONS)}"
+        raise MatcapError(what, where=str(table), remedy=remedy)
+    return PRESENTATIONS[rows[0].experiment]

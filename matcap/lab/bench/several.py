@@ -1,0 +1,217 @@
+"""`matcap bench floors --photographs 1,2,3,5`: what several photographs of one sample are worth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.piece.find import piece_maps
+from matcap.capture.pipeline import capture_file
+from matcap.capture.result import CaptureResult
+from matcap.capture.together.union import UNION, sees
+from matcap.flash.registration.camera import PosedCamera
+from matcap.flash.registration.grid import grid_points
+from matcap.lab.bench.nsd import PhotographSettings
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment
+from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
+from matcap.lab.measures.maps import MapsOff, numbers_beside
+from matcap.lab.simulate.hand_held import (
+    Hand,
+    HeldShot,
+    Room,
+    held_along,
+    held_on,
+    hold,
+    take_several,
+    take_without_flash,
+)
+from matcap.lab.simulate.specimen import Specimen
+from matcap.lab.simulate.write_dng import write_dng
+from matcap.lab.simulate.write_jpeg import write_jpeg
+
+ABOUT = (
+    "NSD: normalised style distance of the exemplar; 1 is indistinguishable from another sample. "
+    "Normals: degrees off where the truth leans, `flat` for flat maps; albedo and roughness: mean "
+    "absolute differences, of the logarithm and of the value; residual and predicted: medians over "
+    "photographs of log radiance, predicted by all others. Of what only others than the first "
+    "photograph show: `beyond`."
+)
+
+
+@dataclass(frozen=True)
+class Ambient:
+    """Light beside the flash, and whether unions are captured."""
+
+    room: float = 0.0
+    """Irradiance by its light (hand_held.Room); 0 for darkness. Each count is captured without and
+    with one more photograph without flash."""
+
+    union: bool = False
+    """Each count of two or more is also captured as all that the photographs show."""
+
+    hand: Hand = Hand()
+    """That holds the phone."""
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A sample, its photographs, and what captures of them are compared with."""
+
+    subject: Specimen
+    paths: Sequence[Path]
+    """With flash."""
+
+    unlit: Sequence[Path]
+    """Without."""
+
+    cameras: Sequence[PosedCamera]
+    evaluator: Evaluator
+    hand: Hand
+
+    def true_on(self, result: CaptureResult) -> Callable[[int, int], MapSet]:
+        """True maps on the plane that was found."""
+        several = None if result.found is None else result.found.several
+        bent = (0.0, 0.0) if several is None else several.bent
+        realise = self.subject.pieces(self.subject.seed)
+        phone = self.evaluator.settings.camera
+        return held_on(realise, phone, self.cameras, result.material.setup, bent)
+
+
+def several_experiment(
+    subjects: Sequence[Specimen],
+    counts: Sequence[int],
+    out: Path,
+    settings: PhotographSettings,
+    evaluation: EvaluationSettings,
+    ambient: Ambient,
+) -> Experiment[Taken, CaptureResult]:
+    """Photograph each subject from several places; capture it from so many photographs.
+
+    Args:
+        subjects: materials.
+        counts: of photographs with flash.
+        out: folder for the photographs.
+        settings: of photographs and captures.
+        evaluation: what is compared.
+        ambient: what else is varied.
+    """
+    hand = replace(ambient.hand, room=Room(ambient.room) if ambient.room else None)
+    style, phone = evaluation.squeezenet, evaluation.camera
+
+    def prepare(subject: Specimen) -> Taken:
+        realise = subject.pieces(subject.seed)
+        cameras = hold(phone, hand, max(counts), subject.seed)
+        shots = take_several(realise, phone, cameras, hand, subject.seed)
+        paths = [_write(subject, shot, n, out, jpeg=settings.jpeg) for n, shot in enumerate(shots)]
+        unlit = []
+        if ambient.room:
+            shot = take_without_flash(realise, phone, cameras, hand, subject.seed + 1)
+            unlit = [_write(subject, shot, len(paths), out, jpeg=settings.jpeg)]
+        evaluator = Evaluator(subject, shots[0].shot.setup, evaluation, {"NSD": style})
+        return Taken(subject, paths, unlit, cameras, evaluator, hand)
+
+    def capture(
+        count: int, with_unlit: bool, union: bool, taken: Taken, _seed: int
+    ) -> CaptureResult:
+        others = [*taken.paths[1:count], *(taken.unlit if with_unlit else ())]
+        return capture_file(taken.paths[0], replace(settings.captured, union=union), others=others)
+
+    ways: dict[str, Configuration[Taken, CaptureResult]] = {}
+    for count in counts:
+        for extra in (False, True) if ambient.room else (False,):
+            for union in (False, True) if ambient.union and count > 1 else (False,):
+                told = f"{count} + 1" if extra else f"{count}"
+                name = f"{told} photographs{', union' if union else ''}"
+                ways[name] = Configuration(partial(capture, count, extra, union), "several")
+    return Experiment(
+        "several",
+        {subject.name: partial(prepare, subject) for subject in subjects},
+        ways,
+        (nsd, off, residuals, beyond),
+        settings=(settings, evaluation, ambient, max(counts)),
+    )
+
+
+def nsd(taken: Taken, result: CaptureResult) -> Mapping[str, Value]:
+    """Normalised style distance of the exemplar, tilts, and seconds of the capture."""
+    assert result.found is not None
+    found, evaluator = piece_maps(result.found.framed), taken.evaluator
+    middle = evaluator.middle(found)
+    numbers = numbers_beside(middle, evaluator.truths)
+    return {
+        "seconds": sum(result.stage_seconds.values()),
+        "NSD": evaluator.nsd_of(found, result.material.setup.intensity),
+        "tilt": numbers["tilt"],
+        "true tilt": numbers["true tilt"],
+    }
+
+
+def off(taken: Taken, result: CaptureResult) -> Mapping[str, Value]:
+    """What the first photograph's rectangle is off by."""
+    assert result.found is not None
+    found = piece_maps(result.found.framed)
+    return asdict(MapsOff.of(found, taken.true_on(result)(*found.size)))
+
+
+def residuals(taken: Taken, result: CaptureResult) -> Mapping[str, Value]:
+    """Photographs used, and what they are off by from re-renderings."""
+    del taken
+    several = None if result.found is None else result.found.several
+    if several is None:
+        return {"used": 1.0, "residual": math.nan, "predicted": math.nan}
+    return {
+        "used": float(len(several.views)),
+        "residual": _median(several.residuals),
+        "predicted": _median(several.predicted),
+    }
+
+
+def beyond(taken: Taken, result: CaptureResult) -> Mapping[str, Value]:
+    """How large the exemplar is, and what it is off by where the first photograph shows none of it.
+
+    A texel that one photograph drew lies where that one was registered, which is beside its place
+    by more the farther it is from the first: truth is looked up along its rays.
+    """
+    found = result.found
+    reach = None if found is None or found.several is None else found.several.reach
+    if found is None or found.several is None or reach is None:
+        return {}
+    exemplar, views = piece_maps(found.exemplar), found.several.views
+    points = grid_points(*exemplar.size, reach.extent)
+    left = ~reach.margins.own(reach.size)
+    planes, known = torch.zeros(9, *exemplar.size[::-1]), torch.zeros_like(left)
+    names = [path.name for path in taken.paths]
+    realise = taken.subject.pieces(taken.subject.seed)
+    phone = taken.evaluator.settings.camera
+    for view in views[1:]:
+        up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
+        here = left & torch.from_numpy(sees(view.camera, points, up, UNION.steepest))
+        number = names.index(view.photo.name)
+        true = held_along(realise, phone, taken.cameras, number, view.camera, reach.extent)(
+            *exemplar.size
+        )
+        planes[:, here] = torch.cat([true.stacked(), true.normal]).float()[:, here]
+        known, left = known | here, left & ~here
+    whole = replace(MapSet.from_stacked(planes[:6], exemplar.texel_size), painted=planes[6:])
+    told = asdict(MapsOff.of(exemplar, whole, known))
+    return {"times": reach.times, **{f"{name} beyond": value for name, value in told.items()}}
+
+
+def _write(subject: Specimen, shot: HeldShot, number: int, out: Path, *, jpeg: bool) -> Path:
+    path = out / f"{subject.name.replace(':', '-')}_{number}.{'jpg' if jpeg else 'dng'}"
+    if jpeg:
+        write_jpeg(path, shot.shot, subject.seed + number)
+    else:
+        write_dng(path, shot.shot, subject.sensor, subject.seed + number)
+    return path
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(torch.tensor(values).nanmedian()) if values else math.nan

@@ -1,0 +1,154 @@
+"""The one page of what was measured: a section, a table and a picture for every CSV."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+from matcap.errors import MatcapError
+from matcap.files.staging import staged_file
+from matcap.lab.experiment.plot import draw
+from matcap.lab.experiment.results import (
+    Mean,
+    Trial,
+    columns_of,
+    front,
+    markdown,
+    means,
+    read,
+    shown,
+)
+
+BY_HAND = "## What to make of it"
+
+
+@dataclass(frozen=True)
+class Presentation:
+    """How an experiment's results are told."""
+
+    title: str
+    about: str
+    """What was measured and what the columns count."""
+
+    axes: tuple[str, str]
+    """Columns whose Pareto front is sought: cost, error."""
+
+    base: str | None = None
+    """The configuration that those of fewer subjects are paired with, and that subjects are told
+    by; see results.means."""
+
+    beside: tuple[str, ...] = ()
+    """Configurations that stand beside it in the table by subject."""
+
+    labels: Mapping[str, str] = field(default_factory=dict)
+    """What configurations are also called."""
+
+    apart: frozenset[str] = frozenset()
+    """Groups that are compared with no other: their subjects are others'."""
+
+    least: float | None = None
+    """The error is drawn over decades, down to this."""
+
+
+def write_page(
+    tables: Mapping[Path, Presentation],
+    page: Path,
+    command: Sequence[str],
+    more: Mapping[Path, Sequence[str]] = MappingProxyType({}),
+) -> str:
+    """Write the page, and a picture beside every CSV; gives the page's text.
+
+    What stands below `BY_HAND` in the page is kept.
+
+    Args:
+        tables: CSVs that experiments wrote.
+        page: where the text goes.
+        command: that is writing it, for the page to tell.
+        more: lines after a table's section.
+
+    Raises:
+        MatcapError: a table cannot be read or holds nothing, matplotlib is missing, or a file
+            cannot be written.
+    """
+    lines = ["# What accuracy costs in time", "", "Written by:", "", f"    {shlex.join(command)}"]
+    for table, told in tables.items():
+        lines += ["", *section(table, told, page), *more.get(table, ())]
+    before = page.read_text(encoding="utf-8") if page.exists() else ""
+    _, kept, by_hand = before.partition(f"{BY_HAND}\n")
+    text = "\n".join(lines).rstrip() + "\n" + (f"\n{kept}{by_hand}" if kept else "")
+    with staged_file(page) as file:
+        file.write_text(text, encoding="utf-8")
+    return text
+
+
+def section(table: Path, told: Presentation, page: Path) -> list[str]:
+    """A table's lines, and its picture beside it.
+
+    Raises:
+        MatcapError: it cannot be read or is empty; matplotlib is missing.
+    """
+    rows = read(table)
+    if not rows:
+        raise MatcapError("the table is missing or empty", where=str(table), remedy="measure first")
+    apart = [row for row in rows if row.group in told.apart]
+    usual = [row for row in rows if row.group not in told.apart] or rows
+    found = means(usual, told.base)
+    picture = table.with_suffix(".png")
+    draw(found, picture, told.axes, told.title, labels=told.labels, least=told.least)
+    machines = "; ".join(dict.fromkeys(row.machine for row in rows if row.machine))
+    subjects = len({row.subject for row in rows})
+    where, numbers = (os.path.relpath(path, page.parent) for path in (picture, table))
+    lines = [
+        f"## {told.title}", "", f"{len(rows)} rows, {subjects} subjects. On {machines}.", "",
+        told.about, "", f"![{told.axes[1]} against {told.axes[0]}]({where})", "",
+        f"Every measurement: [{numbers}]({numbers}). Least {told.axes[0]} first; on the Pareto "
+        "front: *.", "", *_means(found, told), "",
+    ]  # fmt: skip
+    if told.base:
+        lines += ["### By subject", "", *_by_subject(usual, told), ""]
+    if apart and apart != usual:
+        lines += [f"### {', '.join(sorted(told.apart)).capitalize()}", "", *_each(apart), ""]
+    return lines
+
+
+def _means(found: Sequence[Mean], told: Presentation) -> list[str]:
+    x, y = told.axes
+    best = front(found, x, y)
+    columns = [c for c in found[0].values if any(shown(mean[c]) for mean in found)]
+    scattered = any(mean.seeds > 1 for mean in found)
+    rows = []
+    for mean in sorted(found, key=lambda mean: mean[x]):
+        called = told.labels.get(mean.configuration, "")
+        cells = ["*" if mean in best else "", mean.configuration, called, str(mean.subjects)]
+        cells += [shown(mean[column]) for column in columns]
+        rows.append(cells + ([shown(mean.scatter[y])] if scattered else []))
+    head = ["", "configuration", "", "subjects", *columns]
+    return markdown(head + ([f"{y} over seeds"] if scattered else []), rows, 3)
+
+
+def _by_subject(rows: Sequence[Trial], told: Presentation) -> list[str]:
+    """Errors of the base and what stands beside it, the worst subjects first."""
+    error = told.axes[1]
+    names = [told.base, *told.beside]
+    first = {(row.configuration, row.subject): row for row in rows if row.seed == 0}
+    known = [row for (name, _), row in first.items() if name == told.base]
+    worst = sorted(known, key=lambda row: -row.number(error))
+    words = [c for c in columns_of(rows) if any(isinstance(r.values.get(c), str) for r in known)]
+    lines = []
+    for row in worst:
+        of = [first.get((str(name), row.subject)) for name in names]
+        cells = ["" if each is None else shown(each.number(error)) for each in of]
+        lines.append([row.subject, *cells, *(shown(row.values.get(word, "")) for word in words)])
+    return markdown(["subject", *map(str, names), *words], lines)
+
+
+def _each(rows: Sequence[Trial]) -> list[str]:
+    columns = [c for c in columns_of(rows) if any(shown(row.number(c)) for row in rows)]
+    cells = [
+        [r.subject, r.configuration, *(shown(r.number(column)) for column in columns)] for r in rows
+    ]
+    return markdown(["subject", "configuration", *columns], cells, 2)

@@ -1,0 +1,96 @@
+"""The one picture of what accuracy costs, for every experiment (extra `bench`: matplotlib)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from matcap.errors import MatcapError
+from matcap.files.staging import staged_file
+from matcap.lab.experiment.results import Mean, comparable, front
+
+
+def draw(
+    found: Sequence[Mean],
+    path: Path,
+    axes: tuple[str, str],
+    title: str,
+    *,
+    labels: Mapping[str, str] = MappingProxyType({}),
+    least: float | None = None,
+) -> None:
+    """Draw one column against another, the Pareto front joined and named, as a PNG.
+
+    Args:
+        found: the means; whiskers show the spread over their subjects.
+        path: of the picture.
+        axes: columns across and up; the one across over decades.
+        title: above it.
+        labels: configurations that are named off the front too, by what they are called.
+        least: the one up goes over decades, down to this; None where it does not.
+
+    Raises:
+        MatcapError: matplotlib is not installed, or the file cannot be written.
+    """
+    x, y = axes
+    figure = new_figure((9.0, 5.6))
+    plot = figure.add_subplot()
+    for group in dict.fromkeys(mean.group for mean in found):
+        of = [mean for mean in found if mean.group == group]
+        at = [mean[x] for mean in of], [mean[y] for mean in of]
+        spread = [mean.spread.get(y, 0.0) for mean in of]
+        plot.errorbar(*at, yerr=spread, fmt="o", markersize=5, elinewidth=0.6, label=group or None)
+    best = front(comparable(found), x, y)
+    line = [mean[x] for mean in best], [mean[y] for mean in best]
+    plot.plot(*line, color="0.4", linewidth=1.0, zorder=0, label="Pareto front")
+    for mean in found:
+        name = labels.get(mean.configuration) or (mean.configuration if mean in best else "")
+        place = (mean[x], mean[y])
+        plot.annotate(name, place, xytext=(5, 4), textcoords="offset points", fontsize=7)
+    if found and min(mean[x] for mean in found) > 0:
+        plot.set_xscale("log")
+        # 1, 2 and 5 of every decade: all nine run into each other where points are hours apart.
+        plot.xaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))
+        plot.xaxis.set_major_formatter("{x:g}")
+        plot.xaxis.set_minor_formatter("")
+    if least is not None:
+        plot.set_yscale("symlog", linthresh=least)
+        plot.set_ylim(bottom=0.0)
+    plot.set_xlabel(x)
+    plot.set_ylabel(y)
+    plot.set_title(title, fontsize=10)
+    plot.grid(alpha=0.25, which="both")
+    plot.legend(fontsize=7)
+    figure.tight_layout()
+    save_figure(figure, path)
+
+
+def new_figure(size: tuple[float, float]) -> Any:  # noqa: ANN401
+    """A figure of so many inches that belongs to no window: nothing global is touched.
+
+    Raises:
+        MatcapError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MatcapError(
+            "drawing the picture needs the package matplotlib",
+            remedy="install it with: pip install 'matcap[bench]'",
+        ) from error
+    figure = Figure(figsize=size)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Any, path: Path) -> None:  # noqa: ANN401
+    """As a PNG, the same bytes for the same figure.
+
+    Raises:
+        MatcapError: the file cannot be written.
+    """
+    with staged_file(path) as file:
+        figure.savefig(file, format="png", dpi=110, metadata={"Software": None})

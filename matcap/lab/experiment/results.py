@@ -1,0 +1,309 @@
+"""What experiments measured: a CSV with a row a trial, its table, means and Pareto front.
+
+A row is appended as soon as it is measured, so that an experiment can be stopped and taken up
+again. A table whose rows have a column that the file lacks is written anew, whole.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import platform
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matcap.errors import MatcapError
+from matcap.files.staging import staged_file
+
+Value = float | str
+
+_KEYS = ("experiment", "group", "configuration", "subject", "seed", "machine", "version")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One configuration of an experiment on one subject."""
+
+    experiment: str
+    configuration: str
+    subject: str
+    values: Mapping[str, Value]
+    """By column; NaN where there is no number."""
+
+    group: str = ""
+    seed: int = 0
+    machine: str = ""
+    version: str = ""
+    """Of the source and settings that measured it (runner.Experiment.version)."""
+
+    @property
+    def key(self) -> tuple[str, str, str, int]:
+        """What makes it the same trial made again."""
+        return self.experiment, self.configuration, self.subject, self.seed
+
+    @property
+    def line(self) -> str:
+        """In one line, for progress."""
+        told = (f"{name} {shown(value)}" for name, value in self.values.items() if shown(value))
+        seed = f", seed {self.seed}" if self.seed else ""
+        return f"{self.subject}, {self.configuration}{seed}: {', '.join(told)}"
+
+    def number(self, column: str) -> float:
+        """Of a column; NaN where there is none."""
+        value = self.values.get(column, math.nan)
+        return value if isinstance(value, float | int) else math.nan
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A configuration over all its subjects; each number by column."""
+
+    configuration: str
+    group: str
+    subjects: int
+    """How many."""
+
+    seeds: int
+    """How many each subject was measured with, at least."""
+
+    values: Mapping[str, float]
+    """Means over the subjects' means over seeds."""
+
+    spread: Mapping[str, float]
+    """Standard deviations over the subjects."""
+
+    scatter: Mapping[str, float]
+    """Standard deviations over seeds, their means over the subjects; NaN with one seed."""
+
+    def __getitem__(self, column: str) -> float:
+        """The mean; NaN where there is none."""
+        return self.values.get(column, math.nan)
+
+
+def read(path: Path) -> list[Trial]:
+    """The rows of a CSV; none where there is no file. A torn last line is left out.
+
+    Raises:
+        MatcapError: it is no such table.
+    """
+    if not path.exists():
+        return []
+    try:
+        whole = path.read_text(encoding="utf-8").rpartition("\n")[0]
+        return [_trial(row) for row in csv.DictReader(io.StringIO(whole))]
+    except (KeyError, TypeError, ValueError, UnicodeDecodeError, csv.Error) as error:
+        raise MatcapError(
+            f"this is not a table of measurements ({error})",
+            where=str(path),
+            remedy="give a CSV that matcap bench wrote, or choose another folder with -o",
+        ) from error
+
+
+def append(path: Path, row: Trial) -> None:
+    """Add a row in place of a torn one, if a sweep was killed; the heading where it is new."""
+    before = path.read_bytes() if path.exists() else b""
+    kept = before[: before.rfind(b"\n") + 1]
+    names = next(csv.reader(kept.decode().splitlines()), [])
+    if any(name not in names for name in row.values):
+        _write(path, [*read(path), row])
+        return
+    with path.open("r+b") as file:
+        file.truncate(len(kept))
+        file.seek(len(kept))
+        file.write(_text([row], names).encode())
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def columns_of(rows: Iterable[Trial]) -> list[str]:
+    """Names of all values, in the order of the first row that has each."""
+    return list(dict.fromkeys(name for row in rows for name in row.values))
+
+
+def means(rows: Iterable[Trial], base: str | None = None) -> list[Mean]:
+    """Means over the subjects, in the order of the first row; the last of a key counts.
+
+    Args:
+        rows: what there is.
+        base: a configuration that others are paired with: one of fewer subjects is given by its
+            ratio to it on the same ones, for subjects differ by more than configurations do. None
+            for plain means.
+    """
+    latest = {row.key: row for row in rows}
+    found: dict[str, dict[str, list[Trial]]] = {}
+    for row in latest.values():
+        found.setdefault(row.configuration, {}).setdefault(row.subject, []).append(row)
+    columns = columns_of(latest.values())
+    paired = found.get(base, {}) if base else {}
+    return [_mean_of(name, of_subjects, paired, columns) for name, of_subjects in found.items()]
+
+
+def comparable(found: Sequence[Mean]) -> list[Mean]:
+    """Those measured on as many subjects as any."""
+    most = max((mean.subjects for mean in found), default=0)
+    return [mean for mean in found if mean.subjects == most]
+
+
+def front(found: Sequence[Mean], x: str, y: str) -> list[Mean]:
+    """The Pareto front, least x first: of none are both as small."""
+    best, least = [], math.inf
+    for mean in sorted(found, key=lambda mean: (mean[x], mean[y])):
+        if mean[y] < least:
+            best.append(mean)
+            least = mean[y]
+    return best
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> list[str]:
+    """Lines of a table: so many first columns to the left, numbers to the right."""
+    rule = ["---"] * words + ["---:"] * (len(head) - words)
+    return ["| " + " | ".join(line) + " |" for line in (head, rule, *rows)]
+
+
+def table(rows: Sequence[Trial], command: str, about: str = "") -> str:
+    """All rows and, of several subjects, a configuration's mean over them."""
+    columns = columns_of(rows)
+    seeds = len({row.seed for row in rows}) > 1
+    lines = [
+        [row.subject, row.configuration + (f", seed {row.seed}" if seeds else "")]
+        + [shown(row.values.get(name, math.nan)) for name in columns]
+        for row in rows
+    ]
+    if len({row.subject for row in rows}) > 1:
+        lines += [
+            ["mean", mean.configuration, *(shown(mean[name]) for name in columns)]
+            for mean in means(rows)
+        ]
+    head = ["subject", "configuration", *columns]
+    told = [about, ""] if about else []
+    return "\n".join([f"Measured by `{command}`.", "", *told, *markdown(head, lines, 2)]) + "\n"
+
+
+def as_json(rows: Sequence[Trial]) -> str:
+    """The rows as a JSON list, nothing where there is no number."""
+    told = [
+        {"subject": row.subject, "configuration": row.configuration, "seed": row.seed}
+        | {n: None if v != v else v for n, v in row.values.items()}
+        for row in rows
+    ]
+    return json.dumps(told, indent=2)
+
+
+def shown(value: Value) -> str:
+    """Three digits of a number, nothing for NaN; words as they are."""
+    if isinstance(value, str):
+        return value
+    if math.isnan(value):
+        return ""
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:#.3g}".rstrip(".")
+
+
+def machine() -> str:
+    """The processor, its cores and the threads in use, and the system."""
+    import torch
+
+    return (
+        f"{_processor()}, {os.cpu_count()} cores, {torch.get_num_threads()} threads, "
+        f"{platform.system()}, torch {torch.__version__.split('+')[0]}"
+    )
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass  # no such file but on Linux
+    return platform.processor() or platform.machine()
+
+
+def _mean_of(
+    name: str,
+    of_subjects: Mapping[str, Sequence[Trial]],
+    base: Mapping[str, Sequence[Trial]],
+    columns: Sequence[str],
+) -> Mean:
+    """Of one configuration's trials by subject."""
+
+    def over_seeds(column: str, trials: Mapping[str, Sequence[Trial]]) -> dict[str, float]:
+        return {subject: _mean([t.number(column) for t in of]) for subject, of in trials.items()}
+
+    def mean(column: str) -> float:
+        own, beside = over_seeds(column, of_subjects), over_seeds(column, base)
+        shared = [s for s, value in own.items() if not math.isnan(value + beside.get(s, math.nan))]
+        if not shared:
+            return _mean(list(own.values()))
+        ratio = _mean([own[s] for s in shared]) / _mean([beside[s] for s in shared])
+        return ratio * _mean(list(beside.values()))
+
+    def scatter(column: str) -> float:
+        several = [of for of in of_subjects.values() if len(of) > 1]
+        return _mean([_deviation([t.number(column) for t in of]) for of in several])
+
+    return Mean(
+        name,
+        next(iter(of_subjects.values()))[0].group,
+        len(of_subjects),
+        min(map(len, of_subjects.values())),
+        {column: mean(column) for column in columns},
+        {c: _deviation(list(over_seeds(c, of_subjects).values())) for c in columns},
+        {column: scatter(column) for column in columns},
+    )
+
+
+def _trial(row: dict[str, str | None]) -> Trial:
+    told = {name: row.pop(name, "") or "" for name in _KEYS}
+    if not told["experiment"] or not told["configuration"] or None in row:
+        raise ValueError("no experiment and configuration stand in it")
+    values = {name: _value(text or "") for name, text in row.items()}
+    seed = int(told.pop("seed") or 0)
+    return Trial(values=values, seed=seed, **told)
+
+
+def _value(text: str) -> Value:
+    try:
+        return float(text or "nan")
+    except ValueError:
+        return text
+
+
+def _write(path: Path, rows: Sequence[Trial]) -> None:
+    names = [*_KEYS, *columns_of(rows)]
+    with staged_file(path) as file:
+        heading = _text([], names, heading=True)
+        file.write_text(heading + _text(rows, names), encoding="utf-8", newline="")
+
+
+def _text(rows: Iterable[Trial], names: Sequence[str], *, heading: bool = False) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    if heading:
+        writer.writerow(names)
+    for row in rows:
+        cells = [getattr(row, n) if n in _KEYS else row.values.get(n, math.nan) for n in names]
+        writer.writerow(_written(cell) for cell in cells)
+    return stream.getvalue()
+
+
+def _written(value: object) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else f"{value:.6g}"
+    return str(value)
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Of those that are numbers."""
+    known = [value for value in values if not math.isnan(value)]
+    return statistics.fmean(known) if known else math.nan
+
+
+def _deviation(values: Sequence[float]) -> float:
+    """Of those that are numbers."""
+    known = [value for value in values if not math.isnan(value)]
+    return statistics.pstdev(known) if known else math.nan

@@ -1,0 +1,92 @@
+"""What maps tell in numbers, and what they are off by from true maps of the same texels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.files.rec709 import LUMINANCE
+
+_STEEP = 3.0  # degrees: where normals are compared
+_DARK = 1e-3  # of albedo
+
+
+@dataclass(frozen=True)
+class MapNumbers:
+    """What maps tell in three numbers."""
+
+    tilt: float
+    """Mean angle of the normal from the plane's, degrees."""
+
+    albedo: float
+    """Standard deviation of the logarithm of diffuse albedo's luminance."""
+
+    roughness: float
+    """Mean."""
+
+    @staticmethod
+    def of(maps: MapSet) -> MapNumbers:
+        """Of one map set."""
+        luminance = torch.tensor(LUMINANCE)[:, None, None] * maps.diffuse.float()
+        return MapNumbers(
+            float(maps.normal[2].clamp(-1.0, 1.0).acos().rad2deg().mean()),
+            float((luminance.sum(0) + _DARK).log().std()),
+            float(maps.roughness.mean()),
+        )
+
+
+@dataclass(frozen=True)
+class MapsOff:
+    """What maps are off by."""
+
+    normals: float
+    """Degrees, where the truth leans by more than 3; NaN where it nowhere does."""
+
+    flat: float
+    """Degrees that flat maps would be off there."""
+
+    albedo: float
+    """Mean absolute difference of log albedo, its median left out."""
+
+    roughness: float
+    """Mean absolute difference."""
+
+    @staticmethod
+    def of(found: MapSet, true: MapSet, where: Tensor | None = None) -> MapsOff:
+        """Of maps, or of some of their texels, (H, W) bool."""
+        here = torch.ones(found.size[::-1], dtype=torch.bool) if where is None else where
+        off = (true.normal.float() * found.normal).sum(0).clamp(-1.0, 1.0).acos().rad2deg()
+        lean = true.normal[2].clamp(-1.0, 1.0).acos().rad2deg()
+        steep = (lean > _STEEP) & here
+        log = (found.diffuse.mean(0) + 1e-3).log() - (true.diffuse.mean(0) + 1e-3).log()
+        return MapsOff(
+            float(off[steep].mean()) if steep.any() else math.nan,
+            float(lean[steep].mean()) if steep.any() else math.nan,
+            float((log - log[here].median())[here].abs().mean()),
+            float((found.roughness - true.roughness)[0][here].abs().mean()),
+        )
+
+
+def numbers_beside(found: MapSet, truths: Sequence[MapSet]) -> dict[str, float]:
+    """MapNumbers of maps, and their means over true samples in texels of the same size."""
+    shrunk = [asdict(MapNumbers.of(shrunk_to(maps, found.texel_size))) for maps in truths]
+    told = {}
+    for name, value in asdict(MapNumbers.of(found)).items():
+        told[name] = value
+        told[f"true {name}"] = sum(one[name] for one in shrunk) / len(shrunk)
+    return told
+
+
+def shrunk_to(maps: MapSet, texel_size: float) -> MapSet:
+    """Means over texels of a size, no finer than the maps'."""
+    width, height = maps.size
+    share = min(1.0, maps.texel_size / texel_size)
+    size = (round(height * share), round(width * share))
+    stacked: Tensor = F.interpolate(maps.stacked()[None].float(), size, mode="area")[0]
+    return MapSet.from_stacked(stacked, maps.texel_size * width / size[1])

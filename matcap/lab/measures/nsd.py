@@ -1,0 +1,83 @@
+"""Normalised style distance (NSD): how far pictures of a material are from true ones of it.
+
+The style distance by SqueezeNet, which nothing is tuned by, is that of Gram matrices of its first
+convolution and its fire modules, at two scales. The distance of two Gram matrices is relative,
+
+    |A - B|_1 / ((|A|_1 + |B|_1) / 2),
+
+and the measure is the mean over layers and scales: 0 for equal pictures, at most 2, and symmetric.
+It sees open cells and broken threads, which a bank of linear filters hardly does.
+
+Normalised, it is divided by the distance between true samples of the same material: 1 is
+indistinguishable from another sample. Over a whole picture true samples differ half as much as over
+a quarter of it, so the whole tells more (leather 0.12 and 0.19).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from matcap.lab.measures.squeezenet import SqueezeNet
+from matcap.lab.measures.style import Group, Style, StyleStatistics, difference
+from matcap.statistics.gram import gram
+
+SCALES = 2  # the second of half the size
+_SMALLEST = 64  # texels a side at the coarser scale
+
+
+class SqueezeNetStyle:
+    """Statistics of SqueezeNet's responses, a Style."""
+
+    def __init__(self, network: SqueezeNet | None = None) -> None:
+        """Take a network; by default the one that comes along."""
+        self._network = network or SqueezeNet.load()
+
+    @torch.no_grad()
+    def __call__(self, pictures: Tensor) -> StyleStatistics:
+        """Describe sRGB-encoded pictures (B, 3, H, W) in [0, 1], at least 128 texels a side.
+
+        Raises:
+            ValueError: smaller pictures.
+        """
+        if min(pictures.shape[-2:]) < _SMALLEST * 2 ** (SCALES - 1):
+            raise ValueError(f"pictures of {tuple(pictures.shape)} are too small to be compared")
+        groups = {}
+        for scale in range(SCALES):
+            responses = self._network(F.avg_pool2d(pictures, 2**scale))
+            for layer, features in enumerate(responses):
+                matrix = gram(features)[:, :-1, :-1]
+                groups[f"scale {scale}, layer {layer}"] = Group(matrix.flatten(1), 0.0)
+        return groups
+
+
+def style_distance(style: Style, first: Tensor, second: Tensor) -> float:
+    """Of sRGB-encoded pictures (B, 3, H, W) in [0, 1] under the same lights, by any statistics."""
+    return float(difference(style(first), style(second)).mean())
+
+
+class NormalisedStyleDistance:
+    """NSD to true samples of one material, by one kind of statistics."""
+
+    def __init__(self, style: Style, truths: Sequence[Tensor]) -> None:
+        """Describe true samples.
+
+        Args:
+            style: what pictures are compared by.
+            truths: two or more samples of the material, none of them the photographed one, each
+                (L, 3, H, W), relit from L directions.
+        """
+        self._style = style
+        self._truths = [style(truth) for truth in truths]
+        pairs = list(itertools.combinations(self._truths, 2))
+        self.between_truths = sum(float(difference(a, b).mean()) for a, b in pairs) / len(pairs)
+
+    def of(self, found: Tensor) -> float:
+        """NSD of pictures (L, 3, H, W) relit from the same directions; 1 is indistinguishable."""
+        statistics = self._style(found)
+        errors = [float(difference(statistics, truth).mean()) for truth in self._truths]
+        return sum(errors) / len(errors) / self.between_truths

@@ -1,0 +1,99 @@
+"""How varied made pictures are, and how like true ones: precision and recall.
+
+After Kynkaanniemi et al. (2019), "Improved Precision and Recall Metric for Assessing Generative
+Models". Each set of pictures covers the balls around its members that reach to their k-th nearest
+other member; precision is the share of made pictures within the true ones' balls, recall that of
+true pictures within the made ones'. Distances are those of RandomFilters (style.py), which nothing
+is trained on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from matcap.lab.measures.style import Group, RandomFilters, StyleStatistics
+
+NEIGHBOUR = 3  # the k of the paper
+
+
+@dataclass(frozen=True)
+class Variety:
+    """What a set of made pictures is worth beside a set of true ones.
+
+    Attributes:
+        precision: share of the made ones that look like a true one, 0 to 1.
+        recall: share of the true ones that look like a made one, 0 to 1.
+        apart: mean style distance of two made ones, 0 to 2.
+        apart_true: mean style distance of two true ones.
+        nearest: (made,) the true picture nearest to each made one.
+    """
+
+    precision: float
+    recall: float
+    apart: float
+    apart_true: float
+    nearest: Tensor
+
+    @property
+    def spread(self) -> float:
+        """How far apart made pictures are, as a share of how far true ones are."""
+        return self.apart / self.apart_true
+
+
+def variety(made: StyleStatistics, true: StyleStatistics, neighbour: int = NEIGHBOUR) -> Variety:
+    """Compare statistics of made pictures with those of true ones, more than `neighbour` each."""
+    across = style_distances(made, true)
+    within, within_true = style_distances(made, made), style_distances(true, true)
+    return Variety(
+        precision=_covered(across, reaches(within_true, neighbour)),
+        recall=_covered(across.T, reaches(within, neighbour)),
+        apart=mean_apart(within),
+        apart_true=mean_apart(within_true),
+        nearest=across.argmin(dim=1),
+    )
+
+
+def describe_pictures(pictures: Sequence[Tensor]) -> StyleStatistics:
+    """Statistics of sRGB pictures (3, H, W), one by one: thousands of features take memory."""
+    style = RandomFilters()
+    return joined([style(picture[None]) for picture in pictures])
+
+
+def joined(parts: Sequence[StyleStatistics]) -> StyleStatistics:
+    """Statistics of all pictures of several."""
+    return {
+        name: Group(torch.cat([part[name].values for part in parts]), group.unseen)
+        for name, group in parts[0].items()
+    }
+
+
+def style_distances(first: StyleStatistics, second: StyleStatistics) -> Tensor:
+    """(N, M) distances between N and M pictures: style.difference of every pair."""
+    found = []
+    for name, group in first.items():
+        one, other = group.values, second[name].values
+        count = one.shape[1]
+        sizes = one.abs().mean(1)[:, None] + other.abs().mean(1)[None, :]
+        apart = torch.cdist(one, other, p=1.0) / count
+        found.append(apart / (sizes / 2.0 + group.unseen).clamp_min(1e-12))
+    return torch.stack(found).mean(0)
+
+
+def reaches(within: Tensor, neighbour: int) -> Tensor:
+    """(N,) distance of every member to its neighbour-th nearest other one, from (N, N)."""
+    return within.sort(dim=1).values[:, neighbour]  # the first is the member itself
+
+
+def mean_apart(within: Tensor) -> float:
+    """Mean distance of two different members, from (N, N)."""
+    count = len(within)
+    return float(within.sum() - within.diagonal().sum()) / (count * (count - 1))
+
+
+def _covered(across: Tensor, reach: Tensor) -> float:
+    """Share of N pictures that lie in the ball of any of M others, from (N, M) and (M,)."""
+    return float((across <= reach).any(dim=1).float().mean())

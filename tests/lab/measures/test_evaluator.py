@@ -1,0 +1,114 @@
+"""Maps against relit true samples, and what is photographed for that."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from matcap.brdf.maps import MapSet
+from matcap.errors import MatcapError, UsageError
+from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
+from matcap.lab.measures.lights import relight_all
+from matcap.lab.measures.maps import MapNumbers
+from matcap.lab.measures.nsd import SqueezeNetStyle
+from matcap.lab.measures.squeezenet import SqueezeNet
+from matcap.lab.simulate.photograph import PhoneCamera
+from matcap.lab.simulate.specimen import photograph
+from matcap.lab.simulate.subjects import USUAL, subjects
+from matcap.photo.load import load_photo
+
+SMALL = EvaluationSettings(detail=256, size=128, camera=PhoneCamera(160, 120))
+
+
+@pytest.fixture(scope="module")
+def styles():
+    torch.manual_seed(0)
+    return {"NSD": SqueezeNetStyle(SqueezeNet())}
+
+
+def test_subjects_by_name_kind_and_folder():
+    assert [s.name for s in subjects(())] == list(USUAL)
+    first, second = subjects(["weave", "weave:7"])
+    texel = 2.0 / 256
+    assert first.pieces(0)(32, 32, texel).height.shape == (1, 32, 32)
+    assert not torch.equal(
+        first.pieces(0)(32, 32, texel).height, second.pieces(0)(32, 32, texel).height
+    )
+    with pytest.raises(UsageError, match="no such material"):
+        subjects(["cheese"])
+
+
+def test_exposure_is_the_camera_s_and_its_offset(tmp_path):
+    (subject,) = subjects(["plaster"])
+    path, plain = photograph(subject, SMALL.camera, tmp_path)
+    assert path.suffix == ".dng"
+    path, darker = photograph(subject, SMALL.camera, tmp_path, ev=-1.0, jpeg=True)
+    assert path.suffix == ".jpg" and load_photo(path).original_size == (160, 120)
+    assert darker.linear.mean() == pytest.approx(0.5 * plain.linear.mean())
+    assert darker.setup.intensity[0] == pytest.approx(0.5 * plain.setup.intensity[0])
+
+
+def test_true_maps_are_nearer_than_flat_ones_in_any_detail(styles):
+    (subject,) = subjects(["plaster"])
+    shot = photograph_setup()
+    # Maps that went through no lens are held against truths that went through none.
+    sharp = replace(SMALL, camera=replace(SMALL.camera, blur=0.0))
+    evaluator = Evaluator(subject, shot, sharp, styles)
+    true = subject.pieces(77)(256, 256, 2.0 / 512)
+    flat = replace(true, height=0.0 * true.height, roughness=0.0 * true.roughness + 0.3)
+    near = evaluator.nsd_of(true, shot.intensity)
+    assert evaluator.nsd_of(flat, shot.intensity) > 1.2 * near
+    pictures = relight_all(flat.map(lambda m: m.float()), shot.intensity, evaluator.scene)
+    assert pictures.shape[-1] == 256  # compared with pictures of 128
+
+
+def test_a_true_piece_in_finer_detail_looks_as_truths_do(styles):
+    (subject,) = subjects(["plaster"])
+    shot = photograph_setup()
+    sharp = replace(SMALL, camera=replace(SMALL.camera, blur=0.0))
+    evaluator = Evaluator(subject, shot, sharp, styles)
+    side, texel = sharp.finer * sharp.size, 2.0 / (sharp.finer * sharp.detail)
+    true = subject.pieces(subject.seed + 1)(side, side, texel)
+    torch.testing.assert_close(evaluator.relit(true, shot.intensity), evaluator.pictures[0])
+
+
+def test_an_evaluation_stays_what_was_measured_by():
+    """By the code of 2026-11-25: a sharp sample in the photograph's detail, and it flat."""
+    (subject,) = subjects(["plaster"])
+    shot = photograph_setup()
+    evaluator = Evaluator(subject, shot, SMALL, {"NSD": SMALL.squeezenet})
+    true = subject.pieces(77)(256, 256, 2.0 / 512)
+    assert evaluator.nsd_of(true, shot.intensity) == pytest.approx(2.7971, rel=1e-3)
+    flat = replace(true, height=0.0 * true.height)
+    assert evaluator.nsd_of(flat, shot.intensity) == pytest.approx(3.0210, rel=1e-3)
+
+
+def test_the_photograph_s_own_light_is_a_scene_of_its_own(styles):
+    (subject,) = subjects(["plaster"])
+    evaluator = Evaluator(subject, photograph_setup(), SMALL, styles)
+    (light,) = evaluator.own_scene.lights
+    assert light.place == (0.0, 0.0, evaluator.flash.distance) and light.strength == 1.0
+    found = evaluator.relit_truths(evaluator.own_scene)[0]
+    assert evaluator.nsd(found, scene=evaluator.own_scene) < 1.0  # one of the true samples
+
+
+def test_maps_that_are_smaller_than_what_is_compared_are_refused(styles):
+    (subject,) = subjects(["plaster"])
+    evaluator = Evaluator(subject, photograph_setup(), SMALL, styles)
+    with pytest.raises(MatcapError, match="128 x 128 are compared"):
+        evaluator.middle(subject.pieces(1)(100, 200, 2.0 / 256))
+
+
+def photograph_setup():
+    from matcap.flash.geometry import FlashSetup
+
+    return FlashSetup(fov=65.0, intensity=(2.0, 2.0, 2.0))
+
+
+def test_numbers_tell_tilt_albedo_and_roughness():
+    ramp = 0.1 * torch.arange(16.0).expand(1, 16, 16)
+    albedo = torch.full((3, 16, 16), 0.5)
+    maps = MapSet(albedo, ramp * 0.0, ramp * 0.0 + 0.4, ramp, texel_size=0.1)
+    told = MapNumbers.of(maps)
+    assert told.tilt == pytest.approx(45.0, abs=0.01)
+    assert (told.albedo, told.roughness) == (pytest.approx(0.0, abs=1e-5), pytest.approx(0.4))
