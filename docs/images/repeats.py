@@ -23,10 +23,10 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.files.srgb import srgb_picture
-from matcap.lab.simulate.subjects import subjects
 from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 from matcap.lab.simulate.specimen import Specimen, photograph
+from matcap.lab.simulate.subjects import subjects
 
 FILE = Path(__file__).parent / "repeats.jpg"
 KINDS = (

@@ -41,7 +41,7 @@ SetsOption = Annotated[
 OutOption = Annotated[
     Path, typer.Option("--out", "-o", help="Folder for the table, and what it is measured of.")
 ]
-PresetOption = Annotated[str, typer.Option(help="Of the captures.")]
+BenchPresetOption = Annotated[str, typer.Option(help="Of the captures.")]
 
 _FRONTS = Path("bench/fronts")
 # Texels and degrees of what `bench fields --phases` measures.
@@ -67,7 +67,7 @@ def quality(
     out: OutOption = Path("bench/quality"),
     material: OnlyOption = None,
     method: OnlyOption = None,
-    preset: PresetOption = "standard",
+    preset: BenchPresetOption = "standard",
     steps: Annotated[
         int | None, typer.Option(min=0, help="Fine-tuning steps, instead of the preset's.")
     ] = None,
@@ -120,7 +120,7 @@ def floors(
         float, typer.Option(min=-8.0, max=8.0, help="Exposure offset (EV) from the camera's own.")
     ] = 0.0,
     jpeg: Annotated[bool, typer.Option("--jpeg", help="Photographs are JPEGs, not RAW.")] = False,
-    preset: PresetOption = "standard",
+    preset: BenchPresetOption = "standard",
     photographs: Annotated[
         list[int] | None,
         typer.Option(
@@ -184,7 +184,7 @@ def metals(
     sets: SetsOption = None,
     out: OutOption = Path("bench/metals"),
     detail: Annotated[int, typer.Option(min=128, max=4096, help="Of the captures.")] = 512,
-    preset: PresetOption = "instant",
+    preset: BenchPresetOption = "instant",
     pixels: Annotated[
         int, typer.Option(min=256, max=8192, help="Of photographs, along the long side.")
     ] = 1600,

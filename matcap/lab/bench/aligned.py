@@ -126,7 +126,7 @@ def _mean(values: Tensor) -> float:
 
 
 @dataclass(frozen=True)
-class Aligned:
+class AlignedSubject:
     """A photograph's true maps, and errors of what was found of it, by method and ring."""
 
     found: Callable[[str], Mapping[str, AlignedErrors]]
@@ -134,7 +134,7 @@ class Aligned:
 
 def aligned_experiment(
     materials: Sequence[str], out: Path, detail: int = 1024
-) -> Experiment[Aligned, AlignedErrors]:
+) -> Experiment[AlignedSubject, AlignedErrors]:
     """The exemplar, beside the photograph as albedo and the coarse fit alone, ring by ring.
 
     Args:
@@ -146,7 +146,7 @@ def aligned_experiment(
         UsageError: no such material.
     """
 
-    def prepare(name: str) -> Aligned:
+    def prepare(name: str) -> AlignedSubject:
         example, camera = EXAMPLES[name], PhoneCamera()
         path, shot = photograph(named_specimen(name), camera, out)
         photo = as_photo(shot, example.seed, path.name)
@@ -164,9 +164,9 @@ def aligned_experiment(
             albedo = photo_as_albedo(photo, shot.setup, detail)
             return aligned_errors(albedo.whole, albedo.setup, truth, shot.setup, scene)
 
-        return Aligned(errors)
+        return AlignedSubject(errors)
 
-    def run(method: str, ring: str, aligned: Aligned, _seed: int) -> AlignedErrors:
+    def run(method: str, ring: str, aligned: AlignedSubject, _seed: int) -> AlignedErrors:
         return aligned.found(method)[ring]
 
     return Experiment(
@@ -177,7 +177,7 @@ def aligned_experiment(
             for method in METHODS
             for ring, _, _ in RINGS
         },
-        (lambda _aligned, errors: asdict(errors),),
+        (lambda _subject, errors: asdict(errors),),
         settings=detail,
     )
 

@@ -47,7 +47,7 @@ class PhotographSettings:
 
 
 @dataclass(frozen=True)
-class Captured:
+class CapturedSubject:
     """A material, its photograph, what was made of that, and what that is compared with."""
 
     subject: Specimen
@@ -56,7 +56,7 @@ class Captured:
     evaluator: Evaluator
 
 
-Maps = tuple[MapSet, Intensity]  # and the flash that goes with them
+LitMaps = tuple[MapSet, Intensity]  # and the flash that goes with them
 
 
 def nsd_experiment(
@@ -64,7 +64,7 @@ def nsd_experiment(
     out: Path,
     settings: PhotographSettings,
     evaluation: EvaluationSettings,
-) -> Experiment[Captured, Maps]:
+) -> Experiment[CapturedSubject, LitMaps]:
     """Photograph and capture each subject once; what is found of it three ways.
 
     Args:
@@ -75,14 +75,14 @@ def nsd_experiment(
     """
     style = evaluation.squeezenet
 
-    def prepare(subject: Specimen) -> Callable[[], Captured]:
-        def prepared() -> Captured:
+    def prepare(subject: Specimen) -> Callable[[], CapturedSubject]:
+        def prepared() -> CapturedSubject:
             path, shot = photograph(
                 subject, evaluation.camera, out, ev=settings.ev, jpeg=settings.jpeg
             )
             result = capture_file(path, settings.captured)
             evaluator = Evaluator(subject, shot.setup, evaluation, {"NSD": style})
-            return Captured(subject, shot, result, evaluator)
+            return CapturedSubject(subject, shot, result, evaluator)
 
         return prepared
 
@@ -99,24 +99,24 @@ def nsd_experiment(
     )
 
 
-def nsd(captured: Captured, maps: Maps) -> Mapping[str, Value]:
+def nsd(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
     """Normalised style distance."""
     return {"NSD": captured.evaluator.nsd_of(*maps)}
 
 
-def map_numbers(captured: Captured, maps: Maps) -> Mapping[str, Value]:
+def map_numbers(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
     """What the maps tell, and what is true."""
     evaluator = captured.evaluator
     return numbers_beside(evaluator.middle(maps[0]), evaluator.truths)
 
 
-def capture_seconds(captured: Captured, maps: Maps) -> Mapping[str, Value]:
+def capture_seconds(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
     """That the capture took, in place of the configuration's own."""
     del maps
     return {"seconds": sum(captured.result.stage_seconds.values())}
 
 
-def _albedo(captured: Captured, seed: int) -> Maps:
+def _albedo(captured: CapturedSubject, seed: int) -> LitMaps:
     del seed
     photo = as_photo(captured.shot, captured.subject.seed, captured.subject.name)
     detail = captured.evaluator.settings.detail
@@ -124,14 +124,14 @@ def _albedo(captured: Captured, seed: int) -> Maps:
     return albedo.whole, albedo.setup.intensity
 
 
-def _exemplar(captured: Captured, seed: int) -> Maps:
+def _exemplar(captured: CapturedSubject, seed: int) -> LitMaps:
     del seed
     assert captured.result.found is not None
     maps = piece_maps(captured.result.found.exemplar)
     return maps, captured.result.material.setup.intensity
 
 
-def _field(captured: Captured, seed: int) -> Maps:
+def _field(captured: CapturedSubject, seed: int) -> LitMaps:
     material = captured.result.material
     side = captured.evaluator.side(material.texel_size)
     return material.maps(side, side, seed=seed), material.setup.intensity

@@ -61,7 +61,7 @@ class Ambient:
 
 
 @dataclass(frozen=True)
-class Taken:
+class TakenSubject:
     """A sample, its photographs, and what captures of them are compared with."""
 
     subject: Specimen
@@ -91,7 +91,7 @@ def several_experiment(
     settings: PhotographSettings,
     evaluation: EvaluationSettings,
     ambient: Ambient,
-) -> Experiment[Taken, CaptureResult]:
+) -> Experiment[TakenSubject, CaptureResult]:
     """Photograph each subject from several places; capture it from so many photographs.
 
     Args:
@@ -105,7 +105,7 @@ def several_experiment(
     hand = replace(ambient.hand, room=Room(ambient.room) if ambient.room else None)
     style, phone = evaluation.squeezenet, evaluation.camera
 
-    def prepare(subject: Specimen) -> Taken:
+    def prepare(subject: Specimen) -> TakenSubject:
         realise = subject.pieces(subject.seed)
         cameras = hold(phone, hand, max(counts), subject.seed)
         shots = take_several(realise, phone, cameras, hand, subject.seed)
@@ -115,15 +115,15 @@ def several_experiment(
             shot = take_without_flash(realise, phone, cameras, hand, subject.seed + 1)
             unlit = [_write(subject, shot, len(paths), out, jpeg=settings.jpeg)]
         evaluator = Evaluator(subject, shots[0].shot.setup, evaluation, {"NSD": style})
-        return Taken(subject, paths, unlit, cameras, evaluator, hand)
+        return TakenSubject(subject, paths, unlit, cameras, evaluator, hand)
 
     def capture(
-        count: int, with_unlit: bool, union: bool, taken: Taken, _seed: int
+        count: int, with_unlit: bool, union: bool, taken: TakenSubject, _seed: int
     ) -> CaptureResult:
         others = [*taken.paths[1:count], *(taken.unlit if with_unlit else ())]
         return capture_file(taken.paths[0], replace(settings.captured, union=union), others=others)
 
-    ways: dict[str, Configuration[Taken, CaptureResult]] = {}
+    ways: dict[str, Configuration[TakenSubject, CaptureResult]] = {}
     for count in counts:
         for extra in (False, True) if ambient.room else (False,):
             for union in (False, True) if ambient.union and count > 1 else (False,):
@@ -139,7 +139,7 @@ def several_experiment(
     )
 
 
-def nsd(taken: Taken, result: CaptureResult) -> Mapping[str, Value]:
+def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Normalised style distance of the exemplar, tilts, and seconds of the capture."""
     assert result.found is not None
     found, evaluator = piece_maps(result.found.framed), taken.evaluator
@@ -153,14 +153,14 @@ def nsd(taken: Taken, result: CaptureResult) -> Mapping[str, Value]:
     }
 
 
-def off(taken: Taken, result: CaptureResult) -> Mapping[str, Value]:
+def off(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """What the first photograph's rectangle is off by."""
     assert result.found is not None
     found = piece_maps(result.found.framed)
     return asdict(MapsOff.of(found, taken.true_on(result)(*found.size)))
 
 
-def residuals(taken: Taken, result: CaptureResult) -> Mapping[str, Value]:
+def residuals(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Photographs used, and what they are off by from re-renderings."""
     del taken
     several = None if result.found is None else result.found.several
@@ -173,7 +173,7 @@ def residuals(taken: Taken, result: CaptureResult) -> Mapping[str, Value]:
     }
 
 
-def beyond(taken: Taken, result: CaptureResult) -> Mapping[str, Value]:
+def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """How large the exemplar is, and what it is off by where the first photograph shows none of it.
 
     A texel that one photograph drew lies where that one was registered, which is beside its place

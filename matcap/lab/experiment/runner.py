@@ -18,11 +18,11 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 from typing import Generic, TypeVar
 
-import matcap
 from matcap.errors import MatcapError, UsageError
 from matcap.lab.experiment.results import Trial, Value, append, machine, read
 
@@ -157,7 +157,8 @@ def choose(known: Mapping[str, Outcome], names: Sequence[str]) -> dict[str, Outc
 def source_version() -> str:
     """Of the package's files, networks included."""
     digest = hashlib.sha256()
-    for folder in matcap.__path__:
+    package = find_spec("matcap")
+    for folder in package.submodule_search_locations or () if package else ():
         for file in sorted(Path(folder).rglob("*")):
             if file.suffix in (".py", ".c", ".h", ".safetensors"):
                 digest.update(file.read_bytes())

@@ -31,7 +31,7 @@ def test_a_lattice_far_away_is_in_phase():
 
 def test_true_maps_are_near_themselves_and_only_fields_have_joints(tmp_path, monkeypatch):
     monkeypatch.setattr(fields, "_SIZE", (256, 192))
-    evaluation = EvaluationSettings(192, 128, PhoneCamera(64, 48), truths=2, finer=2)
+    evaluation = EvaluationSettings(192, 128, PhoneCamera(blur=0.01), truths=2, finer=2)
     experiment = fields_experiment(subjects(["rust"]), evaluation)
     exemplar, field, repeated = run(experiment, tmp_path / "fields.csv")
     assert exemplar.number("NSD") < 3.0 and repeated.number("NSD") < 3.0
