@@ -4,36 +4,56 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
+from matcap.files.pixels import read_pixels
+from matcap.files.rec709 import LUMINANCE
+
+_STEP = 1.5 / 255.0  # codes that differ by less are the same
 
 
 def read_mask(path: Path) -> NDArray[np.float32]:
-    """(H, W) in [0, 1] of a picture of 8 or 16 bits: white and opaque is 1.
+    """(H, W) in [0, 1] of a picture's codes: white and opaque is 1; colours by their luma.
 
     What is painted on a transparent layer is seen over black. A layer of one colour is its alpha,
-    whatever the colour: painted in black on nothing, too, it means what is painted.
+    whatever the colour: painted in black on nothing, too, it means what is painted. So is one that
+    is no grey: a cut-out.
 
     Raises:
-        MatcapError: not a picture that OpenCV reads.
+        MatcapError: missing, or no picture; all of it transparent; floats outside of [0, 1].
     """
-    coded = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if coded is None or coded.dtype not in (np.uint8, np.uint16):
-        raise MatcapError(
-            "this is no picture of 8 or 16 bits", where=str(path), remedy="save it as a PNG"
-        )
-    shown: NDArray[np.float32] = coded.astype(np.float32) / np.float32(
-        255.0 if coded.dtype == np.uint8 else 65535.0
+    pixels = read_pixels(path)
+    red, green, blue = (
+        pixels.channel(role if role in pixels.roles else "R") for role in ("R", "G", "B")
     )
-    if shown.ndim == 2:
-        return shown
-    alpha = shown[..., -1] if shown.shape[2] in (2, 4) else np.ones(shown.shape[:2], np.float32)
-    colors = shown[..., :3] if shown.shape[2] >= 3 else shown[..., :1]
-    grey = cv2.cvtColor(colors, cv2.COLOR_BGR2GRAY) if colors.shape[2] == 3 else colors[..., 0]
-    painted = grey[alpha > 0.0]
-    if float(alpha.min()) < 1.0 and painted.size and float(np.ptp(painted)) < 1e-3:
-        return np.asarray(alpha, np.float32)
-    return np.asarray(grey * alpha, np.float32)
+    grey = (
+        red
+        if pixels.grey
+        else sum(
+            np.float32(weight) * plane
+            for weight, plane in zip(LUMINANCE, (red, green, blue), strict=True)
+        )
+    )
+    grey = np.asarray(grey, np.float32)
+    if not pixels.whole and not 0.0 <= float(grey.min()) <= float(grey.max()) <= 1.0:
+        raise MatcapError(
+            f"has values from {grey.min():.3g} to {grey.max():.3g}, not from 0 to 1",
+            where=str(path),
+            remedy="save it as a PNG of 8 or 16 bits",
+        )
+    if "A" not in pixels.roles:
+        return grey
+    alpha = np.clip(pixels.channel("A"), 0.0, 1.0)
+    seen = alpha > 0.0
+    if not seen.any():
+        raise MatcapError(
+            "all of it is transparent", where=str(path), remedy="save it without transparency"
+        )
+    if float(alpha.min()) >= 1.0 - 1e-6:
+        return grey
+    spread = np.maximum(np.abs(red - green), np.abs(green - blue))[seen]
+    if float(np.ptp(grey[seen])) < _STEP or float(spread.mean()) > _STEP:
+        return alpha
+    return grey * alpha

@@ -11,9 +11,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.errors import MatcapError, UsageError
+from matcap.errors import UsageError
 from matcap.field.blocks import check_rectangle
 from matcap.field.plane import Period, Rectangle, Span
+from matcap.files.mask import read_mask as read_shares
 
 
 @dataclass(frozen=True)
@@ -57,14 +58,12 @@ class Mask:
 
 
 def read_mask(path: Path, over: Rectangle, period: Period | None = None) -> Mask:
-    """A mask from a picture file; colours count by their mean, transparency not at all.
+    """A mask from a picture file; see files/mask.py for what its colours and its alpha mean.
 
     Raises:
-        MatcapError: the file is missing or no picture of 8 or 16 bits.
+        MatcapError: the file is missing, or no picture that is a mask.
         UsageError: an empty rectangle, or one that a repeating field does not repeat with.
     """
-    import cv2
-
     check_rectangle(over)
     for length, side in zip(period or (), (over.width, over.height), strict=False):
         if length is not None and length != side:
@@ -72,16 +71,8 @@ def read_mask(path: Path, over: Rectangle, period: Period | None = None) -> Mask
                 f"the mask covers {side} texels of a field that repeats after {length}",
                 remedy="stretch it over the whole period",
             )
-    if not path.is_file():
-        raise MatcapError("there is no such file", where=str(path), remedy="give a PNG file")
-    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if pixels is None or pixels.dtype not in (np.uint8, np.uint16):
-        raise MatcapError(
-            "this is not a picture of 8 or 16 bits", where=str(path), remedy="save it as a PNG"
-        )
-    if pixels.ndim == 3:
-        pixels = pixels[..., :3].mean(axis=2).round().astype(pixels.dtype)
-    return Mask(np.asarray(pixels), over, period)
+    whole = np.rint(read_shares(path) * np.float32(65535.0)).astype(np.uint16)
+    return Mask(whole, over, period)
 
 
 def _neighbours(

@@ -122,7 +122,7 @@ def test_a_mask_that_does_not_fit_is_said(tmp_path):
     for mask, says in (
         (small, "the mask is 9 x 8 pixels, the photograph"),
         (black, "the mask leaves 0 % of the photograph"),
-        (tmp_path / "text.png", "this is no picture"),
+        (tmp_path / "text.png", "not a readable picture"),
         (tmp_path / "none.png", "there is no such file"),
     ):
         with pytest.raises(MatcapError, match=says):

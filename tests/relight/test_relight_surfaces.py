@@ -1,6 +1,7 @@
 """Sphere, cylinder and mesh; distant planes."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -134,6 +135,35 @@ def test_broken_meshes(tmp_path, text, message):
     (tmp_path / "a.obj").write_text(text)
     with pytest.raises(MatcapError, match=message):
         load_mesh(tmp_path / "a.obj", 2.0)
+
+
+FACE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+
+
+@pytest.mark.parametrize(
+    ("held", "corners", "what"),
+    [
+        ("", "1/1/1 2/2/1 3/3/1 4/4/1", "6 corners name normals"),
+        ("vn 0 0 1\n", "1//1 2//7 3//1 4//1", "1 corners name normals"),
+        ("vn 0 0 1\n", "1//1 2//0 3//1 4//-9", "2 corners name normals"),
+        ("vn 0 0 1\nvn 0 0 0\nvn nan 0 1\n", "1//1 2//2 3//3 4//1", ""),
+    ],
+)
+def test_a_mesh_without_the_normals_that_it_names_has_averages(tmp_path, held, corners, what):
+    (tmp_path / "a.obj").write_text(f"{FACE}{held}f {corners}\n")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        mesh = load_mesh(tmp_path / "a.obj", 2.0)
+    np.testing.assert_allclose(mesh.normals, np.broadcast_to([0.0, 0.0, 1.0], (2, 3, 3)))
+    assert bool(told) == bool(what)
+    assert what in " ".join(str(one.message) for one in told)
+
+
+def test_normals_that_are_there_are_kept_beside_averages(tmp_path):
+    (tmp_path / "a.obj").write_text(f"{FACE}vn 1 0 1\nf 1//1 2//1 3//1\nf 1 3 4\n")
+    mesh = load_mesh(tmp_path / "a.obj", 2.0)
+    np.testing.assert_allclose(mesh.normals[0], np.broadcast_to([0.5**0.5, 0.0, 0.5**0.5], (3, 3)))
+    np.testing.assert_allclose(mesh.normals[1], np.broadcast_to([0.0, 0.0, 1.0], (3, 3)))
 
 
 def test_a_missing_mesh(tmp_path):

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from matcap.field.plane import Rectangle, Span
 from matcap.synth.blend import BlendSource
-from matcap.synth.mask import Mask
+from matcap.synth.mask import Mask, read_mask
 
 
 def shares(pixels, over, x=0, y=0, size=(1, 1), period=None):
@@ -85,3 +86,17 @@ def test_the_level_goes_from_one_mean_to_the_other(share):
     """And what has risen is taken back, but for a part of the deviation."""
     _, height = mixed(share)
     assert height == pytest.approx(1.0 + 2.0 * share, abs=0.03)
+
+
+def test_a_mask_in_alpha_is_the_same_as_in_grey(tmp_path):
+    codes = np.arange(0, 240, 10, dtype=np.uint8).reshape(4, 6)
+    Image.fromarray(codes).save(tmp_path / "grey.png")
+    layer = np.concatenate([np.full((4, 6, 3), 255, np.uint8), codes[..., None]], axis=-1)
+    Image.fromarray(layer).save(tmp_path / "alpha.png")
+    over, area = Rectangle(0, 0, 12, 8), (Span(0, 8), Span(0, 12))
+    grey, alpha = (
+        read_mask(tmp_path / f"{name}.png", over).shares(0, 0, *area) for name in ("grey", "alpha")
+    )
+    plain = Mask(codes, over).shares(0, 0, *area)
+    torch.testing.assert_close(grey, plain, rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(alpha, plain, rtol=0.0, atol=1e-6)

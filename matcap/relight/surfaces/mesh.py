@@ -1,11 +1,11 @@
 """A triangle mesh from a Wavefront OBJ file.
 
 Faces of more than three corners are fanned. Normals are the file's, or averaged over the faces
-that share a vertex. The material lies along the file's texture coordinates, scaled so that it is
-true to size on average; without any, along x and y, seen from the front. The mesh is moved to the
-origin and scaled to its size. Visible triangles are found by comparing depths at pixel centres;
-triangles that reach behind the camera are left out, and back faces are not drawn. The mesh shades
-itself only by facing away from a light: it casts no shadows.
+that share a vertex where it has none. The material lies along the file's texture coordinates,
+scaled so that it is true to size on average; without any, along x and y, seen from the front. The
+mesh is moved to the origin and scaled to its size. Visible triangles are found by comparing depths
+at pixel centres; triangles that reach behind the camera are left out, and back faces are not drawn.
+The mesh shades itself only by facing away from a light: it casts no shadows.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from matcap.errors import MatcapError
+from matcap.files.note import note
 from matcap.relight.camera import View
 from matcap.relight.facts import VisibleRegion
 from matcap.relight.relief import Relief
@@ -28,6 +29,7 @@ from matcap.relight.vectors import Array
 _PAIRS = 4_000_000
 _ROOM = 1.1
 _SMALLEST = 1e-12  # of the size squared: twice the area of a triangle that may be seen
+_NOWHERE = 2**62  # an index that no table has
 _FARTHEST_SPOT = 1e6  # repeats of the texture; beyond, single precision tells no texels apart
 
 
@@ -138,16 +140,7 @@ def load_mesh(path: Path, size: float) -> Mesh:
             where=where,
             remedy="export the mesh again",
         )
-    if (faces[..., 2] >= 0).all() and len(normals):
-        corner_normals = normals[faces[..., 2]]
-    else:
-        # Averaged over a vertex's faces, large ones counting more.
-        total = np.zeros_like(points)
-        for corner in range(3):
-            np.add.at(total, faces[:, corner, 0], flat)
-        corner_normals = total[faces[..., 0]]
-    length = np.linalg.norm(corner_normals, axis=-1, keepdims=True)
-    corner_normals = corner_normals / np.maximum(length, 1e-30)
+    corner_normals = _normals(points, normals, faces, flat)
     if (faces[..., 1] >= 0).all() and len(spots):
         places = spots[faces[..., 1]]
         if not (np.abs(places) < _FARTHEST_SPOT).all():
@@ -162,10 +155,33 @@ def load_mesh(path: Path, size: float) -> Mesh:
     return Mesh(corners, corner_normals, places)
 
 
+def _normals(points: Array, normals: Array, faces: Array, flat: Array) -> Array:
+    """(F, 3, 3) unit normals of corners: the file's, or averages where it has none of any length.
+
+    Args:
+        points: (V, 3) vertices.
+        normals: (N, 3) the file's.
+        faces: (F, 3, 3) indices.
+        flat: (F, 3) of each face, twice as long as its area: large ones count more.
+    """
+    total = np.zeros_like(points)
+    for corner in range(3):
+        np.add.at(total, faces[:, corner, 0], flat)
+    found = total[faces[..., 0]]
+    stated = faces[..., 2] >= 0
+    if stated.any():
+        own = normals[np.maximum(faces[..., 2], 0)]
+        stated &= np.isfinite(own).all(axis=-1) & (np.abs(own).max(axis=-1) > 0.0)
+        found[stated] = own[stated]
+    found = found / np.maximum(np.abs(found).max(axis=-1, keepdims=True), 1e-30)
+    return np.asarray(found / np.maximum(np.linalg.norm(found, axis=-1, keepdims=True), 1e-30))
+
+
 def _parse(lines: list[str], where: str) -> tuple[Array, Array, Array, Array]:
     """Vertices (V, 3), texture coordinates (T, 2), normals (N, 3), and faces (F, 3, 3).
 
-    A face's corner is three indices into them; -1 where there is none.
+    A face's corner is three indices into them; -1 where there is none, of texture coordinates and
+    normals also where a face names one that is not there: the geometry is whole without it.
     """
     tables: dict[str, list[list[float]]] = {"v": [], "vt": [], "vn": []}
     faces: list[list[list[int]]] = []
@@ -195,22 +211,36 @@ def _parse(lines: list[str], where: str) -> tuple[Array, Array, Array, Array]:
     points, spots, normals = (np.array(tables[key], dtype=np.float64) for key in ("v", "vt", "vn"))
     if not np.isfinite(points).all():
         raise MatcapError("a vertex is not finite", where=where, remedy="export the mesh again")
-    return points, spots, normals, np.array(faces, dtype=np.int64)
+    found = np.array(faces, dtype=np.int64)
+    for column, (table, what, instead) in _OPTIONAL.items():
+        missing = found[..., column] >= len(tables[table])
+        if missing.any():
+            note(f"{where}: {int(missing.sum())} corners name {what} it does not hold; {instead}")
+            found[..., column][missing] = -1
+    return points, spots, normals, found
+
+
+# Of a corner's indices those that geometry does without.
+_OPTIONAL = {
+    1: ("vt", "texture coordinates", "the material lies along x and y"),
+    2: ("vn", "normals", "averages of faces are taken there"),
+}
 
 
 def _corner(word: str, tables: dict[str, list[list[float]]]) -> list[int]:
     """Indices of 'v', 'v/vt', 'v//vn' or 'v/vt/vn'; negative ones count from the end."""
     parts = (word.split("/") + ["", ""])[:3]
     indices = []
-    for part, table in zip(parts, tables.values(), strict=True):
+    for part, (name, table) in zip(parts, tables.items(), strict=True):
         if not part:
             indices.append(-1)
             continue
         index = int(part)
-        index = index - 1 if index > 0 else len(table) + index
-        if not 0 <= index < len(table):
+        index = index - 1 if index > 0 else len(table) + index if index < 0 else -1
+        if name == "v" and not 0 <= index < len(table):
             raise IndexError(f"there is no element {part}")
-        indices.append(index)
+        # Others may stand further down, or nowhere: judged when all is read.
+        indices.append(index if index >= 0 else _NOWHERE)
     return indices
 
 
