@@ -42,12 +42,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.brdf.edited import COLOURS, as_saved, in_rec709
 from matcap.brdf.heights import check_heights
 from matcap.brdf.other_normals import note_other_normals, painted_normals
 from matcap.brdf.seam import seam_ratio
 from matcap.brdf.stated import SPECULAR_CHANNELS, NormalSource, NormalStyle, stated_maps
 from matcap.errors import MatcapError
-from matcap.files.exr import read_exr, write_exr
+from matcap.files.exr import read_exr_named, write_exr
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
 from matcap.files.png import write_png
@@ -187,25 +188,28 @@ def read_mapset(
     maps = {}
     for kind, channels in stated.channels.items():
         name, named = stated.files[kind]
-        pixels = read_exr(file.parent / name, size=stated.size, channels=named)
+        found = read_exr_named(file.parent / name, size=stated.size, channels=named)
+        pixels = as_saved(found, channels, str(file.parent / name))
         if pixels.shape[2] != channels:
             raise MatcapError(
                 f"has {pixels.shape[2]} channels instead of {channels}",
                 where=str(file.parent / name),
                 remedy=_recount(kind, pixels.shape[2]),
             )
+        if kind in COLOURS and channels == 3:
+            pixels = in_rec709(pixels, found.primaries, str(file.parent / name))
         if kind == "height":
             if stated.height_scale != 1.0:
                 pixels = pixels * np.float32(stated.height_scale)
             check_heights(pixels, str(file.parent / name))
         maps[kind] = torch.from_numpy(pixels).movedim(-1, 0).contiguous()
     document |= {"name": stated.name, "provenance": stated.provenance}
-    found = MapSet(**maps, texel_size=stated.texel_size, periodic=stated.periodic)
+    whole = MapSet(**maps, texel_size=stated.texel_size, periodic=stated.periodic)
     if normals == "file":
         painted = painted_normals(document, file.parent, stated.size)
-        return replace(found, painted=painted), document
-    note_other_normals(found, document, file.parent)
-    return found, document
+        return replace(whole, painted=painted), document
+    note_other_normals(whole, document, file.parent)
+    return whole, document
 
 
 def _recount(kind: str, found: int) -> str:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from matcap.brdf.edited import without_alpha
 from matcap.errors import MatcapError
-from matcap.files.exr import read_exr
+from matcap.files.exr import read_exr_named
 from matcap.files.names import flaw
 from matcap.files.note import note
 
@@ -46,12 +47,12 @@ def note_other_normals(maps: MapSet, document: dict[str, Any], folder: Path) -> 
     if name is None or flaw(name) or not (folder / name).is_file():
         return
     try:
-        found = read_exr(folder / name, size=maps.size, channels=about.get("channels"))
+        stored = read_exr_named(folder / name, size=maps.size, channels=about.get("channels"))
     except (MatcapError, TypeError, ValueError) as error:
         what = error.what if isinstance(error, MatcapError) else "its channels are unknown"
         note(f"{folder / name}: {what}; {_ANSWER}")
         return
-    share = _differing(found, maps, down=document.get("normal") == "dx")
+    share = _differing(without_alpha(stored), maps, down=document.get("normal") == "dx")
     if share > _SHARE:
         note(f"{folder / name}: differs from the height at {share:.1%} of its texels; {_ANSWER}")
 
@@ -76,7 +77,7 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
             "the map set names no file of normals", where=str(folder), remedy=_WITHOUT
         )
     where = str(folder / name)
-    found = read_exr(folder / name, size=size)
+    found = without_alpha(read_exr_named(folder / name, size=size))
     if found.shape[2] != 3:
         raise MatcapError(
             f"has {found.shape[2]} channels instead of 3", where=where, remedy=_WITHOUT

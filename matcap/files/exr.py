@@ -10,6 +10,7 @@ import errno
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,28 @@ def read_exr(
     Raises:
         MatcapError: missing, not an EXR file, truncated, corrupt, of another size, not finite.
     """
+    return read_exr_named(path, size=size, channels=channels).pixels
+
+
+@dataclass(frozen=True)
+class NamedChannels:
+    """An EXR file's numbers.
+
+    Attributes:
+        pixels: (H, W, C) float32.
+        names: of the channels.
+        primaries: x and y of red, green, blue and white, where the file states them.
+    """
+
+    pixels: NDArray[np.float32]
+    names: tuple[str, ...]
+    primaries: tuple[float, ...] | None
+
+
+def read_exr_named(
+    path: Path, *, size: tuple[int, int] | None = None, channels: Sequence[str] | None = None
+) -> NamedChannels:
+    """As read_exr, with the channels' names and the primaries that the file states."""
     import OpenImageIO as oiio
 
     remedy = "write the map set again"
@@ -111,6 +134,12 @@ def read_exr(
         raise MatcapError("this is not a readable EXR file", where=str(path), remedy=remedy)
     try:
         spec = source.spec()
+        if spec.deep:
+            raise MatcapError(
+                "this is a deep EXR file, which is not supported",
+                where=str(path),
+                remedy="flatten it, and save it with one sample a pixel",
+            )
         found = (spec.width, spec.height)
         if size is not None and found != size:
             raise MatcapError(
@@ -137,9 +166,11 @@ def read_exr(
         raise MatcapError("the file is truncated or corrupt", where=str(path), remedy=remedy)
     if not np.isfinite(pixels).all():
         raise MatcapError("has values that are not finite", where=str(path), remedy=remedy)
-    if channels is not None:
-        pixels = pixels[..., [spec.channelnames.index(name) for name in channels]]
-    return np.asarray(pixels, dtype=np.float32)
+    names = tuple(channels or spec.channelnames)
+    pixels = pixels[..., [spec.channelnames.index(name) for name in names]]
+    stated = spec.getattribute("chromaticities")
+    primaries = None if stated is None else tuple(float(value) for value in stated)
+    return NamedChannels(np.asarray(pixels, dtype=np.float32), names, primaries)
 
 
 def forget_error(fetch: Callable[[], object]) -> None:
