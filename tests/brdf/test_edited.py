@@ -90,8 +90,6 @@ def test_primaries_of_another_program_are_converted(written):
     to_rec709 = np.array(
         [[1.2249, -0.2247, 0.0], [-0.0420, 1.0419, 0.0], [-0.0197, -0.0786, 1.0979]]
     )
-        [[1.2249, -0.2247, 0.0], [-0.0420, 1.0419, 0.0], [-0.0197, -0.0786, 1.0979]]
-    )
     converted = np.tensordot(to_rec709, expected.diffuse.numpy(), 1)
     np.testing.assert_allclose(found.diffuse, np.maximum(converted, 0.0), atol=2e-3)
     file.write_bytes(stored.replace(rec709, struct.pack("<8f", *[0.3] * 8)))
