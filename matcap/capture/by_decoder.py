@@ -10,11 +10,12 @@ import math
 from dataclasses import replace
 
 from matcap.capture.ending import judged, provenance
+from matcap.capture.method import Method
 from matcap.capture.piece.find import FoundPiece, find_piece
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
-from matcap.capture.settings import CaptureSettings, Effort, Method
+from matcap.capture.settings import CaptureSettings, Effort
 from matcap.capture.target import CaptureStart, photograph_target
 from matcap.errors import MatcapError
 from matcap.files.interrupts import postponed

@@ -16,17 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.capture.settings import DETAIL
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane, read_plane
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Lattice, Wave, find_lattice
 
-QUICK_DETAIL = 512  # texels, for a first look: docs/notes/presets.md
-DETAIL = 1024  # docs/capture.md has what more and less of them buy
-FINE_DETAIL = 2048  # likewise, of photographs that have so many
-FINEST_DETAIL = 4000  # likewise: nearly all that 12 megapixels have
 UNION_TIMES = 4  # a piece of several photographs over the first one's texels, at most
-DETAILS = (QUICK_DETAIL, DETAIL, FINE_DETAIL, FINEST_DETAIL)
 
 
 @dataclass(frozen=True)

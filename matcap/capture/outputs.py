@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, mapset_bytes, mapset_files, write_mapset
-from matcap.brdf.stated import NormalStyle
-from matcap.errors import UsageError
+from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, mapset_files, write_mapset
+from matcap.capture.settings import OutputSettings
 from matcap.example.exemplar import CHANNELS
-from matcap.export.targets import check_targets, export_bytes, export_mapset
+from matcap.export.targets import export_mapset
 from matcap.files.exr import write_exr_channels
 from matcap.files.staging import staged
 
@@ -22,63 +20,6 @@ if TYPE_CHECKING:
     from matcap.flash.geometry import FlashSetup
 
 PREVIEW, REPORT = "preview.png", "report.json"
-
-_STEP = 16  # texels: the least alignment that a material has
-_BESIDES = 50_000_000  # material, preview and report, generously
-
-
-@dataclass(frozen=True)
-class OutputSettings:
-    """What is written beside the material.
-
-    Attributes:
-        size: (width, height) of the first map set in texels.
-        seed: its realisation.
-        png: 16-bit PNGs beside the EXR files.
-        normal: "gl" or "dx".
-        tile: the map set repeats without a seam; both sides are multiples of 16 then. None
-            for wherever they are, as repeats() tells.
-        targets: what else the map set is written for, each into a folder of its name.
-
-    Raises:
-        UsageError: the size cannot tile.
-    """
-
-    size: tuple[int, int] = (1024, 1024)
-    seed: int = 0
-    png: bool = False
-    normal: NormalStyle = "gl"
-    tile: bool | None = None
-    targets: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        width, height = self.size
-        if self.tile and (width % _STEP or height % _STEP):
-            raise UsageError(
-                f"{width}x{height} cannot tile",
-                where="size",
-                remedy=f"give sides that are multiples of {_STEP}",
-            )
-
-    def repeats(self, alignment: int) -> bool:
-        """Whether the map set of a material of this alignment repeats without a seam."""
-        fits = all(side % alignment == 0 for side in self.size)
-        return fits if self.tile is None else self.tile
-
-    @staticmethod
-    def known_targets(names: Sequence[str], where: str = "--export") -> tuple[str, ...]:
-        """Targets by name, each once.
-
-        Raises:
-            UsageError: there is no such target.
-        """
-        return check_targets(names, where)
-
-    @property
-    def room(self) -> int:
-        """Bytes of disk that the outputs take at most."""
-        exports = len(self.targets) * export_bytes(*self.size)
-        return mapset_bytes(*self.size, png=self.png) + exports + _BESIDES
 
 
 def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings) -> Path:

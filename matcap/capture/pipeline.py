@@ -13,7 +13,8 @@ from pathlib import Path
 
 from matcap.capture.detail import plane_in_detail, to_be_read
 from matcap.capture.ending import judged, provenance
-from matcap.capture.outputs import OutputSettings, write_outputs
+from matcap.capture.method import Method
+from matcap.capture.outputs import write_outputs
 from matcap.capture.piece.find import find_piece
 from matcap.capture.piece.network.store import load_inverse
 from matcap.capture.progress import (
@@ -24,7 +25,7 @@ from matcap.capture.progress import (
     CaptureProgress,
 )
 from matcap.capture.result import CaptureResult
-from matcap.capture.settings import CaptureSettings, Method, resolve
+from matcap.capture.settings import CaptureSettings, OutputSettings, resolve
 from matcap.capture.target import CaptureStart, photograph_target
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from matcap.capture.outputs import REPORT, OutputSettings
-from matcap.capture.settings import CaptureSettings, resolve
+from matcap.capture.outputs import REPORT
+from matcap.capture.settings import CaptureSettings, OutputSettings, resolve
 from matcap.errors import MatcapError
 
 # Settings that say how long, and not what: the effort that follows from them is compared instead.

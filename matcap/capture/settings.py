@@ -1,25 +1,39 @@
-"""What the user decides of a capture, and what follows from it."""
+"""What the user decides of a capture and of what it writes, and what follows from it.
+
+Every setting is told once, here: options, matcap.toml and the reference pages read its range, its
+default and its docstring from its field (files/settings.py). How captures are done beyond what
+users decide: method.py.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from matcap.capture.choices import CHOICES, STATISTICS, STATISTICS_WORDS, check
-from matcap.capture.detail import DETAIL, DETAILS, FINE_DETAIL, FINEST_DETAIL, QUICK_DETAIL
 from matcap.errors import UsageError
-from matcap.field.source import Generator
-from matcap.files.values import Region, region
-from matcap.statistics.filterbank import FilterBankConfig
+from matcap.files import values
+from matcap.files.settings import check_settings, setting, typed_settings
 
 if TYPE_CHECKING:
-    from matcap.space.decoder import DecoderConfig
+    from matcap.brdf.stated import NormalStyle
+    from matcap.capture.method import Method
+    from matcap.field.source import Generator
+    from matcap.files.values import Region
 
-FEATURES = FilterBankConfig(sizes=(5,), filters=64)
+QUICK_DETAIL = 512  # texels, for a first look: docs/notes/presets.md
+DETAIL = 1024  # docs/notes/capture.md has what more and less of them buy
+FINE_DETAIL = 2048  # likewise, of photographs that have so many
+FINEST_DETAIL = 4000  # likewise: nearly all that 12 megapixels have
+DETAILS = (QUICK_DETAIL, DETAIL, FINE_DETAIL, FINEST_DETAIL)
+# Statistics by name (target.py makes each), and whether a file of weights goes with them.
+STATISTICS: Mapping[str, bool] = MappingProxyType({"filterbank": False, "vgg19": True})
+STATISTICS_WORDS = "|".join(f"{name}=FILE" if file else name for name, file in STATISTICS.items())
+_STEP = 16  # texels: the least alignment that a material has
+_BESIDES = 50_000_000  # bytes: material, preview and report, generously
 
 
 @dataclass(frozen=True)
@@ -102,76 +116,70 @@ class Statistics:
 
 @dataclass(frozen=True)
 class CaptureSettings:
-    """What the user decides.
-
-    Attributes:
-        preset: a key of PRESETS.
-        steps: instead of the preset's: of adapting the piece, or of fine-tuning a decoder.
-        time_limit: for the whole work in seconds, or None.
-        target: error of a decoder to end at, as a multiple of what the photograph's own windows
-            differ by.
-        detail: texels across the photograph's long side, instead of the preset's where the
-            photograph has so many pixels, and DETAIL where it has not or a decoder is made.
-        fov: field of view across the long side in degrees, instead of the photograph's.
-        seed: of everything random.
-        prior: "auto" (the one that comes with matcap), "none" (start from nothing) or a file.
-        statistics: that textures are compared by.
-        generator: that the material is read by: "example" (the photographed piece, rearranged) or
-            "decoder" (the paper's network, fine-tuned).
-        aligned: the maps of the photographed piece itself are found, too.
-        width_cm: what the photograph's long side spans, in centimetres; None where nobody measured
-            it.
-        crop: what of the photograph is the material, in its own pixels as it is looked at.
-        mask: a picture of the photograph's size, white where it is the material.
-        union: of several photographs, the piece is all that they show, instead of the first one's
-            rectangle.
+    """What the user decides of a capture.
 
     With a time limit or a target, and without steps, the preset is "reference": the limit alone
     decides when to stop.
 
     Raises:
-        UsageError: a number outside the limits of its setting (choices.py).
+        UsageError: a number or a word that its setting does not allow.
     """
 
-    preset: str = "standard"
-    steps: int | None = None
-    time_limit: float | None = None
-    target: float | None = None
-    detail: int | None = None
-    fov: float | None = None
-    seed: int = 0
-    prior: str = "auto"
-    statistics: Statistics = Statistics()
-    generator: Generator = "example"
-    aligned: bool = False
-    width_cm: float | None = None
-    crop: Region | None = None
-    mask: Path | None = None
-    union: bool = False
+    preset: str = setting("standard", words=tuple(PRESETS))
+    """How much work: instant (a first look, on half the texels), draft (whether the shot will do),
+    standard (what one photograph gives), high (held to it three times as long) or reference (on all
+    texels of 12 megapixels)."""
+    steps: int | None = setting(None, least=0, most=10_000_000)
+    """Steps instead of the preset's: of adapting the piece, or of fine-tuning a decoder."""
+    time_limit: float | None = setting(
+        None, least=0.001, most=1e7, option="time", metavar="TIME", parse=values.duration
+    )
+    """Have the whole of a capture end by then, in seconds: 90s, 2m; without steps the preset is
+    reference then."""
+    target: float | None = setting(None, least=0.01, most=1e6, metavar="TIMES")
+    """With the decoder: stop at this error, in multiples of what the photograph's own windows
+    differ by; without steps the preset is reference then."""
+    detail: int | None = setting(None, least=64, most=8192, otherwise="the preset's")
+    """Texels along the photograph's long side; by default as the preset has it where the photograph
+    has so many pixels, and 1024 where it has not or a decoder is made."""
+    fov: float | None = setting(None, least=1.0, most=170.0, otherwise="the photograph's")
+    """Field of view along the long side, degrees."""
+    width_cm: float | None = setting(None, least=0.01, most=1e5)
+    """What the photograph's long side spans, in centimetres: exports are true to scale."""
+    crop: Region | None = setting(None, metavar="x,y,w,h", parse=values.region)
+    """What of the photograph is the material, in its own pixels as it is looked at; the rest is
+    left out."""
+    mask: Path | None = setting(None, metavar="FILE.png")
+    """A picture of the photograph's size: white is the material, black (a finger, a label, the
+    table's edge) is left out."""
+    seed: int = setting(0, least=0, most=2**63 - 1)
+    """Seed of the work and of the map set."""
+    prior: str = setting("auto", metavar="auto|none|PATH")
+    """With the decoder: trained prior to start from; auto is the one that comes with matcap, none
+    starts from nothing."""
+    statistics: Statistics = setting(Statistics(), metavar=STATISTICS_WORDS, parse=Statistics.parse)
+    """What textures are compared by."""
+    generator: Generator = setting("example", words=("decoder", "example"))
+    """What the material is made by: the photographed piece, rearranged (example), or the paper's
+    network, fine-tuned (decoder)."""
+    union: bool = setting(False)
+    """Of several photographs of one piece: the piece is all that they show, not the first one's
+    rectangle alone."""
+    aligned: bool = setting(False)
+    """Also the maps of the photographed piece itself, NAME_photo, with confidence."""
 
     def __post_init__(self) -> None:
-        for name in CHOICES:
-            check(name, getattr(self, name))
+        check_settings(self)
 
     @staticmethod
     def of(named: Mapping[str, Any]) -> CaptureSettings:
-        """Settings by name, statistics perhaps in words; the rest as by default.
+        """Settings by name, perhaps in words; the rest as by default.
 
         Raises:
             TypeError: an unknown setting.
-            UsageError: unknown statistics.
+            UsageError: words that mean none.
         """
-        typed: dict[str, Any] = {
-            "statistics": Statistics.parse(named.get("statistics", Statistics()))
-        }
-        if named.get("mask") is not None:
-            typed["mask"] = Path(named["mask"])
-        try:
-            if named.get("crop") is not None:
-                typed["crop"] = region(named["crop"])
-        except ValueError as error:
-            raise UsageError(str(error), where="--crop", remedy="give x,y,w,h") from error
-        return CaptureSettings(**{**named, **typed})
+        return CaptureSettings(**typed_settings(CaptureSettings, named))
 
     def named(self) -> dict[str, Any]:
         """All settings by name, as files tell of them: numbers, words and None."""
@@ -205,28 +213,64 @@ class CaptureSettings:
         return self.detail or max((min(most, DETAIL), *has))
 
 
-@dataclass(frozen=True)
-class Method:
-    """How it is done: nothing that users decide, but what the laboratory measures.
+def _known_targets(names: Sequence[str]) -> tuple[str, ...]:
+    """Targets by name, each once.
 
-    Attributes:
-        window: texels a side of what is compared; many cheap steps beat few exact ones.
-        features: that textures are compared by.
-        decoder: shape of the decoder, where there is no prior to say it, or None.
-        half_precision: bfloat16 inside the network and the features, where the processor computes
-            with it.
-        places: windows a step, instead of the preset's.
-        matched: at the end, instead of as the preset says.
-        adapted: steps of the exemplar, instead of the preset's.
+    Raises:
+        UsageError: there is no such target.
+    """
+    from matcap.export.targets import check_targets
+
+    return check_targets(names)
+
+
+@dataclass(frozen=True)
+class OutputSettings:
+    """What is written beside the material.
+
+    Raises:
+        UsageError: the size cannot tile.
     """
 
-    window: int = 160
-    features: FilterBankConfig = FEATURES
-    decoder: DecoderConfig | None = None
-    half_precision: bool = True
-    places: int | None = None
-    matched: bool | None = None
-    adapted: int | None = None
+    size: tuple[int, int] = setting((1024, 1024), metavar="WxH", parse=values.sides_of)
+    """Size of the first map set in texels: 2048x1024, or 2K, 4K, 8K."""
+    seed: int = 0
+    """Its realisation."""
+    tile: bool | None = setting(None, otherwise="where the sides are multiples of 16")
+    """A first map set that repeats without a seam."""
+    png: bool = setting(False)
+    """16-bit PNGs beside the EXR files."""
+    normal: NormalStyle = setting("gl", words=("gl", "dx"))
+    """Normals with +Y up (gl) or down (dx)."""
+    targets: tuple[str, ...] = setting(
+        (), option="export", metavar="TARGET", parse=_known_targets, several=True
+    )
+    """Also for this renderer or engine, into a folder of its name; see matcap export. May be given
+    several times."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        width, height = self.size
+        if self.tile and (width % _STEP or height % _STEP):
+            raise UsageError(
+                f"{width}x{height} cannot tile",
+                where="size",
+                remedy=f"give sides that are multiples of {_STEP}",
+            )
+
+    def repeats(self, alignment: int) -> bool:
+        """Whether the map set of a material of this alignment repeats without a seam."""
+        fits = all(side % alignment == 0 for side in self.size)
+        return fits if self.tile is None else self.tile
+
+    @property
+    def room(self) -> int:
+        """Bytes of disk that the outputs take at most."""
+        from matcap.brdf.folder import mapset_bytes
+        from matcap.export.targets import export_bytes
+
+        exports = len(self.targets) * export_bytes(*self.size)
+        return mapset_bytes(*self.size, png=self.png) + exports + _BESIDES
 
 
 def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:

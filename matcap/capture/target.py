@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from matcap.capture.settings import CaptureSettings, Method
+from matcap.capture.method import Method
+from matcap.capture.settings import CaptureSettings
 from matcap.capture.vgg_weights import load_vgg19
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.joint import join

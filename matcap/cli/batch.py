@@ -9,87 +9,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli.options import (
-    AlignedOption,
-    CaptureSeedOption,
-    CropOption,
-    DetailOption,
-    ExportOption,
-    FovOption,
-    JsonOption,
-    MadeByOption,
-    MaskOption,
-    Normal,
-    OverwriteOption,
-    PresetOption,
-    QuietOption,
-    StatisticsOption,
-    StepsOption,
-    StrictOption,
-    TargetOption,
-    TimeOption,
-    TrainedPriorOption,
-    UnionOption,
-    WidthOption,
-    typed,
-)
+from matcap.batch.settings import BatchSettings
+from matcap.capture.settings import CaptureSettings, OutputSettings
+from matcap.cli.fields import NOTHING, Fields, Given, with_settings
+from matcap.cli.options import JsonOption, OverwriteOption, QuietOption, StrictOption
 from matcap.errors import ExitCode
-from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.batch.entries import BatchEntry
     from matcap.batch.predict import Prediction
 
 
+@with_settings
 def batch(
     shoot: Annotated[Path, typer.Argument(metavar="SHOOT", help="A folder of photographs.")],
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Each sample gets a folder here.")
     ] = Path("materials"),
-    jobs: Annotated[
-        int | None,
-        typer.Option("-j", "--jobs", min=1, help="Workers; by default as cores and memory allow."),
-    ] = None,
-    preset: PresetOption = None,
-    steps: StepsOption = None,
-    time_limit: TimeOption = None,
-    target: TargetOption = None,
-    detail: DetailOption = None,
-    fov: FovOption = None,
-    width_cm: WidthOption = None,
-    crop: CropOption = None,
-    mask: MaskOption = None,
-    seed: CaptureSeedOption = None,
-    size: Annotated[
-        values.Size | None,
-        typer.Option(parser=typed(values.size), metavar="WxH", help="Size of the first map sets."),
-    ] = None,
-    tile: Annotated[
-        bool | None, typer.Option("--tile/--no-tile", help="Map sets that repeat without a seam.")
-    ] = None,
-    png: Annotated[
-        bool | None, typer.Option("--png/--no-png", help="16-bit PNGs beside the EXR files.")
-    ] = None,
-    normal: Annotated[
-        Normal | None, typer.Option(help="Normals with +Y up (gl) or down (dx).")
-    ] = None,
-    export: ExportOption = None,
-    prior: TrainedPriorOption = None,
-    statistics: StatisticsOption = None,
-    generator: MadeByOption = None,
-    union: UnionOption = None,
-    aligned: AlignedOption = None,
-    group: Annotated[
-        str | None,
-        typer.Option(metavar="none|name|dir|time", help="Which photographs show one sample."),
-    ] = None,
-    gap: Annotated[
-        float | None, typer.Option(min=0.0, help="Seconds between two shots, with --group time.")
-    ] = None,
-    card: Annotated[
-        str | None,
-        typer.Option(metavar="auto|none|PATH", help="Photograph of a calibration card."),
-    ] = None,
+    given: Annotated[Given, Fields(CaptureSettings, OutputSettings, BatchSettings)] = NOTHING,
     scheduler: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="A dask scheduler's, tcp://host:8786; see docs."),
@@ -119,16 +56,7 @@ def batch(
     from matcap.batch.whole import prepare, work_off
     from matcap.cli.batch_display import batch_display
 
-    flags = {
-        "jobs": jobs, "preset": preset, "steps": steps, "time": time_limit, "detail": detail,
-        "fov": fov, "seed": seed, "size": str(size) if size else None, "tile": tile, "png": png,
-        "width_cm": width_cm, "crop": crop and str(crop), "mask": mask and str(mask),
-        "normal": normal.value if normal else None, "prior": prior, "group": group, "gap": gap,
-        "generator": generator.value if generator else None, "aligned": aligned,
-        "target": target, "statistics": statistics, "export": export or None, "card": card,
-        "union": union,
-    }  # fmt: skip
-    settings = settings_of(shoot, flags)
+    settings = settings_of(shoot, given)
     policy = Policy(force, retry_failed, fail_fast, strict, overwrite)
     with batch_display(quiet=quiet) as shown:
         if scheduler:  # other machines stand in other folders

@@ -11,39 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.cli.options import (
-    AlignedOption,
-    CaptureSeedOption,
-    CropOption,
-    DetailOption,
-    ExportOption,
-    FovOption,
-    JsonOption,
-    MadeByOption,
-    MaskOption,
-    Normal,
-    NormalOption,
-    OverwriteOption,
-    PngOption,
-    PresetOption,
-    QuietOption,
-    StatisticsOption,
-    StepsOption,
-    StrictOption,
-    TargetOption,
-    TimeOption,
-    TrainedPriorOption,
-    UnionOption,
-    WidthOption,
-    typed,
-)
+from matcap.capture.settings import CaptureSettings, OutputSettings
+from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
+from matcap.cli.options import JsonOption, OverwriteOption, QuietOption, StrictOption
 from matcap.errors import ExitCode, MatcapError, UsageError
-from matcap.files import values
 from matcap.files.names import kept_plain
 
 if TYPE_CHECKING:
-    from matcap.capture.outputs import OutputSettings
-    from matcap.capture.settings import CaptureSettings
     from matcap.cli.capture_display import Display
 
 
@@ -54,6 +28,7 @@ class _Job:
     others: tuple[Path, ...] = ()
 
 
+@with_settings
 def capture(
     photos: Annotated[
         list[Path],
@@ -64,39 +39,7 @@ def capture(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Each photograph gets a folder of its name here.")
     ] = Path("out"),
-    preset: PresetOption = None,
-    steps: StepsOption = None,
-    time_limit: TimeOption = None,
-    target: TargetOption = None,
-    detail: DetailOption = None,
-    fov: FovOption = None,
-    width_cm: WidthOption = None,
-    crop: CropOption = None,
-    mask: MaskOption = None,
-    seed: CaptureSeedOption = None,
-    size: Annotated[
-        values.Size,
-        typer.Option(
-            parser=typed(values.size),
-            metavar="WxH",
-            show_default="1024x1024",
-            help="Size of the first map set: 2048x1024, or 2K, 4K, 8K.",
-        ),
-    ] = values.DEFAULT_SIZE,
-    tile: Annotated[
-        bool | None,
-        typer.Option(
-            "--tile/--no-tile",
-            show_default="where the sides are multiples of 16",
-            help="A first map set that repeats without a seam.",
-        ),
-    ] = None,
-    png: PngOption = False,
-    normal: NormalOption = Normal.gl,
-    export: ExportOption = None,
-    prior: TrainedPriorOption = None,
-    statistics: StatisticsOption = None,
-    generator: MadeByOption = None,
+    given: Annotated[Given, Fields(CaptureSettings, OutputSettings)] = NOTHING,
     together: Annotated[
         bool,
         typer.Option(
@@ -105,8 +48,6 @@ def capture(
             "them, called as the first, which gives it its frame.",
         ),
     ] = False,
-    union: UnionOption = None,
-    aligned: AlignedOption = None,
     overwrite: OverwriteOption = False,
     strict: StrictOption = False,
     as_json: JsonOption = False,
@@ -118,21 +59,11 @@ def capture(
     set, preview.png and report.json. Ends with a verdict: good, usable, doubtful or failed, with
     the likely cause and what to do. Ctrl-C ends with the best so far, saved.
     """
-    from matcap.capture.outputs import OutputSettings
-    from matcap.capture.settings import CaptureSettings
     from matcap.cli.capture_display import display
     from matcap.files.staging import check_writable
 
-    given = {
-        "preset": preset, "steps": steps, "time_limit": time_limit, "target": target,
-        "detail": detail, "fov": fov, "seed": seed, "prior": prior, "statistics": statistics,
-        "generator": generator.value if generator else None, "aligned": aligned,
-        "width_cm": width_cm, "crop": crop, "mask": mask, "union": union,
-    }  # fmt: skip
-    settings = CaptureSettings.of({k: value for k, value in given.items() if value is not None})
-    targets = OutputSettings.known_targets(export or [])
-    side = (size.width, size.height)
-    outputs = OutputSettings(side, settings.seed, png, normal.value, tile, targets)
+    settings = chosen(CaptureSettings, given)
+    outputs = chosen(OutputSettings, {**given, "seed": settings.seed})
     jobs = _jobs(photos, out)
     if settings.union and not (together and len(photos) > 1):
         raise UsageError(

@@ -10,7 +10,6 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from matcap.capture.choices import CHOICES
 from matcap.files import values
 
 T = TypeVar("T")
@@ -171,40 +170,3 @@ SpreadOption = Annotated[
         help="How far from there to draw: 0 is the photograph's own place, 1 anywhere.",
     ),
 ]
-
-
-def _setting(name: str, flag: str | None = None, **more: Any) -> Any:  # noqa: ANN401
-    """The option of a capture's setting (capture/choices.py)."""
-    choice = CHOICES[name]
-    limits: dict[str, Any] = {}
-    if "parser" not in more and {int, float} & set(choice.kinds):
-        kind = float if float in choice.kinds else int
-        limits = {"min": kind(choice.least), "max": kind(choice.most)}
-    if choice.metavar:
-        limits["metavar"] = choice.metavar
-    option: Any = typer.Option
-    return option(*([flag] if flag else []), help=choice.help, **limits, **more)
-
-
-# Settings of a capture, for `capture` and `batch` alike; None is as by default.
-PresetOption = Annotated[str | None, _setting("preset", show_default="standard")]
-StepsOption = Annotated[int | None, _setting("steps")]
-TimeOption = Annotated[
-    float | None, _setting("time_limit", "--time", parser=typed(values.duration))
-]
-TargetOption = Annotated[float | None, _setting("target")]
-DetailOption = Annotated[int | None, _setting("detail")]
-FovOption = Annotated[float | None, _setting("fov")]
-WidthOption = Annotated[float | None, _setting("width_cm", "--width-cm")]
-CropOption = Annotated[
-    values.Region | None, _setting("crop", "--crop", parser=typed(values.region))
-]
-MaskOption = Annotated[Path | None, _setting("mask", "--mask")]
-CaptureSeedOption = Annotated[int | None, _setting("seed", show_default="0")]
-TrainedPriorOption = Annotated[str | None, _setting("prior", show_default="auto")]
-StatisticsOption = Annotated[str | None, _setting("statistics", show_default="filterbank")]
-MadeByOption = Annotated[
-    GeneratorName | None, _setting("generator", "--generator", show_default="example")
-]
-UnionOption = Annotated[bool | None, _setting("union", "--union/--no-union")]
-AlignedOption = Annotated[bool | None, _setting("aligned", "--aligned/--no-aligned")]

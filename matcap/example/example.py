@@ -20,7 +20,7 @@ from matcap.brdf.stated import NormalStyle
 from matcap.example import relief
 from matcap.example.coordinates import coordinates
 from matcap.example.correction import Places
-from matcap.example.exemplar import COLOURED_VERSION, Exemplar, Floats
+from matcap.example.exemplar import Exemplar, Floats
 from matcap.example.grids import frame_of, level_count
 from matcap.example.index import Index, build_index
 from matcap.example.lookup import Lookup, prepare
@@ -113,11 +113,6 @@ class Example:
         return MapSet.from_stacked(
             torch.from_numpy(self.exemplar.stacked()), self.exemplar.texel_size
         )
-
-    @property
-    def version(self) -> int:
-        """Of a file that holds it alone."""
-        return COLOURED_VERSION if self.exemplar.coloured else 3
 
     def source(
         self, seed: int, period: Period | None = None, device: torch.device | None = None

@@ -25,7 +25,6 @@ Floats = NDArray[np.float32]
 
 CHANNELS: dict[str, int] = {"diffuse": 3, "specular": 1, "roughness": 1, "height": 1}
 COLOURED = 3  # channels of a specular albedo that has a colour
-COLOURED_VERSION = 4  # of a material's file that holds one (field/header.py)
 # Where they lie in what is stacked, coloured or not.
 DIFFUSE, SPECULAR, ROUGHNESS, HEIGHT = slice(0, 3), slice(3, -2), slice(-2, -1), slice(-1, None)
 _LARGEST_SIDE = 8192  # texels: more than a photograph of 50 megapixels has
@@ -143,9 +142,9 @@ class Exemplar:
             "texel_size": self.texel_size,
             "height_unit": math.frexp(unit)[1],
             "height_low": low,
+            SPECULAR_CHANNELS: len(self.specular),
         }
-        # As in files of before F0 had a colour.
-        return tensors, about | ({SPECULAR_CHANNELS: COLOURED} if self.coloured else {})
+        return tensors, about
 
     @staticmethod
     def read(about: Mapping[str, Any], tensor: Callable[[str], NDArray[np.uint8]]) -> Exemplar:

@@ -8,26 +8,19 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from safetensors import SafetensorError, safe_open
 
 from matcap.brdf.stated import known_provenance
 from matcap.errors import MatcapError
-from matcap.files.digest import DIGEST, is_whole
+from matcap.files.digest import is_whole
 from matcap.files.names import made_plain
-from matcap.files.note import note
 from matcap.files.values import bounded
 
-if TYPE_CHECKING:
-    from matcap.flash.geometry import FlashSetup
-
 FORMAT = "matcap-material"
-# Of the file: with a decoder, with one that reads structured noise, and without any; and whatever
-# else it holds, of an exemplar whose F0 has a colour, which none of before reads.
-VERSIONS = (1, 2, 3, 4)
+VERSION = 5  # of the file
 REMEDY = "capture the photograph again, or fetch the file again"
 # What reading JSON raises that is not as it should be.
 DAMAGED = (
@@ -59,8 +52,6 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
     try:
         with safe_open(path, framework=framework) as file:
             about = _about(file.metadata(), path)
-            if DIGEST not in file.metadata():
-                note(f"{path}: written before files had digests: nobody can tell if it is whole")
             if not is_whole(path, file.metadata()):
                 raise MatcapError(
                     "the file is damaged: its digest is another than when it was written",
@@ -105,12 +96,11 @@ def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
             where=str(path),
             remedy="give a .matcap file written by matcap capture",
         )
-    if about["version"] not in VERSIONS:
+    if about["version"] != VERSION:
         raise MatcapError(
-            f"this material is of version {about['version']}; "
-            f"this matcap reads {VERSIONS[0]} to {VERSIONS[-1]}",
+            f"this material is of version {about['version']}; this matcap reads {VERSION}",
             where=str(path),
-            remedy="install the matcap that wrote it, or capture the photograph again",
+            remedy="capture the photograph again, or install the matcap that wrote it",
         )
     return _checked(about)
 
@@ -127,17 +117,6 @@ def _checked(about: dict[str, Any]) -> dict[str, Any]:
         "setup": stated_setup(about["setup"]),
         "provenance": known_provenance(about["provenance"]),
     }
-
-
-def setup_entry(setup: FlashSetup) -> dict[str, Any]:
-    """A flash as a file states it; `stated_setup` reads it.
-
-    A loss of light by r^4 of nothing is left out, as in files of before there was one.
-    """
-    entry = asdict(setup)
-    if not setup.vignetting_quartic:
-        del entry["vignetting_quartic"]
-    return entry
 
 
 def stated_setup(stated: Mapping[str, Any]) -> dict[str, Any]:
@@ -159,8 +138,7 @@ def stated_setup(stated: Mapping[str, Any]) -> dict[str, Any]:
         "tilt": several("tilt", 2, -1.5, 1.5),
         "intensity": several("intensity", 3, 0.0, 1e12),
         "vignetting": bounded(stated["vignetting"], "vignetting", -20.0, 20.0),
-        # Files of before have none.
         "vignetting_quartic": bounded(
-            stated.get("vignetting_quartic", 0.0), "vignetting_quartic", -20.0, 20.0
+            stated["vignetting_quartic"], "vignetting_quartic", -20.0, 20.0
         ),
     }

@@ -1,9 +1,8 @@
 """Material: a captured material and its file, `.matcap`.
 
 One safetensors file of tensors, whose metadata has two entries: `matcap`, which is JSON, and
-`digest`, SHA-256 of that text and all tensors' bytes, checked on loading; files written before
-there was one have none. Nothing in it is executed, and every shape is checked against the stated
-configuration before anything is read.
+`digest`, SHA-256 of that text and all tensors' bytes, checked on loading. Nothing in it is
+executed, and every shape is checked against the stated configuration before anything is read.
 
 Tensors:
     example.exemplar.*: bytes, one map of the photographed piece each; see example/exemplar.py.
@@ -15,8 +14,7 @@ Tensors:
 
 Metadata:
     format: "matcap-material".
-    version: 4 where F0 has a colour; else 3 without a decoder; with one 2 where it reads structured
-        noise, else 1.
+    version: 5.
     name: of the photograph.
     texel_size: plane units.
     setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`,
@@ -24,7 +22,7 @@ Metadata:
     provenance: how it was made.
     example: `exemplar` and `index`, what their tensors mean; absent where there is none.
     decoder: `noise_channels`, `widths` (five), `convolutions` (down, up) and `cells` (channels of
-        the noise of cells, 0 or absent for none) and `grains` (of structured noise, likewise);
+        the noise of cells, 0 for none) and `grains` (of structured noise, likewise);
         absent where there is none.
     waves: at most two of `{fx, fy}`, cycles a texel; the plane waves of a decoder's regular order.
 """
@@ -34,7 +32,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -45,7 +43,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.field.field import Field
-from matcap.field.header import FORMAT, VERSIONS, opened, setup_entry
+from matcap.field.header import FORMAT, VERSION, opened
 from matcap.field.source import FieldGenerator, Generator
 from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
@@ -56,10 +54,6 @@ GENERATORS: Mapping[Generator, str] = {
     "example": "matcap.example.stored",
     "decoder": "matcap.space.tuned",
 }
-# The entries of a description in the order that files have had them in from the first.
-_TOLD = (
-    "format", "version", "name", "decoder", "waves", "texel_size", "setup", "provenance", "example",
-)  # fmt: skip
 _CODES = "matcap.space.code"  # who works out a code, imported when one is asked for
 
 
@@ -164,12 +158,6 @@ class Material:
         """
         return Field(self, seed, period, generator=generator).read(x, y, width, height)
 
-    @property
-    def _version(self) -> int:
-        """Of its file: the least that reads a part of it and none of it wrong."""
-        versions = [part.version for part in self.generators.values()]
-        return VERSIONS[-1] if VERSIONS[-1] in versions else min(versions)
-
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file; whole or not at all.
 
@@ -179,18 +167,17 @@ class Material:
         tensors: dict[str, Tensor] = {}
         about: dict[str, Any] = {
             "format": FORMAT,
-            "version": self._version,
+            "version": VERSION,
             "name": self.name,
             "texel_size": self.texel_size,
-            "setup": setup_entry(self.setup),
+            "setup": asdict(self.setup),
             "provenance": dict(self.provenance),
         }
         for part in self.generators.values():
             found, described = part.in_file()
             tensors |= found
             about |= described
-        told = {key: about[key] for key in _TOLD if key in about}
-        write_tensors(Path(path), tensors, {"matcap": json.dumps(told)})
+        write_tensors(Path(path), tensors, {"matcap": json.dumps(about)})
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Material:

@@ -90,11 +90,6 @@ class FieldGenerator(Protocol):
         """Maps of the photographed piece, where it holds that."""
         ...
 
-    @property
-    def version(self) -> int:
-        """Of a file that holds it."""
-        ...
-
     def varied(self, variety: float) -> FieldGenerator:
         """The same with pieces of another size, from 0, the whole one repeated, to 1.
 

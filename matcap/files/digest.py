@@ -20,7 +20,7 @@ def text_first(metadata: Mapping[str, str]) -> bytes:
 
 
 def is_whole(path: Path, metadata: Mapping[str, str]) -> bool:
-    """Whether a file's content has the digest that its metadata state; True where they state none.
+    """Whether a file's content has the digest that its metadata state; False where they state none.
 
     Args:
         path: of a safetensors file that could be opened.
@@ -30,7 +30,7 @@ def is_whole(path: Path, metadata: Mapping[str, str]) -> bool:
         OSError: it cannot be read.
     """
     if DIGEST not in metadata:
-        return True
+        return False
     digest = hashlib.new(METHOD, text_first(metadata))
     with path.open("rb", buffering=0) as file:
         file.seek(int.from_bytes(file.read(8), "little"), 1)

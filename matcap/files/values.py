@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
@@ -83,6 +83,13 @@ def size(text: str | Size) -> Size:
     return Size(width, height)
 
 
+def sides_of(text: str | int | Sequence[int]) -> tuple[int, int]:
+    """As size(): '4096x256', 512 or [4096, 256] to (width, height)."""
+    words = text if isinstance(text, str | int) else "x".join(str(part) for part in text)
+    found = size(str(words))
+    return found.width, found.height
+
+
 def seed(text: str | int) -> int:
     """'7' to the number of a realisation, from -2^63 to 2^63 - 1."""
     if isinstance(text, int):
@@ -138,8 +145,8 @@ def region(text: str | Region) -> Region:
 
 def duration(text: str | float) -> float:
     """'90', '90s', '1.5m' to seconds."""
-    if isinstance(text, float):
-        return text
+    if isinstance(text, int | float):
+        return float(text)
     found = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([smh]?)", text.strip())
     seconds = float(found[1]) * _SECONDS[found[2]] if found else math.nan
     if not 0 < seconds < math.inf:

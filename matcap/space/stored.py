@@ -7,7 +7,7 @@ tensor is compared with it before it is read.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -61,15 +61,6 @@ class StoredTensors:
         return MatcapError(what, where=str(self.path), remedy=self.remedy)
 
 
-def described(config: DecoderConfig) -> dict[str, Any]:
-    """The description of a decoder's shape, which decoder_config reads.
-
-    Structured noise is told of where there is any: files without it stay as they always were.
-    """
-    stated = asdict(config)
-    return stated if config.grains else {k: v for k, v in stated.items() if k != "grains"}
-
-
 def decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:
     """The shape of a decoder as a description states it.
 
@@ -80,8 +71,8 @@ def decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:
         noise_channels=int(stated["noise_channels"]),
         widths=tuple(int(width) for width in stated["widths"]),
         convolutions=(int(stated["convolutions"][0]), int(stated["convolutions"][1])),
-        cells=int(stated.get("cells", 0)),  # unknown to the first materials and priors
-        grains=int(stated.get("grains", 0)),  # likewise
+        cells=int(stated["cells"]),
+        grains=int(stated.get("grains", 0)),  # the prior that comes with matcap states none
     )
     sizes = (config.noise_channels, *config.widths)
     if len(config.widths) != DEPTH + 1 or not all(1 <= s <= _LARGEST_WIDTH for s in sizes):

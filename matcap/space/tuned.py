@@ -22,7 +22,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import ALIGNMENT, CODE_SIZE, Decoder, Moments
 from matcap.space.freeze import FoldedDecoder, fold
 from matcap.space.source import DecoderSource
-from matcap.space.stored import StoredTensors, decoder_config, described, empty_decoder
+from matcap.space.stored import StoredTensors, decoder_config, empty_decoder
 from matcap.statistics.lattice import Wave
 
 _CPU = torch.device("cpu")
@@ -59,11 +59,6 @@ class TunedDecoder:
     def piece(self) -> None:
         """Nor maps of one."""
         return None
-
-    @property
-    def version(self) -> int:
-        """Of a file that holds it: 2 where the decoder reads structured noise, else 1."""
-        return 2 if self.decoder.config.grains else 1
 
     def material(
         self, name: str, setup: FlashSetup, provenance: Mapping[str, Any] | None = None
@@ -124,7 +119,7 @@ class TunedDecoder:
             tensors[f"moments.{index}.mean"] = mean
             tensors[f"moments.{index}.deviation"] = deviation
         about = {
-            "decoder": described(self.decoder.config),
+            "decoder": asdict(self.decoder.config),
             "waves": [asdict(wave) for wave in self.waves],
         }
         return tensors, about

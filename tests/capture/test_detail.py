@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from matcap.capture.detail import DETAIL, coarse_share, detail_for
+from matcap.capture.detail import coarse_share, detail_for
+from matcap.capture.settings import DETAIL
 
 HEIGHT = 768
 

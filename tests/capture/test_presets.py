@@ -2,7 +2,8 @@
 
 import pytest
 
-from matcap.capture.settings import PRESETS, CaptureSettings, Method, resolve
+from matcap.capture.method import Method
+from matcap.capture.settings import PRESETS, CaptureSettings, resolve
 from matcap.errors import UsageError
 
 

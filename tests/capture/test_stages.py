@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from matcap.capture.outputs import OutputSettings
 from matcap.capture.pipeline import capture_into
 from matcap.capture.progress import DECODER_STAGES, PIECE_STAGES, CaptureClock
-from matcap.capture.settings import CaptureSettings
+from matcap.capture.settings import CaptureSettings, OutputSettings
 
 PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
 

@@ -35,7 +35,7 @@ def test_unknown_names_are_attribute_errors():
         "import matcap.capture.pipeline, matcap.relight.scene",
         "import matcap; import matcap.capture.detail, matcap.relight.scene",
         "import matcap; from matcap.capture import detail; from matcap.relight import scene",
-        "from matcap.capture.detail import DETAIL; import matcap.relight; import matcap",
+        "from matcap.capture.settings import DETAIL; import matcap.relight; import matcap",
     ],
 )
 def test_functions_keep_their_names_whatever_is_imported_of_their_packages(imports):

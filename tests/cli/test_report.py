@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from reference.formats import keys
 
+from matcap.capture.method import Method
 from matcap.capture.progress import DECODER_STAGES, PIECE_STAGES, CaptureClock
 from matcap.capture.report import report, warnings, write_report
 from matcap.capture.result import Tuning
-from matcap.capture.settings import CaptureSettings, Method
+from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import FlashSetup
 
 STAGES = {**PIECE_STAGES, **DECODER_STAGES}

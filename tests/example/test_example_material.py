@@ -36,7 +36,7 @@ def second():
     return a_material("second", seed=4, example=Example.of(blobs(seed=7)))
 
 
-def test_a_material_of_before_is_its_decoder():
+def test_a_material_without_an_exemplar_is_its_decoder():
     material = Material.load(BEFORE)
     assert set(material.generators) == {"decoder"}
     assert material.maps(24, 16).height.equal(material.maps(24, 16, generator="decoder").height)
@@ -44,7 +44,7 @@ def test_a_material_of_before_is_its_decoder():
         material.maps(24, 16, generator="example")
 
 
-def test_a_material_of_before_is_synthesised_and_told_of(tmp_path, capsys):
+def test_a_material_without_an_exemplar_is_synthesised_and_told_of(tmp_path, capsys):
     words = [str(BEFORE), "--size", "32x16", "-q", "-o", str(tmp_path / "set")]
     assert main(["synth", *words]) == 0
     assert main(["synth", *words, "--generator", "example"]) == 2

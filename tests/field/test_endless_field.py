@@ -119,6 +119,8 @@ def test_what_is_loaded_lies_in_memory_as_what_was_saved(material, tmp_path):
 def test_damaged_materials_are_refused_by_name(tmp_path):
     from safetensors.torch import load_file, save_file
 
+    from matcap.files.tensors import write_tensors
+
     path = tmp_path / "m.matcap"
     a_material().save(path)
     good = path.read_bytes()
@@ -134,21 +136,25 @@ def test_damaged_materials_are_refused_by_name(tmp_path):
     from safetensors import safe_open
 
     with safe_open(path, framework="pt") as file:
-        metadata = {"matcap": file.metadata()["matcap"]}  # as files before there was a digest
+        metadata = {"matcap": file.metadata()["matcap"]}
     for change, told in (
         ({"code": torch.zeros(3)}, "code has shape"),
         ({"code": torch.full((CODE_SIZE,), float("nan"))}, "code holds NaN"),
     ):
-        save_file({**tensors, **change}, bad, metadata=metadata)
+        write_tensors(bad, {**tensors, **change}, metadata)
         with pytest.raises(MatcapError, match=told):
             Material.load(bad)
-    save_file({k: v for k, v in tensors.items() if k != "code"}, bad, metadata=metadata)
+    write_tensors(bad, {k: v for k, v in tensors.items() if k != "code"}, metadata)
     with pytest.raises(MatcapError, match="code is missing"):
         Material.load(bad)
-    newer = {"matcap": metadata["matcap"].replace('"version": 1', '"version": 99')}
-    save_file(tensors, bad, metadata=newer)
-    with pytest.raises(MatcapError, match="version 99"):
+    save_file(tensors, bad, metadata=metadata)  # without a digest
+    with pytest.raises(MatcapError, match="damaged: its digest"):
         Material.load(bad)
+    for version in (4, 99):
+        other = metadata["matcap"].replace('"version": 5', f'"version": {version}')
+        save_file(tensors, bad, metadata={"matcap": other})
+        with pytest.raises(MatcapError, match=f"version {version}; this matcap reads 5; capture"):
+            Material.load(bad)
 
 
 @pytest.mark.parametrize(

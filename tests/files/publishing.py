@@ -33,9 +33,9 @@ from matcap.batch.record import write_record
 from matcap.batch.workspace import open_run
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
-from matcap.capture.outputs import OutputSettings, write_outputs
+from matcap.capture.outputs import write_outputs
 from matcap.capture.result import CaptureResult, Tuning
-from matcap.capture.settings import CaptureSettings
+from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.verdict.evidence import evidence
 from matcap.capture.verdict.judge import judge
 from matcap.cli.main import main as matcap

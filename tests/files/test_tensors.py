@@ -65,6 +65,6 @@ def test_a_changed_text_is_noticed(tmp_path):
     assert not whole(path)
 
 
-def test_a_file_without_a_digest_passes(tmp_path):
+def test_a_file_without_a_digest_is_not_whole(tmp_path):
     save_file({"a": torch.zeros(3)}, tmp_path / "old.safetensors", {"about": "x"})
-    assert whole(tmp_path / "old.safetensors")
+    assert not whole(tmp_path / "old.safetensors")

@@ -146,7 +146,7 @@ def test_settings_say_it_where_it_is_set_alone(tmp_path):
     assert CaptureSettings.of(settings.named()) == settings
     (tmp_path / "matcap.toml").write_text('crop = "0,0,640,480"\nmask = "table.png"\n')
     read = read_settings(tmp_path / "matcap.toml")
-    assert read["crop"] == "0,0,640,480" and read["mask"] == str(tmp_path / "table.png")
+    assert read["crop"] == Region(0, 0, 640, 480) and read["mask"] == tmp_path / "table.png"
     with pytest.raises(UsageError, match="no rectangle|not a rectangle"):
         CaptureSettings.of({"crop": "1,2,3"})
 

@@ -96,15 +96,9 @@ def test_a_material_of_structured_noise_is_endless(material):
     assert not torch.equal(part, Field(material, 4).read(-170, 70, 60, 50).stacked())
 
 
-def test_its_file_says_so_and_comes_back(material, tmp_path):
-    import json
-
-    from safetensors import safe_open
-
+def test_its_file_comes_back(material, tmp_path):
     path = tmp_path / "grained.matcap"
     material.save(path)
-    with safe_open(path, "pt") as file:
-        assert json.loads(file.metadata()["matcap"])["version"] == 2
     again = Material.load(path)
     assert again.part(TunedDecoder).decoder.config == CONFIG
     assert torch.equal(again.maps(48, 32).stacked(), material.maps(48, 32).stacked())

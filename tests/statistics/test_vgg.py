@@ -4,7 +4,8 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from matcap.capture.settings import CaptureSettings, Method, Statistics
+from matcap.capture.method import Method
+from matcap.capture.settings import CaptureSettings, Statistics
 from matcap.capture.target import _features
 from matcap.capture.vgg_weights import load_vgg19
 from matcap.errors import MatcapError, UsageError

@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
 
 from matcap.cli.main import main
 from matcap.field.field import Field
@@ -71,16 +70,9 @@ def test_synth_writes_the_bits_it_wrote_before(call, tmp_path):
 
 
 def test_a_material_is_written_as_it_was_read(tmp_path):
-    """But for the digest, which there was none of."""
     again = tmp_path / "again.matcap"
     Material.load(MATERIAL).save(again)
-    with safe_open(again, framework="pt") as new, safe_open(MATERIAL, framework="pt") as old:
-        assert new.metadata()["matcap"] == old.metadata()["matcap"]
-        assert "digest" in new.metadata() and "digest" not in old.metadata()
-        assert set(new.keys()) == set(old.keys())
-        assert all(new.get_tensor(name).equal(old.get_tensor(name)) for name in old.keys())  # noqa: SIM118
-    Material.load(again).save(tmp_path / "twice.matcap")
-    assert (tmp_path / "twice.matcap").read_bytes() == again.read_bytes()
+    assert again.read_bytes() == MATERIAL.read_bytes()
 
 
 if __name__ == "__main__":

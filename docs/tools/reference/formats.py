@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
 from importlib import import_module
 from types import ModuleType
 
-from matcap.batch.settings import BatchSettings
+from matcap.batch.settings import SETTINGS
 from matcap.brdf.folder import MEANINGS, PNG_ENCODINGS
 from matcap.brdf.maps import CHANNELS
-from matcap.cli.batch import batch
+from matcap.capture.settings import Statistics
+from matcap.files.settings import field_docs
 from matcap.relight import scene
-from reference.commands import parameters
 from reference.docstrings import read, table
 
 _HEAD = """\
@@ -101,7 +100,7 @@ def _owned(module: ModuleType, sections: tuple[str, ...]) -> Iterator[str]:
 def _scene() -> Iterator[str]:
     for heading, kind, name in _TABLES:
         found = read(kind)
-        told = found.entries("Attributes")
+        told = found.entries("Attributes") | field_docs(kind)
         title = f'`{heading}` with `type = "{name}"`' if name else f"`{heading}`"
         yield from (f"### {title}", "", found.text, "")
         rows = []
@@ -112,18 +111,10 @@ def _scene() -> Iterator[str]:
 
 
 def _settings() -> list[str]:
-    """What a shoot's file may set, told as the options of the same names are."""
-    told = {
-        name.replace("-", "_"): one.info.help or ""
-        for one in parameters(batch)
-        for name in re.findall(r"`--([a-z-]+)`", one.shown)
-    }
+    """What a shoot's file may set."""
     return table(
         ["key", "default", "what"],
-        (
-            [f"`{name}`", _toml(value), told[name]]
-            for name, value in BatchSettings().named().items()
-        ),
+        ([f"`{name}`", _toml(one.default), one.help] for name, one in SETTINGS.items()),
     )
 
 
@@ -143,7 +134,7 @@ def _toml(default: object) -> str:
     """A default as the file would have it."""
     if default is None:
         return ""
-    if isinstance(default, str):
+    if isinstance(default, str | Statistics):
         return f'`"{default}"`'
     if isinstance(default, bool):
         return f"`{str(default).lower()}`"

@@ -9,6 +9,7 @@ from enum import Enum
 from importlib import import_module
 
 import matcap
+from matcap.files.settings import field_docs
 from reference.docstrings import read, table
 
 _HEAD = """\
@@ -68,7 +69,7 @@ def _class(name: str, kind: type) -> Iterator[str]:
     found = read(kind)
     yield from (found.text, "")
     if is_dataclass(kind):
-        told = found.entries("Attributes")
+        told = found.entries("Attributes") | field_docs(kind)
         shown = [one for one in fields(kind) if not one.name.startswith("_")]
         yield from table(
             ["field", "type", "default", "what"],

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.settings import FEATURES
+from matcap.capture.method import FEATURES
 from matcap.capture.verdict.signs import Signs, by_place, signs_of
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of

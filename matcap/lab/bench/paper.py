@@ -12,8 +12,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from matcap.capture.method import Method
 from matcap.capture.pipeline import capture_photo, read_photograph
-from matcap.capture.settings import CaptureSettings, Method
+from matcap.capture.settings import CaptureSettings
 from matcap.space.decoder import PAPER_CONFIG
 from matcap.statistics.filterbank import FilterBankConfig
 

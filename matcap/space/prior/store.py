@@ -35,7 +35,7 @@ from matcap.space.freeze import freeze
 from matcap.space.prior.anchors import SPREAD, Anchor, Anchors, Habits, nowhere
 from matcap.space.prior.base import VARYING, base_of, fold
 from matcap.space.prior.look import describe_windows, numbers, picture, texture
-from matcap.space.stored import StoredTensors, decoder_config, described, empty_decoder
+from matcap.space.stored import StoredTensors, decoder_config, empty_decoder
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.start import log_contrast
 from matcap.statistics.lattice import find_lattice
@@ -168,7 +168,7 @@ class Prior:
             "format": FORMAT,
             "version": VERSIONS[bool(self.decoder.config.grains)],
             "encoder": asdict(self.encoder.config),
-            "decoder": described(self.decoder.config),
+            "decoder": asdict(self.decoder.config),
             "anchors": 0 if self.anchors is None else len(self.anchors),
             "about": dict(self.about),
         }

@@ -10,8 +10,8 @@ import pytest
 import torch
 from photographed import photographed
 
+from matcap.capture.method import FEATURES
 from matcap.capture.piece.adapt import adapt, corners
-from matcap.capture.settings import FEATURES
 from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import plane_of
 from matcap.flash.render import render_flash

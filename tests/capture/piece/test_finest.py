@@ -11,9 +11,10 @@ import torch.nn.functional as F
 from photographed import photographed
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.detail import DETAIL, to_be_read
+from matcap.capture.detail import to_be_read
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.piece.finest import finest, sharpness
+from matcap.capture.settings import DETAIL
 from matcap.example.exemplar import Exemplar
 from matcap.flash.plane import Plane, plane_of
 from matcap.flash.render import render_flash

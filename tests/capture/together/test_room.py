@@ -8,9 +8,8 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.outputs import OutputSettings
 from matcap.capture.pipeline import capture_into
-from matcap.capture.settings import CaptureSettings
+from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.look import set_quality
 from matcap.capture.together.place import placed
 from matcap.capture.together.room import RoomLight, evenly_lit, less_room

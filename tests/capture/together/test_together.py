@@ -10,11 +10,11 @@ import torch
 from seen_views import DOUBT, OFFSET, PHONE, SIZE, seen
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.outputs import OutputSettings, write_outputs
+from matcap.capture.outputs import write_outputs
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.progress import TOGETHER_STAGES
 from matcap.capture.report import warnings
-from matcap.capture.settings import CaptureSettings
+from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.solve import predicted, solve
 from matcap.capture.together.texels import (

@@ -10,10 +10,10 @@ import torch
 
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
-from matcap.capture.outputs import OutputSettings, write_outputs
+from matcap.capture.outputs import write_outputs
 from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_photo
-from matcap.capture.settings import CaptureSettings
+from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.readings import ReadView, with_others
 from matcap.capture.together.texels import SLOPES, numbers_of
 from matcap.capture.together.union import (

@@ -217,20 +217,19 @@ def _redescribe(data: bytes, chance: random.Random) -> bytes:
     try:
         (length,) = struct.unpack("<Q", data[:8])
         header = json.loads(data[8 : 8 + length])
-        header["__metadata__"].pop("digest", None)  # what it would notice is tried elsewhere
         if chance.random() < 0.6:
             about = json.loads(header["__metadata__"]["matcap"])
             header["__metadata__"]["matcap"] = json.dumps(_changed(about, chance))
         else:
             header = _changed(header, chance)
-        header = _forged(header, data[8 + length :]) if chance.random() < 0.5 else header
+        header = forged(header, data[8 + length :])
         text = json.dumps(header).encode()
     except (ValueError, KeyError, TypeError, struct.error, RecursionError):
         return _flip(data, chance)
     return struct.pack("<Q", len(text)) + text + data[8 + length :]
 
 
-def _forged(header: dict[str, object], content: bytes) -> dict[str, object]:
+def forged(header: dict[str, object], content: bytes) -> dict[str, object]:
     """The header with a digest that is right, as a stranger can make one."""
     told = header.get("__metadata__") if isinstance(header, dict) else None
     if not isinstance(told, dict) or not all(isinstance(one, str) for one in told.values()):

@@ -5,7 +5,7 @@ import struct
 
 import pytest
 from fuzz import fuzz
-from inputs import write_material
+from inputs import forged, write_material
 
 from matcap.errors import MatcapError
 from matcap.field.material import Material
@@ -27,8 +27,8 @@ def described(path, change):
     about = json.loads(header["__metadata__"]["matcap"])
     change(about)
     header["__metadata__"]["matcap"] = json.dumps(about)
-    del header["__metadata__"]["digest"]  # or it would be called damaged for that alone
-    text = json.dumps(header).encode()
+    # With a digest that is right, or it would be called damaged for that alone.
+    text = json.dumps(forged(header, data[8 + length :])).encode()
     path.write_bytes(struct.pack("<Q", len(text)) + text + data[8 + length :])
 
 

@@ -19,10 +19,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from matcap.capture.method import Method
 from matcap.capture.piece.find import FoundPiece
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
-from matcap.capture.settings import CaptureSettings, Method
+from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError
 from matcap.field.plane import Rectangle
 from matcap.photo.load import photo_from_array

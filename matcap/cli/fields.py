@@ -1,0 +1,118 @@
+"""Options made of the fields of settings (files/settings.py): nothing of them is told twice.
+
+A command states where they stand in its signature:
+
+    @with_settings
+    def capture(photos: ..., given: Annotated[Given, Fields(CaptureSettings)] = NOTHING) -> None:
+
+and is given those that the user gave, by field.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from enum import Enum
+from functools import wraps
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
+
+import typer
+
+from matcap.cli.options import typed
+from matcap.files.settings import Setting, settings_in
+
+Given = Mapping[str, Any]
+NOTHING: Given = MappingProxyType({})
+T = TypeVar("T")
+
+
+class Fields:
+    """Stands in a signature for the settings of some dataclasses, but for those named."""
+
+    def __init__(self, *kinds: type, but: tuple[str, ...] = ()) -> None:
+        found = {name: one for kind in kinds for name, one in settings_in(kind).items()}
+        self.settings = {name: one for name, one in found.items() if name not in but}
+
+
+def with_settings(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with an option for each setting that its signature stands for."""
+    hints = get_type_hints(command, include_extras=True)
+    shown: list[inspect.Parameter] = []
+    groups: dict[str, Fields] = {}
+    for name, one in inspect.signature(command).parameters.items():
+        extra = get_args(hints[name])[-1] if get_origin(hints[name]) is Annotated else None
+        if isinstance(extra, Fields):
+            groups[name] = extra
+            shown += [_parameter(setting) for setting in extra.settings.values()]
+        else:
+            shown.append(one.replace(annotation=hints[name]))
+
+    @wraps(command)
+    def called(**options: Any) -> None:  # noqa: ANN401
+        for group, stated in groups.items():
+            taken = {name: options.pop(name) for name in stated.settings}
+            options[group] = {
+                name: _plain(stated.settings[name], value)
+                for name, value in taken.items()
+                if value not in (None, [], ())
+            }
+        command(**options)
+
+    keywords = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in shown]
+    called.__dict__["__signature__"] = inspect.Signature(keywords)
+    called.__annotations__ = {one.name: one.annotation for one in shown} | {"return": None}
+    return called
+
+
+def chosen(kind: Callable[..., T], given: Given) -> T:
+    """Settings of what was given; what is of other dataclasses is left out."""
+    names = {one.name for one in fields(cast(Any, kind))}
+    return kind(**{name: value for name, value in given.items() if name in names})
+
+
+def _parameter(one: Setting) -> inspect.Parameter:
+    """An option that is None where the user gives none."""
+    rule = one.rule
+    more: dict[str, Any] = {}
+    kind: Any = one.kind
+    if rule.words:
+        kind = cast(Any, Enum)(one.name, {word: word for word in rule.words})
+    elif rule.several:
+        kind = list[str]
+    elif rule.parse is not None:
+        kind, more = Any, {"parser": typed(rule.parse)}
+    elif math.isfinite(rule.least):
+        more = {"min": kind(rule.least), "max": kind(rule.most)}
+    flag = f"{one.flag}/--no-{one.flag[2:]}" if kind is bool else one.flag
+    names = [flag, *([rule.short] if rule.short else [])]
+    option: Any = typer.Option
+    said = rule.otherwise or _said(one.default)
+    stated = option(*names, help=one.help, metavar=rule.metavar, show_default=said or False, **more)
+    return inspect.Parameter(
+        one.field,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=None,
+        annotation=Annotated[kind | None, stated],
+    )
+
+
+def _said(default: object) -> str:
+    """A default as users would type it; nothing where it says nothing."""
+    if default is None or isinstance(default, bool) or default in ((), ""):
+        return ""
+    if isinstance(default, tuple):
+        return "x".join(str(part) for part in default)
+    return str(default)
+
+
+def _plain(one: Setting, value: Any) -> Any:  # noqa: ANN401
+    """What typer gives, as the field holds it."""
+    if isinstance(value, Enum):
+        return value.value
+    if one.rule.several and one.rule.parse is not None:
+        return one.rule.parse(value)
+    return Path(value) if one.kind is Path and one.rule.parse is None else value

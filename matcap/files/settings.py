@@ -1,0 +1,204 @@
+"""Settings: what users choose, each told once, at the field of the frozen dataclass that holds it.
+
+    detail: int | None = setting(None, least=64, most=8192)
+    '''Texels along the photograph's long side.'''
+
+Kind, range, words, default and docstring stand there alone. The dataclass itself, the command
+line's options (cli/fields.py), matcap.toml (batch/settings.py) and the reference pages read them.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import math
+import re
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from matcap.errors import UsageError
+
+_KINDS: Mapping[str, type] = {"int": int, "float": float, "bool": bool, "Path": Path}
+_WORDS = {int: "a whole number", float: "a number", bool: "true or false"}
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a setting may be, and what it is called."""
+
+    least: float = -math.inf
+    most: float = math.inf
+    """Limits of a number; NaN is in none."""
+    words: tuple[str, ...] = ()
+    """What a text may be; empty for any."""
+    option: str = ""
+    """Its name where users type it; the field's own by default."""
+    short: str = ""
+    """Its one-letter option."""
+    metavar: str | None = None
+    """What stands for its value in help."""
+    otherwise: str = ""
+    """What holds where nothing is given, where the default does not say it."""
+    parse: Callable[[Any], Any] | None = None
+    """From what users type, all of it where there are several; ValueError for what is none."""
+    several: bool = False
+    """May be given several times."""
+
+
+def setting(default: Any, **rule: Any) -> Any:  # noqa: ANN401
+    """A dataclass's field that users set; `rule` as in Rule."""
+    return field(default=default, metadata={"rule": Rule(**rule)})
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A field that users set."""
+
+    field: str
+    name: str
+    """Where users type it: words joined by underscores."""
+    kind: type
+    """int, float, bool, Path or str, before it is parsed."""
+    default: Any
+    help: str
+    """Its docstring."""
+    rule: Rule
+
+    @property
+    def flag(self) -> str:
+        """Its option."""
+        return f"--{self.name.replace('_', '-')}"
+
+    def check(self, value: object, where: str) -> None:
+        """Hold a value to words and limits; None is no choice.
+
+        Raises:
+            UsageError: it is none of the words, outside the limits, or not finite.
+        """
+        rule = self.rule
+        if rule.words and value is not None and value not in rule.words:
+            remedy = nearest(str(value), rule.words)
+            raise UsageError(f"there is no {self.name} {_short(value)}", where=where, remedy=remedy)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return
+        if not (math.isfinite(value) and rule.least <= value <= rule.most):
+            raise UsageError(
+                f"{_short(value)} is out of range",
+                where=where,
+                remedy=f"give between {rule.least:g} and {rule.most:g}",
+            )
+
+    def typed(self, value: Any, where: str) -> Any:  # noqa: ANN401
+        """As the field holds it, from a file or from Python; what is so already stays.
+
+        Raises:
+            UsageError: it is of another kind, or not as check() wants it.
+        """
+        if self.rule.several:
+            value = [value] if isinstance(value, str) else value
+            fits = isinstance(value, list | tuple) and all(isinstance(one, str) for one in value)
+        elif self.rule.parse is not None:
+            fits = not isinstance(value, bool | dict)
+        else:
+            kinds = {float: (int, float), Path: (str, Path)}.get(self.kind, (self.kind,))
+            fits = isinstance(value, kinds) and isinstance(value, bool) == (self.kind is bool)
+        if not fits:
+            wanted = "a list" if self.rule.several else _WORDS.get(self.kind, "a text")
+            raise UsageError(
+                f"{self.name} is {_short(value)}", where=where, remedy=f"give {wanted}"
+            )
+        try:
+            if self.rule.parse is not None:
+                value = self.rule.parse(value)
+            elif self.kind in (float, Path):
+                value = self.kind(value)
+        except ValueError as error:
+            raise UsageError(str(error), where=where, remedy=f"correct {self.name}") from error
+        except (AttributeError, TypeError) as error:
+            what = f"{self.name} is {_short(value)}"
+            raise UsageError(what, where=where, remedy="give a text") from error
+        self.check(value, where)
+        return value
+
+
+@cache
+def settings_in(kind: type) -> Mapping[str, Setting]:
+    """What users set of a dataclass, by field."""
+    told = field_docs(kind)
+    found = {}
+    for one in fields(kind):
+        if "rule" in one.metadata:
+            rule: Rule = one.metadata["rule"]
+            first = re.split(r"\W", str(one.type), maxsplit=1)[0]
+            found[one.name] = Setting(
+                one.name, rule.option or one.name, _KINDS.get(first, str), one.default,
+                told.get(one.name, ""), rule,
+            )  # fmt: skip
+    return found
+
+
+def check_settings(held: Any) -> None:  # noqa: ANN401
+    """For `__post_init__` of a dataclass: hold every setting to its words and limits.
+
+    Raises:
+        UsageError: one is outside of them.
+    """
+    kind: type = type(held)
+    for name, one in settings_in(kind).items():
+        one.check(getattr(held, name), one.flag)
+
+
+def typed_settings(kind: type, named: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by field, each as the dataclass holds it; what is no setting stays as it is.
+
+    Raises:
+        UsageError: as Setting.typed.
+    """
+    known = settings_in(kind)
+    return {
+        name: known[name].typed(value, known[name].flag)
+        if name in known and value is not None
+        else value
+        for name, value in named.items()
+    }
+
+
+def field_docs(kind: type) -> dict[str, str]:
+    """The docstrings below a class's fields, each on one line."""
+    return _docs_in(kind.__module__).get(kind.__qualname__, {})
+
+
+@cache
+def _docs_in(module: str) -> dict[str, dict[str, str]]:
+    """Of all classes of a module."""
+    file = Path(str(sys.modules[module].__file__))
+    found = {}
+    for node in ast.parse(file.read_bytes()).body:
+        if isinstance(node, ast.ClassDef):
+            told: dict[str, str] = {}
+            names: list[str] = []
+            for line in node.body:
+                if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name):
+                    names.append(line.target.id)
+                elif isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant):
+                    # One docstring for all fields above it that have none.
+                    told |= dict.fromkeys(names, " ".join(str(line.value.value).split()))
+                    names = []
+            found[node.name] = told
+    return found
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The remedy for a word that is none: the one that was meant, or all there are."""
+    words = list(known)
+    close = difflib.get_close_matches(name, words, n=1, cutoff=0.5)
+    return f"the nearest is {close[0]!r}" if close else f"there are {', '.join(words)}"
+
+
+def _short(value: object) -> str:
+    text = f"{value:g}" if isinstance(value, float) else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
