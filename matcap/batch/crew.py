@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing import connection
@@ -18,11 +19,14 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Any, Literal, Protocol
 
+from matcap.errors import MatcapError
+from matcap.files.cluster import Cluster, RemoteResult
 from matcap.files.interrupts import settle_child, starting_children
-from matcap.files.progress import Progress, TellProgress
+from matcap.files.progress import Progress, TellProgress, nobody
 
 DoWork = Callable[[Any, TellProgress], Any]
 Prepare = Callable[[], None]
+_LOOK_EVERY = 0.1  # seconds; samples take minutes
 
 
 @dataclass(frozen=True)
@@ -168,3 +172,60 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+class Machines:
+    """A crew of a dask cluster's workers; as many jobs at once as they have threads.
+
+    Every machine must see the shoot and the output under the same names. Progress inside a job is
+    not told, only its end.
+
+    Args:
+        scheduler: its address, such as tcp://host:8786.
+        work: a module-level function, called with a job and a way to tell of its progress.
+        prepare: called before every job.
+
+    Raises:
+        MatcapError: the extra is missing, nobody answers at the address, or there is no worker.
+    """
+
+    def __init__(self, scheduler: str, work: DoWork, prepare: Prepare) -> None:
+        self._cluster = Cluster(scheduler, "dask worker --nthreads 1")
+        self.size = self._cluster.threads
+        self._work, self._prepare = work, prepare
+        self._jobs: dict[RemoteResult, Any] = {}
+
+    def busy(self) -> int:
+        """See BatchCrew."""
+        return len(self._jobs)
+
+    def start(self, job: Any) -> None:  # noqa: ANN401
+        """See BatchCrew."""
+        self._jobs[self._cluster.submit(_there, self._work, self._prepare, job)] = job
+
+    def wait(self, seconds: float) -> list[Event]:
+        """See BatchCrew."""
+        limit = time.monotonic() + seconds
+        while not any(one.done() for one in self._jobs) and time.monotonic() < limit:
+            time.sleep(_LOOK_EVERY)
+        events = []
+        for one in [one for one in self._jobs if one.done()]:
+            job = self._jobs.pop(one)
+            try:
+                events.append(Event(job, "done", one.result()))
+            except MatcapError:
+                # The work itself returns its failures: what is left is a worker that was lost.
+                events.append(Event(job, "died", 1))
+        return events
+
+    def close(self) -> None:
+        """See BatchCrew."""
+        for one in self._jobs:
+            one.cancel()
+        self._jobs = {}
+        self._cluster.close()
+
+
+def _there(work: DoWork, prepare: Prepare, job: Any) -> Any:  # noqa: ANN401
+    prepare()
+    return work(job, nobody)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from matcap.batch.cluster import Cluster
-from matcap.batch.crew import BatchCrew, Processes
+from matcap.batch.crew import BatchCrew, Machines, Processes
 from matcap.batch.entries import BatchEntry, make_plan
 from matcap.batch.identity import prior_hash
 from matcap.batch.memory import crew_size, largest_worker
@@ -150,7 +149,7 @@ def work_off(
         if scheduler is None:
             crew = Processes(prepared.workers, do_job, settle_threads)
         else:
-            crew = Cluster(scheduler, do_job, settle_threads)
+            crew = Machines(scheduler, do_job, settle_threads)
         settings, card = prepared.settings, prepared.card
         Batch(entries, run, crew, settings, policy, show, page, card).go()
     return exit_code(entries, strict=policy.strict)

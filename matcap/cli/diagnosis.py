@@ -227,7 +227,8 @@ def _self_test() -> tuple[Check, ...]:
     from matcap.field.plane import Rectangle
     from matcap.relight.render import relight
     from matcap.space.prior.store import load_prior
-    from matcap.synth.synthesise import SynthRequest, synthesise
+    from matcap.synth.request import SynthRequest
+    from matcap.synth.synthesise import synthesise
 
     found: dict[str, Any] = {}
 

@@ -5,65 +5,34 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.options import (
-    AdjustOption,
     ExportOption,
-    GeneratorOption,
     LikeOption,
-    Normal,
-    NormalOption,
     OverwriteOption,
-    PngOption,
     QuietOption,
     SpreadOption,
-    VarietyOption,
-    seeded,
     typed,
 )
 from matcap.cli.plain_command import PlainCommand
 from matcap.errors import ExitCode, UsageError
+from matcap.field.options import ReadOptions
 from matcap.files import values
+from matcap.synth.request import Growth, SynthRequest, Work
 
 if TYPE_CHECKING:
     from matcap.field.material import Material
     from matcap.field.plane import Rectangle
     from matcap.synth.precision import ChosenPrecision
     from matcap.synth.request import SynthProgress
-    from matcap.synth.synthesise import Growth, Repeating, SynthRequest
 
 _STRIP = values.Size(4096, 256)  # the paper's own example
 _EVERY = 10.0  # seconds between lines of progress where there is no terminal
-
-
-class TileAxes(Enum):
-    """Along which axes the maps repeat, or the photographed piece itself along both."""
-
-    both = "both"
-    x = "x"
-    y = "y"
-    piece = "piece"
-
-
-class PrecisionName(Enum):
-    """How exactly to compute."""
-
-    fp32 = "fp32"
-    bf16 = "bf16"
-    auto = "auto"
-
-
-class Device(Enum):
-    """Where to compute."""
-
-    auto = "auto"
-    cpu = "cpu"
-    cuda = "cuda"
 
 
 class SynthCommand(PlainCommand):
@@ -75,11 +44,12 @@ class SynthCommand(PlainCommand):
         for index, argument in enumerate(args):
             after = args[index + 1] if index + 1 < len(args) else ""
             told.append(argument)
-            if argument == "--tile" and after not in [axis.value for axis in TileAxes]:
-                told.append(TileAxes.both.value)
+            if argument == "--tile" and after not in ("both", "x", "y", "piece"):
+                told.append("both")
         return super().parse_args(ctx, told)
 
 
+@with_settings
 def synth(
     material: Annotated[
         Path | None,
@@ -100,9 +70,6 @@ def synth(
             help="Size in texels: 4096x256, or 2K, 4K, 8K; as much as the disk has room for.",
         ),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(parser=seeded, metavar="SEED", help="Which piece of the material.")
-    ] = 0,
     region: Annotated[
         values.Region | None,
         typer.Option(
@@ -111,26 +78,6 @@ def synth(
             help="A rectangle anywhere in the endless field (y downwards), not --size.",
         ),
     ] = None,
-    tile: Annotated[
-        TileAxes | None,
-        typer.Option(
-            help="Repeat exactly along both axes, or along x or y alone; piece: the photographed "
-            "piece itself, made to repeat, at about its own size."
-        ),
-    ] = None,
-    udim: Annotated[
-        values.Size | None,
-        typer.Option(
-            parser=typed(values.size),
-            metavar="CxR",
-            help="A texture set of C columns (at most 10) and R rows (at most 900), each tile of "
-            "the given size.",
-        ),
-    ] = None,
-    single: Annotated[bool, typer.Option("--single", help="All maps in one EXR file.")] = False,
-    mip: Annotated[
-        bool, typer.Option("--mip", help="Mip-mapped EXR files, as texture readers like them.")
-    ] = False,
     blend: Annotated[
         Path | None,
         typer.Option(metavar="MATERIAL", help="Grow into this material where --mask is white."),
@@ -151,30 +98,10 @@ def synth(
         Path | None,
         typer.Option("--out", "-o", help="Folder; by default a new one named after all this."),
     ] = None,
-    png: PngOption = False,
-    normal: NormalOption = Normal.gl,
+    given: Annotated[Given, Fields(SynthRequest)] = NOTHING,
+    reading: Annotated[Given, Fields(ReadOptions, but=("normals",))] = NOTHING,
+    working: Annotated[Given, Fields(Work)] = NOTHING,
     export: ExportOption = None,
-    workers: Annotated[
-        int | None,
-        typer.Option("--workers", "-j", min=1, max=1024, help="Processes; by default one a core."),
-    ] = None,
-    generator: GeneratorOption = None,
-    adjust: AdjustOption = None,
-    variety: VarietyOption = None,
-    precision: Annotated[
-        PrecisionName,
-        typer.Option(help="auto: as much bf16 as changes no map by half an 8-bit step."),
-    ] = PrecisionName.fp32,
-    device: Annotated[
-        Device, typer.Option(help="auto: a CUDA device where PyTorch sees one.")
-    ] = Device.auto,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="tcp://HOST:PORT", help="Send blocks to this dask scheduler."),
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with what an interrupted run left.")
-    ] = False,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -185,9 +112,7 @@ def synth(
     """
     import os
 
-    from matcap.brdf.adjust import parse_adjustments
-    from matcap.synth.request import Files, Work
-    from matcap.synth.synthesise import SynthRequest, synthesise
+    from matcap.synth.synthesise import synthesise
     from matcap.synth.unfinished import unfinished_bytes
     from matcap.synth.workers import keep_memory
 
@@ -197,7 +122,7 @@ def synth(
         from matcap.export.targets import check_targets
 
         targets = check_targets(export)
-    if targets and (single or udim):
+    if targets and (given.get("single") or given.get("udim")):
         raise UsageError(
             "only plain map sets are exported", where="--export", remedy="leave --single or --udim"
         )
@@ -206,7 +131,7 @@ def synth(
         raise UsageError(
             "a rectangle has a size of its own", where="--region", remedy="leave --size out"
         )
-    is_piece = tile is TileAxes.piece
+    is_piece = given.get("tile") == "piece"
     if is_piece and (size is not None or region is not None):
         raise UsageError(
             "the photographed piece has a size of its own",
@@ -215,22 +140,18 @@ def synth(
         )
     sides = size or values.DEFAULT_SIZE
     area = _rectangle(region or values.Region(0, 0, sides.width, sides.height))
-    files = Files(png, normal.value, single, mip, (udim.width, udim.height) if udim else None)
-    subject, name = _subject(material, seed, like, spread)
-    axes: Repeating | None = tile.value if tile else None
-    asked = SynthRequest(
-        subject, area, seed, name, files, axes, growth, precision.value, device.value,
-        generator and generator.value, parse_adjustments(adjust), variety,
-    )  # fmt: skip
+    subject, name = _subject(material, given.get("seed", 0), like, spread)
+    read = chosen(ReadOptions, reading)
+    asked = SynthRequest(subject, area, name=name, read=read, growth=growth, **given)
     told_apart = _told_apart(asked)
-    which = "" if is_piece else f"_{area.width}x{area.height}_seed{seed}"
+    which = "" if is_piece else f"_{area.width}x{area.height}_seed{asked.seed}"
     folder = out or Path(f"{name}{which}{told_apart}")
 
     def told(choice: ChosenPrecision) -> None:
-        if precision is PrecisionName.auto and not quiet:
+        if asked.precision == "auto" and not quiet:
             typer.echo(choice.sentence(), err=True)
 
-    left = 0 if resume else unfinished_bytes(folder, name)
+    left = 0 if working.get("resume") else unfinished_bytes(folder, name)
     if left and not quiet:
         typer.echo(
             f"note: an interrupted run left {left / 1e6:.1f} MB here, which this one begins anew; "
@@ -240,7 +161,8 @@ def synth(
     try:
         with _progress(quiet=quiet) as tell:
             inputs = tuple(file for file in (subject, blend, mask) if isinstance(file, Path))
-            work = Work(workers or os.cpu_count() or 1, scheduler, resume, tell, overwrite, inputs)
+            crew = {"workers": os.cpu_count() or 1, **working}
+            work = Work(progress=tell, overwrite=overwrite, inputs=inputs, **crew)
             document = synthesise(asked, folder, work, told)
     except KeyboardInterrupt:
         typer.echo("matcap: interrupted; the same command with --resume goes on.", err=True)
@@ -258,20 +180,20 @@ def synth(
 
 def _told_apart(asked: SynthRequest) -> str:
     """What the default folder's name says beside name, size and seed."""
-    area, files, growth = asked.area, asked.files, asked.growth
+    area, growth, read = asked.area, asked.growth, asked.read
     parts = {
         f"x{area.x}_y{area.y}": (area.x, area.y) != (0, 0),
         f"tile-{asked.tile}": asked.tile is not None,
-        f"udim{files.udim and '{}x{}'.format(*files.udim)}": files.udim is not None,
+        f"udim{asked.udim and '{}x{}'.format(*asked.udim)}": asked.udim is not None,
         f"into-{growth and Path(str(growth.material)).stem}": growth is not None,
-        f"{asked.generator}": asked.generator is not None,
+        f"{read.generator}": read.generator is not None,
         f"{asked.precision}": asked.precision != "fp32",
-        asked.adjust.file_part: asked.adjust.changes,
-        f"variety{asked.variety}": asked.variety is not None,
-        "single": files.single,
-        "mip": files.mipmap,
-        "png": files.png,
-        "dx": files.normal == "dx",
+        read.adjustments.file_part: read.adjustments.changes,
+        f"variety{read.variety}": read.variety is not None,
+        "single": asked.single,
+        "mip": asked.mipmap,
+        "png": asked.png,
+        "dx": asked.normal == "dx",
     }
     return "".join(f"_{part}" for part, holds in parts.items() if holds)
 
@@ -301,8 +223,6 @@ def _subject(
 
 def _growth(blend: Path | None, mask: Path | None, over: values.Region | None) -> Growth | None:
     """What to grow into: a blend needs a mask, and the mask's options a blend."""
-    from matcap.synth.synthesise import Growth
-
     for name, option in (("--mask", mask), ("--mask-over", over)):
         if blend is None and option is not None:
             raise UsageError("there is nothing to blend with", where=name, remedy="give --blend")

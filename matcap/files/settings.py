@@ -27,7 +27,7 @@ _WORDS = {int: "a whole number", float: "a number", bool: "true or false"}
 
 
 @dataclass(frozen=True)
-class Rule:
+class SettingRule:
     """What a setting may be, and what it is called."""
 
     least: float = -math.inf
@@ -50,8 +50,8 @@ class Rule:
 
 
 def setting(default: Any, **rule: Any) -> Any:  # noqa: ANN401
-    """A dataclass's field that users set; `rule` as in Rule."""
-    return field(default=default, metadata={"rule": Rule(**rule)})
+    """A dataclass's field that users set; `rule` as in SettingRule."""
+    return field(default=default, metadata={"rule": SettingRule(**rule)})
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Setting:
     default: Any
     help: str
     """Its docstring."""
-    rule: Rule
+    rule: SettingRule
 
     @property
     def flag(self) -> str:
@@ -132,7 +132,7 @@ def settings_in(kind: type) -> Mapping[str, Setting]:
     found = {}
     for one in fields(kind):
         if "rule" in one.metadata:
-            rule: Rule = one.metadata["rule"]
+            rule: SettingRule = one.metadata["rule"]
             first = re.split(r"\W", str(one.type), maxsplit=1)[0]
             found[one.name] = Setting(
                 one.name, rule.option or one.name, _KINDS.get(first, str), one.default,

@@ -6,148 +6,136 @@ modules are imported where they are needed.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcap.example.stored import read_exemplified
+from matcap.brdf.adjust import KEY
+from matcap.brdf.folder import MapSetInfo
+from matcap.errors import UsageError
+from matcap.example.stored import Exemplified, read_exemplified
 from matcap.field.opened import REPEATS
+from matcap.field.plane import Rectangle
+from matcap.synth.adjusted import adjusted_source
 
 if TYPE_CHECKING:
-    from matcap.field.device import DeviceName
     from matcap.field.material import Material
-    from matcap.field.plane import Period, Rectangle
-    from matcap.field.source import Generator, Source
-    from matcap.synth.precision import ChosenPrecision, Precision
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """Which field of a material.
-
-    Attributes:
-        seed: which realisation.
-        period: what repeats.
-        generator: "example" or "decoder"; None: by example where there is an exemplar.
-        precision: of the network.
-        device: where the network computes.
-        variety: that an exemplar is rearranged with, instead of its material's own.
-    """
-
-    seed: int = 0
-    period: Period | None = None
-    generator: Generator | None = None
-    precision: Precision = "fp32"
-    device: DeviceName = "cpu"
-    variety: float | None = None
+    from matcap.field.source import Source
+    from matcap.synth.precision import ChosenPrecision
+    from matcap.synth.request import Growth, SynthRequest
 
 
 @dataclass(frozen=True)
 class OpenedField:
-    """A field with what is told of it.
-
-    Attributes:
-        source: of its blocks.
-        name: of the material.
-        provenance: how it was made; JSON.
-        choice: of a decoder's precision.
-    """
+    """A request's field."""
 
     source: Source
-    name: str
-    provenance: dict[str, Any]
+    """Of its blocks."""
+    info: MapSetInfo
+    """What is told of it: name, seed, place, provenance."""
     choice: ChosenPrecision | None = None
+    """A network's precision."""
 
 
-def open_field(material: Path | Material, wanted: Wanted) -> OpenedField:
-    """The field of one material.
-
-    Args:
-        material: itself, or its file.
-        wanted: which of its fields.
+def open_field(asked: SynthRequest) -> tuple[SynthRequest, OpenedField]:
+    """The field of a request, and the request itself with the size of a piece that repeats.
 
     Raises:
-        MatcapError: the file is missing, damaged, or no material; the device is not there, or
-            does not compute in this precision.
-        UsageError: a seed or period out of range, or no exemplar where one was asked for.
+        MatcapError: a file is missing, damaged, or no material; the mask is no picture; the device
+            is not there, or does not compute in this precision.
+        UsageError: a period out of range, or no exemplar where one was asked for.
     """
-    if isinstance(material, Path) and wanted.generator != "decoder":
-        held = read_exemplified(material)
-        if held is not None:
-            source = held.example.varied(wanted.variety).source(wanted.seed, wanted.period)
-            return OpenedField(source, held.name, held.provenance)
+    if asked.tile == "piece":
+        _check_piece(asked)
+    held = None
+    if isinstance(asked.material, Path) and asked.growth is None:
+        held = None if asked.read.generator == "decoder" else read_exemplified(asked.material)
+    if asked.growth is not None:
+        source, name, provenance, choice = _blend(asked, asked.growth)
+    elif held is not None:
+        source, name, provenance, choice = _of_exemplar(asked, held)
+    else:
+        source, name, provenance, choice = _of_material(asked)
+    if asked.tile == "piece":
+        width, height = source.period or (0, 0)
+        asked = replace(asked, area=Rectangle(0, 0, width or 0, height or 0))
+        provenance |= REPEATS
+    adjust = asked.read.adjustments
+    provenance |= {KEY: adjust.text} if adjust.changes else {}
+    provenance |= {"variety": asked.read.variety} if asked.read.variety is not None else {}
+    info = MapSetInfo(asked.name or name, asked.seed, (asked.area.x, asked.area.y), provenance)
+    return asked, OpenedField(adjusted_source(source, adjust), info, choice)
+
+
+_Found = tuple["Source", str, dict[str, Any], "ChosenPrecision | None"]
+
+
+def _of_exemplar(asked: SynthRequest, held: Exemplified) -> _Found:
+    """Without PyTorch."""
+    example = held.example
+    if asked.tile == "piece":
+        return example.repeating_source(), held.name, dict(held.provenance), None
+    source = example.varied(asked.read.variety).source(asked.seed, asked.period)
+    return source, held.name, dict(held.provenance), None
+
+
+def _of_material(asked: SynthRequest) -> _Found:
+    from matcap.example.repeat.source import RepeatedSource
     from matcap.field.field import Field
     from matcap.field.source import Network
     from matcap.synth.precision import choose
 
-    subject = _loaded(material, wanted)
-    field = Field(
-        subject, wanted.seed, wanted.period, device=wanted.device, generator=wanted.generator
+    material = _loaded(asked.material, asked)
+    name, provenance = material.name, dict(material.provenance)
+    if asked.tile == "piece":
+        maps = material.repeating()
+        source: Source = RepeatedSource(maps.stacked().numpy(), maps.texel_size)
+        return source, name, provenance, None
+    source = Field(
+        material, asked.seed, asked.period, device=asked.device, generator=asked.read.generator
     ).source
-    provenance = dict(subject.provenance)
-    if not isinstance(field, Network):
-        return OpenedField(field, subject.name, provenance)
-    choice = choose(field, wanted.precision)
-    return OpenedField(choice.source, subject.name, provenance, choice)
+    if not isinstance(source, Network):
+        return source, name, provenance, None
+    choice = choose(source, asked.precision)
+    return choice.source, name, provenance, choice
 
 
-def open_repeating(material: Path | Material, generator: Generator | None) -> OpenedField:
-    """The photographed piece itself, made to repeat: one period of it.
-
-    Args:
-        material: itself, or its file.
-        generator: that it is asked of; only an exemplar holds a piece.
-
-    Raises:
-        MatcapError: the file is missing, damaged, or no material.
-        UsageError: it holds no photographed piece, or too small a one.
-    """
-    if isinstance(material, Path) and generator != "decoder":
-        held = read_exemplified(material)
-        if held is not None:
-            return OpenedField(
-                held.example.repeating_source(), held.name, held.provenance | REPEATS
-            )
-    from matcap.example.repeat.source import RepeatedSource
-
-    subject = _loaded(material, Wanted(generator=generator))
-    maps = subject.repeating()
-    source = RepeatedSource(maps.stacked().numpy(), maps.texel_size)
-    return OpenedField(source, subject.name, dict(subject.provenance) | REPEATS)
-
-
-def open_blend(
-    first: Path | Material, second: Path | Material, mask: Path, over: Rectangle, wanted: Wanted
-) -> OpenedField:
-    """The field that is the first material where a mask is black, the second where it is white.
-
-    Args:
-        first: itself, or its file.
-        second: likewise.
-        mask: a grey picture,
-        over: stretched over this.
-        wanted: which of their fields.
-
-    Raises:
-        MatcapError, UsageError: as open_field; or the mask is no picture.
-    """
+def _blend(asked: SynthRequest, growth: Growth) -> _Found:
+    """The first material where the mask is black, the second where it is white."""
     from matcap.field.device import find_device
     from matcap.synth.blend import blend_source
     from matcap.synth.mask import read_mask
     from matcap.synth.precision import choose
 
-    start, end = _loaded(first, wanted), _loaded(second, wanted)
+    start, end = _loaded(asked.material, asked), _loaded(growth.material, asked)
+    over = growth.over or asked.whole
     between = blend_source(
-        start, end, read_mask(mask, over, wanted.period), wanted.seed, wanted.period,
-        find_device(wanted.device), wanted.generator,
+        start, end, read_mask(growth.mask, over, asked.period), asked.seed, asked.period,
+        find_device(asked.device), asked.read.generator,
     )  # fmt: skip
-    choice = choose(between, wanted.precision)
+    choice = choose(between, asked.precision)
     told = {"blend": [start.name, end.name], "mask_over": list(astuple(over))}
-    return OpenedField(choice.source, start.name, dict(start.provenance) | told, choice)
+    return choice.source, start.name, dict(start.provenance) | told, choice
 
 
-def _loaded(material: Path | Material, wanted: Wanted) -> Material:
+def _loaded(material: Path | Material, asked: SynthRequest) -> Material:
     from matcap.field.material import Material
 
     found = Material.load(material) if isinstance(material, Path) else material
-    return found.by(wanted.generator).varied(wanted.variety)
+    return found.by(asked.read.generator).varied(asked.read.variety)
+
+
+def _check_piece(asked: SynthRequest) -> None:
+    """Raise UsageError for what cannot be asked of the photographed piece itself."""
+    refused = {
+        "--udim": asked.udim is not None,
+        "--blend": asked.growth is not None,
+        "--variety": asked.read.variety is not None,
+        "--seed": asked.seed != 0,
+    }
+    for option in (option for option, given in refused.items() if given):
+        raise UsageError(
+            "the photographed piece is one, of a size of its own",
+            where=f"{option} with --tile piece",
+            remedy=f"leave {option} out, or let the field repeat, with --tile alone",
+        )

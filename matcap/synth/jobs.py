@@ -10,19 +10,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from matcap.brdf.stated import NormalStyle
-from matcap.errors import MatcapError
 from matcap.field.blocks import Piece
-from matcap.synth.pictures import PictureFile, Rendered, render
+from matcap.files.cluster import WorkerLost
+from matcap.synth.pictures import Rendered, render
+from matcap.synth.plan import PlannedMapSet
 
 if TYPE_CHECKING:
     from matcap.field.source import Source
 
 T_co = TypeVar("T_co", covariant=True)
-
-
-class WorkerLost(MatcapError):
-    """A worker died; what the others finished is kept for another try."""
 
 
 class Future(Protocol[T_co]):
@@ -37,15 +33,8 @@ class Future(Protocol[T_co]):
         ...
 
 
-@dataclass(frozen=True)
-class Job:
-    """A piece of the field, and the pictures it goes into."""
-
-    piece: Piece
-    pictures: tuple[PictureFile, ...]
-    normal: NormalStyle
-
-
+# A piece of the field, and the map set that it goes into.
+Job = tuple[Piece, PlannedMapSet]
 Submit = Callable[[Job], Future[list[Rendered]]]
 
 
@@ -85,6 +74,12 @@ class Crew:
                 result.cancel()
 
 
+def rendered(source: Source, job: Job) -> list[Rendered]:
+    """The job's piece, computed and encoded for each picture."""
+    piece, mapset = job
+    return render(source, piece, mapset.pictures, mapset.normal)
+
+
 def pack(source: Source) -> bytes:
     """A source to be sent elsewhere."""
     return pickle.dumps(source)
@@ -92,7 +87,7 @@ def pack(source: Source) -> bytes:
 
 def render_packed(packed: bytes, job: Job) -> list[Rendered]:
     """The job, wherever this runs."""
-    return render(unpacked(packed), job.piece, job.pictures, job.normal)
+    return rendered(unpacked(packed), job)
 
 
 @lru_cache(maxsize=2)

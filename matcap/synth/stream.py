@@ -6,7 +6,7 @@
 The order in which tiles are written follows from the request alone. So a run that was cut off
 goes on after its last whole tile, and the file it ends with has the same bytes.
 
-Read next: request.py, workers.py, exr_tiles.py.
+Read next: plan.py, workers.py, exr_tiles.py.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from matcap.brdf.folder import refuse_to_replace
 from matcap.files.mark import check_replaceable
@@ -23,13 +24,27 @@ from matcap.files.staging import check_writable
 from matcap.synth.assembly import Assembly, assembly
 from matcap.synth.jobs import Crew, Job
 from matcap.synth.levels import write_levels
-from matcap.synth.request import PlannedMapSet, Request, SynthProgress, Work
+from matcap.synth.plan import (
+    PlannedMapSet,
+    bytes_of,
+    check_request,
+    document_of,
+    key_of,
+    mapsets_of,
+)
+from matcap.synth.request import SynthProgress, SynthRequest, Work
 from matcap.synth.strips import height_coding, write_pngs
 from matcap.synth.unfinished import files_of, unfinished, unfinished_bytes
 from matcap.synth.workers import crew
 
+if TYPE_CHECKING:
+    from matcap.field.source import Source
+    from matcap.synth.fields import OpenedField
 
-def write_field(request: Request, folder: str | Path, work: Work | None = None) -> Path:
+
+def write_field(
+    asked: SynthRequest, field: OpenedField, folder: str | Path, work: Work | None = None
+) -> Path:
     """Write a rectangle of a field as a map set or a texture set; returns its JSON file.
 
     All files appear together, or none. Of a run that is interrupted, or fails for want of room or
@@ -42,57 +57,59 @@ def write_field(request: Request, folder: str | Path, work: Work | None = None) 
             folder, another run at work in it, an unfinished run of other settings to resume, a
             worker that died, values that are not finite.
     """
-    request.check()
+    name, source = field.info.name, field.source
+    check_request(asked, name)
     work = work or Work()
-    work.check(request.source.device_type)
-    folder, name = Path(folder), request.info.name
+    work.check(source.device_type)
+    folder = Path(folder)
     if not work.overwrite:
-        document = request.document((1.0, 0.5) if request.files.png else None)
+        document = document_of(asked, field, (1.0, 0.5) if asked.png else None)
         refuse_to_replace(folder, document, files_of(folder, name))
     outputs = [folder / file for file in files_of(folder, name)]
     check_replaceable(outputs, "matcap synth", inputs=work.inputs, overwrite=True)
     left = unfinished_bytes(folder, name) if work.resume else 0
-    check_writable(folder, max(request.room - left, 0), files_of(folder, name))
-    mapsets = request.mapsets()
+    check_writable(folder, max(bytes_of(asked) - left, 0), files_of(folder, name))
+    mapsets = mapsets_of(asked, field)
     with (
-        unfinished(folder, name, request.key, resume=work.resume) as stage,
+        unfinished(folder, name, key_of(asked, field), resume=work.resume) as stage,
         ExitStack() as stack,
     ):
-        clock = _Clock(request.whole.width * request.whole.height, work.progress)
-        blocks = sum(1 for mapset in mapsets for _ in request.pieces(mapset))
-        ready = stack.enter_context(crew(request.source, work.workers, blocks, work.scheduler))
+        clock = _Clock(asked.whole.width * asked.whole.height, work.progress)
+        blocks = sum(1 for mapset in mapsets for _ in mapset.pieces(source))
+        ready = stack.enter_context(crew(source, work.workers, blocks, work.scheduler))
         sets = []
         for mapset in mapsets:
             files = stack.enter_context(assembly(stage, mapset.pictures))
-            _fill(request, mapset, files, ready, clock)
+            _fill(source, mapset, files, ready, clock)
             for picture, file in zip(mapset.pictures, files.files, strict=True):
                 write_levels(picture, file, work.workers)
                 file.finish()
             sets.append(files)
-        heights = height_coding(sets) if request.files.png else None
+        heights = height_coding(sets) if asked.png else None
         if heights is not None:
             for files in sets:
                 write_pngs(stage, files, heights)
-        text = json.dumps(request.document(heights), indent=2, allow_nan=False, default=str)
+        document = document_of(asked, field, heights)
+        text = json.dumps(document, indent=2, allow_nan=False, default=str)
         (stage / f"{name}.json").write_text(text + "\n")
     return folder / f"{name}.json"
 
 
 def _fill(
-    request: Request, mapset: PlannedMapSet, files: Assembly, ready: Crew, clock: _Clock
+    source: Source, mapset: PlannedMapSet, files: Assembly, ready: Crew, clock: _Clock
 ) -> None:
     """Compute all blocks of a map set whose tiles are not there yet."""
 
     def missing() -> Iterator[Job]:
-        for piece in request.pieces(mapset):
+        for piece in mapset.pieces(source):
             if files.lacks(piece):
-                yield Job(piece, mapset.pictures, request.files.normal)
+                yield piece, mapset
             else:
                 clock.skip(piece.texels)
 
-    for job, rendered in ready.run(missing()):
+    for (piece, _), rendered in ready.run(missing()):
         files.add(rendered)
-        clock.done(job.piece.texels)
+        clock.done(piece.texels)
 
 
 class _Clock:

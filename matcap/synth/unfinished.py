@@ -14,10 +14,10 @@ from pathlib import Path
 
 from matcap.brdf.folder import MEANINGS, mapset_files
 from matcap.errors import MatcapError
+from matcap.files.cluster import WorkerLost
 from matcap.files.names import StagedFolder, plain_name
 from matcap.files.publish import publish, recover
 from matcap.files.staging import culprit, new_folder, write_error
-from matcap.synth.jobs import WorkerLost
 
 _KEY, _LOCK = ".request", ".lock"
 

@@ -17,10 +17,10 @@ from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any
 
 from matcap.field.single import compute_alone, single_threaded
+from matcap.files.cluster import Cluster
 from matcap.files.interrupts import settle_child, starting_children
-from matcap.synth.cluster import cluster
-from matcap.synth.jobs import Crew, Future, Job, pack, unpacked
-from matcap.synth.pictures import Rendered, render
+from matcap.synth.jobs import Crew, Future, Job, pack, render_packed, rendered, unpacked
+from matcap.synth.pictures import Rendered
 
 if TYPE_CHECKING:
     from matcap.field.source import Source
@@ -46,14 +46,12 @@ def crew(source: Source, workers: int, jobs: int, scheduler: str | None = None) 
         MatcapError: there is no such scheduler, or the extra is missing.
     """
     if scheduler is not None:
-        with cluster(scheduler, pack(source)) as ready:
-            yield ready
+        with Cluster(scheduler) as machines:
+            held = machines.shared(pack(source))
+            yield Crew(partial(machines.submit, _render_alone, held), _AHEAD * machines.threads)
     elif workers == 1 or jobs <= _FEW or source.device_type != "cpu":
         with single_threaded(workers) as pool:
-            yield Crew(
-                lambda job: pool.submit(render, source, job.piece, job.pictures, job.normal),
-                _AHEAD * workers,
-            )
+            yield Crew(lambda job: pool.submit(rendered, source, job), _AHEAD * workers)
     else:
         processes = ProcessPoolExecutor(
             workers, mp_context=get_context("spawn"), initializer=_prepare, initargs=(pack(source),)
@@ -70,9 +68,15 @@ def _submit(processes: ProcessPoolExecutor, job: Job) -> Future[list[Rendered]]:
         return processes.submit(_render_here, job)
 
 
+def _render_alone(packed: bytes, job: Job) -> list[Rendered]:
+    """The job on one thread, whatever kind of worker this is."""
+    with single_threaded(1) as pool:
+        return pool.submit(render_packed, packed, job).result()
+
+
 def _render_here(job: Job) -> list[Rendered]:
     """The job, in a worker process."""
-    return render(_task[0], job.piece, job.pictures, job.normal)
+    return rendered(_task[0], job)
 
 
 # What a worker process was started for; empty in every other.

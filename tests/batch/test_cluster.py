@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from matcap.batch.cluster import Cluster
+from matcap.batch.crew import Machines
 from matcap.errors import MatcapError
 from matcap.files.progress import Progress
 
@@ -33,7 +33,7 @@ def address():
 
 
 def test_jobs_are_done_and_losses_are_told(address):
-    crew = Cluster(address, work, prepare)
+    crew = Machines(address, work, prepare)
     try:
         assert crew.size == 2
         crew.start("a")
@@ -48,15 +48,15 @@ def test_jobs_are_done_and_losses_are_told(address):
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
-    monkeypatch.setattr("matcap.synth.scheduler._PATIENCE", 0.2)
+    monkeypatch.setattr("matcap.files.cluster._PATIENCE", 0.2)
     with pytest.raises(MatcapError, match="no dask scheduler answers"):
-        Cluster("tcp://127.0.0.1:9", work, prepare)
+        Machines("tcp://127.0.0.1:9", work, prepare)
 
 
 def test_without_the_extra_the_remedy_is_its_installation(monkeypatch):
     def missing(name):
         raise ImportError(name)
 
-    monkeypatch.setattr("matcap.synth.scheduler.import_module", missing)
+    monkeypatch.setattr("matcap.files.cluster.import_module", missing)
     with pytest.raises(MatcapError, match=r"matcap\[cluster\]"):
-        Cluster("tcp://127.0.0.1:9", work, prepare)
+        Machines("tcp://127.0.0.1:9", work, prepare)

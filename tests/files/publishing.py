@@ -46,8 +46,8 @@ from matcap.field.plane import Rectangle
 from matcap.files.publish import recover
 from matcap.files.staging import staged
 from matcap.photo.photo import Photo
-from matcap.synth.request import Files, Work
-from matcap.synth.synthesise import SynthRequest, synthesise
+from matcap.synth.request import SynthRequest, Work
+from matcap.synth.synthesise import synthesise
 
 Writer = Callable[[Path, int], None]  # a folder, and which version
 _SIDE = 32
@@ -72,8 +72,8 @@ def mapset(folder: Path, version: int) -> None:
 
 
 def synth(folder: Path, version: int) -> None:
-    files = Files(png=version == 1)
-    asked = SynthRequest(a_material(), Rectangle(0, 0, _SIDE, _SIDE), version, files=files)
+    area = Rectangle(0, 0, _SIDE, _SIDE)
+    asked = SynthRequest(a_material(), area, version, png=version == 1)
     synthesise(asked, folder, Work(workers=1))
 
 

@@ -26,7 +26,8 @@ class OnCuda(DecoderSource):
 
 def claimed(asked):
     """A request whose source says so."""
-    return replace(asked, source=OnCuda(**vars(asked.source)))
+    request, field = asked
+    return request, replace(field, source=OnCuda(**vars(field.source)))
 
 
 @pytest.mark.parametrize(
@@ -80,18 +81,18 @@ def test_a_run_is_not_resumed_on_another_device(material, tmp_path):
         raise OSError(28, "No space left on device")
 
     with pytest.raises(MatcapError, match="full"):
-        write_field(request(material), tmp_path, Work(progress=full))
+        write_field(*request(material), tmp_path, Work(progress=full))
     with pytest.raises(MatcapError, match="begun on cpu; cuda rounds differently; give --device"):
-        write_field(claimed(request(material)), tmp_path, Work(resume=True))
+        write_field(*claimed(request(material)), tmp_path, Work(resume=True))
     # The refusal took nothing away.
-    write_field(request(material), tmp_path, Work(resume=True))
-    write_field(request(material), tmp_path / "whole")
+    write_field(*request(material), tmp_path, Work(resume=True))
+    write_field(*request(material), tmp_path / "whole")
     assert contents(tmp_path) == contents(tmp_path / "whole")
 
 
 def test_a_cluster_is_not_sent_to_cuda(material, tmp_path):
     with pytest.raises(UsageError, match="processors"):
-        write_field(claimed(request(material)), tmp_path, Work(scheduler="tcp://127.0.0.1:9"))
+        write_field(*claimed(request(material)), tmp_path, Work(scheduler="tcp://127.0.0.1:9"))
 
 
 @needs_cuda
@@ -114,8 +115,8 @@ def test_cuda_repeats_its_bits_whatever_is_asked_for(wavy):
 
 @needs_cuda
 def test_workers_change_no_byte_on_cuda(material, tmp_path):
-    asked = request(material, ODD)
-    source = replace(asked.source, decoder=asked.source.decoder.to(torch.device("cuda")))
+    asked, field = request(material, ODD)
+    source = replace(field.source, decoder=field.source.decoder.to(torch.device("cuda")))
     for workers in (1, 3):
-        write_field(replace(asked, source=source), tmp_path / str(workers), Work(workers))
+        write_field(asked, replace(field, source=source), tmp_path / str(workers), Work(workers))
     assert contents(tmp_path / "1") == contents(tmp_path / "3")

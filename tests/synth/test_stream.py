@@ -8,6 +8,7 @@ import sys
 import time
 from dataclasses import replace
 from hashlib import sha256
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,7 +21,8 @@ from matcap.errors import MatcapError
 from matcap.field.blocks import Grid
 from matcap.field.field import Field, read_source
 from matcap.field.plane import Rectangle
-from matcap.synth.request import Files, Request, Work
+from matcap.synth.fields import OpenedField
+from matcap.synth.request import SynthRequest, Work
 from matcap.synth.stream import write_field
 
 # Blocks much smaller than the shipped ones: many of them take little time.
@@ -29,9 +31,11 @@ SMALL = Grid(128, 64)
 ODD = Rectangle(512 - 70, -256 - 21, 200, 90)
 
 
-def request(material, area=ODD, files=None, seed=5, period=None):
+def request(material, area=ODD, seed=5, period=None, **stored):
+    """A request, and its field with small blocks."""
     source = replace(material.generator.source(seed, period), grid=SMALL)
-    return Request(source, area, MapSetInfo("m", seed, (area.x, area.y)), files or Files())
+    field = OpenedField(source, MapSetInfo("m", seed, (area.x, area.y)))
+    return SynthRequest(Path("m.matcap"), area, seed, **stored), field
 
 
 def contents(folder):
@@ -49,20 +53,20 @@ def pixels(path):
 
 @pytest.mark.parametrize("area", [ODD, Rectangle(-64, 2**40 - 200, 700, 64)])
 def test_files_hold_the_field(material, tmp_path, area):
-    write_field(request(material, area), tmp_path)
+    write_field(*request(material, area), tmp_path)
     maps, _ = read_mapset(tmp_path)
-    field = read_source(request(material).source, area, 1)
+    field = read_source(request(material)[1].source, area, 1)
     assert torch.equal(maps.height, field.height)
     for kind in ("diffuse", "specular", "roughness"):
         assert torch.equal(getattr(maps, kind), getattr(field, kind).half().float())
 
 
 def test_normals_look_beyond_blocks_and_beyond_the_rectangle(material, tmp_path):
-    write_field(request(material), tmp_path)
+    write_field(*request(material), tmp_path)
     wide = Field(material, 5).read(ODD.x - 1, ODD.y - 1, ODD.width + 2, ODD.height + 2)
     expected = wide.normal[:, 1:-1, 1:-1].permute(1, 2, 0).numpy()
     assert np.abs(pixels(tmp_path / "m_normal.exr") - expected).max() < 1e-3
-    write_field(request(material, files=Files(normal="dx")), tmp_path / "dx")
+    write_field(*request(material, normal="dx"), tmp_path / "dx")
     assert np.array_equal(
         pixels(tmp_path / "dx/m_normal.exr"), pixels(tmp_path / "m_normal.exr") * [1, -1, 1]
     )
@@ -72,13 +76,13 @@ def test_workers_change_no_byte(material, tmp_path):
     """Threads for few blocks, processes for more: both beside a single thread."""
     area = Rectangle(40, 7, 2 * 128, 26 * 64)
     told = []
-    write_field(request(material, area), tmp_path / "1", Work(1, progress=told.append))
+    write_field(*request(material, area), tmp_path / "1", Work(1, progress=told.append))
     assert told[-1].fraction == 1.0
     assert [now.fraction for now in told] == sorted(now.fraction for now in told)
-    write_field(request(material, area), tmp_path / "2", Work(2))
+    write_field(*request(material, area), tmp_path / "2", Work(2))
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
-    write_field(request(material), tmp_path / "3", Work(3))
-    write_field(request(material), tmp_path / "4", Work(1))
+    write_field(*request(material), tmp_path / "3", Work(3))
+    write_field(*request(material), tmp_path / "4", Work(1))
     assert contents(tmp_path / "3") == contents(tmp_path / "4")
 
 
@@ -89,7 +93,7 @@ def test_a_killed_run_is_resumed_to_the_same_bytes(material, tmp_path):
     program = (
         "import pickle; from matcap.synth.stream import Work, write_field\n"
         "if __name__ == '__main__':\n"
-        "    write_field(pickle.load(open('request', 'rb')), 'cut', Work(2))\n"
+        "    write_field(*pickle.load(open('request', 'rb')), 'cut', Work(2))\n"
     )
     (tmp_path / "program.py").write_text(program)
     run = subprocess.Popen([sys.executable, "program.py"], cwd=tmp_path)
@@ -102,18 +106,19 @@ def test_a_killed_run_is_resumed_to_the_same_bytes(material, tmp_path):
     assert run.wait() == -signal.SIGKILL
     assert [file.name for file in (tmp_path / "cut").iterdir()] == [".m.matcap-part"]
     told = []
-    write_field(request(material, area), tmp_path / "cut", Work(1, None, True, told.append))
+    again = Work(resume=True, progress=told.append)
+    write_field(*request(material, area), tmp_path / "cut", again)
     assert 0 < told[-1].resumed < 1
-    write_field(request(material, area), tmp_path / "whole")
+    write_field(*request(material, area), tmp_path / "whole")
     assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
 
 
 def test_two_runs_in_one_place_do_not_mix(material, tmp_path):
     def again(_now):
         with pytest.raises(MatcapError, match="another matcap is writing"):
-            write_field(request(material, seed=6), tmp_path)
+            write_field(*request(material, seed=6), tmp_path)
 
-    write_field(request(material), tmp_path, Work(progress=again))
+    write_field(*request(material), tmp_path, Work(progress=again))
     assert json.loads((tmp_path / "m.json").read_text())["seed"] == 5
 
 
@@ -121,22 +126,23 @@ def test_values_that_are_not_finite_are_refused_and_leave_nothing(material, tmp_
     source = material.generator.source(0)
     broken = replace(source, texel_size=float("nan"))
     with pytest.raises(MatcapError, match="not finite"):
-        write_field(Request(broken, ODD, MapSetInfo("m")), tmp_path / "out")
+        asked = SynthRequest(Path("m.matcap"), ODD)
+        write_field(asked, OpenedField(broken, MapSetInfo("m")), tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_what_an_older_set_had_and_a_newer_has_not_goes(material, tmp_path):
     (tmp_path / "m_of_mine.txt").touch()
-    write_field(request(material, files=Files(png=True)), tmp_path)
-    write_field(request(material, files=Files(udim=(2, 1))), tmp_path)
+    write_field(*request(material, png=True), tmp_path)
+    write_field(*request(material, udim=(2, 1)), tmp_path)
     assert len(list(tmp_path.iterdir())) == 2 + 2 * 5
-    write_field(request(material, files=Files(single=True)), tmp_path)
+    write_field(*request(material, single=True), tmp_path)
     names = {file.name for file in tmp_path.iterdir()}
     assert names == {"m_of_mine.txt", "m_maps.exr", "m.json"}
 
 
 def test_pngs_hold_what_the_exrs_hold(material, tmp_path):
-    write_field(request(material, files=Files(png=True, udim=(2, 1))), tmp_path)
+    write_field(*request(material, png=True, udim=(2, 1)), tmp_path)
     document = json.loads((tmp_path / "m.json").read_text())["png"]
     ends = []
     for number in (1001, 1002):
@@ -152,10 +158,9 @@ def test_pngs_hold_what_the_exrs_hold(material, tmp_path):
 
 
 def test_smaller_levels_are_averages(material, tmp_path):
-    files = Files(mipmap=True)
     period = (192, 96)
     area = Rectangle(0, 0, *period)
-    write_field(request(material, area, files, period=period), tmp_path)
+    write_field(*request(material, area, mipmap=True, period=period), tmp_path)
     source = oiio.ImageInput.open(str(tmp_path / "m_height.exr"))
     assert source.spec().getattribute("wrapmodes") == "periodic,periodic"
     larger = source.read_image(0, 0, 0, 1, "float")[..., 0]
@@ -173,6 +178,6 @@ def test_smaller_levels_are_averages(material, tmp_path):
     assert np.abs(np.linalg.norm(small, axis=2) - 1).max() < 2e-3
     normal.close()
     # A resumed run of levels ends with the same bytes too.
-    write_field(request(material, area, files, period=period), tmp_path / "again", Work(3))
+    write_field(*request(material, area, mipmap=True, period=period), tmp_path / "again", Work(3))
     first, again = contents(tmp_path), contents(tmp_path / "again")
     assert all(again[name] == digest for name, digest in first.items() if name.endswith(".exr"))

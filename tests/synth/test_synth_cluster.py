@@ -4,6 +4,7 @@ import filecmp
 import os
 import signal
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -11,7 +12,8 @@ from matcap.brdf.folder import MapSetInfo
 from matcap.errors import MatcapError
 from matcap.field.blocks import Grid
 from matcap.field.plane import Rectangle
-from matcap.synth.request import Request, Work
+from matcap.synth.fields import OpenedField
+from matcap.synth.request import SynthRequest, Work
 from matcap.synth.stream import write_field
 
 distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")
@@ -35,7 +37,7 @@ def cluster():
 def test_a_worker_is_killed_half_way(material, tmp_path, cluster):
     area = Rectangle(0, 0, 5 * 128, 8 * 64)
     source = replace(material.generator.source(2), grid=Grid(128, 64))
-    request = Request(source, area, MapSetInfo("m", 2))
+    request = SynthRequest(Path("m"), area), OpenedField(source, MapSetInfo("m", 2))
     killed = []
 
     def kill(now):
@@ -45,18 +47,17 @@ def test_a_worker_is_killed_half_way(material, tmp_path, cluster):
             killed.append(pid)
 
     work = Work(scheduler=cluster.scheduler_address, progress=kill)
-    write_field(request, tmp_path / "cluster", work)
+    write_field(*request, tmp_path / "cluster", work)
     assert killed
-    write_field(request, tmp_path / "here")
+    write_field(*request, tmp_path / "here")
     for file in (tmp_path / "here").iterdir():
         assert filecmp.cmp(file, tmp_path / "cluster" / file.name, shallow=False)
 
 
 def test_nobody_answers(material, tmp_path, monkeypatch):
-    from matcap.synth import scheduler as module
-
-    monkeypatch.setattr(module, "_PATIENCE", 0.5)
-    request = Request(material.generator.source(2), Rectangle(0, 0, 8, 8), MapSetInfo("m", 2))
+    monkeypatch.setattr("matcap.files.cluster._PATIENCE", 0.5)
+    field = OpenedField(material.generator.source(2), MapSetInfo("m", 2))
+    request = SynthRequest(Path("m"), Rectangle(0, 0, 8, 8)), field
     with pytest.raises(MatcapError, match="no dask scheduler answers"):
-        write_field(request, tmp_path / "out", Work(scheduler="tcp://127.0.0.1:9"))
+        write_field(*request, tmp_path / "out", Work(scheduler="tcp://127.0.0.1:9"))
     assert list(tmp_path.iterdir()) == []

@@ -10,8 +10,8 @@ from matcap.brdf.folder import read_mapset
 from matcap.errors import UsageError
 from matcap.field.plane import Rectangle
 from matcap.files.png import write_png
-from matcap.synth.request import Files
-from matcap.synth.synthesise import Growth, SynthRequest, synthesise
+from matcap.synth.request import Growth, SynthRequest
+from matcap.synth.synthesise import synthesise
 
 
 def test_a_request_is_written_as_the_field_reads(material, tmp_path):
@@ -30,8 +30,8 @@ def test_a_request_is_written_as_the_field_reads(material, tmp_path):
     ("tile", "period"), [("both", [64, 32]), ("x", [64, None]), ("y", [None, 32])]
 )
 def test_what_repeats_is_the_whole_of_what_is_written(material, tmp_path, tile, period):
-    files = Files(udim=(2, 1))
-    asked = SynthRequest(material, Rectangle(0, 0, 32, 32), name="two", files=files, tile=tile)
+    area = Rectangle(0, 0, 32, 32)
+    asked = SynthRequest(material, area, name="two", udim=(2, 1), tile=tile)
     document = json.loads(synthesise(asked, tmp_path / "set").read_text())
     assert document["name"] == "two" and document["period"] == period
 
@@ -51,7 +51,6 @@ def test_it_grows_where_the_mask_is_white(material, make_material, tmp_path):
 
 
 def test_a_seed_out_of_range_is_a_usage_error(material, tmp_path):
-    asked = SynthRequest(material, Rectangle(0, 0, 8, 8), seed=2**63)
     with pytest.raises(UsageError, match="out of range"):
-        synthesise(asked, tmp_path / "set")
+        synthesise(SynthRequest(material, Rectangle(0, 0, 8, 8), seed=2**63), tmp_path / "set")
     assert list(tmp_path.iterdir()) == []

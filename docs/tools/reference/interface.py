@@ -26,7 +26,9 @@ MODULES = {
     "matcap.photo.photo": ("Photo",),
     "matcap.flash.geometry": ("FlashSetup",),
     "matcap.brdf.cook_torrance": ("cook_torrance",),
-    "matcap.synth.synthesise": ("synthesise", "SynthRequest", "Growth"),
+    "matcap.synth.synthesise": ("synthesise",),
+    "matcap.synth.request": ("SynthRequest", "Growth", "Work"),
+    "matcap.field.options": ("ReadOptions",),
     "matcap.relight.scene": (
         "Scene", "Film", "Camera", "Surface", "PointLight", "DirectionalLight", "SphereLight",
         "RectangleLight", "EnvironmentLight",

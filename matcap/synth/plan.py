@@ -1,0 +1,182 @@
+"""What a request comes to: map sets, the pictures of each, and the document that tells of them."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from matcap.brdf.folder import (
+    EXR_BYTES,
+    MEANINGS,
+    PNG_BYTES,
+    PNG_ENCODINGS,
+    mapset_document,
+    meaning_of,
+)
+from matcap.brdf.stated import NormalStyle
+from matcap.errors import UsageError
+from matcap.field.blocks import Piece, check_rectangle, pieces_of
+from matcap.field.plane import Rectangle
+from matcap.files.maker import MAKER_VERSION
+from matcap.files.names import plain_name
+from matcap.synth.pictures import PictureFile, channels_of, pictures_of
+
+if TYPE_CHECKING:
+    from matcap.field.source import Source
+    from matcap.synth.fields import OpenedField
+    from matcap.synth.request import SynthRequest
+
+_UDIM_COLUMNS = 10
+_UDIM_ROWS = 900
+_LARGEST_SIDE = 2**31 - 1  # texels, of an OpenEXR file
+_SPARE = 1_000_000  # bytes, for headers and the JSON file
+
+
+@dataclass(frozen=True)
+class PlannedMapSet:
+    """One map set's worth of a request: the whole of it, or one tile of a texture set."""
+
+    area: Rectangle
+    pictures: tuple[PictureFile, ...]
+    normal: NormalStyle
+
+    def pieces(self, source: Source) -> Iterator[Piece]:
+        """What every block gives to it, in order."""
+        return pieces_of(self.area, source.grid, source.period)
+
+
+def check_request(asked: SynthRequest, name: str) -> None:
+    """Raise UsageError for an empty or too large rectangle, or a bad name or texture set."""
+    plain_name(name)
+    columns, rows = asked.udim or (1, 1)
+    if not (1 <= columns <= _UDIM_COLUMNS and 1 <= rows <= _UDIM_ROWS):
+        raise UsageError(
+            f"a texture set of {columns}x{rows} tiles",
+            remedy=f"ask for at most {_UDIM_COLUMNS} columns and {_UDIM_ROWS} rows",
+        )
+    check_rectangle(asked.area)
+    check_rectangle(asked.whole)
+    side = max(asked.area.width, asked.area.height)
+    if side > _LARGEST_SIDE:
+        raise UsageError(
+            f"a side of {side} texels is more than an OpenEXR file holds",
+            remedy=f"ask for at most {_LARGEST_SIDE}, or for tiles with --udim",
+        )
+
+
+def bytes_of(asked: SynthRequest) -> int:
+    """Bytes of disk that the files take at most."""
+    each = EXR_BYTES * (4 / 3 if asked.mipmap else 1)
+    each += PNG_BYTES if asked.png else 0
+    return int(asked.whole.width * asked.whole.height * each) + _SPARE
+
+
+def key_of(asked: SynthRequest, field: OpenedField) -> str:
+    """The same for requests whose files have the same bytes: a digest, and the device."""
+    digest = hashlib.sha256()
+    versions = (MAKER_VERSION, version("torch"))
+    stored = (asked.area, field.info.name, asked.png, asked.normal, asked.single, asked.mipmap)
+    _feed(digest.update, (versions, field.source, *stored, asked.udim))
+    return f"{digest.hexdigest()} {field.source.device_type}"
+
+
+def mapsets_of(asked: SynthRequest, field: OpenedField) -> list[PlannedMapSet]:
+    """The map sets to write, left to right, the lowest row of a texture set first."""
+    area, columns, rows = asked.area, *(asked.udim or (1, 1))
+    wrap, specular = _wrap(asked, field.source), field.source.specular_channels
+    sets = []
+    for row in range(rows):
+        for column in range(columns):
+            # A texture set's rows are counted upwards.
+            x, y = area.x + column * area.width, area.y + (rows - 1 - row) * area.height
+            label = "" if asked.udim is None else f".{udim_number(column, row)}"
+            pictures = pictures_of(
+                f"{field.info.name}_{{kind}}{label}",
+                (area.width, area.height),
+                specular=specular,
+                single=asked.single,
+                mipmap=asked.mipmap,
+                wrap=wrap,
+            )
+            place = Rectangle(x, y, area.width, area.height)
+            sets.append(PlannedMapSet(place, pictures, asked.normal))
+    return sets
+
+
+def document_of(
+    asked: SynthRequest, field: OpenedField, heights: tuple[float, float] | None
+) -> dict[str, Any]:
+    """The JSON document.
+
+    Args:
+        asked: what it is of.
+        field: likewise.
+        heights: scale and midlevel of height PNGs, where there are any.
+    """
+    source, whole, name = field.source, asked.whole, field.info.name
+    period, specular = source.period, source.specular_channels
+    document = mapset_document(
+        field.info,
+        (asked.area.width, asked.area.height),
+        source.texel_size,
+        periodic=period == (whole.width, whole.height) and asked.udim is None,
+        normal=asked.normal,
+        specular=specular,
+    )
+    label = "" if asked.udim is None else ".<UDIM>"
+    if asked.udim is not None:
+        document |= {"format": "matcap texture set", "udim": list(asked.udim)}
+    if period is not None:
+        document["period"] = list(period)
+    for kind in MEANINGS:
+        file = f"{name}_{'maps' if asked.single else kind}{label}.exr"
+        document["maps"][kind] = {"file": file, "meaning": meaning_of(kind, specular)}
+        if asked.single:
+            channels = channels_of(kind, specular=specular, single=True)
+            document["maps"][kind]["channels"] = list(channels)
+        if asked.png:
+            png = f"{name}_{kind}{label}.png"
+            document["maps"][kind] |= {"png": png, "png_encoding": PNG_ENCODINGS[kind]}
+    if heights is not None:
+        document["png"] = {"height_scale": heights[0], "height_midlevel": heights[1]}
+    return document
+
+
+def _wrap(asked: SynthRequest, source: Source) -> str:
+    """How a texture reader continues the picture beyond its borders."""
+    if not asked.mipmap:
+        return ""
+    whole, period = asked.whole, source.period or (None, None)
+    sides = zip(period, (whole.width, whole.height), strict=True)
+    modes = ("periodic" if repeat == side else "clamp" for repeat, side in sides)
+    return "clamp,clamp" if asked.udim else ",".join(modes)
+
+
+def _feed(update: Callable[[bytes], object], value: object) -> None:
+    """Tell a digest of everything that a value is made of."""
+    if is_dataclass(value):
+        value = (type(value).__name__, *(getattr(value, part.name) for part in fields(value)))
+    torch = sys.modules.get("torch")  # a value made without it holds none of its tensors
+    if torch is not None and isinstance(value, torch.Tensor):
+        update(repr((value.dtype, tuple(value.shape))).encode())
+        update(value.detach().cpu().contiguous().view(torch.uint8).numpy().tobytes())
+    elif isinstance(value, np.ndarray):
+        update(repr((value.dtype, value.shape)).encode() + value.tobytes())
+    elif isinstance(value, tuple):
+        update(b"(")
+        for part in value:
+            _feed(update, part)
+        update(b")")
+    else:
+        update(repr(value).encode() + b",")
+
+
+def udim_number(column: int, row: int) -> int:
+    """The number of a texture set's tile: 1001 is the left bottom one."""
+    return 1001 + column + 10 * row
