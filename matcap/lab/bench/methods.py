@@ -14,9 +14,10 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import CHANNELS, MapSet
+from matcap.capture.method import Method
 from matcap.capture.piece.find import FoundPiece, piece_maps
 from matcap.capture.pipeline import capture_photo, read_photograph
-from matcap.capture.settings import PRESETS, CaptureSettings, Method
+from matcap.capture.settings import PRESETS, CaptureSettings
 from matcap.errors import UsageError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
