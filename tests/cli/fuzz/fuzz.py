@@ -1,6 +1,7 @@
 """Feeds spoilt files to every reader: a MatcapError or a good result, and nothing else.
 
-    python tests/fuzz/fuzz.py --count 20000
+    python tests/cli/fuzz/fuzz.py --count 20000
+    python tests/cli/fuzz/fuzz.py --count 5000 --kinds foreign picture mask mesh
 
 A reader fails when anything but a MatcapError of one line escapes, when it takes over 10 seconds,
 when the process grows over 2 GB, or dies. Inputs that fail are kept (--keep) under their number;
@@ -18,9 +19,11 @@ import time
 import traceback
 import warnings
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from inputs import spoil, write_inputs
 
 from matcap.batch.crew import Processes
@@ -30,8 +33,8 @@ LONGEST = 10.0  # seconds
 LARGEST = 2 << 30  # bytes
 # How often each kind comes up.
 _WEIGHTS = {
-    "photo": 10, "exr": 3, "picture": 1, "material": 5, "mapset": 2, "scene": 3, "settings": 3,
-    "record": 1, "mesh": 1,
+    "photo": 10, "exr": 3, "picture": 2, "material": 5, "mapset": 2, "scene": 3, "settings": 3,
+    "record": 1, "mesh": 1, "foreign": 3, "mask": 1,
 }  # fmt: skip
 
 
@@ -102,8 +105,6 @@ def prepare() -> None:
 
 
 def _photo(path: Path) -> None:
-    import numpy as np
-
     from matcap.photo.load import load_photo
 
     photo = load_photo(path, long_side=64)
@@ -120,7 +121,25 @@ def _exr(path: Path) -> None:
 def _picture(path: Path) -> None:
     from matcap.relight.environment_file import read_picture
 
-    read_picture(path)
+    picture = read_picture(path)
+    assert picture.shape[2] == 3 and np.isfinite(picture).all() and picture.min() >= 0.0
+
+
+def _foreign(path: Path) -> None:
+    from matcap.relight.foreign.read import read_foreign
+
+    texture = read_foreign(path.parent).texture
+    for kind in ("diffuse", "specular", "roughness", "height", "slopes"):
+        values = getattr(texture, kind)
+        assert np.isfinite(values).all() and values.shape[1:] == texture.height.shape[1:], kind
+        assert kind in ("height", "slopes") or 0.0 <= values.min() <= values.max() <= 1.0, kind
+
+
+def _mask(path: Path) -> None:
+    from matcap.files.mask import read_mask
+
+    mask = read_mask(path)
+    assert mask.ndim == 2 and 0.0 <= mask.min() <= mask.max() <= 1.0
 
 
 def _material(path: Path) -> None:
@@ -167,10 +186,13 @@ def _mesh(path: Path) -> None:
 _READERS = {
     "photo": _photo, "exr": _exr, "picture": _picture, "material": _material, "mapset": _mapset,
     "scene": _scene, "settings": _settings, "record": _record, "mesh": _mesh,
+    "foreign": _foreign, "mask": _mask,
 }  # fmt: skip
 
 
-def fuzz(folder: Path, count: int, seed: int) -> tuple[Counter[str], list[Fault]]:
+def fuzz(
+    folder: Path, count: int, seed: int, weights: Mapping[str, int] = _WEIGHTS
+) -> tuple[Counter[str], list[Fault]]:
     """How many inputs were good, refused and faults; and the faults, whose files are kept."""
     good = folder / "good"
     good.mkdir(parents=True)
@@ -182,12 +204,12 @@ def fuzz(folder: Path, count: int, seed: int) -> tuple[Counter[str], list[Fault]
     try:
         for number in range(count):
             chance = random.Random(f"{seed} {number}")
-            kind = chance.choices(list(_WEIGHTS), list(_WEIGHTS.values()))[0]
+            kind = chance.choices(list(weights), list(weights.values()))[0]
             source = chance.choice(files[kind])
             others = [data[path] for path in files[kind]]
             place = folder / "spoilt" / str(number)
             place.mkdir(parents=True)
-            if kind == "mapset":  # its pictures stand beside it
+            if kind in ("mapset", "foreign"):  # its pictures stand beside it
                 for other in source.parent.iterdir():
                     (place / other.name).symlink_to(other)
                 (place / source.name).unlink()
@@ -225,12 +247,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kinds", nargs="+", default=list(_WEIGHTS), choices=list(_WEIGHTS))
     parser.add_argument("--keep", type=Path, help="where inputs that fail are kept")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="matcap-fuzz-") as temporary:
         folder = options.keep or Path(temporary)
         began = time.monotonic()
-        tally, faults = fuzz(folder, options.count, options.seed)
+        tally, faults = fuzz(
+            folder, options.count, options.seed, {kind: _WEIGHTS[kind] for kind in options.kinds}
+        )
     for fault in faults:
         print(f"{fault.number} ({fault.kind}, {fault.path}): {fault.what}", file=sys.stderr)
     for name, number in sorted(tally.items()):

@@ -99,6 +99,8 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
     write_example(folder / "example.matcap")
     maps = MapSet.from_stacked(torch.rand(6, 16, 16) * 0.5 + 0.1, 0.01)
     write_mapset(maps, folder / "set", MapSetInfo("set"))
+    surroundings = _write_surroundings(folder)
+    foreign = _write_foreign(folder, (code >> 8).astype(np.uint8)[:32, :32])
     (folder / "record.json").write_text(
         json.dumps({"format": "matcap batch record", "version": 1, "identity": "i",
                     "files": {"a": 1}, "seconds": 3.0, "steps": 4})
@@ -114,7 +116,9 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
             *(folder / f"{name}.tif" for name in ("8", "16", "float")),
         ],
         "exr": [folder / "light.exr", folder / "set" / "set_height.exr"],
-        "picture": [folder / "light.exr"],
+        "picture": surroundings,
+        "foreign": foreign,
+        "mask": [folder / "mask.png", folder / "mask.tif", folder / "foreign" / "w_AO.webp"],
         "material": [folder / "small.matcap", folder / "example.matcap"],
         "mapset": [folder / "set" / "set.json"],
         "scene": [folder / "scene.toml"],
@@ -122,6 +126,46 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
         "record": [folder / "record.json"],
         "mesh": [folder / "mesh.obj"],
     }
+
+
+def _write_surroundings(folder: Path) -> list[Path]:
+    """Panoramas of 16 x 8 pixels, of every kind that is read."""
+    wide = np.random.default_rng(2).uniform(0.1, 0.9, (8, 16, 3)).astype(np.float32)
+    for name, form in (("sky.exr", "half"), ("sky.hdr", "float"), ("sky.png", "uint8")):
+        stored = (255 * wide).astype(np.uint8) if form == "uint8" else wide
+        _write(folder / name, stored, form)
+    Image.fromarray((255 * wide).astype(np.uint8)).save(folder / "sky.jpg")
+    plain = (folder / "sky.hdr").read_bytes()
+    (folder / "turned.hdr").write_bytes(
+        b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\nEXPOSURE=2\nCOLORCORR=1 2 3\n\n+X 16 -Y 8\n"
+        + plain[-8 * 16 * 4 :]
+    )
+    return [folder / f"sky.{kind}" for kind in ("exr", "hdr", "png", "jpg")] + [
+        folder / "turned.hdr"
+    ]
+
+
+def _write_foreign(folder: Path, colour: np.ndarray) -> list[Path]:
+    """A set of others with a file of every kind, and one of matcap's exports."""
+    from matcap.export.job import ExportJob
+    from matcap.export.targets import write_export
+
+    place = folder / "foreign"
+    place.mkdir()
+    grey, normal = colour[..., 1], np.full_like(colour, 128) + colour // 8
+    normal[..., 2] = 250
+    layer = np.dstack([colour, grey])
+    Image.fromarray(layer).save(place / "w_AlbedoTransparency.png")
+    Image.fromarray(normal).save(place / "w_Normal.tga")
+    Image.fromarray(layer).save(place / "w_MaskMap.tif")
+    Image.fromarray(colour).save(place / "w_AO.webp")
+    _write(place / "w_Displacement.exr", np.float32(colour / 255.0), "half")
+    Image.fromarray(grey).save(place / "w_Roughness.jpg")
+    Image.fromarray(layer).save(folder / "mask.png")
+    Image.fromarray(grey).save(folder / "mask.tif")
+    maps = MapSet.from_stacked(torch.rand(6, 16, 16) * 0.5 + 0.1, 0.01)
+    write_export(ExportJob(maps, "out"), "unity-urp", folder / "exported")
+    return sorted(place.iterdir()) + sorted((folder / "exported").iterdir())
 
 
 def write_material(path: Path) -> None:
@@ -154,12 +198,12 @@ def spoil(data: bytes, kind: str, others: list[bytes], chance: random.Random) ->
         lambda d: _join(d, chance.choice(others), chance),
         lambda d: _fill(d, chance),
     ]
-    if kind in ("scene", "settings", "mapset", "record", "mesh"):
+    if kind in ("scene", "settings", "mapset", "record", "mesh") or data[:1] == b"{":
         ways = [lambda d: _reword(d, chance)] * 8 + ways
     if kind == "material":
         ways = [lambda d: _redescribe(d, chance)] * 6 + ways
     # Most of what matters stands at the beginning of a picture.
-    if kind in ("photo", "exr", "picture"):
+    if kind in ("photo", "exr", "picture", "foreign", "mask"):
         ways += [lambda d: _number(d[:2048], chance) + d[2048:]] * 4
         ways += [lambda d: _flip(d[:1024], chance) + d[1024:]] * 2
     for _ in range(chance.choice((1, 1, 1, 2, 3))):
