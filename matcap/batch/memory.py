@@ -53,8 +53,8 @@ def photo_pixels(path: Path) -> tuple[int, bool]:
 
     What cannot be read is taken for usual: reading it will say why.
     """
+    from matcap.files.quiet import quiet_decoders
     from matcap.photo.kind import file_kind
-    from matcap.photo.quiet import quiet_decoders
     from matcap.photo.refusals import MOST_PIXELS
 
     try:

@@ -13,7 +13,7 @@ from typing import Literal
 
 from matcap.errors import MatcapError
 from matcap.files.names import kept_plain, series
-from matcap.photo.quiet import quiet_decoders
+from matcap.files.quiet import quiet_decoders
 
 Grouping = Literal["none", "name", "dir", "time"]
 Taken = Callable[[Path], float | None]

@@ -21,6 +21,7 @@ from matcap.errors import MatcapError
 from matcap.files.color import LINEAR
 from matcap.files.exr import forget_error
 from matcap.files.icc import lineariser_of
+from matcap.files.quiet import quiet_decoders
 from matcap.files.radiance import MAGIC, radiance_header
 from matcap.files.rec709 import rec709_from
 from matcap.files.stated_color import stated_color
@@ -117,12 +118,13 @@ def read_pixels(path: Path, *, outside: float | None = None) -> Pixels:
             remedy="check the path",
         ) from error
     try:
-        if head.startswith(b"\xff\xd8\xff"):
-            found = _from_jpeg(path)
-        elif head.startswith(MAGIC):
-            found = _from_radiance(path)
-        else:
-            found = _decoded(path, outside)
+        with quiet_decoders():
+            if head.startswith(b"\xff\xd8\xff"):
+                found = _from_jpeg(path)
+            elif head.startswith(MAGIC):
+                found = _from_radiance(path)
+            else:
+                found = _decoded(path, outside)
     except MemoryError as error:
         raise MatcapError(
             "there is not enough memory to read it",

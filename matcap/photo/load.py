@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.color import LINEAR
+from matcap.files.quiet import quiet_decoders
 from matcap.files.stated_color import StatedColor
 from matcap.photo.decoded import Decoded
 from matcap.photo.developed import Coded, decode
@@ -24,7 +25,6 @@ from matcap.photo.lossless import read_png_or_tiff
 from matcap.photo.lossy import read_heic, read_jpeg, read_webp_or_avif
 from matcap.photo.orient import quarter_turn, upright
 from matcap.photo.photo import DEFAULT_FOV, Photo
-from matcap.photo.quiet import quiet_decoders
 from matcap.photo.raw import read_raw
 from matcap.photo.refusals import SHORTEST_SIDE, check_size
 

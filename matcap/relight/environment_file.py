@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files.note import note
 from matcap.files.pixels import linear_colours, read_pixels
-from matcap.photo.quiet import quiet_decoders
 from matcap.relight.brightness import BRIGHTEST
 
 _REMEDY = "give a latitude-longitude EXR or HDR picture"
@@ -38,9 +37,8 @@ def read_picture(path: Path) -> EnvironmentPicture:
     where = str(path)
     if not path.is_file():
         raise MatcapError("no such file", where=where, remedy="check the path")
-    with quiet_decoders():
-        pixels = read_pixels(path, outside=0.0)
-        picture, notes = linear_colours(pixels)
+    pixels = read_pixels(path, outside=0.0)
+    picture, notes = linear_colours(pixels)
     for sentence in notes:
         note(f"{where}: {sentence}")
     if pixels.whole:

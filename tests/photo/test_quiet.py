@@ -8,7 +8,7 @@ from dng_files import mosaic, write_dng
 
 SCRIPT = """
 import logging, os, sys, threading
-from matcap.photo.quiet import quiet_decoders
+from matcap.files.quiet import quiet_decoders
 
 inside, done = threading.Event(), threading.Event()
 def other():
@@ -36,7 +36,7 @@ def test_only_decoders_are_silenced():
 
 
 def test_process_without_stderr():
-    script = "import os; os.close(2)\nfrom matcap.photo.quiet import quiet_decoders\n"
+    script = "import os; os.close(2)\nfrom matcap.files.quiet import quiet_decoders\n"
     script += "with quiet_decoders(): print('read')"
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True

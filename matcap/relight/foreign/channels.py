@@ -13,7 +13,6 @@ import numpy as np
 
 from matcap.errors import MatcapError
 from matcap.files.pixels import Pixels, linear_colours, read_pixels
-from matcap.photo.quiet import quiet_decoders
 from matcap.relight.foreign.exported import TOKEN, Stated, stated_export
 from matcap.relight.foreign.names import NamedFile, assigned
 from matcap.relight.foreign.normals import (
@@ -94,9 +93,8 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
             where=str(folder),
             remedy="name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
         )
-    with quiet_decoders():
-        set_ = _Set(dict(found.files), stated.grid if stated else None)
-        channels = set_.channels(stated, normal)
+    set_ = _Set(dict(found.files), stated.grid if stated else None)
+    channels = set_.channels(stated, normal)
     left_out = (*found.left_out, *set_.left_out)
     if left_out:
         set_.notes.append(f"not used: {', '.join(left_out)}")
