@@ -5,6 +5,7 @@ Nothing is made up here for what a set lacks: read.py does that.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from matcap.relight.foreign.normals import (
 )
 from matcap.relight.vectors import Array
 
+DIELECTRIC = 0.04  # F0 of what is no metal
 _COLOURED = 0.02  # mean difference of channels beyond which a picture is not grey
 _SHAPE = 0.02  # by which sides' ratios may differ, of maps of one set
 
@@ -38,6 +40,7 @@ class SetChannels:
         metallic: (1, H, W).
         specular: (3, H, W) F0, linear.
         level: (1, H, W) F0 of what is no metal, over 0.08.
+        dielectric: F0 of what is no metal, without `level`.
         height: (1, H, W) as stored; in plane units where `exact`.
         whole: whether heights are whole numbers, [0, 1] of their range.
         slopes: (2, H, W) of the normal map, y upwards.
@@ -54,6 +57,7 @@ class SetChannels:
     metallic: Array | None
     specular: Array | None
     level: Array | None
+    dielectric: float
     height: Array | None
     whole: bool
     slopes: Array | None
@@ -84,7 +88,11 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
     folder = Path(folder)
     if not folder.is_dir():
         raise MatcapError("no such folder", where=str(folder), remedy="check the path")
-    stated = stated_export(folder)
+    with tempfile.TemporaryDirectory(prefix="matcap-") as place:
+        return _read_folder(folder, stated_export(folder, Path(place)), normal)
+
+
+def _read_folder(folder: Path, stated: Stated | None, normal: NormalStyle | None) -> SetChannels:
     found = stated.files if stated else assigned(folder)
     if "base" not in found.files:
         beside = f" (not used: {', '.join(found.left_out)})" if found.left_out else ""
@@ -134,8 +142,9 @@ class _Set:
             base=base,
             roughness=self._roughness(scalars),
             metallic=scalars["metallic"],
-            specular=self._colour("specular", size),
+            specular=self._scaled(self._colour("specular", size), stated),
             level=self._scalar("specular level", size),
+            dielectric=DIELECTRIC if stated is None or stated.f0 is None else stated.f0,
             height=height,
             whole=whole,
             slopes=self._slopes(size, height, texel, normal),
@@ -223,6 +232,12 @@ class _Set:
         return (
             slopes if named == "gl" else slopes * np.array([1.0, -1.0], np.float32)[:, None, None]
         )
+
+    @staticmethod
+    def _scaled(specular: Array | None, stated: Stated | None) -> Array | None:
+        if specular is None or stated is None or stated.f0 is None:
+            return specular
+        return np.minimum(specular * np.float32(stated.f0), np.float32(1.0))
 
     def _roughness(self, scalars: Mapping[str, Array | None]) -> Array | None:
         if scalars["roughness"] is not None:

@@ -10,8 +10,9 @@ from typing import Any
 
 from matcap.brdf.stated import SCALE
 from matcap.errors import MatcapError
-from matcap.files.names import flaw
+from matcap.files.names import flaw, plain_name
 from matcap.files.values import bounded, whole
+from matcap.relight.foreign.glb import unpacked
 from matcap.relight.foreign.names import Assigned, NamedFile, Packing
 
 TOKEN = "<UDIM>"  # in names, for a tile's number: 1001 left bottom, one more to the right, ten up
@@ -34,7 +35,8 @@ _MEANINGS: tuple[tuple[str, Packing], ...] = (
     ("height", {"height": "R"}),
 )
 # Targets whose base colour is multiplied by 1 - F0 where F0 is a texture of its own.
-_CONSERVING = ("unity-hdrp", "unity-urp", "usd", "usd-specular")
+_INSIDE = ("gltf",)  # their textures are in their document
+_CONSERVING = ("gltf", "unity-hdrp", "unity-urp", "usd")
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Stated:
         conserving: diffuse albedo is the base colour times 1 - F0.
         grid: (columns, rows) of tiles whose numbers stand in the names, see TOKEN.
         periodic: whether opposite borders fit each other.
+        f0: of a .glb, F0 where its specular texture is 1, or of dielectrics where it has none.
     """
 
     files: Assigned
@@ -56,10 +59,15 @@ class Stated:
     conserving: bool
     grid: tuple[int, int] | None
     periodic: bool
+    f0: float | None = None
 
 
-def stated_export(folder: Path) -> Stated | None:
+def stated_export(folder: Path, place: Path) -> Stated | None:
     """What the sidecar of a folder's export says; None where there is none.
+
+    Args:
+        folder: of the export.
+        place: an empty folder, that textures inside of a .glb are unpacked into.
 
     Raises:
         MatcapError: several exports, one without textures of its own, or a damaged sidecar.
@@ -75,8 +83,8 @@ def stated_export(folder: Path) -> Stated | None:
         )
     file, about = found[0]
     try:
-        return _stated(folder, about)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        return _stated(folder, about, place)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OSError) as error:
         raise MatcapError(
             f"the export's description is damaged ({error})",
             where=str(file),
@@ -93,11 +101,15 @@ def _read(file: Path) -> dict[str, Any] | None:
     return about if isinstance(about, dict) and about.get("format") == _FORMAT else None
 
 
-def _stated(folder: Path, about: Mapping[str, Any]) -> Stated:
+def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> Stated:
     unit = 1.0
     if about["unit"] == "mm":
         unit = bounded(about["provenance"][SCALE], f"'{SCALE}'", 1e-9, 1e9)
     named = [_named(folder, name, told) for name, told in about["files"].items()]
+    f0 = None
+    if about["target"] in _INSIDE:
+        document = folder / plain_name(about["documents"][0])
+        named, f0 = unpacked(document, place)
     files: dict[str, NamedFile] = {}
     left_out = []
     # Of normals in both directions the first; of colours made for one shader and others the maps.
@@ -114,13 +126,14 @@ def _stated(folder: Path, about: Mapping[str, Any]) -> Stated:
             bounded(code["midlevel"], "the height's midlevel", -1e9, 1e9),
         )
     texel = bounded(about["texel"], "'texel'", 1e-9, 1e9) / unit
-    conserving = about["target"] in _CONSERVING and "specular" in files
+    target = str(about["target"]).removesuffix("-specular")  # a form of an engine's
+    conserving = target in _CONSERVING and "specular" in files
     grid = about["udim"]
     if grid is not None:
         columns, rows = grid
         grid = whole(columns, "'udim'", 1, 10), whole(rows, "'udim'", 1, 900)
     assignment = Assigned(files, tuple(left_out))
-    return Stated(assignment, texel, height, conserving, grid, about["periodic"] is True)
+    return Stated(assignment, texel, height, conserving, grid, about["periodic"] is True, f0)
 
 
 def _named(folder: Path, name: str, told: Mapping[str, str]) -> NamedFile:

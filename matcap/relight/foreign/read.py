@@ -19,12 +19,11 @@ import numpy as np
 
 from matcap.brdf.heights import check_heights
 from matcap.brdf.integrate import integrated
-from matcap.relight.foreign.channels import SetChannels, read_channels
+from matcap.relight.foreign.channels import DIELECTRIC, SetChannels, read_channels
 from matcap.relight.foreign.normals import NormalStyle, gradient
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array
 
-DIELECTRIC = 0.04  # F0 of what is no metal
 _LEVEL = 0.08  # F0 of specular level 1 (Burley 2012)
 # Without a normal map nothing says how high a height map is: this much of its width.
 _ASSUMED_RELIEF = 0.02
@@ -90,7 +89,7 @@ def _reflectance(found: SetChannels, notes: list[str]) -> tuple[Array, Array]:
         return base, specular[:1] if grey else specular
     if specular is not None:
         notes.append(f"not used: {found.files['specular']} (F0 of what is no metal is 0.04)")
-    plain = DIELECTRIC if found.level is None else _LEVEL * found.level
+    plain = found.dielectric if found.level is None else _LEVEL * found.level
     if metallic is None:
         metallic = np.zeros((1, *found.shape), dtype=np.float32)
     both = metallic_of(base, metallic, plain)

@@ -1,0 +1,56 @@
+"""The textures inside a .glb that `matcap export` wrote, unpacked beside each other.
+
+A glTF 2.0 binary, section 4.4: a header, a chunk of JSON and one of bytes. Only what matcap writes
+is understood (export/gltf.py); other programs' textures are unpacked with any glTF tool.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+from matcap.files.values import bounded
+from matcap.relight.foreign.names import NamedFile, Packing
+
+_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}
+# By the end of an image's name, what it holds.
+_HELD: dict[str, Packing] = {
+    "_base_color": {"base": "RGB"},
+    "_specular_color": {"specular": "RGB"},
+    "_roughness": {"roughness": "G", "metallic": "B"},
+    "_normal": {"normal": "RGB"},
+}
+
+
+def unpacked(file: Path, place: Path) -> tuple[list[NamedFile], float]:
+    """The textures, written into a folder, and F0: of its dielectrics, or of specular colour 1.
+
+    Raises:
+        ValueError, KeyError, TypeError, IndexError: it is damaged, or not matcap's.
+        OSError: it cannot be read.
+    """
+    data = file.read_bytes()
+    magic, _, _, length, kind = struct.unpack_from("<4sIII4s", data.ljust(20, b"\0"))
+    if (magic, kind) != (b"glTF", b"JSON") or 28 + length > len(data):
+        raise ValueError(f"{file.name} is no glTF binary")
+    document: dict[str, Any] = json.loads(data[20 : 20 + length])
+    content = data[28 + length :]
+    held = []
+    for image in document["images"]:
+        view = document["bufferViews"][image["bufferView"]]
+        start, size = int(view.get("byteOffset", 0)), int(view["byteLength"])
+        ends = [end for end in _HELD if str(image["name"]).endswith(end)]
+        if start < 0 or size <= 0 or start + size > len(content):
+            raise ValueError(f"an image lies outside of {file.name}")
+        if ends:
+            target = place / f"{file.stem}{ends[0]}{_SUFFIX[image['mimeType']]}"
+            target.write_bytes(content[start : start + size])
+            style = "gl" if ends[0] == "_normal" else ""
+            held.append(NamedFile(target, _HELD[ends[0]], style))
+    extensions = document["materials"][0]["extensions"]
+    index = bounded(extensions["KHR_materials_ior"]["ior"], "ior", 1.0, 1e6)
+    factor = extensions.get("KHR_materials_specular", {}).get("specularColorFactor", [1.0])[0]
+    f0 = ((index - 1.0) / (index + 1.0)) ** 2 * bounded(factor, "specularColorFactor", 0.0, 1e3)
+    return held, f0
