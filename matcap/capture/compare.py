@@ -14,6 +14,7 @@ from PIL import Image
 
 from matcap.capture.outputs import REPORT
 from matcap.capture.preview import Panel, block, each_map, relit, stacked, titled
+from matcap.capture.upright import standing
 from matcap.field.material import Material
 from matcap.field.opened import open_material
 from matcap.files.srgb import srgb_picture
@@ -76,8 +77,10 @@ def _panels(material: Material, photo: Photo | None) -> Iterator[Panel]:
     height = round(width * 3 / 4)
     if photo is not None:
         height = round(width * photo.pixels.shape[0] / photo.pixels.shape[1])
-        linear = rectify(photo, setup, width)[0]
-        yield Panel("photograph", srgb_picture(_rows(linear)))
+        linear = _rows(rectify(photo, setup, width)[0])
+        yield Panel("photograph", srgb_picture(standing(linear) if setup.turned else linear))
+    if setup.turned:
+        width, height = height, width
     maps = material.maps(width, height)
     with torch.inference_mode():
         rendered = _rows(render_rectified(maps, setup))

@@ -27,6 +27,7 @@ from matcap.capture.progress import (
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings, OutputSettings, resolve
 from matcap.capture.target import CaptureStart, photograph_target
+from matcap.capture.upright import upright
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
@@ -185,7 +186,7 @@ def capture_under(
     if settings.generator == "decoder":
         from matcap.capture.by_decoder import capture_by_decoder
 
-        return capture_by_decoder(shot, settings, effort, method, clock)
+        return upright(capture_by_decoder(shot, settings, effort, method, clock), ())
 
     def target() -> PhotographTarget:
         return photograph_target(shot, settings, method)[0]
@@ -211,7 +212,8 @@ def capture_under(
         setup=coarse.setup.dimmed(found.scale),
         provenance=provenance(photo, settings, coarse, effort, []),
     )
-    return judged(photo, material, plane, lattice.waves, settings, clock, found)
+    result = judged(photo, material, plane, lattice.waves, settings, clock, found)
+    return upright(result, lattice.waves)
 
 
 def _captured_together(
@@ -243,7 +245,8 @@ def _captured_together(
             [] if several is None else several.document()["photographs"][1:],
         ),
     )
-    return judged(together.photo, material, plane, together.waves, settings, clock, found)
+    result = judged(together.photo, material, plane, together.waves, settings, clock, found)
+    return upright(result, together.waves)
 
 
 def _window(plane: Plane, wanted: int, name: str) -> int:

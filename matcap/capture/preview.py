@@ -86,7 +86,9 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
 
             seen = srgb_picture(_picture(piece_maps(result.found.exemplar), "diffuse"))
             several = result.found.several
-            drawn = draw_set(several, seen, blocks[0].width)
+            # Cameras are drawn over the piece as they were found, lying.
+            lying = np.ascontiguousarray(np.rot90(seen)) if result.found.turned else seen
+            drawn = draw_set(several, lying, blocks[0].width)
             blocks.append(titled(drawn, "Cameras and flashes"))
             if several.reach is not None:
                 whole = block(list(whole_panels(result, result.found)))
@@ -217,6 +219,8 @@ def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: Flash
 
     width, height = maps.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    if setup.turned:
+        points *= width / height  # the long side is two plane units, here upwards
     camera, light = torch.tensor([0.0, 0.0, setup.distance]), torch.tensor(_LIGHTS[side])
     with torch.no_grad():
         radiance = shade(maps, points, camera, light, torch.ones(3))

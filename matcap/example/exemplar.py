@@ -103,6 +103,21 @@ class Exemplar:
             confidence=some(self.confidence),
         )
 
+    def turned(self) -> Exemplar:
+        """The same, turned a quarter clockwise."""
+
+        def turn(planes: Floats) -> Floats:
+            return np.ascontiguousarray(np.rot90(planes, -1, (1, 2)))
+
+        return Exemplar(
+            turn(self.diffuse),
+            turn(self.specular),
+            turn(self.roughness),
+            turn(self.height),
+            turn(self.confidence),
+            self.texel_size,
+        )
+
     def stacked(self) -> Floats:
         """(6, H, W): diffuse, specular, roughness, height; 8 where F0 has a colour."""
         return np.concatenate([getattr(self, name) for name in CHANNELS])

@@ -141,4 +141,5 @@ def stated_setup(stated: Mapping[str, Any]) -> dict[str, Any]:
         "vignetting_quartic": bounded(
             stated["vignetting_quartic"], "vignetting_quartic", -20.0, 20.0
         ),
+        "turned": stated.get("turned", False) is True,
     }

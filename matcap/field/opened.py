@@ -173,7 +173,8 @@ def open_photographed(path: Path) -> PhotographedAs | None:
         material = _material(path)
         size = material.generator.piece_size
         # A piece that reaches beyond the photograph has other sides.
-        own = size is not None and size[0] == round(2.0 / material.texel_size)
+        long = 1 if material.setup.turned else 0
+        own = size is not None and size[long] == round(2.0 / material.texel_size)
         return PhotographedAs(material.setup, size if own else None, endless=True)
     maps, document = read_mapset(path)
     try:

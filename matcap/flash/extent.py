@@ -72,6 +72,10 @@ class Margins:
         middle = (self.right - self.left) / across, (self.top - self.bottom) / across
         return Extent(middle, (across + self.left + self.right) / across)
 
+    def turned(self) -> Margins:
+        """Of the piece turned a quarter clockwise."""
+        return Margins(self.bottom, self.top, self.left, self.right)
+
     def inside_of(self, shape: tuple[int, int]) -> tuple[int, int]:
         """(rows, columns) of the first photograph's own grid, of the piece's."""
         return shape[0] - self.top - self.bottom, shape[1] - self.left - self.right

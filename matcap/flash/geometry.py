@@ -31,6 +31,8 @@ class FlashSetup:
         vignetting: share of light lost in the corners of the picture (r = 1.25), growing with
             r^2: what lens and tone mapping leave of the falloff. May be negative.
         vignetting_quartic: likewise, growing with r^4: a phone's flash lights a cone.
+        turned: the photograph is a portrait. Both frames are then those of the picture lying,
+            turned a quarter anticlockwise, while its maps stand upright.
     """
 
     fov: float = 45.0
@@ -39,6 +41,7 @@ class FlashSetup:
     intensity: tuple[float, float, float] = (1.0, 1.0, 1.0)
     vignetting: float = 0.0
     vignetting_quartic: float = 0.0
+    turned: bool = False
 
     @property
     def distance(self) -> float:
@@ -53,6 +56,11 @@ class FlashSetup:
         """The same setup with a flash so many times weaker."""
         red, green, blue = (channel / factor for channel in self.intensity)
         return self.with_intensity((red, green, blue))
+
+
+def stood(setup: FlashSetup, vector: Tensor) -> Tensor:
+    """A vector (3,) of a setup's plane frame in that of its maps, which stand if it is turned."""
+    return torch.stack([vector[1], -vector[0], vector[2]]) if setup.turned else vector
 
 
 def rotation(tilt_x: Tensor, tilt_y: Tensor) -> Tensor:

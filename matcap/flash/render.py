@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
@@ -31,8 +33,12 @@ def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:
 def render_rectified(maps: MapSet, setup: FlashSetup) -> Tensor:
     """The flash picture of maps spanning the whole plane rectangle, on the plane's own grid.
 
-    The maps' width spans x in [-1, 1] whatever their texel size says.
+    The maps' long side spans two plane units whatever their texel size says: x in [-1, 1], or y
+    where the setup is turned and maps and picture stand.
     """
+    if setup.turned:
+        lying = render_rectified(maps.turned(1), replace(setup, turned=False))
+        return lying.rot90(-1, (-2, -1))
     width, height = maps.size
     points = plane_points(0, 0, width, height, (width, height), dtype=maps.height.dtype)
     return render_flash(maps, setup, points.to(maps.height.device))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import torch
 
-from matcap.flash.geometry import FlashSetup, camera_in_plane, setup_rotation, unproject
+from matcap.flash.geometry import FlashSetup, camera_in_plane, setup_rotation, stood, unproject
 from matcap.relight.scene import Camera, Film, PointLight, Scene, Surface, Vector
 
 
@@ -21,8 +21,10 @@ def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene
         endless: the material goes on beyond what was photographed, so that all of the picture
             can be filled where the plane was tilted.
     """
-    place, light = (_vector(one) for one in camera_in_plane(setup))
-    up = _vector(setup_rotation(setup).T @ torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
+    place, light = (_vector(stood(setup, one)) for one in camera_in_plane(setup))
+    # The upright picture's up is the lying one's left.
+    above = [-1.0, 0.0, 0.0] if setup.turned else [0.0, 1.0, 0.0]
+    up = _vector(stood(setup, setup_rotation(setup).T @ torch.tensor(above, dtype=torch.float64)))
     camera = Camera(
         "perspective",
         place,
@@ -39,6 +41,8 @@ def _seen(setup: FlashSetup, film: Film) -> float:
     """Side of a square of the plane, around its middle, that holds all of the picture."""
     long = max(film.width, film.height)
     x, y = film.width / long, film.height / long
+    if setup.turned:
+        x, y = y, x
     corners = torch.tensor([[-x, x, -x, x], [y, y, -y, -y]], dtype=torch.float64)
     return 2.0 * float(unproject(corners, setup)[:2].abs().max())
 

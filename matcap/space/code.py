@@ -7,7 +7,7 @@ need not hold it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -78,15 +78,17 @@ def _seen(material: Material) -> _Seen:
             (red, green, blue),
             float(told["specular"]),
             float(told["roughness"]),
-            material.setup,
+            replace(material.setup, turned=False),
             float(told["residual"]),
         )
     except DAMAGED as error:
         raise _unplaced(material) from error
     if maps is None:
         raise _unplaced(material)
+    if material.setup.turned:  # networks know photographs lying
+        maps = maps.turned(1)
     with torch.inference_mode():
-        linear = render_rectified(maps, material.setup).clamp(0.0, 1.0)
+        linear = render_rectified(maps, coarse.setup).clamp(0.0, 1.0)
     plane = plane_of(linear.clone(), (linear < 1.0).all(0))
     return _Seen(linear.permute(1, 2, 0).contiguous().numpy(), coarse, plane)
 

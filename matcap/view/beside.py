@@ -126,6 +126,9 @@ def browser_picture(file: Path, setup: FlashSetup | None = None) -> EncodedPictu
         from matcap.flash.rectify import rectify
 
         linear = rectify(photo, setup, linear.shape[1])[0].movedim(0, -1).numpy()
+    # A portrait stands, but beside maps that lie as it was read.
+    if photo.turned if setup is None else setup.turned:
+        linear = np.ascontiguousarray(np.rot90(linear, -1))
     pixels = srgb_picture(linear)
     stored = io.BytesIO()
     Image.fromarray(np.rint(pixels * 255.0).astype(np.uint8)).save(stored, "JPEG", quality=88)

@@ -239,11 +239,11 @@ def _no_piece() -> UsageError:
 
 
 def _flashed(setup: FlashSetup) -> Flashed:
-    from matcap.flash.geometry import camera_in_plane, setup_rotation
+    from matcap.flash.geometry import camera_in_plane, setup_rotation, stood
     from matcap.flash.light import CORNER_SQUARED
 
-    camera, light = (tuple(place.tolist()) for place in camera_in_plane(setup))
-    axis = tuple((-setup_rotation(setup)[2]).tolist())
+    camera, light = (tuple(stood(setup, place).tolist()) for place in camera_in_plane(setup))
+    axis = tuple(stood(setup, -setup_rotation(setup)[2]).tolist())
     # There it is stated of image coordinates: distance times the tangent.
     scale = setup.distance**2 / CORNER_SQUARED
     lost = (setup.vignetting * scale, setup.vignetting_quartic * scale**2)

@@ -82,6 +82,7 @@ class FoundPiece:
         several: what was found of several photographs, where there were.
         scale: of albedo and F0, by which the flash is weaker than the coarse fit has it
             (absolute.py).
+        turned: its maps stand upright, as a portrait photograph is looked at (upright.py).
     """
 
     example: Example
@@ -93,6 +94,7 @@ class FoundPiece:
     interrupted: bool = False
     several: SetReport | None = None
     scale: float = 1.0
+    turned: bool = False
 
     @property
     def exemplar(self) -> Exemplar:
@@ -105,7 +107,10 @@ class FoundPiece:
         several = self.several
         if several is None or several.reach is None:
             return self.exemplar
-        return self.exemplar.cut(*several.reach.margins.inside(several.reach.size))
+        margins, size = several.reach.margins, several.reach.size
+        if self.turned:
+            margins, size = margins.turned(), size[::-1]
+        return self.exemplar.cut(*margins.inside(size))
 
     def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
         """By map, of what is the material: `kept` of the photograph."""
