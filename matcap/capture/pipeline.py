@@ -57,7 +57,8 @@ def read_photograph(
 
     Raises:
         UsageError: an unknown preset; a crop outside of the photograph, or of several.
-        MatcapError: the file is not a photograph that can be read; a mask that does not fit.
+        MatcapError: the file is not a photograph that can be read; a mask that does not fit; one
+            of several that is cut out.
     """
     # What is compared with the photograph must know its noise.
     noise = resolve(settings, method).work(settings.generator) > 0
@@ -69,6 +70,12 @@ def read_photograph(
             remedy="leave it out: what does not belong is found by itself",
         )
     photo = load_photo(path, long_side=detail, fov=settings.fov, noise=noise)
+    if several and photo.left_out is not None:
+        raise MatcapError(
+            "a part of the picture is transparent, which several photographs do not know of",
+            where=str(path),
+            remedy="give them as they were taken: what does not belong is found by itself",
+        )
     return leave_out(photo, settings.crop, settings.mask)
 
 

@@ -18,7 +18,7 @@ Metadata:
     name: of the photograph.
     texel_size: plane units.
     setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`,
-        `vignetting_quartic`.
+        `vignetting_quartic`, `turned` (of a portrait: both are of the picture lying, maps stand).
     provenance: how it was made.
     example: `exemplar` and `index`, what their tensors mean; absent where there is none.
     decoder: `noise_channels`, `widths` (five), `convolutions` (down, up) and `cells` (channels of

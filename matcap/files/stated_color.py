@@ -15,6 +15,7 @@ state primaries (`rec709.rec709_from`).
 from __future__ import annotations
 
 import struct
+import warnings
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -76,20 +77,24 @@ def stated_color(path: Path) -> StatedColor:
     with path.open("rb") as file:
         head = file.read(32)
     try:
-        if head.startswith(_PNG):
-            return of_png(dict(png_chunks(path)))
-        if head.startswith(b"\xff\xd8"):
-            return _of_jpeg(path)
-        if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-            return _of_tiff(path)
-        if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
-            return StatedColor(dict(riff_chunks(path)).get(b"ICCP"))
-        if head[4:8] == b"ftyp":
-            return of_properties(bmff.primary_properties(path))
-    except OSError:
-        raise
-    except Exception:  # foreign parsers raise anything at all on broken bytes
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of broken tags
+            return _stated(path, head)
+    except Exception:  # foreign parsers raise anything at all on broken bytes, OSError too
         return StatedColor(notes=(assumed(SRGB, "statement of its colours"),))
+
+
+def _stated(path: Path, head: bytes) -> StatedColor:
+    if head.startswith(_PNG):
+        return of_png(dict(png_chunks(path)))
+    if head.startswith(b"\xff\xd8"):
+        return _of_jpeg(path)
+    if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        return _of_tiff(path)
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        return StatedColor(dict(riff_chunks(path)).get(b"ICCP"))
+    if head[4:8] == b"ftyp":
+        return of_properties(bmff.primary_properties(path))
     return StatedColor()
 
 

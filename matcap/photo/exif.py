@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 import zlib
 from dataclasses import dataclass, replace
 from math import atan, degrees, hypot, radians, tan
@@ -181,7 +182,8 @@ def _xmp_of(path: Path, head: bytes) -> bytes:
         if head.startswith(b"\xff\xd8"):
             from PIL.JpegImagePlugin import JpegImageFile
 
-            with path.open("rb") as file:
+            with path.open("rb") as file, warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of broken tags
                 return bytes(JpegImageFile(file).info.get("xmp", b""))[:_LARGEST_XMP]
         if head[:4] in (b"II*\0", b"MM\0*"):
             import tifffile
