@@ -222,8 +222,8 @@ def _prior() -> int | None:
 
 def _self_test() -> tuple[Check, ...]:
     """From the prior that comes along to a picture and back from disk."""
+    from matcap.brdf.folder import read_mapset
     from matcap.export.targets import export_mapset
-    from matcap.field.opened import open_maps
     from matcap.field.plane import Rectangle
     from matcap.relight.render import relight
     from matcap.space.prior.store import load_prior
@@ -250,7 +250,7 @@ def _self_test() -> tuple[Check, ...]:
     def disk() -> None:
         with tempfile.TemporaryDirectory() as folder:
             write(folder)
-            if (open_maps(Path(folder)).height != found["maps"].height).any():
+            if (read_mapset(Path(folder))[0].height != found["maps"].height).any():
                 raise MatcapError("a map set does not come back as it was written")
 
     def export() -> None:

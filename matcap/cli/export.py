@@ -8,28 +8,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.inputs import files_read
 from matcap.cli.options import (
-    AdjustOption,
     Bits,
     ContainerName,
-    GeneratorOption,
     JsonOption,
     Normals,
-    NormalsFromOption,
     OverwriteOption,
     QuietOption,
-    VarietyOption,
     WorkflowName,
     in_range,
     seeded,
     typed,
 )
+from matcap.field.options import ReadOptions
 from matcap.files import values
 
 if TYPE_CHECKING:
     from matcap.export.targets import Exported
-    from matcap.field.source import Generator
 
 
 class ExportTile(Enum):
@@ -42,6 +39,7 @@ _LARGEST = 65_536  # texels a side
 _TEXEL_BYTES = 150  # of memory that an export takes at least
 
 
+@with_settings
 def export(
     path: Annotated[
         Path, typer.Argument(help="A material, a map set or a folder with either.")
@@ -87,10 +85,7 @@ def export(
             help="Which piece is read from a material.",
         ),
     ] = None,
-    generator: GeneratorOption = None,
-    adjust: AdjustOption = None,
-    variety: VarietyOption = None,
-    normals: NormalsFromOption = None,
+    reading: Annotated[Given, Fields(ReadOptions)] = NOTHING,
     tile: Annotated[
         ExportTile | None,
         typer.Option(
@@ -161,7 +156,6 @@ def export(
     Prints what the target cannot express: how far its light is from matcap's. See
     docs/guide/export.md.
     """
-    from matcap.brdf.adjust import parse_adjustments
     from matcap.errors import MatcapError, UsageError
     from matcap.export.job import ExportJob, known_scale
     from matcap.export.presets import PresetOptions
@@ -186,12 +180,13 @@ def export(
     for option in (option for option, value in asked.items() if value is not None):
         if target in DOCUMENTS:
             raise UsageError("this is for presets alone", where=option, remedy="leave it out")
-    changes = parse_adjustments(adjust)
-    if udim is not None and normals is not None:
+    read = chosen(ReadOptions, reading)
+    changes = read.adjustments
+    if udim is not None and read.normals is not None:
         raise UsageError("this is for map sets alone", where="--normals", remedy="leave it out")
     if udim is not None and changes.changes:
         raise UsageError("a texture set is not adjusted", where="--adjust", remedy="leave it out")
-    given = {"--size": size, "--udim": udim, "--seed": seed, "--variety": variety}
+    given = {"--size": size, "--udim": udim, "--seed": seed, "--variety": read.variety}
     for option in (option for option, value in given.items() if value is not None and tile):
         raise UsageError(
             "the photographed piece is one, of a size of its own",
@@ -201,32 +196,23 @@ def export(
     largest, count = size or values.DEFAULT_SIZE, udim.width * udim.height if udim else 1
     if out is not None:
         check_writable(out, count * export_bytes(largest.width, largest.height))
-    which: Generator | None = generator and generator.value
     check_memory(
         _TEXEL_BYTES * largest.width * largest.height, "--size", "ask for fewer texels, or --udim"
     )
     tiles, around = None, None
     if udim is not None:
         side = (largest.width, largest.height)
-        tiles, stem = open_set(path, (udim.width, udim.height), side, seed or 0, which, variety)
+        columns_rows = (udim.width, udim.height)
+        tiles, stem = open_set(path, columns_rows, side, seed or 0, read)
         inner, around = tiles.tile(0, 0)
         found = OpenedMaps(inner, stem, dict(tiles.material.provenance))
     else:
         asked_size = (size.width, size.height) if size else None
-        found = open_tile(
-            path,
-            size=asked_size,
-            seed=seed,
-            generator=which,
-            adjust=changes,
-            variety=variety,
-            normals=normals and normals.value,
-            piece=tile is not None,
-        )
+        found = open_tile(path, read, size=asked_size, seed=seed, piece=tile is not None)
     asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
     asked_for += f"_udim{udim}" * (udim is not None)
     asked_for += f"_{changes.file_part}" * changes.changes
-    asked_for += f"_variety{variety}" * (variety is not None)
+    asked_for += f"_variety{read.variety}" * (read.variety is not None)
     asked_for += "_painted" * (found.maps.painted is not None)
     asked_for += "_tile-piece" * (tile is not None)
     folder = out or Path(f"{found.name}_{target}{asked_for}")
@@ -252,8 +238,8 @@ def export(
     )
     form: Workflow | None = "specular" if workflow is WorkflowName.specular else None
     form = "metallic" if workflow is WorkflowName.metallic else form
-    chosen = [one.strip() for one in maps.split(",")] if maps else []
-    choice = PresetOptions(name, chosen, normal and normal.value)
+    kinds = [one.strip() for one in maps.split(",")] if maps else []
+    choice = PresetOptions(name, kinds, normal and normal.value)
     inputs = [file for file in files_read(path) if file.name != sidecar.name]
     done = write_export(job, target, folder, choice, form, inputs=inputs, overwrite=overwrite)
     _report(done, as_json=json, quiet=quiet)

@@ -43,13 +43,6 @@ class Normal(Enum):
     dx = "dx"
 
 
-class NormalsFrom(Enum):
-    """Where a map set's normals come from."""
-
-    height = "height"
-    file = "file"
-
-
 class Normals(Enum):
     """Which normal maps are written."""
 
@@ -84,51 +77,6 @@ class ContainerName(Enum):
     tx = "tx"
 
 
-class GeneratorName(Enum):
-    """How a material's field is made."""
-
-    example = "example"
-    decoder = "decoder"
-
-
-GeneratorOption = Annotated[
-    GeneratorName | None,
-    typer.Option(
-        show_default="example, where the material has an exemplar",
-        help="Rearrange the photographed piece (example), or ask the network (decoder).",
-    ),
-]
-AdjustOption = Annotated[
-    str | None,
-    typer.Option(
-        "--adjust",
-        metavar="NAME=VALUE,...",
-        help="Change relief (factor), roughness (added), saturation, brightness (factors) or tint "
-        "(#rrggbb) of the maps, not of the material: relief=1.3,roughness=-0.1. Or a sidecar "
-        "(.json) that tells it.",
-    ),
-]
-VarietyOption = Annotated[
-    float | None,
-    typer.Option(
-        "--variety",
-        parser=in_range(0.0, 1.0),
-        metavar="0..1",
-        show_default="what capture chose",
-        help="How far the photographed piece is taken apart: 0 repeats it whole, its borders "
-        "healed; 1 makes many small pieces of it.",
-    ),
-]
-NormalsFromOption = Annotated[
-    NormalsFrom | None,
-    typer.Option(
-        "--normals",
-        show_default="height",
-        help="Of a map set: normals of its height, or of its normal file, where you painted on it.",
-    ),
-]
-NormalOption = Annotated[Normal, typer.Option(help="Normals with +Y up (gl) or down (dx).")]
-PngOption = Annotated[bool, typer.Option("--png", help="16-bit PNGs beside the EXR files.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]
 StrictOption = Annotated[
     bool,
@@ -145,15 +93,6 @@ ReplaceOption = Annotated[
     typer.Option("--overwrite", help="Replace a file that another program or command wrote."),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but failures.")]
-ExportOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--export",
-        metavar="TARGET",
-        help="Also for this renderer or engine, into a folder of its name; see matcap export. "
-        "May be given several times.",
-    ),
-]
 LikeOption = Annotated[
     Path | None,
     typer.Option(

@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.inputs import files_read
 from matcap.cli.options import (
-    AdjustOption,
-    GeneratorOption,
     JsonOption,
     Normal,
-    NormalsFromOption,
     QuietOption,
     ReplaceOption,
-    VarietyOption,
     in_range,
     seeded,
     typed,
 )
+from matcap.field.options import ReadOptions
 from matcap.files import values
 
 if TYPE_CHECKING:
@@ -48,6 +46,7 @@ class Motion(Enum):
     turntable = "turntable"
 
 
+@with_settings
 def relight(
     path: Annotated[
         Path, typer.Argument(help="A material, a map set or a folder with either.")
@@ -86,9 +85,7 @@ def relight(
         int,
         typer.Option(parser=seeded, metavar="SEED", help="Which piece is read from a material."),
     ] = 0,
-    generator: GeneratorOption = None,
-    adjust: AdjustOption = None,
-    variety: VarietyOption = None,
+    reading: Annotated[Given, Fields(ReadOptions)] = NOTHING,
     effects: Annotated[
         str,
         typer.Option(metavar="auto|all|none|+x,-y", help="Which effects run (see --explain)."),
@@ -133,7 +130,6 @@ def relight(
         Normal | None,
         typer.Option(help="Which way green points in normal maps of --maps-from."),
     ] = None,
-    normals: NormalsFromOption = None,
     overwrite: ReplaceOption = False,
     json: JsonOption = False,
     quiet: QuietOption = False,
@@ -142,7 +138,6 @@ def relight(
     from functools import partial
     from itertools import chain
 
-    from matcap.brdf.adjust import parse_adjustments
     from matcap.cli.relight_display import shown
     from matcap.errors import UsageError
     from matcap.field.opened import open_source
@@ -167,13 +162,12 @@ def relight(
         raise UsageError("a scene has its own lights", where="--light", remedy="leave it out")
     if animate is not None and sheet is not None:
         raise UsageError("a sheet does not move", where="--sheet", remedy="leave one out")
-    changes = parse_adjustments(adjust)
-    if changes.changes and maps_from is not None:
-        raise UsageError("maps of others are not adjusted", where="--adjust", remedy="leave it out")
-    if variety is not None and maps_from is not None:
-        raise UsageError("maps of others have no pieces", where="--variety", remedy="leave it out")
-    if normals is not None and maps_from is not None:
-        raise UsageError("maps of others have their own", where="--normals", remedy="leave it out")
+    read = chosen(ReadOptions, reading)
+    if maps_from is not None and read != ReadOptions(read.generator):
+        refused = {"adjust": "are not adjusted", "variety": "have no pieces"}
+        name = next(name for name in reading if name != "generator")
+        why = refused.get(name, "have their own")
+        raise UsageError(f"maps of others {why}", where=f"--{name}", remedy="leave it out")
     if explain_map is not None and (animate is not None or sheet is not None):
         raise UsageError("this is of one picture", where="--explain-map", remedy="leave it out")
     check_path(out, moving=animate is not None)
@@ -182,21 +176,14 @@ def relight(
     parse_choice(effects)
     outputs = files_of(out, frames if animate else None)
     outputs += [] if explain_map is None else [explain_map]
-    read = files_read(path, maps_from, Path(scene) if scene else None)
-    check_replaceable(outputs, MARK, inputs=read, overwrite=overwrite)
-    chosen = _scene(scene, light or ["top"], size)
+    inputs = files_read(path, maps_from, Path(scene) if scene else None)
+    check_replaceable(outputs, MARK, inputs=inputs, overwrite=overwrite)
+    wanted = _scene(scene, light or ["top"], size)
     if light == ["flash"] and maps_from is None:
-        chosen = _photographed(path, size) or chosen
+        wanted = _photographed(path, size) or wanted
     limit = DEFAULT_TOLERANCE if tolerance is None else tolerance
-    source = partial(
-        open_source,
-        path,
-        generator and generator.value,
-        changes,
-        variety,
-        normals and normals.value,
-    )
-    renderer = _renderer(source, maps_from, normal, chosen, seed, quiet=quiet)
+    source = partial(open_source, path, read)
+    renderer = _renderer(source, maps_from, normal, wanted, seed, quiet=quiet)
     film = renderer.film
     pictures = frames if animate else sheet.width * sheet.height if sheet else 1
     check_writable(out.parent, 16 * film.width * film.height * pictures)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from matcap.capture.settings import OutputSettings
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.options import (
-    ExportOption,
     LikeOption,
     OverwriteOption,
     QuietOption,
@@ -101,7 +101,9 @@ def synth(
     given: Annotated[Given, Fields(SynthRequest)] = NOTHING,
     reading: Annotated[Given, Fields(ReadOptions, but=("normals",))] = NOTHING,
     working: Annotated[Given, Fields(Work)] = NOTHING,
-    export: ExportOption = None,
+    exported: Annotated[
+        Given, Fields(OutputSettings, but=("size", "tile", "png", "normal"))
+    ] = NOTHING,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -117,11 +119,7 @@ def synth(
     from matcap.synth.workers import keep_memory
 
     keep_memory()  # this process is matcap's own
-    targets: tuple[str, ...] = ()
-    if export:
-        from matcap.export.targets import check_targets
-
-        targets = check_targets(export)
+    targets = exported.get("targets", ())
     if targets and (given.get("single") or given.get("udim")):
         raise UsageError(
             "only plain map sets are exported", where="--export", remedy="leave --single or --udim"

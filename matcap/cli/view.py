@@ -7,16 +7,12 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.options import (
-    AdjustOption,
-    GeneratorOption,
-    QuietOption,
-    ReplaceOption,
-    VarietyOption,
-    seeded,
-)
+from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
+from matcap.cli.options import QuietOption, ReplaceOption, seeded
+from matcap.field.options import ReadOptions
 
 
+@with_settings
 def view(
     path: Annotated[
         Path,
@@ -38,9 +34,7 @@ def view(
     seed: Annotated[
         int, typer.Option(parser=seeded, metavar="SEED", help="Which piece is shown first.")
     ] = 0,
-    generator: GeneratorOption = None,
-    adjust: AdjustOption = None,
-    variety: VarietyOption = None,
+    reading: Annotated[Given, Fields(ReadOptions, but=("normals",))] = NOTHING,
     port: Annotated[
         int, typer.Option(min=0, max=65535, show_default="a free one", help="Of the server.")
     ] = 0,
@@ -67,7 +61,6 @@ def view(
     A folder of captures, as matcap batch leaves it, is shown as a library. The page is served to
     this machine alone, until Ctrl-C. Its address goes to stdout.
     """
-    from matcap.brdf.adjust import parse_adjustments
     from matcap.errors import UsageError
     from matcap.files.mark import check_replaceable
     from matcap.view.beside import find_beside
@@ -81,7 +74,7 @@ def view(
         if not quiet:
             typer.echo("Ctrl-C ends it.", err=True)
 
-    changes = parse_adjustments(adjust)
+    read = chosen(ReadOptions, reading)
     if html is not None:
         check_page_path(html)
         inputs = [file for file in (path, blend, photo) if file is not None and file.is_file()]
@@ -94,16 +87,18 @@ def view(
                 raise UsageError(
                     "this folder has several materials", where=option, remedy="name one of them"
                 )
-        library = Library(files, generator and generator.value, changes, variety)
+        library = Library(files, read)
         name = path.resolve().name
         serve_library(library, name, port=port, opens=opens, announce=announce)
         return
-    subject = open_subject(path, blend, seed, generator and generator.value, variety)
+    subject = open_subject(path, blend, seed, read)
     material = subject.first if isinstance(subject, Materials) else None
     beside = find_beside(path, subject.facts.name, photo, material)
     if html is not None:
-        write_page(sealed_page(subject, tile, beside, changes), html)
+        write_page(sealed_page(subject, tile, beside, read.adjustments), html)
         if not quiet:
             typer.echo(f"wrote {html}", err=True)
         return
-    serve(subject, port=port, beside=beside, adjust=changes, opens=opens, announce=announce)
+    serve(
+        subject, port=port, beside=beside, adjust=read.adjustments, opens=opens, announce=announce
+    )

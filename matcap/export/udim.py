@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 from matcap.errors import UsageError
 from matcap.export.occlusion import settings
 from matcap.field.opened import open_material
+from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.files.names import kept_plain
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.field.material import Material
-    from matcap.field.source import Generator
 
 FIRST = 1001
 MOST_COLUMNS, MOST_ROWS = 10, 900
@@ -100,8 +100,7 @@ def open_set(
     grid: tuple[int, int],
     size: tuple[int, int],
     seed: int = 0,
-    generator: Generator | None = None,
-    variety: float | None = None,
+    read: ReadOptions = AS_IT_IS,
 ) -> tuple[TextureSet, str]:
     """A texture set of a material file, or of a folder's one material, and its name.
 
@@ -110,8 +109,7 @@ def open_set(
         grid: (columns, rows).
         size: (width, height) of a tile in texels.
         seed: which realisation.
-        generator: "example" or "decoder"; by default by example where there is an exemplar.
-        variety: that its piece is rearranged with, instead of its own.
+        read: which of its fields.
 
     Raises:
         UsageError: a map set, which has one tile; or too many tiles.
@@ -124,6 +122,5 @@ def open_set(
             remedy="give the material (.matcap), or leave it out",
         )
     file, material = open_material(path)
-    return TextureSet(material.by(generator).varied(variety), *grid, size, seed), kept_plain(
-        file.stem
-    )
+    material = material.by(read.generator).varied(read.variety)
+    return TextureSet(material, *grid, size, seed), kept_plain(file.stem)

@@ -10,16 +10,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcap.brdf.adjust import KEY, NONE, Adjustments, adjusted
+from matcap.brdf.adjust import KEY, Adjustments, adjusted
 from matcap.brdf.folder import SETUP, find_mapsets, read_mapset
 from matcap.errors import MatcapError, UsageError
+from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.files.names import kept_plain
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.brdf.stated import NormalSource
     from matcap.field.material import Material
-    from matcap.field.source import Generator
     from matcap.flash.geometry import FlashSetup
 
 
@@ -42,78 +42,49 @@ class OpenedMaps:
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
-def open_maps(
-    path: Path,
-    *,
-    size: tuple[int, int] = (1024, 1024),
-    seed: int = 0,
-    generator: Generator | None = None,
-) -> MapSet:
-    """Maps of a material file, a map set's JSON file, or a folder.
-
-    Args:
-        path: what to open.
-        size: (width, height) in texels, and
-        seed: the realisation, and
-        generator: "example" or "decoder"; all for a material only, since a map set has its own.
-
-    Raises:
-        MatcapError: nothing to open, more than one thing, or a broken file.
-    """
-    path = _resolved(path)
-    if path.suffix.lower() == ".matcap":
-        return _material(path).maps(*size, seed=seed, generator=generator)
-    return read_mapset(path)[0]
-
-
 def open_tile(
     path: Path,
+    read: ReadOptions = AS_IT_IS,
     *,
     size: tuple[int, int] | None = None,
     seed: int | None = None,
-    generator: Generator | None = None,
-    adjust: Adjustments = NONE,
-    variety: float | None = None,
-    normals: NormalSource | None = None,
     piece: bool = False,
 ) -> OpenedMaps:
-    """As open_maps, but a material's maps repeat without a seam where their size allows it.
+    """Maps of a material file, a map set's JSON file, or a folder.
 
-    They do when both sides are multiples of the material's alignment, 16 for most.
+    A material's maps repeat without a seam where both sides are multiples of its alignment, 16 for
+    most.
 
     Args:
         path: what to open.
+        read: which of its maps; what is changed of them, the provenance tells.
         size: (width, height) in texels of a material's maps, 1024 x 1024 by default.
         seed: the realisation of a material, 0 by default.
-        generator: of a material.
-        adjust: what is changed of the maps; the provenance tells it.
-        variety: that a material's piece is rearranged with, instead of its own.
-        normals: of a map set, see read_mapset; "height" by default.
         piece: the photographed piece itself, made to repeat, at its own size.
 
     Raises:
         UsageError: a material's normals are asked for; a size, seed, generator or variety is asked
             of a map set, which has its own.
-        MatcapError: as open_maps.
+        MatcapError: nothing to open, more than one thing, or a broken file.
     """
     path = _resolved(path)
+    adjust = read.adjustments
     if path.suffix.lower() == ".matcap":
-        _refuse_normals(path, normals)
-        material = _material(path).by(generator).varied(variety)
+        _refuse_normals(path, read.normals)
+        material = _material(path).by(read.generator).varied(read.variety)
+        told = dict(material.provenance)
         if piece:
-            told = dict(material.provenance) | REPEATS
-            return _told(material.repeating(), kept_plain(path.stem), told, adjust)
+            return _told(material.repeating(), kept_plain(path.stem), told | REPEATS, adjust)
         size, seed = size or (1024, 1024), seed or 0
         repeat = material.alignment
         period = None if size[0] % repeat or size[1] % repeat else size
         maps = material.maps(*size, seed=seed, period=period)
-        return _told(maps, kept_plain(path.stem), dict(material.provenance), adjust)
-    given = {"--size": size, "--seed": seed, "--generator": generator, "--variety": variety}
-    given |= {"--tile piece": piece or None}
-    for option, asked in given.items():
-        if asked is not None:
-            raise _own(path, option)
-    maps, document = read_mapset(path, normals or "height")
+        return _told(maps, kept_plain(path.stem), told, adjust)
+    given: dict[str, object] = {"--size": size, "--seed": seed, "--generator": read.generator}
+    given |= {"--variety": read.variety, "--tile piece": piece or None}
+    for option in (option for option, asked in given.items() if asked is not None):
+        raise _own(path, option)
+    maps, document = read_mapset(path, read.normals or "height")
     return _told(maps, document["name"], document["provenance"], adjust)
 
 
@@ -227,27 +198,20 @@ class AdjustedMaterial:
         return adjusted(self.material.maps(width, height, seed=seed, x=x, y=y), self.adjust)
 
 
-def open_source(
-    path: Path,
-    generator: Generator | None = None,
-    adjust: Adjustments = NONE,
-    variety: float | None = None,
-    normals: NormalSource | None = None,
-) -> MapSet | Material | AdjustedMaterial:
-    """A map set's maps, or a material itself, to be read where it is seen; by one generator alone
-    where one is named, with a variety where one is named, and adjusted; normals as of open_tile.
+def open_source(path: Path, read: ReadOptions = AS_IT_IS) -> MapSet | Material | AdjustedMaterial:
+    """A map set's maps, or a material itself, to be read where it is seen; both as read tells.
 
     Raises:
         UsageError: as open_tile.
         MatcapError: nothing to open, more than one thing, or a broken file.
     """
-    path = _resolved(path)
+    path, adjust = _resolved(path), read.adjustments
     if path.suffix.lower() != ".matcap":
-        if variety is not None:
+        if read.variety is not None:
             raise _own(path, "--variety")
-        return adjusted(read_mapset(path, normals or "height")[0], adjust)
-    _refuse_normals(path, normals)
-    material = _material(path).by(generator).varied(variety)
+        return adjusted(read_mapset(path, read.normals or "height")[0], adjust)
+    _refuse_normals(path, read.normals)
+    material = _material(path).by(read.generator).varied(read.variety)
     return AdjustedMaterial(material, adjust) if adjust.changes else material
 
 

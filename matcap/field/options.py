@@ -55,3 +55,6 @@ class ReadOptions:
         from matcap.brdf.adjust import NONE
 
         return self.adjust or NONE
+
+
+AS_IT_IS = ReadOptions()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from matcap.errors import UsageError
-from matcap.field.options import ReadOptions
+from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.field.plane import Period, Rectangle, check_seed
 from matcap.files import values
 from matcap.files.progress import Progress, nobody
@@ -56,7 +56,7 @@ class SynthRequest:
     """Which piece of the material, in [-2^63, 2^63)."""
     name: str = ""
     """Of the files; the material's unless given."""
-    read: ReadOptions = ReadOptions()
+    read: ReadOptions = AS_IT_IS
     """Which of the material's fields, and what is changed of it; the sidecar's provenance tells."""
     tile: Literal["both", "x", "y", "piece"] | None = setting(
         None, words=("both", "x", "y", "piece")

@@ -12,16 +12,16 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from matcap.brdf.adjust import NONE, Adjustments
 from matcap.brdf.folder import find_mapsets
 from matcap.errors import MatcapError
+from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.field.plane import Rectangle
 from matcap.view.beside import Beside, find_beside, read_verdict
 from matcap.view.pages import APRON, Page, packed
 from matcap.view.subject import Materials
 
 if TYPE_CHECKING:
-    from matcap.field.source import Generator
+    pass
 
 SIDE, LEVEL = 240, 2
 _OPENED = 8  # materials kept: some 50 MB each
@@ -47,20 +47,12 @@ class Library:
 
     Args:
         files: of the materials.
-        generator: how their fields are made.
-        adjust: what is changed of all of them first.
-        variety: that their pieces are rearranged with, instead of their own.
+        read: how all of them are read.
     """
 
-    def __init__(
-        self,
-        files: Sequence[Path],
-        generator: Generator | None = None,
-        adjust: Adjustments = NONE,
-        variety: float | None = None,
-    ) -> None:
-        self.files, self.adjust = tuple(files), adjust
-        self._generator, self._variety = generator, variety
+    def __init__(self, files: Sequence[Path], read: ReadOptions = AS_IT_IS) -> None:
+        self.files, self.adjust = tuple(files), read.adjustments
+        self._read = read
         self._kept = lru_cache(_OPENED)(self._open)
 
     def shelf(self) -> list[dict[str, str]]:
@@ -104,7 +96,8 @@ class Library:
         from matcap.field.material import Material
 
         def load(index: int) -> Material:
-            return Material.load(self.files[index]).by(self._generator).varied(self._variety)
+            material = Material.load(self.files[index])
+            return material.by(self._read.generator).varied(self._read.variety)
 
         return Materials(load(first), None if second is None else load(second))
 

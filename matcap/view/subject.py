@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from matcap.errors import UsageError
 from matcap.example.example import Example
+from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.field.plane import Rectangle
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.field.material import Material
-    from matcap.field.source import Generator
     from matcap.flash.geometry import FlashSetup
     from matcap.view.afar import ExampleFromAfar, NetworkFromAfar, Pyramid, SmallerForms
     from matcap.view.moments import Planes
@@ -260,8 +260,7 @@ def open_subject(
     path: Path,
     second: Path | None = None,
     seed: int = 0,
-    generator: Generator | None = None,
-    variety: float | None = None,
+    read: ReadOptions = AS_IT_IS,
 ) -> Viewable:
     """What a path holds.
 
@@ -270,8 +269,7 @@ def open_subject(
             material is preferred to its map set.
         second: a material to blend with.
         seed: the realisation shown first.
-        generator: "example" or "decoder"; what lies between two materials is the decoder's.
-        variety: that the first one's piece is rearranged with, instead of its own.
+        read: of the first one; what lies between two materials is the decoder's.
 
     Raises:
         MatcapError: nothing to open, more than one thing, a broken file, or materials that cannot
@@ -282,7 +280,7 @@ def open_subject(
 
     file = _material_in(path)
     if file is not None:
-        first = Material.load(file).by(generator).varied(variety)
+        first = Material.load(file).by(read.generator).varied(read.variety)
         return Materials(first, Material.load(second) if second else None, seed)
     from matcap.brdf.folder import read_mapset
 
@@ -291,7 +289,7 @@ def open_subject(
         raise UsageError(
             "a map set cannot be blended", where=str(path), remedy="give the .matcap file"
         )
-    if variety is not None:
+    if read.variety is not None:
         raise UsageError(
             "a map set has no pieces", where="--variety", remedy="give the .matcap file"
         )

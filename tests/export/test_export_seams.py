@@ -11,7 +11,7 @@ from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.export.job import ExportJob
 from matcap.export.targets import DOCUMENTS, PRESETS, write_export
-from matcap.field.opened import open_maps, open_tile
+from matcap.field.opened import open_material, open_tile
 from matcap.lab.simulate.materials import MATERIALS, realise
 
 WIDTH, HEIGHT = 256, 192
@@ -45,7 +45,7 @@ def test_a_materials_tile_has_no_seam_and_every_export_says_so(tmp_path, name):
 
 def test_what_is_cut_from_the_endless_field_has_a_seam_which_an_export_tells(tmp_path):
     by_example("leather").save(tmp_path / "leather.matcap")
-    maps = open_maps(tmp_path, size=(200, 200))
+    maps = open_material(tmp_path)[1].maps(200, 200)
     assert seam_ratio(maps) > SEAMLESS
     done = write_export(ExportJob(maps, "leather"), "gltf", tmp_path / "gltf")
     assert any("do not repeat" in note for note in done.notes)
