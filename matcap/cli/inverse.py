@@ -73,7 +73,7 @@ def train(
         batch=batch, workers=workers, device=device, maps=maps,
         width=size[0], height=size[1], compiled=compiled, real=real,
     )  # fmt: skip
-    run(folder, settings, tell=(lambda _line: None) if quiet else _tell, begin=begin)
+    run(folder, settings, on_progress=(lambda _line: None) if quiet else _tell, begin=begin)
 
 
 @app.command()

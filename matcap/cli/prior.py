@@ -77,7 +77,7 @@ def train(
         resume=resume,
         prior=load_prior(begin) if begin is not None else None,
         device=device,
-        tell=_teller(quiet),
+        on_progress=_teller(quiet),
     )
 
 
@@ -98,18 +98,17 @@ def finish(
 ) -> None:
     """Make a prior of a finished training, its alignment branch included."""
     from matcap.lab.train.align import make, train_alignment
-    from matcap.lab.train.checkpoint import load_checkpoint
     from matcap.lab.train.finish import finish as run
     from matcap.lab.train.pack import Pack
     from matcap.lab.train.state import start
     from matcap.space.prior.store import load_prior
 
     state = start(_config(config), "cpu")
-    load_checkpoint(training / "checkpoint.safetensors", state)
+    state.load(training)
     if alignment is not None:
         branch = load_prior(alignment).alignment
     else:
-        branch = train_alignment(make(range(tilted)), steps, tell=_teller(quiet))
+        branch = train_alignment(make(range(tilted)), steps, on_progress=_teller(quiet))
     kept = state.average
     about = {"steps": state.step}
     run(kept.encoder, kept.decoder, branch, Pack.load(pack).training, about).save(out)

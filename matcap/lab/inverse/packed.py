@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,20 +19,20 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from matcap.brdf.integrate import integrated
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 from matcap.lab.simulate.map_sets import bare_metals, read_surface
+from matcap.lab.train.trainer import read_tensors
 
 LEVELS = 3  # full, half, quarter
 _ROUGHNESS = slice(6, 7)  # of a surface
 _EVERY, _LEFT_OUT = 5, 1  # of so many sets one is held out: the rest that has something of each
 _STEEPEST = math.tan(math.radians(75.0))  # a normal map's texels further down are no slopes
-_KEY = "matcap-maps"
-_VERSION = 2  # 1 had F0 without a colour
+_FORMAT = "matcap-maps"
+_VERSION = 3
 
 Picture = NDArray[np.float32]
 
@@ -80,7 +80,8 @@ def pack(folder: Path, out: Path) -> int:
                 surface, height = halved(surface, height)
             tensors[f"{name}/{level}/surface"] = torch.from_numpy(surface).half()
             tensors[f"{name}/{level}/height"] = torch.from_numpy(height)
-    write_tensors(out, tensors, {_KEY: json.dumps({"version": _VERSION, "names": names})})
+    about = {"format": _FORMAT, "version": str(_VERSION), "names": json.dumps(names)}
+    write_tensors(out, tensors, about)
     return len(names)
 
 
@@ -118,23 +119,14 @@ def open_pack(path: Path) -> Mapping[str, PackedSet]:
     Raises:
         MatcapError: it is no such file.
     """
-    try:
-        with safe_open(path, framework="pt") as file:
-            told = json.loads((file.metadata() or {})[_KEY])
-            if told["version"] != _VERSION:
-                raise ValueError(f"they are of version {told['version']}")
-            names: Sequence[str] = told["names"]
+    remedy = "make it with `matcap inverse pack`"
+    told, tensors = read_tensors(path, (_FORMAT, _VERSION), "pack of maps", remedy)
 
-            def levels(name: str, what: str) -> tuple[Tensor, ...]:
-                return tuple(file.get_tensor(f"{name}/{i}/{what}") for i in range(LEVELS))
+    def levels(name: str, what: str) -> tuple[Tensor, ...]:
+        return tuple(tensors[f"{name}/{i}/{what}"] for i in range(LEVELS))
 
-            return {n: PackedSet(n, levels(n, "surface"), levels(n, "height")) for n in names}
-    except (OSError, SafetensorError, KeyError, ValueError) as error:
-        raise MatcapError(
-            f"these are no packed maps ({error})",
-            where=str(path),
-            remedy="make them with `matcap inverse pack`",
-        ) from error
+    names: list[str] = json.loads(told["names"])
+    return {n: PackedSet(n, levels(n, "surface"), levels(n, "height")) for n in names}
 
 
 @cache

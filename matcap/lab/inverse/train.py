@@ -1,16 +1,14 @@
 """Training of the inverse network in legs that continue one another exactly.
 
-A step shows one simulated photograph; samples are a pure function of the step's number, made by
-worker processes ahead of their use. The state (weights, their running average, Adam's moments,
-step) is one safetensors file, replaced whole. What is shipped is the average.
+A step shows simulated photographs; samples are a pure function of their numbers, made by worker
+processes ahead of their use. The run itself is lab/train/trainer.py's. What is shipped is the
+weights' running average.
 """
 
 from __future__ import annotations
 
-import json
 import multiprocessing
-import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
 from multiprocessing.pool import AsyncResult
 from pathlib import Path
@@ -18,14 +16,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors import safe_open
 from torch import Tensor
 
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import Inverse, InverseConfig
 from matcap.capture.piece.network.store import read_inverse, save_inverse
 from matcap.errors import MatcapError
-from matcap.files.tensors import write_tensors
 from matcap.lab.inverse.losses import Compare, LossWeights, compared, loss_parts, total, wanted
 from matcap.lab.inverse.packed import training_sets
 from matcap.lab.inverse.samples import (
@@ -35,10 +31,14 @@ from matcap.lab.inverse.samples import (
     Sample,
     draw_sample,
 )
+from matcap.lab.train.trainer import CHECKPOINT, Reporting, Schedule, Training, fit
 
 _AHEAD = 4  # samples made before they are wanted
-_STATE = "state.safetensors"
 _WARM_UP = 200  # steps
+_REPORTED = 50  # steps
+_MINUTES = 2.0  # between checkpoints
+
+Batch = list[tuple[Tensor, Sample]]  # inputs and truth, of one size
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,6 @@ class TrainSettings:
         average: decay of the weights' running average.
         width, height: texels of a picture, multiples of 32.
         batch: pictures a step.
-        save_every: steps.
         workers: processes that make samples.
         device: "cpu" or "cuda".
         style_every: steps, in one of which statistics of relit pictures are compared.
@@ -70,7 +69,6 @@ class TrainSettings:
     width: int = 224
     height: int = 160
     batch: int = 1
-    save_every: int = 100
     workers: int = 1
     device: str = "cpu"
     style_every: int = 2
@@ -78,169 +76,82 @@ class TrainSettings:
     maps: Path | None = None
     real: float = REAL_SHARE
 
-    def rate_at(self, step: int) -> float:
-        """Adam's rate at a step: a short warm-up, then flat, then down to nothing."""
-        left = (self.steps - step) / self.cooling if self.cooling else 1.0
-        return self.rate * min(1.0, step / _WARM_UP, max(left, 0.0))
+    @property
+    def schedule(self) -> Schedule:
+        """Of rate and end."""
+        return Schedule(self.steps, _WARM_UP, self.cooling, seconds=self.seconds)
 
 
-class State:
-    """What training goes on from.
-
-    Attributes:
-        step: steps done.
-        shown: photographs seen by them.
-        origin: card of the shipped network that the first leg went on from, or nothing.
-        model, average: the network, and its weights' running average.
-        first, second: Adam's moments, a parameter each.
-    """
-
-    def __init__(self, config: InverseConfig, device: str) -> None:
-        torch.manual_seed(0)
-        self.step = 0
-        self.shown = 0
-        self.origin: dict[str, Any] = {}
-        self.model = Inverse(config).to(device)
-        self.average = Inverse(config).to(device)
-        self.average.load_state_dict(self.model.state_dict())
-        self.average.requires_grad_(False)
-        self.first = [torch.zeros_like(p) for p in self.model.parameters()]
-        self.second = [torch.zeros_like(p) for p in self.model.parameters()]
-
-    def save(self, path: Path) -> None:
-        """Write whole or not at all."""
-        tensors = {f"model.{k}": v for k, v in self.model.state_dict().items()}
-        tensors |= {f"average.{k}": v for k, v in self.average.state_dict().items()}
-        for name, moments in (("first", self.first), ("second", self.second)):
-            tensors |= {f"{name}.{i}": m for i, m in enumerate(moments)}
-        write_tensors(path, tensors, self._told())
-
-    def _told(self) -> dict[str, str]:
-        told = {"step": self.step, "shown": self.shown, "origin": self.origin}
-        return {name: json.dumps(value) for name, value in told.items()}
-
-    def begin(self, path: Path) -> None:
-        """Go on from a shipped network: its weights, no step done."""
-        network, self.origin = read_inverse(path)
-        for part in (self.model, self.average):
-            part.load_state_dict(network.state_dict())
-
-    def load(self, path: Path) -> None:
-        """Go on from a file."""
-        with safe_open(path, framework="pt") as file:
-            told = file.metadata()
-            self.step = json.loads(told["step"])
-            self.shown = json.loads(told.get("shown", told["step"]))
-            self.origin = json.loads(told.get("origin", "{}"))
-            for part, network in (("model", self.model), ("average", self.average)):
-                network.load_state_dict(
-                    {k: file.get_tensor(f"{part}.{k}") for k in network.state_dict()}
-                )
-            for name, moments in (("first", self.first), ("second", self.second)):
-                for index, moment in enumerate(moments):
-                    moment.copy_(file.get_tensor(f"{name}.{index}"))
+def start(config: InverseConfig, settings: TrainSettings) -> Training[Inverse]:
+    """An untrained state."""
+    torch.manual_seed(0)
+    model = Inverse(config).to(settings.device)
+    return Training(model, {"": settings.rate}, decay=settings.average)
 
 
 def train(
     folder: Path,
     settings: TrainSettings,
     config: InverseConfig = InverseConfig(),  # noqa: B008
-    tell: Callable[[str], None] = print,
+    on_progress: Callable[[str], None] = print,
     begin: Path | None = None,
-) -> State:
-    """Train one leg, from the state in a folder if there is one.
+) -> Training[Inverse]:
+    """Train one leg, from the checkpoint in a folder if there is one.
 
     Args:
-        folder: for `state.safetensors`.
+        folder: for checkpoint and curves.
         settings: of the leg.
         config: shape of the network.
-        tell: called with a line every 50 steps.
+        on_progress: called with a line every 50 steps.
         begin: a shipped network that the first leg goes on from.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / _STATE
-    state = State(config, settings.device)
-    if path.exists():
-        state.load(path)
+    training = start(config, settings)
+    if (folder / CHECKPOINT).exists():
+        training.load(folder)
     elif begin:
-        state.begin(begin)
-    began = time.monotonic()
-    running: dict[str, float] = {}
-    samples = _samples(state.step, settings)
+        network, origin = read_inverse(begin)
+        training.about = {"origin": origin}
+        for part in (training.model, training.average):
+            part.load_state_dict(network.state_dict())
+    samples = _samples(training.step, settings)
     compare: Compare = torch.compile(compared, dynamic=False) if settings.compiled else compared
-    for batch in samples:
-        if state.step >= settings.steps or time.monotonic() - began > settings.seconds:
-            break
-        parts = train_step(state, batch, settings, compare)
-        for name, value in parts.items():
-            running[name] = 0.98 * running.get(name, value) + 0.02 * value
-        if state.step % 50 == 0:
-            shown = " ".join(f"{name} {value:.3f}" for name, value in running.items())
-            tell(f"{state.step} {time.monotonic() - began:.0f} s {shown}")
-        if state.step % settings.save_every == 0:
-            state.save(path)
+
+    def loss_of(step: int) -> tuple[Tensor, Mapping[str, Tensor]]:
+        batch = next(samples)
+        training.about["shown"] = training.about.get("shown", 0) + len(batch)
+        return step_loss(training.model, step, batch, settings, compare)
+
+    told = Reporting(_REPORTED, _MINUTES, on_progress=on_progress)
+    fit(training, loss_of, settings.schedule, folder, told)
     samples.close()
-    state.save(path)
-    return state
+    return training
 
 
-def train_step(
-    state: State,
-    samples: list[tuple[Tensor, Sample]],
-    settings: TrainSettings,
-    compare: Compare = compared,
-) -> dict[str, float]:
-    """One step of Adam; returns the loss's parts.
+def step_loss(
+    model: Inverse, step: int, batch: Batch, settings: TrainSettings, compare: Compare = compared
+) -> tuple[Tensor, Mapping[str, Tensor]]:
+    """Loss of a step, and its parts.
 
     Args:
-        state: changed in place.
-        samples: inputs and truth, of one size.
+        model: the network.
+        step: its number.
+        batch: what is shown.
         settings: of the leg.
         compare: `losses.compared`, or that compiled.
     """
     device = settings.device
-    inputs = torch.stack([x for x, _ in samples]).to(device)
-    rng = np.random.default_rng([state.step, 0, 5])
-    truth = wanted([sample.to(device) for _, sample in samples], rng)
-    outputs = state.model(inputs.contiguous(memory_format=torch.channels_last))
+    inputs = torch.stack([x for x, _ in batch]).to(device)
+    rng = np.random.default_rng([step, 0, 5])
+    truth = wanted([sample.to(device) for _, sample in batch], rng)
+    outputs = model(inputs.contiguous(memory_format=torch.channels_last))
     # Statistics take as long as all else: in every so manieth step, and count as much more there.
-    styled = state.step % settings.style_every == 0
+    styled = step % settings.style_every == 0
     parts = loss_parts(outputs, truth, style=styled, compare=compare)
     weights = LossWeights()
-    loss = total(parts, replace(weights, style=weights.style * settings.style_every))
-    parameters: list[Tensor] = list(state.model.parameters())
-    gradients = torch.autograd.grad(loss, parameters)
-    state.step += 1
-    state.shown += len(samples)
-    _adam(state, parameters, gradients, settings.rate_at(state.step))
-    decay = min(settings.average, state.step / (state.step + 10.0))
-    with torch.no_grad():
-        torch._foreach_lerp_(list(state.average.parameters()), parameters, 1.0 - decay)
-    return {name: float(part.detach()) for name, part in parts.items()}
+    return total(parts, replace(weights, style=weights.style * settings.style_every)), parts
 
 
-@torch.no_grad()
-def _adam(
-    state: State, parameters: list[Tensor], gradients: tuple[Tensor, ...], rate: float
-) -> None:
-    """Adam with gradients of a norm of at most 1."""
-    norm = torch.stack(torch._foreach_norm(gradients)).norm()
-    if not bool(torch.isfinite(norm)):
-        return  # one unlucky picture is left out
-    clipped = torch._foreach_mul(gradients, float(1.0 / norm.clamp_min(1.0)))
-    one, two = 0.9, 0.99
-    correction = (1.0 - two**state.step) ** 0.5 / (1.0 - one**state.step)
-    torch._foreach_lerp_(state.first, clipped, 1.0 - one)
-    torch._foreach_mul_(state.second, two)
-    torch._foreach_addcmul_(state.second, clipped, clipped, 1.0 - two)
-    spread = torch._foreach_sqrt(state.second)
-    torch._foreach_add_(spread, 1e-8)
-    torch._foreach_addcdiv_(parameters, state.first, spread, -rate * correction)
-
-
-def _samples(
-    step: int, settings: TrainSettings
-) -> Generator[list[tuple[Tensor, Sample]], None, None]:
+def _samples(step: int, settings: TrainSettings) -> Generator[Batch, None, None]:
     """Batches from a step on, made ahead by worker processes."""
     if settings.workers == 0:
         while True:
@@ -287,11 +198,12 @@ def ship(folder: Path, out: Path, before: Path | None = None, share: float = 1.0
     Raises:
         MatcapError: the folder holds no training.
     """
-    state = _trained(folder)
-    seen = state.origin.get("photographs_seen", state.origin.get("steps", 0))
+    training = _trained(folder)
+    origin = training.about.get("origin", {})
+    seen = origin.get("photographs_seen", origin.get("steps", 0))
     card: dict[str, Any] = {
-        "steps": state.step,
-        "photographs_seen": seen + state.shown,
+        "steps": training.step,
+        "photographs_seen": seen + training.about.get("shown", 0),
         "photographs": "of real map sets and simulated materials (matcap/lab/inverse/samples.py)",
         "held_out": [
             *HELD_OUT,
@@ -301,21 +213,20 @@ def ship(folder: Path, out: Path, before: Path | None = None, share: float = 1.0
     }
     if before:
         other = read_inverse(before)[0].state_dict()
-        here = state.average.state_dict()
-        state.average.load_state_dict({k: other[k].lerp(v, share) for k, v in here.items()})
+        here = training.average.state_dict()
+        training.average.load_state_dict({k: other[k].lerp(v, share) for k, v in here.items()})
         card["share"] = share
-    save_inverse(state.average, out, card)
+    save_inverse(training.average, out, card)
     return card
 
 
-def _trained(folder: Path) -> State:
-    path = folder / _STATE
-    if not path.is_file():
+def _trained(folder: Path) -> Training[Inverse]:
+    if not (folder / CHECKPOINT).is_file():
         raise MatcapError(
             "there is no training in this folder",
             where=str(folder),
             remedy="give the folder that `matcap inverse train` was given",
         )
-    state = State(InverseConfig(), "cpu")
-    state.load(path)
-    return state
+    training = start(InverseConfig(), TrainSettings())
+    training.load(folder)
+    return training

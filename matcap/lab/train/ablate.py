@@ -15,10 +15,9 @@ from pathlib import Path
 
 from matcap.lab.train.decoder_only import DecoderOnly
 from matcap.lab.train.evaluate import Begin, EvaluatedMethod, from_nothing, from_prior, measure_all
-from matcap.lab.train.journal import first_of_each
 from matcap.lab.train.kept import prior_key
 from matcap.lab.train.measure import Made, Photographed, Result, capture, photographed
-from matcap.lab.train.pack import Pack
+from matcap.lab.train.pack import Pack, first_of_each
 from matcap.lab.train.pages import COLUMNS, median, names, table, write_sheet
 from matcap.space.prior.store import Prior
 from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR

@@ -21,7 +21,7 @@ from matcap.lab.simulate.materials.varied import random_material
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.train.corpus import QUALITY, random_setup, srgb_bytes
 from matcap.lab.train.pack import decode
-from matcap.lab.train.precision import mixed
+from matcap.lab.train.trainer import Schedule, Training, mean, mixed
 from matcap.photo.photo import Photo
 from matcap.space.alignment import WIDTH, Alignment
 from matcap.space.encoder import PICTURE_CHANNELS
@@ -91,19 +91,16 @@ def train_alignment(
     batch: int = 24,
     rate: float = 1.5e-3,
     seed: int = 0,
-    tell: Callable[[str], None] = lambda line: None,
+    on_progress: Callable[[str], None] = lambda line: None,
 ) -> Alignment:
-    """Train from nothing: AdamW on a smooth L1 of the angles, the rate falling as a cosine."""
+    """Train from nothing, on a smooth L1 of the angles, the rate falling from the first step on."""
     torch.manual_seed(seed)
     network = Alignment().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=0.02)
+    training = Training(network, {"": rate}, decay=0.0, weight_decay=0.02)
+    schedule = Schedule(steps, 30, steps)
     rng = np.random.default_rng(seed)
-    running = math.nan
+    errors: list[float] = []
     for step in range(steps):
-        for group in optimiser.param_groups:
-            group["lr"] = (
-                rate * min(1.0, (step + 1) / 30) * 0.5 * (1 + math.cos(math.pi * step / steps))
-            )
         chosen = torch.from_numpy(rng.integers(0, len(pool.fov), batch))
         pictures, tilt = mirror(
             pool.pictures[chosen].float(),
@@ -114,15 +111,10 @@ def train_alignment(
         order = torch.from_numpy(np.concatenate([rng.permutation(3), [3, 4]]))
         with mixed("cpu"):
             found = network(pictures[:, order], pool.fov[chosen])
-        loss = F.smooth_l1_loss(found, tilt, beta=0.02)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimiser.step()
-        error = math.degrees(float((found.detach() - tilt).abs().mean()))
-        running = error if step == 0 else 0.98 * running + 0.02 * error
+        training.update(F.smooth_l1_loss(found, tilt, beta=0.02), schedule.share(step))
+        errors.append(math.degrees(float((found.detach() - tilt).abs().mean())))
         if step % 50 == 49:
-            tell(f"step {step + 1}  mean error {running:.2f} degrees")
+            on_progress(f"step {step + 1}  mean error {mean(errors[-50:]):.2f} degrees")
     return network.eval()
 
 

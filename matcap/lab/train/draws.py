@@ -13,9 +13,8 @@ from pathlib import Path
 
 from matcap.lab.measures.variety import Variety, describe_pictures, joined, variety
 from matcap.lab.train.evaluate import UNSEEN
-from matcap.lab.train.journal import first_of_each
 from matcap.lab.train.middles import Middle, middles
-from matcap.lab.train.pack import Pack
+from matcap.lab.train.pack import Pack, first_of_each
 from matcap.lab.train.pages import table
 from matcap.lab.train.pictures import lit, middle, simulated_middle, write_grid
 from matcap.space.prior.store import Prior

@@ -18,7 +18,6 @@ from torch import Tensor, zeros
 
 from matcap.lab.bench.methods import photo_as_albedo
 from matcap.lab.train.align import evaluate_alignment, make
-from matcap.lab.train.journal import first_of_each
 from matcap.lab.train.kept import key_of, once, photograph_key, prior_key
 from matcap.lab.train.measure import (
     DETAIL,
@@ -30,7 +29,7 @@ from matcap.lab.train.measure import (
     judge,
     photographed,
 )
-from matcap.lab.train.pack import Entry, Pack
+from matcap.lab.train.pack import Entry, Pack, first_of_each
 from matcap.lab.train.pages import COLUMNS, median, names, table, write_sheet
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.prior.store import Prior

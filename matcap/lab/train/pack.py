@@ -17,7 +17,6 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from matcap.errors import MatcapError
@@ -25,10 +24,12 @@ from matcap.files.srgb import srgb_decode
 from matcap.files.tensors import write_tensors
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.geometry import FlashSetup
+from matcap.lab.train.trainer import read_tensors
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
 VERSION = 1
+_FORMAT = "matcap-pack"
 HELD_OUT = 12  # materials, of the real ones
 WAVE_DETAIL = 1024  # texels across, of which the waves' frequencies are told
 
@@ -116,6 +117,14 @@ def held_out(materials: Sequence[str]) -> frozenset[str]:
     return frozenset(ordered[:HELD_OUT])
 
 
+def first_of_each(entries: Sequence[Entry]) -> list[Entry]:
+    """The first photograph of every material."""
+    first: dict[str, Entry] = {}
+    for entry in entries:
+        first.setdefault(entry.material, entry)
+    return list(first.values())
+
+
 @dataclass(frozen=True)
 class Pack:
     """Photographs to train on and to report on."""
@@ -151,7 +160,7 @@ class Pack:
             ),
         }
         names = [[e.name, e.material, e.simulated] for e in self.entries]
-        metadata = {"format": "matcap-pack", "version": str(VERSION), "names": json.dumps(names)}
+        metadata = {"format": _FORMAT, "version": str(VERSION), "names": json.dumps(names)}
         write_tensors(path, tensors, metadata)
 
     @staticmethod
@@ -161,20 +170,7 @@ class Pack:
         Raises:
             MatcapError: the file is missing, no pack, or of another version.
         """
-        try:
-            with safe_open(path, framework="pt") as file:
-                metadata = file.metadata() or {}
-                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        except FileNotFoundError as error:
-            raise MatcapError("there is no such pack", where=str(path), remedy=_REMEDY) from error
-        except (SafetensorError, OSError) as error:
-            raise MatcapError(
-                f"the pack cannot be read ({error})", where=str(path), remedy=_REMEDY
-            ) from error
-        if metadata.get("format") != "matcap-pack" or metadata.get("version") != str(VERSION):
-            raise MatcapError(
-                f"this is no pack of version {VERSION}", where=str(path), remedy=_REMEDY
-            )
+        metadata, tensors = read_tensors(path, (_FORMAT, VERSION), "pack", _REMEDY)
         names = json.loads(metadata["names"])
         ends = tensors["length"].cumsum(0).tolist()
         data = tensors["jpeg"].numpy()

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.render import shade
-from matcap.lab.train.precision import mixed
+from matcap.lab.train.trainer import mixed
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.filterbank import FilterBank

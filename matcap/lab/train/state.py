@@ -1,4 +1,4 @@
-"""How a prior is trained, and all that training changes."""
+"""How a prior is trained: its settings, its networks, and where training starts."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import torch
 from torch import nn
 
 from matcap.errors import UsageError
+from matcap.lab.train.trainer import Training
 from matcap.space.decoder import Decoder, DecoderConfig
 from matcap.space.encoder import Encoder, EncoderConfig
 from matcap.space.prior.base import start_head
@@ -25,8 +26,8 @@ class TrainConfig:
         window: texels a side, MARGIN short of a multiple of 16 on either side.
         real_share: of the photographs drawn that are real.
         coarse_share: of the photographs drawn that are looked at with half the detail.
-        rate, encoder_rate: Adam's, of decoder and encoder.
-        weight_decay: Adam's.
+        rate, encoder_rate: AdamW's, of decoder and encoder.
+        weight_decay: AdamW's.
         kl: weight of the KL term, per dimension of the code.
         kl_warmup: steps until it counts in full.
         slope: weight of the mean squared slope, and of slopes too steep or too fine (step.py).
@@ -69,36 +70,16 @@ class Model(nn.Module):
         start_head(self.decoder)
 
 
-@dataclass
-class TrainingState:
-    """All that training changes."""
-
-    model: Model
-    average: Model
-    optimiser: torch.optim.Adam
-    step: int = 0
-
-
-def start(config: TrainConfig, device: str) -> TrainingState:
+def start(config: TrainConfig, device: str) -> Training[Model]:
     """An untrained state."""
     torch.manual_seed(config.seed)
     model = Model(config.encoder, config.decoder)
-    average = Model(config.encoder, config.decoder)
-    average.load_state_dict(model.state_dict())
-    for module in (model, average):
-        module.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimiser = torch.optim.Adam(
-        [
-            {"params": list(model.encoder.parameters()), "lr": config.encoder_rate},
-            {"params": list(model.decoder.parameters()), "lr": config.rate},
-        ],
-        betas=(0.9, 0.99),
-        weight_decay=config.weight_decay,
-    )
-    return TrainingState(model, average.requires_grad_(False), optimiser)
+    model.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    rates = {"encoder.": config.encoder_rate, "decoder.": config.rate}
+    return Training(model, rates, decay=config.average, weight_decay=config.weight_decay)
 
 
-def start_from(prior: Prior, config: TrainConfig, device: str) -> TrainingState:
+def start_from(prior: Prior, config: TrainConfig, device: str) -> Training[Model]:
     """The state that goes on from a prior's networks, with an optimiser that knows nothing yet.
 
     Raises:

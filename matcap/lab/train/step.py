@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.field.plane import Rectangle
-from matcap.lab.train.precision import mixed
 from matcap.lab.train.second_teacher import comb, relief_distance, relit_distance, side_light
-from matcap.lab.train.state import TrainConfig, TrainingState
+from matcap.lab.train.state import Model, TrainConfig
+from matcap.lab.train.trainer import mixed
 from matcap.lab.train.training_windows import TrainingSample
 from matcap.space.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw
 from matcap.space.grains import grain_field
@@ -34,58 +34,40 @@ _STEEP, _COMB = 15.0, 25.0  # of what is too steep and too fine, beside the mean
 _MOST_SLOPE = 1.0  # of a surface, root mean square at a texel, before it is held back hard
 
 
-def train_step(
-    state: TrainingState,
-    samples: list[TrainingSample],
+def step_loss(
+    model: Model,
+    step: int,
+    samples: Sequence[TrainingSample],
     config: TrainConfig,
     bank: FilterBank,
     device: str,
-) -> dict[str, float]:
-    """One step of Adam; returns the parts of the loss."""
-    factor = schedule(state.step, config.steps)
-    for group, rate in zip(
-        state.optimiser.param_groups, (config.encoder_rate, config.rate), strict=True
-    ):
-        group["lr"] = rate * factor
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Loss of a step, and its parts."""
     samples = [s.to(device) for s in samples]
     pictures = torch.stack([s.picture for s in samples]).to(device)
     numbers = torch.stack([s.numbers for s in samples]).to(device)
     wanted = targets(samples, bank, device)
     told = torch.stack([texture(target) for target in wanted])
     with mixed(device):
-        mean, log_variance = state.model.encoder(pictures, numbers, told)
-    noise_seed = config.seed * 1_000_003 + state.step
+        mean, log_variance = model.encoder(pictures, numbers, told)
+    noise_seed = config.seed * 1_000_003 + step
     generator = torch.Generator().manual_seed(noise_seed)
     drawn = torch.randn(mean.shape, generator=generator).to(device)
     code = mean + torch.exp(0.5 * log_variance) * drawn
-    maps = decode_windows(state.model.decoder, code, samples, noise_seed, device)
+    maps = decode_windows(model.decoder, code, samples, noise_seed, device)
     losses, slopes = compare(maps, samples, wanted, bank, device)
     kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()
-    warm = min(1.0, state.step / max(1, config.kl_warmup))
+    warm = min(1.0, step / max(1, config.kl_warmup))
     # The logarithm keeps one plain material, whose faint statistics are easily missed by a large
     # factor, from drowning the others.
-    loss = torch.log1p(losses).mean() + config.kl * warm * kl + config.slope * slopes.mean()
+    style = torch.log1p(losses).mean()
+    parts = {"style": style, "kl": kl, "slope": slopes.mean()}
+    loss = style + config.kl * warm * kl + config.slope * slopes.mean()
     relit = taught(maps, samples, noise_seed, bank, device) if config.relit else None
     if relit is not None:
         loss = loss + config.relit * relit.sum() / len(samples)
-    state.optimiser.zero_grad(set_to_none=True)
-    loss.backward()
-    nn.utils.clip_grad_norm_(state.model.parameters(), 1.0)
-    state.optimiser.step()
-    state.step += 1
-    decay = min(config.average, state.step / (state.step + 10.0))
-    with torch.no_grad():
-        for kept, new in zip(state.average.parameters(), state.model.parameters(), strict=True):
-            kept.lerp_(new, 1.0 - decay)
-    parts = {"style": torch.log1p(losses).mean(), "kl": kl, "slope": slopes.mean()}
-    if relit is not None:
         parts["relit"] = relit.mean()
-    return {name: float(value.detach()) for name, value in parts.items()}
-
-
-def schedule(step: int, steps: int) -> float:
-    """Share of the learning rate: a short warm-up, flat, and down over the last quarter."""
-    return min(1.0, (step + 1) / 50.0) * min(1.0, max(0.02, 4.0 * (1.0 - step / steps)))
+    return loss, parts
 
 
 def targets(samples: Sequence[TrainingSample], bank: FilterBank, device: str) -> list[Descriptor]:

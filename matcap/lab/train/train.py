@@ -3,34 +3,36 @@
 Each step takes a few materials. The encoder sees each whole photograph, a code is drawn, the
 decoder turns fresh noise and that code into maps, and the maps are lit and seen as at several
 places of the photograph and compared with what is there (statistics/compare.py). A KL term, warmed
-up, keeps codes near a standard normal.
-
-Everything random in a step follows from (seed, step), so weights, optimiser and step are the whole
-state: a run killed at any time goes on from its last checkpoint as if nothing had happened.
-Imports torch, numpy, cv2 and safetensors alone. Runs on the CPU and on CUDA, in bfloat16 where the
-device multiplies it (precision.py).
+up, keeps codes near a standard normal. The run itself is trainer.py's, curves and checkpoints too.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from matcap.lab.train.checkpoint import load_checkpoint, save_checkpoint
 from matcap.lab.train.corpus import true_piece
-from matcap.lab.train.journal import Journal
 from matcap.lab.train.pack import Entry, Pack
-from matcap.lab.train.state import TrainConfig, TrainingState, start, start_from
-from matcap.lab.train.step import train_step
+from matcap.lab.train.sheet import held_out_loss
+from matcap.lab.train.state import Model, TrainConfig, start, start_from
+from matcap.lab.train.step import step_loss
+from matcap.lab.train.trainer import Reporting, Schedule, Training, fit
 from matcap.lab.train.training_windows import PreparedPhotograph, Turn, cut, prepare
 from matcap.space.prior.look import FEATURES
 from matcap.space.prior.store import Prior
 from matcap.statistics.filterbank import FilterBank
 
 _PIECE = 512  # texels a side of the true maps that windows are cut from
+_WARM_UP = 50  # steps
+
+
+def schedule(steps: int) -> Schedule:
+    """A short warm-up, flat, and down over the last quarter."""
+    return Schedule(steps, _WARM_UP, steps / 4.0, 0.02)
 
 
 def train(
@@ -41,32 +43,30 @@ def train(
     resume: bool = False,
     prior: Prior | None = None,
     device: str = "cpu",
-    tell: Callable[[str], None] = lambda line: None,
-) -> TrainingState:
-    """Train until config.steps, writing checkpoints, curves and pictures into a folder.
+    on_progress: Callable[[str], None] = lambda line: None,
+) -> Training[Model]:
+    """Train until config.steps, writing checkpoints, curves and a sheet into a folder.
 
     Begins with nothing, or with a prior's networks, or where a checkpoint in the folder ends.
 
     Raises:
         MatcapError: the checkpoint to resume from is missing, broken or of another shape.
     """
-    state = start(config, device) if prior is None else start_from(prior, config, device)
+    training = start(config, device) if prior is None else start_from(prior, config, device)
     if resume:
-        load_checkpoint(out / "checkpoint.safetensors", state)
+        training.load(out)
     out.mkdir(parents=True, exist_ok=True)
-    journal = Journal(out, state.step)
-    sources: dict[str, PreparedPhotograph] = {}
+    bank = FilterBank(FEATURES)
+    prepared: dict[str, PreparedPhotograph] = {}
 
     def source(entry: Entry) -> PreparedPhotograph:
-        if entry.name not in sources:
+        if entry.name not in prepared:
             truth = true_piece(entry, _PIECE) if config.relit else None
-            sources[entry.name] = prepare(entry, config.encoder.width, truth)
-        return sources[entry.name]
+            prepared[entry.name] = prepare(entry, config.encoder.width, truth)
+        return prepared[entry.name]
 
-    bank = FilterBank(FEATURES)
-    saved = time.monotonic()
-    while state.step < config.steps:
-        rng = np.random.default_rng([config.seed, state.step])
+    def loss_of(step: int) -> tuple[Tensor, Mapping[str, Tensor]]:
+        rng = np.random.default_rng([config.seed, step])
         turn = Turn(bool(rng.integers(2)), int(rng.integers(4)))
         samples = [
             cut(
@@ -75,15 +75,18 @@ def train(
             )
             for entry in draw(pack.training, config, rng)
         ]  # fmt: skip
-        journal.note(state.step, train_step(state, samples, config, bank, device))
-        if state.step % config.report_every == 0 or state.step == config.steps:
-            journal.report(state, pack, source, config, bank, device)
-            tell(journal.line)
-        if time.monotonic() - saved > 60.0 * config.checkpoint_minutes:
-            save_checkpoint(out / "checkpoint.safetensors", state)
-            saved = time.monotonic()
-    save_checkpoint(out / "checkpoint.safetensors", state)
-    return state
+        return step_loss(training.model, step, samples, config, bank, device)
+
+    def measure() -> Mapping[str, float]:
+        with torch.no_grad():
+            found = held_out_loss(
+                training.average, pack, source, config, (bank, device), out / "sheet.png"
+            )
+        return {"held_out": found}
+
+    told = Reporting(config.report_every, config.checkpoint_minutes, measure, on_progress)
+    fit(training, loss_of, schedule(config.steps), out, told)
+    return training
 
 
 def draw(entries: Sequence[Entry], config: TrainConfig, rng: np.random.Generator) -> list[Entry]:

@@ -16,9 +16,10 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_iter, tree_map
 
 from matcap.capture.piece.network.inputs import network_inputs
-from matcap.capture.piece.network.network import InverseConfig
-from matcap.lab.inverse.samples import draw_sample
-from matcap.lab.inverse.train import State, TrainSettings, train_step
+from matcap.capture.piece.network.network import Inverse, InverseConfig
+from matcap.lab.inverse.samples import Sample, draw_sample
+from matcap.lab.inverse.train import TrainSettings, start, step_loss
+from matcap.lab.train.trainer import Training
 
 AWAY = "meta"
 TINY = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)
@@ -106,9 +107,19 @@ def test_the_played_device_tells_strangers_apart() -> None:
 def test_a_step_stays_on_its_device() -> None:
     sample = draw_sample(2, 64, 64)
     inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
-    expected = train_step(State(TINY, "cpu"), [(inputs.stacked(), sample)], TrainSettings())
+    settings = TrainSettings()
+    expected = stepped(start(TINY, settings), inputs.stacked(), sample, settings)
     with Played():
-        state = State(TINY, AWAY)
-        found = train_step(state, [(inputs.stacked(), sample)], TrainSettings(device=AWAY))
+        away = TrainSettings(device=AWAY)
+        training = start(TINY, away)
+        found = stepped(training, inputs.stacked(), sample, away)
     assert found == pytest.approx(expected, rel=1e-3)
-    assert all(p.device.type == AWAY for p in state.model.parameters())
+    assert all(p.device.type == AWAY for p in training.model.parameters())
+
+
+def stepped(
+    training: Training[Inverse], inputs: Tensor, sample: Sample, settings: TrainSettings
+) -> dict[str, float]:
+    loss, parts = step_loss(training.model, 0, [(inputs, sample)], settings)
+    training.update(loss, 1.0)
+    return {name: float(part.detach()) for name, part in parts.items()}

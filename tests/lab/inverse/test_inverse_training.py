@@ -18,7 +18,7 @@ from matcap.lab.inverse.train import TrainSettings, ship, train
 from matcap.lab.simulate.materials import random_material
 
 TINY = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)
-SMALL = TrainSettings(width=64, height=64, workers=0, save_every=1000)
+SMALL = TrainSettings(width=64, height=64, workers=0)
 
 
 def test_a_sample_is_a_function_of_its_number() -> None:
@@ -90,7 +90,7 @@ def test_a_first_leg_goes_on_from_a_shipped_network(tmp_path: Path) -> None:
     before, _ = read_inverse(tmp_path / "before.safetensors")
     none = TrainSettings(**{**vars(SMALL), "steps": 0})
     state = train(tmp_path / "leg", none, TINY, _quiet, begin=tmp_path / "before.safetensors")
-    assert state.step == 0 and state.origin == {"steps": 7}
+    assert state.step == 0 and state.about["origin"] == {"steps": 7}
     for a, b in zip(before.parameters(), state.average.parameters(), strict=True):
         assert torch.equal(a, b)
 
@@ -112,10 +112,10 @@ def test_what_is_shipped_may_lie_on_the_way(tmp_path: Path) -> None:
 
 def test_the_rate_warms_up_stays_and_falls_to_nothing() -> None:
     cooled = TrainSettings(steps=10_000, rate=1e-3, cooling=4_000)
-    rates = [cooled.rate_at(step) for step in (1, 200, 6_000, 8_000, 10_000, 10_001)]
-    assert rates == pytest.approx([5e-6, 1e-3, 1e-3, 5e-4, 0.0, 0.0])
+    rates = [cooled.schedule.share(step) for step in (0, 199, 6_000, 8_000, 10_000, 10_001)]
+    assert rates == pytest.approx([5e-3, 1.0, 1.0, 0.5, 0.0, 0.0])
     # A leg without cooling knows nothing of its end.
-    assert TrainSettings(steps=10_000, rate=1e-3).rate_at(10_000) == 1e-3
+    assert TrainSettings(steps=10_000).schedule.share(10_000) == 1.0
 
 
 def test_a_few_steps_on_one_picture_lower_its_loss() -> None:

@@ -168,7 +168,7 @@ def test_a_real_sample_is_a_function_of_its_number(packed: Path) -> None:
 
 def test_other_files_are_no_packed_maps(tmp_path: Path) -> None:
     (tmp_path / "maps.pack").write_bytes(b"nothing of the kind")
-    with pytest.raises(MatcapError, match="no packed maps"):
+    with pytest.raises(MatcapError, match="pack of maps cannot be read"):
         open_pack(tmp_path / "maps.pack")
     with pytest.raises(MatcapError, match="no map sets"):
         pack(tmp_path, tmp_path / "out.pack")

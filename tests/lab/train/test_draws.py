@@ -5,9 +5,8 @@ from small import entry
 from matcap.cli.main import main
 from matcap.lab.train import pictures
 from matcap.lab.train.draws import VarietySettings, run_variety
-from matcap.lab.train.journal import first_of_each
 from matcap.lab.train.middles import PAIRS, middles
-from matcap.lab.train.pack import Pack
+from matcap.lab.train.pack import Pack, first_of_each
 
 
 def test_the_page_tells_what_was_measured(prior, pack, tmp_path, monkeypatch):

@@ -1,0 +1,287 @@
+"""One trainer for every network: AdamW, averaged weights, schedule, checkpoints and curves.
+
+Everything random in a step follows from its number, so weights, moments and step are the whole
+state: a run killed at any time goes on from its last checkpoint as if nothing had happened. What a
+network is trained on and by stands beside it: train/prior.py, inverse/train.py.
+"""
+
+from __future__ import annotations
+
+import copy
+import csv
+import json
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor, nn
+
+from matcap.errors import MatcapError
+from matcap.files.staging import staged_file
+from matcap.files.tensors import write_tensors
+from matcap.statistics.precision import computes_bfloat16
+
+Network = TypeVar("Network", bound=nn.Module)
+
+CHECKPOINT, CURVES = "checkpoint.safetensors", "curves.csv"
+_FORMAT, _VERSION = "matcap-checkpoint", 2
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+_BETAS = (0.9, 0.99)
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How the learning rate goes over the steps, and when training ends."""
+
+    steps: int
+    """To have done in all."""
+
+    warm_up: int
+    """Steps over which the rate rises."""
+
+    cooling: float = 0.0
+    """Steps before the last over which it falls; 0 for a run that knows nothing of its end."""
+
+    least: float = 0.0
+    """Share that it falls to."""
+
+    seconds: float = math.inf
+    """To end after, if sooner."""
+
+    def share(self, step: int) -> float:
+        """Of the learning rate, at a step counted from 0."""
+        left = (self.steps - step) / self.cooling if self.cooling else 1.0
+        return min(1.0, (step + 1) / self.warm_up) * min(1.0, max(self.least, left, 0.0))
+
+
+class Training(Generic[Network]):
+    """All that training changes: a network, its running average, AdamW's moments, and the step.
+
+    The average is what is shipped.
+    """
+
+    def __init__(
+        self,
+        model: Network,
+        rates: Mapping[str, float],
+        *,
+        decay: float,
+        weight_decay: float = 0.0,
+    ) -> None:
+        """Begin with a network.
+
+        Args:
+            model: the network, on its device.
+            rates: AdamW's, by a prefix of its parameters' names.
+            decay: of the running average.
+            weight_decay: AdamW's.
+        """
+        self.model, self.average = model, copy.deepcopy(model).requires_grad_(False)
+        self.step, self._decay = 0, decay
+        self.about: dict[str, Any] = {}
+        self._rates = list(rates.values())
+        groups = [
+            {"params": [p for name, p in model.named_parameters() if name.startswith(prefix)]}
+            for prefix in rates
+        ]
+        self.optimiser = torch.optim.AdamW(
+            groups, self._rates[0], betas=_BETAS, weight_decay=weight_decay
+        )
+
+    def update(self, loss: Tensor, share: float) -> None:
+        """One step of AdamW, with gradients of a norm of at most 1, and of the average.
+
+        A loss without a finite gradient, one unlucky picture's, moves nothing.
+
+        Args:
+            loss: a scalar of the model.
+            share: of the rates (Schedule).
+        """
+        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * share
+        parameters: list[Tensor] = list(self.model.parameters())
+        gradients = torch.autograd.grad(loss, parameters)
+        self.step += 1
+        norm = torch.stack(torch._foreach_norm(gradients)).norm()
+        if bool(torch.isfinite(norm)):
+            least = norm.clamp_min(1.0)
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter.grad = gradient / least
+            self.optimiser.step()
+            self.optimiser.zero_grad(set_to_none=True)
+        decay = min(self._decay, self.step / (self.step + 10.0))
+        with torch.no_grad():
+            torch._foreach_lerp_(list(self.average.parameters()), parameters, 1.0 - decay)
+
+    def save(self, folder: Path) -> None:
+        """Write the checkpoint; whole or not at all."""
+        about = {"format": _FORMAT, "version": str(_VERSION), "step": str(self.step)}
+        write_tensors(
+            folder / CHECKPOINT, self._tensors(), {**about, "about": json.dumps(self.about)}
+        )
+
+    def load(self, folder: Path) -> None:
+        """Go on where a checkpoint was written.
+
+        Raises:
+            MatcapError: it is missing, broken, or belongs to another configuration; the tensor
+                that differs is named.
+        """
+        path = folder / CHECKPOINT
+        remedy = "start again, in another folder or without --resume"
+        told, found = read_tensors(path, (_FORMAT, _VERSION), "checkpoint", remedy)
+        self._begin_optimiser()
+        for name, tensor in self._tensors().items():
+            if name not in found or found[name].shape != tensor.shape:
+                has = tuple(found[name].shape) if name in found else "nothing"
+                raise MatcapError(
+                    f"tensor '{name}' should be {tuple(tensor.shape)} and is {has}",
+                    where=str(path),
+                    remedy="use the configuration it was trained with",
+                )
+            with torch.no_grad():
+                tensor.copy_(found[name])
+        self.step, self.about = int(told["step"]), json.loads(told["about"])
+
+    def _tensors(self) -> dict[str, Tensor]:
+        """Every tensor, by name; writing into them changes the state."""
+        tensors = {f"model.{k}": v for k, v in self.model.state_dict().items()}
+        tensors |= {f"average.{k}": v for k, v in self.average.state_dict().items()}
+        for name, parameter in self.model.named_parameters():
+            for key, value in self.optimiser.state.get(parameter, {}).items():
+                tensors[f"optimiser.{key}.{name}"] = value
+        return tensors
+
+    def _begin_optimiser(self) -> None:
+        """Give AdamW the state it would only make in its first step."""
+        for parameter in self.model.parameters():
+            moments = {name: torch.zeros_like(parameter) for name in _MOMENTS}
+            self.optimiser.state[parameter] = {"step": torch.zeros(()), **moments}
+
+
+@dataclass(frozen=True)
+class Reporting:
+    """What a run writes as it goes."""
+
+    every: int
+    """Steps between rows of the curves."""
+
+    minutes: float
+    """Between checkpoints."""
+
+    measure: Callable[[], Mapping[str, float]] = field(default=dict)
+    """More columns, measured when a row is written."""
+
+    on_progress: Callable[[str], None] = field(default=lambda _line: None)
+    """Called with each row."""
+
+
+# A step's loss, and its parts.
+LossOf = Callable[[int], tuple[Tensor, Mapping[str, Tensor]]]
+
+
+def fit(
+    training: Training[Network], loss_of: LossOf, schedule: Schedule, folder: Path, told: Reporting
+) -> None:
+    """Train until the schedule ends, writing checkpoints and curves into a folder.
+
+    Args:
+        training: changed in place.
+        loss_of: of a step by its number.
+        schedule: of rate and end.
+        folder: made when missing.
+        told: what is written.
+    """
+    curves = Curves(folder / CURVES, training.step)
+    began = saved = time.monotonic()
+    while training.step < schedule.steps and time.monotonic() - began < schedule.seconds:
+        loss, parts = loss_of(training.step)
+        training.update(loss, schedule.share(training.step))
+        curves.note({name: float(part.detach()) for name, part in parts.items()})
+        if training.step % told.every == 0 or training.step == schedule.steps:
+            told.on_progress(curves.write(training.step, told.measure()))
+        if time.monotonic() - saved > 60.0 * told.minutes:
+            training.save(folder)
+            saved = time.monotonic()
+    training.save(folder)
+
+
+class Curves:
+    """A CSV of losses over steps; continues that of the run it resumes."""
+
+    def __init__(self, path: Path, step: int) -> None:
+        self._path, self._notes = path, list[Mapping[str, float]]()
+        self._rows: list[dict[str, float]] = []
+        if step and path.is_file():
+            with path.open(encoding="utf-8") as file:
+                read = [{k: float(v or "nan") for k, v in r.items()} for r in csv.DictReader(file)]
+            self._rows = [row for row in read if row["step"] <= step]
+        self._before = self._rows[-1]["seconds"] if self._rows else 0.0
+        self._started = time.monotonic()
+
+    def note(self, parts: Mapping[str, float]) -> None:
+        """One step's losses."""
+        self._notes.append(parts)
+
+    def write(self, step: int, more: Mapping[str, float]) -> str:
+        """A row of means since the last one, and more; gives it as a line."""
+        seconds = self._before + time.monotonic() - self._started
+        names = dict.fromkeys(name for note in self._notes for name in note)
+        row = {"step": float(step), "seconds": seconds}
+        row |= {name: mean([n[name] for n in self._notes if name in n]) for name in names}
+        self._rows.append({**row, **more})
+        self._notes.clear()
+        columns = list(dict.fromkeys(name for row in self._rows for name in row))
+        with staged_file(self._path) as path, path.open("w", newline="") as file:
+            writer = csv.DictWriter(file, columns, restval=math.nan, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self._rows)
+        return "  ".join(f"{name} {value:.4g}" for name, value in self._rows[-1].items())
+
+
+def read_tensors(
+    path: Path, kind: tuple[str, int], what: str, remedy: str
+) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """Metadata and tensors of a file of a format and version.
+
+    Args:
+        path: of the file.
+        kind: its metadata's "format" and "version".
+        what: it is called.
+        remedy: where it cannot be read.
+
+    Raises:
+        MatcapError: it is missing or broken, or of another kind.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            told = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except FileNotFoundError as error:
+        raise MatcapError(f"there is no such {what}", where=str(path), remedy=remedy) from error
+    except (SafetensorError, OSError) as error:
+        raise MatcapError(
+            f"the {what} cannot be read ({error})", where=str(path), remedy=remedy
+        ) from error
+    if (told.get("format"), told.get("version")) != (kind[0], str(kind[1])):
+        raise MatcapError(f"this is no {what} of version {kind[1]}", where=str(path), remedy=remedy)
+    return told, tensors
+
+
+def mixed(device: str) -> torch.autocast:
+    """A context in which networks and features are computed in bfloat16 on a device.
+
+    A processor that has to emulate bfloat16 computes in float32, in a third of the time.
+    """
+    kind = torch.device(device).type
+    return torch.autocast(kind, torch.bfloat16, enabled=kind != "cpu" or computes_bfloat16())
+
+
+def mean(values: Sequence[float]) -> float:
+    """Of values; NaN of none."""
+    return sum(values) / len(values) if values else math.nan
