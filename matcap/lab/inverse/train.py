@@ -31,14 +31,14 @@ from matcap.lab.inverse.samples import (
     Sample,
     draw_sample,
 )
-from matcap.lab.train.trainer import CHECKPOINT, Reporting, Schedule, Training, fit
+from matcap.lab.train.trainer import CHECKPOINT, RateSchedule, Reporting, Training, fit
 
 _AHEAD = 4  # samples made before they are wanted
 _WARM_UP = 200  # steps
 _REPORTED = 50  # steps
 _MINUTES = 2.0  # between checkpoints
 
-Batch = list[tuple[Tensor, Sample]]  # inputs and truth, of one size
+SampleBatch = list[tuple[Tensor, Sample]]  # inputs and truth, of one size
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,9 @@ class TrainSettings:
     real: float = REAL_SHARE
 
     @property
-    def schedule(self) -> Schedule:
+    def schedule(self) -> RateSchedule:
         """Of rate and end."""
-        return Schedule(self.steps, _WARM_UP, self.cooling, seconds=self.seconds)
+        return RateSchedule(self.steps, _WARM_UP, self.cooling, seconds=self.seconds)
 
 
 def start(config: InverseConfig, settings: TrainSettings) -> Training[Inverse]:
@@ -128,7 +128,11 @@ def train(
 
 
 def step_loss(
-    model: Inverse, step: int, batch: Batch, settings: TrainSettings, compare: Compare = compared
+    model: Inverse,
+    step: int,
+    batch: SampleBatch,
+    settings: TrainSettings,
+    compare: Compare = compared,
 ) -> tuple[Tensor, Mapping[str, Tensor]]:
     """Loss of a step, and its parts.
 
@@ -151,7 +155,7 @@ def step_loss(
     return total(parts, replace(weights, style=weights.style * settings.style_every)), parts
 
 
-def _samples(step: int, settings: TrainSettings) -> Generator[Batch, None, None]:
+def _samples(step: int, settings: TrainSettings) -> Generator[SampleBatch, None, None]:
     """Batches from a step on, made ahead by worker processes."""
     if settings.workers == 0:
         while True:

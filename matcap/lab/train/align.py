@@ -21,7 +21,7 @@ from matcap.lab.simulate.materials.varied import random_material
 from matcap.lab.simulate.photograph import PhoneCamera, expose, take
 from matcap.lab.train.corpus import QUALITY, random_setup, srgb_bytes
 from matcap.lab.train.pack import decode
-from matcap.lab.train.trainer import Schedule, Training, mean, mixed
+from matcap.lab.train.trainer import RateSchedule, Training, mean, mixed
 from matcap.photo.photo import Photo
 from matcap.space.alignment import WIDTH, Alignment
 from matcap.space.encoder import PICTURE_CHANNELS
@@ -97,7 +97,7 @@ def train_alignment(
     torch.manual_seed(seed)
     network = Alignment().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     training = Training(network, {"": rate}, decay=0.0, weight_decay=0.02)
-    schedule = Schedule(steps, 30, steps)
+    schedule = RateSchedule(steps, 30, steps)
     rng = np.random.default_rng(seed)
     errors: list[float] = []
     for step in range(steps):

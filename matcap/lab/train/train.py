@@ -20,7 +20,7 @@ from matcap.lab.train.pack import Entry, Pack
 from matcap.lab.train.sheet import held_out_loss
 from matcap.lab.train.state import Model, TrainConfig, start, start_from
 from matcap.lab.train.step import step_loss
-from matcap.lab.train.trainer import Reporting, Schedule, Training, fit
+from matcap.lab.train.trainer import RateSchedule, Reporting, Training, fit
 from matcap.lab.train.training_windows import PreparedPhotograph, Turn, cut, prepare
 from matcap.space.prior.look import FEATURES
 from matcap.space.prior.store import Prior
@@ -30,9 +30,9 @@ _PIECE = 512  # texels a side of the true maps that windows are cut from
 _WARM_UP = 50  # steps
 
 
-def schedule(steps: int) -> Schedule:
+def schedule(steps: int) -> RateSchedule:
     """A short warm-up, flat, and down over the last quarter."""
-    return Schedule(steps, _WARM_UP, steps / 4.0, 0.02)
+    return RateSchedule(steps, _WARM_UP, steps / 4.0, 0.02)
 
 
 def train(

@@ -26,7 +26,7 @@ from matcap.files.staging import staged_file
 from matcap.files.tensors import write_tensors
 from matcap.statistics.precision import computes_bfloat16
 
-Network = TypeVar("Network", bound=nn.Module)
+Trained = TypeVar("Trained", bound=nn.Module)
 
 CHECKPOINT, CURVES = "checkpoint.safetensors", "curves.csv"
 _FORMAT, _VERSION = "matcap-checkpoint", 2
@@ -35,7 +35,7 @@ _BETAS = (0.9, 0.99)
 
 
 @dataclass(frozen=True)
-class Schedule:
+class RateSchedule:
     """How the learning rate goes over the steps, and when training ends."""
 
     steps: int
@@ -59,7 +59,7 @@ class Schedule:
         return min(1.0, (step + 1) / self.warm_up) * min(1.0, max(self.least, left, 0.0))
 
 
-class Training(Generic[Network]):
+class Training(Generic[Trained]):
     """All that training changes: a network, its running average, AdamW's moments, and the step.
 
     The average is what is shipped.
@@ -67,7 +67,7 @@ class Training(Generic[Network]):
 
     def __init__(
         self,
-        model: Network,
+        model: Trained,
         rates: Mapping[str, float],
         *,
         decay: float,
@@ -100,7 +100,7 @@ class Training(Generic[Network]):
 
         Args:
             loss: a scalar of the model.
-            share: of the rates (Schedule).
+            share: of the rates (RateSchedule).
         """
         for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
             group["lr"] = rate * share
@@ -186,7 +186,11 @@ LossOf = Callable[[int], tuple[Tensor, Mapping[str, Tensor]]]
 
 
 def fit(
-    training: Training[Network], loss_of: LossOf, schedule: Schedule, folder: Path, told: Reporting
+    training: Training[Trained],
+    loss_of: LossOf,
+    schedule: RateSchedule,
+    folder: Path,
+    told: Reporting,
 ) -> None:
     """Train until the schedule ends, writing checkpoints and curves into a folder.
 
