@@ -3,9 +3,9 @@
     python tests/faults.py            all of them
     python tests/faults.py area plan  those whose names hold one of these words
 
-A fault (fault_list.py) is one piece of text replaced in one file; it is caught when one of the
-tests named with it fails. First the tests must pass as they are. test_faults.py runs a shorter
-form.
+A fault (fault_list.py) is one expression or statement of a function replaced (mutate.py); it is
+caught when one of the tests named with it fails. First the tests must pass as they are.
+test_faults.py runs a shorter form.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 
 from fault_list import FAULTS, Fault
+from mutate import mutated
 
 ROOT = Path(__file__).parents[1]
 
@@ -51,17 +52,13 @@ def caught(fault: Fault, place: Path) -> bool:
     """Whether the tests of a copy catch a fault.
 
     Raises:
-        ValueError: its text is not there once.
+        mutate.Gone: its place is not there once.
     """
-    file = place / "matcap" / fault.file
-    text = (ROOT / "matcap" / fault.file).read_text()
-    if text.count(fault.right) != 1:
-        raise ValueError(
-            f"{fault.name}: its text is in {fault.file} {text.count(fault.right)} times"
-        )
+    original, text = mutated(ROOT / "matcap", fault.where, fault.right, fault.wrong)
+    file = place / original.relative_to(ROOT)
     file.unlink()
-    file.write_text(text.replace(fault.right, fault.wrong))
-    compiled = [file.parent / one.name for one in _built(ROOT / "matcap" / fault.file)]
+    file.write_text(text)
+    compiled = [file.parent / one.name for one in _built(original)]
     for library in compiled:
         library.unlink()
         subprocess.run(
@@ -70,11 +67,11 @@ def caught(fault: Fault, place: Path) -> bool:
             check=True,
         )  # fmt: skip
     try:
-        return not passes(fault.tests, place)
+        return not passes(fault.command, place)
     finally:
         for one in (file, *compiled):
             one.unlink()
-            one.symlink_to(ROOT / "matcap" / one.relative_to(place / "matcap"))
+            one.symlink_to(ROOT / one.relative_to(place))
 
 
 def _built(file: Path) -> list[Path]:
@@ -90,7 +87,7 @@ def main() -> None:
         place = Path(folder) / "copy"
         place.mkdir()
         copied(place)
-        for tests in sorted({fault.tests for fault in chosen}):
+        for tests in sorted({fault.command for fault in chosen}):
             if not passes(tests, place):
                 sys.exit(f"{' '.join(tests)} fails without any fault")
         for fault in chosen:
