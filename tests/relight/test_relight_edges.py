@@ -11,7 +11,7 @@ from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.files.exr import write_exr, write_exr_channels
-from matcap.relight.foreign import read_foreign
+from matcap.relight.foreign.read import read_foreign
 from matcap.relight.render import Renderer, relight
 from matcap.relight.scene import (
     Camera,
