@@ -120,7 +120,7 @@ FAULTS = (
     Fault("photographs: no vignetting", "relight Renderer.render", "view.vignetted", "False",
           "relight/test_relight_photographed.py -k straight_above"),
     Fault("photographs: a camera that is never rolled", "relight photographed_scene",
-          "_vector(stood(setup, __))",
+          "_vector(stood(setup, setup_rotation(setup).T @ __))",
           "(0.0, 1.0, 0.0)", "relight/test_relight_photographed.py -k tilted"),
     Fault("tiles: parts of a light weigh differently", "relight _points",
           "1 if not parts else 2 if around else 4", "1 if parts else 2 if around else 4",
