@@ -1,7 +1,8 @@
 """Write docs/reference again: `python docs/tools/make_reference.py`.
 
-Nothing in its pages is written by hand: commands, Python, file formats and exit codes come from
-the code. tests/docs fails while a page says anything else.
+Nothing in these pages is written by hand: commands, Python, file formats and exit codes come from
+the code. tests/docs fails while a page says anything else. What files of others are read is said by
+hand, in BY_HAND.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ PAGES: Mapping[str, Callable[[], str]] = {
     "file-formats.md": formats.page,
     "exit-codes.md": exit_codes.page,
 }
+BY_HAND = ("inputs.md",)
 
 
 def written(name: str) -> str:

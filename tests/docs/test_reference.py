@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import typer.main
-from make_reference import FOLDER, PAGES, written
+from make_reference import BY_HAND, FOLDER, PAGES, written
 from reference import commands, docstrings, exit_codes, formats, interface
 from safetensors import safe_open
 
@@ -19,6 +19,7 @@ from matcap.errors import ExitCode
 from matcap.example.example import Example
 from matcap.example.exemplar import CHANNELS, Exemplar
 from matcap.relight import scenefile
+from matcap.relight.foreign import names
 from matcap.relight.scene import Camera, Film, Surface
 
 
@@ -30,7 +31,18 @@ def test_pages_are_as_new_as_the_code(name):
 
 
 def test_no_other_page_is_there():
-    assert {file.name for file in FOLDER.iterdir()} == set(PAGES)
+    assert {file.name for file in FOLDER.iterdir()} == {*PAGES, *BY_HAND}
+
+
+def test_inputs_tell_every_kind_of_file_and_packing_that_is_read():
+    page = (FOLDER / "inputs.md").read_text(encoding="utf-8").lower()
+    for suffix in names.READ_SUFFIXES:
+        assert {".tif": "tiff", ".jpg": "jpeg"}.get(suffix, suffix.removeprefix(".")) in page
+    letters = re.compile("(ao|a|o|r|m){3}")
+    for short in names.SHORT:
+        assert letters.fullmatch(short) or short in page, short
+    for kind in names.USED:
+        assert kind in page or kind == "base", kind
 
 
 def parsers(command, name="matcap"):

@@ -86,7 +86,7 @@ _LETTERS = {
 Packing = Mapping[str, str]
 _LEVEL = {"a": "ambient occlusion", "o": "ambient occlusion", "r": "roughness", "m": "metallic"}
 # Packed maps by their short names.
-_SHORT: dict[str, Packing] = {
+SHORT: dict[str, Packing] = {
     "maskmap": {"metallic": "R", "ambient occlusion": "G", "gloss": "A"},  # Unity HDRP
     "mads": {"metallic": "R", "ambient occlusion": "G", "gloss": "A"},
     "mods": {"metallic": "R", "ambient occlusion": "G", "gloss": "A"},
@@ -163,7 +163,7 @@ class _Word:
         return self.text in _VOCABULARY
 
 
-_VOCABULARY = frozenset((*_KIND, *_STYLE, *_BESIDE, *_SHORT))
+_VOCABULARY = frozenset((*_KIND, *_STYLE, *_BESIDE, *SHORT))
 
 
 def assigned(folder: Path) -> Assigned:
@@ -225,7 +225,7 @@ def _words(stem: str) -> tuple[_Word, ...]:
 def _cut(token: str) -> tuple[str, ...]:
     """Words of a token: those it is made of, or what stands between its capitals."""
     plain = token.lower()
-    if plain in _SHORT:
+    if plain in SHORT:
         return (plain,)
     parts = [part.lower() for part in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[^A-Z]+", token)]
     return _segmented(plain) or tuple(w for part in parts for w in _segmented(part) or (part,))
@@ -277,7 +277,7 @@ def _named(
     said = _said(rest, alone=first + len(rest) < 2)
     kinds = tuple(dict.fromkeys(kind for kind, _ in said if kind in _WORDS))
     styles = [kind for kind, _ in said if kind in _STYLES]
-    short = next((_SHORT[word.text] for _, word in said if word.text in _SHORT), None)
+    short = next((SHORT[word.text] for _, word in said if word.text in SHORT), None)
     channels = short or _channels(kinds)
     rank = max((_rank(kind, word.text) for kind, word in said), default=0)
     used = {id(word) for _, word in said}
@@ -296,7 +296,7 @@ def _said(rest: Sequence[_Word], *, alone: bool) -> list[tuple[str, _Word]]:
     if rest and rest[-1].text in _LETTERS and not alone:
         return [(_LETTERS[rest[-1].text], rest[-1])]
     end = len(rest)
-    while end and not (rest[end - 1].text in _KIND or rest[end - 1].text in _SHORT):
+    while end and not (rest[end - 1].text in _KIND or rest[end - 1].text in SHORT):
         end -= 1
     start = end
     while start and rest[start - 1].token == rest[end - 1].token and rest[start - 1].names:
