@@ -1,13 +1,18 @@
 """Where a batch works: beside its output, in folders that appear in their place by renaming.
 
-    OUT/leather/                   a material; complete, or not there
-    OUT/.matcap-batch/runs/RUN/    one run's own: `alive`, and what it is making or replacing
-    OUT/.matcap-batch/claims/NAME  who is making a material, so that two runs do not both
-    OUT/.matcap-batch/failed/NAME  photographs that cannot be used, and why
+OUT/leather/                   a material; complete, or not there
+OUT/.matcap-batch/runs/RUN/    one run's own: `alive`, and what it is making or replacing
+OUT/.matcap-batch/claims/NAME  who is making a material, so that two runs do not both
+OUT/.matcap-batch/failed/NAME  photographs that cannot be used, and why
 
-Nothing here is trusted for what is done (that is record.py): a claim only saves work, and one
-whose run is dead counts for nothing. A run is dead when its process is gone, or when it has not
-touched `alive` for a minute (another machine, whose processes cannot be seen).
+`alive` and claims are locked files: the system lets go of them when their process ends, however it
+ends, so that nobody has to guess who is dead. Nothing here is trusted for what is done (that is
+record.py): where a file system knows no locks, two runs may make one material twice, and what dead
+runs left stays.
+
+A power cut leaves what had its name before, whole, or the new one, whole: a folder's files reach
+the disk before it is renamed (record.py). Between the two renames of a replacement the name is
+missing; the next run gives it back to the old folder.
 """
 
 from __future__ import annotations
@@ -16,15 +21,14 @@ import errno
 import json
 import os
 import shutil
-import socket
-import threading
-import time
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 from matcap.batch.record import FILE as RECORD
 from matcap.batch.record import read_record
@@ -33,23 +37,23 @@ from matcap.capture.outputs import output_files
 from matcap.files.publish import sync
 from matcap.files.staging import write_error
 
-_BEAT = 5.0  # seconds between two touches of `alive`
-_SILENT = 60.0  # seconds after which a run's claims lapse
-_LOST = 24 * 3600.0  # seconds after which a silent run of another machine is cleared away
+_ALIVE = "alive"
 _SWAPS = 16  # tries to take a name that another run takes at the same moment
 
 
 @dataclass(frozen=True)
 class Run:
-    """One run's place.
-
-    Attributes:
-        out: the output folder.
-        folder: the run's own, below it.
-    """
+    """One run's place."""
 
     out: Path
+    """The output folder."""
     folder: Path
+    """The run's own, below it."""
+    claims: dict[str, FileLock] = field(default_factory=dict, compare=False, repr=False)
+    """What it makes; held by the process that claimed it, and not sent to workers."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Run, (self.out, self.folder)
 
     def stage(self, name: str) -> Path:
         """An empty folder called as the material, on the same disk as the output."""
@@ -100,35 +104,21 @@ class Run:
 
     def claim(self, name: str) -> bool:
         """Say that this run makes a material; False when another living run does."""
-        claims = self.out / WORKSPACE / "claims"
-        claim, mine = claims / name, self.folder / f"claim-{uuid.uuid4().hex}"
-        claims.mkdir(parents=True, exist_ok=True)
-        mine.write_text(self.folder.name)
-        try:
-            try:
-                os.link(mine, claim)
-                return True
-            except FileExistsError:
-                pass
-            except OSError:  # a file system without links: two runs may both make it, no harm
-                if not claim.exists():
-                    os.replace(mine, claim)
-                    return True
-            owner = _text(claim)
-            if owner == self.folder.name:
-                return True
-            if owner and _is_alive(self.folder.parent / owner):
-                return False
-            os.replace(mine, claim)
-            return _text(claim) == self.folder.name
-        finally:
-            mine.unlink(missing_ok=True)
+        if name in self.claims:
+            return True
+        folder = self.out / WORKSPACE / "claims"
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = _held(folder / name)
+        if lock is not None:
+            self.claims[name] = lock
+        return lock is not None
 
     def release(self, name: str) -> None:
-        """Take a claim back; one that another run has taken over stays."""
-        claim = self.out / WORKSPACE / "claims" / name
-        if _text(claim) == self.folder.name:
-            claim.unlink(missing_ok=True)
+        """Take a claim back, if it is this run's."""
+        lock = self.claims.pop(name, None)
+        if lock is not None:
+            Path(lock.lock_file).unlink(missing_ok=True)
+            lock.release()
 
     def write_failure(self, name: str, about: Mapping[str, Any]) -> None:
         """Remember that a photograph cannot be used."""
@@ -162,81 +152,46 @@ def open_run(out: Path) -> Iterator[Run]:
     folder = out / WORKSPACE / "runs" / f"{os.getpid()}-{uuid.uuid4().hex[:12]}"
     try:
         folder.mkdir(parents=True)
-        _describe(folder)
+        alive = _held(folder / _ALIVE)
     except OSError as error:
         raise write_error(out, error) from error
-    _clear_dead(out, folder)
-    stop = threading.Event()
-    heart = threading.Thread(target=_beat, args=(folder / "alive", stop), daemon=True)
-    heart.start()
+    for other in folder.parent.iterdir():
+        if other != folder:
+            _clear_if_dead(out, other)
+    run = Run(out, folder)
     try:
-        yield Run(out, folder)
+        yield run
     finally:
-        stop.set()
-        heart.join()
+        with suppress(OSError):
+            for name in list(run.claims):
+                run.release(name)
         _clear(out, folder)
-        with suppress(OSError):
-            _drop_stale_claims(out, folder.name)
+        if alive is not None:
+            alive.release()
 
 
-def _describe(folder: Path) -> None:
-    """Write `alive` at once and whole: who this run is."""
-    new = folder / "new"
-    new.write_text(json.dumps({"host": _host(), "pid": os.getpid()}))
-    os.replace(new, folder / "alive")
+def _held(path: Path) -> FileLock | None:
+    """A lock that this process holds from here on; None where another does.
 
-
-def _host() -> str:
-    """This machine, and the space its process numbers are of (containers share names)."""
+    Where the file system knows no locks everybody holds it.
+    """
+    lock = FileLock(path, timeout=0)
     try:
-        space = os.readlink("/proc/self/ns/pid")
-    except OSError:
-        space = ""
-    return f"{socket.gethostname()} {space}".strip()
+        lock.acquire()
+    except Timeout:
+        return None
+    except NotImplementedError:
+        pass
+    return lock
 
 
-def _beat(alive: Path, stop: threading.Event) -> None:
-    while not stop.wait(_BEAT):
-        with suppress(OSError):
-            os.utime(alive)
-
-
-def _is_alive(run: Path, silent: float = _SILENT) -> bool:
-    try:
-        age = time.time() - (run / "alive").stat().st_mtime
-        about = json.loads((run / "alive").read_text())
-        host, pid = str(about["host"]), int(about["pid"])
-    except FileNotFoundError:
-        return _is_young(run)  # it has not got as far as saying so
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-    if host == _host() and not _exists(pid):
-        return False
-    return age < silent
-
-
-def _is_young(folder: Path) -> bool:
-    try:
-        return time.time() - folder.stat().st_mtime < _BEAT
-    except OSError:
-        return False
-
-
-def _exists(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True  # it exists and is not ours
-    return True
-
-
-def _clear_dead(out: Path, mine: Path) -> None:
-    """Clear away what dead runs left."""
-    for run in mine.parent.iterdir():
-        if run != mine and not _is_alive(run, _LOST):
-            _clear(out, run)
+def _clear_if_dead(out: Path, run: Path) -> None:
+    """Clear away what a dead run left; one that is only just beginning has no `alive` yet."""
+    if not (run / _ALIVE).exists():
+        return
+    lock = FileLock(run / _ALIVE, timeout=0)
+    with suppress(OSError, NotImplementedError), lock:
+        _clear(out, run)
 
 
 def _clear(out: Path, run: Path) -> None:
@@ -253,12 +208,6 @@ def _clear(out: Path, run: Path) -> None:
     shutil.rmtree(run, ignore_errors=True)
 
 
-def _drop_stale_claims(out: Path, run: str) -> None:
-    for claim in (out / WORKSPACE / "claims").iterdir():
-        if _text(claim) == run:
-            claim.unlink(missing_ok=True)
-
-
 def _keep_foreign(old: Path, new: Path) -> None:
     """Move files that matcap did not write from an old folder to the new one."""
     record = read_record(old)
@@ -267,10 +216,3 @@ def _keep_foreign(old: Path, new: Path) -> None:
     for file in old.iterdir():
         if file.name not in ours and not (new / file.name).exists():
             os.rename(file, new / file.name)
-
-
-def _text(file: Path) -> str:
-    try:
-        return file.read_text()
-    except (OSError, ValueError):
-        return ""

@@ -6,11 +6,12 @@ alike (files/publish.py).
 
 from __future__ import annotations
 
-import fcntl
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 from matcap.brdf.folder import MEANINGS, mapset_files
 from matcap.errors import MatcapError
@@ -73,16 +74,19 @@ def _stage(folder: Path, name: str) -> StagedFolder:
 
 @contextmanager
 def _locked(stage: Path) -> Iterator[None]:
-    with (stage / _LOCK).open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise MatcapError(
-                "another matcap is writing these maps",
-                where=str(stage.parent),
-                remedy="wait for it, or choose another folder with -o",
-            ) from error
+    lock = FileLock(stage / _LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise MatcapError(
+            "another matcap is writing these maps",
+            where=str(stage.parent),
+            remedy="wait for it, or choose another folder with -o",
+        ) from error
+    try:
         yield
+    finally:
+        lock.release()
 
 
 def _open(stage: Path, key: str, *, resume: bool) -> None:

@@ -1,14 +1,12 @@
 """Folders that appear whole, records that say what is done, and claims."""
 
-import json
 import os
+import pickle
 import subprocess
 import sys
-import time
 
 import pytest
 
-from matcap.batch import workspace
 from matcap.batch.record import FILE, is_done, write_record
 from matcap.batch.shoot import WORKSPACE
 from matcap.batch.workspace import open_run, read_failure
@@ -101,14 +99,18 @@ def test_the_claim_of_a_dead_run_counts_for_nothing_and_its_folder_goes(tmp_path
         assert run.claim("a")
 
 
-def test_a_run_of_another_machine_lives_while_it_is_heard(tmp_path, monkeypatch):
-    with open_run(tmp_path) as far, open_run(tmp_path) as near:
-        about = {"host": "far away", "pid": 1}
-        (far.folder / "alive").write_text(json.dumps(about))
-        assert far.claim("a") and not near.claim("a")
-        silent = time.time() - 2 * workspace._SILENT
-        os.utime(far.folder / "alive", (silent, silent))
-        assert near.claim("a")
+def test_a_living_run_keeps_its_folder(tmp_path):
+    with open_run(tmp_path) as one:
+        stage = one.stage("a")
+        with open_run(tmp_path):
+            assert stage.is_dir()
+
+
+def test_a_run_goes_to_workers_without_its_claims(tmp_path):
+    with open_run(tmp_path) as run:
+        assert run.claim("a")
+        sent = pickle.loads(pickle.dumps(run))
+        assert (sent.out, sent.folder, sent.claims) == (run.out, run.folder, {})
 
 
 def test_what_a_dead_run_had_moved_away_comes_back(tmp_path):
@@ -163,10 +165,6 @@ def test_what_others_put_there_survives_a_failure_to_move_it(tmp_path, monkeypat
     assert (folder / "preview.png").read_text() == "second"
     assert not (folder / "notes.txt").exists()
     monkeypatch.undo()
-    # The run that failed is not dead as long as this process lives.
-    alive = next((tmp_path / WORKSPACE / "runs").glob("*/alive"))
-    alive.write_text(json.dumps({"host": "", "pid": 0}))
-    os.utime(alive, (0.0, 0.0))
     with open_run(tmp_path):
         assert (folder / "notes.txt").read_text() == "keep"
 
