@@ -31,18 +31,14 @@ _LOOK_EVERY = 0.1  # seconds; samples take minutes
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened to a job.
-
-    Attributes:
-        job: as it was started.
-        kind: "progress", "done" or "died".
-        value: (stage, share); what the work returned; the process's exit code, negative for a
-            signal.
-    """
+    """Something that happened to a job."""
 
     job: Any
+    """As it was started."""
     kind: Literal["progress", "done", "died"]
+    """"progress", "done" or "died"."""
     value: Any
+    """(stage, share); what the work returned; the process's exit code, negative for a signal."""
 
 
 class BatchCrew(Protocol):

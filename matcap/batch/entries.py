@@ -20,22 +20,19 @@ EntryState = Literal["todo", "made", "kept", "failed", "left"]
 
 @dataclass
 class BatchEntry:
-    """A sample and how it stands; the batch goes along and changes it.
-
-    Attributes:
-        sample: what it is.
-        identity: of the material wanted, or "" where a photograph cannot be read.
-        state: "todo"; "made" by this run; "kept", done before; "failed"; "left" undone because
-            the batch ended early.
-        reason: of a failure, or why it was left.
-        record: of the material, where there is one.
-    """
+    """A sample and how it stands; the batch goes along and changes it."""
 
     sample: ShotSample
+    """What it is."""
     identity: str
+    """Of the material wanted, or "" where a photograph cannot be read."""
     state: EntryState
+    """"todo"; "made" by this run; "kept", done before; "failed"; "left" undone because the batch
+    ended early."""
     reason: str = ""
+    """Of a failure, or why it was left."""
     record: dict[str, Any] = field(default_factory=dict)
+    """Of the material, where there is one."""
 
 
 def make_plan(

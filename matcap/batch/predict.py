@@ -27,25 +27,22 @@ _TRIED = 3  # photographs tried, if the first ones cannot be used
 
 @dataclass(frozen=True)
 class Prediction:
-    """What is left to do, and what it takes.
-
-    Attributes:
-        todo: samples to be made.
-        workers: at once.
-        seconds_each: of one worker; None where no photograph could be tried.
-        bytes_each: of disk.
-        worker_bytes: of memory, at most.
-        free_bytes: of disk.
-        measured: what the speed was measured on, in words.
-    """
+    """What is left to do, and what it takes."""
 
     todo: int
+    """Samples to be made."""
     workers: int
+    """At once."""
     seconds_each: float | None
+    """Of one worker; None where no photograph could be tried."""
     bytes_each: int
+    """Of disk."""
     worker_bytes: int
+    """Of memory, at most."""
     free_bytes: int
+    """Of disk."""
     measured: str
+    """What the speed was measured on, in words."""
 
     @property
     def seconds(self) -> float | None:

@@ -31,21 +31,18 @@ _FORGET = ("memory", "disk", "crash")  # faults that may be gone next time
 
 @dataclass(frozen=True)
 class Policy:
-    """What to make of what is done already, and of failures.
-
-    Attributes:
-        force: make everything again.
-        retry_failed: try again what is known to fail.
-        fail_fast: end at the first failure.
-        strict: doubtful and failed verdicts count as failures in the exit code.
-        overwrite: replace longer captures, too.
-    """
+    """What to make of what is done already, and of failures."""
 
     force: bool = False
+    """Make everything again."""
     retry_failed: bool = False
+    """Try again what is known to fail."""
     fail_fast: bool = False
+    """End at the first failure."""
     strict: bool = False
+    """Doubtful and failed verdicts count as failures in the exit code."""
     overwrite: bool = False
+    """Replace longer captures, too."""
 
 
 class Show(Protocol):

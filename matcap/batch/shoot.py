@@ -42,17 +42,14 @@ _TAKEN = frozenset({"report", "preview", "matcap-batch"})
 
 @dataclass(frozen=True)
 class ShotSample:
-    """What becomes one material.
-
-    Attributes:
-        name: of the material and its folder; unique in the shoot whatever the letters' case.
-        photos: the photographs it is made from.
-        beside: files set aside, because a RAW of the same stem says more.
-    """
+    """What becomes one material."""
 
     name: str
+    """Of the material and its folder; unique in the shoot whatever the letters' case."""
     photos: tuple[Path, ...]
+    """The photographs it is made from."""
     beside: tuple[Path, ...] = ()
+    """Files set aside, because a RAW of the same stem says more."""
 
 
 def find_samples(

@@ -27,23 +27,20 @@ _SETS_SAID = 12  # sets that are named before a batch starts
 
 @dataclass(frozen=True)
 class Prepared:
-    """A batch that has been looked at.
-
-    Attributes:
-        out: the output folder.
-        settings: of the batch.
-        entries: how every sample stands.
-        worker_bytes: memory that one worker takes at most.
-        workers: how many there will be.
-        card: what the shoot's calibration card told, or None.
-    """
+    """A batch that has been looked at."""
 
     out: Path
+    """The output folder."""
     settings: BatchSettings
+    """Of the batch."""
     entries: Sequence[BatchEntry]
+    """How every sample stands."""
     worker_bytes: int
+    """Memory that one worker takes at most."""
     workers: int
+    """How many there will be."""
     card: Calibration | None = None
+    """What the shoot's calibration card told, or None."""
 
     @property
     def todo(self) -> list[BatchEntry]:

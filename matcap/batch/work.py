@@ -32,40 +32,34 @@ _DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 
 @dataclass(frozen=True)
 class BatchJob:
-    """One sample to be made into one material.
-
-    Attributes:
-        name: of the material.
-        photos: its photographs.
-        identity: recorded with it.
-        settings: of the batch.
-        run: where to work.
-        detail: texels across, less than the settings' where memory ran out.
-        alone: nothing else runs beside it.
-        card: what the shoot's card told, or None.
-    """
+    """One sample to be made into one material."""
 
     name: str
+    """Of the material."""
     photos: tuple[Path, ...]
+    """Its photographs."""
     identity: str
+    """Recorded with it."""
     settings: BatchSettings
+    """Of the batch."""
     run: Run
+    """Where to work."""
     detail: int
+    """Texels across, less than the settings' where memory ran out."""
     alone: bool = False
+    """Nothing else runs beside it."""
     card: Calibration | None = None
+    """What the shoot's card told, or None."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a sample has become no material.
-
-    Attributes:
-        kind: "photograph": it will never do; the others may pass.
-        sentence: where, what and remedy.
-    """
+    """Why a sample has become no material."""
 
     kind: Fault
+    """"photograph": it will never do; the others may pass."""
     sentence: str
+    """Where, what and remedy."""
 
 
 def do_job(job: BatchJob, tell: TellProgress) -> dict[str, Any] | Failure:

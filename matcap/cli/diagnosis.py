@@ -26,28 +26,22 @@ _SIDE = 256  # texels of the self-test's maps
 
 @dataclass(frozen=True)
 class Package:
-    """A package that matcap needs or can use.
-
-    Attributes:
-        name: on PyPI.
-        version: installed, or None.
-    """
+    """A package that matcap needs or can use."""
 
     name: str
+    """On PyPI."""
     version: str | None
+    """Installed, or None."""
 
 
 @dataclass(frozen=True)
 class Extra:
-    """An optional part of matcap.
-
-    Attributes:
-        name: in brackets after `matcap`.
-        packages: what it consists of.
-    """
+    """An optional part of matcap."""
 
     name: str
+    """In brackets after `matcap`."""
     packages: tuple[Package, ...]
+    """What it consists of."""
 
     @property
     def installed(self) -> bool:
@@ -62,50 +56,44 @@ class Extra:
 
 @dataclass(frozen=True)
 class Check:
-    """One step of the self-test.
-
-    Attributes:
-        name: what was tried.
-        seconds: how long it took.
-        fault: what went wrong, or None.
-    """
+    """One step of the self-test."""
 
     name: str
+    """What was tried."""
     seconds: float
+    """How long it took."""
     fault: str | None
+    """What went wrong, or None."""
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All of it.
-
-    Attributes:
-        matcap: version.
-        python: version.
-        system: operating system and processor.
-        place: where matcap is installed.
-        cores: this process may use.
-        devices: what torch can compute on.
-        compiled: whether the inner loops of the field by example were built, and
-        compiled_relighting: those of relighting; neither runs without them.
-        prior: bytes of the trained prior that comes along, or None where it is missing.
-        packages: what matcap cannot do without.
-        extras: what it can.
-        checks: the self-test, in order; it stops at the first fault.
-    """
+    """All of it."""
 
     matcap: str
+    """Version."""
     python: str
+    """Version."""
     system: str
+    """Operating system and processor."""
     place: str
+    """Where matcap is installed."""
     cores: int
+    """This process may use."""
     devices: tuple[str, ...]
+    """What torch can compute on."""
     compiled: bool
+    """Whether the inner loops of the field by example were built, and."""
     compiled_relighting: bool
+    """Those of relighting; neither runs without them."""
     prior: int | None
+    """Bytes of the trained prior that comes along, or None where it is missing."""
     packages: tuple[Package, ...]
+    """What matcap cannot do without."""
     extras: tuple[Extra, ...]
+    """What it can."""
     checks: tuple[Check, ...]
+    """The self-test, in order; it stops at the first fault."""
 
     @property
     def healthy(self) -> bool:

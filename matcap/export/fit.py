@@ -37,21 +37,18 @@ _LEAST = 0.02  # of the grid's roughness: below it a highlight is narrower than 
 
 @dataclass(frozen=True)
 class Told:
-    """Tables over roughness (rows, even from 0 to 1) and the root of F0 (columns, likewise).
-
-    Attributes:
-        diffuse: factor on the diffuse albedo.
-        specular: factor on F0.
-        roughness: factor on the roughness.
-        each: a layer takes from every channel what it reflects there; else, what it reflects of
-            the brightest.
-    """
+    """Tables over roughness (rows, even from 0 to 1) and the root of F0 (columns, likewise)."""
 
     diffuse: Picture
+    """Factor on the diffuse albedo."""
     specular: Picture
+    """Factor on F0."""
     roughness: Picture
+    """Factor on the roughness."""
 
     each: bool = False
+    """A layer takes from every channel what it reflects there; else, what it reflects of the
+    brightest."""
 
     def albedo(self, f0: Picture, roughness: Picture) -> Picture:
         """(H, W, 1 or 3) factors on the diffuse albedo, of (H, W[, 3]) F0 and (H, W) roughness."""
@@ -85,18 +82,15 @@ class Told:
 
 @dataclass(frozen=True)
 class ErrorWeights:
-    """What light shows of a surface: how much an error of its numbers counts.
-
-    Attributes:
-        diffuse: (H, W) mean light of a diffuse albedo of 1, of the surface lit by 1.
-        specular: (H, W) the same of an F0 of 1.
-        together: (H, W) in [0, 1): how much of both comes under the same directions, where errors
-            of one may make up for the other's.
-    """
+    """What light shows of a surface: how much an error of its numbers counts."""
 
     diffuse: Picture
+    """(H, W) mean light of a diffuse albedo of 1, of the surface lit by 1."""
     specular: Picture
+    """(H, W) the same of an F0 of 1."""
     together: Picture
+    """(H, W) in [0, 1): how much of both comes under the same directions, where errors of one may
+    make up for the other's."""
 
     @staticmethod
     def at(roughness: Picture) -> ErrorWeights:

@@ -25,33 +25,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ExportJob:
-    """A map set to be exported.
-
-    Attributes:
-        maps: without batch dimensions.
-        name: what the files are called; a plain file name.
-        millimetres: how long a plane unit really is; None where nobody measured it.
-        depth: of all textures, instead of what suits the target.
-        provenance: how the material was made; any JSON.
-        container: file format of all textures that it suits, instead of the target's own.
-        reach: the height, in plane units, that coded heights hold above and below the undisplaced
-            level, the same for every realisation; None to find it from these maps.
-        tiled: EXR files in tiles, with mipmaps.
-        around: the same maps with as much around them on every side, where they are a tile of a
-            texture set; it is not periodic.
-        tiles: that set, whose first tile this job is; see udim.py.
-    """
+    """A map set to be exported."""
 
     maps: MapSet
+    """Without batch dimensions."""
     name: str
+    """What the files are called; a plain file name."""
     millimetres: float | None = None
+    """How long a plane unit really is; None where nobody measured it."""
     depth: Depth | None = None
+    """Of all textures, instead of what suits the target."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    """How the material was made; any JSON."""
     container: Container | None = None
+    """File format of all textures that it suits, instead of the target's own."""
     reach: float | None = None
+    """The height, in plane units, that coded heights hold above and below the undisplaced level,
+    the same for every realisation; None to find it from these maps."""
     tiled: bool = False
+    """EXR files in tiles, with mipmaps."""
     around: MapSet | None = None
+    """The same maps with as much around them on every side, where they are a tile of a texture set;
+    it is not periodic."""
     tiles: TextureSet | None = None
+    """That set, whose first tile this job is; see udim.py."""
 
     @property
     def unit(self) -> str:

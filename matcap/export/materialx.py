@@ -89,18 +89,16 @@ class Layered:
     Exact Fresnel of one index of refraction, tinted down to the F0 of every texel: of a higher
     index the curve is nearer to Schlick's, which matcap has. Or, where some is metal, the metallic
     workflow: Fresnel of a dielectric's index, and a metal whose F0 is the base colour.
-
-    Attributes:
-        base: colour below it, and of what is metal.
-        tint: of the specular part; None where there is a metalness.
-        shading: what the shaders do with them.
-        metalness: of the base; None where nothing is metal.
     """
 
     base: TextureFile
+    """Colour below it, and of what is metal."""
     tint: TextureFile | None
+    """Of the specular part; None where there is a metalness."""
     shading: TargetShading
+    """What the shaders do with them."""
     metalness: TextureFile | None = None
+    """Of the base; None where nothing is metal."""
 
     @staticmethod
     def of(job: ExportJob, shader: str = "open_pbr_surface") -> Layered:

@@ -37,38 +37,32 @@ _BETTER = 1e-9  # of light, squared: by less than this no more of a metal
 
 @dataclass(frozen=True)
 class Metallic:
-    """A material in the metallic workflow.
-
-    Attributes:
-        base: (H, W, 3) base colour in [0, 1].
-        metallic: (H, W) in [0, 1].
-        dielectric: (H, W) F0 of the part that is no metal.
-    """
+    """A material in the metallic workflow."""
 
     base: Picture
+    """(H, W, 3) base colour in [0, 1]."""
     metallic: Picture
+    """(H, W) in [0, 1]."""
     dielectric: Picture
+    """(H, W) F0 of the part that is no metal."""
 
 
 @dataclass(frozen=True)
 class MetallicAim:
-    """What is to be shown, and what the target can say.
-
-    Attributes:
-        diffuse: (H, W, 3) diffuse albedo.
-        specular: (H, W) or (H, W, 3) F0.
-        roughness: (H, W).
-        lowest: smallest F0 of a dielectric that the target knows.
-        highest: largest; the same as `lowest` where F0 is fixed.
-        below: the share of a dielectric's base colour that is its diffuse albedo.
-    """
+    """What is to be shown, and what the target can say."""
 
     diffuse: Picture
+    """(H, W, 3) diffuse albedo."""
     specular: Picture
+    """(H, W) or (H, W, 3) F0."""
     roughness: Picture
+    """(H, W)."""
     lowest: float
+    """Smallest F0 of a dielectric that the target knows."""
     highest: float
+    """Largest; the same as `lowest` where F0 is fixed."""
     below: float = 1.0
+    """The share of a dielectric's base colour that is its diffuse albedo."""
 
 
 def to_metallic(wanted: MetallicAim, form: Form = "plain") -> Metallic:

@@ -39,19 +39,16 @@ _ROWS = 32  # worked on at a time: they stay in the processor's cache
 
 @dataclass(frozen=True)
 class Occlusion:
-    """What of the sky each texel sees.
-
-    Attributes:
-        open: (H, W) share of an even sky's light that arrives, of what arrives in the open.
-        cavity: (H, W) the same, hidden by the nearest neighbours only.
-        bent: (H, W, 3) unit vector, mean direction of what is open; +Y up.
-        size: (width, height) of the height field where they are smaller than it.
-    """
+    """What of the sky each texel sees."""
 
     open: Picture
+    """(H, W) share of an even sky's light that arrives, of what arrives in the open."""
     cavity: Picture
+    """(H, W) the same, hidden by the nearest neighbours only."""
     bent: Picture
+    """(H, W, 3) unit vector, mean direction of what is open; +Y up."""
     size: tuple[int, int] | None = None
+    """(width, height) of the height field where they are smaller than it."""
 
     def whole(self, kind: str) -> Picture:
         """One of them by its name, at the size of the height field."""

@@ -56,15 +56,12 @@ _SHADED = ("occlusion", "cavity", "bent")
 
 @dataclass(frozen=True)
 class PackedMaterial:
-    """Numbers for a target, of a piece of the maps.
-
-    Attributes:
-        piece: the maps.
-        lit: how the target shades and parametrises them.
-    """
+    """Numbers for a target, of a piece of the maps."""
 
     piece: MapRows
+    """The maps."""
     lit: Lit
+    """How the target shades and parametrises them."""
 
     @property
     def roughness(self) -> Picture:
@@ -101,26 +98,23 @@ class PackedMaterial:
 
 @dataclass(frozen=True)
 class Lit:
-    """How an engine takes its textures as a reflectance.
-
-    Attributes:
-        shading: of the engine.
-        workflow: what its textures are.
-        dielectric: (lowest, highest) F0 of what is no metal; of the metallic workflow.
-        below: share of the base colour that is diffuse, likewise.
-        conserving: the base colour is multiplied by 1 - F0; of the specular workflow.
-        even: the largest F0 that the material as a whole can give its dielectrics; None where the
-            engine does not let it.
-        form: of the metallic workflow.
-    """
+    """How an engine takes its textures as a reflectance."""
 
     shading: TargetShading
+    """Of the engine."""
     workflow: Workflow
+    """What its textures are."""
     dielectric: tuple[float, float] = (0.0, 1.0)
+    """(lowest, highest) F0 of what is no metal; of the metallic workflow."""
     below: float = 1.0
+    """Share of the base colour that is diffuse, likewise."""
     conserving: bool = False
+    """The base colour is multiplied by 1 - F0; of the specular workflow."""
     even: float | None = None
+    """The largest F0 that the material as a whole can give its dielectrics; None where the engine
+    does not let it."""
     form: Form = "plain"
+    """Of the metallic workflow."""
 
     def of(self, job: ExportJob) -> Lit:
         """With the mean F0 of the maps' dielectrics where the engine has one for all."""
@@ -143,21 +137,18 @@ class Lit:
 
 @dataclass(frozen=True)
 class PresetTexture:
-    """One picture of a preset.
-
-    Attributes:
-        label: what {map} becomes in its name.
-        depth: how it is stored unless the user says otherwise.
-        make: its values, of what the target is told; None for maps as they are.
-        meaning: of its values, for the sidecar.
-        srgb: a PNG of it carries the sRGB curve; None: where it is F0 with a colour.
-    """
+    """One picture of a preset."""
 
     label: str
+    """What {map} becomes in its name."""
     depth: Depth
+    """How it is stored unless the user says otherwise."""
     make: Callable[[PackedMaterial], Picture]
+    """Its values, of what the target is told; None for maps as they are."""
     meaning: str
+    """Of its values, for the sidecar."""
     srgb: bool | None = False
+    """A PNG of it carries the sRGB curve; None: where it is F0 with a colour."""
 
 
 # Text documents that go beside the textures: of the job, the textures' names by kind, and the
@@ -167,27 +158,24 @@ Documents = Callable[[ExportJob, dict[str, str], Lit], dict[str, str]]
 
 @dataclass(frozen=True)
 class Preset:
-    """How a library or an engine wants its textures.
-
-    Attributes:
-        pattern: of file names, without suffix; fields stem, map, res and format.
-        textures: by what --maps calls them; "height" and "normal" are made here.
-        normal: the direction it wants.
-        normal_labels: what {map} becomes for normals with +Y up and down.
-        thousand: the letter for 1024 in {res}.
-        lit: how an engine takes them; None for a library.
-        notes: what users must know, a sentence each.
-        documents: what goes beside the textures.
-    """
+    """How a library or an engine wants its textures."""
 
     pattern: str
+    """Of file names, without suffix; fields stem, map, res and format."""
     textures: dict[str, PresetTexture]
+    """By what --maps calls them; "height" and "normal" are made here."""
     normal: NormalMaps = "gl"
+    """The direction it wants."""
     normal_labels: tuple[str, str] = ("normal_gl", "normal_dx")
+    """What {map} becomes for normals with +Y up and down."""
     thousand: str = "k"
+    """The letter for 1024 in {res}."""
     lit: Lit | None = None
+    """How an engine takes them; None for a library."""
     notes: tuple[str, ...] = ()
+    """What users must know, a sentence each."""
     documents: Documents | None = None
+    """What goes beside the textures."""
 
 
 def plain(kind: str) -> Callable[[PackedMaterial], Picture]:
@@ -226,17 +214,14 @@ def bent(label: str, depth: Depth = "8") -> PresetTexture:
 
 @dataclass(frozen=True)
 class PresetOptions:
-    """What the user wants otherwise than the preset.
-
-    Attributes:
-        pattern: of file names, or None.
-        maps: which pictures, in the preset's own words; empty for all.
-        normal: which way green points, or None.
-    """
+    """What the user wants otherwise than the preset."""
 
     pattern: str | None = None
+    """Of file names, or None."""
     maps: Sequence[str] = ()
+    """Which pictures, in the preset's own words; empty for all."""
     normal: NormalMaps | None = None
+    """Which way green points, or None."""
 
 
 def pack(job: ExportJob, preset: Preset, choice: PresetOptions | None = None) -> Export:

@@ -35,33 +35,30 @@ _LEAST_URP_COSINE = 0.1  # of (l.h)^2
 
 @dataclass(frozen=True)
 class TargetShading:
-    """What a target does with diffuse, F0 and roughness.
-
-    Attributes:
-        specular: GGX, masking and Fresnel ("microfacet"), or Unity URP's one term ("mobile").
-        masking: height-correlated Smith, the product of both directions' ("separable"), or
-            Hammon's approximation.
-        diffuse: Lambert's or Disney's lobe.
-        index: F0 of one index of refraction for all texels, whose exact Fresnel a tint scales down
-            to theirs, and which the layer takes its albedo from; None for Schlick's Fresnel.
-        layer: what is taken from the diffuse part: nothing, F(v.h) ("half") or the directional
-            albedo of the specular part.
-        each: every channel by itself is what the layer takes; else the brightest is.
-        compensated: what bounces between microfacets is added.
-        fading: reflection at grazing falls from 1 for F0 below 0.02.
-        conductor: Fresnel's equations for a conductor of that F0 whose edge is white, where
-            standard_surface finds its indices (Gulbrandsen 2014), instead of Schlick's Fresnel.
-    """
+    """What a target does with diffuse, F0 and roughness."""
 
     specular: Literal["microfacet", "mobile"] = "microfacet"
+    """GGX, masking and Fresnel ("microfacet"), or Unity URP's one term ("mobile")."""
     masking: Literal["correlated", "separable", "hammon"] = "correlated"
+    """Height-correlated Smith, the product of both directions' ("separable"), or Hammon's
+    approximation."""
     diffuse: Literal["lambert", "disney"] = "lambert"
+    """Lambert's or Disney's lobe."""
     index: float | None = None
+    """F0 of one index of refraction for all texels, whose exact Fresnel a tint scales down to
+    theirs, and which the layer takes its albedo from; None for Schlick's Fresnel."""
     layer: Literal["half", "albedo"] | None = None
+    """What is taken from the diffuse part: nothing, F(v.h) ("half") or the directional albedo of
+    the specular part."""
     each: bool = False
+    """Every channel by itself is what the layer takes; else the brightest is."""
     compensated: bool = False
+    """What bounces between microfacets is added."""
     fading: bool = False
+    """Reflection at grazing falls from 1 for F0 below 0.02."""
     conductor: bool = False
+    """Fresnel's equations for a conductor of that F0 whose edge is white, where standard_surface
+    finds its indices (Gulbrandsen 2014), instead of Schlick's Fresnel."""
 
 
 MATCAP = TargetShading()
@@ -69,21 +66,18 @@ MATCAP = TargetShading()
 
 @dataclass(frozen=True)
 class Geometry:
-    """Cosines of a surface under one light from one view, (1, H, W) each.
-
-    Attributes:
-        light: n.l, not below 0.
-        view: n.v, not below 0.
-        half: n.h.
-        difference: v.h.
-        above: 1 where both are above the surface, else 0.
-    """
+    """Cosines of a surface under one light from one view, (1, H, W) each."""
 
     light: Tensor
+    """N.l, not below 0."""
     view: Tensor
+    """N.v, not below 0."""
     half: Tensor
+    """N.h."""
     difference: Tensor
+    """V.h."""
     above: Tensor
+    """1 where both are above the surface, else 0."""
 
     @staticmethod
     def of(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Geometry:

@@ -34,30 +34,27 @@ _FEW_TEXELS = 4_096
 
 @dataclass(frozen=True)
 class TargetSurface:
-    """Parameters of a target's reflectance, per texel.
-
-    Attributes:
-        diffuse: (3, H, W).
-        f0: (1, H, W) or (3, H, W) reflectance at normal incidence.
-        roughness: (1, H, W); alpha is its square.
-        normal: (3, H, W), +Y up; need not be of unit length.
-        f90: reflectance at grazing, a number or a tensor like f0.
-        metal: (1 or 3, H, W) F0 of the part that is metal, where that is another lobe.
-        share: (1, H, W) of that part; `f0` is of the rest.
-        layer: F0 of a layer above the diffuse part, where the target's shading has one; a number
-            or a tensor like f0.
-        shading: of the target.
-    """
+    """Parameters of a target's reflectance, per texel."""
 
     diffuse: Tensor
+    """(3, H, W)."""
     f0: Tensor
+    """(1, H, W) or (3, H, W) reflectance at normal incidence."""
     roughness: Tensor
+    """(1, H, W); alpha is its square."""
     normal: Tensor
+    """(3, H, W), +Y up; need not be of unit length."""
     f90: float | Tensor = 1.0
+    """Reflectance at grazing, a number or a tensor like f0."""
     layer: float | Tensor | None = None
+    """F0 of a layer above the diffuse part, where the target's shading has one; a number or a
+    tensor like f0."""
     shading: TargetShading = MATCAP
+    """Of the target."""
     metal: Tensor | None = None
+    """(1 or 3, H, W) F0 of the part that is metal, where that is another lobe."""
     share: Tensor | None = None
+    """(1, H, W) of that part; `f0` is of the rest."""
 
     @staticmethod
     def of_maps(maps: MapSet) -> TargetSurface:
@@ -98,15 +95,12 @@ MadeSurface = Callable[[Reader], TargetSurface]
 
 @dataclass(frozen=True)
 class Residual:
-    """How far a target's light is from matcap's, as a share of matcap's light.
-
-    Attributes:
-        mean: over all texels, views and lights.
-        worst: of any one view and light, over all texels.
-    """
+    """How far a target's light is from matcap's, as a share of matcap's light."""
 
     mean: float
+    """Over all texels, views and lights."""
     worst: float
+    """Of any one view and light, over all texels."""
 
     def __str__(self) -> str:
         return f"{self.mean:.2%} of the light on average, {self.worst:.2%} at worst"

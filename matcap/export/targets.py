@@ -104,23 +104,20 @@ TARGETS = (*DOCUMENTS, *PRESETS)
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written.
-
-    Attributes:
-        folder: where.
-        files: names in it, sorted.
-        residual: how far the target's light is from matcap's; None for plain maps.
-        notes: what the user must know, a sentence each.
-        workflow: the form that was written; None where there is only one.
-        residuals: of every form and every way of reading it, by name.
-    """
+    """What was written."""
 
     folder: Path
+    """Where."""
     files: tuple[str, ...]
+    """Names in it, sorted."""
     residual: Residual | None
+    """How far the target's light is from matcap's; None for plain maps."""
     notes: tuple[str, ...]
+    """What the user must know, a sentence each."""
     workflow: Workflow | None = None
+    """The form that was written; None where there is only one."""
     residuals: Mapping[str, Residual] = field(default_factory=dict)
+    """Of every form and every way of reading it, by name."""
 
 
 def check_target(name: str, where: str = "--to") -> str:

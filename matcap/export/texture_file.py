@@ -26,28 +26,25 @@ _INCH = 0.0254
 
 @dataclass(frozen=True)
 class TextureFile:
-    """A texture as a file holds it.
-
-    Attributes:
-        make: (H, W) grey, (H, W, 3) colour or (H, W, 4) with alpha, of a piece of the maps: what
-            the target is to read, texel by texel. Whole code values are clipped to [0, 1].
-        depth: bits of whole numbers ("8", "16"), or floats ("half", "float").
-        srgb: whole numbers follow the sRGB curve; floats are light itself.
-        meaning: what the values are, for the sidecar.
-        container: the file's format.
-        udim: there is one of every tile of a texture set.
-        eight_of_16: readers may drop the lower byte of 16 bits, as browsers do: the upper one is
-            the nearest number of 8 bits, which costs whoever reads both at most half such a step,
-            and half-way nothing.
-    """
+    """A texture as a file holds it."""
 
     make: Callable[[MapRows], Picture]
+    """(H, W) grey, (H, W, 3) colour or (H, W, 4) with alpha, of a piece of the maps: what the
+    target is to read, texel by texel. Whole code values are clipped to [0, 1]."""
     depth: Depth
+    """Bits of whole numbers ("8", "16"), or floats ("half", "float")."""
     srgb: bool = False
+    """Whole numbers follow the sRGB curve; floats are light itself."""
     meaning: str = ""
+    """What the values are, for the sidecar."""
     container: Container = "png"
+    """The file's format."""
     udim: bool = False
+    """There is one of every tile of a texture set."""
     eight_of_16: bool = False
+    """Readers may drop the lower byte of 16 bits, as browsers do: the upper one is the nearest
+    number of 8 bits, which costs whoever reads both at most half such a step, and half-way
+    nothing."""
 
     @staticmethod
     def of(

@@ -36,22 +36,19 @@ BENT = "mean direction of what is open, as 0.5 + 0.5 n"
 
 @dataclass(frozen=True)
 class Export:
-    """Everything that a target's folder holds, before it is written.
-
-    Attributes:
-        textures: by file name.
-        documents: by file name; made when the textures stand in the folder that they are given.
-        surfaces: what the target makes of the textures, by form, the one that counts first; none
-            where it has no reflectance of its own.
-        notes: what the user must know, a sentence each.
-        facts: what else the sidecar tells; JSON.
-    """
+    """Everything that a target's folder holds, before it is written."""
 
     textures: dict[str, TextureFile]
+    """By file name."""
     documents: dict[str, Callable[[Path], bytes]]
+    """By file name; made when the textures stand in the folder that they are given."""
     surfaces: dict[str, MadeSurface]
+    """What the target makes of the textures, by form, the one that counts first; none where it has
+    no reflectance of its own."""
     notes: tuple[str, ...] = ()
+    """What the user must know, a sentence each."""
     facts: dict[str, Any] = field(default_factory=dict)
+    """What else the sidecar tells; JSON."""
 
 
 @dataclass(frozen=True)

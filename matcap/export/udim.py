@@ -30,22 +30,20 @@ MOST_COLUMNS, MOST_ROWS = 10, 900
 class TextureSet:
     """Which tiles there are, and of what.
 
-    Attributes:
-        material: by one generator.
-        columns: at most MOST_COLUMNS.
-        rows: at most MOST_ROWS.
-        size: (width, height) of a tile in texels.
-        seed: which realisation.
-
     Raises:
         UsageError: too many tiles, or none.
     """
 
     material: Material
+    """By one generator."""
     columns: int
+    """At most MOST_COLUMNS."""
     rows: int
+    """At most MOST_ROWS."""
     size: tuple[int, int]
+    """(width, height) of a tile in texels."""
     seed: int = 0
+    """Which realisation."""
 
     def __post_init__(self) -> None:
         if not (1 <= self.columns <= MOST_COLUMNS and 1 <= self.rows <= MOST_ROWS):

@@ -67,21 +67,18 @@ _CONTAINERS = ("png", "jpg")
 
 @dataclass(frozen=True)
 class _UsdLook:
-    """A material's textures by input, and its numbers.
-
-    Attributes:
-        inputs: of UsdPreviewSurface: the textures.
-        specular: whether useSpecularWorkflow is on.
-        ior: index of refraction.
-        layered: textures and index of the MaterialX network.
-        coloured: F0 has a colour.
-    """
+    """A material's textures by input, and its numbers."""
 
     inputs: dict[str, TextureFile]
+    """Of UsdPreviewSurface: the textures."""
     specular: bool
+    """Whether useSpecularWorkflow is on."""
     ior: float
+    """Index of refraction."""
     layered: Layered
+    """Textures and index of the MaterialX network."""
     coloured: bool
+    """F0 has a colour."""
 
     def files(self, name: str) -> dict[str, str]:
         """File names of all textures by kind."""

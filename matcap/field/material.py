@@ -62,22 +62,19 @@ PartKind = TypeVar("PartKind")
 
 @dataclass(frozen=True)
 class Material:
-    """An endless material.
-
-    Attributes:
-        name: of the photograph it came from.
-        generators: what makes its maps, by name: "example" for the photographed piece,
-            rearranged; "decoder" for the paper's network, where it was asked for.
-        texel_size: in plane units (half the photograph's long side).
-        setup: camera and flash of the photograph.
-        provenance: anything worth knowing about how it was made; JSON.
-    """
+    """An endless material."""
 
     name: str
+    """Of the photograph it came from."""
     generators: Mapping[Generator, FieldGenerator]
+    """What makes its maps, by name: "example" for the photographed piece, rearranged; "decoder" for
+    the paper's network, where it was asked for."""
     texel_size: float
+    """In plane units (half the photograph's long side)."""
     setup: FlashSetup
+    """Camera and flash of the photograph."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    """Anything worth knowing about how it was made; JSON."""
 
     def part(self, kind: type[PartKind]) -> PartKind | None:
         """Its generator of a class, if it has one."""

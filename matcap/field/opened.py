@@ -29,17 +29,14 @@ REPEATS = {"tile": "piece"}
 
 @dataclass(frozen=True)
 class OpenedMaps:
-    """Maps with what is known of them.
-
-    Attributes:
-        maps: without batch dimensions.
-        name: of the map set or the material.
-        provenance: how the material was made; any JSON.
-    """
+    """Maps with what is known of them."""
 
     maps: MapSet
+    """Without batch dimensions."""
     name: str
+    """Of the map set or the material."""
     provenance: dict[str, Any] = field(default_factory=dict)
+    """How the material was made; any JSON."""
 
 
 def open_tile(
@@ -114,18 +111,15 @@ def _told(maps: MapSet, name: str, provenance: dict[str, Any], adjust: Adjustmen
 
 @dataclass(frozen=True)
 class PhotographedAs:
-    """How a material was photographed.
-
-    Attributes:
-        setup: camera and flash.
-        size: (width, height) in texels of the photographed piece, whose sides are the
-            photograph's; None where a material has no piece.
-        endless: there is material beyond the piece.
-    """
+    """How a material was photographed."""
 
     setup: FlashSetup
+    """Camera and flash."""
     size: tuple[int, int] | None
+    """(width, height) in texels of the photographed piece, whose sides are the photograph's; None
+    where a material has no piece."""
     endless: bool
+    """There is material beyond the piece."""
 
 
 def open_photographed(path: Path) -> PhotographedAs | None:

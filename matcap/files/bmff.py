@@ -16,21 +16,18 @@ _MOST = 1 << 26  # bytes of a meta box that is looked at: a header may claim any
 
 @dataclass(frozen=True)
 class Properties:
-    """Of the primary picture.
-
-    Attributes:
-        profile: ICC profile, or None.
-        code_points: (primaries, transfer) of ITU-T H.273 from nclx, or None.
-        focal_length: of the camera matrix (cmin), in widths of the stored picture, or None.
-        bits: of a channel (pixi), or 8 where it is not said.
-        sideways: the decoded picture is the stored one after an odd number of quarter turns (irot).
-    """
+    """Of the primary picture."""
 
     profile: bytes | None = None
+    """ICC profile, or None."""
     code_points: tuple[int, int] | None = None
+    """(primaries, transfer) of ITU-T H.273 from nclx, or None."""
     focal_length: float | None = None
+    """Of the camera matrix (cmin), in widths of the stored picture, or None."""
     bits: int = 8
+    """Of a channel (pixi), or 8 where it is not said."""
     sideways: bool = False
+    """The decoded picture is the stored one after an odd number of quarter turns (irot)."""
 
 
 def primary_properties(path: Path) -> Properties:

@@ -40,19 +40,16 @@ def linear(code: Values) -> Values:
 
 @dataclass(frozen=True)
 class ColorSpace:
-    """How a file's code values stand for light.
-
-    Attributes:
-        name: for the report.
-        curves: code values in [0, 1] to linear light, one for each of red, green and blue.
-        matrix: (3, 3) from the file's linear colours to Rec.709, or None where they are that.
-        system_gamma: power of luminance from scene to display light (HLG; ITU-R BT.2100, table 5).
-    """
+    """How a file's code values stand for light."""
 
     name: str
+    """For the report."""
     curves: tuple[Curve, Curve, Curve]
+    """Code values in [0, 1] to linear light, one for each of red, green and blue."""
     matrix: Values | None = None
+    """(3, 3) from the file's linear colours to Rec.709, or None where they are that."""
     system_gamma: float = 1.0
+    """Power of luminance from scene to display light (HLG; ITU-R BT.2100, table 5)."""
 
     def lineariser(self, dtype: np.dtype[np.generic]) -> Linearise:
         """A function from rows (n, W, 3) of this dtype to linear Rec.709 float32, at least 0.

@@ -106,17 +106,14 @@ def read_exr(
 
 @dataclass(frozen=True)
 class NamedChannels:
-    """An EXR file's numbers.
-
-    Attributes:
-        pixels: (H, W, C) float32.
-        names: of the channels.
-        primaries: x and y of red, green, blue and white, where the file states them.
-    """
+    """An EXR file's numbers."""
 
     pixels: NDArray[np.float32]
+    """(H, W, C) float32."""
     names: tuple[str, ...]
+    """Of the channels."""
     primaries: tuple[float, ...] | None
+    """X and y of red, green, blue and white, where the file states them."""
 
 
 def read_exr_named(

@@ -39,23 +39,20 @@ _NO_COLOURS = ("CMYK", "CIELAB", "YCCK")  # of TIFF and JPEG, whose conversion i
 
 @dataclass(frozen=True)
 class Pixels:
-    """A picture.
-
-    Attributes:
-        path: of its file.
-        stored: (H, W, C) uint8, uint16 or float32.
-        roles: by "R", "G", "B", "A" the channel that holds it; grey has the same for all three.
-        primaries: x and y of red, green, blue and white, where an EXR file states them.
-        surroundings: what an EXR file says its picture of all directions is, or "".
-        partial: the file holds a part of the picture only; see read_pixels.
-    """
+    """A picture."""
 
     path: Path
+    """Of its file."""
     stored: NDArray[Any]
+    """(H, W, C) uint8, uint16 or float32."""
     roles: Mapping[str, int]
+    """By "R", "G", "B", "A" the channel that holds it; grey has the same for all three."""
     primaries: tuple[float, ...] | None = None
+    """X and y of red, green, blue and white, where an EXR file states them."""
     surroundings: str = ""
+    """What an EXR file says its picture of all directions is, or ""."""
     partial: bool = False
+    """The file holds a part of the picture only; see read_pixels."""
 
     @property
     def size(self) -> tuple[int, int]:

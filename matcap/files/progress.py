@@ -8,19 +8,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Progress:
-    """How far work is.
-
-    Attributes:
-        stage: what is done now.
-        fraction: of the whole, in [0, 1].
-        seconds: since the start; 0 where nobody counts.
-        seconds_left: expected, or None where it is too early to say.
-    """
+    """How far work is."""
 
     stage: str
+    """What is done now."""
     fraction: float
+    """Of the whole, in [0, 1]."""
     seconds: float = 0.0
+    """Since the start; 0 where nobody counts."""
     seconds_left: float | None = None
+    """Expected, or None where it is too early to say."""
 
 
 TellProgress = Callable[[Progress], None]

@@ -24,25 +24,22 @@ _RESOLUTION = re.compile(rb"([+-])([XY]) +(\d{1,6}) +([+-])([XY]) +(\d{1,6}) *\r
 
 @dataclass(frozen=True)
 class RadianceHeader:
-    """A header.
-
-    Attributes:
-        length: bytes of it.
-        scanlines: how many there are,
-        texels: in each.
-        columns: whether scanlines are columns.
-        flips: whether rows run upwards, and columns to the left.
-        exposure: (3,) what the light was multiplied by.
-        primaries: as EXR's chromaticities, where it states them.
-    """
+    """A header."""
 
     length: int
+    """Bytes of it."""
     scanlines: int
+    """How many there are,."""
     texels: int
+    """In each."""
     columns: bool
+    """Whether scanlines are columns."""
     flips: tuple[bool, bool]
+    """Whether rows run upwards, and columns to the left."""
     exposure: NDArray[np.float64]
+    """(3,) what the light was multiplied by."""
     primaries: tuple[float, ...] | None
+    """As EXR's chromaticities, where it states them."""
 
     def plain(self) -> bytes:
         """The header of the same scanlines without anything else to be heeded."""

@@ -48,17 +48,14 @@ _DECODED = 1 << 24  # bytes a compressed profile may have
 
 @dataclass(frozen=True)
 class StatedColor:
-    """What a file says of its colours.
-
-    Attributes:
-        profile: an ICC profile, which goes before the rest, or None.
-        space: what it says otherwise; sRGB where it says nothing.
-        notes: sentences for the user.
-    """
+    """What a file says of its colours."""
 
     profile: bytes | None = None
+    """An ICC profile, which goes before the rest, or None."""
     space: ColorSpace = SRGB
+    """What it says otherwise; sRGB where it says nothing."""
     notes: tuple[str, ...] = ()
+    """Sentences for the user."""
 
     def lineariser(self, dtype: np.dtype[Any]) -> tuple[Linearise, tuple[str, ...]]:
         """From rows (n, W, 3) of codes of this dtype to linear Rec.709, and all there is to say."""

@@ -39,20 +39,17 @@ _CPU = torch.device("cpu")
 
 @dataclass(frozen=True)
 class BlendSource:
-    """Between two materials; picklable.
-
-    Attributes:
-        first, second: their fields; one seed, period, grid and texel size.
-        means: of their heights.
-        deviation: of their heights, together.
-        mask: the second one's share of every texel.
-    """
+    """Between two materials; picklable."""
 
     first: Source
     second: Source
+    """Their fields; one seed, period, grid and texel size."""
     means: tuple[float, float]
+    """Of their heights."""
     deviation: float
+    """Of their heights, together."""
     mask: Mask
+    """The second one's share of every texel."""
 
     @property
     def texel_size(self) -> float:

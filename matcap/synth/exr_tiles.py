@@ -55,20 +55,17 @@ class Tile:
 
 @dataclass(frozen=True)
 class Layout:
-    """What a file looks like before any texel is in it.
-
-    Attributes:
-        width, height: in texels.
-        channels: in alphabetical order of their names.
-        mipmap: with all smaller levels, down to one texel.
-        wrap: OpenImageIO's texture wrap modes, such as "periodic,black"; "" for none.
-    """
+    """What a file looks like before any texel is in it."""
 
     width: int
     height: int
+    """In texels."""
     channels: tuple[Channel, ...]
+    """In alphabetical order of their names."""
     mipmap: bool = False
+    """With all smaller levels, down to one texel."""
     wrap: str = ""
+    """OpenImageIO's texture wrap modes, such as "periodic,black"; "" for none."""
 
     @property
     def levels(self) -> int:

@@ -40,15 +40,12 @@ Submit = Callable[[Job], Future[list[Rendered]]]
 
 @dataclass(frozen=True)
 class Crew:
-    """Workers that stand ready.
-
-    Attributes:
-        submit: gives them a job.
-        ahead: how many jobs are in flight at most.
-    """
+    """Workers that stand ready."""
 
     submit: Submit
+    """Gives them a job."""
     ahead: int
+    """How many jobs are in flight at most."""
 
     def run(self, jobs: Iterable[Job]) -> Iterator[tuple[Job, list[Rendered]]]:
         """Results in the order of their jobs.

@@ -19,18 +19,15 @@ from matcap.files.mask import read_mask as read_shares
 
 @dataclass(frozen=True)
 class Mask:
-    """A share in [0, 1] for every texel of the plane, between pixels bilinear.
-
-    Attributes:
-        pixels: (H, W) uint8 or uint16; black is 0, the largest number 1.
-        over: the rectangle of the plane that the picture is stretched over. Beyond it the border
-            goes on, or, along an axis that repeats, the picture does.
-        period: what repeats; where it does, `over` is as long.
-    """
+    """A share in [0, 1] for every texel of the plane, between pixels bilinear."""
 
     pixels: NDArray[Any]
+    """(H, W) uint8 or uint16; black is 0, the largest number 1."""
     over: Rectangle
+    """The rectangle of the plane that the picture is stretched over. Beyond it the border goes on,
+    or, along an axis that repeats, the picture does."""
     period: Period | None = None
+    """What repeats; where it does, `over` is as long."""
 
     def shares(self, x: int, y: int, rows: Span, columns: Span) -> Tensor:
         """(rows, columns) float32 shares at texel centres.

@@ -37,19 +37,16 @@ def kind_planes(specular: int) -> dict[str, tuple[int, ...]]:
 
 @dataclass(frozen=True)
 class PictureFile:
-    """One file.
-
-    Attributes:
-        file: its name.
-        layout: of its tiles.
-        planes: for each channel of the layout, which of the stored planes it holds, ...
-        kinds: ... and of which map.
-    """
+    """One file."""
 
     file: str
+    """Its name."""
     layout: Layout
+    """Of its tiles."""
     planes: tuple[int, ...]
+    """For each channel of the layout, which of the stored planes it holds, ..."""
     kinds: tuple[str, ...]
+    """... and of which map."""
 
     def places(self, kind: str) -> list[int]:
         """Which channels of the layout a map has, in its own order; none of another file's."""
@@ -59,17 +56,14 @@ class PictureFile:
 
 @dataclass(frozen=True)
 class Fragment:
-    """A part of a tile that reaches beyond a piece.
-
-    Attributes:
-        tile: which.
-        place: (rows, columns) of the tile.
-        planes: of each channel.
-    """
+    """A part of a tile that reaches beyond a piece."""
 
     tile: Tile
+    """Which."""
     place: tuple[slice, slice]
+    """(rows, columns) of the tile."""
     planes: list[NDArray[np.generic]]
+    """Of each channel."""
 
 
 @dataclass(frozen=True)

@@ -31,17 +31,14 @@ _CHOICES = {0: "bf16", 1: "bf16 below full resolution", 2: "bf16 below half reso
 
 @dataclass(frozen=True)
 class ChosenPrecision:
-    """A precision.
-
-    Attributes:
-        source: that computes in it.
-        name: "fp32", "bf16" or something between.
-        steps: largest error against fp32 in 8-bit steps for each map, where it was measured.
-    """
+    """A precision."""
 
     source: Source
+    """That computes in it."""
     name: str
+    """"fp32", "bf16" or something between."""
     steps: dict[str, float]
+    """Largest error against fp32 in 8-bit steps for each map, where it was measured."""
 
     def sentence(self) -> str:
         """For people."""

@@ -25,30 +25,24 @@ _OPAQUE = 200  # of 255, where the photograph says nothing
 
 @dataclass(frozen=True)
 class EncodedPicture:
-    """A picture that a browser shows.
-
-    Attributes:
-        data: a file's bytes.
-        kind: its media type.
-    """
+    """A picture that a browser shows."""
 
     data: bytes
+    """A file's bytes."""
     kind: str
+    """Its media type."""
 
 
 @dataclass(frozen=True)
 class Beside:
-    """What there is to show.
-
-    Attributes:
-        photo: the photograph; of a piece that is known, as seen from straight above it.
-        doubt: over the photographed piece, shaded where the photograph says little.
-        verdict: (rating, sentence) on the capture, or none.
-    """
+    """What there is to show."""
 
     photo: EncodedPicture | None = None
+    """The photograph; of a piece that is known, as seen from straight above it."""
     doubt: EncodedPicture | None = None
+    """Over the photographed piece, shaded where the photograph says little."""
     verdict: tuple[str, str] | None = None
+    """(rating, sentence) on the capture, or none."""
 
 
 def find_beside(

@@ -18,21 +18,18 @@ _LARGEST = 4096  # texels a side
 
 @dataclass(frozen=True)
 class ExportWish:
-    """What is to be exported.
-
-    Attributes:
-        target: of matcap export, --to or --preset.
-        size: sides in texels; a map set has its own.
-        seed: which realisation.
-        share: of a blend.
-        adjust: what is changed.
-    """
+    """What is to be exported."""
 
     target: str
+    """Of matcap export, --to or --preset."""
     size: int
+    """Sides in texels; a map set has its own."""
     seed: int
+    """Which realisation."""
     share: float
+    """Of a blend."""
     adjust: Adjustments
+    """What is changed."""
 
 
 def wish_of(values: Mapping[str, str]) -> ExportWish:

@@ -29,17 +29,14 @@ _OPENED = 8  # materials kept: some 50 MB each
 
 @dataclass(frozen=True)
 class Shelved:
-    """A material of a library.
-
-    Attributes:
-        name: of the file.
-        rating: of its capture, or "".
-        sentence: of the verdict.
-    """
+    """A material of a library."""
 
     name: str
+    """Of the file."""
     rating: str = ""
+    """Of its capture, or ""."""
     sentence: str = ""
+    """Of the verdict."""
 
 
 class Library:

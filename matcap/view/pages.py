@@ -66,19 +66,16 @@ class Place:
 
 @dataclass(frozen=True)
 class Page:
-    """A page.
-
-    Attributes:
-        data: its bytes.
-        texel_size: a texel's side in plane units.
-        ends: lowest and highest F0 of any channel, roughness and height on it.
-        specular_channels: of F0, 1 or 3.
-    """
+    """A page."""
 
     data: bytes
+    """Its bytes."""
     texel_size: float
+    """A texel's side in plane units."""
     ends: tuple[tuple[float, float], ...]
+    """Lowest and highest F0 of any channel, roughness and height on it."""
     specular_channels: int
+    """Of F0, 1 or 3."""
 
 
 class Pages:

@@ -28,47 +28,42 @@ class Flashed:
     """Camera and flash of the photograph, in the plane of its piece (flash/geometry.py).
 
     The piece is two plane units wide, and its middle is their origin.
-
-    Attributes:
-        camera: its place.
-        light: place of the flash.
-        axis: where the camera looks, a unit vector.
-        intensity: radiant intensity of the flash, by channel.
-        vignetting: (a, b), light is lost by exp(-a tan^2 - b tan^4) at an angle from the axis.
     """
 
     camera: tuple[float, ...]
+    """Its place."""
     light: tuple[float, ...]
+    """Place of the flash."""
     axis: tuple[float, ...]
+    """Where the camera looks, a unit vector."""
     intensity: tuple[float, float, float]
+    """Radiant intensity of the flash, by channel."""
     vignetting: tuple[float, float]
+    """(a, b), light is lost by exp(-a tan^2 - b tan^4) at an angle from the axis."""
 
 
 @dataclass(frozen=True)
 class ViewFacts:
-    """What the page tells of its subject.
-
-    Attributes:
-        name: of the material or map set.
-        second: name of the material that it can be blended with, or "".
-        texel_size: in plane units; between two materials it lies between theirs.
-        period: (width, height) in texels after which it repeats, or None for an endless one.
-        seed: the realisation shown first.
-        mean: moments (moments.py) of a texel like all together, shown before there is any.
-        piece: (width, height) in texels of the photographed piece, where it is known.
-        flash: what it was photographed with.
-        millimetres: of a plane unit; 0 where nobody measured it.
-    """
+    """What the page tells of its subject."""
 
     name: str
+    """Of the material or map set."""
     second: str
+    """Name of the material that it can be blended with, or ""."""
     texel_size: float
+    """In plane units; between two materials it lies between theirs."""
     period: tuple[int, int] | None
+    """(width, height) in texels after which it repeats, or None for an endless one."""
     seed: int
+    """The realisation shown first."""
     mean: tuple[float, ...]
+    """Moments (moments.py) of a texel like all together, shown before there is any."""
     piece: tuple[int, int] | None = None
+    """(width, height) in texels of the photographed piece, where it is known."""
     flash: Flashed | None = None
+    """What it was photographed with."""
     millimetres: float = 0.0
+    """Of a plane unit; 0 where nobody measured it."""
 
 
 class Viewable(Protocol):
@@ -198,15 +193,12 @@ class Materials:
 
 @dataclass(frozen=True)
 class Maps:
-    """A map set; beyond its borders it repeats.
-
-    Attributes:
-        maps: without batch dimensions.
-        name: of the set.
-    """
+    """A map set; beyond its borders it repeats."""
 
     maps: MapSet
+    """Without batch dimensions."""
     name: str
+    """Of the set."""
 
     @property
     def facts(self) -> ViewFacts:
