@@ -266,6 +266,24 @@ def test_normals_of_which_two_channels_are_stored(plain):
         assert any("z is computed" in note for note in found.notes)
 
 
+@pytest.mark.parametrize(
+    ("base", "normal", "way"),
+    [("T_Brick_BC.png", "T_Brick_N.png", "dx"), ("b_Color.png", "b_Normal.png", "gl"),
+     ("DefaultMaterial_BaseColor.png", "DefaultMaterial_Normal.png", "dx")],
+)  # fmt: skip
+def test_ridges_along_the_axes_point_as_is_usual_for_their_names(tmp_path, base, normal, way):
+    """h = f(x) + g(y) is a surface with y turned over, too: no curl tells."""
+    wave = 0.3 * np.sin(np.arange(64) * 2.0 * np.pi / 16).astype(np.float32)
+    x, y = np.broadcast_arrays(wave[None, :], wave[:, None])
+    vectors = np.stack([x, y, np.ones_like(x)], axis=-1)
+    vectors /= np.linalg.norm(vectors, axis=-1, keepdims=True)
+    png(tmp_path / normal, 0.5 + 0.5 * vectors)
+    png(tmp_path / base, np.full((64, 64, 3), 0.5, np.float32))
+    found = read_foreign(tmp_path).texture
+    up = -vectors[..., 1] / vectors[..., 2]
+    np.testing.assert_allclose(found.slopes[1], up if way == "gl" else -up, atol=2e-3)
+
+
 def test_what_is_no_normal_map_is_refused(plain):
     folder, pictures, _ = plain
     png(folder / "a_NormalGL.png", pictures["rough"])

@@ -15,7 +15,7 @@ import numpy as np
 from matcap.errors import MatcapError
 from matcap.files.pixels import Pixels, linear_colours, read_pixels
 from matcap.relight.foreign.exported import TOKEN, Stated, stated_export
-from matcap.relight.foreign.names import NamedFile, assigned
+from matcap.relight.foreign.names import NamedFile, assigned, usual_style
 from matcap.relight.foreign.normals import (
     NormalStyle,
     gradient,
@@ -224,7 +224,8 @@ class _Set:
         slopes = self._fitted(found, size, pixels)
         named: NormalStyle | None = "gl" if file.style == "gl" else "dx" if file.style else style
         if named is None:
-            named = style_of(slopes, None if height is None else gradient(height, texel))
+            rise = None if height is None else gradient(height, texel)
+            named = style_of(slopes, rise, usual_style(self.files.values()))
             self.notes.append(
                 f"{file.path.name} does not say which way green points: taken as +Y "
                 f"{'up (gl)' if named == 'gl' else 'down (dx)'}; say --normal if that is wrong"

@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import permutations
 from pathlib import Path
+from typing import Literal
 
 from matcap.errors import MatcapError
 
@@ -197,6 +198,18 @@ def assigned(folder: Path) -> Assigned:
         elif len(taken) == len(wanted):
             left_out[file.path] = f"{files[taken[0]].path.name} is taken"
     return Assigned(files, tuple(f"{path.name} ({why})" for path, why in sorted(left_out.items())))
+
+
+def usual_style(files: Iterable[NamedFile]) -> Literal["gl", "dx"]:
+    """Which way green points where nothing says it: down in Unreal's and Substance's names.
+
+    Unreal Engine calls textures T_NAME; Substance Painter's default project is DirectX, its default
+    texture set DefaultMaterial, and it spells OcclusionRoughnessMetallic. All others are +Y up.
+    """
+    stems = [file.path.stem for file in files]
+    down = ("T_", "DefaultMaterial")
+    spelled = any(stem.endswith("OcclusionRoughnessMetallic") for stem in stems)
+    return "dx" if spelled or any(stem.startswith(down) for stem in stems) else "gl"
 
 
 def named(paths: Sequence[Path]) -> list[NamedFile]:

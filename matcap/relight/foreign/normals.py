@@ -17,7 +17,7 @@ _STEP = 2.0 / 255.0  # a channel that varies by less is constant
 _UNIT = 0.05  # by which vectors' length may be off, on average
 _NEGATIVE = 0.01  # share of texels: fewer are what resampling leaves of a coded map
 _FACING_AWAY = 0.5  # share of texels of which a map is of no surface seen from above
-_CLEARLY = 0.9  # by which the curl must be less: most sets that do not say are +Y up
+_CLEARLY = 0.9  # of the other way's curl: more tells nothing
 _SAMPLE = 1_000_000  # texels that a map's coding is judged by
 
 
@@ -81,12 +81,15 @@ def looks_like_normals(pixels: Pixels) -> bool:
     return z > 0.5 and max(abs(x), abs(y)) < 0.2 and abs(unit - 1.0) < 0.1
 
 
-def style_of(slopes: Array, rise: Array | None) -> NormalStyle:
+def style_of(slopes: Array, rise: Array | None, usual: NormalStyle) -> NormalStyle:
     """Which way green points: the way the height rises, else the way that makes a surface.
+
+    Ridges along the axes, and sums of them, are surfaces both ways: then it is the usual one.
 
     Args:
         slopes: (2, H, W) along green.
         rise: (2, H, W) slopes of the height map, y upwards; None without one.
+        usual: of who names files so.
     """
     if rise is not None and (rise[1] * slopes[1]).any():
         return "gl" if (rise[1] * slopes[1]).sum() >= 0.0 else "dx"
@@ -97,7 +100,10 @@ def style_of(slopes: Array, rise: Array | None) -> NormalStyle:
         twist = twist - sign * (np.roll(slopes[1], -1, 1) - np.roll(slopes[1], 1, 1))
         return float((twist * twist).mean())
 
-    return "dx" if curl(-1.0) < _CLEARLY * curl(1.0) else "gl"
+    up, down = curl(1.0), curl(-1.0)
+    if min(up, down) >= _CLEARLY * max(up, down):
+        return usual
+    return "gl" if up < down else "dx"
 
 
 def gradient(height: Array, texel: float) -> Array:
