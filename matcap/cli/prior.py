@@ -151,9 +151,9 @@ def evaluate(
 ) -> None:
     """Measure a prior on held-out photographs and unseen simulated materials.
 
-    Every result is kept in a folder beside the table as soon as it is there; the same command again
-    goes on from them. They are told apart by photograph, prior and options, not by the version of
-    matcap: after changing that, remove the folder.
+    Every result is a row of prior-evaluation.csv as soon as it is there; the same command again
+    goes on from them. They are told apart by material, prior and options, not by the version of
+    matcap: after changing that, or the pack, remove the CSV.
     """
     import shlex
     import sys
@@ -189,15 +189,15 @@ def ablate(
     import shlex
     import sys
 
-    from matcap.lab.train.ablate import run_ablation
+    from matcap.lab.train.evaluate import EvaluateSettings, run_ablation
     from matcap.lab.train.pack import Pack
     from matcap.space.prior.store import load_prior
 
+    settings = EvaluateSettings(steps, materials=materials)
     command = shlex.join(["matcap", *sys.argv[1:]])
-    table = run_ablation(
-        load_prior(prior), Pack.load(pack), steps, materials, out, command, _teller(quiet)
+    typer.echo(
+        run_ablation(load_prior(prior), Pack.load(pack), settings, out, command, _teller(quiet))
     )
-    typer.echo(table)
 
 
 @app.command()

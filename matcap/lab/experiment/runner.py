@@ -42,6 +42,9 @@ class Configuration(Generic[Subject, Outcome]):
     group: str = ""
     """What it varies; configurations of a group share a colour of the plot."""
 
+    settings: object = None
+    """Whatever else its values follow from, told by its `repr`."""
+
 
 @dataclass(frozen=True)
 class Experiment(Generic[Subject, Outcome]):
@@ -71,10 +74,11 @@ class Experiment(Generic[Subject, Outcome]):
     any_version: bool = False
     """Rows that another version of the source measured count: of sweeps that take hours."""
 
-    @property
-    def version(self) -> str:
-        """Eight hexadecimal digits of matcap's source and the settings."""
-        return hashlib.sha256(f"{source_version()}{self.settings!r}".encode()).hexdigest()[:8]
+    def version(self, configuration: str) -> str:
+        """Eight hexadecimal digits of matcap's source and a configuration's settings."""
+        source = "" if self.any_version else source_version()
+        told = f"{source}{self.settings!r}{self.configurations[configuration].settings!r}"
+        return hashlib.sha256(told.encode()).hexdigest()[:8]
 
 
 def run(
@@ -91,11 +95,12 @@ def run(
         UsageError: a subject or a configuration was asked for what cannot be.
         MatcapError: the table cannot be read or written; nothing could be measured.
     """
-    version = experiment.version
+    versions = {name: experiment.version(name) for name in experiment.configurations}
 
     def usable(row: Trial) -> bool:
+        unknown = experiment.any_version and not row.version
         return row.experiment == experiment.name and (
-            experiment.any_version or row.version == version
+            unknown or row.version == versions.get(row.configuration)
         )
 
     done = {row.key for row in read(table) if usable(row)}
@@ -124,7 +129,9 @@ def run(
                     on_progress(f"{subject}, {name}: {error}")
                     continue
                 group = experiment.configurations[name].group
-                row = Trial(experiment.name, name, subject, values, group, seed, machine(), version)
+                row = Trial(
+                    experiment.name, name, subject, values, group, seed, machine(), versions[name]
+                )
                 append(table, row)
                 on_progress(row.line)
     rows = {row.key: row for row in read(table) if usable(row)}

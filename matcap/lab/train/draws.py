@@ -2,7 +2,9 @@
 
 Draws lie in the middle of a photograph's plane under a flash; of every photograph, held out or
 simulated of a seed that training never draws, the middle is taken. All are brought to the same
-mean radiance, and compared as measures/variety.py says.
+mean radiance, and compared as measures/variety.py says. Blends of neighbouring held-out
+photographs, untuned, tell whether the space passes through materials: a middle that is none is
+farther from all photographs than the ends of its blend are.
 """
 
 from __future__ import annotations
@@ -11,29 +13,41 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from matcap.lab.measures.variety import Variety, describe_pictures, joined, variety
+import torch
+from torch import Tensor
+
+from matcap.lab.experiment.results import Trial, table
+from matcap.lab.measures.style import StyleStatistics
+from matcap.lab.measures.variety import describe_pictures, joined, style_distances, variety
 from matcap.lab.train.evaluate import UNSEEN
-from matcap.lab.train.middles import Middle, middles
-from matcap.lab.train.pack import Pack, first_of_each
-from matcap.lab.train.pages import table
+from matcap.lab.train.pack import Entry, Pack, first_of_each
 from matcap.lab.train.pictures import lit, middle, simulated_middle, write_grid
+from matcap.space.between import blend
 from matcap.space.prior.store import Prior
 
+PAIRS = 10
+_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+_MIDDLE = 2  # of the shares
 _SHEET, _COLUMNS = 64, 8  # draws that are shown, and how many side by side
-_FARTHER = 1.3  # than the ends of a blend, at most, may its middle be from photographs
+_ABOUT = (
+    "Draws, and training photographs, beside photographs that training never saw, held out, "
+    "simulated or all: precision and recall after Kynkaanniemi et al. (2019), third neighbours, by "
+    "statistics of random filters that nothing is trained on; apart: mean style distance of two of "
+    "them; spread: its share of that of two photographs. The rows of training photographs say what "
+    "a space that shows nothing but what it was trained on would reach. Blends: style distance to "
+    "the nearest of all photographs, the mean of both ends, of the middle, and their ratio."
+)
 
 
 @dataclass(frozen=True)
 class VarietySettings:
-    """What is compared.
-
-    Attributes:
-        draws: how many materials are drawn, of seeds 0, 1, ...
-        simulated: how many unseen simulated photographs stand beside the held-out ones.
-    """
+    """What is compared."""
 
     draws: int = 256
+    """How many materials are drawn, of seeds 0, 1, ..."""
+
     simulated: int = 64
+    """How many unseen simulated photographs stand beside the held-out ones."""
 
 
 def run_variety(
@@ -42,97 +56,98 @@ def run_variety(
     settings: VarietySettings,
     out: Path,
     command: str,
-    tell: Callable[[str], None] = lambda line: None,
+    on_progress: Callable[[str], None] = lambda line: None,
 ) -> str:
-    """Measure draws, write prior-variety.md and .jpg into a folder, and return the page."""
+    """Measure draws, write prior-variety.md and .jpg into a folder, and give the page."""
     real = [middle(entry) for entry in pack.reporting]
-    seeds = range(UNSEEN, UNSEEN + settings.simulated)
-    simulated = [simulated_middle(seed) for seed in seeds]
-    tell(f"{len(real)} held-out photographs and {len(simulated)} simulated ones")
-    known = [middle(entry) for entry in pack.training]
+    simulated = [simulated_middle(UNSEEN + seed) for seed in range(settings.simulated)]
+    on_progress(f"{len(real)} held-out photographs and {len(simulated)} simulated ones")
     drawn = []
     for seed in range(settings.draws):
         drawn.append(lit(prior.draw(seed)))
         if (seed + 1) % 16 == 0:
-            tell(f"{seed + 1} of {settings.draws} draws")
-    made, ceiling = describe_pictures(drawn), describe_pictures(known)
+            on_progress(f"{seed + 1} of {settings.draws} draws")
     told = describe_pictures(real), describe_pictures(simulated)
-    sets = {"all": joined(told), "photographs": told[0], "simulated": told[1]}
+    ceiling = describe_pictures([middle(entry) for entry in pack.training])
+    beside = {"all": joined(told), "photographs": told[0], "simulated": told[1]}
+    made = {"draws": describe_pictures(drawn), "training photographs": ceiling}
+    found = {
+        (what, name): variety(ours, true)
+        for what, true in beside.items()
+        for name, ours in made.items()
+    }
     rows = [
-        (f"{name}, {beside}", variety(ours, true))
-        for beside, true in sets.items()
-        for name, ours in (("draws", made), ("training photographs", ceiling))
-    ]
+        Trial("prior-variety", name, what, {
+            "precision": one.precision, "recall": one.recall, "apart": one.apart,
+            "spread": one.spread,
+        })
+        for (what, name), one in found.items()
+    ]  # fmt: skip
     blends = middles(prior, first_of_each(pack.reporting), joined([*told, ceiling]))
-    page = markdown(rows, blends, settings, len(real), command)
+    rows += [
+        Trial("prior-variety", "blend", f"{one.first} and {one.second}", {
+            "ends": one.ends, "middle": one.middle, "ratio": one.ratio,
+        })
+        for one in blends
+    ]  # fmt: skip
+    pictures = (
+        f"![{_SHEET} draws, in the order of the photographs they are nearest to]"
+        "(prior-variety.jpg)\n\n![Blends, in five steps each](prior-blends.jpg)\n"
+    )
+    page = f"{table(rows, command, _ABOUT)}\n{pictures}"
     out.mkdir(parents=True, exist_ok=True)
-    (out / "prior-variety.md").write_text(page)
-    order = rows[0][1].nearest[:_SHEET].argsort(stable=True).tolist()
+    (out / "prior-variety.md").write_text(page, encoding="utf-8")
+    order = found["all", "draws"].nearest[:_SHEET].argsort(stable=True).tolist()
     write_grid([drawn[index] for index in order], _COLUMNS, out / "prior-variety.jpg")
     write_grid([one.strip for one in blends], 2, out / "prior-blends.jpg")
     return page
 
 
-def markdown(
-    rows: Sequence[tuple[str, Variety]],
-    blends: Sequence[Middle],
-    settings: VarietySettings,
-    real: int,
-    command: str,
-) -> str:
-    """The page."""
-    passed = sum(one.ratio <= _FARTHER for one in blends)
-    lines = [
-        "# How varied the space is",
-        "",
-        f"Made by `{command}`: {settings.draws} materials drawn from the prior, beside {real} "
-        "held-out",
-        f"photographs and {settings.simulated} simulated ones of seeds that training never draws.",
-        "",
-        *table(
-            ["of, beside", "precision", "recall", "pairwise distance", "of theirs"],
-            [
-                [
-                    name,
-                    f"{found.precision:.2f}",
-                    f"{found.recall:.2f}",
-                    f"{found.apart:.3f}",
-                    f"{found.spread:.2f}",
-                ]
-                for name, found in rows
-            ],
-        ),
-        "",
-        "Precision and recall after Kynkaanniemi et al. (2019), third neighbours, by statistics of",
-        "random filters that nothing is trained on; all pictures are brought to",
-        "the same mean radiance. Pairwise distance: mean style distance of two of them, and its",
-        "share of that of two photographs. The rows of training photographs say what a space that",
-        "shows nothing but what it was trained on would reach.",
-        "",
-        f"![{_SHEET} draws, in the order of the photographs they are nearest to]"
-        "(prior-variety.jpg)",
-        "",
-        "## Blends",
-        "",
-        *table(
-            ["between", "ends", "middle", "ratio"],
-            [
-                [
-                    f"{one.first} and {one.second}",
-                    f"{one.ends:.3f}",
-                    f"{one.middle:.3f}",
-                    f"{one.ratio:.2f}",
-                ]
-                for one in blends
-            ],
-        ),
-        "",
-        "Held-out photographs as they lie in the space, untuned, and the middle between two of",
-        "them: style distance to the nearest of all photographs, held out, simulated or trained",
-        f"on; for the ends the mean of both. {passed} of {len(blends)} middles are at most",
-        f"{_FARTHER} times as far from any as their ends are.",
-        "",
-        "![Ten blends, in five steps each](prior-blends.jpg)",
-        "",
-    ]
-    return "\n".join(lines)
+@dataclass(frozen=True)
+class Middle:
+    """One blend.
+
+    Attributes:
+        first, second: materials at its ends.
+        ends: mean style distance of both ends to their nearest photographs.
+        middle: of the middle to its own.
+        strip: (3, size, 5 size) sRGB, the blend in five steps.
+    """
+
+    first: str
+    second: str
+    ends: float
+    middle: float
+    strip: Tensor
+
+    @property
+    def ratio(self) -> float:
+        """Of the middle's distance to the ends'."""
+        return self.middle / self.ends
+
+
+def middles(prior: Prior, entries: Sequence[Entry], photographs: StyleStatistics) -> list[Middle]:
+    """Blends of neighbours in a list of photographs of different materials, at most PAIRS.
+
+    Args:
+        prior: the space.
+        entries: photographs whose places are blended.
+        photographs: statistics of those that pictures are compared with.
+    """
+    places = [prior.place(entry.photo()) for entry in entries[: PAIRS + 1]]
+    materials = [prior.draw(0, near=place, spread=0.0) for place in places]
+    found = []
+    for index in range(len(materials) - 1):
+        first, second = materials[index : index + 2]
+        steps = [lit(blend(first, second, share)) for share in _SHARES]
+        nearest = style_distances(describe_pictures(steps), photographs).min(dim=1).values
+        found.append(
+            Middle(
+                entries[index].material,
+                entries[index + 1].material,
+                float(nearest[[0, -1]].mean()),
+                float(nearest[_MIDDLE]),
+                torch.cat(steps, dim=2),
+            )
+        )
+    return found

@@ -1,77 +1,80 @@
-"""What a prior is worth: measured on photographs and materials it never saw.
+"""What a prior is worth, and each part of the method: captures of photographs it never saw.
 
-Held-out photographs are captured with and without the prior, and compared as measure.py says,
-beside the photograph as albedo. Writes a Markdown table and a picture. Every result is kept as soon
-as it is there, and not made again by the next run into the same folder.
+*Evaluation*: held-out photographs captured with and without the prior, beside the photograph as
+albedo. *Ablation* (paper, section 5.4): FULL starts from the prior and fine-tunes. SINGLE starts
+from nothing. NONTUNED does not fine-tune. DECODERONLY starts from nothing, too, and has no way down
+(decoder_only.py); it is to be compared with SINGLE. FOURIER leaves the power spectrum out of
+fine-tuning. LIGHT leaves the tilt out: the photograph counts as taken from straight above.
 """
 
 from __future__ import annotations
 
-import math
+import hashlib
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cache, partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+import torch
 from torch import Tensor, zeros
 
+from matcap.files.png import write_png
 from matcap.lab.bench.methods import photo_as_albedo
+from matcap.lab.experiment.results import Trial, Value, table
+from matcap.lab.experiment.runner import Configuration, Experiment, run
 from matcap.lab.train.align import evaluate_alignment, make
-from matcap.lab.train.kept import key_of, once, photograph_key, prior_key
+from matcap.lab.train.decoder_only import DecoderOnly
 from matcap.lab.train.measure import (
     DETAIL,
     SIZE,
     Made,
     Photographed,
-    Result,
     capture,
-    judge,
+    compared,
     photographed,
 )
-from matcap.lab.train.pack import Entry, Pack, first_of_each
-from matcap.lab.train.pages import COLUMNS, median, names, table, write_sheet
+from matcap.lab.train.pack import Entry, Pack, first_of_each, read_code
+from matcap.lab.train.pictures import write_grid
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.prior.store import Prior
 from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR
 from matcap.space.tuning.start import log_contrast, untrained
+from matcap.statistics.compare import Weights
 
+ABOUT = (
+    "Held-out photographs under their own flash, in their middle. Style: error of the statistics "
+    "of random filters that no capture optimises, 0 for the same, at most 2; XYZ: share of the "
+    "picture whose colour the photograph does not have; diversity: mean distance between the "
+    "features of realisations, place by place, 0 for the same picture, at most 2. The photograph "
+    "as albedo is its corner laid in its middle and lit once more."
+)
 UNSEEN = 1_000_000  # seeds from here on show simulated materials that training never draws
 ALBEDO = "photograph as albedo"  # which is not ours to publish: not on the sheet
+
+Begin = Callable[[Photographed], tuple[Decoder, Tensor]]
+Ways = Mapping[str, Configuration[Photographed, Made]]
 
 
 @dataclass(frozen=True)
 class EvaluateSettings:
-    """What is measured.
-
-    Attributes:
-        steps: of fine-tuning from the prior.
-        longer: of fine-tuning from nothing.
-        materials: how many held-out ones.
-        tilted: unseen simulated photographs for the tilt.
-        realisations: of each material, that are compared with each other.
-    """
+    """What is measured."""
 
     steps: int = 100
+    """Of fine-tuning from the prior."""
+
     longer: int = 1000
+    """Of fine-tuning from nothing."""
+
     materials: int = 12
+    """How many held-out ones."""
+
     tilted: int = 100
+    """Unseen simulated photographs for the tilt."""
+
     realisations: int = 3
-
-
-@dataclass(frozen=True)
-class EvaluatedMethod:
-    """One way from a photograph to pictures of its material.
-
-    Attributes:
-        name: a row of the table.
-        run: the way.
-        follows: everything its result follows from, beside its name and the photograph.
-    """
-
-    name: str
-    run: Callable[[Photographed], Made]
-    follows: tuple[object, ...] = ()
+    """Of each material, that are compared with each other."""
 
 
 def run_evaluation(
@@ -80,77 +83,125 @@ def run_evaluation(
     settings: EvaluateSettings,
     out: Path,
     command: str,
-    tell: Callable[[str], None] = lambda line: None,
+    on_progress: Callable[[str], None] = lambda line: None,
 ) -> str:
-    """Measure, write prior-evaluation.md and .jpg into a folder, and return the table.
-
-    Results are kept in its folder prior-evaluation; see kept.py.
-    """
+    """Measure, write prior-evaluation.csv, .md and .jpg into a folder, and give the page."""
     entries = first_of_each(pack.reporting)[: settings.materials]
-    results = measure_all(ways_of(prior, settings), entries, out / "prior-evaluation", tell)
-    errors = evaluate_alignment(
-        prior.alignment, make(range(UNSEEN, UNSEEN + settings.tilted), 512)
-    ).abs()
-    tell(f"tilt: {float(errors.mean()):.2f} degrees")
-    page = markdown(results, errors, prior, command)
-    (out / "prior-evaluation.md").write_text(page)
-    shown = [result for result in results if result.method != ALBEDO]
-    write_sheet(shown, out / "prior-evaluation.jpg")
-    return page
+    rows = measured("prior-evaluation", ways_of(prior, settings), entries, out, on_progress)
+    unseen = make(range(UNSEEN, UNSEEN + settings.tilted), 512)
+    errors = evaluate_alignment(prior.alignment, unseen).abs()
+    tilt = (
+        f"Tilt of {len(errors)} simulated photographs of unseen materials, up to 15 degrees either "
+        f"way: mean absolute error {float(errors.mean()):.2f} degrees, 95th percentile "
+        f"{float(errors.quantile(0.95)):.2f}. Codes of the training photographs: "
+        f"{prior.about.get('dead_dimensions', '?')} of {CODE_SIZE} dimensions dead."
+    )
+    return _page("prior-evaluation", rows, out, command, tilt)
 
 
-def measure_all(
-    ways: Sequence[EvaluatedMethod],
+def run_ablation(
+    prior: Prior,
+    pack: Pack,
+    settings: EvaluateSettings,
+    out: Path,
+    command: str,
+    on_progress: Callable[[str], None] = lambda line: None,
+) -> str:
+    """Measure, write prior-ablation.csv, .md and .jpg into a folder, and give the page."""
+    entries = first_of_each(pack.reporting)[: settings.materials]
+    ways = variants(prior, settings.steps, settings.realisations)
+    rows = measured("prior-ablation", ways, entries, out, on_progress)
+    return _page("prior-ablation", rows, out, command)
+
+
+def measured(
+    name: str,
+    ways: Ways,
     entries: Sequence[Entry],
-    folder: Path,
-    tell: Callable[[str], None] = lambda line: None,
-) -> list[Result]:
-    """Every way on every photograph; those kept in the folder are not gone again."""
-    results = []
-    for entry in entries:
-        # Decoded when the first way needs it: perhaps all of them are kept.
-        shown = cache(partial(photographed, entry))
-        for way in ways:
-            key = key_of(way.name, photograph_key(entry), *way.follows)
-            result = once(folder, key, partial(_measure, way, shown))
-            tell(
-                f"{result.material}  {way.name}: style {result.style:.3f}, xyz {result.xyz:.3f}, "
-                f"diversity {result.diversity:.3f}, {result.seconds:.1f} s"
-            )
-            results.append(result)
-    return results
+    out: Path,
+    on_progress: Callable[[str], None] = lambda line: None,
+) -> list[Trial]:
+    """Every way on every photograph; their pictures go to a folder of the experiment's name.
+
+    Rows are told apart by material and by what a way follows, not by the version of matcap: after
+    changing that, or the pack, remove the CSV.
+    """
+
+    def picture(shown: Photographed, made: Made) -> Mapping[str, Value]:
+        path = _picture(out / name, shown.entry.material, made.method)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_png(path, made.pictures[0].permute(1, 2, 0).numpy(), bits=8)
+        return {}
+
+    def named(
+        method: str, way: Configuration[Photographed, Made]
+    ) -> Configuration[Photographed, Made]:
+        return replace(way, run=lambda s, seed: replace(way.run(s, seed), method=method))
+
+    experiment = Experiment(
+        name,
+        {entry.material: partial(photographed, entry) for entry in entries},
+        {method: named(method, way) for method, way in ways.items()},
+        (compared, picture),
+        any_version=True,
+    )
+    return run(experiment, out / f"{name}.csv", on_progress)
 
 
-def _measure(way: EvaluatedMethod, shown: Callable[[], Photographed]) -> Result:
-    return judge(way.name, way.run(shown()), shown())
-
-
-def ways_of(prior: Prior, settings: EvaluateSettings) -> list[EvaluatedMethod]:
+def ways_of(prior: Prior, settings: EvaluateSettings) -> Ways:
     """From the prior, from nothing, and the photograph as albedo."""
-    count, known = settings.realisations, prior_key(prior)
+    start, known, few = partial(from_prior, prior), prior_key(prior), settings.steps
 
-    def tuned(
+    def way(
         begin: Begin, steps: int, rate: float = RATE_FROM_NOTHING
-    ) -> Callable[[Photographed], Made]:
-        return lambda shown: capture(shown, partial(begin, shown), steps, count, rate)
+    ) -> Configuration[Photographed, Made]:
+        follows = (settings.realisations, rate, known if begin is start else "")
+        return Configuration(
+            lambda shown, _: capture(
+                shown, partial(begin, shown), steps, settings.realisations, rate
+            ),
+            settings=follows,
+        )
 
-    start = partial(from_prior, prior)
-    few, many = settings.steps, settings.longer
-    return [
-        EvaluatedMethod("prior, not tuned", tuned(start, 0), (count, known)),
-        EvaluatedMethod(
-            f"prior, {few} steps",
-            tuned(start, few, RATE_FROM_PRIOR),
-            (count, known, RATE_FROM_PRIOR),
-        ),
-        EvaluatedMethod(f"nothing, {few} steps", tuned(from_nothing, few), (count,)),
-        EvaluatedMethod(f"nothing, {many} steps", tuned(from_nothing, many), (count,)),
-        EvaluatedMethod(ALBEDO, albedo),
-    ]
+    return {
+        "prior, not tuned": way(start, 0),
+        f"prior, {few} steps": way(start, few, RATE_FROM_PRIOR),
+        f"nothing, {few} steps": way(from_nothing, few),
+        f"nothing, {settings.longer} steps": way(from_nothing, settings.longer),
+        ALBEDO: Configuration(lambda shown, _: albedo(shown)),
+    }
+
+
+def variants(prior: Prior, steps: int, realisations: int = 3) -> Ways:
+    """FULL and what is left without one part each."""
+    start, known = partial(from_prior, prior), prior_key(prior)
+
+    def way(
+        begin: Begin,
+        view: Callable[[Photographed], Photographed] = lambda shown: shown,
+        taken: int = steps,
+    ) -> Configuration[Photographed, Made]:
+        rate = RATE_FROM_PRIOR if begin is start else RATE_FROM_NOTHING
+
+        def made(shown: Photographed, _seed: int) -> Made:
+            # Every variant is compared with the photograph as it is, however it sees it itself.
+            tuned = view(shown)
+            return capture(tuned, partial(begin, tuned), taken, realisations, rate)
+
+        return Configuration(made, settings=(taken, realisations, known if begin is start else ""))
+
+    return {
+        "FULL": way(start),
+        "SINGLE": way(from_nothing),
+        "NONTUNED": way(start, taken=0),
+        "DECODERONLY": way(partial(from_nothing, kind=DecoderOnly)),
+        "FOURIER": way(start, _without_spectrum),
+        "LIGHT": way(start, _without_tilt),
+    }
 
 
 def albedo(shown: Photographed) -> Made:
-    """The photograph as diffuse albedo (bench/baselines.py): its corner, laid in its middle.
+    """The photograph as diffuse albedo: its corner, laid in its middle.
 
     In its own place it would be compared with itself, lit a second time, and look right where no
     other piece of it would. There is one picture of it, so its diversity is 0.
@@ -160,9 +211,6 @@ def albedo(shown: Photographed) -> Made:
     seconds = time.perf_counter() - began
     corner = fixed.whole.crop(0, 0, SIZE, SIZE)
     return Made(shown.lit(corner, fixed.setup)[None], seconds)
-
-
-Begin = Callable[[Photographed], tuple[Decoder, Tensor]]
 
 
 def from_prior(prior: Prior, shown: Photographed) -> tuple[Decoder, Tensor]:
@@ -176,48 +224,44 @@ def from_nothing(shown: Photographed, kind: type[Decoder] = Decoder) -> tuple[De
     return untrained(DecoderConfig(), shown.entry.coarse, contrast, 0, kind), zeros(CODE_SIZE)
 
 
-def markdown(results: Sequence[Result], tilt_errors: Tensor, prior: Prior, command: str) -> str:
-    """The page."""
-    methods, materials = names(results, lambda r: r.method), names(results, lambda r: r.material)
-    style = {(r.material, r.method): r.style for r in results}
-    summary = [
-        [
-            method,
-            f"{median(results, method, lambda r: r.style):.3f}",
-            f"{median(results, method, lambda r: r.xyz):.3f}",
-            f"{median(results, method, lambda r: r.diversity):.3f}",
-            f"{median(results, method, lambda r: r.seconds):.1f}",
-        ]
-        for method in methods
-    ]
-    each = [[m, *(f"{style[m, method]:.3f}" for method in methods)] for m in materials]
-    mean, worst = float(tilt_errors.mean()), float(tilt_errors.quantile(0.95))
-    lines = [
-        "# What the prior is worth",
-        "",
-        f"Made by `{command}`: {len(materials)} held-out photographs, re-rendered under their own",
-        "flash.",
-        "",
-        *table(["method", "style", "XYZ", "diversity", "seconds"], summary),
-        "",
-        COLUMNS,
-        "",
-        f"*{ALBEDO.capitalize()}* is the photograph's corner laid in its middle and lit once more;",
-        "in its own place it would be compared with itself. How methods look under other lights is",
-        "measured where the truth is known, by `matcap bench quality` (docs/notes/quality.md).",
-        "",
-        "Style error of each photograph:",
-        "",
-        *table(["material", *methods], each),
-        "",
-        f"Tilt of {len(tilt_errors)} simulated photographs of unseen materials, up to 15 degrees",
-        f"either way: mean absolute error {mean:.2f} degrees, 95th percentile {worst:.2f}.",
-        "",
-        f"Codes of the training photographs: {prior.about.get('dead_dimensions', math.nan)} of",
-        f"{CODE_SIZE} dimensions dead.",
-        "",
-        "![Columns: the materials in this order. Rows: the methods that do not show the photograph",
-        "itself, in the order of the table.](prior-evaluation.jpg)",
-        "",
-    ]
-    return "\n".join(lines)
+def prior_key(prior: Prior) -> str:
+    """16 hexadecimal digits that stand for the networks a capture starts from."""
+    digest = hashlib.sha256()
+    for network in (prior.encoder, prior.decoder):
+        for name, value in network.state_dict().items():
+            digest.update(name.encode() + value.detach().cpu().float().numpy().tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _without_spectrum(shown: Photographed) -> Photographed:
+    return replace(shown, scene=replace(shown.scene, weights=Weights(spectrum=0.0)))
+
+
+def _without_tilt(shown: Photographed) -> Photographed:
+    coarse = shown.entry.coarse
+    straight = replace(coarse, setup=replace(coarse.setup, tilt=(0.0, 0.0)))
+    return photographed(replace(shown.entry, coarse=straight))
+
+
+def _page(name: str, rows: Sequence[Trial], out: Path, command: str, more: str = "") -> str:
+    """The table as a page, and a sheet beside it: a column a material, a row a method."""
+    methods = [m for m in dict.fromkeys(row.configuration for row in rows) if m != ALBEDO]
+    materials = list(dict.fromkeys(row.subject for row in rows))
+    paths = [_picture(out / name, material, m) for m in methods for material in materials]
+    write_grid([_read(path) for path in paths], len(materials), out / f"{name}.jpg")
+    sheet = f"![Columns: the materials. Rows: {', '.join(methods)}.]({name}.jpg)"
+    text = f"{table(rows, command, ABOUT)}\n{more}\n\n{sheet}\n"
+    (out / f"{name}.md").write_text(text, encoding="utf-8")
+    return text
+
+
+def _picture(folder: Path, material: str, method: str) -> Path:
+    return folder / f"{material}, {method}.png"
+
+
+def _read(path: Path) -> Tensor:
+    """(3, H, W) sRGB in [0, 1]; black where a killed run left none."""
+    if not path.is_file():
+        return torch.zeros(3, SIZE, SIZE)
+    code = read_code(path.read_bytes(), path.name)[..., ::-1]
+    return torch.from_numpy(np.ascontiguousarray(code.transpose(2, 0, 1))).float() / 255.0

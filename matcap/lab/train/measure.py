@@ -8,7 +8,7 @@ XYZ histograms, and the realisations with each other.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -22,8 +22,10 @@ from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.render import render_flash
 from matcap.flash.windows import cut_windows
+from matcap.lab.experiment.results import Value
 from matcap.lab.measures.diversity import diversity
-from matcap.lab.measures.style import RandomFilters, difference
+from matcap.lab.measures.nsd import style_distance
+from matcap.lab.measures.style import RandomFilters
 from matcap.lab.measures.xyz import xyz_difference
 from matcap.lab.train.decoder_only import DecoderOnly, Unfolded
 from matcap.lab.train.pack import Entry
@@ -94,52 +96,26 @@ def photographed(entry: Entry) -> Photographed:
 
 @dataclass(frozen=True)
 class Made:
-    """What a method makes of a photograph.
-
-    Attributes:
-        pictures: (N, 3, SIZE, SIZE) sRGB realisations under the photograph's flash.
-        seconds: that the method took, without rendering them.
-    """
+    """What a method makes of a photograph."""
 
     pictures: Tensor
+    """(N, 3, SIZE, SIZE) sRGB realisations under the photograph's flash."""
+
     seconds: float
+    """That the method took, without rendering them."""
+
+    method: str = ""
 
 
-@dataclass(frozen=True)
-class Result:
-    """One method on one photograph.
-
-    Attributes:
-        material: held-out one's name.
-        method: a row of the table.
-        style: error of the first realisation by random filters, 0 to 2.
-        xyz: difference of its XYZ histograms, 0 to 1.
-        diversity: mean distance between realisations, 0 to 2.
-        seconds: that the method took.
-        picture: (3, SIZE, SIZE) sRGB of the first realisation.
-    """
-
-    material: str
-    method: str
-    style: float
-    xyz: float
-    diversity: float
-    seconds: float
-    picture: Tensor
-
-
-def judge(method: str, made: Made, shown: Photographed) -> Result:
-    """Hold what a method made against the photograph as it is."""
+def compared(shown: Photographed, made: Made) -> Mapping[str, Value]:
+    """What a method made against the photograph as it is."""
     first, truth, style = made.pictures[0], shown.truth, RandomFilters()
-    return Result(
-        material=shown.entry.material,
-        method=method,
-        style=float(difference(style(first[None]), style(truth[None]))),
-        xyz=xyz_difference(first, truth),
-        diversity=diversity(made.pictures),
-        seconds=made.seconds,
-        picture=first,
-    )
+    return {
+        "seconds": made.seconds,
+        "style": style_distance(style, first[None], truth[None]),
+        "XYZ": xyz_difference(first, truth),
+        "diversity": diversity(made.pictures),
+    }
 
 
 def capture(

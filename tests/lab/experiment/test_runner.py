@@ -3,7 +3,7 @@
 import pytest
 
 from matcap.errors import MatcapError, UsageError
-from matcap.lab.experiment.results import read
+from matcap.lab.experiment.results import Trial, append, read
 from matcap.lab.experiment.runner import Configuration, Experiment, choose, run
 
 
@@ -61,13 +61,15 @@ def test_seeds_are_trials_of_their_own(tmp_path):
     assert [row.number("total") for row in rows] == [3.0, 6.0, 103.0, 106.0]
 
 
-def test_other_settings_are_measured_again_and_other_versions_count_where_they_may(tmp_path):
+def test_other_settings_are_measured_again_and_unknown_versions_count_where_they_may(tmp_path):
     work, table = Sum(), tmp_path / "sum.csv"
     run(work.experiment(["one"], settings="fine"), table)
     run(work.experiment(["one"], settings="coarse"), table)
     assert len(work.ran) == 4
-    run(work.experiment(["one"], settings="finest", any_version=True), table)
-    assert len(work.ran) == 4
+    old = tmp_path / "old.csv"
+    append(old, Trial("sum", "one", "a", {"total": 3.0}))
+    rows = run(work.experiment(["one"], any_version=True), old)
+    assert len(work.ran) == 5 and [row.version == "" for row in rows] == [True, False]
 
 
 def test_what_fails_is_told_and_no_row(tmp_path):
