@@ -158,7 +158,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "clipped": round(result.photo.clipped_share, 5),
         "doubtful": not verdict.fit or any(found.doubtful for found in looked_at),
         "warnings": said,
-        "notes": list(result.photo.notes),
+        "notes": list(result.photo.remarks),
         "inspection": [found.document() for found in looked_at],
         "albedo": "absolute" if result.photo.flash_intensity is not None else "relative",
         "card": job.card.document() if job.card else None,

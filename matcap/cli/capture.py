@@ -158,7 +158,7 @@ def _capture(
         "material": str(job.folder / f"{job.folder.name}.matcap"),
         "verdict": result.verdict.document(),
         "error": result.errors,
-        "notes": list(result.photo.notes),
+        "notes": list(result.photo.remarks),
     }
 
 

@@ -63,10 +63,14 @@ class StatedColor:
         return linearise, self.notes + notes
 
 
-def stated_color(path: Path) -> StatedColor:
+def stated_color(path: Path, page: int = 0) -> StatedColor:
     """Look into a PNG, JPEG, TIFF, WebP, HEIC or AVIF file; anything else states nothing.
 
     Broken statements are no statements: their files are judged by whoever reads the pixels.
+
+    Args:
+        path: the file.
+        page: of a TIFF, the picture that is meant.
 
     Raises:
         OSError: the file cannot be read.
@@ -76,18 +80,18 @@ def stated_color(path: Path) -> StatedColor:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of broken tags
-            return _stated(path, head)
+            return _stated(path, head, page)
     except Exception:  # foreign parsers raise anything at all on broken bytes, OSError too
         return StatedColor(notes=(assumed(SRGB, "statement of its colours"),))
 
 
-def _stated(path: Path, head: bytes) -> StatedColor:
+def _stated(path: Path, head: bytes, page: int) -> StatedColor:
     if head.startswith(_PNG):
         return of_png(dict(png_chunks(path)))
     if head.startswith(b"\xff\xd8"):
         return _of_jpeg(path)
     if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-        return _of_tiff(path)
+        return _of_tiff(path, page)
     if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
         return StatedColor(dict(riff_chunks(path)).get(b"ICCP"))
     if head[4:8] == b"ftyp":
@@ -204,16 +208,17 @@ def _of_jpeg(path: Path) -> StatedColor:
 
     with path.open("rb") as file:
         info = JpegImageFile(file).info
-    if info.get("icc_profile"):
-        return StatedColor(info["icc_profile"])
+    if "icc_profile" in info:  # None where one of its parts is missing
+        return StatedColor(info["icc_profile"] or b"incomplete")
     return of_exif(info["exif"]) if info.get("exif") else StatedColor()
 
 
-def _of_tiff(path: Path) -> StatedColor:
+def _of_tiff(path: Path, page: int) -> StatedColor:
     import tifffile
 
     with tifffile.TiffFile(path) as file:
-        tags = file.pages.first.tags
+        chosen: Any = file.pages.get(page)
+        tags = chosen.tags
         if _ICC_TAG in tags:
             return StatedColor(bytes(tags[_ICC_TAG].value))
         stated = tuple(tags[t].value if t in tags else () for t in (_PRIMARIES, _WHITE_POINT))

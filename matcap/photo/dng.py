@@ -61,16 +61,16 @@ def read_corrections(path: Path) -> Corrections:
         page = raw_page(file)
         if page is None:
             return Corrections()
-        on_mosaic, vignette = parse_opcodes(_bytes(page, _OPCODES_ON_MOSAIC))
-        after, other_vignette = parse_opcodes(_bytes(page, _OPCODES_AFTER))
-        note = "The DNG asks for a radial vignette correction, which was not applied."
+        on_mosaic, undone = parse_opcodes(_bytes(page, _OPCODES_ON_MOSAIC))
+        after, also_undone = parse_opcodes(_bytes(page, _OPCODES_AFTER))
+        asked = sorted(undone | also_undone)
         return Corrections(
             on_mosaic,
             after,
             int(page.compression) == _JPEG_XL,
             _active_area(page),
             dng_color(_values(page) | _values(file.pages.first)),
-            (note,) if vignette or other_vignette else (),
+            tuple(f"The DNG asks for {what}, which was not applied." for what in asked),
         )
 
 

@@ -1,8 +1,7 @@
 """A DNG's lens-shading GainMap opcodes: parsing and evaluating (Adobe DNG 1.7.1, chapter 7).
 
-Which picture they are applied to is the business of `raw` and `jxl`. Other opcodes are counted,
-not carried out: they correct geometry and single pixels, save the radial vignette, of which the
-user is told.
+Which picture they are applied to is the business of `raw` and `jxl`. Other opcodes are not carried
+out; of those that change more than single bad pixels the user is told.
 """
 
 from __future__ import annotations
@@ -13,7 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-_GAIN_MAP, _RADIAL_VIGNETTE = 9, 3  # opcodes (DNG 1.7, chapter 7)
+_GAIN_MAP = 9  # an opcode (DNG 1.7, chapter 7)
+# Others that change light or place, in words.
+_UNDONE = {
+    **dict.fromkeys((1, 2, 14), "a lens distortion correction"),
+    3: "a radial vignette correction",
+    **dict.fromkeys((7, 8, 10, 11, 12, 13), "a correction of rows, columns or values"),
+}
 _HEADER = struct.Struct(">4I 4I 2I 4d I")
 _MOST_POINTS = 1 << 24  # of a map: a file cannot ask for more memory
 
@@ -91,25 +96,26 @@ class Shading:
         return inside, (sites[inside] + 0.5) / self.active[axis]
 
 
-def parse_opcodes(data: bytes) -> tuple[tuple[GainMap, ...], bool]:
-    """The gain maps of an OpcodeList's bytes, and whether a radial vignette is asked for too.
+def parse_opcodes(data: bytes) -> tuple[tuple[GainMap, ...], frozenset[str]]:
+    """The gain maps of an OpcodeList's bytes, and what is asked for beside them, in words.
 
     Raises:
         ValueError: the bytes are not an opcode list.
     """
     try:
         (count,) = struct.unpack_from(">I", data)
-        maps, vignette, offset = [], False, 4
+        maps, undone, offset = [], set(), 4
         for _ in range(count):
             opcode, _version, _flags, size = struct.unpack_from(">4I", data, offset)
             payload = data[offset + 16 : offset + 16 + size]
             if opcode == _GAIN_MAP:
                 maps.append(_parse_map(payload))
-            vignette = vignette or opcode == _RADIAL_VIGNETTE
+            if opcode in _UNDONE:
+                undone.add(_UNDONE[opcode])
             offset += 16 + size
     except struct.error as error:
         raise ValueError("the opcode list is cut short") from error
-    return tuple(maps), vignette
+    return tuple(maps), frozenset(undone)
 
 
 def _parse_map(payload: bytes) -> GainMap:

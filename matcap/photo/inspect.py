@@ -398,7 +398,7 @@ def _shading_map(photo: Photo) -> Finding:
 
 def _reading(photo: Photo) -> tuple[Finding, ...]:
     """What was assumed, converted or left undone when the file was read."""
-    notes = [note for note in photo.notes if _HDR not in note]
+    notes = [note for note in photo.remarks if _HDR not in note]
     if not notes:
         return ()
     return (Finding("reading", notes, Verdict.NOTE, " ".join(notes)),)

@@ -43,6 +43,7 @@ class _Page:
         photometric: what its numbers are; -1 for a PNG.
         compression: its name, and whether everybody decodes it.
         profile: ICC profile of a TIFF of inks.
+        orientation: EXIF's, of a page that is not the first; None where the file's counts.
         notes: what is to be said of other pages.
     """
 
@@ -50,6 +51,7 @@ class _Page:
     photometric: int = -1
     compression: tuple[str, bool] = ("", True)
     profile: bytes | None = None
+    orientation: int | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -100,13 +102,13 @@ def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Deco
         spec.width,
         spec.height,
         dtype,
-        _color(path, dtype),
+        _color(path, page.index, dtype),
         _other(path, page, spec.nchannels, dtype),
         opacity=opacity,
         notes=notes,
     )
     exif = read_exif(path)
-    return decode(coded, long_side, str(path), exif.orientation), exif
+    return decode(coded, long_side, str(path), page.orientation or exif.orientation), exif
 
 
 def _read_rows(
@@ -166,6 +168,7 @@ def _page_of(path: Path) -> _Page:
             photometric,
             (name, code in _USUAL),
             None if profile is None else bytes(profile.value),
+            _orientation(page) if chosen else None,
             (f"The file holds {equal} pictures: the first is read.",) if equal > 1 else (),
         )
     if larger:
@@ -182,13 +185,18 @@ def _broken(path: Path, form: str, page: _Page) -> MatcapError:
     return unreadable(path, form) if usual else unsupported(path, f"TIFF compression {name}")
 
 
-def _color(path: Path, dtype: np.dtype[Any]) -> StatedColor:
-    color = stated_color(path)
-    if dtype.kind != "f" or color.profile is not None:
+def _orientation(page: Any) -> int | None:  # noqa: ANN401
+    tag = page.tags.get(274)
+    return int(tag.value) if tag is not None and tag.value in range(1, 9) else None
+
+
+def _color(path: Path, page: int, dtype: np.dtype[Any]) -> StatedColor:
+    color = stated_color(path, page)
+    if dtype.kind != "f":
         return color
-    # Floating point is light itself, of whatever primaries are stated.
+    # Floating point is light itself, of whatever primaries are stated, unless a profile says else.
     space = ColorSpace(LINEAR.name, LINEAR.curves, color.space.matrix)
-    return StatedColor(space=space, notes=color.notes)
+    return StatedColor(color.profile, space, color.notes)
 
 
 def _other(
@@ -243,7 +251,11 @@ def _stored_type(form: Any) -> str:  # noqa: ANN401
 
 def _below_one(pixels: NDArray[np.float32]) -> tuple[NDArray[np.float32], tuple[str, ...]]:
     """Scale numbers without a stated maximum so that the largest is 1, the clip level."""
-    largest = float(pixels[..., :3].max())
+    least, largest = float(pixels[..., :3].min()), float(pixels[..., :3].max())
+    notes: tuple[str, ...] = ()
+    if np.isfinite(least) and least < -1e-3:
+        notes = (f"Values reach down to {least:.3g}: those below 0 are taken as 0.",)
     if not (np.isfinite(largest) and largest > 1.0):
-        return pixels, ()
-    return pixels / np.float32(largest), (f"Values reach {largest:.4g}: scaled to reach 1.",)
+        return pixels, notes
+    scaled = f"Values reach {largest:.4g}: scaled to reach 1."
+    return pixels / np.float32(largest), (*notes, scaled)

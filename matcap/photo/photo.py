@@ -69,6 +69,14 @@ class Photo:
         return self.name.rsplit(".", 1)[0] or self.name
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """All that was assumed, converted or left undone when it was read from a file."""
+        if self.path is None or self.fov_source != "assumed":
+            return self.notes
+        says = f"The file does not say its field of view: {self.fov:g} degrees assumed (--fov)."
+        return (*self.notes, says)
+
+    @property
     def kept_share(self) -> float:
         """Share of the picture that is the material."""
         return 1.0 if self.left_out is None else 1.0 - float(self.left_out.mean())

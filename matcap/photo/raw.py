@@ -34,6 +34,7 @@ from matcap.photo.shrink import Rows, shrink
 CLIP_SHARE = 0.99
 _FULL = 65535  # code values
 _AVERAGED = 6.0  # stored pixels along a pixel's side at which noise has averaged out
+_OWN_COLOURS = "LibRaw knows no colour matrix of this camera: its colours are taken for Rec.709."
 _SEED = 0  # of the noise that is drawn once more
 # LibRaw's flip (bits: mirror columns, mirror rows, transpose) to EXIF's orientation.
 _ORIENTATION = {0: 1, 1: 2, 2: 4, 3: 3, 4: 5, 5: 8, 6: 6, 7: 7}
@@ -232,8 +233,16 @@ def _balance(
             "daylight assumed" if daylight else "and nothing is known of the camera: none applied"
         )
         note = f"The file states no white balance: {what}."
+    if corrections.color is None and not _knows_colours(raw):
+        note = f"{note} {_OWN_COLOURS}".strip()
     least = min(red, green, blue)
     return (red / least, green / least, blue / least), note
+
+
+def _knows_colours(raw: Any) -> bool:  # noqa: ANN401
+    """Whether LibRaw has a matrix of this camera."""
+    own = np.asarray(raw.color_matrix)[:, :3]
+    return bool(np.any(raw.rgb_xyz_matrix) or (np.any(own) and not np.allclose(own, np.eye(3))))
 
 
 def _positive(balance: Sequence[float]) -> tuple[float, float, float] | None:

@@ -12,6 +12,8 @@ SHORTEST_SIDE = 64  # pixels: below this no texture is left to look at
 MOST_PIXELS = 260_000_000  # the largest picture that is opened; a header may claim any size
 
 READABLE = "give a DNG or other RAW, a JPEG, PNG, TIFF, HEIC, AVIF or WebP"
+# How decoders call what they do not know, rather than what is broken.
+_UNSUPPORTED = ("unsupported", "not supported", "not implemented", "cannot handle", "no decoding")
 
 
 def check_size(path: Path, width: int, height: int) -> None:
@@ -52,6 +54,8 @@ def decoding(path: Path, form: str) -> Iterator[None]:
             remedy="free some memory or reduce the picture",
         ) from error
     except Exception as error:
+        if any(word in str(error).lower() for word in _UNSUPPORTED):
+            raise unsupported(path, f"how this {form} file is coded") from error
         raise unreadable(path, form) from error
 
 

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
     from matcap.flash.geometry import FlashSetup
 
 _LONG_SIDE = 1024
-_PHOTOGRAPHS = (".dng", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".cr2", ".nef", ".arw")
+_PHOTOGRAPHS = (
+    *(".dng", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".avif", ".webp"),
+    *(".cr2", ".nef", ".arw"),
+)
 _DOUBT = (236, 118, 52)  # of what is not trusted: no colour of most materials
 _OPAQUE = 200  # of 255, where the photograph says nothing
 

@@ -153,6 +153,13 @@ def test_places_count_from_the_active_area(tmp_path, grid):
     np.testing.assert_allclose(picture.pixels, 0.5, rtol=4e-3)
 
 
+@pytest.mark.parametrize(("opcode", "named"), [(1, "distortion"), (12, "rows"), (5, None)])
+def test_what_changes_light_or_place_is_named(tmp_path, light, opcode, named):
+    asked = opcode_list(struct.pack(">4I", opcode, 0x01030000, 0, 4) + bytes(4))
+    photo = load_photo(write_dng(tmp_path / "a.dng", mosaic(light), opcodes3=asked))
+    assert [named in note for note in photo.notes] == ([True] if named else [])
+
+
 def test_radial_vignette_is_named(tmp_path, light):
     vignette = struct.pack(">4I", 3, 0x01030000, 0, 56) + struct.pack(">7d", *([0.1] * 5), 0.5, 0.5)
     photo = load_photo(write_dng(tmp_path / "a.dng", mosaic(light), opcodes3=opcode_list(vignette)))

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from matcap.brdf.maps import MapSet
 from matcap.cli.main import main
@@ -209,6 +210,13 @@ def test_what_was_noticed_when_reading_is_a_finding():
     found = inspect_photo(replace(photo_of(grey(), flash_fired=True), notes=notes))
     assert (found["reading"].value, found["reading"].verdict) == ([notes[1]], Verdict.NOTE)
     assert found.verdict is plain.verdict
+
+
+def test_an_assumed_field_of_view_is_told_of(tmp_path, codes):
+    Image.fromarray(codes).save(tmp_path / "a.png")
+    assert "45 degrees assumed" in inspect_photo(load_photo(tmp_path / "a.png"))["reading"].says
+    given = inspect_photo(load_photo(tmp_path / "a.png", fov=60.0))
+    assert "reading" not in given.document()
 
 
 def test_the_command_speaks_in_lines(shots, tmp_path, capsys):

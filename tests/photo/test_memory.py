@@ -3,7 +3,10 @@
 import subprocess
 import sys
 
+import numpy as np
 from PIL import Image
+
+from matcap.files.srgb import srgb_decode
 
 # The high-water mark is the kernel's, of the child alone: C libraries do not tell tracemalloc.
 SCRIPT = """
@@ -16,10 +19,14 @@ def mebibytes(field):
 
 import cv2, exifread, PIL.Image
 before = mebibytes("VmRSS")
-photo = load_photo(sys.argv[1], long_side=1024)
-assert photo.original_size == (8000, 6250), photo.original_size
+photo = load_photo(sys.argv[1], long_side=int(sys.argv[2]))
+assert photo.original_size == (int(sys.argv[3]), int(sys.argv[4])), photo.original_size
+assert abs(float(photo.pixels.mean()) - float(sys.argv[5])) < 2e-3
 print(mebibytes("VmHWM") - before)
 """
+
+
+MEAN = float(srgb_decode(np.linspace(0.0, 1.0, 256)).mean())  # of a ramp from black to white
 
 
 def test_50_megapixels_take_little_more_than_their_pixels(tmp_path):
@@ -27,8 +34,21 @@ def test_50_megapixels_take_little_more_than_their_pixels(tmp_path):
     gradient = Image.linear_gradient("L").resize((8000, 6250))
     Image.merge("RGB", (gradient,) * 3).save(path, quality=80)
     del gradient
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(path)], capture_output=True, text=True, check=True
-    )
     pixels = 8000 * 6250 * 3 / 2**20
-    assert float(done.stdout) < 3 * pixels
+    assert taken(path, 1024, (8000, 6250), MEAN) < 3 * pixels
+
+
+def test_200_megapixels_are_read_within_2_gib(tmp_path):
+    """As today's phones take them; shrunk while they are decoded."""
+    path, size = tmp_path / "large.jpg", (16320, 12240)
+    Image.linear_gradient("L").resize(size).save(path, quality=80)
+    assert taken(path, 4000, size, MEAN) < 2048
+
+
+def taken(path, long_side: int, size: tuple[int, int], mean: float) -> float:
+    """MiB that reading a photograph takes at most, in a process of its own."""
+    asked = [str(value) for value in (path, long_side, *size, mean)]
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, *asked], capture_output=True, text=True, check=True
+    )
+    return float(done.stdout)

@@ -107,6 +107,35 @@ def test_what_is_stated_and_cannot_be_read_is_said(tmp_path, chunks):
     assert len(photo.notes) == 1 and "sRGB assumed" in photo.notes[0]
 
 
+def test_the_profile_of_the_page_that_is_read(tmp_path):
+    """And its orientation: a thumbnail before it has neither."""
+    codes = patches(P3, srgb_encode)
+    turned = {"iccprofile": matrix_profile(), "extratags": [(274, 3, 1, 3, True)]}
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        file.write(codes[:64, :64] >> 1, photometric="rgb", subfiletype=1)
+        file.write(codes[::-1, ::-1], photometric="rgb", **turned)
+    photo = load_photo(tmp_path / "a.tif")
+    np.testing.assert_allclose(seen(photo), REC709, atol=2e-3)
+    assert any("Display P3" in note for note in photo.notes)
+
+
+def test_a_profile_that_lacks_a_part_is_told_of(tmp_path):
+    path = tmp_path / "a.jpg"
+    eight_bits(patches(None, srgb_encode)).save(path, icc_profile=matrix_profile(), quality=100)
+    data = path.read_bytes()
+    at = data.index(b"ICC_PROFILE\0") + 13
+    path.write_bytes(data[:at] + b"\2" + data[at + 1 :])  # one of two
+    assert "cannot be read: sRGB assumed" in load_photo(path).notes[0]
+
+
+def test_floats_of_a_profile_that_is_broken_stay_light(tmp_path, light):
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, light.astype(np.float32), photometric="rgb", iccprofile=b"broken")
+    photo = load_photo(path)
+    np.testing.assert_allclose(photo.pixels, light, rtol=1e-6)
+    assert "linear Rec.709 assumed" in photo.notes[0]
+
+
 def exif_of(index=None, color_space=None):
     tags = Image.Exif()
     if color_space is not None:
