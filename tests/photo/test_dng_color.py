@@ -1,5 +1,7 @@
 """White balance and colours of DNGs, as Adobe's specification has them."""
 
+import struct
+
 import numpy as np
 import pytest
 from dng_files import XYZ_TO_REC709, color_matrix, mosaic, rationals, write_dng
@@ -124,6 +126,16 @@ def test_a_forward_matrix_says_the_colours(tmp_path):
 @pytest.mark.parametrize("white", [(0.0, 0.0), (0.99, 0.3), (0.3, -0.1)])
 def test_a_white_that_is_none_is_not_followed(white):
     assert "daylight" in dng_color(tags(XYZ_TO_REC709, white=white)).note
+
+
+def test_a_camera_that_nobody_knows_is_told_of(tmp_path):
+    path = write_dng(tmp_path / "a.dng", mosaic(GREY * NEUTRAL), neutral=tuple(NEUTRAL))
+    assert load_photo(path).notes == ()
+    entry, none = (struct.pack("<HHI", tag, 10, 9) for tag in (50721, 50720))
+    path.write_bytes(path.read_bytes().replace(entry, none))
+    photo = load_photo(path)
+    np.testing.assert_allclose(photo.pixels.mean((0, 1)), 0.4, atol=1e-3)
+    assert "no colour matrix" in photo.notes[0]
 
 
 def test_without_a_colour_matrix_there_is_nothing_to_work_out():
