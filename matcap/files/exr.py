@@ -170,10 +170,11 @@ def read_exr_named(
     return NamedChannels(np.asarray(pixels, dtype=np.float32), names, primaries)
 
 
-def forget_error(fetch: Callable[[], object]) -> None:
-    """OpenImageIO keeps an error, and complains at exit, until it is fetched.
+def forget_error(fetch: Callable[[], object]) -> str:
+    """OpenImageIO keeps an error, and complains at exit, until it is fetched; what it was, or "".
 
     It quotes the file's own bytes, which may be no text.
     """
     with suppress(UnicodeDecodeError):
-        fetch()
+        return str(fetch())
+    return "an error that is no text"

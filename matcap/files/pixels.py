@@ -21,6 +21,7 @@ from matcap.errors import MatcapError
 from matcap.files.color import LINEAR
 from matcap.files.exr import forget_error
 from matcap.files.icc import lineariser_of
+from matcap.files.jpeg_coding import unsupported_jpeg
 from matcap.files.quiet import quiet_decoders
 from matcap.files.radiance import MAGIC, radiance_header
 from matcap.files.rec709 import rec709_from
@@ -34,6 +35,7 @@ _ROLES = {
     **{"a": "A", "alpha": "A"},
 }
 _AXES = {"x": "R", "y": "G", "z": "B"}  # of vectors, as Blender's normal pass has them
+_NOT_BUILT = "not configured"  # in what libtiff says of a coding that it was built without
 _NO_COLOURS = ("CMYK", "CIELAB", "YCCK")  # of TIFF and JPEG, whose conversion is not the decoder's
 
 
@@ -140,6 +142,8 @@ def read_pixels(path: Path, *, outside: float | None = None) -> Pixels:
 def _from_jpeg(path: Path) -> Pixels:
     from PIL import Image
 
+    if coding := unsupported_jpeg(path):
+        raise _unsupported(path, coding)
     try:
         with warnings.catch_warnings(), path.open("rb") as file:
             warnings.simplefilter("ignore")  # large, and harmlessly malformed tags
@@ -202,12 +206,12 @@ def _decoded(path: Path, outside: float | None) -> Pixels:
         roles = _roles(path, spec.channelnames)
         read = {"uint8": "uint8", "uint16": "uint16"}.get(str(spec.format), "float")
         stored = source.read_image(0, 0, 0, spec.nchannels, read)
-        broken = source.has_error
-        forget_error(source.geterror)
+        broken = forget_error(source.geterror)
     finally:
         source.close()
     if stored is None or broken:
-        raise _broken(path)
+        coding = str(spec.getattribute("compression") or "this")
+        raise _unsupported(path, f"{coding} compression") if _NOT_BUILT in broken else _broken(path)
     stored, partial = np.asarray(stored), False
     if exr:  # in other formats an offset is the place on a page
         stored, partial = _in_display_window(path, spec, stored, outside)
@@ -290,6 +294,12 @@ def _too_large(path: Path) -> MatcapError:
         "the picture is larger than can be read",
         where=str(path),
         remedy=f"reduce it to under {MOST_PIXELS // 1_000_000} megapixels",
+    )
+
+
+def _unsupported(path: Path, what: str) -> MatcapError:
+    return MatcapError(
+        f"{what} is not supported", where=str(path), remedy="save it in another coding"
     )
 
 

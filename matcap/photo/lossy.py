@@ -20,6 +20,7 @@ from matcap.errors import MatcapError
 from matcap.files import bmff
 from matcap.files.color import Linearise
 from matcap.files.icc import inks_lineariser_of
+from matcap.files.jpeg_coding import unsupported_jpeg
 from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo.decoded import Decoded
 from matcap.photo.developed import Coded, decode, three_channels
@@ -47,7 +48,8 @@ def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
     """
     from PIL.JpegImagePlugin import JpegImageFile
 
-    _check_jpeg_coding(path)
+    if coding := unsupported_jpeg(path):
+        raise unsupported(path, coding)
     with decoding(path, "JPEG"), warnings.catch_warnings(), path.open("rb") as file:
         warnings.simplefilter("ignore")  # harmlessly malformed tags
         image = JpegImageFile(file)
@@ -197,27 +199,6 @@ def _filled(
         return np.asarray(codes | codes >> bits)
 
     return filled
-
-
-def _check_jpeg_coding(path: Path) -> None:
-    """Refuse what libjpeg does not decode, by the frame's header (ITU-T T.81, table B.1)."""
-    with path.open("rb") as file:
-        file.seek(2)
-        while len(marker := file.read(2)) == 2:
-            if marker[0] != 0xFF or marker[1] == 0xDA:
-                return
-            if marker[1] == 0xFF:  # a filling byte
-                file.seek(-1, 1)
-                continue
-            if marker[1] in range(0xC0, 0xD0) and marker[1] not in (0xC4, 0xC8, 0xCC):
-                bits = file.read(3)[-1:]
-                if marker[1] in (0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF):
-                    raise unsupported(path, "lossless or hierarchical JPEG")
-                if bits and bits[0] != 8:
-                    raise unsupported(path, f"JPEG of {bits[0]} bits")
-                return
-            length = int.from_bytes(file.read(2), "big")
-            file.seek(max(length - 2, 0), 1)
 
 
 def _hdr_notes(path: Path) -> tuple[str, ...]:

@@ -446,3 +446,15 @@ def test_pictures_of_unsupported_kinds_are_called_so(plain):
     (folder / "a_Color.jpg").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(MatcapError, match="truncated or corrupt"):
         read_foreign(folder)
+
+
+def test_codings_that_are_not_supported_are_not_called_damaged(plain):
+    """A JPEG of 12 bits: its frame says so, and libjpeg reads 8."""
+    folder, pictures, _ = plain
+    (folder / "a_Color.png").unlink()
+    Image.fromarray(code(pictures["base"])).save(folder / "a_Color.jpg")
+    whole = (folder / "a_Color.jpg").read_bytes()
+    frame = whole.index(b"\xff\xc0") + 4
+    (folder / "a_Color.jpg").write_bytes(whole[:frame] + b"\x0c" + whole[frame + 1 :])
+    with pytest.raises(MatcapError, match="JPEG of 12 bits is not supported"):
+        read_foreign(folder)
