@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.example.coordinates import begin, coordinates_down_to
+from matcap.example.coordinates import begin, coordinates
 from matcap.example.correction import Places
 from matcap.example.example import Example, detail_bits
 from matcap.field.plane import Rectangle
@@ -31,7 +31,7 @@ def places_from_afar(example: Example, seed: int, level: int, area: Rectangle) -
     if level < bits:
         raise ValueError(f"level {level} is finer than the grid of places ({bits})")
     if depth <= coarsest:
-        found = coordinates_down_to(lookup, seed, area, depth, None)
+        found = coordinates(lookup, seed, {depth: area}, None)[depth]
     else:
         step = depth - coarsest
         columns = np.arange(area.x, area.x + area.width) << step

@@ -11,6 +11,8 @@ than some ten texels, and repetition is not what it mends (docs/notes/by-example
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,44 +29,43 @@ from matcap.field.plane import Period, Rectangle
 def coordinates(
     lookup: Lookup,
     seed: int,
-    area: Rectangle,
+    wanted: Mapping[int, Rectangle],
     period: Period | None,
-) -> Places:
-    """(height, width, 2) int16 places of an area of the field.
+) -> dict[int, Places]:
+    """Places of some levels, found no finer than the finest of them.
 
     Args:
         lookup: of the exemplar.
         seed: in [-2^63, 2^63).
-        area: in texels.
-        period: that the field repeats in, multiples of 2^(levels - 1).
+        wanted: an area of every level, in steps of it, 2^level texels.
+        period: that the field repeats in, multiples of 2^(levels - 1) texels.
+
+    Returns:
+        (height, width, 2) int16 places of every area.
     """
-    return coordinates_down_to(lookup, seed, area, 0, period)
-
-
-def coordinates_down_to(
-    lookup: Lookup,
-    seed: int,
-    area: Rectangle,
-    finest: int,
-    period: Period | None,
-) -> Places:
-    """Places of a level, found no finer; the area is in steps of that level, 2^finest texels."""
-    areas = {finest: area.grown(margin(_passes(finest)))}
-    for depth in range(finest + 1, len(lookup.levels)):
-        areas[depth] = areas[depth - 1].halved().grown(margin(_passes(depth)))
+    finest, count = min(wanted), len(lookup.levels)
+    areas: dict[int, Rectangle] = {}  # what each level gives, and what it is begun with
+    begun: dict[int, Rectangle] = {}
+    for depth in range(finest, count):
+        areas[depth] = begun[depth - 1].coarser(1) if depth > finest else wanted[depth]
+        if depth in wanted:
+            areas[depth] = areas[depth].united(wanted[depth])
+        begun[depth] = areas[depth].grown(margin(_passes(depth)))
     places: Places | None = None
-    for depth in reversed(range(finest, len(lookup.levels))):
-        level, wanted = lookup.levels[depth], areas[depth]
-        columns, rows = _wrapped(wanted, depth, period)
+    found = {}
+    for depth in reversed(range(finest, count)):
+        level, area = lookup.levels[depth], begun[depth]
+        columns, rows = _wrapped(area, depth, period)
         if places is None:
             places = begin(lookup, seed, columns, rows, period)
         else:
-            places = _refine(places, level, wanted)
+            places = _refine(places, areas[depth + 1], level, area)
         phases = _wanted(lookup, seed, depth, columns, rows, period)
         odd_columns, odd_rows = columns % 2 == 1, rows % 2 == 1
         places = correct(places, level, odd_columns, odd_rows, _passes(depth), phases)
-    assert places is not None
-    return places
+        if depth in wanted:
+            found[depth] = places[wanted[depth].within(areas[depth])]
+    return found
 
 
 def _passes(depth: int) -> int:
@@ -159,12 +160,12 @@ def _wanted(
     return two_phases(found)
 
 
-def _refine(coarse: Places, level: Level, area: Rectangle) -> Places:
-    """Each place's four finer ones."""
-    first_x, first_y = area.x & 1, area.y & 1
+def _refine(coarse: Places, given: Rectangle, level: Level, area: Rectangle) -> Places:
+    """Each place's four finer ones, in an area, of the places of an area that were given."""
+    left, top = area.x - 2 * given.x, area.y - 2 * given.y
     fine = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)
-    fine = fine[first_y : first_y + area.height, first_x : first_x + area.width].copy()
-    step = level.spacing
+    fine = fine[top : top + area.height, left : left + area.width].copy()
+    step, first_x, first_y = level.spacing, area.x & 1, area.y & 1
     fine[:, (1 - first_x) :: 2, 0] += np.int16(step)
     fine[(1 - first_y) :: 2, :, 1] += np.int16(step)
     return _clamped(fine, level.frame)

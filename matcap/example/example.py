@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.stated import NormalStyle
-from matcap.example import relief
+from matcap.example.blend import Band, Shown, Votes, alike_at_seams, bands_of, blended
 from matcap.example.coordinates import coordinates
 from matcap.example.correction import Places
 from matcap.example.exemplar import Exemplar, Floats
@@ -28,6 +28,7 @@ from matcap.example.normals import with_normals
 from matcap.example.order import GRID, Frequency
 from matcap.example.piece_sizes import PieceSizes
 from matcap.example.repeat.source import RepeatedSource
+from matcap.example.tuned import BLEND
 from matcap.field.blocks import RING, Grid
 from matcap.field.plane import Period, Rectangle, check_period, check_seed, check_variety
 from matcap.files.values import bounded
@@ -49,13 +50,11 @@ class _Ready:
 
     Attributes:
         lookup: for the places.
-        planes: of the maps but the height, flat.
-        bands: of the height.
+        shown: at them.
     """
 
     lookup: Lookup
-    planes: tuple[Floats, ...]
-    bands: relief.Heights
+    shown: Shown
 
 
 _PREPARING = Lock()
@@ -210,32 +209,27 @@ class Example:
             area: in texels.
             period: that the field repeats in, multiples of `alignment`.
         """
-        reach = relief.REACH
-        ready = self._ready
-        places = self.places(seed, area.grown(reach), period)
-        x, y = places[..., 0].astype(np.intp), places[..., 1].astype(np.intp)
-        flat = y * self.exemplar.size[0] + x
-        unit, low = self.exemplar.height_coding()
-        bands = ready.bands.reshape(relief.BANDS, -1)
-        heights = relief.joined(np.stack([band.take(flat) for band in bands]))
-        found = np.empty((len(ready.planes) + 1, area.height, area.width), np.float32)
-        inner = np.ascontiguousarray(flat[reach:-reach, reach:-reach])
-        for plane, values in zip(found, ready.planes, strict=False):
-            np.take(values, inner, out=plane)
-        np.multiply(heights, np.float32(unit / 2**relief.FRACTION), out=found[-1], casting="unsafe")
-        found[-1] += np.float32(low * unit)
-        return found
+        lookup, shown = self._ready.lookup, self._ready.shown
+        own, levels = area.coarser(shown.bits), len(lookup.levels)
+        votes = [
+            Votes.of(band, area, period, shown.bits, levels) for band in range(len(shown.bands))
+        ]
+        read = {0: own}
+        for one in votes:
+            read[one.level] = read.get(one.level, one.wanted).united(one.wanted)
+        places = coordinates(lookup, seed, read, _coarser(period, shown.bits))
+
+        def of(wanted: Rectangle, level: int) -> Places:
+            return places[level][wanted.within(read[level])]
+
+        predicted = [(one, one.predicted(of(one.wanted, one.level), area)) for one in votes]
+        return blended(shown, area, of(own, 0), predicted)
 
     def places(self, seed: int, area: Rectangle, period: Period | None) -> Places:
         """(height, width, 2) int16: x, y of the exemplar that every texel of an area shows."""
         bits = detail_bits(self.exemplar)
-        x, y = area.x >> bits, area.y >> bits
-        right, bottom = -(-(area.x + area.width) >> bits), -(-(area.y + area.height) >> bits)
-        coarse = Rectangle(x, y, right - x, bottom - y)
-        repeat = None
-        if period is not None:
-            repeat = (period[0] and period[0] >> bits, period[1] and period[1] >> bits)
-        found = coordinates(self._ready.lookup, seed, coarse, repeat)
+        coarse = area.coarser(bits)
+        found = coordinates(self._ready.lookup, seed, {0: coarse}, _coarser(period, bits))[0]
         if not bits:
             return found
         side = 1 << bits
@@ -243,7 +237,7 @@ class Example:
         within = np.arange(side, dtype=np.int16)
         found[..., 0] += np.tile(within, coarse.width)
         found[..., 1] += np.tile(within, coarse.height)[:, None]
-        left, top = area.x - (x << bits), area.y - (y << bits)
+        left, top = area.x - (coarse.x << bits), area.y - (coarse.y << bits)
         return found[top : top + area.height, left : left + area.width]
 
     @property
@@ -258,14 +252,15 @@ class Example:
 
     @cached_property
     def _prepared(self) -> _Ready:
-        exemplar = self.exemplar
+        exemplar, bits = self.exemplar, detail_bits(self.exemplar)
+        coarse = coarsened(exemplar, bits)
         with ThreadPoolExecutor() as pool:
-            bands = pool.submit(lambda: relief.bands_of(exemplar.height_codes()))
-            coarse = coarsened(exemplar, detail_bits(exemplar))
+            bands = pool.submit(bands_of, coarse)
             lookup = prepare(coarse, self.index, self.variety)
-            maps = (exemplar.diffuse, exemplar.specular, exemplar.roughness)
-            planes = tuple(plane.ravel() for planes in maps for plane in planes)
-            return _Ready(lookup, planes, bands.result())
+            maps = (exemplar.diffuse, exemplar.specular, exemplar.roughness, exemplar.height)
+            planes = tuple(plane for planes in maps for plane in planes)
+            shown = Shown(planes, bands.result(), _alike(lookup, bands.result()), bits)
+            return _Ready(lookup, shown)
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what can be made again."""
@@ -328,6 +323,23 @@ def detail_bits(exemplar: Exemplar) -> int:
     while max(exemplar.size) >> bits > _GRID:
         bits += 1
     return bits
+
+
+def _alike(lookup: Lookup, bands: tuple[Band, ...]) -> tuple[float, ...]:
+    """How far votes that differ correlate, by the seams of a part of a field."""
+    level, side = BLEND.measured
+    level = min(level, len(lookup.levels) - 1)
+    places = coordinates(lookup, 0, {level: Rectangle(0, 0, side, side)}, None)[level]
+    return alike_at_seams(bands, places, 1 << level)
+
+
+def _coarser(period: Period | None, bits: int) -> Period | None:
+    """A period on a grid 2^bits texels wide."""
+    return (
+        None
+        if period is None
+        else (period[0] and period[0] >> bits, period[1] and period[1] >> bits)
+    )
 
 
 def known_part(exemplar: Exemplar, multiple: int) -> Rectangle:

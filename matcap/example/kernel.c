@@ -1,5 +1,8 @@
-/* Correction of the field by example: plain.py, compiled. Integers only, the same bits. */
+/* The field by example: correction of its places, in integers, and the blending of its maps, in
+   floats of a fixed order (built without contraction). tests/example/plain_loops.py has the same
+   bits. */
 
+#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
@@ -9,6 +12,24 @@
 #include <immintrin.h>
 #elif defined(__SSE2__)
 #include <emmintrin.h>
+#endif
+
+/* As in relight/loops/loops.h: compiled for AVX2 besides, where the loader can choose; no sum is
+   fused, so that bits stay. */
+#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define WIDE
+#endif
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
+#endif
+#if defined(__GNUC__) && !defined(__clang__)
+#define LOOP _Pragma("GCC unroll 1") /* kept a loop, gcc makes vectors of it */
+#else
+#define LOOP
 #endif
 
 enum {
@@ -31,7 +52,7 @@ typedef struct {
 
 /* Raised with every change of results or arguments, here and in compiled.py: a library that was
    built from another file is not used. */
-enum { FORM = 2 };
+enum { FORM = 3 };
 
 int32_t matcap_form(void) { return FORM; }
 
@@ -290,4 +311,231 @@ void matcap_project(const int16_t *features, const int16_t *weights, int32_t ste
             }
         }
     }
+}
+
+/* Blending (blend.py): what texels read in bands, and the maps they come to. */
+
+enum {
+    CHANNELS = 8, /* of a texel in bands: as stacked, then noughts */
+    TAPS = 4,     /* of smoothing, on either side */
+    NODES = 3,    /* along an axis that vote for a texel */
+    VOTES = NODES * NODES,
+};
+
+/* Binomial, of the eighth order. */
+static const float SMOOTHING[TAPS + 1] = {70.0f / 256.0f, 56.0f / 256.0f, 28.0f / 256.0f,
+                                          8.0f / 256.0f, 1.0f / 256.0f};
+
+static ptrdiff_t within(ptrdiff_t at, ptrdiff_t count) {
+    return at < 0 ? 0 : at >= count ? count - 1 : at;
+}
+
+/* Smooths along one axis; others follow each other `apart` numbers apart, borders repeat. */
+INLINE void smooth(const float *from, float *to, ptrdiff_t count, ptrdiff_t apart) {
+    for (ptrdiff_t i = 0; i < count; i++) {
+        const float *here = from + i * apart;
+        for (int d = 0; d < CHANNELS; d++) to[i * apart + d] = here[d] * SMOOTHING[0];
+        for (int tap = 1; tap <= TAPS; tap++) {
+            const float *before = from + within(i - tap, count) * apart;
+            const float *after = from + within(i + tap, count) * apart;
+            for (int d = 0; d < CHANNELS; d++)
+                to[i * apart + d] += (before[d] + after[d]) * SMOOTHING[tap];
+        }
+    }
+}
+
+/* values, scratch: rows x columns x CHANNELS; values are smoothed along both axes. */
+WIDE void matcap_smooth(float *values, float *scratch, int32_t columns, int32_t rows) {
+    const ptrdiff_t row = (ptrdiff_t)columns * CHANNELS;
+    for (int32_t y = 0; y < rows; y++) smooth(values + y * row, scratch + y * row, columns, CHANNELS);
+    for (int32_t y = 0; y < rows; y++) {
+        float *to = values + y * row;
+        for (ptrdiff_t i = 0; i < row; i++) to[i] = scratch[y * row + i] * SMOOTHING[0];
+        for (int tap = 1; tap <= TAPS; tap++) {
+            const float *above = scratch + within(y - tap, rows) * row;
+            const float *below = scratch + within(y + tap, rows) * row;
+            for (ptrdiff_t i = 0; i < row; i++) to[i] += (above[i] + below[i]) * SMOOTHING[tap];
+        }
+    }
+}
+
+/* Where a vote says that the texel (0, 0) lies in the exemplar. */
+typedef struct {
+    int32_t x, y;
+} Offset;
+
+typedef struct {
+    const int16_t *values;                      /* rows x columns x CHANNELS */
+    const float *scale;                         /* CHANNELS: of the values */
+    const float *kept;                          /* CHANNELS: 1 where contrast is kept, else 0 */
+    const Offset *offsets;                      /* of nodes: node rows x node_columns */
+    const int32_t *first_column, *first_row;    /* the first of NODES nodes of a texel */
+    const float *column_weights, *row_weights;  /* NODES of each */
+    int32_t columns, rows, node_columns, shift; /* shift: half texels to the grid of the band */
+    float alike;                                /* how far votes that differ correlate */
+} Band;
+
+typedef struct {
+    const float *const *planes; /* channels of rows x columns: the exemplar's maps */
+    const Place *places;        /* own, of squares of 2^bits texels */
+    int32_t channels, columns, place_columns, bits;
+    int32_t left, top; /* texels from the first place to the first texel */
+} Exemplar;
+
+typedef struct {
+    float of[CHANNELS];
+} Texel;
+
+INLINE void read_band(const Band *b, int32_t x, int32_t y, int32_t half, Texel *found) {
+    const int32_t mask = (1 << b->shift) - 1;
+    const int32_t right = (b->columns - 1) << b->shift, bottom = (b->rows - 1) << b->shift;
+    x = 2 * x - half;
+    y = 2 * y - half;
+    x = x < 0 ? 0 : x > right ? right : x;
+    y = y < 0 ? 0 : y > bottom ? bottom : y;
+    const int16_t *here =
+        b->values + CHANNELS * ((ptrdiff_t)(y >> b->shift) * b->columns + (x >> b->shift));
+    if (!((x | y) & mask)) {
+        LOOP
+        for (int d = 0; d < CHANNELS; d++) found->of[d] = (float)here[d];
+        return;
+    }
+    const int16_t *below = here + (y < bottom ? CHANNELS * (ptrdiff_t)b->columns : 0);
+    const ptrdiff_t next = x < right ? CHANNELS : 0;
+    const float unit = 1.0f / (float)(mask + 1);
+    const float across = (float)(x & mask) * unit, down = (float)(y & mask) * unit;
+    LOOP
+    for (int d = 0; d < CHANNELS; d++) {
+        const float one = (float)here[d], two = (float)below[d];
+        const float upper = one + ((float)here[next + d] - one) * across;
+        const float lower = two + ((float)below[next + d] - two) * across;
+        found->of[d] = upper + (lower - upper) * down;
+    }
+}
+
+/* The different ones among the votes of a texel's nodes; and how much each weighs in each column of
+   nodes, of the weights of their rows. */
+static int differing(const Offset *first, ptrdiff_t columns, const float *down, Offset *found,
+                     float weights[VOTES][NODES]) {
+    int count = 0;
+    for (int row = 0; row < NODES; row++) {
+        for (int column = 0; column < NODES; column++) {
+            const Offset one = first[row * columns + column];
+            int i = 0;
+            while (i < count && (found[i].x != one.x || found[i].y != one.y)) i++;
+            if (i == count) {
+                found[count++] = one;
+                for (int k = 0; k < NODES; k++) weights[i][k] = 0.0f;
+            }
+            weights[i][column] += down[row];
+        }
+    }
+    return count;
+}
+
+/* What a band's votes change of a row of texels. */
+INLINE void vote(const Band *b, int32_t y, int32_t left,
+                                                       int32_t count, const Offset *own,
+                                                       int32_t half, Texel *total) {
+    const Offset *nodes = b->offsets + (ptrdiff_t)b->first_row[y] * b->node_columns;
+    const float *down = b->row_weights + (ptrdiff_t)y * NODES;
+    Offset votes[VOTES];
+    float downs[VOTES][NODES];
+    int kinds = 0;
+    for (int32_t c = 0; c < count; c++) {
+        const int32_t x = left + c;
+        if (!c || b->first_column[x] != b->first_column[x - 1])
+            kinds = differing(nodes + b->first_column[x], b->node_columns, down, votes, downs);
+        if (kinds == 1 && votes[0].x == own[c].x && votes[0].y == own[c].y) continue;
+        Texel mine, other, sum;
+        float gain = 1.0f;
+        read_band(b, x + own[c].x, y + own[c].y, half, &mine);
+        if (kinds == 1) {
+            read_band(b, x + votes[0].x, y + votes[0].y, half, &sum);
+        } else {
+            const float *across = b->column_weights + (ptrdiff_t)x * NODES;
+            float squares = 0.0f;
+            LOOP
+            for (int d = 0; d < CHANNELS; d++) sum.of[d] = 0.0f;
+            for (int i = 0; i < kinds; i++) {
+                const int same = votes[i].x == own[c].x && votes[i].y == own[c].y;
+                if (!same) read_band(b, x + votes[i].x, y + votes[i].y, half, &other);
+                const float *one = same ? mine.of : other.of;
+                const float weight =
+                    downs[i][0] * across[0] + downs[i][1] * across[1] + downs[i][2] * across[2];
+                squares += weight * weight;
+                LOOP
+                for (int d = 0; d < CHANNELS; d++) sum.of[d] += weight * one[d];
+            }
+            gain = 1.0f / sqrtf(b->alike + (1.0f - b->alike) * squares);
+        }
+        LOOP
+        for (int d = 0; d < CHANNELS; d++)
+            total[c].of[d] +=
+                b->scale[d] * ((1.0f + (gain - 1.0f) * b->kept[d]) * sum.of[d] - mine.of[d]);
+    }
+}
+
+/* 2^x to 2e-7 of it, for |x| <= 30. */
+INLINE float power(float x) {
+    x = x < -30.0f ? -30.0f : x > 30.0f ? 30.0f : x;
+    const int32_t whole = (int32_t)(x + 64.5f) - 64;
+    const float f = (x - (float)whole) * 0.69314718f;
+    const float found =
+        1.0f +
+        f * (1.0f + f * (1.0f / 2.0f +
+                         f * (1.0f / 6.0f +
+                              f * (1.0f / 24.0f + f * (1.0f / 120.0f + f * (1.0f / 720.0f))))));
+    const uint32_t bits = (uint32_t)(whole + 127) << 23;
+    float factor;
+    memcpy(&factor, &bits, sizeof factor);
+    return found * factor;
+}
+
+INLINE void blend(const Exemplar *e, const Band *bands,
+                                                        int32_t count, int32_t columns,
+                                                        int32_t rows, float *found) {
+    const int32_t mask = (1 << e->bits) - 1, last = e->channels - 1;
+    for (int32_t y = 0; y < rows; y++) {
+        const Place *places =
+            e->places + (ptrdiff_t)((e->top + y) >> e->bits) * e->place_columns;
+        for (int32_t left = 0; left < columns; left += STRIP) {
+            const int32_t some = columns - left < STRIP ? columns - left : STRIP;
+            Offset own[STRIP];
+            Texel total[STRIP];
+            memset(total, 0, (size_t)some * sizeof *total);
+            for (int32_t c = 0; c < some; c++) {
+                const int32_t at = e->left + left + c;
+                const Place p = places[at >> e->bits];
+                own[c].x = (p.x << e->bits) + (at & mask) - (left + c);
+                own[c].y = (p.y << e->bits) + ((e->top + y) & mask) - y;
+            }
+            for (int32_t k = 0; k < count; k++)
+                vote(bands + k, y, left, some, own, mask, total);
+            /* Where nothing was changed, times 1 and plus 0: the exemplar's own to the last bit. */
+            for (int32_t d = 0; d <= last; d++) {
+                const float *plane = e->planes[d];
+                float *to = found + ((ptrdiff_t)d * rows + y) * columns + left;
+                float change[STRIP];
+                for (int32_t c = 0; c < some; c++) change[c] = total[c].of[d];
+                if (d < last - 1)
+                    for (int32_t c = 0; c < some; c++) change[c] = power(change[c]);
+                for (int32_t c = 0; c < some; c++)
+                    to[c] = plane[(ptrdiff_t)(own[c].y + y) * e->columns + own[c].x + left + c];
+                if (d < last - 1)
+                    for (int32_t c = 0; c < some; c++) to[c] = to[c] * change[c];
+                else
+                    for (int32_t c = 0; c < some; c++) to[c] = to[c] + change[c];
+                if (d < last)
+                    for (int32_t c = 0; c < some; c++)
+                        to[c] = to[c] < 0.0f ? 0.0f : to[c] > 1.0f ? 1.0f : to[c];
+            }
+        }
+    }
+}
+
+/* found: channels x rows x columns. */
+WIDE void matcap_blend(const Exemplar *e, const Band *bands, int32_t count, int32_t columns,
+                       int32_t rows, float *found) {
+    blend(e, bands, count, columns, rows, found);
 }

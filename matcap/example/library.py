@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from matcap.files.compiled import find_library, not_built
 
-_FORM = 2  # of kernel.c
+_FORM = 3  # of kernel.c
 
 
 @cache

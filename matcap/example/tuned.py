@@ -176,6 +176,30 @@ PLACEMENT = PlacementSettings()
 
 
 @dataclass(frozen=True)
+class BlendSettings:
+    """How maps join at seams (blend.py).
+
+    Attributes:
+        levels: of places, that votes of every band are taken from, the finest band first. Of the
+            finest places where a seam is joined where it lies; coarser ones differ there alone, and
+            are there around every block anyway. More bands join slower drifts of colour.
+        measured: level, and places a side of a square of it, whose seams tell how far votes that
+            differ correlate.
+    """
+
+    levels: tuple[int, ...] = (0, 0, 0, 0, 2, 3)
+    measured: tuple[int, int] = (1, 128)
+
+    @property
+    def bands(self) -> int:
+        """How many."""
+        return len(self.levels)
+
+
+BLEND = BlendSettings()
+
+
+@dataclass(frozen=True)
 class TearingSettings:
     """How the variety of a field is chosen.
 

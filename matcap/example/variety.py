@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.coordinates import coordinates_down_to
+from matcap.example.coordinates import coordinates
 from matcap.example.example import Example, coarsened, detail_bits
 from matcap.example.features import features_of, planes_of
 from matcap.example.grids import grid_bits, grids_of
@@ -96,7 +96,7 @@ def _blocks(
     area = Rectangle(0, 0, -(-size[0] // spacing), -(-size[1] // spacing))
     kept, seams = [], []
     for seed in range(VARIETY.blocks if level == VARIETY.level else 1):
-        places = coordinates_down_to(lookup, seed, area, level, None).astype(np.int64)
+        places = coordinates(lookup, seed, {level: area}, None)[level].astype(np.int64)
         found, _ = _correlation(seen(places[..., 0], places[..., 1]))
         rows, columns = (min(a, b) for a, b in zip(found.shape, true.shape, strict=True))
         wanted = true[:rows, :columns]

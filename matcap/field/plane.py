@@ -29,11 +29,23 @@ class Rectangle:
         """With so many texels more on every side."""
         return Rectangle(self.x - by, self.y - by, self.width + 2 * by, self.height + 2 * by)
 
-    def halved(self) -> Rectangle:
-        """On a grid twice as coarse: every texel that it has a part of."""
-        x, y = self.x >> 1, self.y >> 1
-        right, bottom = (self.x + self.width + 1) >> 1, (self.y + self.height + 1) >> 1
+    def coarser(self, bits: int) -> Rectangle:
+        """On a grid 2^bits times as coarse: every texel that it has a part of."""
+        x, y = self.x >> bits, self.y >> bits
+        right, bottom = -(-(self.x + self.width) >> bits), -(-(self.y + self.height) >> bits)
         return Rectangle(x, y, right - x, bottom - y)
+
+    def united(self, other: Rectangle) -> Rectangle:
+        """The smallest that has both."""
+        x, y = min(self.x, other.x), min(self.y, other.y)
+        right = max(self.x + self.width, other.x + other.width)
+        bottom = max(self.y + self.height, other.y + other.height)
+        return Rectangle(x, y, right - x, bottom - y)
+
+    def within(self, outer: Rectangle) -> tuple[slice, slice]:
+        """Where it lies in an array (rows, columns) that covers another that has it."""
+        x, y = self.x - outer.x, self.y - outer.y
+        return slice(y, y + self.height), slice(x, x + self.width)
 
 
 def check_seed(seed: int) -> int:

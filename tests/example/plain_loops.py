@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.appearance import DIMENSIONS, LARGEST, Appearance, Basis, offsets, padded
+from matcap.example.blend import CHANNELS, NODES
 from matcap.example.correction import REACH, SUBPASSES, Places, margin
 from matcap.example.features import PLANES, FeatureMap
 from matcap.example.grids import PRICE_BITS
@@ -141,3 +142,101 @@ def _cost(
         apart = (level.phases[at] - ordered).astype(np.int32)
         cost += np.square(apart >> PHASE_SHIFT).sum(-1, dtype=np.int32)
     return np.where(inside, cost, _NEVER)
+
+
+def smooth(values):
+    """As matcap_smooth: (H, W, CHANNELS) float32 smoothed along both axes, borders repeated."""
+    taps = [np.float32(tap / 256.0) for tap in (70, 56, 28, 8, 1)]
+    for axis in (1, 0):
+        count = values.shape[axis]
+        at = np.arange(count)
+        found = values * taps[0]
+        for apart, tap in enumerate(taps[1:], start=1):
+            before, after = (
+                values.take((at + way * apart).clip(0, count - 1), axis) for way in (-1, 1)
+            )
+            found = found + (before + after) * tap
+        values = found
+    return values
+
+
+def blended(shown, area, own, votes):
+    """As blend.blended."""
+    side = 1 << shown.bits
+    y, x = np.mgrid[: area.height, : area.width]
+    at_x, at_y = x + (area.x & (side - 1)), y + (area.y & (side - 1))
+    places = own[at_y >> shown.bits, at_x >> shown.bits].astype(np.int64) << shown.bits
+    places += np.stack([at_x & (side - 1), at_y & (side - 1)], axis=-1)
+    total = np.zeros((area.height, area.width, CHANNELS), np.float32)
+    keeps = np.arange(CHANNELS) != len(shown.planes) - 1
+    for band, votes_of, alike in zip(shown.bands, votes, shown.alike, strict=True):
+        mine = _band_at(band.values, band.bits + shown.bits + 1, side - 1, places)
+        one, gain = _voted(band, votes_of, band.bits + shown.bits + 1, side - 1, np.float32(alike))
+        kept = np.float32(1.0) + (gain - np.float32(1.0))[..., None] * keeps.astype(np.float32)
+        total += band.scale * (kept * one - mine)
+    found = np.stack([plane[places[..., 1], places[..., 0]] for plane in shown.planes])
+    logs = len(shown.planes) - 2
+    found[:logs] *= _power(np.moveaxis(total, -1, 0)[:logs])
+    found[logs:] += np.moveaxis(total, -1, 0)[logs : logs + 2]
+    found[:-1] = found[:-1].clip(0.0, 1.0)
+    return found
+
+
+def _voted(band, votes_of, shift, half, alike):
+    """(H, W, CHANNELS) the mean of a band's votes, in its numbers; (H, W) what it is to gain."""
+    nodes, predicted = votes_of
+    rows, columns = len(nodes.down.first), len(nodes.across.first)
+    here = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
+    grid = [(r, c) for r in range(NODES) for c in range(NODES)]
+    votes = [
+        predicted[nodes.down.first[:, None] + r, nodes.across.first[None, :] + c] for r, c in grid
+    ]
+    total = np.zeros((rows, columns, CHANNELS), np.float32)
+    squares = np.zeros((rows, columns), np.float32)
+    kinds = np.zeros((rows, columns), int)
+    for k, vote in enumerate(votes):
+        fresh = ~np.any([(vote == other).all(-1) for other in votes[:k]], axis=0) if k else True
+        across = np.zeros((NODES, rows, columns), np.float32)
+        for (r, c), other in zip(grid, votes, strict=True):
+            alike_votes = (vote == other).all(-1)
+            across[c] += np.where(alike_votes, nodes.down.weights[:, r, None], np.float32(0.0))
+        weight = across[0] * nodes.across.weights[:, 0]
+        weight = weight + across[1] * nodes.across.weights[:, 1]
+        weight = weight + across[2] * nodes.across.weights[:, 2]
+        weight = np.where(fresh, weight, np.float32(0.0))
+        squares = squares + weight * weight
+        total = total + weight[..., None] * _band_at(band.values, shift, half, here + vote)
+        kinds += fresh
+    gain = np.float32(1.0) / np.sqrt(alike + (np.float32(1.0) - alike) * squares)
+    agreed = kinds == 1
+    one = _band_at(band.values, shift, half, here + votes[0])
+    return np.where(agreed[..., None], one, total), np.where(agreed, np.float32(1.0), gain)
+
+
+def _band_at(values, shift, half, places):
+    """A band between the texels of its grid, at (..., 2) places x, y of the exemplar."""
+    unit = np.float32(1.0 / (1 << shift))
+    ends = np.array(values.shape[1::-1]) - 1
+    doubled = (2 * places - half).clip(0, ends << shift)
+    first = doubled >> shift
+    after = np.minimum(first + 1, ends)
+    part = (doubled & ((1 << shift) - 1)).astype(np.float32) * unit
+
+    def of(x, y):
+        return values[y[..., 1], x[..., 0]].astype(np.float32)
+
+    across, down = part[..., :1], part[..., 1:]
+    upper = of(first, first) + (of(after, first) - of(first, first)) * across
+    lower = of(first, after) + (of(after, after) - of(first, after)) * across
+    return upper + (lower - upper) * down
+
+
+def _power(x):
+    """2^x as kernel.c has it, in float32."""
+    x = x.clip(-30.0, 30.0)
+    whole = (x + np.float32(64.5)).astype(np.int32) - 64
+    f = (x - whole.astype(np.float32)) * np.float32(0.69314718)
+    found = np.float32(1.0 / 720.0)
+    for divisor in (120.0, 24.0, 6.0, 2.0, 1.0, 1.0):
+        found = np.float32(1.0) / np.float32(divisor) + f * found
+    return found * np.exp2(whole.astype(np.float32))

@@ -79,12 +79,14 @@ def test_periods_and_seeds_out_of_range_are_refused():
         an_example().source(2**63)
 
 
-def test_every_texel_is_one_of_the_exemplars():
+def test_texels_are_the_exemplars_about_its_own_level():
     example = an_example()
     area = Rectangle(0, 0, 64, 48)
     maps, places = example.maps(9, area, None), example.places(9, area, None)
     x, y = places[..., 0].astype(int), places[..., 1].astype(int)
-    assert np.array_equal(maps[:5], example.exemplar.stacked()[:5, y, x])
+    shown = example.exemplar.stacked()[:, y, x]
+    for found, own in zip(maps, shown, strict=True):
+        assert np.corrcoef(found.ravel(), own.ravel())[0, 1] > 0.8
     # Heights are blended, about the exemplar's own level.
     height = example.exemplar.height
     assert abs(maps[5].mean() - height.mean()) < height.std()
@@ -212,7 +214,7 @@ def test_the_plain_form_is_the_field(example, monkeypatch):
         found = example.places(seed, area, period)
         with monkeypatch.context() as patched:
             patched.setattr("matcap.example.coordinates.correct", plain.correct)
-            expected = coordinates(lookup, seed, area, period)
+            expected = coordinates(lookup, seed, {0: area}, period)[0]
         assert np.array_equal(found, expected)
 
 

@@ -13,7 +13,6 @@ from matcap.example.correction import correct
 from matcap.example.features import LIMIT, PLANES
 from matcap.example.grids import PRICE_BITS, Frame
 from matcap.example.lookup import Level
-from matcap.example.relief import BANDS, FRACTION, REACH, bands_of, joined
 from matcap.example.tuned import LOOKUP
 
 INT16, INT32 = 2**15 - 1, 2**31 - 1
@@ -28,8 +27,6 @@ def test_the_largest_sums_fit() -> None:
     seams = SIMILAR_TIMES * len(DIAGONALS) * DIMENSIONS * difference**2
     assert seams + 2 * MOST_TURN**2 + MOST_PRICE < INT32
     assert TAPS * LIMIT * LIMIT < 2**24  # exact in float32, too
-    # Four taps of a filter, of a band that is a difference of two.
-    assert 4 * 2 * (2**17 << FRACTION) * BANDS < INT32
 
 
 def extreme(draw: np.random.Generator) -> Level:
@@ -95,13 +92,3 @@ def test_the_largest_features_are_projected_exactly(project) -> None:
     around = np.pad((features * signs).astype(np.int64), ((0, 0), (2, 2), (2, 2)), mode="symmetric")
     sums = sum(around[:, y : y + 32, x : x + 48].sum(0) for y in range(5) for x in range(5))
     assert np.array_equal(found[..., 0], (LIMIT * sums) >> 13)
-
-
-def test_the_highest_heights_join_without_wrapping() -> None:
-    draw = np.random.default_rng(3)
-    codes = draw.choice(np.array([-(2**17), 2**17], np.int64), (SIDE // 4, SIDE))
-    bands = bands_of(codes)
-    height = joined(bands)
-    inner = (slice(REACH, -REACH), slice(REACH, -REACH))
-    # A piece that was not rearranged has its own heights again but for the filters' rounding.
-    assert np.abs(height - (codes[inner] << FRACTION)).max() < 1 << (FRACTION - 1)
