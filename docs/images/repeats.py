@@ -25,8 +25,7 @@ from matcap.capture.settings import CaptureSettings
 from matcap.files.srgb import srgb_picture
 from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
-from matcap.lab.simulate.specimen import Specimen, photograph
-from matcap.lab.simulate.subjects import subjects
+from matcap.lab.simulate.specimen import Specimen, photograph, subjects
 
 FILE = Path(__file__).parent / "repeats.jpg"
 KINDS = (

@@ -163,7 +163,7 @@ def floors(
     from matcap.lab.measures.squeezenet import WEIGHTS
     from matcap.lab.simulate.hand_held import Hand, beside
     from matcap.lab.simulate.photograph import PhoneCamera
-    from matcap.lab.simulate.subjects import subjects
+    from matcap.lab.simulate.specimen import subjects
 
     camera = PhoneCamera(width=pixels, height=3 * pixels // 8 * 2)
     evaluation = EvaluationSettings(judged, judged // 2, camera, weights=weights or WEIGHTS)
@@ -202,7 +202,7 @@ def metals(
     from matcap.capture.settings import CaptureSettings
     from matcap.lab.bench.metals import ABOUT, metals_experiment
     from matcap.lab.simulate.photograph import PhoneCamera
-    from matcap.lab.simulate.subjects import subjects
+    from matcap.lab.simulate.specimen import subjects
 
     chosen = subjects(material or tuple(METAL_F0), sets)
     camera = PhoneCamera(width=pixels, height=pixels // 8 * 6)
@@ -227,7 +227,7 @@ def fields(
     far a lattice's phase is off 16384 texels away. Prints the table.
     """
     from matcap.lab.bench.fields import ABOUT, fields_experiment, grating, phase_off
-    from matcap.lab.simulate.subjects import subjects
+    from matcap.lab.simulate.specimen import subjects
 
     _print(fields_experiment(subjects(material or (), sets)), out, ABOUT)
     for period, angle in _LATTICES if phases else ():

@@ -42,8 +42,7 @@ from matcap.lab.measures.style import RandomFilters, Style
 from matcap.lab.simulate.examples import EXAMPLES
 from matcap.lab.simulate.phone_photographs import PhonePhotographs
 from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import Specimen
-from matcap.lab.simulate.subjects import subjects
+from matcap.lab.simulate.specimen import Specimen, subjects
 
 PAPER = "paper's form"  # no command line: bench/paper.py
 BASE = "1024 texels, 40 steps"  # that others are paired with

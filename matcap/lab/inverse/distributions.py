@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
-from matcap.files.staging import staged_file
+from matcap.lab.experiment.plot import new_figure, save_figure
+from matcap.lab.experiment.results import markdown
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.samples import draw_sample
 
@@ -112,16 +113,7 @@ def plot(measured: Mapping[str, Measured], path: Path) -> None:
     Raises:
         MatcapError: matplotlib is not installed, or the file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MatcapError(
-            "drawing the picture needs the package matplotlib",
-            remedy="install it with: pip install 'matcap[bench]'",
-        ) from error
-    figure = Figure(figsize=(14.0, 6.0))
-    FigureCanvasAgg(figure)
+    figure = new_figure((14.0, 6.0))
     for place, (name, decades) in enumerate(QUANTITIES.items()):
         axes = figure.add_subplot(2, 4, place + 1)
         for kind, values in measured.items():
@@ -134,21 +126,19 @@ def plot(measured: Mapping[str, Measured], path: Path) -> None:
         axes.grid(alpha=0.25)
         axes.legend(fontsize=7)
     figure.tight_layout()
-    with staged_file(path) as file:
-        figure.savefig(file, format="png", dpi=80, metadata={"Software": None})
+    save_figure(figure, path)
 
 
 def table(measured: Mapping[str, Measured]) -> str:
     """Markdown: 5, 25, 50, 75 and 95 % of each quantity, a column a kind."""
-    lines = ["| 5, 25, 50, 75, 95 % | " + " | ".join(measured) + " |"]
-    lines.append("|---|" + "---|" * len(measured))
+    rows = []
     for name in QUANTITIES:
-        cells = []
+        row = [name]
         for values in measured.values():
             shares = (0.05, 0.25, 0.5, 0.75, 0.95) if values[name] else ()
-            cells.append(" ".join(f"{np.quantile(values[name], s):.3g}" for s in shares))
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+            row.append(" ".join(f"{np.quantile(values[name], s):.3g}" for s in shares))
+        rows.append(row)
+    return "\n".join(markdown(["5, 25, 50, 75, 95 %", *measured], rows))
 
 
 def _windows(linear: Picture, size: tuple[int, int]) -> dict[str, float]:

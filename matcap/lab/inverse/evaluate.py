@@ -9,8 +9,8 @@ photograph itself taken for albedo, and whether the errors it expects are those 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from matcap.capture.piece.metal import seen_colour, tint
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import ERRORS, ExpectedErrors, Inverse, NetworkAnswer
 from matcap.flash.render import shade
+from matcap.lab.experiment.results import markdown
 from matcap.lab.inverse.losses import LossWeights, loss_parts, total, wanted
 from matcap.lab.inverse.packed import PackedSet
 from matcap.lab.inverse.samples import (
@@ -44,60 +45,6 @@ _SAMPLED = 4  # every so manieth texel, each way, tells of doubt
 _LIGHTS = ((20.0, 40.0, 2.0), (40.0, 160.0, 2.0), (55.0, 280.0, 2.5), (68.0, 100.0, 2.5))
 
 
-@dataclass(frozen=True)
-class InverseScore:
-    """Of one photograph, or the mean of several.
-
-    Attributes:
-        loss: all parts together but metal's, as networks that know none had it.
-        albedo, specular, roughness: mean differences of logarithms and of the logit.
-        slope, energy, render, style, doubt, metal: the loss's other parts.
-        correlation: of slopes with the true ones.
-        tilt: mean tilt found over the true one, as a logarithm.
-        tilt_off: its magnitude.
-        contrast: deviation of log albedo found over the true one, as a logarithm.
-        contrast_off: its magnitude.
-        roughness_off: mean difference of roughness.
-        relit: mean difference of log radiance under four lights.
-        photograph: likewise of the photograph taken for albedo.
-    """
-
-    loss: float
-    albedo: float
-    specular: float
-    roughness: float
-    slope: float
-    energy: float
-    render: float
-    style: float
-    doubt: float
-    metal: float
-    correlation: float
-    tilt: float
-    tilt_off: float
-    contrast: float
-    contrast_off: float
-    roughness_off: float
-    relit: float
-    photograph: float
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """What a network reaches on one kind of photographs.
-
-    Attributes:
-        score: mean of all photographs.
-        calibration: (4, 10) of albedo, F0, roughness and slope, by tenths of what is expected:
-            the median error over the expected one, 1 where doubt is calibrated.
-        photographs: how many.
-    """
-
-    score: InverseScore
-    calibration: Tensor
-    photographs: int
-
-
 def real_samples(sets: Sequence[PackedSet], each: int = 2) -> list[Sample]:
     """Photographs of real materials, so many of each."""
     return [
@@ -115,8 +62,12 @@ def simulated_samples(count: int = 24) -> list[Sample]:
     ]
 
 
-def evaluate(network: Inverse, samples: Sequence[Sample]) -> Evaluation:
-    """Scores of a network on photographs."""
+def evaluate(network: Inverse, samples: Sequence[Sample]) -> dict[str, float]:
+    """Mean scores of a network on photographs, and how far off its expected errors are.
+
+    Of those: by tenths of what is expected, the median error over the expected one, the worst
+    tenth; 1 where the network's doubt is calibrated.
+    """
     scores, expected, errors = [], [], []
     for index, sample in enumerate(samples):
         told = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
@@ -126,9 +77,10 @@ def evaluate(network: Inverse, samples: Sequence[Sample]) -> Evaluation:
         doubted, made = doubts(outputs, sample)
         expected.append(doubted)
         errors.append(made)
-    mean = [sum(column) / len(scores) for column in zip(*map(astuple, scores), strict=True)]
-    ratios = calibration(torch.cat(expected, 1), torch.cat(errors, 1))
-    return Evaluation(InverseScore(*mean), ratios, len(scores))
+    found = {name: sum(one[name] for one in scores) / len(scores) for name in scores[0]}
+    ratios = calibration(torch.cat(expected, 1), torch.cat(errors, 1)).log().abs().amax(1).exp()
+    off = zip(DOUBTS, ratios.tolist(), strict=True)
+    return found | {f"doubt of {name}, worst tenth off by": worst for name, worst in off}
 
 
 def _maps(answer: NetworkAnswer, sample: Sample) -> MapSet:
@@ -139,27 +91,33 @@ def _maps(answer: NetworkAnswer, sample: Sample) -> MapSet:
 
 
 @torch.no_grad()
-def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> InverseScore:
-    """Of one answer (ANSWERS, H, W)."""
+def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> dict[str, float]:
+    """Of one answer (ANSWERS, H, W).
+
+    loss: all parts together but metal's, as networks that know none had it; the loss's parts;
+    correlation: of slopes with the true ones; tilt, contrast: mean tilt and deviation of log albedo
+    found over the true ones, as logarithms, and their magnitudes; roughness_off: mean difference;
+    relit, photograph: mean difference of log radiance under four lights, of the answer and of the
+    photograph taken for albedo.
+    """
     parts = loss_parts(outputs[None], wanted([sample], rng))
     truth = sample.truth
     maps = _maps(NetworkAnswer.from_stacked(outputs), sample)
     found, true = _slopes(maps.normal), _slopes(truth.normal)
     tilt = _log_ratio(_tilt(maps.normal), _tilt(truth.normal))
     contrast = _log_ratio(_contrast(maps.diffuse), _contrast(truth.diffuse))
-    told = {name: float(part) for name, part in parts.items()}
-    return InverseScore(
-        loss=float(total(parts, LossWeights(metal=0.0))),
-        **told,
-        correlation=_correlation(found, true),
-        tilt=tilt,
-        tilt_off=abs(tilt),
-        contrast=contrast,
-        contrast_off=abs(contrast),
-        roughness_off=float((maps.roughness - truth.roughness).abs().mean()),
-        relit=relit_error(maps, truth, sample),
-        photograph=relit_error(photograph_as_albedo(sample), truth, sample),
-    )
+    return {
+        "loss": float(total(parts, LossWeights(metal=0.0))),
+        **{name: float(part) for name, part in parts.items()},
+        "correlation": _correlation(found, true),
+        "tilt": tilt,
+        "tilt_off": abs(tilt),
+        "contrast": contrast,
+        "contrast_off": abs(contrast),
+        "roughness_off": float((maps.roughness - truth.roughness).abs().mean()),
+        "relit": relit_error(maps, truth, sample),
+        "photograph": relit_error(photograph_as_albedo(sample), truth, sample),
+    }
 
 
 def photograph_as_albedo(sample: Sample) -> MapSet:
@@ -226,18 +184,11 @@ def calibration(expected: Tensor, made: Tensor, tenths: int = 10) -> Tensor:
     return torch.stack(rows)
 
 
-def table(results: dict[str, Evaluation]) -> str:
+def table(results: Mapping[str, Mapping[str, float]]) -> str:
     """Markdown: a row a number, a column a network and kind of photographs."""
-    lines = ["| | " + " | ".join(results) + " |", "|---|" + "---:|" * len(results)]
-    for field in fields(InverseScore):
-        row = " | ".join(f"{getattr(r.score, field.name):.3f}" for r in results.values())
-        lines.append(f"| {field.name} | {row} |")
-    for index, name in enumerate(DOUBTS):
-        worst = [float((r.calibration[index].log()).abs().max().exp()) for r in results.values()]
-        lines.append(f"| doubt of {name}, worst tenth off by | " + " | ".join(
-            f"{w:.2f}" for w in worst
-        ) + " |")  # fmt: skip
-    return "\n".join(lines)
+    names = dict.fromkeys(name for found in results.values() for name in found)
+    rows = [[name, *(f"{found[name]:.3f}" for found in results.values())] for name in names]
+    return "\n".join(markdown(["", *results], rows))
 
 
 def _left_out(rng: np.random.Generator) -> RealiseAt:

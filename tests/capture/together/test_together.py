@@ -27,7 +27,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.register import register
 from matcap.lab.simulate.hand_held import Hand, hold, take_several
 from matcap.lab.simulate.photograph import as_photo
-from matcap.lab.simulate.subjects import subjects
+from matcap.lab.simulate.specimen import subjects
 
 
 def _true(seed=0):

@@ -9,7 +9,7 @@ from matcap.lab.bench.fields import fields_experiment, grating, joint_length, ph
 from matcap.lab.experiment.runner import run
 from matcap.lab.measures.evaluator import EvaluationSettings
 from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.subjects import subjects
+from matcap.lab.simulate.specimen import subjects
 
 
 def bricks(width, height):

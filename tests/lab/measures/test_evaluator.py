@@ -13,8 +13,7 @@ from matcap.lab.measures.maps import MapNumbers
 from matcap.lab.measures.nsd import SqueezeNetStyle
 from matcap.lab.measures.squeezenet import SqueezeNet
 from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import photograph
-from matcap.lab.simulate.subjects import USUAL, subjects
+from matcap.lab.simulate.specimen import USUAL, photograph, subjects
 from matcap.photo.load import load_photo
 
 SMALL = EvaluationSettings(detail=256, size=128, camera=PhoneCamera(160, 120))

@@ -14,7 +14,7 @@ from matcap.lab.simulate.materials.kinds.coloured_metals import (
     anodised_f0,
     metal_colour,
 )
-from matcap.lab.simulate.subjects import subjects
+from matcap.lab.simulate.specimen import subjects
 
 WIDTH, HEIGHT, TEXEL = 192, 144, 2.0 / 512.0
 DRAWN = [

@@ -7,12 +7,7 @@ from types import MappingProxyType
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
-from matcap.lab.simulate.materials.cloth import cloth
-from matcap.lab.simulate.materials.granite import granite
-from matcap.lab.simulate.materials.leather import leather
-from matcap.lab.simulate.materials.plaster import plaster
-from matcap.lab.simulate.materials.rust import rust
-from matcap.lab.simulate.materials.tile import tile
+from matcap.lab.simulate.materials.named import cloth, granite, leather, plaster, rust, tile
 from matcap.lab.simulate.materials.varied import RandomMaterial, random_material
 from matcap.lab.simulate.procedural import Canvas
 
