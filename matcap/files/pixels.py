@@ -34,6 +34,7 @@ _ROLES = {
     **{"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"},
     **{"a": "A", "alpha": "A"},
 }
+_GREYS = ("y", "l", "v", "i", "grey", "gray", "luminance", "value", "intensity")
 _AXES = {"x": "R", "y": "G", "z": "B"}  # of vectors, as Blender's normal pass has them
 _NOT_BUILT = "not configured"  # in what libtiff says of a coding that it was built without
 _NO_COLOURS = ("CMYK", "CIELAB", "YCCK")  # of TIFF and JPEG, whose conversion is not the decoder's
@@ -245,7 +246,15 @@ def _roles(path: Path, names: Sequence[str]) -> dict[str, int]:
             return roles if "G" in roles else roles | dict.fromkeys(_COLOURS, roles["R"])
     tails = next(iter(layers.values()))
     alpha = next((tail for tail in tails if _ROLES.get(tail) == "A"), None)
-    grey = next((place for tail, place in tails.items() if tail != alpha), 0)
+    others = {tail: place for tail, place in tails.items() if tail != alpha} or tails
+    named = [place for tail, place in others.items() if tail in _GREYS]
+    if not named and len(others) > 1:
+        raise MatcapError(
+            f"none of its channels ({', '.join(names)[:80]}) is red or grey",
+            where=str(path),
+            remedy="save it as RGB",
+        )
+    grey = (named or list(others.values()))[0]
     return dict.fromkeys(_COLOURS, grey) | ({} if alpha is None else {"A": tails[alpha]})
 
 

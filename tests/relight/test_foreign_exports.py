@@ -11,6 +11,7 @@ from relight_samples import bumpy
 from matcap.errors import MatcapError
 from matcap.export.job import ExportJob
 from matcap.export.targets import write_export
+from matcap.files.note import Note
 from matcap.relight.foreign.read import read_foreign
 from matcap.relight.texture import Texture
 
@@ -61,6 +62,19 @@ def test_a_damaged_sidecar_is_told(tmp_path):
         read_foreign(tmp_path)
 
 
+def test_a_sidecar_of_another_version_or_none_at_all_is_told(tmp_path):
+    write_export(ExportJob(MAPS, "leather"), "godot", tmp_path)
+    sidecar = tmp_path / "leather_godot.json"
+    stated = sidecar.read_text()
+    sidecar.write_text(stated.replace('"version": 2', '"version": 3'))
+    with pytest.raises(MatcapError, match="version 3, this matcap reads 2"):
+        read_foreign(tmp_path)
+    sidecar.write_text(stated[:100])
+    with pytest.warns(Note, match="no readable JSON"):
+        by_names = read_foreign(tmp_path)
+    assert by_names.files["roughness"] == "leather_orm.png"
+
+
 def test_a_damaged_glb_is_told(tmp_path):
     write_export(ExportJob(MAPS, "leather"), "gltf", tmp_path)
     file = tmp_path / "leather.glb"
@@ -77,8 +91,8 @@ def test_tiles_of_a_texture_set_are_put_together(tmp_path):
         picture = np.full((4, 6, 3), number - 1000, np.uint8)
         cv2.imwrite(str(tmp_path / name.replace("<UDIM>", str(number))), picture)
     sidecar = {
-        "format": "matcap export", "target": "raw", "unit": "plane unit", "texel": 0.5,
-        "udim": [2, 2], "periodic": False,
+        "format": "matcap export", "version": 2, "target": "raw", "unit": "plane unit",
+        "texel": 0.5, "udim": [2, 2], "periodic": False,
         "files": {name: {"meaning": "diffuse albedo", "colour_space": "linear"}},
     }  # fmt: skip
     (tmp_path / "w_raw.json").write_text(json.dumps(sidecar))

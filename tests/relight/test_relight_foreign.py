@@ -458,3 +458,32 @@ def test_codings_that_are_not_supported_are_not_called_damaged(plain):
     (folder / "a_Color.jpg").write_bytes(whole[:frame] + b"\x0c" + whole[frame + 1 :])
     with pytest.raises(MatcapError, match="JPEG of 12 bits is not supported"):
         read_foreign(folder)
+
+
+def test_channels_of_no_known_name_are_refused_rather_than_guessed(plain):
+    import OpenEXR
+
+    folder, pictures, _ = plain
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    plane = np.ascontiguousarray(pictures["rough"][..., 0])
+    (folder / "a_Roughness.png").unlink()
+    file = str(folder / "a_Roughness.exr")
+    OpenEXR.File(header, {"one": plane, "two": plane}).write(file)
+    with pytest.raises(MatcapError, match=r"none of its channels \(one, two\)"):
+        read_foreign(folder)
+    OpenEXR.File(header, {"one": plane}).write(file)
+    np.testing.assert_array_equal(read_foreign(folder).texture.roughness[0], plane)
+
+
+def test_a_metal_without_a_metallic_map_is_told(plain):
+    folder, _, _ = plain
+    assert not any("metal" in note for note in read_foreign(folder).notes)
+    (folder / "a_Color.png").rename(folder / "Rusty_Metal03_Color.png")
+    assert any("none of it is taken as metal" in note for note in read_foreign(folder).notes)
+
+
+def test_a_name_goes_before_the_option_and_says_so(plain):
+    folder, _, expected = plain
+    found = read_foreign(folder, normal="dx")
+    np.testing.assert_array_equal(found.texture.slopes, expected.slopes)
+    assert any("its name says gl" in note for note in found.notes)

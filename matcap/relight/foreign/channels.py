@@ -222,6 +222,8 @@ class _Set:
         found, notes = slopes_of(pixels)
         self.notes += notes
         slopes = self._fitted(found, size, pixels)
+        if style is not None and file.style not in ("", style):
+            self.notes.append(f"{file.path.name}: its name says {file.style}, which goes first")
         named: NormalStyle | None = "gl" if file.style == "gl" else "dx" if file.style else style
         if named is None:
             rise = None if height is None else gradient(height, texel)

@@ -11,12 +11,13 @@ from typing import Any
 from matcap.brdf.stated import SCALE
 from matcap.errors import MatcapError
 from matcap.files.names import flaw, plain_name
+from matcap.files.note import note
 from matcap.files.values import bounded, whole
 from matcap.relight.foreign.glb import unpacked
 from matcap.relight.foreign.names import Assigned, NamedFile, Packing
 
 TOKEN = "<UDIM>"  # in names, for a tile's number: 1001 left bottom, one more to the right, ten up
-_FORMAT = "matcap export"
+_FORMAT, _VERSION = "matcap export", 2
 # Of a texture's meaning its beginning, and what the texture holds.
 _MEANINGS: tuple[tuple[str, Packing], ...] = (
     ("diffuse albedo", {"base": "RGB"}),
@@ -93,12 +94,25 @@ def stated_export(folder: Path, place: Path) -> Stated | None:
 
 
 def _read(file: Path) -> dict[str, Any] | None:
-    """A sidecar; None of any other JSON file."""
+    """A sidecar; None of any other JSON file.
+
+    Raises:
+        MatcapError: it is of another version.
+    """
     try:
         about = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError):
+        note(f"{file}: no readable JSON; if it is an export's, its units and names are not heeded")
         return None
-    return about if isinstance(about, dict) and about.get("format") == _FORMAT else None
+    if not isinstance(about, dict) or about.get("format") != _FORMAT:
+        return None
+    if about.get("version") != _VERSION:
+        raise MatcapError(
+            f"export of version {about.get('version')}, this matcap reads {_VERSION}",
+            where=str(file),
+            remedy="export it again with this matcap, or remove this file",
+        )
+    return about
 
 
 def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> Stated:

@@ -11,6 +11,7 @@ Names are in names.py, the reading of pictures in channels.py.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,10 @@ from matcap.relight.vectors import Array
 _LEVEL = 0.08  # F0 of specular level 1 (Burley 2012)
 # Without a normal map nothing says how high a height map is: this much of its width.
 _ASSUMED_RELIEF = 0.02
+_METALS = frozenset(
+    ("metal", "steel", "iron", "gold", "silver", "copper", "brass", "bronze", "chrome", "aluminium",
+     "aluminum", "titanium", "zinc", "tin")
+)  # fmt: skip
 _FLAT = 1e-6  # of a height map's numbers: what varies by less is flat
 
 
@@ -91,6 +96,8 @@ def _reflectance(found: SetChannels, notes: list[str]) -> tuple[Array, Array]:
         notes.append(f"not used: {found.files['specular']} (F0 of what is no metal is 0.04)")
     plain = found.dielectric if found.level is None else _LEVEL * found.level
     if metallic is None:
+        if _METALS & set(re.findall("[a-z]+", found.files["base"].lower())):
+            notes.append("no metallic map: none of it is taken as metal, though its name says so")
         metallic = np.zeros((1, *found.shape), dtype=np.float32)
     both = metallic_of(base, metallic, plain)
     return both[:3], both[3:] if metallic.any() else both[3:4]
