@@ -11,17 +11,13 @@ import typer
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
 from matcap.cli.inputs import files_read
 from matcap.cli.options import (
-    Bits,
-    ContainerName,
     JsonOption,
-    Normals,
     OverwriteOption,
     QuietOption,
-    WorkflowName,
-    in_range,
     seeded,
     typed,
 )
+from matcap.export.options import ExportOptions
 from matcap.field.options import ReadOptions
 from matcap.files import values
 
@@ -93,60 +89,7 @@ def export(
             help="piece: the photographed piece itself, made to repeat, at about its own size.",
         ),
     ] = None,
-    bits: Annotated[
-        Bits | None,
-        typer.Option(
-            show_default="what suits the target",
-            help="Of all textures: PNGs of 8 or 16 bits, EXR files of half or float.",
-        ),
-    ] = None,
-    workflow: Annotated[
-        WorkflowName | None,
-        typer.Option(
-            show_default="what comes nearest; of unreal metallic",
-            help="The target's metallic or specular workflow, where it has both.",
-        ),
-    ] = None,
-    container: Annotated[
-        ContainerName | None,
-        typer.Option(
-            "--format",
-            show_default="png or exr, as the bits are",
-            help="Of the textures' files; heights stay PNGs where it is jpg or webp.",
-        ),
-    ] = None,
-    tiled: Annotated[
-        bool, typer.Option("--tiled", help="EXR files in tiles, with mipmaps.")
-    ] = False,
-    unit: Annotated[
-        float | None,
-        typer.Option(
-            "--unit",
-            parser=in_range(1e-6, 1e9),
-            metavar="MM",
-            show_default="what the material knows",
-            help="Millimetres of a plane unit, half the photograph's long side: sizes and heights "
-            "are then real.",
-        ),
-    ] = None,
-    name: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Of a preset's files: the fields {stem}, {map}, {res} and {format} as they are.",
-        ),
-    ] = None,
-    maps: Annotated[
-        str | None,
-        typer.Option(metavar="A,B", help="Of a preset, only these, such as diffuse,roughness."),
-    ] = None,
-    normal: Annotated[
-        Normals | None,
-        typer.Option(
-            show_default="what the preset wants",
-            help="Of a preset: normals with +Y up (gl), down (dx), or both.",
-        ),
-    ] = None,
+    written: Annotated[Given, Fields(ExportOptions)] = NOTHING,
     overwrite: OverwriteOption = False,
     json: JsonOption = False,
     quiet: QuietOption = False,
@@ -158,7 +101,6 @@ def export(
     """
     from matcap.errors import MatcapError, UsageError
     from matcap.export.job import ExportJob, known_scale
-    from matcap.export.presets import PresetOptions
     from matcap.export.reach import material_reach
     from matcap.export.targets import (
         DOCUMENTS,
@@ -167,7 +109,6 @@ def export(
         sidecar_name,
         write_export,
     )
-    from matcap.export.textures import Workflow
     from matcap.export.udim import open_set
     from matcap.field.opened import OpenedMaps, open_tile
     from matcap.files.memory import check_memory
@@ -176,8 +117,9 @@ def export(
     if to is None:
         raise UsageError("there is no target", where="matcap export", remedy="give one with --to")
     target = check_target(to)
-    asked = {"--name": name, "--maps": maps, "--normal": normal}
-    for option in (option for option, value in asked.items() if value is not None):
+    options = chosen(ExportOptions, written)
+    presets_alone = {"pattern": "--name", "maps": "--maps", "normal": "--normal"}
+    for option in (option for name, option in presets_alone.items() if name in written):
         if target in DOCUMENTS:
             raise UsageError("this is for presets alone", where=option, remedy="leave it out")
     read = chosen(ReadOptions, reading)
@@ -227,21 +169,17 @@ def export(
     job = ExportJob(
         found.maps,
         found.name,
-        unit or known_scale(found.provenance),
-        bits and bits.value,
+        options.unit or known_scale(found.provenance),
+        options.bits,
         found.provenance,
-        container and container.value,
+        options.container,
         material_reach(path, found.name),
-        tiled,
+        options.tiled,
         around,
         tiles,
     )
-    form: Workflow | None = "specular" if workflow is WorkflowName.specular else None
-    form = "metallic" if workflow is WorkflowName.metallic else form
-    kinds = [one.strip() for one in maps.split(",")] if maps else []
-    choice = PresetOptions(name, kinds, normal and normal.value)
     inputs = [file for file in files_read(path) if file.name != sidecar.name]
-    done = write_export(job, target, folder, choice, form, inputs=inputs, overwrite=overwrite)
+    done = write_export(job, target, folder, options, inputs=inputs, overwrite=overwrite)
     _report(done, as_json=json, quiet=quiet)
 
 

@@ -22,7 +22,7 @@ from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type
 
 import typer
 
-from matcap.cli.options import typed
+from matcap.cli.options import in_range, typed
 from matcap.files.settings import Setting, settings_in
 
 Given = Mapping[str, Any]
@@ -85,6 +85,8 @@ def _parameter(one: Setting) -> inspect.Parameter:
         kind = list[str]
     elif rule.parse is not None:
         kind, more = Any, {"parser": typed(rule.parse)}
+    elif kind is float and rule.metavar:
+        kind, more = Any, {"parser": in_range(rule.least, rule.most)}
     elif math.isfinite(rule.least):
         more = {"min": kind(rule.least), "max": kind(rule.most)}
     flag = f"{one.flag}/--no-{one.flag[2:]}" if kind is bool else one.flag

@@ -43,40 +43,6 @@ class Normal(Enum):
     dx = "dx"
 
 
-class Normals(Enum):
-    """Which normal maps are written."""
-
-    gl = "gl"
-    dx = "dx"
-    both = "both"
-
-
-class Bits(Enum):
-    """How textures are stored."""
-
-    eight = "8"
-    sixteen = "16"
-    half = "half"
-    float = "float"
-
-
-class WorkflowName(Enum):
-    """How a target parametrises reflectance."""
-
-    metallic = "metallic"
-    specular = "specular"
-
-
-class ContainerName(Enum):
-    """File formats of textures."""
-
-    png = "png"
-    jpg = "jpg"
-    webp = "webp"
-    exr = "exr"
-    tx = "tx"
-
-
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]
 StrictOption = Annotated[
     bool,

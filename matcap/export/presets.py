@@ -22,6 +22,7 @@ from matcap.export.formats import Depth, Picture, brightest_channel, mean_channe
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.metallic import FIRST_METAL, FORMS, Form, Metallic, MetallicAim, to_metallic
 from matcap.export.names import known
+from matcap.export.options import ExportOptions
 from matcap.export.shading import MATCAP, TargetShading
 from matcap.export.surface import MadeSurface, Reader, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile
@@ -212,26 +213,14 @@ def bent(label: str, depth: Depth = "8") -> PresetTexture:
     return PresetTexture(label, depth, made, f"{BENT}, +Y up (OpenGL)")
 
 
-@dataclass(frozen=True)
-class PresetOptions:
-    """What the user wants otherwise than the preset."""
-
-    pattern: str | None = None
-    """Of file names, or None."""
-    maps: Sequence[str] = ()
-    """Which pictures, in the preset's own words; empty for all."""
-    normal: NormalMaps | None = None
-    """Which way green points, or None."""
-
-
-def pack(job: ExportJob, preset: Preset, choice: PresetOptions | None = None) -> Export:
+def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) -> Export:
     """The textures of a preset.
 
     Raises:
         UsageError: no such map or field of a name; a name that leaves the folder, or two pictures
             of one name.
     """
-    choice = choice or PresetOptions()
+    choice = choice or ExportOptions()
     wanted = [known(one, preset.textures, "--maps") for one in choice.maps]
     pattern = _checked(choice.pattern or preset.pattern)
     lit = preset.lit and _chosen(job, preset, preset.lit.of(job))

@@ -54,7 +54,8 @@ from matcap.export.libraries import LIBRARIES
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
 from matcap.export.names import known
-from matcap.export.presets import PresetOptions, pack
+from matcap.export.options import ExportOptions
+from matcap.export.presets import pack
 from matcap.export.reach import material_reach
 from matcap.export.surface import Residual, residuals
 from matcap.export.texture_file import TOKEN, WRITERS, TextureFile
@@ -168,8 +169,7 @@ def write_export(
     job: ExportJob,
     target: str,
     folder: Path,
-    choice: PresetOptions | None = None,
-    workflow: Workflow | None = None,
+    options: ExportOptions | None = None,
     *,
     inputs: Sequence[Path] = (),
     overwrite: bool = False,
@@ -180,8 +180,8 @@ def write_export(
         job: the maps and how to write them.
         target: one of TARGETS.
         folder: made when missing; files that an earlier export for the target wrote are replaced.
-        choice: for presets only.
-        workflow: the form; by default the plain one (engines.PLAIN), or what comes nearest.
+        options: workflow, and what presets are asked for; by default the plain form
+            (engines.PLAIN), or what comes nearest.
         inputs: files that were read, and are not to be replaced.
         overwrite: replace what others wrote, too.
 
@@ -192,11 +192,11 @@ def write_export(
             another program wrote.
     """
     check_target(target)
-    forms = DOCUMENTS[target] if target in DOCUMENTS else preset_forms(target, choice)
+    forms = DOCUMENTS[target] if target in DOCUMENTS else preset_forms(target, options)
     # Other programs read $, @, <UDIM>, quotes and the like in names in ways of their own.
     plain_name(job.name, what="the map set's name")
     job = replace(job, name=made_plain(job.name))
-    form = _form(forms, target, workflow)
+    form = _form(forms, target, options.workflow if options else None)
     _check_tiles(job, target)
     # Every form is asked what comes of it; only the chosen one makes its files.
     made = {name: make(job) for name, make in forms.items()}
@@ -225,7 +225,7 @@ def sidecar_name(name: str, target: str) -> str:
     return f"{made_plain(name)}_{target}.json"
 
 
-def preset_forms(name: str, choice: PresetOptions | None = None) -> Forms:
+def preset_forms(name: str, choice: ExportOptions | None = None) -> Forms:
     """The forms of a preset; one of them where the name says which.
 
     Raises:

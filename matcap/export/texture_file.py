@@ -21,7 +21,6 @@ from matcap.files.srgb import srgb_decode, srgb_picture
 TOKEN = "<UDIM>"  # stands for a tile's number in names of files
 WRITERS = 2  # textures made at a time: each holds one picture in memory
 _JPEG_QUALITY = 95
-_INCH = 0.0254
 
 
 @dataclass(frozen=True)

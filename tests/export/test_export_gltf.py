@@ -11,6 +11,7 @@ from read_gltf import complaints, has_validator, opened, surface
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.export.job import ExportJob
+from matcap.export.options import ExportOptions
 from matcap.export.surface import residual
 from matcap.export.targets import write_export
 from matcap.export.texture_file import TextureFile
@@ -83,7 +84,9 @@ def test_any_f0_is_kept(tmp_path, f0):
 def test_more_light_than_a_layer_allows_is_told(tmp_path):
     flat = torch.zeros(1, 8, 8)
     maps = MapSet(flat.expand(3, 8, 8) + 0.9, flat + 0.5, flat + 0.5, flat, 0.1)
-    done = write_export(ExportJob(maps, "bright"), "gltf", tmp_path, workflow="specular")
+    done = write_export(
+        ExportJob(maps, "bright"), "gltf", tmp_path, ExportOptions(workflow="specular")
+    )
     assert "clipped" in done.notes[0]
     assert done.residual.mean > 0.1
 
@@ -127,7 +130,7 @@ def test_a_light_file(tmp_path, made, container):
 
 def test_viewers_without_extensions_get_a_metallic_form(tmp_path, made):
     done = write_export(
-        ExportJob(made["leather"], "leather"), "gltf", tmp_path, workflow="metallic"
+        ExportJob(made["leather"], "leather"), "gltf", tmp_path, ExportOptions(workflow="metallic")
     )
     assert done.workflow == "metallic"
     document, _ = opened(tmp_path / "leather.glb")

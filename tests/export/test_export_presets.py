@@ -15,7 +15,7 @@ from matcap.errors import UsageError
 from matcap.export.fit import ErrorWeights
 from matcap.export.job import ExportJob
 from matcap.export.metallic import FORMS, MetallicAim, to_metallic
-from matcap.export.presets import PresetOptions
+from matcap.export.options import ExportOptions
 from matcap.export.surface import residuals
 from matcap.export.targets import DOCUMENTS, preset_forms, write_export
 from matcap.files.exr import read_exr
@@ -77,7 +77,7 @@ def test_files_are_called_as_they_are_there(tmp_path, preset):
 @pytest.mark.parametrize("normal", ["gl", "dx", "both"])
 def test_the_direction_of_normals_is_in_the_name_and_in_the_file(preset, normal):
     job = moss()
-    files = packed(job, preset, PresetOptions(normal=normal)).textures
+    files = packed(job, preset, ExportOptions(normal=normal)).textures
     found = {
         re.search(r"(gl|dx)(?=[_.]|$)", name.rsplit(".", 1)[0], re.IGNORECASE)[1].lower(): texture
         for name, texture in files.items()
@@ -153,7 +153,7 @@ def test_floats_are_the_numbers_themselves(tmp_path, bits):
 
 
 def test_patterns_of_the_users_own():
-    names = set(packed(moss(), "raw", PresetOptions("{map}-of-{stem}.{format}.{res}")).textures)
+    names = set(packed(moss(), "raw", ExportOptions("{map}-of-{stem}.{format}.{res}")).textures)
     assert "diffuse-of-moss.EXR.1k.exr" in names
     assert "normal_gl-of-moss.EXR.1k.exr" in names
 
@@ -171,16 +171,16 @@ def test_patterns_of_the_users_own():
 )
 def test_patterns_that_cannot_be(pattern, said):
     with pytest.raises(UsageError, match=re.escape(said)):
-        packed(moss(), "raw", PresetOptions(pattern))
+        packed(moss(), "raw", ExportOptions(pattern))
 
 
 def test_only_the_maps_asked_for():
-    made = packed(moss(), "polyhaven", PresetOptions(maps=["roughness", "diffuse"]))
+    made = packed(moss(), "polyhaven", ExportOptions(maps=["roughness", "diffuse"]))
     assert set(made.textures) == {"moss_diff_1k.png", "moss_rough_1k.png"}
     with pytest.raises(UsageError, match="'diffuze'; did you mean 'diffuse'"):
-        packed(moss(), "polyhaven", PresetOptions(maps=["diffuze"]))
+        packed(moss(), "polyhaven", ExportOptions(maps=["diffuze"]))
     with pytest.raises(UsageError, match="choose from base, mask, bent, height, normal"):
-        packed(moss(), "unity-hdrp-metallic", PresetOptions(maps=["roughness"]))
+        packed(moss(), "unity-hdrp-metallic", ExportOptions(maps=["roughness"]))
 
 
 def test_unknown_presets_name_the_nearest():
@@ -308,11 +308,11 @@ def test_unreal_gets_what_every_project_shows_unless_asked(tmp_path):
 
 
 def test_a_form_can_be_asked_for(tmp_path):
-    done = write_export(glossy(0.04), "unity-hdrp", tmp_path, workflow="metallic")
+    done = write_export(glossy(0.04), "unity-hdrp", tmp_path, ExportOptions(workflow="metallic"))
     assert done.workflow == "metallic"
     assert (picture(tmp_path / "brown_MaskMap.png")[..., 0] == 0.0).all()  # leather is no metal
     with pytest.raises(UsageError, match="no specular workflow"):
-        write_export(glossy(0.09), "godot", tmp_path, workflow="specular")
+        write_export(glossy(0.09), "godot", tmp_path, ExportOptions(workflow="specular"))
 
 
 def test_a_grey_f0_over_red_cannot_be_had_of_metals_and_is_told():
@@ -327,7 +327,7 @@ class TestHeights:
 
     def test_the_middle_is_undisplaced(self, tmp_path):
         job = glossy(0.04)
-        write_export(job, "polyhaven", tmp_path, PresetOptions(maps=["height"]))
+        write_export(job, "polyhaven", tmp_path, ExportOptions(maps=["height"]))
         code = picture(tmp_path / "brown_disp_8.png")
         assert np.abs(code - 0.5).max() < 1e-5
 
