@@ -53,22 +53,20 @@ _LONGEST = 10_000  # bytes of a file of adjustments
 class Adjustments:
     """What is changed; by default nothing. The module tells of each.
 
-    Attributes:
-        relief: factor, 0 to 10.
-        roughness: what is added, -1 to 1.
-        saturation: factor, 0 to 4.
-        brightness: factor, 0 to 8.
-        tint: sRGB colour, "#rrggbb".
-
     Raises:
         UsageError: a value out of range.
     """
 
     relief: float = 1.0
+    """Factor, 0 to 10."""
     roughness: float = 0.0
+    """What is added, -1 to 1."""
     saturation: float = 1.0
+    """Factor, 0 to 4."""
     brightness: float = 1.0
+    """Factor, 0 to 8."""
     tint: str = _WHITE
+    """sRGB colour, "#rrggbb"."""
 
     def __post_init__(self) -> None:
         for name, (least, most) in RANGES.items():

@@ -77,23 +77,20 @@ def schlick(specular: Tensor, l_dot_h: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Angles:
-    """What a specular lobe knows of directions, (..., 1, H, W) each.
-
-    Attributes:
-        n_dot_l, n_dot_v: cosines of light and view, never negative.
-        n_dot_h, l_dot_h: of the half vector with normal and light.
-        n_cross_h_squared: the squared sine between normal and half vector.
-        least_roughness: what is smoother shows as this.
-        above: where both light and view are above the surface; None: never quite below it.
-    """
+    """What a specular lobe knows of directions, (..., 1, H, W) each."""
 
     n_dot_l: Tensor
     n_dot_v: Tensor
+    """Cosines of light and view, never negative."""
     n_dot_h: Tensor
     l_dot_h: Tensor
+    """Of the half vector with normal and light."""
     n_cross_h_squared: Tensor
+    """The squared sine between normal and half vector."""
     least_roughness: float
+    """What is smoother shows as this."""
     above: Tensor | None = None
+    """Where both light and view are above the surface; None: never quite below it."""
 
     @staticmethod
     def exact(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Angles:

@@ -26,27 +26,24 @@ MAP_NAMES: tuple[str, ...] = (*CHANNELS, "normal")
 class MapSet:
     """Maps of one rectangle of material, channels first, row 0 at the top (largest y).
 
-    Attributes:
-        diffuse: (3, H, W) diffuse albedo, linear Rec.709, in [0, 1].
-        specular: (1, H, W) specular albedo F0, in [0, 1]; (3, H, W), linear Rec.709, where it has
-            a colour.
-        roughness: (1, H, W) perceptual roughness in [0, 1]; alpha is its square.
-        height: (1, H, W) in plane units (half the photograph's long side).
-        texel_size: a texel's side in plane units.
-        periodic: the right border continues at the left one and the bottom at the top one.
-        painted: (3, H, W) unit normals that stand instead of the height's, where somebody gave
-            them (other_normals.py); stacked() leaves them out.
-
     Leading batch dimensions are allowed; all four maps share them.
     """
 
     diffuse: Tensor
+    """(3, H, W) diffuse albedo, linear Rec.709, in [0, 1]."""
     specular: Tensor
+    """(1, H, W) specular albedo F0, in [0, 1]; (3, H, W), linear Rec.709, where it has a colour."""
     roughness: Tensor
+    """(1, H, W) perceptual roughness in [0, 1]; alpha is its square."""
     height: Tensor
+    """(1, H, W) in plane units (half the photograph's long side)."""
     texel_size: float
+    """A texel's side in plane units."""
     periodic: bool = False
+    """The right border continues at the left one and the bottom at the top one."""
     painted: Tensor | None = None
+    """(3, H, W) unit normals that stand instead of the height's, where somebody gave them
+    (other_normals.py); stacked() leaves them out."""
 
     def __post_init__(self) -> None:
         shape = self.height.shape

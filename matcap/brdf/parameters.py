@@ -39,19 +39,16 @@ class Reflectance(NamedTuple):
 
 @dataclass(frozen=True)
 class SurfaceParameters:
-    """A surface, or what two surfaces differ by; any shapes that broadcast with each other.
-
-    Attributes:
-        diffuse: (..., 3, H, W) log of diffuse albedo.
-        specular: (..., 1, H, W) log of F0; 3 channels where it has a colour.
-        roughness: (..., 1, H, W) logit of perceptual roughness.
-        height: (..., 1, H, W) in texels.
-    """
+    """A surface, or what two surfaces differ by; any shapes that broadcast with each other."""
 
     diffuse: Tensor
+    """(..., 3, H, W) log of diffuse albedo."""
     specular: Tensor
+    """(..., 1, H, W) log of F0; 3 channels where it has a colour."""
     roughness: Tensor
+    """(..., 1, H, W) logit of perceptual roughness."""
     height: Tensor
+    """(..., 1, H, W) in texels."""
 
     @staticmethod
     def of(maps: MapSet) -> SurfaceParameters:

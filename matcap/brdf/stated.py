@@ -31,29 +31,26 @@ SPECULAR_CHANNELS = "specular_channels"
 
 @dataclass(frozen=True)
 class StatedMaps:
-    """What a map set's document says, checked.
-
-    Attributes:
-        name: of the set, a plain file name.
-        size: (width, height) in texels.
-        texel_size: plane units.
-        height_scale: what one unit of the height's file is, in plane units.
-        periodic: whether it repeats without a seam.
-        normal: which way green points in its normals.
-        channels: of each map.
-        files: by map, its file's name, and its channels where several maps share a file.
-        provenance: how the material was made; finite numbers alone.
-    """
+    """What a map set's document says, checked."""
 
     name: str
+    """Of the set, a plain file name."""
     size: tuple[int, int]
+    """(width, height) in texels."""
     texel_size: float
+    """Plane units."""
     height_scale: float
+    """What one unit of the height's file is, in plane units."""
     periodic: bool
+    """Whether it repeats without a seam."""
     normal: NormalStyle
+    """Which way green points in its normals."""
     channels: Mapping[str, int]
+    """Of each map."""
     files: Mapping[str, tuple[str, tuple[str, ...] | None]]
+    """By map, its file's name, and its channels where several maps share a file."""
     provenance: dict[str, Any]
+    """How the material was made; finite numbers alone."""
 
 
 def stated_maps(document: Mapping[str, Any], kinds: Mapping[str, int], file: Path) -> StatedMaps:

@@ -25,19 +25,16 @@ from matcap.photo.photo import Photo
 
 @dataclass(frozen=True)
 class Compared:
-    """A capture to be compared.
-
-    Attributes:
-        name: of the material.
-        material: itself.
-        verdict: as its report has it; None where there is no report beside it.
-        photograph: the file that it was made from, as its report has it; it may be gone.
-    """
+    """A capture to be compared."""
 
     name: str
+    """Of the material."""
     material: Material
+    """Itself."""
     verdict: dict[str, Any] | None
+    """As its report has it; None where there is no report beside it."""
     photograph: Path | None = None
+    """The file that it was made from, as its report has it; it may be gone."""
 
     @staticmethod
     def open(path: Path) -> Compared:

@@ -27,19 +27,16 @@ UNION_TIMES = 4  # a piece of several photographs over the first one's texels, a
 
 @dataclass(frozen=True)
 class DetailSettings:
-    """What is tuned of telling coarse textures; docs/notes/capture.md.
-
-    Attributes:
-        scales: texels: deviations of the blurs between the bands.
-        most_coarse: share of the variance in the last band, waves from some 100 to 200 texels.
-        faintest: linear: bounds the logarithm in the dark.
-        strongest: log radiance from the median: larger departures count as this large.
-    """
+    """What is tuned of telling coarse textures; docs/notes/capture.md."""
 
     scales: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+    """Texels: deviations of the blurs between the bands."""
     most_coarse: float = 0.08
+    """Share of the variance in the last band, waves from some 100 to 200 texels."""
     faintest: float = 1e-4
+    """Linear: bounds the logarithm in the dark."""
     strongest: float = 3.0
+    """Log radiance from the median: larger departures count as this large."""
 
 
 COARSENESS = DetailSettings()

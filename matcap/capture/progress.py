@@ -62,18 +62,15 @@ DECODER_STAGES: Mapping[str, float] = MappingProxyType(
 
 @dataclass(frozen=True)
 class CaptureProgress(Progress):
-    """How far a capture is.
-
-    Attributes:
-        error: of fine-tuning a decoder, in multiples of what the photograph's own windows differ
-            by; else None.
-        in_a_minute: that error after another minute, or None.
-        interrupted: what there is is being finished.
-    """
+    """How far a capture is."""
 
     error: float | None = None
+    """Of fine-tuning a decoder, in multiples of what the photograph's own windows differ by; else
+    None."""
     in_a_minute: float | None = None
+    """That error after another minute, or None."""
     interrupted: bool = False
+    """What there is is being finished."""
 
 
 class CaptureClock:

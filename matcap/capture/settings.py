@@ -38,23 +38,20 @@ _BESIDES = 50_000_000  # bytes: material, preview and report, generously
 
 @dataclass(frozen=True)
 class Effort:
-    """What a capture spends.
-
-    Attributes:
-        preset: whose effort it is, a key of PRESETS.
-        adapted: steps by which the piece is held to the photograph (piece/adapt.py).
-        steps: of fine-tuning, where a decoder is asked for.
-        places: windows a step of it; all see the same maps, so one more costs a fifth more.
-        matched: mean and contrast moved to the photograph's at the end (space/tuning/match.py).
-        detail: texels across of the piece, of a photograph that has so many.
-    """
+    """What a capture spends."""
 
     preset: str
+    """Whose effort it is, a key of PRESETS."""
     adapted: int
+    """Steps by which the piece is held to the photograph (piece/adapt.py)."""
     steps: int
+    """Of fine-tuning, where a decoder is asked for."""
     places: int = 2
+    """Windows a step of it; all see the same maps, so one more costs a fifth more."""
     matched: bool = True
+    """Mean and contrast moved to the photograph's at the end (space/tuning/match.py)."""
     detail: int = FINE_DETAIL
+    """Texels across of the piece, of a photograph that has so many."""
 
     def work(self, generator: Generator) -> int:
         """Steps of what makes a generator."""
@@ -82,15 +79,12 @@ TIME_FOR_DETAIL = ((60.0, FINE_DETAIL), (20.0, DETAIL), (0.0, QUICK_DETAIL))
 
 @dataclass(frozen=True)
 class Statistics:
-    """What textures are compared by.
-
-    Attributes:
-        name: a key of choices.STATISTICS.
-        weights: a file that goes with it, torchvision's of VGG-19; None for the filter bank.
-    """
+    """What textures are compared by."""
 
     name: str = "filterbank"
+    """A key of choices.STATISTICS."""
     weights: Path | None = None
+    """A file that goes with it, torchvision's of VGG-19; None for the filter bank."""
 
     def __str__(self) -> str:
         return self.name if self.weights is None else f"{self.name}={self.weights}"

@@ -29,17 +29,14 @@ Appearance = NDArray[np.int16]
 
 @dataclass(frozen=True)
 class Basis:
-    """A projection.
-
-    Attributes:
-        weights: (DIMENSIONS, TAPS) int8, at most LIMIT; taps are rows, columns, planes.
-        shift: what sums are shifted right by.
-        step: of the neighbourhood, in texels of its grid.
-    """
+    """A projection."""
 
     weights: NDArray[np.int8]
+    """(DIMENSIONS, TAPS) int8, at most LIMIT; taps are rows, columns, planes."""
     shift: int
+    """What sums are shifted right by."""
     step: int
+    """Of the neighbourhood, in texels of its grid."""
 
 
 def choose_basis(features: FeatureMap, step: int) -> Basis:

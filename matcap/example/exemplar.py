@@ -37,26 +37,23 @@ _CONFIDENCE_STEPS = 15  # a weight; finer steps would be stored noise
 class Exemplar:
     """Maps of the photographed piece, row 0 at the top, float32.
 
-    Attributes:
-        diffuse: (3, H, W) diffuse albedo, linear Rec.709, in [0, 1].
-        specular: (1, H, W) specular albedo F0, in [0, 1]; (3, H, W), linear Rec.709, where it has
-            a colour.
-        roughness: (1, H, W) perceptual roughness in [0, 1]; alpha is its square.
-        height: (1, H, W) in plane units (half the photograph's long side).
-        confidence: (4, H, W) in [0, 1] of diffuse, specular, roughness and height: 0 where
-            the photograph says nothing of it.
-        texel_size: a texel's side in plane units.
-
     Raises:
         ValueError: a map of another shape, an empty or too large one, or values out of range.
     """
 
     diffuse: Floats
+    """(3, H, W) diffuse albedo, linear Rec.709, in [0, 1]."""
     specular: Floats
+    """(1, H, W) specular albedo F0, in [0, 1]; (3, H, W), linear Rec.709, where it has a colour."""
     roughness: Floats
+    """(1, H, W) perceptual roughness in [0, 1]; alpha is its square."""
     height: Floats
+    """(1, H, W) in plane units (half the photograph's long side)."""
     confidence: Floats
+    """(4, H, W) in [0, 1] of diffuse, specular, roughness and height: 0 where the photograph says
+    nothing of it."""
     texel_size: float
+    """A texel's side in plane units."""
 
     def __post_init__(self) -> None:
         rows, columns = self.height.shape[-2:]

@@ -29,14 +29,11 @@ LIMIT = 127  # of a feature
 
 @dataclass(frozen=True)
 class Scale:
-    """How planes become features: (value - offset) * factor, rounded.
-
-    Attributes:
-        offsets, factors: (PLANES,) float32.
-    """
+    """How planes become features: (value - offset) * factor, rounded."""
 
     offsets: NDArray[np.float32]
     factors: NDArray[np.float32]
+    """(PLANES,) float32."""
 
 
 def planes_of(exemplar: Exemplar) -> NDArray[np.float32]:

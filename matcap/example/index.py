@@ -47,23 +47,20 @@ _MOST = 255
 
 @dataclass(frozen=True)
 class Index:
-    """What was chosen for an exemplar.
-
-    Attributes:
-        scale: from maps to features.
-        bases: per level, the finest first, from features to appearance.
-        similar: per level (H, W, 2) int16: x, y of the most similar place in texels.
-        reluctance: (H, W) uint8 of squares of 4 x 4 texels; 255 where pieces must not begin.
-        order: the lattice to keep, or None.
-        left_out: share of the exemplar that matches nothing else.
-    """
+    """What was chosen for an exemplar."""
 
     scale: Scale
+    """From maps to features."""
     bases: tuple[Basis, ...]
+    """Per level, the finest first, from features to appearance."""
     similar: tuple[NDArray[np.int16], ...]
+    """Per level (H, W, 2) int16: x, y of the most similar place in texels."""
     reluctance: NDArray[np.uint8]
+    """(H, W) uint8 of squares of 4 x 4 texels; 255 where pieces must not begin."""
     order: Order | None
+    """The lattice to keep, or None."""
     left_out: float
+    """Share of the exemplar that matches nothing else."""
 
     def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
         """Tensors (bytes) and a description for JSON, from which read() makes it again."""

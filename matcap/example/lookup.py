@@ -24,27 +24,24 @@ from matcap.example.tuned import LOOKUP
 
 @dataclass(frozen=True)
 class Level:
-    """What one level looks up.
-
-    Attributes:
-        spacing: texels between places of the output.
-        frame: of the places.
-        bits: the appearance's grid is 2^bits texels wide.
-        appearance: (H, W, DIMENSIONS) int16.
-        similar_bits: the grid of similar places is 2^similar_bits texels wide.
-        similar: (H, W, 2) int16 x, y in texels.
-        price: (H, W) int32 of a place in squares of 2^PRICE_BITS texels, beside how well it fits.
-        phases: (H, W, 2) of the appearance's grid, where there is order to keep.
-    """
+    """What one level looks up."""
 
     spacing: int
+    """Texels between places of the output."""
     frame: Frame
+    """Of the places."""
     bits: int
+    """The appearance's grid is 2^bits texels wide."""
     appearance: Appearance
+    """(H, W, DIMENSIONS) int16."""
     similar_bits: int
+    """The grid of similar places is 2^similar_bits texels wide."""
     similar: NDArray[np.int16]
+    """(H, W, 2) int16 x, y in texels."""
     price: NDArray[np.int32]
+    """(H, W) int32 of a place in squares of 2^PRICE_BITS texels, beside how well it fits."""
     phases: Phases | None
+    """(H, W, 2) of the appearance's grid, where there is order to keep."""
 
 
 @dataclass(frozen=True)

@@ -31,16 +31,13 @@ _PHASES = 0x94D049BB133111EB  # sets its seeds apart from those of places
 
 @dataclass(frozen=True)
 class Order:
-    """The lattice of an exemplar.
-
-    Attributes:
-        waves: one or two.
-        bends: (len(waves), H, W) int32: at every 16th texel, the phase beyond the wave's own, in
-            2^-16 of a turn; whole turns are kept, so that it varies slowly.
-    """
+    """The lattice of an exemplar."""
 
     waves: tuple[Frequency, ...]
+    """One or two."""
     bends: NDArray[np.int32]
+    """(len(waves), H, W) int32: at every 16th texel, the phase beyond the wave's own, in 2^-16 of a
+    turn; whole turns are kept, so that it varies slowly."""
 
     def moved(self, x: int, y: int) -> Order:
         """Of the part of the exemplar that begins at a texel; multiples of 2^GRID."""
@@ -147,17 +144,14 @@ def _bent(bend: NDArray[np.int32], x: Integers, y: Integers) -> NDArray[np.int32
 
 @dataclass(frozen=True)
 class Cells:
-    """Which pieces of the lattice places of the field lie in: a few cells together.
-
-    Attributes:
-        column, row: what a piece is called; the same wherever it is repeated.
-        middle_x, middle_y: of the piece, in texels.
-    """
+    """Which pieces of the lattice places of the field lie in: a few cells together."""
 
     column: Integers
     row: Integers
+    """What a piece is called; the same wherever it is repeated."""
     middle_x: Integers
     middle_y: Integers
+    """Of the piece, in texels."""
 
 
 def cells_of(

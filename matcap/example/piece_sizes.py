@@ -11,18 +11,15 @@ from matcap.example.tuned import ORDER, PLACEMENT
 
 @dataclass(frozen=True)
 class PieceSizes:
-    """Into what pieces.
-
-    Attributes:
-        width, height: of a piece, in texels of the grid of places.
-        cells: texels along cells of a lattice that are laid together, at most.
-        loose: as at full variety: squares of a power of two, each for itself.
-    """
+    """Into what pieces."""
 
     width: int
     height: int
+    """Of a piece, in texels of the grid of places."""
     cells: float
+    """Texels along cells of a lattice that are laid together, at most."""
     loose: bool
+    """As at full variety: squares of a power of two, each for itself."""
 
     @staticmethod
     def of(frame: Frame, spacing: int, order: Order | None, variety: float) -> PieceSizes:

@@ -24,19 +24,16 @@ from matcap.example.tuned import PLACEMENT
 
 @dataclass(frozen=True)
 class Axis:
-    """Pieces along columns or rows.
-
-    Attributes:
-        number: of the piece that each column or row lies in; wrapped as the field is.
-        apart: texels from the middle of it.
-        side: texels of a piece.
-        count: pieces until the field repeats, or None.
-    """
+    """Pieces along columns or rows."""
 
     number: Integers
+    """Of the piece that each column or row lies in; wrapped as the field is."""
     apart: Integers
+    """Texels from the middle of it."""
     side: int
+    """Texels of a piece."""
     count: int | None
+    """Pieces until the field repeats, or None."""
 
     @staticmethod
     def of(at: Integers, side: int, period: int | None) -> Axis:

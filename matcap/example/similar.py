@@ -23,16 +23,13 @@ _SEED = 0x51417
 
 @dataclass(frozen=True)
 class Similar:
-    """Places on a grid, in its own texels.
-
-    Attributes:
-        rows, columns: (H, W) int32.
-        distances: (H, W) int32 squared, of the appearances.
-    """
+    """Places on a grid, in its own texels."""
 
     rows: NDArray[np.int32]
     columns: NDArray[np.int32]
+    """(H, W) int32."""
     distances: NDArray[np.int32]
+    """(H, W) int32 squared, of the appearances."""
 
 
 def find_similar(

@@ -16,17 +16,14 @@ from matcap.field.header import opened
 
 @dataclass(frozen=True)
 class Exemplified:
-    """A material's exemplar with what is told of it.
-
-    Attributes:
-        name: of the material.
-        provenance: how it was made; JSON.
-        example: its exemplar, indexed.
-    """
+    """A material's exemplar with what is told of it."""
 
     name: str
+    """Of the material."""
     provenance: dict[str, Any]
+    """How it was made; JSON."""
     example: Example
+    """Its exemplar, indexed."""
 
 
 def read_exemplified(path: Path) -> Exemplified | None:

@@ -13,25 +13,22 @@ from matcap.example.example import Example, detail_bits, piece_sizes
 
 @dataclass(frozen=True)
 class Summary:
-    """Of one exemplar.
-
-    Attributes:
-        size: (width, height) in texels.
-        periods: of its regular order, in texels.
-        left_out: share that matches nothing else in it, as stains do: pieces do not begin there.
-        variety: how far its field takes it apart, from 0 to 1.
-        pieces: (width, height) in texels of the pieces that the field is made of, at most.
-        texel_size: in plane units.
-        f0: mean specular albedo: one number, or three where it has a colour.
-    """
+    """Of one exemplar."""
 
     size: tuple[int, int]
+    """(width, height) in texels."""
     periods: tuple[float, ...]
+    """Of its regular order, in texels."""
     left_out: float
+    """Share that matches nothing else in it, as stains do: pieces do not begin there."""
     variety: float
+    """How far its field takes it apart, from 0 to 1."""
     pieces: tuple[int, int]
+    """(width, height) in texels of the pieces that the field is made of, at most."""
     texel_size: float
+    """In plane units."""
     f0: tuple[float, ...] = ()
+    """Mean specular albedo: one number, or three where it has a colour."""
 
     def document(self) -> dict[str, Any]:
         """The same for JSON."""

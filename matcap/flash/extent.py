@@ -14,15 +14,12 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Extent:
-    """A rectangle of the plane that square texels lie on.
-
-    Attributes:
-        middle: (x, y) of it, plane units.
-        half: of its width.
-    """
+    """A rectangle of the plane that square texels lie on."""
 
     middle: tuple[float, float] = (0.0, 0.0)
+    """(x, y) of it, plane units."""
     half: float = 1.0
+    """Of its width."""
 
     def texel(self, across: int) -> float:
         """Side of a texel, plane units, of so many across."""

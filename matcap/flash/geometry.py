@@ -21,27 +21,24 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class FlashSetup:
-    """Camera and flash of one photograph.
-
-    Attributes:
-        fov: field of view across the long side, in degrees.
-        offset: the flash's place relative to the camera, in plane units, camera frame.
-        tilt: (tilt_x, tilt_y) in radians.
-        intensity: radiant intensity of the flash, per colour channel; scales the whole picture.
-        vignetting: share of light lost in the corners of the picture (r = 1.25), growing with
-            r^2: what lens and tone mapping leave of the falloff. May be negative.
-        vignetting_quartic: likewise, growing with r^4: a phone's flash lights a cone.
-        turned: the photograph is a portrait. Both frames are then those of the picture lying,
-            turned a quarter anticlockwise, while its maps stand upright.
-    """
+    """Camera and flash of one photograph."""
 
     fov: float = 45.0
+    """Field of view across the long side, in degrees."""
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The flash's place relative to the camera, in plane units, camera frame."""
     tilt: tuple[float, float] = (0.0, 0.0)
+    """(tilt_x, tilt_y) in radians."""
     intensity: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Radiant intensity of the flash, per colour channel; scales the whole picture."""
     vignetting: float = 0.0
+    """Share of light lost in the corners of the picture (r = 1.25), growing with r^2: what lens and
+    tone mapping leave of the falloff. May be negative."""
     vignetting_quartic: float = 0.0
+    """Likewise, growing with r^4: a phone's flash lights a cone."""
     turned: bool = False
+    """The photograph is a portrait. Both frames are then those of the picture lying, turned a
+    quarter anticlockwise, while its maps stand upright."""
 
     @property
     def distance(self) -> float:

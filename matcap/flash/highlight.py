@@ -21,30 +21,26 @@ SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlight
 
 @dataclass(frozen=True)
 class HighlightSettings:
-    """What is tuned of finding a highlight; docs/notes/coarse-fit.md.
-
-    Attributes:
-        seed_blur: plane units, deviation: a glint is smaller, a highlight is not.
-        ring: plane units, width of one.
-        widest: plane units: a half width beyond this is the falloff itself.
-        faintest, usual: the faintest highlight's peak over what of the surroundings so large a
-            share is darker than: a white square of a plaid is no highlight.
-        top: of the way down from the peak, what its centre is the centroid of.
-        rounds: of moving the centre.
-        textures: plane units, deviations: how far texture is blurred away until the spot is the
-            only one.
-        others: area as bright beyond two half widths, of the spot's own, that makes it texture.
-    """
+    """What is tuned of finding a highlight; docs/notes/coarse-fit.md."""
 
     seed_blur: float = 0.04
+    """Plane units, deviation: a glint is smaller, a highlight is not."""
     ring: float = 0.02
+    """Plane units, width of one."""
     widest: float = 0.5
+    """Plane units: a half width beyond this is the falloff itself."""
     faintest: float = 1.3
     usual: float = 0.9
+    """The faintest highlight's peak over what of the surroundings so large a share is darker than:
+    a white square of a plaid is no highlight."""
     top: float = 0.3
+    """Of the way down from the peak, what its centre is the centroid of."""
     rounds: int = 8
+    """Of moving the centre."""
     textures: tuple[float, ...] = (0.0, 0.015, 0.03, 0.06, 0.12)
+    """Plane units, deviations: how far texture is blurred away until the spot is the only one."""
     others: float = 0.25
+    """Area as bright beyond two half widths, of the spot's own, that makes it texture."""
 
 
 HIGHLIGHT = HighlightSettings()
@@ -52,19 +48,16 @@ HIGHLIGHT = HighlightSettings()
 
 @dataclass(frozen=True)
 class Highlight:
-    """A highlight.
-
-    Attributes:
-        centre: image coordinates (u right, v up; the long side in [-1, 1]).
-        width: radius at which light is half-way between peak and surroundings, plane units.
-        peak: light in its middle, no more than the picture's clip level.
-        surroundings: light 0.5 to 0.7 plane units away.
-    """
+    """A highlight."""
 
     centre: tuple[float, float]
+    """Image coordinates (u right, v up; the long side in [-1, 1])."""
     width: float
+    """Radius at which light is half-way between peak and surroundings, plane units."""
     peak: float
+    """Light in its middle, no more than the picture's clip level."""
     surroundings: float
+    """Light 0.5 to 0.7 plane units away."""
 
     @property
     def contrast(self) -> float:

@@ -29,16 +29,13 @@ CORNER_SQUARED = 1.25**2
 
 @dataclass(frozen=True)
 class Incidence:
-    """Light that arrives at a relief, and is seen.
-
-    Attributes:
-        angles: between normal, light and view.
-        irradiance: (..., 1 or 3, H, W) E; 0 where light or view is below the surface, unless the
-            angles are quick.
-    """
+    """Light that arrives at a relief, and is seen."""
 
     angles: Angles
+    """Between normal, light and view."""
     irradiance: Tensor
+    """(..., 1 or 3, H, W) E; 0 where light or view is below the surface, unless the angles are
+    quick."""
 
     def diffuse(self, albedo: Tensor) -> Tensor:
         """Radiance (..., 3, H, W) of diffuse albedo (..., 3, H, W)."""
@@ -55,16 +52,13 @@ class Incidence:
 
 @dataclass(frozen=True)
 class FlashLight:
-    """A point light and a camera, from places of the plane.
-
-    Attributes:
-        to_light, to_view: (..., 3, H, W) unit vectors.
-        power: (..., 1 or 3, H, W) irradiance of a surface that faces the light.
-    """
+    """A point light and a camera, from places of the plane."""
 
     to_light: Tensor
     to_view: Tensor
+    """(..., 3, H, W) unit vectors."""
     power: Tensor
+    """(..., 1 or 3, H, W) irradiance of a surface that faces the light."""
 
     @staticmethod
     def between(points: Tensor, camera: Tensor, light: Tensor, intensity: Tensor) -> FlashLight:

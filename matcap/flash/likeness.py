@@ -24,29 +24,26 @@ from matcap.statistics.precision import computes_bfloat16
 
 @dataclass(frozen=True)
 class PhotographTarget:
-    """What a material is to look like: one photograph, or several of one sample.
-
-    Attributes:
-        windows: places and targets.
-        setup: camera and flash.
-        encoding: of its colours.
-        bank: features.
-        waves: of its regular order.
-        texel_size: in plane units.
-        weights: of the statistics.
-        expected: (5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None.
-        others: camera and flash of further photographs, the second one's first.
-    """
+    """What a material is to look like: one photograph, or several of one sample."""
 
     windows: Windows
+    """Places and targets."""
     setup: FlashSetup
+    """Camera and flash."""
     encoding: Encoding
+    """Of its colours."""
     bank: Features
+    """Features."""
     waves: tuple[Wave, ...]
+    """Of its regular order."""
     texel_size: float
+    """In plane units."""
     weights: Weights = Weights()
+    """Of the statistics."""
     expected: Tensor | None = None
+    """(5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None."""
     others: tuple[FlashSetup, ...] = ()
+    """Camera and flash of further photographs, the second one's first."""
 
 
 def shuffled(count: int, seed: int) -> Iterator[int]:

@@ -17,31 +17,27 @@ from matcap.statistics.encoding import Encoding, fit_encoding
 
 @dataclass(frozen=True)
 class Plane:
-    """A rectified photograph.
-
-    Attributes:
-        linear: (3, H, W) scene-linear picture; lighting is left as photographed.
-        valid: (H, W) bool, texels seen by the camera and not clipped.
-        noise: (3, H, W) one more draw of the sensor's noise, in the picture's units, or None where
-            it is not known.
-        encoding: the colour space in which its texture is compared.
-        channels: (3, H, W) bool, where each channel was seen and not clipped; None where only
-            whole texels are known, as `valid` has them.
-        left_out: (H, W) bool, what is not the material and shows a mirror of what is; None where
-            all of it is.
-        developed: whether the camera developed the picture to codes of 8 bits.
-        margins: by which it reaches beyond the photograph's own grid, of a piece that others
-            show more of.
-    """
+    """A rectified photograph."""
 
     linear: Tensor
+    """(3, H, W) scene-linear picture; lighting is left as photographed."""
     valid: Tensor
+    """(H, W) bool, texels seen by the camera and not clipped."""
     noise: Tensor | None
+    """(3, H, W) one more draw of the sensor's noise, in the picture's units, or None where it is
+    not known."""
     encoding: Encoding
+    """The colour space in which its texture is compared."""
     channels: Tensor | None = None
+    """(3, H, W) bool, where each channel was seen and not clipped; None where only whole texels are
+    known, as `valid` has them."""
     left_out: Tensor | None = None
+    """(H, W) bool, what is not the material and shows a mirror of what is; None where all of it
+    is."""
     developed: bool = False
+    """Whether the camera developed the picture to codes of 8 bits."""
     margins: Margins = NO_MARGINS
+    """By which it reaches beyond the photograph's own grid, of a piece that others show more of."""
 
     @property
     def measured(self) -> Tensor:

@@ -9,17 +9,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ScheduleSettings:
-    """What is tuned of every run of descent; docs/notes/capture.md.
-
-    Attributes:
-        warm_up: steps.
-        floor: of the learning rate, at the end of the cosine.
-        frozen_share: of the work, at the end, done with frozen statistics.
-    """
+    """What is tuned of every run of descent; docs/notes/capture.md."""
 
     warm_up: int = 10
+    """Steps."""
     floor: float = 0.05
+    """Of the learning rate, at the end of the cosine."""
     frozen_share: float = 0.15
+    """Of the work, at the end, done with frozen statistics."""
 
 
 SCHEDULE = ScheduleSettings()

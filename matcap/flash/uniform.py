@@ -15,19 +15,16 @@ from matcap.flash.light import FlashLight
 
 @dataclass(frozen=True)
 class Uniform:
-    """A uniform material and the setup it was photographed with.
-
-    Attributes:
-        diffuse: (r, g, b) albedo.
-        specular: F0.
-        roughness: in (0, 1).
-        setup: camera, flash, tilt; its intensity belongs to these albedos.
-    """
+    """A uniform material and the setup it was photographed with."""
 
     diffuse: tuple[float, float, float]
+    """(r, g, b) albedo."""
     specular: float
+    """F0."""
     roughness: float
+    """In (0, 1)."""
     setup: FlashSetup
+    """Camera, flash, tilt; its intensity belongs to these albedos."""
 
     def logits(self) -> Tensor:
         """(5,) of diffuse albedo, F0 and roughness."""

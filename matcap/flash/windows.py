@@ -20,21 +20,18 @@ from matcap.statistics.compare import UNSEEN, Descriptor, Features, describe
 
 @dataclass(frozen=True)
 class WindowSettings:
-    """What is tuned of comparing place by place; docs/notes/capture.md.
-
-    Attributes:
-        hiss: of the clip level, added to what shot noise grows with: sensors hiss in the dark.
-        together: windows described at a time: more outgrow the processor's caches.
-        pairs: of windows that tell how much statistics scatter.
-        least_scale: of a target: more than that is no scatter.
-        least_seen: share of a window's texels that must be inside the picture and not clipped.
-    """
+    """What is tuned of comparing place by place; docs/notes/capture.md."""
 
     hiss: float = 2e-3
+    """Of the clip level, added to what shot noise grows with: sensors hiss in the dark."""
     together: int = 4
+    """Windows described at a time: more outgrow the processor's caches."""
     pairs: int = 64
+    """Of windows that tell how much statistics scatter."""
     least_scale: float = 0.7
+    """Of a target: more than that is no scatter."""
     least_seen: float = 0.3
+    """Share of a window's texels that must be inside the picture and not clipped."""
 
 
 WINDOWS = WindowSettings()
@@ -42,23 +39,20 @@ WINDOWS = WindowSettings()
 
 @dataclass(frozen=True)
 class Windows:
-    """Places, their geometry and what the photograph looks like there.
-
-    Attributes:
-        size: of the square windows, in texels.
-        points: (B, 3, size, size) their plane points.
-        target: their descriptors in the photograph, raised by what an L1 distance falls short of.
-        noise: (B, 3, size, size) one more draw of the sensor's noise there, as a share of what
-            shot noise deviates by (`shot_deviation`), or None.
-        photographs: (B,) which photograph each is of, where there are several (joint.py): 0 is the
-            first one; None where there is one.
-    """
+    """Places, their geometry and what the photograph looks like there."""
 
     size: int
+    """Of the square windows, in texels."""
     points: Tensor
+    """(B, 3, size, size) their plane points."""
     target: Descriptor
+    """Their descriptors in the photograph, raised by what an L1 distance falls short of."""
     noise: Tensor | None = None
+    """(B, 3, size, size) one more draw of the sensor's noise there, as a share of what shot noise
+    deviates by (`shot_deviation`), or None."""
     photographs: Tensor | None = None
+    """(B,) which photograph each is of, where there are several (joint.py): 0 is the first one;
+    None where there is one."""
 
     @property
     def count(self) -> int:

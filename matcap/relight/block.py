@@ -26,31 +26,28 @@ from matcap.relight.vectors import Array, dot
 
 @dataclass(frozen=True)
 class ShadingContext:
-    """What all blocks share.
-
-    Attributes:
-        scene: lights and surface.
-        sampler: the material on the surface.
-        relief: its height.
-        plan: which effects run.
-        skies: the environments, in the order of their lights.
-        horizons: of the relief, where ambient visibility or interreflection run.
-        clock: of the effects.
-        samples: directions in which surroundings are mirrored.
-        budget: what single pixels may leave out; None where everything runs everywhere.
-        tally: which tiles effects run in.
-    """
+    """What all blocks share."""
 
     scene: Scene
+    """Lights and surface."""
     sampler: Sampler
+    """The material on the surface."""
     relief: Relief
+    """Its height."""
     plan: Plan
+    """Which effects run."""
     skies: tuple[Environment, ...]
+    """The environments, in the order of their lights."""
     horizons: Horizons | None
+    """Of the relief, where ambient visibility or interreflection run."""
     clock: Clock
+    """Of the effects."""
     samples: int
+    """Directions in which surroundings are mirrored."""
     budget: Budget | None
+    """What single pixels may leave out; None where everything runs everywhere."""
     tally: Tally
+    """Which tiles effects run in."""
 
 
 class Block:

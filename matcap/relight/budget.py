@@ -25,17 +25,14 @@ SHARES: Mapping[str, float] = {"area": 0.4, "environment": 0.05, "interreflectio
 
 @dataclass(frozen=True)
 class Budget:
-    """What may be left out in any one pixel.
-
-    Attributes:
-        codes: code values from 0 to 1.
-        film: of the picture.
-        running: the effects that run.
-    """
+    """What may be left out in any one pixel."""
 
     codes: float
+    """Code values from 0 to 1."""
     film: Film
+    """Of the picture."""
     running: frozenset[str]
+    """The effects that run."""
 
     def radiance(self, effect: str, known: Array) -> Array:
         """(3, ...) what an effect may change, where pixels are known to be as bright at least.

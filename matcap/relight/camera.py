@@ -17,26 +17,23 @@ _CORNER_SQUARED = 1.25**2
 
 @dataclass(frozen=True)
 class View:
-    """A camera and the picture it takes.
-
-    Attributes:
-        position: (3,) place of a perspective camera.
-        axes: (3, 3) rows right, up and forward.
-        reach: half the picture's long side at distance 1 (perspective) or in plane units.
-        size: (width, height) in pixels.
-        perspective: whether rays meet in `position`.
-        columns: half open range of those that rays are asked for; None is all.
-        vignetting, vignetting_quartic: see Camera.
-    """
+    """A camera and the picture it takes."""
 
     position: Points
+    """(3,) place of a perspective camera."""
     axes: Points
+    """(3, 3) rows right, up and forward."""
     reach: float
+    """Half the picture's long side at distance 1 (perspective) or in plane units."""
     size: tuple[int, int]
+    """(width, height) in pixels."""
     perspective: bool
+    """Whether rays meet in `position`."""
     columns: tuple[int, int] | None = None
+    """Half open range of those that rays are asked for; None is all."""
     vignetting: float = 0.0
     vignetting_quartic: float = 0.0
+    """See Camera."""
 
     @property
     def across(self) -> tuple[int, int]:

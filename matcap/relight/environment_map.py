@@ -42,15 +42,12 @@ class Sun(NamedTuple):
 
 @dataclass(frozen=True)
 class Environment:
-    """One environment light, ready to shade with.
-
-    Attributes:
-        levels: (h, w, 3) radiance pictures, each half as large as the one before.
-        rotation: radians.
-    """
+    """One environment light, ready to shade with."""
 
     levels: tuple[SkyPicture, ...]
+    """(h, w, 3) radiance pictures, each half as large as the one before."""
     rotation: float
+    """Radians."""
 
     @cached_property
     def brightest(self) -> float:

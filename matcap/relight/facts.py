@@ -33,16 +33,13 @@ WHOLE = 1.01
 
 @dataclass(frozen=True)
 class VisibleRegion:
-    """Where visible points of the surface can be.
-
-    Attributes:
-        low, high: corners of a box around them.
-        flat: they lie on the plane z = 0 but for the relief.
-    """
+    """Where visible points of the surface can be."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
+    """Corners of a box around them."""
     flat: bool
+    """They lie on the plane z = 0 but for the relief."""
 
     def distances(self, place: Sequence[float]) -> tuple[float, float]:
         """Smallest and largest distance of any point of the box from a place."""
@@ -64,50 +61,44 @@ class VisibleRegion:
 
 @dataclass(frozen=True)
 class LightFacts:
-    """One light as the surface meets it.
-
-    Attributes:
-        irradiance: at most, on a surface facing it, brightest channel.
-        tangent: of its lowest elevation above the plane; 0 on curved surfaces.
-        varying: by how much at most the irradiance differs from that at the origin.
-        half_angle: radians from its middle to its border, at most; 0 for points.
-        angle_cosine: of half the angle between the directions to light and camera, at least.
-    """
+    """One light as the surface meets it."""
 
     irradiance: float
+    """At most, on a surface facing it, brightest channel."""
     tangent: float
+    """Of its lowest elevation above the plane; 0 on curved surfaces."""
     varying: float
+    """By how much at most the irradiance differs from that at the origin."""
     half_angle: float
+    """Radians from its middle to its border, at most; 0 for points."""
     angle_cosine: float
+    """Of half the angle between the directions to light and camera, at least."""
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Everything the bounds are made of.
-
-    Attributes:
-        diffuse: largest albedo.
-        specular: largest F0.
-        alpha: (smallest, largest) GGX alpha.
-        slope: largest slope of the shading normals.
-        relief_slope: largest slope of the displacing height; 0 without displacement.
-        relief: highest minus lowest displacing height.
-        lights: all but environments.
-        sky: largest radiance of the environments together.
-        sky_varying: by how much at most they differ from their mean.
-        footprint: texels that a pixel covers, at most.
-    """
+    """Everything the bounds are made of."""
 
     diffuse: float
+    """Largest albedo."""
     specular: float
+    """Largest F0."""
     alpha: tuple[float, float]
+    """(smallest, largest) GGX alpha."""
     slope: float
+    """Largest slope of the shading normals."""
     relief_slope: float
+    """Largest slope of the displacing height; 0 without displacement."""
     relief: float
+    """Highest minus lowest displacing height."""
     lights: tuple[LightFacts, ...]
+    """All but environments."""
     sky: float
+    """Largest radiance of the environments together."""
     sky_varying: float
+    """By how much at most they differ from their mean."""
     footprint: float
+    """Texels that a pixel covers, at most."""
 
     @property
     def lambert(self) -> float:

@@ -59,21 +59,18 @@ _WAYS = np.array(
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """Of each texel, whether it was walked from, and how.
-
-    Attributes:
-        walk: for the loops; distances come in parts of which each sends its light from one place.
-        kept: what it points to.
-        walked: (H W,) 1 at the first texel of each group that was walked from.
-        transfer: (H W, CHANNELS) for each colour the vector t such that a neighbourhood lit by
-            irradiance e along l sends the texel t . (e l), when none of it faces away from l; or
-            None where nobody asks for it.
-    """
+    """Of each texel, whether it was walked from, and how."""
 
     walk: CWalk
+    """For the loops; distances come in parts of which each sends its light from one place."""
     kept: HeldArrays
+    """What it points to."""
     walked: Array
+    """(H W,) 1 at the first texel of each group that was walked from."""
     transfer: Array | None
+    """(H W, CHANNELS) for each colour the vector t such that a neighbourhood lit by irradiance e
+    along l sends the texel t . (e l), when none of it faces away from l; or None where nobody asks
+    for it."""
 
 
 class Horizons:

@@ -29,17 +29,14 @@ SkyPicture = Array
 
 @dataclass(frozen=True)
 class Octahedra:
-    """The levels one above the other, each with a border that goes on around its edges.
-
-    Attributes:
-        atlas: (h, w, 3) float32.
-        tops: the row where each level begins, and
-        sides: how many texels it has along a side.
-    """
+    """The levels one above the other, each with a border that goes on around its edges."""
 
     atlas: SkyPicture
+    """(h, w, 3) float32."""
     tops: Array
+    """The row where each level begins, and."""
     sides: Array
+    """How many texels it has along a side."""
 
     @property
     def finest(self) -> float:

@@ -25,25 +25,22 @@ from matcap.relight.scene import Film
 
 @dataclass(frozen=True)
 class Step:
-    """One effect's place in the plan.
-
-    Attributes:
-        effect: its name.
-        on: whether it runs.
-        bound: what leaving it out could change, in radiance.
-        reason: why it runs or not.
-        milliseconds: what it took, all cores together; 0 before rendering.
-        spends: whether, when off, it is so by its bound and not because it was asked for.
-        share: of the picture's tiles that it ran in; None before rendering.
-    """
+    """One effect's place in the plan."""
 
     effect: str
+    """Its name."""
     on: bool
+    """Whether it runs."""
     bound: float
+    """What leaving it out could change, in radiance."""
     reason: str
+    """Why it runs or not."""
     milliseconds: float = 0.0
+    """What it took, all cores together; 0 before rendering."""
     spends: bool = True
+    """Whether, when off, it is so by its bound and not because it was asked for."""
     share: float | None = None
+    """Of the picture's tiles that it ran in; None before rendering."""
 
 
 @dataclass(frozen=True)

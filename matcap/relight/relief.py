@@ -25,20 +25,17 @@ _ROUNDING = 1.0 + 1e-5
 
 @dataclass(frozen=True)
 class Relief:
-    """The bilinear surface of a texture's height, as laid on a surface.
-
-    Attributes:
-        texture: the material.
-        repeat: how many times smaller it lies there; its height shrinks likewise.
-        displacement: factor on its height.
-        endless: it repeats; else it goes on beyond its border as it is there, for what lies at
-            the opposite border would be a cliff.
-    """
+    """The bilinear surface of a texture's height, as laid on a surface."""
 
     texture: Texture
+    """The material."""
     repeat: float
+    """How many times smaller it lies there; its height shrinks likewise."""
     displacement: float
+    """Factor on its height."""
     endless: bool = True
+    """It repeats; else it goes on beyond its border as it is there, for what lies at the opposite
+    border would be a cliff."""
 
     @cached_property
     def heights(self) -> Array:

@@ -65,21 +65,18 @@ class MapSource(Protocol):
 
 @dataclass(frozen=True)
 class Rendering:
-    """A picture and how it came about.
-
-    Attributes:
-        radiance: (H, W, 3) float32, linear Rec.709; 0 where there is no surface.
-        plan: which effects ran, why, and what each took.
-        film: of the picture.
-        seconds: in all.
-        tally: which tiles each effect ran in.
-    """
+    """A picture and how it came about."""
 
     radiance: NDArray[np.float32]
+    """(H, W, 3) float32, linear Rec.709; 0 where there is no surface."""
     plan: Plan
+    """Which effects ran, why, and what each took."""
     film: Film
+    """Of the picture."""
     seconds: float
+    """In all."""
     tally: Tally
+    """Which tiles each effect ran in."""
 
 
 def relight(

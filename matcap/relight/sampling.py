@@ -20,34 +20,28 @@ _ALIGNED = 1e-3
 
 @dataclass(frozen=True)
 class SurfaceSample:
-    """The material at a block of pixels, (rows, W) arrays.
-
-    Attributes:
-        diffuse: one array a colour channel.
-        specular: one array, or one a colour channel.
-        alpha: GGX alpha.
-        normal: unit shading normal in the material's frame.
-    """
+    """The material at a block of pixels, (rows, W) arrays."""
 
     diffuse: tuple[Array, ...]
+    """One array a colour channel."""
     specular: tuple[Array, ...]
+    """One array, or one a colour channel."""
     alpha: Array
+    """GGX alpha."""
     normal: Vec
+    """Unit shading normal in the material's frame."""
 
 
 @dataclass(frozen=True)
 class Sampler:
-    """A texture laid on a surface, `repeat` times smaller than it is, its middle at (0, 0).
-
-    Attributes:
-        texture: the material.
-        repeat: how many times smaller.
-        endless: it repeats; else its border goes on.
-    """
+    """A texture laid on a surface, `repeat` times smaller than it is, its middle at (0, 0)."""
 
     texture: Texture
+    """The material."""
     repeat: float
+    """How many times smaller."""
     endless: bool = True
+    """It repeats; else its border goes on."""
 
     def texels(self, place: tuple[Array, Array]) -> tuple[Array, Array]:
         """Columns and rows, in texels, of places; texel centres are whole numbers."""

@@ -21,19 +21,16 @@ WHITE: Colour = (1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Film:
-    """The picture.
-
-    Attributes:
-        width: pixels.
-        height: pixels.
-        exposure: stops by which encoded pictures are brightened; radiance is left as it is.
-        transfer: how encoded pictures (PNG, GIF, MP4) store light.
-    """
+    """The picture."""
 
     width: int = 1024
+    """Pixels."""
     height: int = 768
+    """Pixels."""
     exposure: float = 0.0
+    """Stops by which encoded pictures are brightened; radiance is left as it is."""
     transfer: Literal["srgb", "linear"] = "srgb"
+    """How encoded pictures (PNG, GIF, MP4) store light."""
 
     @property
     def gain(self) -> float:
@@ -43,111 +40,92 @@ class Film:
 
 @dataclass(frozen=True)
 class Camera:
-    """Where the picture is taken from.
-
-    Attributes:
-        type: "perspective" or "orthographic".
-        position: its place.
-        target: the point in the middle of the picture.
-        fov: field of view across the long side, degrees; perspective only.
-        scale: half of what the long side shows; orthographic only.
-        up: the direction whose picture points upwards.
-        vignetting: share of light that a lens loses in the corners of a 4:3 picture, as an
-            exponent: exp(-vignetting) is left there, and more towards the middle, with r squared.
-            May be negative.
-        vignetting_quartic: likewise, with r to the fourth.
-    """
+    """Where the picture is taken from."""
 
     type: Literal["perspective", "orthographic"] = "perspective"
+    """"perspective" or "orthographic"."""
     position: Vector = (0.0, 0.0, 1.0 / math.tan(math.radians(22.5)))
+    """Its place."""
     target: Vector = (0.0, 0.0, 0.0)
+    """The point in the middle of the picture."""
     fov: float = 45.0
+    """Field of view across the long side, degrees; perspective only."""
     scale: float = 1.0
+    """Half of what the long side shows; orthographic only."""
     up: Vector = (0.0, 1.0, 0.0)
+    """The direction whose picture points upwards."""
     vignetting: float = 0.0
+    """Share of light that a lens loses in the corners of a 4:3 picture, as an exponent:
+    exp(-vignetting) is left there, and more towards the middle, with r squared. May be negative."""
     vignetting_quartic: float = 0.0
+    """Likewise, with r to the fourth."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """What the material lies on.
-
-    Attributes:
-        type: a plane or cylinder or sphere around the origin, or a mesh.
-        size: long side of a plane, diameter of a sphere or cylinder (whose height it also is),
-            longest side of a mesh; None is the extent of the maps themselves.
-        file: the mesh, a Wavefront OBJ.
-        repeat: how many times smaller the material lies on the surface than it is.
-        displacement: factor on the height where it moves the surface (parallax, shadows,
-            visibility, interreflection). Normals are the maps' own whatever it says: 0 keeps the
-            shading of relief and drops its geometry.
-    """
+    """What the material lies on."""
 
     type: Literal["plane", "sphere", "cylinder", "mesh"] = "plane"
+    """A plane or cylinder or sphere around the origin, or a mesh."""
     size: float | None = 2.0
+    """Long side of a plane, diameter of a sphere or cylinder (whose height it also is), longest
+    side of a mesh; None is the extent of the maps themselves."""
     file: Path | None = None
+    """The mesh, a Wavefront OBJ."""
     repeat: float = 1.0
+    """How many times smaller the material lies on the surface than it is."""
     displacement: float = 1.0
+    """Factor on the height where it moves the surface (parallax, shadows, visibility,
+    interreflection). Normals are the maps' own whatever it says: 0 keeps the shading of relief and
+    drops its geometry."""
 
 
 @dataclass(frozen=True)
 class PointLight:
-    """Light from one point, falling off with distance squared.
-
-    Attributes:
-        position: its place.
-        intensity: radiant intensity.
-    """
+    """Light from one point, falling off with distance squared."""
 
     position: Vector
+    """Its place."""
     intensity: Colour = WHITE
+    """Radiant intensity."""
 
 
 @dataclass(frozen=True)
 class DirectionalLight:
-    """Light from infinitely far.
-
-    Attributes:
-        direction: towards the light.
-        irradiance: what a surface facing the light receives.
-    """
+    """Light from infinitely far."""
 
     direction: Vector
+    """Towards the light."""
     irradiance: Colour = WHITE
+    """What a surface facing the light receives."""
 
 
 @dataclass(frozen=True)
 class SphereLight:
-    """A glowing sphere.
-
-    Attributes:
-        position: its middle.
-        radius: of the sphere.
-        radiance: the same in all directions.
-    """
+    """A glowing sphere."""
 
     position: Vector
+    """Its middle."""
     radius: float
+    """Of the sphere."""
     radiance: Colour = WHITE
+    """The same in all directions."""
 
 
 @dataclass(frozen=True)
 class RectangleLight:
-    """A rectangle that glows on the side its normal points to.
-
-    Attributes:
-        position: its middle.
-        normal: where it shines.
-        up: direction of its second side; made perpendicular to the normal.
-        size: its sides, across and along `up`.
-        radiance: the same in all directions.
-    """
+    """A rectangle that glows on the side its normal points to."""
 
     position: Vector
+    """Its middle."""
     normal: Vector
+    """Where it shines."""
     up: Vector = (0.0, 1.0, 0.0)
+    """Direction of its second side; made perpendicular to the normal."""
     size: tuple[float, float] = (1.0, 1.0)
+    """Its sides, across and along `up`."""
     radiance: Colour = WHITE
+    """The same in all directions."""
 
 
 @dataclass(frozen=True)
@@ -156,18 +134,16 @@ class EnvironmentLight:
 
     The picture is latitude by longitude, its top is +y, its middle is +z, which the plane faces,
     and its right half is towards -x, as somebody standing inside sees it.
-
-    Attributes:
-        file: EXR or HDR; None for a constant.
-        scale: factor on the picture.
-        rotation: degrees by which the surroundings are turned about +y, anticlockwise from above.
-        radiance: of a constant environment.
     """
 
     file: Path | None = None
+    """EXR or HDR; None for a constant."""
     scale: float = 1.0
+    """Factor on the picture."""
     rotation: float = 0.0
+    """Degrees by which the surroundings are turned about +y, anticlockwise from above."""
     radiance: Colour = WHITE
+    """Of a constant environment."""
 
 
 Light = PointLight | DirectionalLight | SphereLight | RectangleLight | EnvironmentLight
@@ -175,20 +151,17 @@ Light = PointLight | DirectionalLight | SphereLight | RectangleLight | Environme
 
 @dataclass(frozen=True)
 class Scene:
-    """Film, camera, surface and lights.
-
-    Attributes:
-        film: None takes one pixel a texel where the source is a map set, else Film().
-        camera: None is the photograph's: straight above, 45 degrees across the long side, as far
-            away as frames the surface's long side.
-        surface: what the material lies on.
-        lights: at least none; their light adds up.
-    """
+    """Film, camera, surface and lights."""
 
     film: Film | None = field(default_factory=Film)
+    """None takes one pixel a texel where the source is a map set, else Film()."""
     camera: Camera | None = None
+    """None is the photograph's: straight above, 45 degrees across the long side, as far away as
+    frames the surface's long side."""
     surface: Surface = field(default_factory=Surface)
+    """What the material lies on."""
     lights: tuple[Light, ...] = ()
+    """At least none; their light adds up."""
 
 
 # Places of the named lights: at the lens, and 2.3 units from the middle, 31 degrees above it.

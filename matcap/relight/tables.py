@@ -24,17 +24,14 @@ _ALPHAS, _COSINES = 512, 1024
 
 @dataclass(frozen=True)
 class Albedo:
-    """Tables over x = sqrt(mu) (columns) and sqrt(alpha), the roughness (rows), both in [0, 1].
-
-    Attributes:
-        bias: the part that goes with (1 - l.h)^5.
-        total: with F = 1; scale = total - bias.
-        average: (rows,) cosine-weighted mean of total over the hemisphere.
-    """
+    """Tables over x = sqrt(mu) (columns) and sqrt(alpha), the roughness (rows), both in [0, 1]."""
 
     bias: Array
+    """The part that goes with (1 - l.h)^5."""
     total: Array
+    """With F = 1; scale = total - bias."""
     average: Array
+    """(rows,) cosine-weighted mean of total over the hemisphere."""
 
     def rows(self, alpha: Array) -> Array:
         """Where the lookups below begin for alphas: the nearest of 1024 roughnesses.

@@ -14,13 +14,10 @@ TILE = 32  # pixels a side
 
 @dataclass(frozen=True)
 class Tally:
-    """Effects by tiles, filled while a picture is made.
-
-    Attributes:
-        size: (width, height) of the picture in pixels.
-    """
+    """Effects by tiles, filled while a picture is made."""
 
     size: tuple[int, int]
+    """(width, height) of the picture in pixels."""
     _ran: dict[str, Array] = field(default_factory=dict)
 
     @property

@@ -18,46 +18,40 @@ HorizonMap = Array
 
 @dataclass(frozen=True)
 class Extremes:
-    """Extremes of a texture, over all its texels.
-
-    Attributes:
-        diffuse: largest albedo of any channel.
-        specular: largest F0.
-        roughness: (smallest, largest).
-        slope: largest slope of the shading normals.
-        relief_slope: largest slope of the bilinear surface through the heights, which repeats.
-        relief: highest minus lowest height, in plane units.
-    """
+    """Extremes of a texture, over all its texels."""
 
     diffuse: float
+    """Largest albedo of any channel."""
     specular: float
+    """Largest F0."""
     roughness: tuple[float, float]
+    """(smallest, largest)."""
     slope: float
+    """Largest slope of the shading normals."""
     relief_slope: float
+    """Largest slope of the bilinear surface through the heights, which repeats."""
     relief: float
+    """Highest minus lowest height, in plane units."""
 
 
 @dataclass(frozen=True)
 class Texture:
-    """One rectangle of material; row 0 is the top, y is up.
-
-    Attributes:
-        diffuse: (3, H, W) albedo.
-        specular: (1, H, W) F0, or (3, H, W) where it has a colour.
-        roughness: (1, H, W) perceptual.
-        height: (1, H, W) in plane units.
-        slopes: (2, H, W) of the shading normal (-sx, -sy, 1): dh/dx and dh/dy.
-        texel_size: in plane units.
-        periodic: whether opposite borders fit each other.
-    """
+    """One rectangle of material; row 0 is the top, y is up."""
 
     diffuse: HorizonMap
+    """(3, H, W) albedo."""
     specular: HorizonMap
+    """(1, H, W) F0, or (3, H, W) where it has a colour."""
     roughness: HorizonMap
+    """(1, H, W) perceptual."""
     height: HorizonMap
+    """(1, H, W) in plane units."""
     slopes: HorizonMap
+    """(2, H, W) of the shading normal (-sx, -sy, 1): dh/dx and dh/dy."""
     texel_size: float
+    """In plane units."""
     periodic: bool = True
+    """Whether opposite borders fit each other."""
 
     @staticmethod
     def from_maps(maps: MapSet) -> Texture:

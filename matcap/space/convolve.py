@@ -28,17 +28,14 @@ class Convolve(Protocol):
 
 @dataclass(frozen=True)
 class Steps:
-    """What a network is computed by: operations that agree on how features lie in memory.
-
-    Attributes:
-        convolve: as `convolve`.
-        halve: (B, C, H, W) to (B, C, H / 2, W / 2), the largest of every four.
-        lay: a part of features as the others want it.
-    """
+    """What a network is computed by: operations that agree on how features lie in memory."""
 
     convolve: Convolve
+    """As `convolve`."""
     halve: Callable[[Tensor], Tensor]
+    """(B, C, H, W) to (B, C, H / 2, W / 2), the largest of every four."""
     lay: Callable[[Tensor], Tensor]
+    """A part of features as the others want it."""
 
 
 def convolve(

@@ -41,22 +41,19 @@ _EPSILON = 1e-5  # of a variance: keeps a constant feature finite
 
 @dataclass(frozen=True)
 class DecoderConfig:
-    """What shape a decoder has.
-
-    Attributes:
-        noise_channels: channels of uniform noise read at full resolution.
-        widths: feature channels per level, full resolution first; DEPTH + 1 of them.
-        convolutions: 3 x 3 convolutions per block on the way down and on the way up.
-        cells: channels of noise for the cells of regular order (regular_order.py), for materials
-            that have any.
-        grains: channels of structured noise (grains.py) read beside the white noise; 0 for none.
-    """
+    """What shape a decoder has."""
 
     noise_channels: int = 8
+    """Channels of uniform noise read at full resolution."""
     widths: tuple[int, ...] = (16, 32, 64, 64, 64)
+    """Feature channels per level, full resolution first; DEPTH + 1 of them."""
     convolutions: tuple[int, int] = (1, 2)
+    """3 x 3 convolutions per block on the way down and on the way up."""
     cells: int = 0
+    """Channels of noise for the cells of regular order (regular_order.py), for materials that have
+    any."""
     grains: int = 0
+    """Channels of structured noise (grains.py) read beside the white noise; 0 for none."""
 
     @property
     def inputs(self) -> int:

@@ -61,18 +61,15 @@ _Area = tuple[Span, Span]  # rows, columns
 
 @dataclass(frozen=True)
 class FoldedLayer:
-    """A convolution with its AdaIN folded in.
-
-    Attributes:
-        weights: (out, in_i, k, k) for each part of what it reads, channels last in memory: on the
-            way up that is the level below, the skip connection and, if any, the waves.
-        bias: (out,).
-        activate: followed by ReLU.
-    """
+    """A convolution with its AdaIN folded in."""
 
     weights: tuple[Tensor, ...]
+    """(out, in_i, k, k) for each part of what it reads, channels last in memory: on the way up that
+    is the level below, the skip connection and, if any, the waves."""
     bias: Tensor
+    """(out,)."""
     activate: bool
+    """Followed by ReLU."""
 
     def __call__(self, features: Tensor) -> Tensor:
         """The step on all parts laid side by side; borders are padded with zeros."""
@@ -93,23 +90,20 @@ class FoldedLayer:
 
 @dataclass(frozen=True)
 class FoldedDecoder:
-    """A frozen decoder: noise in, raw outputs out, the same numbers wherever it is asked.
-
-    Attributes:
-        noise_channels: of white noise that it reads.
-        grains: channels of structured noise that it reads.
-        cells: channels of the noise of cells; 0 without waves.
-        has_waves: whether it reads the order of regular_order.py.
-        down, up, head: its layers, block by block.
-    """
+    """A frozen decoder: noise in, raw outputs out, the same numbers wherever it is asked."""
 
     noise_channels: int
+    """Of white noise that it reads."""
     grains: int
+    """Channels of structured noise that it reads."""
     cells: int
+    """Channels of the noise of cells; 0 without waves."""
     has_waves: bool
+    """Whether it reads the order of regular_order.py."""
     down: tuple[tuple[FoldedLayer, ...], ...]
     up: tuple[tuple[FoldedLayer, ...], ...]
     head: FoldedLayer
+    """Its layers, block by block."""
 
     def __call__(self, field: RandomField) -> Tensor:
         """Raw outputs (B, OUTPUTS, H, W) of a whole field; a halo at every border is not valid.

@@ -53,18 +53,14 @@ def grain_field(patch: Patch) -> Tensor:
 
 @dataclass(frozen=True)
 class _Line:
-    """Where the texels of one row or column lie among the lattice's cells.
-
-    Attributes:
-        cells: (N + 2,) int64 the N cells that they meet, one after another, and one more at
-            either end.
-        place: (texels,) which of the N cells a texel lies in.
-        within: (texels,) float32 how far it has come through it, 0 to 1.
-    """
+    """Where the texels of one row or column lie among the lattice's cells."""
 
     cells: Tensor
+    """(N + 2,) int64 the N cells that they meet, one after another, and one more at either end."""
     place: Tensor
+    """(texels,) which of the N cells a texel lies in."""
     within: Tensor
+    """(texels,) float32 how far it has come through it, 0 to 1."""
 
 
 def _line(texels: list[int], spacing: int, period: int | None) -> _Line:

@@ -12,21 +12,18 @@ from matcap.field.plane import Period, Rectangle
 
 @dataclass(frozen=True)
 class Patch:
-    """Which numbers are wanted.
-
-    Attributes:
-        seed: the realisation, any integer in [-2^63, 2^63).
-        area: in texels of the level.
-        level: texels are 2^level times as large.
-        period: repeat in texels of level 0; None is endless.
-        device: where to compute; the numbers are the same everywhere.
-    """
+    """Which numbers are wanted."""
 
     seed: int
+    """The realisation, any integer in [-2^63, 2^63)."""
     area: Rectangle
+    """In texels of the level."""
     level: int = 0
+    """Texels are 2^level times as large."""
     period: Period | None = None
+    """Repeat in texels of level 0; None is endless."""
     device: torch.device | str = "cpu"
+    """Where to compute; the numbers are the same everywhere."""
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -19,15 +19,12 @@ from matcap.statistics.lattice import Wave
 
 @dataclass(frozen=True)
 class RandomField:
-    """What a decoder reads.
-
-    Attributes:
-        noise: (B, noise_channels + grains, H, W): white, then structured.
-        waves: per level k, (B, WAVE_CHANNELS + cells, H / 2^k, W / 2^k).
-    """
+    """What a decoder reads."""
 
     noise: Tensor
+    """(B, noise_channels + grains, H, W): white, then structured."""
     waves: tuple[Tensor, ...]
+    """Per level k, (B, WAVE_CHANNELS + cells, H / 2^k, W / 2^k)."""
 
 
 def random_field(

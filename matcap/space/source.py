@@ -89,23 +89,20 @@ def read_order(
 
 @dataclass(frozen=True)
 class DecoderSource:
-    """The field of one decoder and seed; picklable.
-
-    Attributes:
-        decoder: folded, in the precision to compute in.
-        waves: of the material's regular order.
-        texel_size: in plane units.
-        seed: which realisation.
-        period: what repeats, in multiples of ALIGNMENT.
-        grid: the blocks that the plane is cut into.
-    """
+    """The field of one decoder and seed; picklable."""
 
     decoder: FoldedDecoder
+    """Folded, in the precision to compute in."""
     waves: tuple[Wave, ...]
+    """Of the material's regular order."""
     texel_size: float
+    """In plane units."""
     seed: int
+    """Which realisation."""
     period: Period | None = None
+    """What repeats, in multiples of ALIGNMENT."""
     grid: Grid = Grid()
+    """The blocks that the plane is cut into."""
 
     @property
     def specular_channels(self) -> int:

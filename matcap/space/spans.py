@@ -15,22 +15,19 @@ from matcap.space.decoder import DEPTH
 
 @dataclass(frozen=True)
 class Spans:
-    """Of every level along one axis, full resolution first.
-
-    Attributes:
-        output: what is wanted.
-        joined: what enters a level's block on the way up (skip, waves, and the level below
-            doubled), for levels 0 to DEPTH - 1. Its outermost texel is not valid.
-        risen: what a level hands up to be doubled, for levels 1 to DEPTH; entry 0 is the output.
-        down: what enters a level's block on the way down; entry 0 is the noise.
-        skips: what leaves it.
-    """
+    """Of every level along one axis, full resolution first."""
 
     output: Span
+    """What is wanted."""
     joined: tuple[Span, ...]
+    """What enters a level's block on the way up (skip, waves, and the level below doubled), for
+    levels 0 to DEPTH - 1. Its outermost texel is not valid."""
     risen: tuple[Span, ...]
+    """What a level hands up to be doubled, for levels 1 to DEPTH; entry 0 is the output."""
     down: tuple[Span, ...]
+    """What enters a level's block on the way down; entry 0 is the noise."""
     skips: tuple[Span, ...]
+    """What leaves it."""
 
 
 def spans_of(output: Span, convolutions: tuple[int, int]) -> Spans:

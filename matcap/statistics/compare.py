@@ -28,17 +28,14 @@ from matcap.statistics.spectrum import autocorrelation
 
 @dataclass(frozen=True)
 class CompareSettings:
-    """What is tuned of descriptors; docs/notes/capture.md.
-
-    Attributes:
-        reach: lags of the autocorrelation at every level, in that level's texels.
-        quantiles: of each channel's values.
-        largest: texels a side of what is looked at on one level.
-    """
+    """What is tuned of descriptors; docs/notes/capture.md."""
 
     reach: int = 12
+    """Lags of the autocorrelation at every level, in that level's texels."""
     quantiles: int = 64
+    """Of each channel's values."""
     largest: int = 144
+    """Texels a side of what is looked at on one level."""
 
 
 COMPARE = CompareSettings()
@@ -80,23 +77,20 @@ class Weights:
 
 @dataclass(frozen=True)
 class Descriptor:
-    """Statistics of B windows.
-
-    Attributes:
-        mean: (B, 6) mean log colour, and log of the mean colour: where contrast is strong, dark
-            parts outweigh the bright ones in the one, and bright ones in the other.
-        grams: per map of the features (B, F + 1, F + 1); the last feature is the constant 1, so
-            the last column holds the features' means.
-        crosses: per pair of neighbouring maps (B, F, F) covariances of their features.
-        spectra: per level (B, 3, lags, lags).
-        quantiles: per level (B, 3, Q) of the colours about their mean.
-    """
+    """Statistics of B windows."""
 
     mean: Tensor
+    """(B, 6) mean log colour, and log of the mean colour: where contrast is strong, dark parts
+    outweigh the bright ones in the one, and bright ones in the other."""
     grams: tuple[Tensor, ...]
+    """Per map of the features (B, F + 1, F + 1); the last feature is the constant 1, so the last
+    column holds the features' means."""
     crosses: tuple[Tensor, ...]
+    """Per pair of neighbouring maps (B, F, F) covariances of their features."""
     spectra: tuple[Tensor, ...]
+    """Per level (B, 3, lags, lags)."""
     quantiles: tuple[Tensor, ...]
+    """Per level (B, 3, Q) of the colours about their mean."""
 
     def select(self, index: Tensor | Sequence[int]) -> Descriptor:
         """The descriptors of some windows."""

@@ -16,24 +16,20 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class EncodingSettings:
-    """What is tuned of the colours textures are compared in; docs/notes/capture.md.
-
-    Attributes:
-        toe: of the photograph's median: radiances so far below it all look black.
-        faintest: colour directions fainter than this share of the strongest are not amplified
-            further.
-        least_contrast: log: a texture of less is noise, and not amplified to full scale.
-        least_signal: share of a colour direction's variance that counts as signal at least.
-        least_texels: fewer have no covariance worth the name.
-        shading_scale: texels: what varies more slowly is shading, not texture.
-    """
+    """What is tuned of the colours textures are compared in; docs/notes/capture.md."""
 
     toe: float = 0.05
+    """Of the photograph's median: radiances so far below it all look black."""
     faintest: float = 0.2
+    """Colour directions fainter than this share of the strongest are not amplified further."""
     least_contrast: float = 0.02
+    """Log: a texture of less is noise, and not amplified to full scale."""
     least_signal: float = 0.05
+    """Share of a colour direction's variance that counts as signal at least."""
     least_texels: int = 64
+    """Fewer have no covariance worth the name."""
     shading_scale: int = 48
+    """Texels: what varies more slowly is shading, not texture."""
 
 
 ENCODING = EncodingSettings()
@@ -41,15 +37,12 @@ ENCODING = EncodingSettings()
 
 @dataclass(frozen=True)
 class Encoding:
-    """Linear radiance (B, 3, H, W) to texture colour of about unit variance.
-
-    Attributes:
-        median: radiance that counts as middle grey.
-        matrix: (3, 3) from log colour to decorrelated colour.
-    """
+    """Linear radiance (B, 3, H, W) to texture colour of about unit variance."""
 
     median: float
+    """Radiance that counts as middle grey."""
     matrix: Tensor
+    """(3, 3) from log colour to decorrelated colour."""
 
     def __call__(self, linear: Tensor) -> Tensor:
         """Encode; radiance above the clip level 1 counts as 1, like in the photograph."""

@@ -18,21 +18,18 @@ from torch.autograd.function import BackwardCFunction, FunctionCtx, once_differe
 
 @dataclass(frozen=True)
 class FilterBankConfig:
-    """Which random filters.
-
-    Attributes:
-        sizes: filter sizes in texels, odd.
-        filters: how many of each size.
-        levels: pyramid levels, each half the size of the one before.
-        crossed: features of neighbouring levels are compared together, too.
-        seed: of the filters; the same seed gives the same filters everywhere.
-    """
+    """Which random filters."""
 
     sizes: tuple[int, ...] = (3, 5, 9)
+    """Filter sizes in texels, odd."""
     filters: int = 32
+    """How many of each size."""
     levels: int = 5
+    """Pyramid levels, each half the size of the one before."""
     crossed: bool = True
+    """Features of neighbouring levels are compared together, too."""
     seed: int = 20210
+    """Of the filters; the same seed gives the same filters everywhere."""
 
 
 class FilterBank:

@@ -21,37 +21,34 @@ from matcap.statistics.spectrum import power_spectrum
 
 @dataclass(frozen=True)
 class LatticeSettings:
-    """What is tuned of finding regular order; docs/notes/capture.md.
-
-    Attributes:
-        window: texels a side: what spectra are taken of.
-        peak_ratio: a peak stands this far above the median of its surroundings, ...
-        least_share: ... and holds this share of the texture's power.
-        most_peaks: of the spectrum, the strongest.
-        longest: texels: longer periods repeat too few times to be called regular.
-        tolerance: spectral bins by which a peak may miss its lattice point.
-        least_variance: of the encoded picture; what is fainter is rounding.
-        multiples: of a peak's period that the texture's own may be.
-        clearly: by how much more the texture must be like itself after a longer shift.
-        reach: of the picture's sides: longer shifts have too little left to compare.
-        near: texels that a shift may miss, as lattices bend.
-        shading: texels: what varies more slowly is shading.
-        least_explained: of the texture's power, or there is no order worth keeping.
-    """
+    """What is tuned of finding regular order; docs/notes/capture.md."""
 
     window: int = 256
+    """Texels a side: what spectra are taken of."""
     peak_ratio: float = 8.0
+    """A peak stands this far above the median of its surroundings, ..."""
     least_share: float = 0.004
+    """... and holds this share of the texture's power."""
     most_peaks: int = 12
+    """Of the spectrum, the strongest."""
     longest: float = 80.0
+    """Texels: longer periods repeat too few times to be called regular."""
     tolerance: float = 0.9
+    """Spectral bins by which a peak may miss its lattice point."""
     least_variance: float = 1e-4
+    """Of the encoded picture; what is fainter is rounding."""
     multiples: tuple[int, ...] = (1, 2, 3, 4)
+    """Of a peak's period that the texture's own may be."""
     clearly: float = 0.05
+    """By how much more the texture must be like itself after a longer shift."""
     reach: float = 0.4
+    """Of the picture's sides: longer shifts have too little left to compare."""
     near: int = 2
+    """Texels that a shift may miss, as lattices bend."""
     shading: int = 255
+    """Texels: what varies more slowly is shading."""
     least_explained: float = 0.05
+    """Of the texture's power, or there is no order worth keeping."""
 
 
 LATTICE = LatticeSettings()
@@ -69,15 +66,12 @@ class Wave:
 
 @dataclass(frozen=True)
 class Lattice:
-    """What was found.
-
-    Attributes:
-        waves: none, one (stripes) or two (weaves, knits, tiles).
-        share: of the texture's power that lies in the lattice's peaks.
-    """
+    """What was found."""
 
     waves: tuple[Wave, ...]
+    """None, one (stripes) or two (weaves, knits, tiles)."""
     share: float
+    """Of the texture's power that lies in the lattice's peaks."""
 
 
 def find_lattice(colour: Tensor, valid: Tensor) -> Lattice:

@@ -118,14 +118,12 @@ class _Noise:
     """Energy of the sensor's noise in the finest bands, of neighbourhoods.
 
     What channels have in common apart from their colours: grain is grey, noise is not.
-
-    Attributes:
-        grey: (1, H, W).
-        colours: (3, H, W), beside it.
     """
 
     grey: Tensor
+    """(1, H, W)."""
     colours: Tensor
+    """(3, H, W), beside it."""
 
     @staticmethod
     def of(plane: Plane, coarse: tuple[int, int]) -> _Noise | None:

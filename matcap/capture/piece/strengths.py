@@ -34,20 +34,17 @@ DIRECTIONS = 6
 
 @dataclass(frozen=True)
 class Strengths:
-    """Root-mean-square strengths per band and direction, (len(BANDS), DIRECTIONS) each.
-
-    Attributes:
-        albedo: of log albedo.
-        slope: of the slope along the direction.
-        trust: how far the slope's strength stands out of its own scatter, 0 to 1.
-        doubt: (len(BANDS),) what the slopes' energy, squared slopes of all directions together, may
-            be off by (a standard deviation). Where nothing stands out it still is a bound.
-    """
+    """Root-mean-square strengths per band and direction, (len(BANDS), DIRECTIONS) each."""
 
     albedo: Doubles
+    """Of log albedo."""
     slope: Doubles
+    """Of the slope along the direction."""
     trust: Doubles
+    """How far the slope's strength stands out of its own scatter, 0 to 1."""
     doubt: Doubles
+    """(len(BANDS),) what the slopes' energy, squared slopes of all directions together, may be off
+    by (a standard deviation). Where nothing stands out it still is a bound."""
 
     @property
     def relief(self) -> float:

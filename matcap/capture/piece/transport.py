@@ -30,17 +30,14 @@ BlockPlaces = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class _Drawn:
-    """What blocks are compared and laid by.
-
-    Attributes:
-        stacked: (6, H, W) maps, whole.
-        laid: (6, H, W) the same without slow relief, which stays where it is.
-        seen: (H, W, 3) log albedo and slopes in deviations.
-    """
+    """What blocks are compared and laid by."""
 
     stacked: Floats
+    """(6, H, W) maps, whole."""
     laid: Floats
+    """(6, H, W) the same without slow relief, which stays where it is."""
     seen: Floats
+    """(H, W, 3) log albedo and slopes in deviations."""
 
 
 @torch.no_grad()
@@ -96,17 +93,14 @@ def transport(
 
 @dataclass(frozen=True)
 class _Likeness:
-    """What blocks would draw at a place, and what is photographed there.
-
-    Attributes:
-        unlike: (N,) one less the correlation of log radiance; 0 where nothing was seen.
-        stronger: energy of what is photographed over that of the blocks' median.
-        share: of the place that was seen and not clipped.
-    """
+    """What blocks would draw at a place, and what is photographed there."""
 
     unlike: Floats
+    """(N,) one less the correlation of log radiance; 0 where nothing was seen."""
     stronger: float
+    """Energy of what is photographed over that of the blocks' median."""
     share: float
+    """Of the place that was seen and not clipped."""
 
     @property
     def tells_more(self) -> bool:

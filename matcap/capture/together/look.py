@@ -28,24 +28,21 @@ _SIDES = ("left", "right", "top", "bottom")
 
 @dataclass(frozen=True)
 class LookSettings:
-    """When a set lacks something.
-
-    Attributes:
-        aside: of its height, that a camera must stand to a side for the piece to be lit from
-            there; a third is asked for.
-        apart: of the distance, below which two cameras count as the same place.
-        steep: degrees of tilt, beyond which the far side is told by few pixels.
-        alone: share of the piece that one photograph alone may see.
-        grid: points across that are looked at.
-        detail: pixels across that keypoints are looked for in.
-    """
+    """When a set lacks something."""
 
     aside: float = 0.15
+    """Of its height, that a camera must stand to a side for the piece to be lit from there; a third
+    is asked for."""
     apart: float = 0.08
+    """Of the distance, below which two cameras count as the same place."""
     steep: float = 50.0
+    """Degrees of tilt, beyond which the far side is told by few pixels."""
     alone: float = 0.25
+    """Share of the piece that one photograph alone may see."""
     grid: int = 64
+    """Points across that are looked at."""
     detail: int = 1600
+    """Pixels across that keypoints are looked for in."""
 
 
 LOOK = LookSettings()

@@ -29,19 +29,16 @@ _LINE = 24  # pixels
 
 @dataclass(frozen=True)
 class _View:
-    """A camera to be drawn, in plane units.
-
-    Attributes:
-        number: of its photograph, from 1.
-        place: (3,) of the camera.
-        flash: (3,) of its light; None where there was none.
-        seen: (3, 4) corners of what it saw of the plane.
-    """
+    """A camera to be drawn, in plane units."""
 
     number: int
+    """Of its photograph, from 1."""
     place: Doubles
+    """(3,) of the camera."""
     flash: Doubles | None
+    """(3,) of its light; None where there was none."""
     seen: Doubles
+    """(3, 4) corners of what it saw of the plane."""
 
     @property
     def colour(self) -> CodeTriple:

@@ -21,17 +21,14 @@ from matcap.capture.together.views import PieceView
 
 @dataclass(frozen=True)
 class PredictSettings:
-    """How it is found out.
-
-    Attributes:
-        across: texels; a prediction's error is that of shading and gloss, which show there.
-        rounds: of solving.
-        sampled: texels that the light of all is found from, which is nearly known.
-    """
+    """How it is found out."""
 
     across: int = 224
+    """Texels; a prediction's error is that of shading and gloss, which show there."""
     rounds: tuple[int, ...] = (2, 1)
+    """Of solving."""
     sampled: int = 1500
+    """Texels that the light of all is found from, which is nearly known."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +37,12 @@ class Predictions:
 
     Both on the same few texels, of maps solved there, gain and balance fitted: a photograph's grain
     is in both or in neither. Medians of log radiance; NaN of one by the room's light.
-
-    Attributes:
-        predicted: what each is off by from what all others make of it.
-        residual: from what all photographs make of it.
     """
 
     predicted: tuple[float, ...]
+    """What each is off by from what all others make of it."""
     residual: tuple[float, ...]
+    """From what all photographs make of it."""
 
 
 @torch.no_grad()

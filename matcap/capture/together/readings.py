@@ -41,20 +41,17 @@ ReadAlone = Callable[[Plane, CoarseFit], tuple[MapSet, Tensor]]
 
 @dataclass(frozen=True)
 class ReadingSettings:
-    """How readings are joined; docs/notes/several.md.
-
-    Attributes:
-        across: texels that all but the first are read on: what is finer is the first one's.
-        steepest: degrees of tilt beyond which a photograph is not read: no training has seen it.
-        shared: of what readings are off by, in squares: the network's habit, which more of them
-            do not lessen.
-        fades: of a reading's width: as wide a border counts less and less, to nothing.
-    """
+    """How readings are joined; docs/notes/several.md."""
 
     across: int = 384
+    """Texels that all but the first are read on: what is finer is the first one's."""
     steepest: float = 35.0
+    """Degrees of tilt beyond which a photograph is not read: no training has seen it."""
     shared: float = 0.5
+    """Of what readings are off by, in squares: the network's habit, which more of them do not
+    lessen."""
     fades: float = 0.12
+    """Of a reading's width: as wide a border counts less and less, to nothing."""
 
 
 READINGS = ReadingSettings()
@@ -62,19 +59,16 @@ READINGS = ReadingSettings()
 
 @dataclass(frozen=True)
 class OwnPlane:
-    """The plane's frame that belongs to a camera, in that of the first.
-
-    Attributes:
-        setup: of the camera and its flash, in its own frame.
-        origin: (2,) of it.
-        scale: its unit.
-        roll: radians that its x lies to the left of the first's.
-    """
+    """The plane's frame that belongs to a camera, in that of the first."""
 
     setup: FlashSetup
+    """Of the camera and its flash, in its own frame."""
     origin: Doubles
+    """(2,) of it."""
     scale: float
+    """Its unit."""
     roll: float
+    """Radians that its x lies to the left of the first's."""
 
     @staticmethod
     def of(camera: PosedCamera, light: SetLight, number: int) -> OwnPlane:
@@ -109,19 +103,16 @@ class OwnPlane:
 
 @dataclass(frozen=True)
 class ReadView:
-    """What was read from a photograph, on the first one's texels.
-
-    Attributes:
-        numbers: (NUMBERS, H, W).
-        doubt: (4, H, W) log of what it is expected to be off by (solve.py).
-        extent: of those texels.
-        hue: (3, H, W) metal's, that was taken off (hue.py), where it was read of any.
-    """
+    """What was read from a photograph, on the first one's texels."""
 
     numbers: Tensor
+    """(NUMBERS, H, W)."""
     doubt: Tensor
+    """(4, H, W) log of what it is expected to be off by (solve.py)."""
     extent: Extent = OWN
+    """Of those texels."""
     hue: Tensor | None = None
+    """(3, H, W) metal's, that was taken off (hue.py), where it was read of any."""
 
 
 def read_views(

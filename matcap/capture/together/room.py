@@ -26,22 +26,19 @@ Picture = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class RoomSettings:
-    """How the room's light is dealt with; docs/notes/several.md.
-
-    Attributes:
-        noise: of log radiance, what the model of a room's light is off by.
-        slow: deviation of what the room lights otherwise from place to place, as a share of the
-            long side.
-        steepest: of a window's lean: log radiance by slope.
-        faintest: share of a pixel's light that stays when the room's is taken off.
-        bound: share of pixels that may be darker than the room alone would make them.
-    """
+    """How the room's light is dealt with; docs/notes/several.md."""
 
     noise: float = 0.08
+    """Of log radiance, what the model of a room's light is off by."""
     slow: float = 0.08
+    """Deviation of what the room lights otherwise from place to place, as a share of the long
+    side."""
     steepest: float = 1.0
+    """Of a window's lean: log radiance by slope."""
     faintest: float = 0.05
+    """Share of a pixel's light that stays when the room's is taken off."""
     bound: float = 0.005
+    """Share of pixels that may be darker than the room alone would make them."""
 
 
 ROOM = RoomSettings()
@@ -68,15 +65,12 @@ class RoomIncidence:
 
 @dataclass(frozen=True)
 class RoomLight:
-    """Light of a room, the same all over the piece but for the side it comes from.
-
-    Attributes:
-        lean: (2,) what log radiance gains with slope, for light from one side.
-        strength: (3, 1, 1) of all of it; None for 1.
-    """
+    """Light of a room, the same all over the piece but for the side it comes from."""
 
     lean: tuple[float, float] = (0.0, 0.0)
+    """(2,) what log radiance gains with slope, for light from one side."""
     strength: Tensor | None = None
+    """(3, 1, 1) of all of it; None for 1."""
 
     def onto(self, normal: Tensor) -> RoomIncidence:
         """What arrives at a relief of unit normals (3, h, w)."""

@@ -16,28 +16,25 @@ from matcap.flash.registration.register import LeftOut, RegisteredView, Registra
 
 @dataclass(frozen=True)
 class SetReport:
-    """What was found of photographs that were solved together.
-
-    Attributes:
-        views: those that were used, each with its camera, the first one first.
-        residuals: median difference of log radiance between each and its re-rendering.
-        predicted: the same of each when all the others alone decide, on the same texels
-            (predict.py); NaN of one by the room's light; empty where nobody asked.
-        left_out: those that were not used, and why.
-        told: share of maps that was measured rather than read: albedo, F0, roughness, relief.
-        flash_offset: of all photographs.
-        bent: the lens's distortion.
-        reach: how far the piece reaches beyond the first photograph; None where it does not.
-    """
+    """What was found of photographs that were solved together."""
 
     views: tuple[RegisteredView, ...]
+    """Those that were used, each with its camera, the first one first."""
     residuals: tuple[float, ...]
+    """Median difference of log radiance between each and its re-rendering."""
     predicted: tuple[float, ...]
+    """The same of each when all the others alone decide, on the same texels (predict.py); NaN of
+    one by the room's light; empty where nobody asked."""
     left_out: tuple[LeftOut, ...]
+    """Those that were not used, and why."""
     told: tuple[float, float, float, float]
+    """Share of maps that was measured rather than read: albedo, F0, roughness, relief."""
     flash_offset: tuple[float, float]
+    """Of all photographs."""
     bent: tuple[float, float]
+    """The lens's distortion."""
     reach: Reach | None = None
+    """How far the piece reaches beyond the first photograph; None where it does not."""
 
     @staticmethod
     def of(

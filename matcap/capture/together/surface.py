@@ -19,19 +19,16 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """How slopes become a surface; docs/notes/several.md.
-
-    Attributes:
-        model: deviation of slopes that no precision knows of: shadows, parallax, what is bent.
-        steps: of conjugate gradients; more restore finer waves, and their noise.
-        even: texels' deviation of what precision is evened by before each step.
-        least: of the mean precision, that every slope is believed with.
-    """
+    """How slopes become a surface; docs/notes/several.md."""
 
     model: float = 0.03
+    """Deviation of slopes that no precision knows of: shadows, parallax, what is bent."""
     steps: int = 4
+    """Of conjugate gradients; more restore finer waves, and their noise."""
     even: float = 4.0
+    """texels' deviation of what precision is evened by before each step."""
     least: float = 1e-3
+    """Of the mean precision, that every slope is believed with."""
 
 
 def surface_of(

@@ -34,28 +34,25 @@ Marks = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class UnionSettings:
-    """How far a piece reaches; docs/notes/several.md.
-
-    Attributes:
-        steepest: degrees between a ray and the plane's normal beyond which nothing counts as seen:
-            a texel is drawn half as long there, and smears.
-        least: share of a side that is seen: a side of less is not the piece's.
-        most: times the first photograph's rectangle; work and memory are in proportion.
-        texels: of the piece at most, for memory; never fewer than the first photograph's own.
-        cells: across the first photograph, that sides are found by.
-        farthest: cells that are looked at to each side.
-        thinnest: cells that a margin has at least.
-        rows: of texels that are looked at at a time.
-    """
+    """How far a piece reaches; docs/notes/several.md."""
 
     steepest: float = 60.0
+    """Degrees between a ray and the plane's normal beyond which nothing counts as seen: a texel is
+    drawn half as long there, and smears."""
     least: float = 0.3
+    """Share of a side that is seen: a side of less is not the piece's."""
     most: float = UNION_TIMES
+    """Times the first photograph's rectangle; work and memory are in proportion."""
     texels: int = 4_000_000
+    """Of the piece at most, for memory; never fewer than the first photograph's own."""
     cells: int = 64
+    """Across the first photograph, that sides are found by."""
     farthest: int = 256
+    """Cells that are looked at to each side."""
     thinnest: int = 3
+    """Cells that a margin has at least."""
     rows: int = 256
+    """Of texels that are looked at at a time."""
 
 
 UNION = UnionSettings()
@@ -63,21 +60,18 @@ UNION = UnionSettings()
 
 @dataclass(frozen=True)
 class Reach:
-    """How far a piece reaches.
-
-    Attributes:
-        margins: texels, around the first photograph's own.
-        size: (width, height) of those.
-        held: share of all that photographs show that lies in it.
-        known: share of it that any photograph shows.
-        limited: it would be larger, but for what it may be at most.
-    """
+    """How far a piece reaches."""
 
     margins: Margins
+    """Texels, around the first photograph's own."""
     size: tuple[int, int]
+    """(width, height) of those."""
     held: float = 1.0
+    """Share of all that photographs show that lies in it."""
     known: float = 1.0
+    """Share of it that any photograph shows."""
     limited: bool = False
+    """It would be larger, but for what it may be at most."""
 
     @property
     def extent(self) -> Extent:

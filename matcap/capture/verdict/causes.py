@@ -14,23 +14,20 @@ from matcap.capture.verdict.signs import Signs
 
 @dataclass(frozen=True)
 class CauseLimits:
-    """From where on a sign is one; docs/notes/verdict.md.
-
-    Attributes:
-        room, curve, streak, channels, tilt: see Signs.
-        side: log: so much brighter a side counts as twice what a flash never does.
-        even: log: up to so much brighter, no side differs from the middle.
-        variety: up to it what is drawn hangs together over much of the photograph.
-    """
+    """From where on a sign is one; docs/notes/verdict.md."""
 
     side: float = 0.3
+    """Log: so much brighter a side counts as twice what a flash never does."""
     even: float = 0.1
+    """Log: up to so much brighter, no side differs from the middle."""
     room: float = 0.25
     curve: float = 0.12
     streak: float = 1.35
     channels: float = 0.04
     tilt: float = 25.0
+    """See Signs."""
     variety: float = 0.2
+    """Up to it what is drawn hangs together over much of the photograph."""
 
 
 CAUSES = CauseLimits()
@@ -42,21 +39,18 @@ DARK = (
 
 @dataclass(frozen=True)
 class Cause:
-    """One cause that shows.
-
-    Attributes:
-        name: of it.
-        strength: the sign over its limit; at least 1.
-        says: what it is.
-        remedy: what helps.
-        explains: names of the checks that suffer from it.
-    """
+    """One cause that shows."""
 
     name: str
+    """Of it."""
     strength: float
+    """The sign over its limit; at least 1."""
     says: str
+    """What it is."""
     remedy: str
+    """What helps."""
     explains: frozenset[str]
+    """Names of the checks that suffer from it."""
 
 
 _LIGHT = frozenset({"light", "colour", "piece", "highlight", "flash", "camera"})

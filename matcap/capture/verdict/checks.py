@@ -24,53 +24,50 @@ Limits = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class VerdictLimits:
-    """What a person minds, as three severities' limits or one; docs/notes/verdict.md.
-
-    Attributes:
-        widest: plane units, half width: a highlight plain to see is narrower than the falloff, ...
-        faintest: ... and so much over its surroundings.
-        apart: plane units between centres of highlights, and ...
-        apart_of_width: ... shares of the width more: wide ones have no place.
-        wider: log of widths, either way.
-        brighter: log of peak over surroundings, either way.
-        flash: hot spot over border, negative: less is worse.
-        colour: log: 6 % is just seen side by side.
-        light: log, of what is smooth.
-        texture: in the photograph's own differences: 1 is a perfect copy.
-        contrast: log, either way.
-        unseen_contrast: log luminance that the eye does not see in a surface.
-        order: share of the likeness a period further that is lost.
-        plain_order: likeness of a photograph whose order is plain to see.
-        piece: log radiance, of the photographed piece's own maps.
-        marks: multiples of what is just seen of one (MARK_LIMITS).
-        guessed: mean of what confidence lacks.
-        uneven: of parts of the photograph.
-        tilted: degrees.
-        placed: plane units: a flash sits one or two centimetres off.
-        clipped: share of the photograph.
-    """
+    """What a person minds, as three severities' limits or one; docs/notes/verdict.md."""
 
     widest: float = 0.34
+    """Plane units, half width: a highlight plain to see is narrower than the falloff, ..."""
     faintest: float = 2.0
+    """... and so much over its surroundings."""
     apart: Limits = (0.03, 0.08, 0.15)
+    """Plane units between centres of highlights, and ..."""
     apart_of_width: Limits = (0.1, 0.25, 0.5)
+    """... shares of the width more: wide ones have no place."""
     wider: Limits = (math.log(1.3), math.log(1.8), math.log(3.0))
+    """Log of widths, either way."""
     brighter: Limits = (math.log(1.3), math.log(1.8), math.log(3.0))
+    """Log of peak over surroundings, either way."""
     flash: Limits = (-1.5, -1.25, -SHOT.falloff)
+    """Hot spot over border, negative: less is worse."""
     colour: Limits = (0.06, 0.15, 0.35)
+    """Log: 6 % is just seen side by side."""
     light: Limits = (0.12, 0.22, 0.4)
+    """Log, of what is smooth."""
     texture: Limits = (1.1, 1.5, 2.3)
+    """In the photograph's own differences: 1 is a perfect copy."""
     contrast: Limits = (math.log(1.25), math.log(1.6), math.log(2.5))
+    """Log, either way."""
     unseen_contrast: float = 0.01
+    """Log luminance that the eye does not see in a surface."""
     order: Limits = (0.3, 0.5, 0.75)
+    """Share of the likeness a period further that is lost."""
     plain_order: float = 0.15
+    """Likeness of a photograph whose order is plain to see."""
     piece: Limits = (0.12, 0.22, 0.4)
+    """Log radiance, of the photographed piece's own maps."""
     marks: Limits = (1.0, 2.0, 4.0)
+    """Multiples of what is just seen of one (MARK_LIMITS)."""
     guessed: Limits = (0.6, 0.75, 0.9)
+    """Mean of what confidence lacks."""
     uneven: Limits = (SHOT.uneven, SHOT.mixed, 4.5)
+    """Of parts of the photograph."""
     tilted: Limits = (SHOT.tilted, SHOT.much_tilted, 25.0)
+    """Degrees."""
     placed: Limits = (0.25, 0.35, 0.6)
+    """Plane units: a flash sits one or two centimetres off."""
     clipped: Limits = (0.02, 0.08, 0.25)
+    """Share of the photograph."""
 
 
 LIMITS = VerdictLimits()
@@ -95,21 +92,18 @@ _SHOOT = "photograph again, squarely from above, in the dark, a stop darker, RAW
 
 @dataclass(frozen=True)
 class QualityCheck:
-    """One thing that was looked at.
-
-    Attributes:
-        name: of it.
-        severity: 0 nothing, up to 1 good, 2 usable, 3 doubtful, beyond failed.
-        says: what was found.
-        cause: what it comes from where the measure itself says so; causes.py has the others.
-        remedy: what to do, or "".
-    """
+    """One thing that was looked at."""
 
     name: str
+    """Of it."""
     severity: float
+    """0 nothing, up to 1 good, 2 usable, 3 doubtful, beyond failed."""
     says: str
+    """What was found."""
     cause: str = ""
+    """What it comes from where the measure itself says so; causes.py has the others."""
     remedy: str = ""
+    """What to do, or ""."""
 
     @property
     def rating(self) -> Rating:

@@ -32,31 +32,28 @@ Picture = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class EvidenceSettings:
-    """How photograph and re-rendering are looked at; docs/notes/verdict.md.
-
-    Attributes:
-        cells: across the long side, of what is smooth.
-        smooth: cells, deviation: a sixteenth of the picture is light, less is texture.
-        toe: of the median: bounds logarithms in the dark.
-        fine: texels, deviations of the blurs on either side of a band of texture.
-        coarse: likewise.
-        chroma: likewise, of log red and blue over green.
-        bright: share of tiles that are looked at by themselves, the brightest.
-        window: texels a side that tell texture.
-        places: windows across and down.
-        least_seen: share of a window that must be seen.
-    """
+    """How photograph and re-rendering are looked at; docs/notes/verdict.md."""
 
     cells: int = 64
+    """Across the long side, of what is smooth."""
     smooth: float = 2.0
+    """Cells, deviation: a sixteenth of the picture is light, less is texture."""
     toe: float = 0.02
+    """Of the median: bounds logarithms in the dark."""
     fine: tuple[float, float] = (1.0, 3.0)
+    """Texels, deviations of the blurs on either side of a band of texture."""
     coarse: tuple[float, float] = (4.0, 16.0)
+    """Likewise."""
     chroma: tuple[float, float] = (2.0, 16.0)
+    """Likewise, of log red and blue over green."""
     bright: float = 0.2
+    """Share of tiles that are looked at by themselves, the brightest."""
     window: int = 160
+    """Texels a side that tell texture."""
     places: tuple[int, int] = (4, 3)
+    """Windows across and down."""
     least_seen: float = 0.5
+    """Share of a window that must be seen."""
 
 
 LOOK = EvidenceSettings()
@@ -64,46 +61,43 @@ LOOK = EvidenceSettings()
 
 @dataclass(frozen=True)
 class Evidence:
-    """Measures of a capture.
-
-    Attributes:
-        highlights: of the photograph and of its re-rendering, each None where nothing stands out.
-        flash_ratio: the photograph's hot spot over its border.
-        flash_fired: what the file says, or None.
-        colour: (3,) log of re-rendering over photograph, median over cells, by channel.
-        light: root-mean-square difference of log luminance that goes with place, as light does:
-            across the picture, and with distance from its middle.
-        likeness: difference of texture statistics between re-rendering and photograph, in multiples
-            of what neighbouring parts of the photograph differ by; NaN where it has none.
-        contrast: by band and region, root-mean-square log luminance of the texture of photograph
-            and re-rendering.
-        order: likeness of photograph and re-rendering to themselves a period further, each at most
-            1; None where no regular order was found.
-        unevenness: how far the photograph's parts differ from each other; 1 is usual.
-        tilt: of the camera, degrees.
-        offset: of the flash from the lens, plane units.
-        clipped: share of the photograph.
-        piece: of the photographed piece's own maps: `error`, `slow` (log radiance) and confidence
-            by map; None where they were not looked for.
-        marks: what of the piece's maps goes with the distance from the highlight; see marks.py.
-        signs: of what may be the cause of all that.
-    """
+    """Measures of a capture."""
 
     highlights: tuple[Highlight | None, Highlight | None]
+    """Of the photograph and of its re-rendering, each None where nothing stands out."""
     flash_ratio: float
+    """The photograph's hot spot over its border."""
     flash_fired: bool | None
+    """What the file says, or None."""
     colour: tuple[float, float, float]
+    """(3,) log of re-rendering over photograph, median over cells, by channel."""
     light: float
+    """Root-mean-square difference of log luminance that goes with place, as light does: across the
+    picture, and with distance from its middle."""
     likeness: float
+    """Difference of texture statistics between re-rendering and photograph, in multiples of what
+    neighbouring parts of the photograph differ by; NaN where it has none."""
     contrast: Mapping[str, tuple[float, float]]
+    """By band and region, root-mean-square log luminance of the texture of photograph and
+    re-rendering."""
     order: tuple[float, float] | None
+    """Likeness of photograph and re-rendering to themselves a period further, each at most 1; None
+    where no regular order was found."""
     unevenness: float
+    """How far the photograph's parts differ from each other; 1 is usual."""
     tilt: float
+    """Of the camera, degrees."""
     offset: float
+    """Of the flash from the lens, plane units."""
     clipped: float
+    """Share of the photograph."""
     piece: Mapping[str, float] | None = None
+    """Of the photographed piece's own maps: `error`, `slow` (log radiance) and confidence by map;
+    None where they were not looked for."""
     marks: Mapping[str, float] | None = None
+    """What of the piece's maps goes with the distance from the highlight; see marks.py."""
     signs: Signs = Signs()
+    """Of what may be the cause of all that."""
 
 
 def evidence(

@@ -13,16 +13,13 @@ from matcap.capture.verdict.rating import Rating
 
 @dataclass(frozen=True)
 class JudgeSettings:
-    """How checks become one verdict; docs/notes/verdict.md.
-
-    Attributes:
-        norm: that joins severities: the worst counts most, several small ones a little more than
-            one (three of 1.8 are one of 2.2).
-        told: checks in a sentence, the worst.
-    """
+    """How checks become one verdict; docs/notes/verdict.md."""
 
     norm: float = 6.0
+    """That joins severities: the worst counts most, several small ones a little more than one
+    (three of 1.8 are one of 2.2)."""
     told: int = 2
+    """Checks in a sentence, the worst."""
 
 
 JUDGE = JudgeSettings()
@@ -30,17 +27,14 @@ JUDGE = JudgeSettings()
 
 @dataclass(frozen=True)
 class CaptureVerdict:
-    """What a person would say of a capture.
-
-    Attributes:
-        checks: all that was looked at.
-        causes: what the photograph shows of why, the strongest first.
-        photographs: that the capture was made of.
-    """
+    """What a person would say of a capture."""
 
     checks: tuple[QualityCheck, ...]
+    """All that was looked at."""
     causes: tuple[Cause, ...] = ()
+    """What the photograph shows of why, the strongest first."""
     photographs: int = 1
+    """That the capture was made of."""
 
     @property
     def severity(self) -> float:

@@ -21,17 +21,14 @@ BlockMeans = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MarkSettings:
-    """How marks are looked for; docs/notes/verdict.md.
-
-    Attributes:
-        blocks: along the long side: what is smaller is drawing.
-        rings: of equally many blocks: more follow a mark closer, and chance too.
-        toe: of albedo and F0: bounds logarithms in the dark.
-    """
+    """How marks are looked for; docs/notes/verdict.md."""
 
     blocks: int = 24
+    """Along the long side: what is smaller is drawing."""
     rings: int = 6
+    """Of equally many blocks: more follow a mark closer, and chance too."""
     toe: float = 0.004
+    """Of albedo and F0: bounds logarithms in the dark."""
 
 
 MARKS = MarkSettings()

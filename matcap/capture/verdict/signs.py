@@ -20,23 +20,20 @@ SmoothLight = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SignSettings:
-    """How signs are looked for; docs/notes/verdict.md.
-
-    Attributes:
-        rings: that what changes with distance from the middle is told by.
-        brightest: of the light: above it a highlight's error would pass for a curve.
-        strip: of a side's length: how wide a border tells of a side.
-        around: plane units, from and to: what is around the middle, its highlight left out.
-        streak_blur: plane units, deviation: a texture's grain is smaller than a highlight.
-        clip: of 1, where a channel counts as clipped.
-    """
+    """How signs are looked for; docs/notes/verdict.md."""
 
     rings: int = 6
+    """That what changes with distance from the middle is told by."""
     brightest: float = 0.7
+    """Of the light: above it a highlight's error would pass for a curve."""
     strip: float = 0.06
+    """Of a side's length: how wide a border tells of a side."""
     around: tuple[float, float] = (0.25, 0.5)
+    """Plane units, from and to: what is around the middle, its highlight left out."""
     streak_blur: float = 0.03
+    """Plane units, deviation: a texture's grain is smaller than a highlight."""
     clip: float = 0.995
+    """Of 1, where a channel counts as clipped."""
 
 
 SIGNS = SignSettings()
@@ -44,33 +41,30 @@ SIGNS = SignSettings()
 
 @dataclass(frozen=True)
 class Signs:
-    """Measures of a photograph beside its re-rendering; the defaults show nothing.
-
-    Attributes:
-        side: log of the brightest side's light over that around the middle; a flash makes it
-            negative, wherever its beam points.
-        room: radiance that lies over everything, as a share of the photograph's dark parts.
-        curve: log radiance, root-mean-square, that goes with brightness instead of place.
-        streak: how much longer than wide the highlight is, over the re-rendering's.
-        channels: share of the photograph where some channels are clipped and others are not.
-        tilt: mean angle of the piece's relief, degrees.
-        variety: of the field, from 0, the piece repeated because what it shows is as large as the
-            photograph, to 1.
-        developed: whether a tone curve can be in it, as in a JPEG.
-        fired: whether the flash fired, as the file says; None where it does not.
-        photographs: that the piece was made of.
-    """
+    """Measures of a photograph beside its re-rendering; the defaults show nothing."""
 
     side: float = -1.0
+    """Log of the brightest side's light over that around the middle; a flash makes it negative,
+    wherever its beam points."""
     room: float = 0.0
+    """Radiance that lies over everything, as a share of the photograph's dark parts."""
     curve: float = 0.0
+    """Log radiance, root-mean-square, that goes with brightness instead of place."""
     streak: float = 1.0
+    """How much longer than wide the highlight is, over the re-rendering's."""
     channels: float = 0.0
+    """Share of the photograph where some channels are clipped and others are not."""
     tilt: float = 0.0
+    """Mean angle of the piece's relief, degrees."""
     variety: float = 1.0
+    """Of the field, from 0, the piece repeated because what it shows is as large as the photograph,
+    to 1."""
     developed: bool = False
+    """Whether a tone curve can be in it, as in a JPEG."""
     fired: bool | None = None
+    """Whether the flash fired, as the file says; None where it does not."""
     photographs: int = 1
+    """That the piece was made of."""
 
 
 def signs_of(

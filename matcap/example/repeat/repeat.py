@@ -31,15 +31,12 @@ _LEAST = 32  # texels a side: less leaves the cut no choice
 
 @dataclass(frozen=True)
 class Repeated:
-    """A piece that repeats.
-
-    Attributes:
-        maps: (6, h, w) stacked: diffuse, specular, roughness, height; 8 where F0 has a colour.
-        cut: (h, w) whether a texel and the one right of it or below are of two copies.
-    """
+    """A piece that repeats."""
 
     maps: Floats
+    """(6, h, w) stacked: diffuse, specular, roughness, height; 8 where F0 has a colour."""
     cut: NDArray[np.bool_]
+    """(h, w) whether a texel and the one right of it or below are of two copies."""
 
 
 def repeated(

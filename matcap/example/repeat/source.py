@@ -22,17 +22,14 @@ _BLOCKS = Grid(1024, 256)
 
 @dataclass(frozen=True)
 class RepeatedSource:
-    """Maps that repeat in both directions; picklable.
-
-    Attributes:
-        stacked: (6 or 8, h, w) maps of what repeats.
-        texel_size: in plane units.
-        grid: the blocks that the plane is cut into.
-    """
+    """Maps that repeat in both directions; picklable."""
 
     stacked: Floats
+    """(6 or 8, h, w) maps of what repeats."""
     texel_size: float
+    """In plane units."""
     grid: Grid = _BLOCKS
+    """The blocks that the plane is cut into."""
 
     @property
     def period(self) -> Period:

@@ -23,45 +23,38 @@ Doubles = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AdjustSettings:
-    """What is believed before anything is measured, and how long it is looked for.
-
-    Attributes:
-        huber: pixels beyond which a residual counts linearly.
-        counted: matches of a photograph that count as independent, however many there are: relief
-            shifts those that lie together by its parallax, all the same way.
-        relief: deviation of a feature's height, plane units: a match may lie that far along its
-            parallax for nothing.
-        steps: of Levenberg and Marquardt.
-        known_focal, assumed_focal: deviation of the logarithm of d where EXIF told the field of
-            view, and where nobody did.
-        bent: deviations of k1 and k2.
-        tilt: deviation of the first camera's tilt, radians.
-    """
+    """What is believed before anything is measured, and how long it is looked for."""
 
     huber: float = 1.0
+    """Pixels beyond which a residual counts linearly."""
     counted: float = 40.0
+    """Matches of a photograph that count as independent, however many there are: relief shifts
+    those that lie together by its parallax, all the same way."""
     relief: float = 0.01
+    """Deviation of a feature's height, plane units: a match may lie that far along its parallax for
+    nothing."""
     steps: int = 30
+    """Of Levenberg and Marquardt."""
     known_focal: float = 0.01
     assumed_focal: float = 0.1
+    """Deviation of the logarithm of d where EXIF told the field of view, and where nobody did."""
     bent: tuple[float, float] = (0.03, 0.01)
+    """Deviations of k1 and k2."""
     tilt: float = 0.15
+    """Deviation of the first camera's tilt, radians."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """What a photograph has in common with the first.
-
-    Attributes:
-        first, second: (2, n) image coordinates in both.
-        pixel: of the second, in image coordinates.
-        focal: d of the second as its file or nobody tells it, over the first's.
-    """
+    """What a photograph has in common with the first."""
 
     first: Doubles
     second: Doubles
+    """(2, n) image coordinates in both."""
     pixel: float
+    """Of the second, in image coordinates."""
     focal: float = 1.0
+    """D of the second as its file or nobody tells it, over the first's."""
 
 
 _COMMON = 5  # log focal, k1, k2, the first camera's two tilts
@@ -70,17 +63,14 @@ _OWN = 6  # Rodrigues' vector and place
 
 @dataclass(frozen=True)
 class Adjusted:
-    """Cameras that explain all matches.
-
-    Attributes:
-        first: setup of the first, its tilt and field of view as found.
-        cameras: of all photographs, the first one's first.
-        off: (photographs - 1,) median distance of its matches, in pixels.
-    """
+    """Cameras that explain all matches."""
 
     first: FlashSetup
+    """Setup of the first, its tilt and field of view as found."""
     cameras: tuple[PosedCamera, ...]
+    """Of all photographs, the first one's first."""
     off: tuple[float, ...]
+    """(photographs - 1,) median distance of its matches, in pixels."""
 
 
 def adjust(

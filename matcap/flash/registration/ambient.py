@@ -15,17 +15,14 @@ from matcap.photo.photo import Photo
 
 @dataclass(frozen=True)
 class AmbientSettings:
-    """When a photograph counts as one without flash.
-
-    Attributes:
-        faint: its middle over its border, at most, where its file says nothing; trades ambient
-            photographs that are taken for flash against flash photographs that are left out.
-        shown: the same of a photograph whose flash surely shows, at least; without one there is
-            nothing to tell by.
-    """
+    """When a photograph counts as one without flash."""
 
     faint: float = 1.15
+    """Its middle over its border, at most, where its file says nothing; trades ambient photographs
+    that are taken for flash against flash photographs that are left out."""
     shown: float = 1.3
+    """The same of a photograph whose flash surely shows, at least; without one there is nothing to
+    tell by."""
 
 
 def flash_first(photos: Sequence[Photo]) -> list[Photo]:

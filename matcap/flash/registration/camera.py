@@ -22,15 +22,12 @@ _ROUNDS = 12  # of undoing a lens's distortion; each gains two digits at a phone
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens without anything off centre.
-
-    Attributes:
-        focal: d, its distance from a picture whose long side is in [-1, 1].
-        bent: (k1, k2) of its radial distortion.
-    """
+    """A lens without anything off centre."""
 
     focal: float
+    """D, its distance from a picture whose long side is in [-1, 1]."""
     bent: tuple[float, float] = (0.0, 0.0)
+    """(k1, k2) of its radial distortion."""
 
     def drawn(self, image: Doubles) -> Doubles:
         """(2, ...) where a lens draws what one without distortion would at (2, ...)."""
@@ -48,17 +45,14 @@ class Lens:
 
 @dataclass(frozen=True)
 class PosedCamera:
-    """A camera somewhere over the plane.
-
-    Attributes:
-        turn: (3, 3) rotation from the plane's frame to the camera's.
-        place: (3,) of the camera in the plane's frame.
-        lens: its lens.
-    """
+    """A camera somewhere over the plane."""
 
     turn: Doubles
+    """(3, 3) rotation from the plane's frame to the camera's."""
     place: Doubles
+    """(3,) of the camera in the plane's frame."""
     lens: Lens
+    """Its lens."""
 
     @staticmethod
     def of(setup: FlashSetup, bent: tuple[float, float] = (0.0, 0.0)) -> PosedCamera:

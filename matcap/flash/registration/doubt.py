@@ -25,26 +25,23 @@ DOUBTED = 0.002  # of the distance: what may be farther off is said
 
 @dataclass(frozen=True)
 class DoubtSettings:
-    """What errors are reckoned from; docs/notes/several.md.
-
-    Attributes:
-        alike: of the depth that features seem to lie in, what all have in common over what single
-            ones scatter by.
-        saturated: tangent of the angle to the light, where shading moves half as much as it would.
-        alone: share of features that do not overlap others.
-        tilt: deviation of the first camera's tilt, radians, as features are adjusted with.
-        focal: deviation of the logarithm of the distance.
-        bent: deviation of k1.
-        relief: height that features may have for nothing, plane units.
-    """
+    """What errors are reckoned from; docs/notes/several.md."""
 
     alike: float = 3.0
+    """Of the depth that features seem to lie in, what all have in common over what single ones
+    scatter by."""
     saturated: float = 0.5
+    """Tangent of the angle to the light, where shading moves half as much as it would."""
     alone: float = 0.25
+    """Share of features that do not overlap others."""
     tilt: float = 0.15
+    """Deviation of the first camera's tilt, radians, as features are adjusted with."""
     focal: float = 0.005
+    """Deviation of the logarithm of the distance."""
     bent: float = 0.03
+    """Deviation of k1."""
     relief: float = 0.01
+    """Height that features may have for nothing, plane units."""
 
 
 _COMMON = 4  # log focal, k1, turns about x and y
@@ -54,16 +51,13 @@ _STEP = 1e-6
 
 @dataclass(frozen=True)
 class Doubts:
-    """What registration may be off by, (photographs - 1,) each, one deviation.
-
-    Attributes:
-        places: of each camera beside the first one, over its distance.
-        astray: plane units that a photograph may lie beside the first one. Much less than cameras
-            may be off by: one that is moved and turned sees the plane alike.
-    """
+    """What registration may be off by, (photographs - 1,) each, one deviation."""
 
     places: Doubles
+    """Of each camera beside the first one, over its distance."""
     astray: Doubles
+    """Plane units that a photograph may lie beside the first one. Much less than cameras may be off
+    by: one that is moved and turned sees the plane alike."""
 
 
 def doubts(found: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings | None = None) -> Doubts:

@@ -25,50 +25,43 @@ _AT_ONCE = 1024  # features whose distances are known at a time: 25 MB
 
 @dataclass(frozen=True)
 class KeypointSettings:
-    """How features are found and matched; trades matches for time.
-
-    Attributes:
-        long_side: pixels across that are looked at.
-        most: features of a photograph.
-        contrast: least contrast of a feature; low, for materials are faint.
-        ratio: a match's distance over the next best's, at most (Lowe 2004).
-        off: pixels that a match may lie beside a homography.
-        enough: matches that agree, below which more is tried: matches that vote, and contrast made
-            even in the other way.
-        voters: matches whose vote is asked for, at most.
-        fine, slow, around: pixels: deviations of noise, of light, and of what contrast is the mean
-            of.
-        faint: log radiance: contrast below this stays low.
-    """
+    """How features are found and matched; trades matches for time."""
 
     long_side: int = 1600
+    """Pixels across that are looked at."""
     most: int = 6000
+    """Features of a photograph."""
     contrast: float = 0.01
+    """Least contrast of a feature; low, for materials are faint."""
     ratio: float = 0.95
+    """A match's distance over the next best's, at most (Lowe 2004)."""
     off: float = 2.5
+    """Pixels that a match may lie beside a homography."""
     enough: int = 200
+    """Matches that agree, below which more is tried: matches that vote, and contrast made even in
+    the other way."""
     voters: int = 600
+    """Matches whose vote is asked for, at most."""
     fine: float = 0.8
     slow: float = 24.0
     around: float = 40.0
+    """Pixels: deviations of noise, of light, and of what contrast is the mean of."""
     faint: float = 0.01
+    """Log radiance: contrast below this stays low."""
 
 
 @dataclass(frozen=True)
 class Keypoints:
-    """Keypoints of a photograph.
-
-    Attributes:
-        image: (2, n) image coordinates.
-        described: (n, 128) by SIFT, roots of shares (Arandjelovic and Zisserman 2012).
-        pixel: a pixel's side in image coordinates.
-        shape: (n,) complex: size in image coordinates, turned as the feature is.
-    """
+    """Keypoints of a photograph."""
 
     image: Doubles
+    """(2, n) image coordinates."""
     described: NDArray[np.float32]
+    """(n, 128) by SIFT, roots of shares (Arandjelovic and Zisserman 2012)."""
     pixel: float
+    """A pixel's side in image coordinates."""
     shape: NDArray[np.complex128]
+    """(n,) complex: size in image coordinates, turned as the feature is."""
 
 
 class KeypointFinder:

@@ -16,23 +16,20 @@ from matcap.photo.photo import Photo
 
 @dataclass(frozen=True)
 class PeriodSettings:
-    """When a pattern counts as repeating itself.
-
-    Attributes:
-        across: pixels that are looked at.
-        fine, slow: pixels: deviations of noise and of light, which are left out.
-        nearest: pixels: what lies nearer is like itself for being smooth.
-        reach: share of the long side up to which periods are looked for.
-        alike: correlation with itself a period further, at least; of leather, stone and plaster it
-            is below 0.07, of most weaves 0.46 to 0.94 (docs/notes/several.md).
-    """
+    """When a pattern counts as repeating itself."""
 
     across: int = 640
+    """Pixels that are looked at."""
     fine: float = 0.8
     slow: float = 12.0
+    """Pixels: deviations of noise and of light, which are left out."""
     nearest: int = 4
+    """Pixels: what lies nearer is like itself for being smooth."""
     reach: float = 0.2
+    """Share of the long side up to which periods are looked for."""
     alike: float = 0.35
+    """Correlation with itself a period further, at least; of leather, stone and plaster it is below
+    0.07, of most weaves 0.46 to 0.94 (docs/notes/several.md)."""
 
 
 PERIOD = PeriodSettings()

@@ -25,80 +25,68 @@ from matcap.photo.photo import DEFAULT_FOV, Photo
 
 @dataclass(frozen=True)
 class RegisterSettings:
-    """When a photograph belongs to a piece; stricter leaves more out.
-
-    Attributes:
-        matches: least number that agree; by chance 6 to 13 do (docs/notes/several.md).
-        off: pixels that its matches lie beside each other, at most (median).
-        steepest: degrees that a camera may lean.
-        alike: least correlation of what both show, fine texture over even contrast, at the found
-            place; by chance it is 0, of the same piece 0.2 to 0.9.
-        compared: texels across that are compared.
-        shifted: texels to all sides where the correlation must be lower.
-    """
+    """When a photograph belongs to a piece; stricter leaves more out."""
 
     matches: int = 18
+    """Least number that agree; by chance 6 to 13 do (docs/notes/several.md)."""
     off: float = 2.0
+    """Pixels that its matches lie beside each other, at most (median)."""
     steepest: float = 65.0
+    """Degrees that a camera may lean."""
     alike: float = 0.12
+    """Least correlation of what both show, fine texture over even contrast, at the found place; by
+    chance it is 0, of the same piece 0.2 to 0.9."""
     compared: int = 384
+    """Texels across that are compared."""
     shifted: int = 5
+    """Texels to all sides where the correlation must be lower."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A photograph that is not used.
-
-    Attributes:
-        name: its file's.
-        why: the rest of a sentence.
-    """
+    """A photograph that is not used."""
 
     name: str
+    """Its file's."""
     why: str
+    """The rest of a sentence."""
 
 
 @dataclass(frozen=True)
 class RegisteredView:
-    """A photograph and its camera.
-
-    Attributes:
-        photo: the photograph.
-        camera: in the plane's frame.
-        matches: with the first photograph that agree; 0 of the first itself.
-        off: pixels that they lie beside each other (median).
-        alike: correlation with the first photograph.
-        flash: whether its own flash lit it; else the room did.
-        doubt: what its camera's place beside the first one's may be off by, over its distance, one
-            deviation (doubt.py).
-        astray: plane units that it may lie beside the first by, one deviation, likewise.
-    """
+    """A photograph and its camera."""
 
     photo: Photo
+    """The photograph."""
     camera: PosedCamera
+    """In the plane's frame."""
     matches: int = 0
+    """With the first photograph that agree; 0 of the first itself."""
     off: float = 0.0
+    """Pixels that they lie beside each other (median)."""
     alike: float = 1.0
+    """Correlation with the first photograph."""
     flash: bool = True
+    """Whether its own flash lit it; else the room did."""
     doubt: float = 0.0
+    """What its camera's place beside the first one's may be off by, over its distance, one
+    deviation (doubt.py)."""
     astray: float = 0.0
+    """Plane units that it may lie beside the first by, one deviation, likewise."""
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Photographs of one piece.
-
-    Attributes:
-        setup: of the first one, its field of view and tilt as all of them tell.
-        views: those that belong, the first one first; one without flash at most, last.
-        left_out: those that do not.
-        blurred: whether the first one is, beside the others.
-    """
+    """Photographs of one piece."""
 
     setup: FlashSetup
+    """Of the first one, its field of view and tilt as all of them tell."""
     views: tuple[RegisteredView, ...]
+    """Those that belong, the first one first; one without flash at most, last."""
     left_out: tuple[LeftOut, ...]
+    """Those that do not."""
     blurred: bool = False
+    """Whether the first one is, beside the others."""
 
 
 def register(

@@ -23,21 +23,18 @@ ChannelPlane = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class SharpSettings:
-    """When a photograph counts as blurred; docs/notes/several.md.
-
-    Attributes:
-        blurred: log: so much less of the finest waves than the set's middle shows; sharp ones
-            scatter by 0.14, a smear of a hundredth of the width is 0.28 and more.
-        across: texels that are looked at.
-        tiles: across.
-        fine, long: texels, deviations of the blurs on either side of each band.
-    """
+    """When a photograph counts as blurred; docs/notes/several.md."""
 
     blurred: float = 0.22
+    """Log: so much less of the finest waves than the set's middle shows; sharp ones scatter by
+    0.14, a smear of a hundredth of the width is 0.28 and more."""
     across: int = 640
+    """Texels that are looked at."""
     tiles: int = 12
+    """Across."""
     fine: tuple[float, float] = (0.7, 1.4)
     long: tuple[float, float] = (2.8, 5.6)
+    """Texels, deviations of the blurs on either side of each band."""
 
 
 SHARP = SharpSettings()

@@ -51,20 +51,17 @@ _TEXELS_A_PIXEL = 4
 
 @dataclass(frozen=True, eq=False)
 class Rule:
-    """Points of a light, (N,) arrays.
-
-    Attributes:
-        places: of a rectangle: x, y and z in the scene. Of a sphere: how far from the middle of
-            the cap that shows, in [0, 1] of what its height is, and cosine and sine of the turn.
-        weights: of a rectangle they add up to 1, of a sphere's cap to 2 pi.
-        cell: which part of the light each is in: of 4 x 4, or of 2 rings of 8.
-        cells: how many parts there are.
-    """
+    """Points of a light, (N,) arrays."""
 
     places: tuple[Array, Array, Array]
+    """Of a rectangle: x, y and z in the scene. Of a sphere: how far from the middle of the cap that
+    shows, in [0, 1] of what its height is, and cosine and sine of the turn."""
     weights: Array
+    """Of a rectangle they add up to 1, of a sphere's cap to 2 pi."""
     cell: Array
+    """Which part of the light each is in: of 4 x 4, or of 2 rings of 8."""
     cells: int = 16
+    """How many parts there are."""
 
 
 def bound(facts: Facts) -> Bound:

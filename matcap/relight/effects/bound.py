@@ -10,12 +10,9 @@ DEFAULT_TOLERANCE = 0.5 / 255.0
 
 @dataclass(frozen=True)
 class Bound:
-    """An upper bound, anywhere in the picture.
-
-    Attributes:
-        radiance: how much any channel of any pixel could change; may be infinite.
-        reason: why, in a few words.
-    """
+    """An upper bound, anywhere in the picture."""
 
     radiance: float
+    """How much any channel of any pixel could change; may be infinite."""
     reason: str
+    """Why, in a few words."""

@@ -34,17 +34,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect.
-
-    Attributes:
-        bound: on what leaving it out could change.
-        move: takes hits to where they truly are, and gives the height there.
-        add: adds to pixels that all lights have been added to.
-    """
+    """One effect."""
 
     bound: Callable[[Facts], Bound]
+    """On what leaving it out could change."""
     move: Callable[[Relief, Hits], tuple[Hits, Array]] | None = None
+    """Takes hits to where they truly are, and gives the height there."""
     add: Callable[[Block], None] | None = None
+    """Adds to pixels that all lights have been added to."""
 
 
 EFFECTS: Mapping[str, Effect] = {

@@ -13,24 +13,21 @@ TangentFrame = tuple[Vec, Vec, Vec]
 
 @dataclass(frozen=True)
 class Hits:
-    """A block of pixels' places on a surface; arrays broadcast to (rows, W).
-
-    Attributes:
-        point: in the scene.
-        frame: tangent, bitangent and normal of the material there, unit vectors of the scene;
-            None where the material lies in the scene's own plane, x right and y up.
-        place: (u, v) on the material in plane units, the origin in its middle.
-        to_view: unit vector to the camera, in the material's frame.
-        seen: (rows, W) False where the ray misses; None where all rays hit.
-        footprint: what a pixel covers, in plane units along the longer and the shorter axis.
-    """
+    """A block of pixels' places on a surface; arrays broadcast to (rows, W)."""
 
     point: Vec
+    """In the scene."""
     frame: TangentFrame | None
+    """Tangent, bitangent and normal of the material there, unit vectors of the scene; None where
+    the material lies in the scene's own plane, x right and y up."""
     place: tuple[Array, Array]
+    """(u, v) on the material in plane units, the origin in its middle."""
     to_view: Vec
+    """Unit vector to the camera, in the material's frame."""
     seen: Array | None
+    """(rows, W) False where the ray misses; None where all rays hit."""
     footprint: Array
+    """What a pixel covers, in plane units along the longer and the shorter axis."""
 
     def flat(self, index: Array | None, shape: tuple[int, ...]) -> Hits:
         """Pixels of a block of some shape, all or some, row by row: (N,) arrays, all hit."""

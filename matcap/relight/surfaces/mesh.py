@@ -35,19 +35,16 @@ _FARTHEST_SPOT = 1e6  # repeats of the texture; beyond, single precision tells n
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles with what their corners carry.
-
-    Attributes:
-        corners: (F, 3, 3) places in the scene.
-        normals: (F, 3, 3) unit vectors.
-        places: (F, 3, 2) (u, v) on the material in plane units.
-        seen: (rows, W) index of the triangle at each pixel or -1, once seen_by() has run.
-    """
+    """Triangles with what their corners carry."""
 
     corners: Array
+    """(F, 3, 3) places in the scene."""
     normals: Array
+    """(F, 3, 3) unit vectors."""
     places: Array
+    """(F, 3, 2) (u, v) on the material in plane units."""
     seen: Array = field(default_factory=lambda: np.full((0, 0), -1))
+    """(rows, W) index of the triangle at each pixel or -1, once seen_by() has run."""
 
     def framed(self, film: Film) -> float:
         """See Shape."""

@@ -32,17 +32,14 @@ SPREAD = 0.3  # how far from a training photograph's place materials are drawn; 
 
 @dataclass(frozen=True)
 class Habits:
-    """How bases go with codes, learnt from the training photographs: base = A code + b + L rest.
-
-    Attributes:
-        matrix: A, (VARYING, CODE_SIZE).
-        offset: b, (VARYING,).
-        spread: L, (VARYING, VARYING) lower triangular.
-    """
+    """How bases go with codes, learnt from the training photographs: base = A code + b + L rest."""
 
     matrix: Tensor
+    """A, (VARYING, CODE_SIZE)."""
     offset: Tensor
+    """B, (VARYING,)."""
     spread: Tensor
+    """L, (VARYING, VARYING) lower triangular."""
 
     def base(self, code: Tensor, rest: Tensor) -> Base:
         """The base of a code and a rest (VARYING,)."""
@@ -56,17 +53,14 @@ class Habits:
 
 @dataclass(frozen=True)
 class Anchor:
-    """A place in the space.
-
-    Attributes:
-        code: (CODE_SIZE,).
-        rest: (VARYING,) what the code does not tell of the base.
-        waves: of its regular order, at a drawn material's fineness.
-    """
+    """A place in the space."""
 
     code: Tensor
+    """(CODE_SIZE,)."""
     rest: Tensor
+    """(VARYING,) what the code does not tell of the base."""
     waves: tuple[Wave, ...]
+    """Of its regular order, at a drawn material's fineness."""
 
     def near(self, spread: float, generator: torch.Generator) -> Anchor:
         """A random place near this one.
@@ -83,17 +77,14 @@ class Anchor:
 
 @dataclass(frozen=True)
 class Anchors:
-    """Where the training photographs lie.
-
-    Attributes:
-        codes: (N, CODE_SIZE).
-        rests: (N, VARYING).
-        waves: (N, 2, 2) frequencies (fx, fy) of at most two waves; (0, 0) for an absent one.
-    """
+    """Where the training photographs lie."""
 
     codes: Tensor
+    """(N, CODE_SIZE)."""
     rests: Tensor
+    """(N, VARYING)."""
     waves: Tensor
+    """(N, 2, 2) frequencies (fx, fy) of at most two waves; (0, 0) for an absent one."""
 
     def __len__(self) -> int:
         return len(self.codes)

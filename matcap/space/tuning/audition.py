@@ -26,17 +26,14 @@ _AUDITIONS, _AUDITION_STEPS = 3, 40
 
 @dataclass(frozen=True)
 class Beginning:
-    """Where fine-tuning starts.
-
-    Attributes:
-        decoder: to be tuned.
-        code: (CODE_SIZE,) at which.
-        rate: of learning.
-    """
+    """Where fine-tuning starts."""
 
     decoder: Decoder
+    """To be tuned."""
     code: Tensor
+    """(CODE_SIZE,) at which."""
     rate: float
+    """Of learning."""
 
 
 def begin(

@@ -39,45 +39,38 @@ _SEEDS_APART = 1_000_003  # runs of different seeds share no noise
 
 @dataclass(frozen=True)
 class TuneSettings:
-    """How long and how fast.
-
-    Attributes:
-        steps: at most so many.
-        seconds: and at most so long, or None.
-        target: running error at which only the frozen end is left to be done, or None.
-        places: windows rendered per step.
-        learning_rate: of Adam, at its highest.
-        penalties: weights of what is charged beside the distance.
-        half_precision: bfloat16 inside the network and the features, on processors that compute
-            with it.
-        seed: of noise and order.
-    """
+    """How long and how fast."""
 
     steps: int
+    """At most so many."""
     seconds: float | None = None
+    """And at most so long, or None."""
     target: float | None = None
+    """Running error at which only the frozen end is left to be done, or None."""
     places: int = 1
+    """Windows rendered per step."""
     learning_rate: float = RATE_FROM_NOTHING
+    """Of Adam, at its highest."""
     penalties: Penalties = Penalties()
+    """Weights of what is charged beside the distance."""
     half_precision: bool = True
+    """bfloat16 inside the network and the features, on processors that compute with it."""
     seed: int = 0
+    """Of noise and order."""
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """The best decoder found.
-
-    Attributes:
-        decoder: its weights.
-        moments: frozen statistics it was optimised with.
-        history: (seconds, step, running error) as it went.
-        interrupted: ended by Ctrl-C.
-    """
+    """The best decoder found."""
 
     decoder: Decoder
+    """Its weights."""
     moments: tuple[Moments, ...]
+    """Frozen statistics it was optimised with."""
     history: tuple[tuple[float, int, float], ...]
+    """(seconds, step, running error) as it went."""
     interrupted: bool
+    """Ended by Ctrl-C."""
 
 
 TellStep = Callable[[float, float, float], None]  # share done, running error, seconds so far

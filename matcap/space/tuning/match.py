@@ -37,15 +37,12 @@ _DIFFUSE, _HEIGHT = slice(0, 3), slice(5, 6)  # of the raw outputs
 
 @dataclass(frozen=True)
 class Correction:
-    """What was moved.
-
-    Attributes:
-        gain: of diffuse albedo's (in logits) and the relief's deviations.
-        shift: (3,) of diffuse albedo's mean, in logits.
-    """
+    """What was moved."""
 
     gain: float
+    """Of diffuse albedo's (in logits) and the relief's deviations."""
     shift: Tensor
+    """(3,) of diffuse albedo's mean, in logits."""
 
 
 def match_photograph(material: Material, plane: Plane, seed: int = 0) -> Material:

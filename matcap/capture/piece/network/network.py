@@ -35,15 +35,12 @@ _GROUPS = 4  # of channels that are normalised together
 
 @dataclass(frozen=True)
 class InverseConfig:
-    """Shape of the network.
-
-    Attributes:
-        widths: channels at 1/2, 1/4, ... of the picture's resolution.
-        context: channels of what is told across the picture.
-    """
+    """Shape of the network."""
 
     widths: tuple[int, ...] = (32, 48, 64, 96, 128)
+    """Channels at 1/2, 1/4, ... of the picture's resolution."""
     context: int = 96
+    """Channels of what is told across the picture."""
 
     @property
     def multiple(self) -> int:
@@ -53,27 +50,24 @@ class InverseConfig:
 
 @dataclass(frozen=True)
 class NetworkInputs:
-    """What the network is told, (..., C, H, W) each (inputs.py).
-
-    Attributes:
-        log: log radiance over the uniform material's, 3 channels.
-        valid: 1 where it was seen and not clipped.
-        tangent: x and y of the way to the light over z.
-        shows_slope: what log radiance changes by with slope along x and y.
-        shows_roughness: likewise with the logit of roughness.
-        gloss: share of the uniform material's radiance that is mirrored.
-        uniform: logit of its roughness, log F0, log albedo, scaled; the same everywhere.
-        relief: slope along x and y that log radiance would mean.
-    """
+    """What the network is told, (..., C, H, W) each (inputs.py)."""
 
     log: Tensor
+    """Log radiance over the uniform material's, 3 channels."""
     valid: Tensor
+    """1 where it was seen and not clipped."""
     tangent: Tensor
+    """X and y of the way to the light over z."""
     shows_slope: Tensor
+    """What log radiance changes by with slope along x and y."""
     shows_roughness: Tensor
+    """Likewise with the logit of roughness."""
     gloss: Tensor
+    """Share of the uniform material's radiance that is mirrored."""
     uniform: Tensor
+    """Logit of its roughness, log F0, log albedo, scaled; the same everywhere."""
     relief: Tensor
+    """Slope along x and y that log radiance would mean."""
 
     def stacked(self) -> Tensor:
         """(..., INPUTS, H, W)."""
@@ -87,19 +81,16 @@ class NetworkInputs:
 
 @dataclass(frozen=True)
 class ExpectedErrors:
-    """Logarithms of what an answer is expected to be off by, (..., 1, H, W) each.
-
-    Attributes:
-        albedo: of log albedo.
-        specular: of log F0.
-        roughness: of its logit.
-        slope: of slopes.
-    """
+    """Logarithms of what an answer is expected to be off by, (..., 1, H, W) each."""
 
     albedo: Tensor
+    """Of log albedo."""
     specular: Tensor
+    """Of log F0."""
     roughness: Tensor
+    """Of its logit."""
     slope: Tensor
+    """Of slopes."""
 
     def stacked(self) -> Tensor:
         """(..., ERRORS, H, W)."""
@@ -113,17 +104,14 @@ class ExpectedErrors:
 
 @dataclass(frozen=True)
 class NetworkAnswer:
-    """What the network answers.
-
-    Attributes:
-        departures: of the maps from the uniform material; F0 by the mean of its channels.
-        errors: to be expected of them.
-        metal: (..., 1, H, W) logit of the share of each texel that is metal (metal.py).
-    """
+    """What the network answers."""
 
     departures: SurfaceParameters
+    """Of the maps from the uniform material; F0 by the mean of its channels."""
     errors: ExpectedErrors
+    """To be expected of them."""
     metal: Tensor
+    """(..., 1, H, W) logit of the share of each texel that is metal (metal.py)."""
 
     @staticmethod
     def from_stacked(stacked: Tensor) -> NetworkAnswer:
