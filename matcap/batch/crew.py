@@ -36,7 +36,7 @@ class Event:
     job: Any
     """As it was started."""
     kind: Literal["progress", "done", "died"]
-    """"progress", "done" or "died"."""
+    """Either "progress", "done" or "died"."""
     value: Any
     """(stage, share); what the work returned; the process's exit code, negative for a signal."""
 

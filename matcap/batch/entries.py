@@ -27,8 +27,8 @@ class BatchEntry:
     identity: str
     """Of the material wanted, or "" where a photograph cannot be read."""
     state: EntryState
-    """"todo"; "made" by this run; "kept", done before; "failed"; "left" undone because the batch
-    ended early."""
+    """Either "todo"; "made" by this run; "kept", done before; "failed"; "left" undone because the
+    batch ended early."""
     reason: str = ""
     """Of a failure, or why it was left."""
     record: dict[str, Any] = field(default_factory=dict)

@@ -57,7 +57,7 @@ class Failure:
     """Why a sample has become no material."""
 
     kind: Fault
-    """"photograph": it will never do; the others may pass."""
+    """Where it is "photograph" it will never do; the others may pass."""
     sentence: str
     """Where, what and remedy."""
 

@@ -43,7 +43,7 @@ class Camera:
     """Where the picture is taken from."""
 
     type: Literal["perspective", "orthographic"] = "perspective"
-    """"perspective" or "orthographic"."""
+    """Either "perspective" or "orthographic"."""
     position: Vector = (0.0, 0.0, 1.0 / math.tan(math.radians(22.5)))
     """Its place."""
     target: Vector = (0.0, 0.0, 0.0)

@@ -36,7 +36,7 @@ class ChosenPrecision:
     source: Source
     """That computes in it."""
     name: str
-    """"fp32", "bf16" or something between."""
+    """Either "fp32", "bf16" or something between."""
     steps: dict[str, float]
     """Largest error against fp32 in 8-bit steps for each map, where it was measured."""
 

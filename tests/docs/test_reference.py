@@ -18,6 +18,7 @@ from matcap.cli.main import app, main
 from matcap.errors import ExitCode
 from matcap.example.example import Example
 from matcap.example.exemplar import CHANNELS, Exemplar
+from matcap.files.settings import field_docs
 from matcap.relight import scenefile
 from matcap.relight.foreign import names
 from matcap.relight.scene import Camera, Film, Surface
@@ -139,9 +140,7 @@ def test_scenes_take_the_keys_that_are_told():
         *((kind, checks) for kind, checks, _ in scenefile._LIGHTS.values()),
     ):  # fmt: skip
         assert {field.name for field in fields(kind)} == set(checks)
-        assert {field.name for field in fields(kind)} == set(
-            docstrings.read(kind).entries("Attributes")
-        )
+        assert {field.name for field in fields(kind)} == set(field_docs(kind))
     told = {kind for _, kind, _ in formats._TABLES}
     assert told == {Film, Camera, Surface, *(kind for kind, _, _ in scenefile._LIGHTS.values())}
 
