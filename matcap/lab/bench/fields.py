@@ -26,13 +26,16 @@ from matcap.lab.bench.methods import exemplar_of
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
+from matcap.lab.measures.seams import seam_contrast
 from matcap.lab.simulate.specimen import Specimen
 from matcap.statistics.lattice import find_lattice
 
 ABOUT = (
     "NSD of true maps: 1 is indistinguishable from another sample. Variety: that was chosen; "
     "joints: median length of a joint in the field over that of the exemplar; phase: turns that a "
-    "lattice is off by, 16384 texels away, of its worst wave."
+    "lattice is off by, 16384 texels away, of its worst wave; seam: how far neighbouring texels of "
+    "different places differ in log albedo and slope over the exemplar's neighbours, median "
+    "and 99th percentile."
 )
 _SIZE = (1024, 768)  # texels of the exemplar
 _SEEDS = (0, 1)
@@ -90,7 +93,7 @@ def fields_experiment(
             "field": Configuration(lambda true, _seed: true.fields),
             "repeated": Configuration(lambda true, _seed: [true.repeated]),
         },
-        (nsd, variety, joints, phase),
+        (nsd, variety, joints, phase, seams),
         settings=settings,
     )
 
@@ -120,6 +123,21 @@ def phase(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
     """Of the field's lattice."""
     off = phase_off(true.example) if samples is true.fields else None
     return {"phase": math.nan if off is None else off}
+
+
+def seams(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
+    """How far the field's seams show."""
+    exemplar, found = true.example.exemplar, None
+    if samples is true.fields:
+        area = Rectangle(*_ELSEWHERE, *samples[0].size)
+        places = true.example.places(_SEEDS[0], area, None).astype(np.int64)
+        maps = samples[0].stacked().numpy()
+        found = seam_contrast(maps, places, exemplar.stacked(), exemplar.texel_size)
+    told: dict[str, Value] = {}
+    for name in ("albedo", "slope"):
+        told[f"seam {name}"] = found[name].median if found else math.nan
+        told[f"seam {name} 99 %"] = found[name].high if found else math.nan
+    return told
 
 
 def true_example(maps: MapSet) -> Example:

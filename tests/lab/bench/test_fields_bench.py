@@ -36,4 +36,6 @@ def test_true_maps_are_near_themselves_and_only_fields_have_joints(tmp_path, mon
     exemplar, field, repeated = run(experiment, tmp_path / "fields.csv")
     assert exemplar.number("NSD") < 3.0 and repeated.number("NSD") < 3.0
     assert field.number("variety") > 0.0
+    assert 0.3 < field.number("seam albedo") < 2.0 and 0.3 < field.number("seam slope 99 %") < 2.0
+    assert math.isnan(exemplar.number("seam albedo"))
     assert math.isnan(exemplar.number("variety")) and math.isnan(exemplar.number("joints"))
