@@ -146,6 +146,7 @@ FACE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
         ("", "1/1/1 2/2/1 3/3/1 4/4/1", "6 corners name normals"),
         ("vn 0 0 1\n", "1//1 2//7 3//1 4//1", "1 corners name normals"),
         ("vn 0 0 1\n", "1//1 2//0 3//1 4//-9", "2 corners name normals"),
+        ("vn 0 0 1\n", f"1//1 2//1 3//1 4//{10**20}", "1 corners name normals"),
         ("vn 0 0 1\nvn 0 0 0\nvn nan 0 1\n", "1//1 2//2 3//3 4//1", ""),
     ],
 )

@@ -237,7 +237,7 @@ def _corner(word: str, tables: dict[str, list[list[float]]]) -> list[int]:
         if name == "v" and not 0 <= index < len(table):
             raise IndexError(f"there is no element {part}")
         # Others may stand further down, or nowhere: judged when all is read.
-        indices.append(index if index >= 0 else _NOWHERE)
+        indices.append(min(index, _NOWHERE) if index >= 0 else _NOWHERE)
     return indices
 
 
