@@ -29,6 +29,8 @@ from matcap.photo.refusals import check_size, decoding, unreadable, unsupported
 _GREYS, _MASK, _INKS, _LAB, _ICC_LAB = (0, 1), 4, 5, 8, 9
 _REDUCED, _IS_MASK = 1, 4  # bits of NewSubfileType
 _MOST_PAGES = 64  # a damaged file may claim any number of them
+_FORMATS, _FLOATING = (1, 2, 3, 4), 3  # SampleFormat: whole, signed, floating, unsaid
+_JPEGS = (6, 7)  # compressions
 # Compressions that every OpenImageIO decodes; what else fails is unsupported, not damaged.
 _USUAL = {1, 2, 3, 4, 5, 6, 7, 8, 32771, 32773, 32946}
 _SHADOW = 6.0 / 29.0  # where CIE L*'s cube root begins (CIE 15:2004, 8.2.1.1)
@@ -159,22 +161,26 @@ def _page_of(path: Path) -> _Page:
         inside = [sub for each in pages for sub in islice(each.pages or (), _MOST_PAGES)]
         larger = [sub for sub in inside if sub.imagewidth * sub.imagelength > sizes[chosen]]
         photometric, code = int(page.photometric), int(page.compression)
-        bands = int(page.samplesperpixel) - len(page.extrasamples)
+        samples = int(page.samplesperpixel)
+        bands = samples - len(page.extrasamples)
         name = str(getattr(page.compression, "name", code)).upper()
+        bits, form = int(page.bitspersample), int(page.sampleformat)
         profile = page.tags.get(34675)
         equal = sum(sizes[index] == sizes[chosen] for index in whole)
         known = _Page(
             chosen,
             photometric,
-            (name, code in _USUAL),
+            (name, code in _USUAL and not (code in _JPEGS and bits != 8)),
             None if profile is None else bytes(profile.value),
             _orientation(page) if chosen else None,
             (f"The file holds {equal} pictures: the first is read.",) if equal > 1 else (),
         )
+    if form not in _FORMATS or (form == _FLOATING and bits not in (16, 32, 64)):
+        raise unsupported(path, f"a TIFF of {bits} bits in sample format {form}")
     if larger:
         raise unsupported(path, "a TIFF whose picture is in a sub-directory behind a smaller one")
-    if photometric in _GREYS and bands > 1:
-        raise unsupported(path, f"a TIFF of {bands} bands that are not named red, green and blue")
+    if photometric in _GREYS and samples > 2:  # two are grey and its alpha
+        raise unsupported(path, f"a TIFF of {samples} bands that are not named red, green and blue")
     if photometric == _INKS and bands != 4:
         raise unsupported(path, f"a TIFF of {bands} inks")
     return known

@@ -179,3 +179,32 @@ def read_or_refuse(path: Path) -> None:
         return
     assert isinstance(photo, Photo)
     assert np.isfinite(photo.pixels).all() and photo.pixels.min() >= 0.0
+
+
+def test_what_is_not_supported_is_not_called_damaged(tmp_path, codes):
+    """Whole files: a JPEG of 12 bits by its frame, lossless ones, TIFFs of rare codings, others."""
+    Image.fromarray(codes).save(tmp_path / "a.jpg")
+    data = (tmp_path / "a.jpg").read_bytes()
+    frame = data.index(b"\xff\xc0")
+    for marker, bits, word in ((0xC1, 12, "12 bits"), (0xC3, 8, "lossless")):
+        changed = bytearray(data)
+        changed[frame + 1], changed[frame + 4] = marker, bits
+        (tmp_path / "b.jpg").write_bytes(changed)
+        error = refuse(tmp_path / "b.jpg")
+        assert word in error.what and "not supported" in error.what
+    tifffile.imwrite(tmp_path / "a.tif", codes.astype(np.complex64), photometric="minisblack")
+    assert "not supported" in refuse(tmp_path / "a.tif").what
+    tifffile.imwrite(tmp_path / "b.tif", codes, photometric="rgb")
+    with tifffile.TiffFile(tmp_path / "b.tif", mode="r+") as file:
+        file.pages.first.tags["Compression"].overwrite(34925)  # LZMA
+    assert "compression LZMA is not supported" in refuse(tmp_path / "b.tif").what
+    heads = {"JPEG XL": b"\xff\x0a", "OpenEXR": b"\x76\x2f\x31\x01", "GIF": b"GIF89a"}
+    for word, head in heads.items():
+        (tmp_path / "c.jpg").write_bytes(head + bytes(100))
+        assert word in refuse(tmp_path / "c.jpg").what
+
+
+def test_bands_without_names_are_no_colours(tmp_path):
+    bands = np.full((96, 128, 5), 100, np.uint8)
+    tifffile.imwrite(tmp_path / "a.tif", bands, photometric="minisblack", planarconfig="contig")
+    assert "5 bands" in refuse(tmp_path / "a.tif").what
