@@ -47,7 +47,7 @@ def page() -> str:
     lines = [_HEAD, "## matcap", ""]
     for name in matcap.__all__:
         if not name.startswith("_"):
-            lines += _thing(f"matcap.{name}", getattr(matcap, name))
+            lines += _thing(f"matcap.{name}", inspect.unwrap(getattr(matcap, name)))
     for module, names in MODULES.items():
         lines += [f"## {module}", ""]
         for name in names:
