@@ -57,6 +57,7 @@ PLAN = Presentation(
     "Processor seconds by the plan, by all effects, and of the plan's next picture of the same "
     "surface; clock: by the wall. The plan leaves out what changes less than half an 8-bit step.",
     ("seconds", "effects"),
+    picture=False,
 )
 TOLERANCE = Presentation(
     "Relighting: time against accuracy",

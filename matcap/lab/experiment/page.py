@@ -53,6 +53,9 @@ class Presentation:
     least: float | None = None
     """The error is drawn over decades, down to this."""
 
+    picture: bool = True
+    """Whether a picture stands beside the table."""
+
 
 def write_page(
     tables: Mapping[Path, Presentation],
@@ -98,13 +101,18 @@ def section(table: Path, told: Presentation, page: Path) -> list[str]:
     usual = [row for row in rows if row.group not in told.apart] or rows
     found = means(usual, told.base)
     picture = table.with_suffix(".png")
-    draw(found, picture, told.axes, told.title, labels=told.labels, least=told.least)
+    if told.picture:
+        best = front(found, *told.axes) if told.base else None
+        draw(
+            found, picture, told.axes, told.title, labels=told.labels, least=told.least, best=best
+        )  # fmt: skip
     machines = "; ".join(dict.fromkeys(row.machine for row in rows if row.machine))
     subjects = len({row.subject for row in rows})
     where, numbers = (os.path.relpath(path, page.parent) for path in (picture, table))
     lines = [
         f"## {told.title}", "", f"{len(rows)} rows, {subjects} subjects. On {machines}.", "",
-        told.about, "", f"![{told.axes[1]} against {told.axes[0]}]({where})", "",
+        told.about, "",
+        *([f"![{told.axes[1]} against {told.axes[0]}]({where})", ""] if told.picture else []),
         f"Every measurement: [{numbers}]({numbers}). Least {told.axes[0]} first; on the Pareto "
         "front: *.", "", *_means(found, told), "",
     ]  # fmt: skip

@@ -20,6 +20,7 @@ def draw(
     *,
     labels: Mapping[str, str] = MappingProxyType({}),
     least: float | None = None,
+    best: Sequence[Mean] | None = None,
 ) -> None:
     """Draw one column against another, the Pareto front joined and named, as a PNG.
 
@@ -30,6 +31,7 @@ def draw(
         title: above it.
         labels: configurations that are named off the front too, by what they are called.
         least: the one up goes over decades, down to this; None where it does not.
+        best: the front, of those measured on as many subjects as any by default.
 
     Raises:
         MatcapError: matplotlib is not installed, or the file cannot be written.
@@ -42,13 +44,17 @@ def draw(
         at = [mean[x] for mean in of], [mean[y] for mean in of]
         spread = [mean.spread.get(y, 0.0) for mean in of]
         plot.errorbar(*at, yerr=spread, fmt="o", markersize=5, elinewidth=0.6, label=group or None)
-    best = front(comparable(found), x, y)
+    best = front(comparable(found), x, y) if best is None else best
     line = [mean[x] for mean in best], [mean[y] for mean in best]
     plot.plot(*line, color="0.4", linewidth=1.0, zorder=0, label="Pareto front")
     for mean in found:
         name = labels.get(mean.configuration) or (mean.configuration if mean in best else "")
         place = (mean[x], mean[y])
-        plot.annotate(name, place, xytext=(5, 4), textcoords="offset points", fontsize=7)
+        turn = 25 if mean.configuration in labels else -25  # neighbours are closer than names long
+        plot.annotate(
+            name, place, xytext=(4, turn // 4), textcoords="offset points", fontsize=7,
+            rotation=turn, rotation_mode="anchor",
+        )  # fmt: skip
     if found and min(mean[x] for mean in found) > 0:
         plot.set_xscale("log")
         # 1, 2 and 5 of every decade: all nine run into each other where points are hours apart.
