@@ -3,7 +3,10 @@
 How far it is off is measured in docs/notes/coarse-fit.md.
 
 A flat, uniform material under a flash is fitted to the blurred photograph by robust least squares
-on the logarithm of radiance: albedo, F0, roughness, flash intensity and offset, tilt, vignetting.
+on the logarithm of radiance: albedo or F0, roughness, flash intensity and offset, tilt, falloff of
+lens and flash. It is fitted twice, as a dielectric (F0 near 0.04, any albedo) and as a conductor (no
+diffuse albedo, coloured F0); the lower cost, prior shares included, decides. One wide prior of F0
+cannot: it makes black lacquer metal, and metal a matte surface under a narrow flash.
 The whole picture is seen in coarse cells, and the highlight, which may be smaller than one of
 them, in a patch of cells of its own scale. Clipped cells are lower bounds. Weak priors decide what
 one photograph cannot: how much of the brightness is flash and how much is albedo, or a little tilt
@@ -57,14 +60,13 @@ class CoarseSettings:
         iterations: of Levenberg-Marquardt, at most: of every start, and of those worth it.
         kept: starts that are worth finishing.
         distinct: logit of roughness: starts that end nearer to each other are one.
-        vignetting_radiometric, quartic_radiometric: mean and deviation in a RAW, whose numbers are
-            the light's own: what a lens profile left undone. A tone curve deepens the falloff of a
-            developed one, while in a RAW a second term would pass for gloss.
         tilt_radiometric: radians, deviation: nor does a tone curve pass for a tilt there.
         hidden: share of the picture: where more is clipped whole, a matte fit is tried besides.
         alike: log radiance, root-mean-square: fits that leave so much more explain as well.
         crushed: share of a developed cell's brightest channel below which another tells nothing
             but that it is dark: saturated colours lie outside of what a file can hold.
+        black: diffuse albedo of a conductor over its F0.
+        conductors: prior share of photographs that show a bare metal.
         brightest: mean albedo or F0 of the brightest material believed in.
         most_albedo: or F0, under a known flash: no surface gives back all.
         prior_share_developed: share of the cells in which residuals of `huber` weigh like one
@@ -95,12 +97,12 @@ class CoarseSettings:
     iterations: tuple[int, int] = (6, 30)
     kept: int = 2
     distinct: float = 0.3
-    vignetting_radiometric: tuple[float, float] = (0.0, 0.05)
-    quartic_radiometric: tuple[float, float] = (0.0, 1e-4)
     tilt_radiometric: float = 0.1
     hidden: float = 0.02
     alike: float = 0.003
     crushed: float = 0.02
+    black: float = 0.005
+    conductors: float = 0.07
     brightest: float = 0.8
     most_albedo: float = 0.98
     prior_share_developed: float = 0.15
@@ -125,12 +127,16 @@ class CoarseFit(Uniform):
 
     Attributes:
         residual: root-mean-square of the log residual over unclipped cells.
+        conductor: fitted as bare metal: `specular` is the mean of its coloured F0.
+        odds: by how much its cost is lower than the other hypothesis's, in nats of the prior.
         lobes: (share, roughness) of the two lobes that the highlight is best made of, the narrow
             one first; `roughness` is the one lobe that comes nearest.
     """
 
     residual: float
     lobes: tuple[tuple[float, float], ...] = ()
+    conductor: bool = False
+    odds: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -138,8 +144,8 @@ class Unknowns:
     """What is solved for, each in a unit of order 1; of one lobe or, with `share`, of two.
 
     Attributes:
-        albedo: (3,) log of diffuse albedo.
-        specular: (1,) log of F0.
+        albedo: (3,) log of diffuse albedo; of a conductor, log of F0.
+        specular: (1,) log of a dielectric's F0.
         roughness: (1,) logit; of the narrow lobe, if there are two.
         intensity: (1,) log of the flash's.
         offset: (2,) of the flash from the camera, plane units.
@@ -186,38 +192,45 @@ def _numbers(*values: float) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
 
 
-# Every one of 34 developed photographs loses light with r^4 (docs/notes/coarse-fit.md).
-_PRIOR_MEAN = Unknowns(
-    albedo=_numbers(*[math.log(0.25)] * 3),
+@dataclass(frozen=True)
+class Falloff:
+    """Light lost towards the corners: mean and deviation of FlashSetup's two coefficients.
+
+    It is the camera's, whatever it photographs: a phone's LED lights a cone, which a RAW shows as
+    well, and a lens darkens its corners. Fitted on 39 matte photographs of one phone their sum is
+    1.07 (0.88 to 1.63); other phones, and lamps without a cone, differ.
+    """
+
+    mean: tuple[float, float] = (0.3, 0.5)
+    deviation: tuple[float, float] = (0.2, 0.35)
+
+
+_DIELECTRIC_MEAN = Unknowns(
+    albedo=_numbers(*[math.log(0.2)] * 3),
     specular=_numbers(math.log(0.04)),
     roughness=_numbers(0.0),
     intensity=_numbers(3.0),
     offset=_numbers(0.0, 0.0),
     tilt=_numbers(0.0, 0.0),
-    vignetting=_numbers(0.4, 0.6),
+    vignetting=_numbers(0.0, 0.0),
 )
-_PRIOR_DEVIATION = Unknowns(
-    albedo=_numbers(0.8, 0.8, 0.8),
-    specular=_numbers(0.4),
+_DIELECTRIC_DEVIATION = Unknowns(
+    albedo=_numbers(1.5, 1.5, 1.5),
+    specular=_numbers(0.15),
     roughness=_numbers(1.5),
     intensity=_numbers(5.0),
     offset=_numbers(0.12, 0.12),
     tilt=_numbers(0.05, 0.05),
-    vignetting=_numbers(0.6, 1.0),
+    vignetting=_numbers(1.0, 1.0),
 )
+_CONDUCTOR_F0 = (math.log(0.5), 0.5)
 # Of two lobes beside.
 _PARTED_MEAN = {"share": _numbers(0.0), "wider": _numbers(0.0)}
 _PARTED_DEVIATION = {"share": _numbers(1.5), "wider": _numbers(0.7)}
-# (log F0, logit roughness, offset of the log albedo): matt, satin, glossy, mirror-like, metal.
-_STARTS = (
-    (math.log(0.04), 0.8, 0.0),
-    (math.log(0.04), -0.4, 0.0),
-    (math.log(0.05), -1.4, -0.5),
-    (math.log(0.04), -2.2, 0.0),
-    (math.log(0.5), -0.4, -2.0),
-)
-# Where a highlight tells its width, multiples of the roughness that it means: clipping widens it.
-_GLOSSES = ((math.log(0.04), 1.0, 0.0), (math.log(0.04), 0.6, 0.0), (math.log(0.3), 0.9, -1.5))
+# Logit of roughness: matte, satin, glossy, mirror-like.
+_STARTS = (0.8, -0.4, -1.4, -2.2)
+# Where a highlight's width is measured, multiples of the roughness that it means: clipping widens it.
+_WIDTHS = (1.0, 0.6)
 _MATTE = 2.5  # logit of roughness
 # GGX is half its peak where the half vector's tangent is this many alpha.
 _HALF_GGX = 0.644
@@ -252,67 +265,119 @@ class _Cells:
         return (log_radiance.exp() + self.toe).log() - self.observed
 
 
-def fit_coarse(photo: Photo, *, tilt: tuple[float, float] | None = None) -> CoarseFit:
+def fit_coarse(
+    photo: Photo, *, tilt: tuple[float, float] | None = None, falloff: Falloff | None = None
+) -> CoarseFit:
     """Fit a uniform material and its setup to a photograph, in about a second.
 
     Args:
         photo: any size; only its blurred form is looked at.
         tilt: (tilt_x, tilt_y) in radians when something better knows them (the alignment branch);
             held fixed then.
+        falloff: of the camera, where more photographs tell it; any phone's by default.
     """
-    distance = FlashSetup(fov=photo.fov).distance
     highlight = find_highlight(light_of(photo.pixels))
-    centre, deviation = _PRIOR_MEAN, _PRIOR_DEVIATION
+    cells = tuple(_see(photo, highlight, level) for level in range(len(COARSE.cells)))
+    dielectric, conductor = (
+        _fit_as(photo, cells, highlight, _prior(photo, tilt, falloff or Falloff(), conductor=metal))
+        for metal in (False, True)
+    )
+    unit = conductor.unit
+    share = math.log(COARSE.conductors / (1.0 - COARSE.conductors))
+    odds = (dielectric.cost - conductor.cost) / unit + share
+    chosen = conductor if odds > 0.0 else dielectric
+    return _coarse_fit(chosen, photo.fov, abs(odds))
+
+
+@dataclass(frozen=True)
+class _Prior:
+    """A hypothesis: Gaussian prior of the unknowns, and whether they are a conductor's."""
+
+    mean: Unknowns
+    deviation: Unknowns
+    conductor: bool
+    held: bool
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """What one hypothesis came to: cost, a nat of its prior in units of the cost, parameters."""
+
+    cost: float
+    unit: float
+    best: Unknowns
+    both: Unknowns
+    residual: float
+    conductor: bool
+
+
+def _prior(
+    photo: Photo, tilt: tuple[float, float] | None, falloff: Falloff, *, conductor: bool
+) -> _Prior:
+    mean = replace(_DIELECTRIC_MEAN, vignetting=_numbers(*falloff.mean))
+    deviation = replace(_DIELECTRIC_DEVIATION, vignetting=_numbers(*falloff.deviation))
+    if conductor:
+        level, scatter = _CONDUCTOR_F0
+        mean = replace(mean, albedo=_numbers(*[level] * 3))
+        deviation = replace(deviation, albedo=_numbers(*[scatter] * 3))
     if photo.radiometric:
-        means, scatters = zip(
-            COARSE.vignetting_radiometric, COARSE.quartic_radiometric, strict=True
-        )
-        centre = replace(centre, vignetting=_numbers(*means))
         leaning = _numbers(COARSE.tilt_radiometric, COARSE.tilt_radiometric)
-        deviation = replace(deviation, vignetting=_numbers(*scatters), tilt=leaning)
+        deviation = replace(deviation, tilt=leaning)
     if tilt is not None:
-        centre = replace(centre, tilt=_numbers(*tilt))
+        mean = replace(mean, tilt=_numbers(*tilt))
         deviation = replace(deviation, tilt=_numbers(1e-4, 1e-4))
-    precision = COARSE.prior_share_developed * COARSE.huber**2 / deviation.vector().square()
+    return _Prior(mean, deviation, conductor, tilt is not None)
 
-    def problem(level: int) -> _Problem:
-        cells = _see(photo, highlight, level)
-        evidence = COARSE.evidence_radiometric if photo.radiometric else COARSE.evidence_developed
-        return _Problem(
-            cells, distance, highlight, evidence, _rings(highlight), centre.vector(), precision
+
+def _fit_as(
+    photo: Photo, cells: Sequence[_Cells], highlight: Highlight | None, prior: _Prior
+) -> _Fitted:
+    """The most probable parameters under one hypothesis."""
+    distance = FlashSetup(fov=photo.fov).distance
+    evidence = COARSE.evidence_radiometric if photo.radiometric else COARSE.evidence_developed
+    unit = COARSE.prior_share_developed * COARSE.huber**2
+    first, last = (
+        _Problem(
+            cells=each,
+            distance=distance,
+            highlight=highlight,
+            evidence=evidence,
+            rings=_rings(highlight),
+            prior=prior.mean.vector(),
+            precision=unit / prior.deviation.vector().square(),
+            conductor=prior.conductor,
         )
-
-    first, last = problem(0), problem(1)
-    starts = _starts(first.cells.observed, centre, highlight, distance, held=tilt is not None)
+        for each in cells
+    )
+    starts = _starts(first.cells.observed, prior, highlight, distance)
     tried = [_levenberg_marquardt(first, start, COARSE.iterations[0]) for start in starts]
     tried.sort(key=lambda found: found[0])
     if photo.radiometric:
-        last = last.whitened(tried[0][1]).trusting(tried[0][1])
+        last = last.whitened(tried[0][1])
+        last, unit = last.trusting(tried[0][1], unit)
     worth = _distinct([start for _, start in tried])[: COARSE.kept]
     if last.cells.hidden:
         worth.append(_matte(tried[0][1]))
     single = _mattest([_levenberg_marquardt(last, each, COARSE.iterations[1]) for each in worth])
     # Two lobes tell the place better; then one lobe does what it can there.
-    two = last.with_two_lobes()
+    two = last.with_two_lobes(unit)
     both = Unknowns.of(_levenberg_marquardt(two, _parted(single), COARSE.iterations[1])[1])
     start = replace(
         Unknowns.of(single), offset=both.offset, tilt=both.tilt, vignetting=both.vignetting
     )
-    best = _levenberg_marquardt(last.at(both), start.vector(), COARSE.iterations[1])[1]
-    difference = last.cells.differences(_log_radiance(best, last.cells.image, distance))
+    cost, best = _levenberg_marquardt(last.at(both), start.vector(), COARSE.iterations[1])
+    difference = last.cells.differences(last.log_radiance(best, last.cells.image))
     rest = difference[last.cells.above == 1.0]
-    return _coarse_fit(
-        Unknowns.of(best),
-        photo.fov,
-        residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
-        lobes=tuple((float(share), float(roughness)) for share, roughness in both.lobes),
-    )
+    residual = float(rest.square().mean().sqrt()) if rest.numel() else 0.0
+    return _Fitted(cost, unit, Unknowns.of(best), both, residual, prior.conductor)
 
 
-def _coarse_fit(
-    best: Unknowns, fov: float, residual: float, lobes: tuple[tuple[float, float], ...]
-) -> CoarseFit:
+def _coarse_fit(fitted: _Fitted, fov: float, odds: float) -> CoarseFit:
+    best = fitted.best
     albedo, specular = best.albedo.tolist(), float(best.specular)
+    if fitted.conductor:
+        specular = float(best.albedo.exp().mean().log())
+        albedo = [value + math.log(COARSE.black) for value in albedo]
     # Only ratios are seen: albedos brighter than paper mean a brighter flash.
     excess = max(0.0, max(*albedo, specular) - math.log(COARSE.brightest))
     red, green, blue = (math.exp(value - excess) for value in albedo)
@@ -331,8 +396,10 @@ def _coarse_fit(
             vignetting=squared,
             vignetting_quartic=quartic,
         ),
-        residual=residual,
-        lobes=lobes,
+        residual=fitted.residual,
+        lobes=tuple((float(share), float(wide)) for share, wide in fitted.both.lobes),
+        conductor=fitted.conductor,
+        odds=odds,
     )
 
 
@@ -493,6 +560,7 @@ class _Problem:
         rings: (2, 3 * directions) image coordinates: its middle, half width and surroundings.
         prior, precision: (12,) or (14,) the prior's mean and inverse variance.
         whitening: (3, 3) of the channels of cells that no bound concerns; None for as they are.
+        conductor: `albedo` of the parameters is F0, and nothing is diffuse.
     """
 
     cells: _Cells
@@ -503,6 +571,11 @@ class _Problem:
     prior: Tensor
     precision: Tensor
     whitening: Tensor | None = None
+    conductor: bool = False
+
+    def log_radiance(self, parameters: Tensor, image: Tensor) -> Tensor:
+        """(3, n) at image coordinates (2, n)."""
+        return _log_radiance(parameters, image, self.distance, conductor=self.conductor)
 
     def whitened(self, parameters: Tensor) -> _Problem:
         """The same with channels compared as the texture left at some parameters calls for.
@@ -514,22 +587,26 @@ class _Problem:
         whole = (cells.above == 1.0).all(0)
         if int(whole.sum()) < COARSE.cells_that_tell_colour:
             return self
-        rest = cells.differences(_log_radiance(parameters, cells.image, self.distance))
+        rest = cells.differences(self.log_radiance(parameters, cells.image))
         return replace(self, whitening=_whitening(rest[:, whole], cells.weight[whole]))
 
-    def trusting(self, parameters: Tensor) -> _Problem:
-        """The same with a prior that weighs what the residuals at some parameters call for."""
+    def trusting(self, parameters: Tensor, unit: float) -> tuple[_Problem, float]:
+        """The same with a prior that weighs what the residuals at some parameters call for.
+
+        Args:
+            parameters: of a first fit.
+            unit: what a nat of the prior costs so far; returned as it is then.
+        """
         count = self.cells.observed.numel()
         rest = self.residuals(parameters)[:count].clamp(-0.5, 0.5)
         variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
-        now = COARSE.prior_share_developed * COARSE.huber**2
-        return replace(self, precision=self.precision * (variance / COARSE.cells_that_count / now))
+        nat = float(variance) / COARSE.cells_that_count
+        return replace(self, precision=self.precision * (nat / unit)), nat
 
-    def with_two_lobes(self) -> _Problem:
+    def with_two_lobes(self, unit: float) -> _Problem:
         """The same with the share of the narrow lobe, and how much wider the other is."""
         prior, precision = Unknowns.of(self.prior), Unknowns.of(self.precision)
-        scale = (precision.albedo * _PRIOR_DEVIATION.albedo.square())[0]
-        parted = {name: scale / each.square() for name, each in _PARTED_DEVIATION.items()}
+        parted = {name: unit / each.square() for name, each in _PARTED_DEVIATION.items()}
         return replace(
             self,
             prior=replace(prior, **_PARTED_MEAN).vector(),
@@ -562,7 +639,7 @@ class _Problem:
         centre = torch.tensor(highlight.centre, dtype=parameters.dtype)
         deviation = COARSE.centre_deviation[0] + COARSE.centre_deviation[1] * highlight.width
         away = (_mirror(parameters, self.distance) - centre) / deviation
-        radiance = _log_radiance(parameters, self.rings, self.distance).exp()
+        radiance = self.log_radiance(parameters, self.rings).exp()
         light = radiance.clamp_max(max(1.0, highlight.peak)).mean(0).log()  # as the camera clips
         rings = light.unflatten(0, (3, COARSE.directions))
         circle = _circle()
@@ -580,7 +657,7 @@ class _Problem:
     def residuals(self, parameters: Tensor) -> Tensor:
         """(residuals,) of the parameters, in log radiance."""
         cells = self.cells
-        difference = cells.differences(_log_radiance(parameters, cells.image, self.distance))
+        difference = cells.differences(self.log_radiance(parameters, cells.image))
         # A lower bound only complains when the model stays below it.
         bounded = torch.where(difference > 0.0, difference * cells.above, difference)
         if self.whitening is not None:
@@ -631,7 +708,9 @@ def _places(unknowns: Unknowns, distance: float) -> tuple[Tensor, Tensor, Tensor
     return normal, camera, camera + F.pad(unknowns.offset, (0, 1))
 
 
-def _log_radiance(parameters: Tensor, image: Tensor, distance: float) -> Tensor:
+def _log_radiance(
+    parameters: Tensor, image: Tensor, distance: float, *, conductor: bool = False
+) -> Tensor:
     """(3, n) log radiance of the uniform material at image coordinates (2, n)."""
     unknowns = Unknowns.of(parameters)
     normal, camera, flash = _places(unknowns, distance)
@@ -642,8 +721,9 @@ def _log_radiance(parameters: Tensor, image: Tensor, distance: float) -> Tensor:
     points = camera[:, None, None] + along * ray
     light = FlashLight.between(points, camera, flash, unknowns.intensity.exp()[:, None, None])
     incidence = light.onto(normal[:, None, None].expand_as(points), exact=True)
-    radiance = incidence.diffuse(unknowns.albedo.exp()[:, None, None])
-    specular = unknowns.specular.exp()[:, None, None]
+    colour = unknowns.albedo.exp()[:, None, None]
+    radiance = incidence.diffuse(colour * (COARSE.black if conductor else 1.0))
+    specular = colour if conductor else unknowns.specular.exp()[:, None, None]
     for share, roughness in unknowns.lobes:
         radiance = radiance + share * incidence.specular(specular, roughness[:, None, None])
     return ((radiance + _DARKEST).log() + log_vignette(image, *unknowns.vignetting)).flatten(1)
@@ -681,41 +761,35 @@ def _parted(single: Tensor) -> Tensor:
 
 
 def _starts(
-    observed: Tensor,
-    centre: Unknowns,
-    highlight: Highlight | None,
-    distance: float,
-    *,
-    held: bool,
+    observed: Tensor, prior: _Prior, highlight: Highlight | None, distance: float
 ) -> Iterable[Tensor]:
-    """Starting points whose brightness and hue already fit the photograph's median."""
+    """Starting points whose brightness and hue already fit the photograph's median.
+
+    Radiance there is about albedo / pi intensity / distance^2; a conductor's is darker, away from
+    its highlight.
+    """
+    mean = prior.mean
     median = observed.median(dim=1).values
     brightness = median.mean()
-    glosses: tuple[tuple[float, float, float], ...] = _STARTS
-    places = [centre]
+    intensity = brightness - mean.albedo[:1] + math.log(math.pi) + 2.0
+    logits, places = list(_STARTS), [mean]
     if highlight is not None:
         alpha = min(highlight.width / (_HALF_GGX * distance), 0.6)
         means = math.sqrt(alpha)
-        glosses = tuple(
-            (f0, math.log(share * means / (1.0 - share * means)), darker)
-            for f0, share, darker in _GLOSSES
-        )
-        glosses = (_STARTS[0], *glosses)
+        logits = [_STARTS[0]]
+        logits += [math.log(share * means / (1.0 - share * means)) for share in _WIDTHS]
         u, v = highlight.centre
         # The centre lies where it does because the flash is beside the lens, or the plane tilted.
-        beside = replace(centre, offset=_numbers(2.0 * u, 2.0 * v))
-        turned = replace(centre, tilt=_numbers(v / distance, -u / distance))
-        places = [beside] if held else [beside, turned]
+        beside = replace(mean, offset=_numbers(2.0 * u, 2.0 * v))
+        turned = replace(mean, tilt=_numbers(v / distance, -u / distance))
+        places = [beside] if prior.held else [beside, turned]
     for place in places:
-        for log_f0, logit_roughness, darker in glosses:
-            # radiance = albedo / pi * intensity / distance^2, about; the prior splits it.
-            intensity = brightness - centre.albedo[:1] - darker + math.log(math.pi) + 2.0
+        for logit in logits:
             yield replace(
                 place,
-                albedo=centre.albedo + darker + (median - brightness),
-                specular=_numbers(log_f0),
-                roughness=_numbers(logit_roughness),
-                intensity=intensity,
+                albedo=mean.albedo + (median - brightness),
+                roughness=_numbers(logit),
+                intensity=intensity + (1.5 if prior.conductor else 0.0),
             ).vector()
 
 
