@@ -4,9 +4,9 @@ How far it is off is measured in docs/notes/coarse-fit.md.
 
 A flat, uniform material under a flash is fitted to the blurred photograph by robust least squares
 on the logarithm of radiance: albedo or F0, roughness, flash intensity and offset, tilt, falloff of
-lens and flash. It is fitted twice, as a dielectric (F0 near 0.04, any albedo) and as a conductor (no
-diffuse albedo, coloured F0); the lower cost, prior shares included, decides. One wide prior of F0
-cannot: it makes black lacquer metal, and metal a matte surface under a narrow flash.
+lens and flash. It is fitted twice, as a dielectric (F0 near 0.04, any albedo) and as a conductor
+(no diffuse albedo, coloured F0); the lower cost, prior shares included, decides. One wide prior of
+F0 cannot: it makes black lacquer metal, and metal a matte surface under a narrow flash.
 The whole picture is seen in coarse cells, and the highlight, which may be smaller than one of
 them, in a patch of cells of its own scale. Clipped cells are lower bounds. Weak priors decide what
 one photograph cannot: how much of the brightness is flash and how much is albedo, or a little tilt
@@ -90,7 +90,7 @@ class CoarseSettings:
     patch_reach: float = 2.0
     patch_weight: float = 0.5
     left_out: float = 0.02
-    knee_developed: float = 0.6
+    knee_developed: float = 0.8
     knee_radiometric: float = 0.95
     above_knee: float = 0.25
     huber: float = 0.1
@@ -110,7 +110,7 @@ class CoarseSettings:
     centre_deviation: tuple[float, float] = (0.006, 0.1)
     middle_deviation: tuple[float, float] = (0.004, 0.03)
     level_deviation: float = 0.1
-    evidence_developed: float = 1.0
+    evidence_developed: float = 0.005
     evidence_radiometric: float = 0.005
     directions: int = 12
     colour_noise: float = 0.01
@@ -229,7 +229,7 @@ _PARTED_MEAN = {"share": _numbers(0.0), "wider": _numbers(0.0)}
 _PARTED_DEVIATION = {"share": _numbers(1.5), "wider": _numbers(0.7)}
 # Logit of roughness: matte, satin, glossy, mirror-like.
 _STARTS = (0.8, -0.4, -1.4, -2.2)
-# Where a highlight's width is measured, multiples of the roughness that it means: clipping widens it.
+# Multiples of the roughness that a highlight's width means: clipping widens it.
 _WIDTHS = (1.0, 0.6)
 _MATTE = 2.5  # logit of roughness
 # GGX is half its peak where the half vector's tangent is this many alpha.

@@ -7,10 +7,7 @@ elsewhere, compared with what is seen there, and a few numbers that scale its ma
 moved until they agree. So few numbers need few steps, and cannot draw what was not photographed.
 Some windows are held back: what was found is taken if it is nearer there. Relief that the
 photograph tells outright (strengths.py) hardly moves.
-
-Gloss shows near the highlight alone, and there in statistics more than texel by texel. So among the
-numbers is how F0 and roughness go with lightness and colour, and roughness with relief: grooves are
-rougher than ridges.
+F0 and roughness are the classes' (levels.py) and stay.
 """
 
 from __future__ import annotations
@@ -25,9 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.brdf.parameters import REFLECTANCE
 from matcap.capture.piece.smooth import split
-from matcap.capture.piece.ties import ties
 from matcap.capture.piece.tuned import ADAPT
 from matcap.flash.adam import Adam
 from matcap.flash.likeness import PhotographTarget, compare_windows, render_windows, shuffled
@@ -59,7 +54,6 @@ class Change:
         kept: whether it is nearer after, and so taken.
         relief: factor of all relief together.
         albedo: mean change of the logit of albedo's channels.
-        specular, roughness: change of their logits.
     """
 
     before: float
@@ -67,8 +61,6 @@ class Change:
     kept: bool
     relief: float
     albedo: float
-    specular: float
-    roughness: float
 
 
 @torch.enable_grad()
@@ -223,9 +215,7 @@ def _judged(
         after=after,
         kept=after < before,
         relief=math.exp(float(scaling.relief)),
-        albedo=sum(scaling.offset_diffuse.tolist()) / 3.0,
-        specular=float(scaling.offset_specular),
-        roughness=float(scaling.offset_roughness),
+        albedo=sum(scaling.offset.tolist()) / 3.0,
     )
 
 
@@ -234,34 +224,25 @@ class Scaling:
     """What maps are scaled by, (N,) each; zeros leave them as they are.
 
     Attributes:
-        offset_diffuse, offset_specular, offset_roughness: added to logits, by channel.
-        gain_diffuse, gain_specular, gain_roughness: logarithms of factors on how far logits are
-            from their mean; one of all of albedo's channels.
+        offset: (3,) added to the logits of albedo.
+        gain: logarithm of the factor on how far they are from their mean.
         relief: logarithm of the factor on heights.
         bands: likewise on each band beside.
-        tie_specular, tie_roughness: added to logits, for a deviation of a feature (ties.py).
     """
 
-    offset_diffuse: Tensor
-    offset_specular: Tensor
-    offset_roughness: Tensor
-    gain_diffuse: Tensor
-    gain_specular: Tensor
-    gain_roughness: Tensor
+    offset: Tensor
+    gain: Tensor
     relief: Tensor
     bands: Tensor
-    tie_specular: Tensor
-    tie_roughness: Tensor
 
     def vector(self) -> Tensor:
         """All of them, one after the other."""
         return torch.cat([getattr(self, f.name) for f in fields(self)])
 
     @staticmethod
-    def of(vector: Tensor, bands: int, features: int) -> Scaling:
-        """The inverse of vector() for so many bands and features."""
-        of_specular = len(ADAPT.tie_specular)
-        return Scaling(*vector.split([3, 1, 1, 1, 1, 1, 1, bands, of_specular, features]))
+    def of(vector: Tensor, bands: int) -> Scaling:
+        """The inverse of vector() for so many bands."""
+        return Scaling(*vector.split([3, 1, 1, bands]))
 
 
 class _ScaledMaps:
@@ -269,11 +250,9 @@ class _ScaledMaps:
 
     def __init__(self, maps: MapSet, reach: float, doubt: Sequence[float] = ()) -> None:
         self._maps = maps
-        reflectance = torch.cat([maps.diffuse, maps.specular, maps.roughness])
-        self._logits = torch.logit(reflectance, eps=ADAPT.logit_epsilon)
+        self._logits = torch.logit(maps.diffuse, eps=ADAPT.logit_epsilon)
         self._means = self._logits.mean((1, 2), keepdim=True)
         self._bands = torch.from_numpy(np.stack(split(maps.height[0].numpy())))
-        self._ties = ties(maps.diffuse, self._bands)
         self._deviations = reach * self._believed(doubt).vector()
         self.numbers = torch.zeros(len(self._deviations), requires_grad=True)
 
@@ -283,52 +262,28 @@ class _ScaledMaps:
         for index, each in enumerate(doubt):
             bands[index] = min(ADAPT.band, max(each, ADAPT.least_doubt))
         relief = max(min(doubt), ADAPT.least_doubt) if doubt else ADAPT.relief
-        tie_specular, tie_roughness = self._ties.deviations()
         return Scaling(
-            offset_diffuse=torch.full((3,), ADAPT.offset_albedo),
-            offset_specular=torch.tensor([ADAPT.offset_specular]),
-            offset_roughness=torch.tensor([ADAPT.offset_roughness]),
-            gain_diffuse=torch.tensor([ADAPT.gain_albedo]),
-            gain_specular=torch.tensor([ADAPT.gain_specular]),
-            gain_roughness=torch.tensor([ADAPT.gain_roughness]),
+            offset=torch.full((3,), ADAPT.offset_albedo),
+            gain=torch.tensor([ADAPT.gain_albedo]),
             relief=torch.tensor([min(ADAPT.relief, relief)]),
             bands=bands,
-            tie_specular=torch.tensor(tie_specular),
-            tie_roughness=torch.tensor(tie_roughness),
         )
 
     def scaling(self, numbers: Tensor) -> Scaling:
         """Numbers by name."""
-        return Scaling.of(numbers, len(self._bands), len(self._ties.features))
+        return Scaling.of(numbers, len(self._bands))
 
     def maps(self, rows: slice = slice(None), columns: slice = slice(None)) -> MapSet:
         """Maps of a rectangle."""
         by = self.scaling(self.numbers)
-        features = self._ties.features[:, rows, columns]
-        # All channels at once, which is quicker; those of an F0 with a colour move as one.
-        sizes = [len(self._maps.diffuse), len(self._maps.specular), len(self._maps.roughness)]
-        coloured = by.offset_specular.expand(sizes[1])
-        offsets = torch.cat([by.offset_diffuse, coloured, by.offset_roughness])
-        gains = torch.cat(
-            [
-                gain.expand(size)
-                for gain, size in zip(
-                    (by.gain_diffuse, by.gain_specular, by.gain_roughness), sizes, strict=True
-                )
-            ]
-        ).exp()
         apart = self._logits[:, rows, columns] - self._means
-        logits = self._means + offsets[:, None, None] + gains[:, None, None] * apart
-        tied = [
-            (tie[:, None, None] * features[: len(tie)]).sum(0, keepdim=True)
-            for tie in (by.tie_specular, by.tie_roughness)
-        ]
-        diffuse, specular, roughness = logits.split(sizes)
-        reflectance = torch.sigmoid(torch.cat([diffuse, specular + tied[0], roughness + tied[1]]))
+        albedo = torch.sigmoid(self._means + by.offset[:, None, None] + by.gain.exp() * apart)
         heights = (by.relief + by.bands).exp()[:, None, None] * self._bands[:, rows, columns]
         return replace(
             self._maps,
-            **dict(zip(REFLECTANCE, reflectance.split(sizes), strict=True)),
+            diffuse=albedo,
+            specular=self._maps.specular[:, rows, columns],
+            roughness=self._maps.roughness[:, rows, columns],
             height=heights.sum(0, keepdim=True),
         )
 

@@ -23,19 +23,12 @@ from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.brdf.parameters import SurfaceParameters
 from matcap.capture.piece.absolute import most_probable_scale, scaled
 from matcap.capture.piece.adapt import Adapted, Change, adapt
+from matcap.capture.piece.classes import Classes, find_mixture
 from matcap.capture.piece.contrast import even_contrast
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
-from matcap.capture.piece.kind_levels import ShownKinds
-from matcap.capture.piece.kinds import Kinds, two_kinds
-from matcap.capture.piece.metal import (
-    believed,
-    less_diffuse,
-    seen_colour,
-    slow_specular,
-    tint,
-    with_diffuse,
-)
+from matcap.capture.piece.levels import LevelPrior, RingTarget, fit_levels
+from matcap.capture.piece.metal import believed, seen_colour, tint
 from matcap.capture.piece.network.inputs import network_inputs
 from matcap.capture.piece.network.network import (
     ExpectedErrors,
@@ -44,7 +37,7 @@ from matcap.capture.piece.network.network import (
     NetworkInputs,
 )
 from matcap.capture.piece.noise import channel_noise
-from matcap.capture.piece.refine import PieceLight, Refined, flatten, level, refine, remaining
+from matcap.capture.piece.refine import PieceLight, Refined, flatten, refine, remaining
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.told import plane_strengths
@@ -178,17 +171,22 @@ class Reading:
         departures: of the maps from the coarse fit.
         errors: what the network expects to be off by.
         trusted: (4, H, W) confidence of diffuse, specular, roughness and height, in [0, 1].
-        metal: (H, W) share of each texel that is metal; None where hardly any is.
-        logit: (1, H, W) of that, as the network has it; likewise.
-        kinds: metal and the rest, where the photograph shows both.
+        logit: (1, H, W) of metal, as the network has it; None where it has hardly any.
+        classes: material classes of the texels; of one class until `classified`.
     """
 
     departures: SurfaceParameters
     errors: ExpectedErrors
     trusted: NDArray[np.float32]
-    metal: NDArray[np.float32] | None = None
-    logit: Tensor | None = None
-    kinds: Kinds | None = None
+    logit: Tensor | None
+    classes: Classes
+
+    @property
+    def metal(self) -> NDArray[np.float32] | None:
+        """(H, W) share of each texel that is metal; None where none is."""
+        if not any(self.classes.metal):
+            return None
+        return np.asarray(self.classes.metal_share[0].numpy(), np.float32)
 
     @property
     def confidence(self) -> dict[str, NDArray[np.float32]]:
@@ -236,7 +234,7 @@ def find_piece(
         sight, reading = read_piece(sight, network)
     with stage("strengths"):
         strengths = tell_strengths(sight, reading)
-        sight, reading = parted(sight, strengthened(sight, reading, strengths))
+        sight, reading = classified(sight, strengthened(sight, reading, strengths))
     explained = _Explained(reading)
     with explained.until_interrupted():
         with stage("refine"):
@@ -328,15 +326,13 @@ def read_piece(sight: Sight, network: Inverse) -> tuple[Sight, Reading]:
     """What the network reads; and the sight of it, which has metal's colour."""
     answer = NetworkAnswer.from_stacked(_read(network, sight.inputs.stacked()))
     trusted = confidence(answer.errors, sight.seen)
-    metal = believed(answer.metal)
     trusted[0] *= 1.0 - sight.glare
-    read = answer.departures
-    if metal is None:
-        even = replace(read, specular=slow_specular(read.specular))
-        return sight, Reading(even, answer.errors, trusted)
-    bare = replace(read, diffuse=less_diffuse(read.diffuse, metal))
-    shares = metal[0].numpy()
-    return tinted(sight, metal), Reading(bare, answer.errors, trusted, shares, answer.metal)
+    some = believed(answer.metal)
+    classes = Classes.whole(sight.glare.shape, metal=sight.coarse.conductor)
+    if sight.coarse.conductor:
+        sight = tinted(sight, classes.metal_share)
+    logit = None if some is None else answer.metal
+    return sight, Reading(answer.departures, answer.errors, trusted, logit, classes)
 
 
 def tinted(sight: Sight, metal: Tensor) -> Sight:
@@ -358,43 +354,69 @@ def strengthened(sight: Sight, reading: Reading, strengths: Strengths | None) ->
     return replace(reading, departures=replace(drawn, height=height))
 
 
-def parted(sight: Sight, reading: Reading) -> tuple[Sight, Reading]:
-    """Metal told apart from the rest, each with its own levels, where the photograph shows both."""
-    if reading.metal is None or reading.logit is None:
-        return sight, reading
-    plane, departures = sight.plane, reading.departures
-    read = replace(
-        departures,
-        diffuse=with_diffuse(departures.diffuse, torch.from_numpy(reading.metal)[None]),
-    )
+def classified(sight: Sight, reading: Reading) -> tuple[Sight, Reading]:
+    """Texels in material classes; what is their own is albedo (a metal's: F0) and relief."""
+    classes = reading.classes
+    if reading.logit is not None:
+        target = replace(
+            _ring_target(sight, reading.departures, Classes.whole(sight.glare.shape, metal=False)),
+            surface=sight.light.uniform,
+        )
+        mixture = find_mixture(reading.departures, reading.logit, target)
+        if mixture.likely(sight.light.uniform):
+            classes = mixture.classes
+            sight = tinted(sight, classes.metal_share)
+    settled = classes.settled(reading.departures)
+    return sight, replace(reading, departures=settled, classes=classes)
+
+
+def _ring_target(sight: Sight, departures: SurfaceParameters, classes: Classes) -> RingTarget:
+    """The photograph around its mirror point, of a surface that departs so from the coarse fit."""
+    plane = sight.plane
     width, height = plane.size
     x, y = highlight_foot(sight.coarse.setup)
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     points = plane.extent.placed(points)
-    shown = ShownKinds(
+    hue = 1.0 if sight.light.hue is None else sight.light.hue
+    return RingTarget(
         linear=plane.linear,
         measured=sight.shown,
         counts=sight.within,
         away=torch.hypot(points[0] - x, points[1] - y),
         flash=sight.light.flash,
-        normal=sight.light.maps(read).normal,
-        uniform=sight.light.uniform,
+        normal=sight.light.maps(departures).normal,
+        surface=sight.light.uniform + departures,
+        hues=tuple(hue if metal else 1.0 for metal in classes.metal),
     )
-    kinds = two_kinds(read, reading.logit, shown)
-    if not kinds.believed(shown.uniform):
-        return sight, reading
-    metal = kinds.metal[0].numpy()
-    return tinted(sight, kinds.metal), replace(
-        reading, departures=kinds.told(read), metal=metal, kinds=kinds
-    )
+
+
+def with_levels(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:
+    """The reading with levels of its classes fitted to how the highlight falls off."""
+    classes = reading.classes
+    target = _ring_target(sight, departures, classes)
+    size = target.away.shape
+    target = target.thinned(LEVEL_TEXELS)
+    step = max(1, min(size) // LEVEL_TEXELS)
+    shares = classes.shares[:, ::step, ::step]
+    deviation = torch.tensor([_METAL_LEVELS if metal else _PLAIN_LEVELS for metal in classes.metal])
+    start = torch.zeros_like(classes.levels)
+    moved, _ = fit_levels(target, shares, start, LevelPrior(start, deviation))
+    classes = replace(classes, levels=classes.levels + moved)
+    changed = departures + reading.classes.flat(moved)
+    return replace(reading, departures=changed, classes=classes)
+
+
+LEVEL_TEXELS = 384
+# Deviations of levels (log albedo 3, log F0, logit roughness) from what is known before relief is.
+_PLAIN_LEVELS = [1.0, 1.0, 1.0, 0.15, 0.3]
+_METAL_LEVELS = [0.05, 0.05, 0.05, 0.5, 0.3]
 
 
 def levelled(sight: Sight, reading: Reading) -> Reading:
-    """Levels of the whole, then albedo and gloss of every texel, as the photograph has them."""
+    """Levels of the classes, then albedo of every texel, as the photograph has them."""
     flat = evened(sight, reading, reading.departures)
-    if reading.kinds is None:
-        flat = level(flat, sight.plane.linear, sight.shown, sight.light)
-    return _rerendered(sight, reading, flat)
+    reading = with_levels(sight, reading, flat)
+    return _rerendered(sight, reading, reading.departures)
 
 
 @dataclass(frozen=True)
@@ -495,22 +517,24 @@ def _in_detail(sight: Sight, exemplar: Exemplar, whole: Plane) -> Exemplar:
 
 
 def evened(sight: Sight, reading: Reading, departures: SurfaceParameters) -> SurfaceParameters:
-    """Departures whose albedo and gloss do not drift over the piece, beyond what its kinds do."""
-    trusted = {name: torch.from_numpy(plane) for name, plane in reading.confidence.items()}
-    extent = sight.plane.extent
-    foot = extent.within(highlight_foot(sight.coarse.setup))
-    across = extent.unit(sight.plane.size[0]) if sight.plane.margins.any else None
-    if reading.kinds is None:
-        return flatten(departures, trusted, sight.glare, foot, across=across)
-    kinds = reading.kinds.departures()
-    return flatten(departures - kinds, trusted, sight.glare, foot, across=across) + kinds
+    """Departures whose albedo does not drift over the exemplar, beyond what its classes do."""
+    across = sight.plane.extent.unit(sight.plane.size[0]) if sight.plane.margins.any else None
+    levels = reading.classes.flat()
+    trusted = reading.confidence["diffuse"]
+    return flatten(departures - levels, trusted, sight.glare, across=across) + levels
 
 
 def _rerendered(sight: Sight, reading: Reading, departures: SurfaceParameters) -> Reading:
-    """Albedo and gloss moved until they re-render to the photograph."""
-    linear = sight.plane.linear
+    """Albedo moved until it re-renders to the photograph."""
+    metal = reading.classes.metal_share if any(reading.classes.metal) else None
     refined = refine(
-        departures, reading.errors, linear, sight.shown, sight.light, noise=sight.noise
+        departures,
+        reading.errors,
+        sight.plane.linear,
+        sight.shown,
+        sight.light,
+        metal=metal,
+        noise=sight.noise,
     )
     return replace(reading, departures=evened(sight, reading, refined.departures))
 

@@ -15,14 +15,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.capture.piece.smooth import smoothed
-from matcap.capture.piece.tuned import READ
-
 # Shares told below the first count as none and above the second as whole: the network doubts, and
 # what is no metal stays grey.
 _NONE, _WHOLE = 0.25, 0.75
 _LEAST_SHARE = 0.005  # of a piece, below which nothing of it is metal
-_DIFFUSE_LEFT = 0.01  # share of the diffuse albedo read that metal keeps
 _AROUND = 5  # texels a side of the neighbourhood whose colour is seen: less than noise's share
 # Radiance, of clipping. Of what is darker little is mirrored, and dirt and noise are seen: it has
 # the colour of all, which is told where it is bright.
@@ -59,26 +55,6 @@ def believed(metal: Tensor) -> Tensor | None:
     """
     share = ((torch.sigmoid(metal) - _NONE) / (_WHOLE - _NONE)).clamp(0.0, 1.0)
     return share if float((share > 0.5).float().mean()) > _LEAST_SHARE else None
-
-
-def less_diffuse(diffuse: Tensor, metal: Tensor) -> Tensor:
-    """(3, H, W) log of diffuse albedo, less what is metal of it."""
-    return diffuse + torch.log1p((_DIFFUSE_LEFT - 1.0) * metal)
-
-
-def slow_specular(specular: Tensor) -> Tensor:
-    """(1, H, W) log F0, or a departure of it, without detail: of a piece of which nothing is metal.
-
-    What mirrors white hardly differs in how much it does, and under one flash the rest of the
-    photograph does not depend on it. What a network draws of it in detail goes with slopes towards
-    the light: rings around the flash's foot (docs/notes/network.md).
-    """
-    return torch.from_numpy(smoothed(specular[0].numpy(), READ.specular_around))[None]
-
-
-def with_diffuse(diffuse: Tensor, metal: Tensor) -> Tensor:
-    """The inverse of less_diffuse."""
-    return diffuse - torch.log1p((_DIFFUSE_LEFT - 1.0) * metal)
 
 
 def tint(metal: Tensor, colour: Tensor) -> Tensor:

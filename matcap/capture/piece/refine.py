@@ -11,13 +11,10 @@ picture is what coarse fit and tone curve left undone, not the material, and sta
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -25,14 +22,11 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.normals import normals_from_slopes
 from matcap.brdf.parameters import (
     F0_LIMITS,
-    REFLECTANCE,
-    ROUGHNESS_LIMITS,
     Reflectance,
     SurfaceParameters,
 )
 from matcap.capture.piece.network.network import ExpectedErrors
 from matcap.capture.piece.noise import channel_weights
-from matcap.capture.piece.rings import Rings
 from matcap.capture.piece.smooth import smoothed
 from matcap.capture.piece.tuned import REFINE
 from matcap.flash.light import FlashLight, Incidence
@@ -52,14 +46,6 @@ class Refined:
     departures: SurfaceParameters
     residual: Tensor
     slow: Tensor
-
-
-@dataclass(frozen=True)
-class GlossResponse:
-    """What log radiance (grey, (1, H, W)) changes by with log F0 and with logit roughness."""
-
-    specular: Tensor
-    roughness: Tensor
 
 
 @dataclass(frozen=True)
@@ -119,142 +105,40 @@ class PieceLight:
         up = tilted(0.0, REFINE.slope_step) - tilted(0.0, -REFINE.slope_step)
         return torch.stack([across, up]) / (2.0 * REFINE.slope_step)
 
-    def shows_gloss(
-        self, maps: MapSet, incidence: Incidence, log: Tensor, weights: Tensor | float = 1.0 / 3.0
-    ) -> GlossResponse:
-        """What gloss changes of the log radiance (3, H, W) that maps have.
-
-        Args:
-            maps: the piece's.
-            incidence: on them.
-            log: theirs.
-            weights: (3, H, W) or one number: what channels count for in grey.
-        """
-
-        def grey(logs: Tensor) -> Tensor:
-            return (weights * logs).sum(0, keepdim=True)
-
-        before = grey(log)
-        brighter = replace(maps, specular=maps.specular * math.exp(REFINE.step))
-        logit = maps.roughness.clamp(*ROUGHNESS_LIMITS).logit()
-        duller = replace(maps, roughness=torch.sigmoid(logit + REFINE.step))
-        return GlossResponse(
-            *(
-                (grey(self.logs(moved, incidence)[0]) - before) / REFINE.step
-                for moved in (brighter, duller)
-            )
-        )
-
-
-@torch.no_grad()
-def level(
-    departures: SurfaceParameters, linear: Tensor, valid: Tensor, light: PieceLight
-) -> SurfaceParameters:
-    """Departures whose means of albedo, F0 and roughness re-render to the photograph's brightness.
-
-    The coarse fit has no relief: bumps widen highlights and dim what lies between, so that its
-    numbers are off once they are there. Robust least squares over cells, each by its mean
-    radiance: relief that is right in strength and wrong in place still spreads light rightly.
-
-    Args:
-        departures: of the piece.
-        linear, valid, light: as for refine.
-    """
-    cell = min(REFINE.cell, *linear.shape[-2:])
-    seen = F.avg_pool2d(valid.expand_as(linear).float(), cell) > REFINE.seen
-    observed = F.avg_pool2d(linear, cell).clamp_min(REFINE.darkest).log()
-    deviations = Reflectance(
-        torch.full((3,), REFINE.level_albedo),
-        torch.tensor([REFINE.level_specular]),
-        torch.tensor([REFINE.level_roughness]),
-    )
-    prior = torch.cat(deviations).square().reciprocal()
-    moved = torch.zeros_like(prior)
-    scale = REFINE.level_cells / observed.numel() / REFINE.level_noise**2
-    incidence = light.flash.onto(light.maps(departures).normal)
-    for _ in range(REFINE.level_steps):
-        maps = light.maps(departures)
-        log, shares = light.logs(maps, incidence)
-        radiance = log.exp().clamp_max(1.0)
-        mean = F.avg_pool2d(radiance, cell)
-        residual = observed - mean.clamp_min(REFINE.darkest).log()
-        residual = torch.where(seen, residual, residual.clamp_min(0.0))
-        # What shows of a cell is what shows of its light.
-        by_albedo = F.avg_pool2d(shares * radiance, cell) / mean
-        shows = light.shows_gloss(maps, incidence, log)
-        grey = radiance.mean(0, keepdim=True)
-        by_gloss = F.avg_pool2d(torch.cat([shows.specular, shows.roughness]) * grey, cell)
-        by_gloss = by_gloss / F.avg_pool2d(grey, cell)
-        normal, gradient = _normal_equations(residual, by_albedo, by_gloss)
-        step = torch.linalg.solve(
-            normal * scale + torch.diag(prior), gradient * scale - prior * moved
-        ).clamp(-REFINE.most, REFINE.most)
-        moved += step
-        departures = departures + SurfaceParameters.from_levels(step)
-    return departures
-
-
-def _normal_equations(
-    residual: Tensor, by_albedo: Tensor, by_gloss: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Matrix and right side of robust least squares for the levels.
-
-    Args:
-        residual: (3, h, w) of log radiance.
-        by_albedo: (3, h, w) what it changes by with its own channel's log albedo.
-        by_gloss: (2, h, w) likewise with log F0 and logit roughness.
-    """
-    equations = []
-    for channel, own in enumerate(by_albedo):
-        albedo = torch.zeros_like(by_albedo)
-        albedo[channel] = own
-        column = torch.cat([albedo, by_gloss]).flatten(1)
-        r = residual[channel].flatten()
-        weight = REFINE.huber / r.abs().clamp_min(REFINE.huber)
-        equations.append(((column * weight) @ column.T, column @ (weight * r)))
-    normals, gradients = zip(*equations, strict=True)
-    return sum(normals[1:], normals[0]), sum(gradients[1:], gradients[0])
-
 
 def flatten(
     departures: SurfaceParameters,
-    confidence: Mapping[str, Tensor],
+    confidence: NDArray[np.float32],
     glare: NDArray[np.float32],
-    foot: tuple[float, float] | None = None,
     *,
     across: float | None = None,
 ) -> SurfaceParameters:
-    """Departures whose albedo and gloss are the same everywhere on average.
+    """Departures whose albedo (a metal's: F0) is the same everywhere on average.
 
-    A stationary sample's means do not drift, and nothing of it follows the highlight. Gloss is told
-    near the highlight and albedo beside it: every map's mean is the one where it is trusted.
+    A stationary sample's means do not drift, and nothing of it follows the highlight. The mean is
+    that of where albedo is trusted.
 
     Args:
-        departures: of the piece.
-        confidence: (H, W) by map, in [0, 1].
-        glare: (H, W) share of the radiance that is mirrored.
-        foot: where a mirror would show the flash, in halves of the width from the middle: what is
-            the same all around it is no material's; None to leave that.
-        across: texels of the photograph's long side, where the piece reaches beyond it.
+        departures: of the exemplar, from its classes' levels.
+        confidence: (H, W) of albedo, in [0, 1].
+        glare: (H, W) specular fraction of the radiance.
+        across: texels of the photograph's long side, where the exemplar reaches beyond it.
     """
-    rings = None if foot is None else Rings.around(foot, glare.shape)
     shape = np.stack([np.ones_like(glare), glare, np.square(glare)])
+    weight = torch.from_numpy(confidence).square() + 1e-3
 
-    def even(channel: Tensor, weight: Tensor) -> Tensor:
+    def even(channel: Tensor) -> Tensor:
+        if not bool(channel.any()):
+            return channel
         mean = (channel * weight).sum() / weight.sum()
         channel = channel - torch.from_numpy(_following(channel.numpy(), shape))
         slow = smoothed(channel.numpy(), (across or max(channel.shape)) / REFINE.stationary)
-        even = channel + (mean - torch.from_numpy(slow))
-        return even if rings is None else even - torch.from_numpy(rings.marked(even.numpy()))
+        return channel + (mean - torch.from_numpy(slow))
 
     return replace(
         departures,
-        **{
-            name: torch.stack(
-                [even(c, confidence[name].square() + 1e-3) for c in getattr(departures, name)]
-            )
-            for name in REFLECTANCE
-        },
+        diffuse=torch.stack([even(c) for c in departures.diffuse]),
+        specular=torch.stack([even(c) for c in departures.specular]),
     )
 
 
@@ -279,32 +163,30 @@ def refine(
     valid: Tensor,
     light: PieceLight,
     *,
+    metal: Tensor | None = None,
     noise: Tensor | float = 0.02,
 ) -> Refined:
-    """Move albedo and gloss until they re-render to the photograph.
+    """Move albedo, of metal its F0, until the maps re-render to the photograph.
 
     Args:
-        departures: of the piece, as the network answers.
-        errors: what it expects to be off by.
+        departures: of the exemplar.
+        errors: what albedo is expected to be off by.
         linear: (3, H, W) the photograph on the plane's grid.
         valid: (H, W) or (3, H, W) bool, seen and not clipped, by channel where that is known.
         light: the photograph's own.
+        metal: (1, H, W) share of each texel that is metal; None where none is.
         noise: deviation of log radiance that is not explained; (3, H, W) or one number.
     """
     observed = linear.clamp_min(REFINE.darkest).log()
     valid = valid.expand_as(linear)
-    albedo, specular, roughness = (
-        doubt.exp().clamp(REFINE.least_error, REFINE.most_error).square()
-        for doubt in (errors.albedo, errors.specular, errors.roughness)
-    )
+    albedo = errors.albedo.exp().clamp(REFINE.least_error, REFINE.most_error).square()
     colour = albedo * REFINE.chroma**2
     maps = light.maps(departures)
     incidence = light.flash.onto(maps.normal)
     log, shares = light.logs(maps, incidence)
     white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(REFINE.least_noise)
     weights = channel_weights(white)
-    shows = light.shows_gloss(maps, incidence, log, weights)  # hardly changes from step to step
-    by_gloss = shows.specular.square() * specular + shows.roughness.square() * roughness
+    bare = torch.zeros_like(maps.roughness) if metal is None else metal
     for step in range(REFINE.steps):
         if step:
             log, shares = light.logs(light.maps(departures), incidence)
@@ -312,21 +194,22 @@ def refine(
         residual = (residual - _slow(residual, valid)).clamp(-REFINE.most, REFINE.most)
         tells = valid | (residual > 0.0)
         share = (weights * shares).sum(0, keepdim=True)
+        # d log L / d log albedo, and of metal / d log F0.
+        base = (1.0 - bare) * share + bare * (1.0 - share)
         counts = weights * tells
         counts = counts / counts.sum(0, keepdim=True).clamp_min(1e-6)
         grey = (counts * residual).sum(0, keepdim=True)
         glare = (REFINE.glare * (1.0 - share)).square()
         # The channels' noise is taken to go together: what development smooths is blotches.
         unknown = (counts * white).sum(0, keepdim=True).square() + glare
-        common = grey / (share.square() * albedo + by_gloss + unknown)
+        common = base * albedo * grey / (base.square() * albedo + unknown)
         # A bound that holds says nothing of the colour.
         apart = torch.where(tells, residual - grey, 0.0)
         own = apart * shares * colour / (shares.square() * colour + white.square() + glare)
-        departures = SurfaceParameters(
-            departures.diffuse + (share * albedo * common + own),
-            departures.specular + shows.specular * specular * common,
-            departures.roughness + shows.roughness * roughness * common,
-            departures.height,
+        departures = replace(
+            departures,
+            diffuse=departures.diffuse + (1.0 - bare) * (common + own),
+            specular=departures.specular + bare * common,
         )
     return remaining(departures, linear, valid, light)
 

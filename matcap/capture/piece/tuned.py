@@ -25,7 +25,6 @@ class ReadSettings:
         confidence_around: the long side over the deviation of a neighbourhood's confidence. More
             follows single features, and only plain places are believed.
         beside: texels, deviation: how far light spreads into what lies beside a clipped texel.
-        specular_around: texels, deviation: F0 of a piece without metal is drawn no finer.
         unlit, unlit_around: where a neighbourhood (deviation in texels) has less light than this,
             of 1 at clipping, a photograph of 8 bits has its last codes, a RAW the sensor's noise.
     """
@@ -39,7 +38,6 @@ class ReadSettings:
     doubted_roughness: float = 0.6
     doubted_slope: float = 0.15
     confidence_around: float = 12.0
-    specular_around: float = 24.0
     beside: float = 1.5
     unlit: float = 1e-3
     unlit_around: float = 8.0
@@ -140,12 +138,7 @@ class KindSettings:
             borders, and less the photograph.
         texels: along the short side that kinds are fitted on.
         rounds: of fitting levels and telling texels apart.
-        steps: of a fit.
-        ring: plane units, width of a ring. Less parts narrow highlights, and is noisier.
-        ring_texels: of a kind in a ring, at which it counts half.
-        noise, huber: of a ring's log radiance: deviation, and beyond which it counts linearly.
         albedo, specular, roughness: deviations of levels as read (log, log, logit).
-        most: that a level moves in a step.
         grey, colour: of a texel's log radiance: what relief and grain leave unexplained, of all
             channels together and apart. Less tears kinds apart by relief.
         patch: of the long side, deviation of a neighbourhood that is told apart as one. More rounds
@@ -163,15 +156,9 @@ class KindSettings:
     drawn: float = 2.0
     texels: int = 128
     rounds: int = 3
-    steps: int = 8
-    ring: float = 0.05
-    ring_texels: float = 50.0
-    noise: float = 0.1
-    huber: float = 0.3
     albedo: float = 1.5
     specular: float = 2.0
     roughness: float = 0.7
-    most: float = 0.7
     grey: float = 1.0
     colour: float = 0.2
     patch: float = 0.002
@@ -189,8 +176,7 @@ class RefineSettings:
     Attributes:
         steps: of refinement. More is sharper, and takes as much longer: of granite's finest octave
             0.66, 0.74 and 0.74 are there after 3, 4 and 6.
-        step: of log F0 and logit roughness, for differences of log radiance.
-        slope_step: likewise, of slopes.
+        slope_step: of slopes, for differences of log radiance.
         least_error, most_error: expected errors believed in.
         least_noise: of log radiance: what is not explained, where the sensor's is less. Less draws
             the sensor's grain into the maps.
@@ -201,20 +187,11 @@ class RefineSettings:
         glare: of log radiance: what a highlight's fit leaves where all light is mirrored.
         chroma: deviation of albedo's colour as a share of its lightness's. More takes the sensor's
             noise for the material's.
-        level_steps: of the levels' fit.
-        level_albedo, level_specular, level_roughness: deviations of what is off on the whole (log,
-            log, logit).
-        level_noise: of log radiance: what a cell's mean is off by for other reasons.
-        level_cells: that count as independent: what the model lacks is smooth.
-        huber: of log radiance; beyond it a residual counts linearly.
-        cell: texels a side.
-        seen: share of a cell that must be valid, or it is a lower bound.
         stationary: the long side over the deviation of what a stationary sample is even over.
         thinned: texels a side of which one is looked at, where things are smooth.
     """
 
     steps: int = 5
-    step: float = 0.03
     slope_step: float = 0.03
     least_error: float = 0.02
     most_error: float = 1.0
@@ -224,35 +201,8 @@ class RefineSettings:
     most: float = 1.5
     glare: float = 0.5
     chroma: float = 0.3
-    level_steps: int = 4
-    level_albedo: float = 0.5
-    level_specular: float = 0.3
-    level_roughness: float = 0.4
-    level_noise: float = 0.1
-    level_cells: float = 100.0
-    huber: float = 0.2
-    cell: int = 16
-    seen: float = 0.95
     stationary: float = 8.0
     thinned: int = 3
-
-
-@dataclass(frozen=True)
-class RingSettings:
-    """What lies in rings around the flash's foot, and is taken off the maps.
-
-    Attributes:
-        width: texels, of a ring. More leaves what is narrower.
-        sectors: of a ring, whose scatter tells chance. More take drawings for marks.
-        nearest: texels: a ring's sectors are longer than grain beyond it.
-        doubt: times what chance explains. Less takes off what a drawing has by chance, more leaves
-            faint marks.
-    """
-
-    width: float = 3.0
-    sectors: int = 8
-    nearest: float = 12.0
-    doubt: float = 4.0
 
 
 @dataclass(frozen=True)
@@ -268,9 +218,8 @@ class AdaptSettings:
         betas: of Adam: short memories, for there are few steps.
         windows: a step, of exemplar and of photograph.
         held: share of the steps after which the rate falls to nothing and numbers are averaged.
-        offset_albedo, offset_specular, offset_roughness: how far means are believed to be off,
-            logits.
-        gain_albedo, gain_specular, gain_roughness: how far logarithms of contrasts are.
+        offset_albedo: prior deviation of the logits' mean.
+        gain_albedo: prior deviation of the logarithm of albedo's contrast.
         relief, band: how far the logarithm of relief's strength is, and of each band's beside.
         least_doubt: of that logarithm, however well it is told.
         held_back, fewest_held: windows that what is found is judged on.
@@ -282,12 +231,6 @@ class AdaptSettings:
         more_unexplained: times that, or what was left before, at which a leg is not taken. On rust
             1.7, with rings and blue specks; 1.2 at most on 21 real photographs.
         penalties: specks are what was photographed, here.
-        tie_specular, tie_roughness: logits of F0 and roughness believed to go with a logarithm of
-            lightness, and with one of colour. What hardly varies tells next to nothing: a plaster
-            has no colours to go with.
-        tie_band: of roughness, with a deviation of a band of relief.
-        tie_darkest: albedo.
-        tie_farthest: deviations: a speck's gloss is not far beyond the others'.
         contrast_around: texels, deviation of a neighbourhood of albedo's contrast.
         contrast_least, contrast_most: contrast is not lowered or raised more.
         contrast_faintest: of log albedo.
@@ -301,11 +244,7 @@ class AdaptSettings:
     windows: int = 3
     held: float = 0.5
     offset_albedo: float = 0.3
-    offset_specular: float = 0.5
-    offset_roughness: float = 0.5
     gain_albedo: float = 0.3
-    gain_specular: float = 0.7
-    gain_roughness: float = 0.7
     relief: float = 0.5
     band: float = 0.3
     least_doubt: float = 0.03
@@ -318,11 +257,6 @@ class AdaptSettings:
     unexplained: float = 0.15
     more_unexplained: float = 1.3
     penalties: Penalties = Penalties(outlier=0.0)
-    tie_specular: tuple[float, float] = (0.3, 1.0)
-    tie_roughness: tuple[float, float] = (0.8, 1.0)
-    tie_band: float = 0.3
-    tie_darkest: float = 1e-4
-    tie_farthest: float = 3.0
     contrast_around: float = 64.0
     contrast_least: float = 0.5
     contrast_most: float = 3.0
@@ -407,7 +341,6 @@ NOISE = NoiseSettings()
 STRENGTH = StrengthSettings()
 KINDS = KindSettings()
 REFINE = RefineSettings()
-RINGS = RingSettings()
 ADAPT = AdaptSettings()
 LEND = LendSettings()
 FINEST = FinestSettings()

@@ -1,0 +1,218 @@
+"""Material classes: dielectric, metal, or metal beside a dielectric, each with levels of its own.
+
+F0 and roughness are numbers of a class, not of a texel: under one flash a texel's own gloss cannot
+be separated from its albedo and slope, and what a network predicts of it is noise with rings around
+the mirror point. Texels differ in albedo (a metal's is its F0 colour) and relief.
+
+Whether the whole is metal is the coarse fit's answer. Whether metal lies beside a dielectric (rust,
+chipped paint) is a mixture of two classes: levels of each are fitted to how brightness falls off
+around the mirror point (levels.py), and a texel's class to which radiance is nearer, beginning with
+the network's prediction, by expectation and maximisation (Dempster, Laird and Rubin 1977).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from matcap.brdf.parameters import REFLECTANCE, SurfaceParameters
+from matcap.capture.piece.absolute import SCALE, how_metallic
+from matcap.capture.piece.levels import DARKEST, LevelPrior, RingTarget, fit_levels
+from matcap.capture.piece.metal import whole_colour
+from matcap.capture.piece.smooth import smoothed
+from matcap.capture.piece.tuned import KINDS
+
+
+@dataclass(frozen=True)
+class Classes:
+    """Material classes and which texel belongs to which.
+
+    Attributes:
+        shares: (K, H, W) of every texel; they sum to 1.
+        metal: whether each class is metal.
+        levels: (K, 5) of each, departures from the coarse fit.
+    """
+
+    shares: Tensor
+    metal: tuple[bool, ...]
+    levels: Tensor
+
+    @staticmethod
+    def whole(size: tuple[int, ...], *, metal: bool) -> Classes:
+        """One class of (H, W) texels."""
+        return Classes(torch.ones(1, *size), (metal,), torch.zeros(1, 5))
+
+    @property
+    def metal_share(self) -> Tensor:
+        """(1, H, W) of each texel that is metal."""
+        is_metal = torch.tensor(self.metal, dtype=self.shares.dtype)
+        return (self.shares * is_metal[:, None, None]).sum(0, keepdim=True)
+
+    def flat(self, levels: Tensor | None = None) -> SurfaceParameters:
+        """Departures of classes without texture or relief; of their own levels by default."""
+        levels = self.levels if levels is None else levels
+        planes = torch.einsum("kc,khw->chw", levels, self.shares)
+        diffuse, specular, roughness = planes.split(list(REFLECTANCE.values()))
+        return SurfaceParameters(diffuse, specular, roughness, torch.zeros_like(specular))
+
+    def means(self, departures: SurfaceParameters) -> Tensor:
+        """(K, 5) mean of reflectance over each class."""
+        planes = torch.cat([getattr(departures, name) for name in REFLECTANCE])
+        total = self.shares.sum((1, 2)).clamp_min(1e-6)
+        return torch.einsum("chw,khw->kc", planes, self.shares) / total[:, None]
+
+    def settled(self, departures: SurfaceParameters) -> SurfaceParameters:
+        """Departures in which a texel's own are a dielectric's albedo, a metal's F0 and relief.
+
+        Means over classes become their levels.
+        """
+        metal = self.metal_share
+        own = SurfaceParameters(
+            (1.0 - metal) * departures.diffuse,
+            metal * departures.specular,
+            torch.zeros_like(departures.roughness),
+            departures.height,
+        )
+        return own - self.flat(self.means(own)) + self.flat()
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Metal and a dielectric in one photograph, and how well they explain it.
+
+    Attributes:
+        classes: metal first.
+        off: mean difference of log radiance of their rings from the photograph's.
+        agreed: correlation of what texels' radiance says of their class with what was drawn.
+    """
+
+    classes: Classes
+    off: float
+    agreed: float
+
+    def likely(self, uniform: SurfaceParameters) -> bool:
+        """Whether one most probably is metal and the other none, and both explain the photograph.
+
+        Args:
+            uniform: what levels depart from.
+        """
+        bare, rest = (how_metallic(uniform.levels() + level) for level in self.classes.levels)
+        share = float(self.classes.metal_share.mean())
+        return (
+            min(share, 1.0 - share) > KINDS.least_share
+            and min(bare, -rest) > KINDS.sure
+            and self.off < KINDS.most_off
+            and self.agreed > KINDS.agreed
+        )
+
+
+def find_mixture(departures: SurfaceParameters, logit: Tensor, target: RingTarget) -> Mixture:
+    """The most probable two classes.
+
+    Args:
+        departures: of the exemplar, as predicted.
+        logit: (1, H, W) of metal, as predicted.
+        target: the photograph; its surface is the uniform material.
+    """
+    drawn = KINDS.drawn * goes_with_metal(departures, logit)
+    step = max(1, min(logit.shape[-2:]) // KINDS.texels)
+    few, thin = target.thinned(KINDS.texels), drawn[:, ::step, ::step]
+    metal = torch.sigmoid(thin)
+    predicted = levels = _pair(torch.sigmoid(drawn)).means(departures)
+    plain, bare = SCALE.kinds
+    prior = LevelPrior(
+        predicted,
+        torch.tensor([*[KINDS.albedo] * 3, KINDS.specular, KINDS.roughness]).expand(2, -1),
+        (bare.specular[0] - plain.specular[0], math.hypot(plain.specular[1], bare.specular[1])),
+    )
+    off = 0.0
+    for number in range(KINDS.rounds):
+        few = _coloured(few, metal)
+        if number:
+            metal = _share(_nearer(few, levels), thin, float(metal.mean()))
+            few = _coloured(few, metal)
+        levels, off = fit_levels(few, _pair(metal).shares, levels, prior)
+    nearer = _nearer(replace(target, hues=few.hues), levels)
+    metal = _share(nearer, drawn, float(metal.mean()))
+    both = torch.stack([nearer.flatten(), drawn.flatten()])
+    agreed = float(torch.corrcoef(both)[0, 1].nan_to_num())
+    levels = _blackened(levels, target.surface)
+    return Mixture(replace(_pair(metal), levels=levels), off, agreed)
+
+
+def _pair(metal: Tensor) -> Classes:
+    """Metal of so large a share (1, H, W) of each texel, and the rest."""
+    return Classes(torch.cat([metal, 1.0 - metal]), (True, False), torch.zeros(2, 5))
+
+
+def _coloured(target: RingTarget, metal: Tensor) -> RingTarget:
+    """The target with the hue that is seen where metal (1, H, W) is."""
+    seen = metal * target.measured.all(0, keepdim=True) * target.counts
+    return replace(target, hues=(whole_colour(target.linear, seen), 1.0))
+
+
+def goes_with_metal(departures: SurfaceParameters, logit: Tensor) -> Tensor:
+    """(1, H, W) what of a reading goes with the logit of metal (1, H, W); median 0, deviation 1.
+
+    Beside a highlight all is told to be metal and far from it little: what counts is what a texel
+    differs by from its neighbourhood, in the logit and in maps that differ as it does.
+    """
+    albedo = departures.diffuse
+    lightness = albedo.mean(0, keepdim=True)
+    colour = (albedo - lightness)[::2]
+    maps = [logit, lightness, colour, departures.roughness, departures.specular]
+    around = max(logit.shape) / KINDS.around
+    apart = np.stack([plane - smoothed(plane, around) for plane in torch.cat(maps).numpy()])
+    apart /= apart.std((1, 2), keepdims=True) + np.float32(1e-6)
+    together = (apart * apart[0]).mean((1, 2))
+    score = np.tensordot(together * np.abs(together), apart, 1)
+    score = (score - np.median(score)) / (score.std() + np.float32(1e-6))
+    return torch.from_numpy(score.astype(np.float32))[None]
+
+
+def _nearer(target: RingTarget, levels: Tensor) -> Tensor:
+    """(1, H, W) log odds of metal by radiance alone: how much nearer metal's is.
+
+    Args:
+        target: the photograph.
+        levels: (2, 5) of the classes.
+    """
+    observed = target.linear.clamp_min(DARKEST).log()
+    off = []
+    for diffuse, mirrored in target.rendered(levels, target.flash.onto(target.normal)):
+        residual = observed - (diffuse + mirrored).clamp_min(DARKEST).log()
+        residual = torch.where(target.measured, residual, residual.clamp_min(0.0))
+        grey = residual.mean(0, keepdim=True)
+        colour = (residual - grey).square().sum(0, keepdim=True)
+        # Cauchy's distribution: relief in the wrong place is far off now and then.
+        tones = torch.log1p(grey.square() / KINDS.grey**2)
+        off.append(tones + torch.log1p(colour / KINDS.colour**2))
+    bare, rest = off
+    # Of a neighbourhood: kinds lie in patches, and relief turns to and from the light.
+    around = KINDS.patch * target.linear.shape[-1]
+    plane = cv2.GaussianBlur((rest - bare)[0].numpy(), (0, 0), around)
+    return torch.from_numpy(KINDS.counts * plane)[None]
+
+
+def _share(nearer: Tensor, drawn: Tensor, before: float) -> Tensor:
+    """(1, H, W) of each texel that is metal.
+
+    Args:
+        nearer, drawn: (1, H, W) log odds, by radiance and as the network drew it.
+        before: share of all that is metal.
+    """
+    common = min(max(before, KINDS.least_share), 1.0 - KINDS.least_share)
+    return torch.sigmoid(math.log(common / (1.0 - common)) + nearer + drawn)
+
+
+def _blackened(levels: Tensor, uniform: SurfaceParameters) -> Tensor:
+    """Levels whose metal has as little of a diffuse albedo in all channels as in the least."""
+    albedo = uniform.levels()[:3]
+    black = levels.clone()
+    black[0, :3] = (levels[0, :3] + albedo).min() - albedo
+    return black
