@@ -66,7 +66,11 @@ class CoarseSettings:
         crushed: share of a developed cell's brightest channel below which another tells nothing
             but that it is dark: saturated colours lie outside of what a file can hold.
         black: diffuse albedo of a conductor over its F0.
-        conductors: prior share of photographs that show a bare metal.
+        conductor_odds: nats of the prior by which a conductor must explain a photograph better.
+            Most photographs show none, and a falloff or tone curve that is off imitates one: with
+            2.6 (a prior share of 7 %) wood, limestone and brown leather become metal; bare steel
+            has 8 and more.
+        bluest: log F0 of a metal's blue over its red, at most.
         brightest: mean albedo or F0 of the brightest material believed in.
         most_albedo: or F0, under a known flash: no surface gives back all.
         prior_share_developed: share of the cells in which residuals of `huber` weigh like one
@@ -102,7 +106,8 @@ class CoarseSettings:
     alike: float = 0.003
     crushed: float = 0.02
     black: float = 0.005
-    conductors: float = 0.07
+    conductor_odds: float = 8.6
+    bluest: float = 0.1
     brightest: float = 0.8
     most_albedo: float = 0.98
     prior_share_developed: float = 0.15
@@ -202,7 +207,7 @@ class Falloff:
     """
 
     mean: tuple[float, float] = (0.3, 0.5)
-    deviation: tuple[float, float] = (0.2, 0.35)
+    deviation: tuple[float, float] = (0.35, 0.7)
 
 
 _DIELECTRIC_MEAN = Unknowns(
@@ -282,11 +287,11 @@ def fit_coarse(
         _fit_as(photo, cells, highlight, _prior(photo, tilt, falloff or Falloff(), conductor=metal))
         for metal in (False, True)
     )
-    unit = conductor.unit
-    share = math.log(COARSE.conductors / (1.0 - COARSE.conductors))
-    odds = (dielectric.cost - conductor.cost) / unit + share
-    chosen = conductor if odds > 0.0 else dielectric
-    return _coarse_fit(chosen, photo.fov, abs(odds))
+    odds = (dielectric.cost - conductor.cost) / conductor.unit - COARSE.conductor_odds
+    red, _, blue = conductor.best.albedo.tolist()
+    # No metal reflects blue better than red: what does is a black surface with a blue sheen.
+    is_metal = odds > 0.0 and blue < red + COARSE.bluest
+    return _coarse_fit(conductor if is_metal else dielectric, photo.fov, abs(odds))
 
 
 @dataclass(frozen=True)

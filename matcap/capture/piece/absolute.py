@@ -108,8 +108,8 @@ def most_probable_scale(exemplar: Exemplar, metal: NDArray[np.float32] | None = 
     """
     brightest = SCALE.most_of
     if metal is None:
-        logs = _logs(exemplar, np.ones_like(exemplar.height[0]))
-        factor = max((kind.scale(*logs) for kind in SCALE.kinds), key=lambda found: found[1])[0]
+        plain, _ = SCALE.kinds
+        factor = plain.scale(*_logs(exemplar, np.ones_like(exemplar.height[0])))[0]
     else:
         factor = _factor_of_parts(exemplar, metal)
         brightest = SCALE.most_of_metal

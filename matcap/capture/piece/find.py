@@ -27,6 +27,7 @@ from matcap.capture.piece.classes import Classes, find_mixture
 from matcap.capture.piece.contrast import even_contrast
 from matcap.capture.piece.equalise import equalise
 from matcap.capture.piece.finest import finest, sharpness
+from matcap.capture.piece.glints import scaled_by_glints
 from matcap.capture.piece.levels import LevelPrior, RingTarget, fit_levels
 from matcap.capture.piece.metal import believed, seen_colour, tint
 from matcap.capture.piece.network.inputs import network_inputs
@@ -416,6 +417,11 @@ def levelled(sight: Sight, reading: Reading) -> Reading:
     """Levels of the classes, then albedo of every texel, as the photograph has them."""
     flat = evened(sight, reading, reading.departures)
     reading = with_levels(sight, reading, flat)
+    plane = sight.plane
+    steep = scaled_by_glints(
+        reading.departures, plane.linear, plane.measured, sight.light, sight.noise
+    )
+    reading = with_levels(sight, reading, steep)
     return _rerendered(sight, reading, reading.departures)
 
 

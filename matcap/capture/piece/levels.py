@@ -14,12 +14,12 @@ glints were brighter than they look, and comparing clipped means would take them
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
-from matcap.brdf.parameters import REFLECTANCE, SurfaceParameters
+from matcap.brdf.parameters import SurfaceParameters
 from matcap.flash.light import FlashLight, Incidence
 
 DARKEST = 1e-5  # radiance
@@ -93,16 +93,21 @@ class RingTarget:
 
     def thinned(self, texels: int) -> RingTarget:
         """One texel of several, so that so many are left along the short side."""
-        every = slice(None, None, max(1, min(self.away.shape) // texels))
+        size = self.away.shape
+        every = slice(None, None, max(1, min(size) // texels))
+
+        def thin(plane: Tensor) -> Tensor:
+            return plane[..., every, every] if plane.shape[-2:] == size else plane
+
         planes = ("linear", "measured", "counts", "away", "normal")
-        thin = {name: getattr(self, name)[..., every, every] for name in planes}
-        thin["surface"] = SurfaceParameters(
-            *(
-                part[..., every, every] if part.shape[-2:] == self.away.shape else part
-                for part in (getattr(self.surface, name) for name in (*REFLECTANCE, "height"))
-            )
+        parts = (getattr(self.surface, each.name) for each in fields(SurfaceParameters))
+        return replace(
+            self,
+            **{name: thin(getattr(self, name)) for name in planes},
+            flash=self.flash.cut(every, every),
+            surface=SurfaceParameters(*(thin(part) for part in parts)),
+            hues=tuple(thin(hue) if isinstance(hue, Tensor) else hue for hue in self.hues),
         )
-        return replace(self, flash=self.flash.cut(every, every), **thin)
 
     def rendered(
         self, levels: Tensor, incidence: Incidence, duller: float = 0.0

@@ -14,7 +14,6 @@ from matcap.capture.method import FEATURES
 from matcap.capture.piece.adapt import adapt, corners
 from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import plane_of
-from matcap.flash.render import render_flash
 from matcap.flash.windows import cut_windows
 from matcap.statistics.filterbank import FilterBank
 
@@ -115,45 +114,3 @@ def test_relief_that_is_told_stands(shot, scene) -> None:
     free = adapt(weak, SEEN, scene, 20).change.relief
     told = adapt(weak, SEEN, scene, 20, doubt=(0.01,) * 6).change.relief
     assert abs(math.log(told)) < 0.5 * abs(math.log(free))
-
-
-def test_gloss_that_goes_with_relief_is_found(shot, scene) -> None:
-    """Told nothing of roughness but its mean, grooves come out rougher where they are."""
-    band = shot.maps.height - shot.maps.height.mean()
-    tied = torch.sigmoid(torch.logit(shot.maps.roughness) - 0.8 * band / band.std())
-    true = replace(shot.maps, roughness=tied.clamp(0.1, 0.9))
-    linear = render_flash(true, shot.uniform.setup, shot.points)
-    plane = plane_of(linear, linear.amax(0) < 0.98)
-    windows = cut_windows(plane, scene.bank, 96)
-    lit = replace(scene, windows=windows, encoding=plane.encoding)
-    even = torch.full_like(true.roughness, float(true.roughness.mean()))
-    found = adapt(replace(true, roughness=even), SEEN, lit, 40).maps
-    both = torch.stack([found.roughness.flatten(), true.roughness.flatten()])
-    assert float(torch.corrcoef(both)[0, 1]) > 0.4
-
-
-def test_gloss_that_goes_with_colour_is_found(shot, scene) -> None:
-    """Grey is metal and orange is rust: told one F0 for both, metal comes out as the glossier."""
-    relief = shot.maps.height[0]
-    metal = (relief > relief.median()).float()
-    colours = torch.tensor([[0.16, 0.08, 0.04], [0.05, 0.05, 0.05]])
-    true = replace(
-        shot.maps,
-        diffuse=(colours[0, :, None, None] * (1.0 - metal) + colours[1, :, None, None] * metal),
-        specular=(0.04 + 0.46 * metal)[None],
-        roughness=(0.8 - 0.4 * metal)[None],
-        height=0.0 * shot.maps.height,
-    )
-    linear = render_flash(true, shot.uniform.setup, shot.points)
-    linear = linear / linear.quantile(0.99)
-    plane = plane_of(linear, linear.amax(0) < 0.98)
-    windows = cut_windows(plane, scene.bank, 96)
-    lit = replace(scene, windows=windows, encoding=plane.encoding)
-    even = replace(
-        true,
-        specular=torch.full_like(true.specular, 0.1),
-        roughness=torch.full_like(true.roughness, 0.6),
-    )
-    found = adapt(even, SEEN, lit, 40).maps
-    parted = [float(found.specular[0][metal == kind].mean()) for kind in (0.0, 1.0)]
-    assert parted[1] > 1.5 * parted[0]

@@ -76,7 +76,7 @@ def test_a_leg_after_which_the_piece_looks_otherwise_is_not_taken(
     before = unexplained(sight, reading)
 
     def nearer(maps: MapSet, *_: object, **__: object) -> Adapted:
-        change = Change(2.0, 1.0, True, stronger, 0.0, 0.0, 0.0)
+        change = Change(2.0, 1.0, True, stronger, 0.0)
         return Adapted(replace(maps, height=stronger * maps.height), change=change)
 
     monkeypatch.setattr(sys.modules[adapted.__module__], "adapt", nearer)

@@ -1,4 +1,4 @@
-"""Metal beside what is none: told apart, and each given levels of its own."""
+"""Material classes: metal and a dielectric separated, each with levels of its own."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import torch
 from photographed import photographed
 
 from matcap.brdf.metals import METAL_F0
-from matcap.capture.piece.kind_levels import ShownKinds
-from matcap.capture.piece.kinds import Kinds, goes_with_metal, two_kinds
+from matcap.capture.piece.classes import Classes, Mixture, find_mixture, goes_with_metal
+from matcap.capture.piece.levels import RingTarget
 from matcap.capture.piece.refine import PieceLight
 from matcap.flash.geometry import highlight_foot
 from matcap.flash.render import render_flash
@@ -47,14 +47,14 @@ def photograph(metal: torch.Tensor, brightness: float = 1.0):
         roughness=light.departures(replace(grey, roughness=0.45 * one)).roughness,
     )
     x, y = highlight_foot(shot.uniform.setup)
-    shown = ShownKinds(
+    shown = RingTarget(
         linear=linear.clamp_max(1.0),
         measured=linear < 1.0,
         counts=torch.ones(HEIGHT, WIDTH, dtype=torch.bool),
         away=torch.hypot(shot.points[0] - x, shot.points[1] - y),
         flash=light.flash,
         normal=light.maps(read).normal,
-        uniform=light.uniform,
+        surface=light.uniform,
     )
     return shown, truth, read
 
@@ -66,23 +66,23 @@ def doubtful(metal: torch.Tensor) -> torch.Tensor:
     return metal - 0.5 + 0.5 * noise + torch.linspace(3.0, 0.0, WIDTH)
 
 
-def reached(kinds: Kinds, shown: ShownKinds) -> tuple[torch.Tensor, torch.Tensor]:
+def reached(mixture: Mixture, shown: RingTarget) -> tuple[torch.Tensor, torch.Tensor]:
     """(2,) F0 and (2, 3) albedo of metal and of the rest."""
-    levels = (shown.uniform.levels() + kinds.levels).exp()
+    levels = (shown.surface.levels() + mixture.classes.levels).exp()
     return levels[:, 3], levels[:, :3]
 
 
 @pytest.mark.parametrize("brightness", [0.05, 1.0])
-def test_each_kind_has_its_own_levels_though_they_were_read_alike(brightness: float) -> None:
+def test_each_class_has_its_own_levels_though_they_were_predicted_alike(brightness: float) -> None:
     metal = patches()
     shown, _, read = photograph(metal, brightness)
     clipped = float((~shown.measured).float().mean())
     assert (clipped > 0.02) == (brightness == 1.0)
-    kinds = two_kinds(read, doubtful(metal), shown)
-    assert kinds.believed(shown.uniform)
-    right = ((kinds.metal > 0.5) == (metal > 0.5)).float().mean()
+    mixture = find_mixture(read, doubtful(metal), shown)
+    assert mixture.likely(shown.surface)
+    right = ((mixture.classes.metal_share > 0.5) == (metal > 0.5)).float().mean()
     assert float(right) > 0.9
-    f0, albedo = reached(kinds, shown)
+    f0, albedo = reached(mixture, shown)
     assert float(f0[0]) == pytest.approx(brightness * 0.9 * float(GOLD.mean()), rel=0.3)
     assert float(f0[0] / f0[1]) > 6.0  # 16 in truth, 1 as read
     assert float((albedo[1] / (brightness * BOLE.flatten()) - 1.0).abs().max()) < 0.4
@@ -90,27 +90,34 @@ def test_each_kind_has_its_own_levels_though_they_were_read_alike(brightness: fl
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_one_kind_is_not_taken_for_two(share: float) -> None:
+def test_one_class_is_not_taken_for_two(share: float) -> None:
     metal = patches()
     shown, _, read = photograph(share * torch.ones_like(metal))
-    kinds = two_kinds(read, doubtful(metal), shown)
-    assert not kinds.believed(shown.uniform)
+    mixture = find_mixture(read, doubtful(metal), shown)
+    assert not mixture.likely(shown.surface)
 
 
-def test_departures_take_their_kinds_levels_and_keep_what_is_their_own() -> None:
+def test_texels_own_are_albedo_of_a_dielectric_and_f0_of_metal() -> None:
     metal = patches()
-    shown, _, read = photograph(metal)
+    _, truth, _ = photograph(metal)
+    levels = torch.tensor([[0.1] * 5, [-0.2] * 5])
+    classes = Classes(torch.cat([metal, 1.0 - metal]), (True, False), levels)
     grain = 0.1 * torch.sin(torch.arange(WIDTH) * 1.7).expand(1, HEIGHT, WIDTH)
-    kinds = two_kinds(read, doubtful(metal), shown)
-    told = kinds.told(replace(read, specular=read.specular + grain))
-    plain = kinds.told(read)
-    off = (told.specular - plain.specular) - grain
-    assert float(off.std()) < 0.03
-    weight = kinds.metal > 0.99
-    assert float(plain.specular[weight].mean()) == pytest.approx(
-        float(kinds.levels[0, 3]), abs=0.05
+    noisy = replace(
+        truth,
+        diffuse=truth.diffuse + grain,
+        specular=truth.specular + grain,
+        roughness=truth.roughness + grain,
     )
-    assert torch.equal(told.height, read.height)
+    settled, plain = classes.settled(noisy), classes.settled(truth)
+    assert torch.allclose(classes.means(settled), levels, atol=1e-5)
+    assert torch.equal(settled.height, truth.height)
+    bare = metal[0] > 0.5
+    off = settled.specular - plain.specular - grain
+    assert float(off[:, bare].std()) < 1e-3
+    assert float(settled.specular[:, ~bare].std()) < 1e-5
+    assert float(settled.diffuse[:, bare].std()) < 1e-5
+    assert sorted(settled.roughness.unique().tolist()) == pytest.approx([-0.2, 0.1])
 
 
 def test_what_goes_with_metal_is_told_beside_a_drift() -> None:
