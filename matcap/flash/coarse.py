@@ -106,7 +106,7 @@ class CoarseSettings:
     alike: float = 0.003
     crushed: float = 0.02
     black: float = 0.005
-    conductor_odds: float = 8.6
+    conductor_odds: float = 9.0
     bluest: float = 0.1
     brightest: float = 0.8
     most_albedo: float = 0.98

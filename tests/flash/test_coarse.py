@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from uniform import a_setup, photograph
 
-from matcap.flash.coarse import fit_coarse
+from matcap.flash.coarse import Falloff, fit_coarse
 
 # torch's forward-mode derivatives warn once, when first used.
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
@@ -116,15 +117,19 @@ def test_a_trend_of_colour_is_not_taken_for_the_light():
     assert fit.setup.tilt == pytest.approx((0.0, 0.0), abs=math.radians(1.5))
 
 
-def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials():
-    """Developed photographs lose light with r^4 on top of r^2; albedo and gloss are as without."""
+@pytest.mark.parametrize(
+    ("lost", "falloff"),
+    [((0.4, 0.9), None), ((0.6, 1.2), Falloff((0.6, 1.2), (0.1, 0.2)))],
+    ids=["as phones have it", "stronger, and known"],
+)
+def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials(lost, falloff):
+    """Photographs lose light with r^4 on top of r^2; albedo and gloss are as without."""
     setup, photo = made(roughness=0.5)
-    coned = replace(setup, vignetting=0.6, vignetting_quartic=1.2)
-    plain, cone = (
-        fit_coarse(replace(shot, radiometric=False))
-        for shot in (photo, photograph(coned, roughness=0.5))
-    )
-    assert cone.setup.vignetting_quartic > plain.setup.vignetting_quartic + 0.7
+    coned = replace(setup, vignetting=lost[0], vignetting_quartic=lost[1])
+    plain = fit_coarse(replace(photo, radiometric=False))
+    taken = replace(photograph(coned, roughness=0.5), radiometric=False)
+    cone = fit_coarse(taken, falloff=falloff)
+    assert cone.setup.vignetting_quartic > plain.setup.vignetting_quartic + 0.5 * lost[1]
     assert cone.residual < 0.03
     assert cone.roughness == pytest.approx(plain.roughness, abs=0.05)
     assert cone.specular / cone.diffuse[1] == pytest.approx(
@@ -132,6 +137,39 @@ def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials():
     )
 
 
-def test_a_raw_has_no_second_vignetting():
-    _, photo = made()
-    assert fit_coarse(photo).setup.vignetting_quartic == pytest.approx(0.0, abs=1e-3)
+def test_a_raw_shows_the_cone_as_well():
+    """The LED lights a cone in every format: gloss is as without."""
+    setup, photo = made(roughness=0.5)
+    plain = fit_coarse(photo)
+    cone = fit_coarse(photograph(replace(setup, vignetting_quartic=0.6), roughness=0.5))
+    lost = cone.setup.vignetting + cone.setup.vignetting_quartic
+    assert lost == pytest.approx(0.6, abs=0.2)
+    assert cone.roughness == pytest.approx(plain.roughness, abs=0.05)
+    assert np.mean(cone.diffuse) == pytest.approx(np.mean(plain.diffuse), rel=0.3)
+
+
+def _even(diffuse, specular, roughness):
+    """A photograph of an even surface under an unknown flash, with a little falloff of the lens."""
+    setup = replace(a_setup(offset=(0.05, 0.08, 0.0)), vignetting=0.3)
+    f0 = torch.tensor(specular, dtype=torch.float64)[:, None, None]
+    return photograph(setup, diffuse=diffuse, specular=f0, roughness=roughness)
+
+
+def test_a_conductor_is_told_from_a_dielectric():
+    steel = fit_coarse(_even((1e-4,) * 3, (0.55, 0.53, 0.5), 0.35))
+    assert steel.conductor and 0.3 < steel.specular < 0.8
+    assert max(steel.diffuse) < 0.01
+    paint = fit_coarse(_even((0.2, 0.1, 0.05), (0.04,) * 3, 0.35))
+    assert not paint.conductor and paint.specular == pytest.approx(0.04, rel=0.2)
+    assert paint.roughness == pytest.approx(0.35, abs=0.05)
+
+
+def test_what_reflects_blue_best_is_no_conductor():
+    assert not fit_coarse(_even((1e-4,) * 3, (0.3, 0.4, 0.55), 0.35)).conductor
+
+
+def test_a_known_falloff_is_kept():
+    photo = _even((0.2,) * 3, (0.04,) * 3, 0.8)
+    found = fit_coarse(photo, falloff=Falloff((0.3, 0.0), (0.01, 0.01))).setup
+    assert found.vignetting == pytest.approx(0.3, abs=0.05)
+    assert found.vignetting_quartic == pytest.approx(0.0, abs=0.05)

@@ -20,10 +20,12 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.detail import plane_in_detail, to_be_read
 from matcap.capture.piece.absolute import most_probable_scale, scaled
+from matcap.capture.piece.classes import Classes
 from matcap.capture.piece.find import (
     FoundPiece,
     Reading,
     Sight,
+    classified,
     confidence,
     evened,
     exemplar_of,
@@ -307,7 +309,7 @@ def _read_alone(plane: Plane, coarse: CoarseFit, network: Inverse, stage: Stage)
         sight, reading = read_piece(sight, network)
     with stage("strengths"):
         strengths = tell_strengths(sight, reading)
-        reading = strengthened(sight, reading, strengths)
+        sight, reading = classified(sight, strengthened(sight, reading, strengths))
     with stage("refine"), torch.no_grad():
         reading = levelled(sight, reading)
         exemplar = exemplar_of(sight, reading)
@@ -377,6 +379,7 @@ def _lent(sight: Sight, solved: Solved, hue: Tensor | None, views: Sequence[Piec
         seen = seen * ~sight.plane.left_out  # what nobody saw, or from too far aside
         unit = sight.plane.extent.unit(sight.plane.size[0])
     trusted = confidence(errors, np.asarray(seen.numpy(), np.float32), unit)
-    reading = Reading(sight.light.departures(maps), errors, trusted)
+    classes = Classes.whole(sight.glare.shape, metal=False)
+    reading = Reading(sight.light.departures(maps), errors, trusted, None, classes)
     reading = replace(reading, departures=evened(sight, reading, reading.departures))
     return lent(sight, reading, LEND.tried_at_once)
