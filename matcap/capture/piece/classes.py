@@ -96,16 +96,17 @@ class Mixture:
     agreed: float
 
     def likely(self, uniform: SurfaceParameters) -> bool:
-        """Whether one most probably is metal and the other none, and both explain the photograph.
+        """Whether one mirrors as metal does beside the other, and both explain the photograph.
 
         Args:
             uniform: what levels depart from.
         """
-        bare, rest = (how_metallic(uniform.levels() + level) for level in self.classes.levels)
+        bare, rest = self.classes.levels
         share = float(self.classes.metal_share.mean())
         return (
             min(share, 1.0 - share) > KINDS.least_share
-            and min(bare, -rest) > KINDS.sure
+            and float(bare[3] - rest[3]) > KINDS.contrast
+            and how_metallic(uniform.levels() + rest) < -KINDS.sure
             and self.off < KINDS.most_off
             and self.agreed > KINDS.agreed
         )
@@ -123,11 +124,15 @@ def find_mixture(departures: SurfaceParameters, logit: Tensor, target: RingTarge
     step = max(1, min(logit.shape[-2:]) // KINDS.texels)
     few, thin = target.thinned(KINDS.texels), drawn[:, ::step, ::step]
     metal = torch.sigmoid(thin)
-    predicted = levels = _pair(torch.sigmoid(drawn)).means(departures)
+    predicted = _pair(torch.sigmoid(drawn)).means(departures)
+    predicted[0, :3] = math.log(KINDS.black) - target.surface.levels()[:3]
+    levels = predicted
     plain, bare = SCALE.kinds
+    deviation = torch.tensor([*[KINDS.albedo] * 3, KINDS.specular, KINDS.roughness]).repeat(2, 1)
+    deviation[0, :3] = KINDS.black_deviation
     prior = LevelPrior(
         predicted,
-        torch.tensor([*[KINDS.albedo] * 3, KINDS.specular, KINDS.roughness]).expand(2, -1),
+        deviation,
         (bare.specular[0] - plain.specular[0], math.hypot(plain.specular[1], bare.specular[1])),
     )
     off = 0.0
@@ -141,7 +146,6 @@ def find_mixture(departures: SurfaceParameters, logit: Tensor, target: RingTarge
     metal = _share(nearer, drawn, float(metal.mean()))
     both = torch.stack([nearer.flatten(), drawn.flatten()])
     agreed = float(torch.corrcoef(both)[0, 1].nan_to_num())
-    levels = _blackened(levels, target.surface)
     return Mixture(replace(_pair(metal), levels=levels), off, agreed)
 
 
@@ -208,11 +212,3 @@ def _share(nearer: Tensor, drawn: Tensor, before: float) -> Tensor:
     """
     common = min(max(before, KINDS.least_share), 1.0 - KINDS.least_share)
     return torch.sigmoid(math.log(common / (1.0 - common)) + nearer + drawn)
-
-
-def _blackened(levels: Tensor, uniform: SurfaceParameters) -> Tensor:
-    """Levels whose metal has as little of a diffuse albedo in all channels as in the least."""
-    albedo = uniform.levels()[:3]
-    black = levels.clone()
-    black[0, :3] = (levels[0, :3] + albedo).min() - albedo
-    return black

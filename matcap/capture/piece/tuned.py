@@ -145,7 +145,9 @@ class KindSettings:
             borders off, less tears kinds apart by relief.
         counts: power of what a texel's radiance tells: not all it is off by is by chance.
         least_share: of either kind.
-        sure: log odds that a kind is metal, or none.
+        black, black_deviation: diffuse albedo of metal, and the deviation of its logarithm.
+        contrast: log F0 of metal over the rest's, at least; 2.5 as materials are.
+        sure: log odds that the rest is none.
         agreed: correlation of the photograph's and the network's telling of texels, below which
             there are no two kinds.
         most_off: of rings' log radiance; beyond, the two kinds are not what is seen: dimples of
@@ -164,6 +166,9 @@ class KindSettings:
     patch: float = 0.002
     counts: float = 3.0
     least_share: float = 0.03
+    black: float = 0.004
+    black_deviation: float = 0.3
+    contrast: float = 1.5
     sure: float = 1.0
     agreed: float = 0.4
     most_off: float = 0.12
