@@ -48,8 +48,8 @@ class LevelSettings:
     clipped: float = 0.05
     noise: float = 0.1
     huber: float = 0.3
-    most: float = 0.7
-    steps: int = 8
+    most: float = 0.4
+    steps: int = 16
     texels: int = 384
 
 

@@ -150,8 +150,7 @@ class KindSettings:
         sure: log odds that the rest is none.
         agreed: correlation of the photograph's and the network's telling of texels, below which
             there are no two kinds.
-        most_off: of rings' log radiance; beyond, the two kinds are not what is seen: dimples of
-            beaten metal, taken for matte, leave 0.14.
+        most_off: of rings' log radiance; beyond, the two classes are not what is seen.
     """
 
     around: float = 10.0
@@ -160,7 +159,7 @@ class KindSettings:
     rounds: int = 3
     albedo: float = 1.5
     specular: float = 2.0
-    roughness: float = 0.7
+    roughness: float = 0.35
     grey: float = 1.0
     colour: float = 0.2
     patch: float = 0.002
@@ -171,7 +170,7 @@ class KindSettings:
     contrast: float = 1.5
     sure: float = 1.0
     agreed: float = 0.4
-    most_off: float = 0.12
+    most_off: float = 0.17
 
 
 @dataclass(frozen=True)

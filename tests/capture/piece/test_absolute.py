@@ -36,8 +36,12 @@ def test_black_leather_whose_gloss_is_three_times_its_albedo_is_black() -> None:
     assert specular == pytest.approx(0.04, rel=0.25) and albedo < 0.02
 
 
-def test_a_metal_stays_one() -> None:
-    assert told(0.003, 0.8)[1] > 0.4
+def test_black_gloss_is_a_dielectric_unless_its_class_is_metal() -> None:
+    """Only the ratio of albedo to F0 is seen: whether it is metal is the coarse fit's to say."""
+    assert told(0.003, 0.8)[1] < 0.1
+    piece = exemplar(0.003, 0.8)
+    metal = np.ones_like(piece.height[0])
+    assert 0.8 * most_probable_scale(piece, metal) > 0.4
 
 
 def coloured(f0: tuple[float, float, float], metal: np.ndarray, level: float) -> Exemplar:
