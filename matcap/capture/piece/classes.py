@@ -107,7 +107,7 @@ class Mixture:
             min(share, 1.0 - share) > KINDS.least_share
             and float(bare[3] - rest[3]) > KINDS.contrast
             and how_metallic(uniform.levels() + rest) < -KINDS.sure
-            and self.off < KINDS.most_off
+            and self.off < KINDS.most_off * self.agreed
             and self.agreed > KINDS.agreed
         )
 

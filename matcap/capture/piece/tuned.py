@@ -150,7 +150,7 @@ class KindSettings:
         sure: log odds that the rest is none.
         agreed: correlation of the photograph's and the network's telling of texels, below which
             there are no two kinds.
-        most_off: of rings' log radiance; beyond, the two classes are not what is seen.
+        most_off: of rings' log radiance over `agreed`; beyond, the two classes are not what is seen.
     """
 
     around: float = 10.0
@@ -170,7 +170,7 @@ class KindSettings:
     contrast: float = 1.5
     sure: float = 1.0
     agreed: float = 0.4
-    most_off: float = 0.17
+    most_off: float = 0.2
 
 
 @dataclass(frozen=True)
