@@ -150,7 +150,7 @@ class KindSettings:
         sure: log odds that the rest is none.
         agreed: correlation of the photograph's and the network's telling of texels, below which
             there are no two kinds.
-        most_off: of rings' log radiance over `agreed`; beyond, the two classes are not what is seen.
+        most_off: of rings' log radiance over `agreed`; beyond, the classes explain too little.
     """
 
     around: float = 10.0
