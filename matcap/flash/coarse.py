@@ -65,12 +65,14 @@ class CoarseSettings:
         alike: log radiance, root-mean-square: fits that leave so much more explain as well.
         crushed: share of a developed cell's brightest channel below which another tells nothing
             but that it is dark: saturated colours lie outside of what a file can hold.
+        brightening: deviation of a falloff below 0: corners that gain light are room light's.
         black: diffuse albedo of a conductor over its F0.
         conductor_odds: nats of the prior by which a conductor must explain a photograph better.
             Most photographs show none, and a falloff or tone curve that is off imitates one: with
             2.6 (a prior share of 7 %) wood, limestone and brown leather become metal; bare steel
             has 8 and more.
         bluest: log F0 of a metal's blue over its red, at most.
+        dullest: roughness of a metal, at most: a photograph without any highlight shows none.
         brightest: mean albedo or F0 of the brightest material believed in.
         most_albedo: or F0, under a known flash: no surface gives back all.
         prior_share_developed: share of the cells in which residuals of `huber` weigh like one
@@ -105,9 +107,11 @@ class CoarseSettings:
     hidden: float = 0.02
     alike: float = 0.003
     crushed: float = 0.02
+    brightening: float = 0.02
     black: float = 0.005
     conductor_odds: float = 9.0
     bluest: float = 0.1
+    dullest: float = 0.8
     brightest: float = 0.8
     most_albedo: float = 0.98
     prior_share_developed: float = 0.15
@@ -291,6 +295,7 @@ def fit_coarse(
     red, _, blue = conductor.best.albedo.tolist()
     # No metal reflects blue better than red: what does is a black surface with a blue sheen.
     is_metal = odds > 0.0 and blue < red + COARSE.bluest
+    is_metal &= float(torch.sigmoid(conductor.best.roughness)) < COARSE.dullest
     return _coarse_fit(conductor if is_metal else dielectric, photo.fov, abs(odds))
 
 
@@ -673,6 +678,13 @@ class _Problem:
             return difference
         return torch.cat([difference, COARSE.huber * self._evidence(parameters, self.highlight)])
 
+    def brightening(self, parameters: Tensor) -> Tensor:
+        """(n,) precision at 0 that holds a falloff which has become negative."""
+        vignetting, precision = Unknowns.of(parameters).vignetting, Unknowns.of(self.precision)
+        nat = precision.intensity * _DIELECTRIC_DEVIATION.intensity.square()
+        held = torch.where(vignetting < 0.0, nat / COARSE.brightening**2, 0.0)
+        return replace(Unknowns.of(torch.zeros_like(parameters)), vignetting=held).vector()
+
     def cost(self, parameters: Tensor) -> float:
         """To be minimised."""
         r = self.residuals(parameters).abs()
@@ -680,6 +692,7 @@ class _Problem:
             r < COARSE.huber, 0.5 * r.square(), COARSE.huber * (r - 0.5 * COARSE.huber)
         )
         prior = 0.5 * ((parameters - self.prior).square() * self.precision).sum()
+        prior = prior + 0.5 * (parameters.square() * self.brightening(parameters)).sum()
         return float((self.weight * huber).sum() + prior)
 
 
@@ -807,8 +820,9 @@ def _levenberg_marquardt(problem: _Problem, start: Tensor, iterations: int) -> t
         r = problem.residuals(parameters)
         jacobian = _jacobian(problem.residuals, parameters, r)
         weight = each * COARSE.huber / r.abs().clamp_min(COARSE.huber)
-        normal = (jacobian * weight[:, None]).T @ jacobian + torch.diag(precision)
-        gradient = jacobian.T @ (weight * r) + precision * (parameters - prior)
+        held = problem.brightening(parameters)
+        normal = (jacobian * weight[:, None]).T @ jacobian + torch.diag(precision + held)
+        gradient = jacobian.T @ (weight * r) + precision * (parameters - prior) + held * parameters
         candidate, new = parameters, math.inf
         while not new < cost and damping < 1e6:
             damped = normal + damping * torch.diag(normal.diagonal())
