@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,15 +88,12 @@ def read_webp_or_avif(path: Path, form: str, long_side: int | None) -> tuple[Dec
     Raises:
         MatcapError: truncated, damaged, too small, too large, or this Pillow reads no AVIF.
     """
-    from PIL import features
-    from PIL.AvifImagePlugin import AvifImageFile
-    from PIL.WebPImagePlugin import WebPImageFile
-
-    if not features.check(form.lower()):
+    decoder = _pillow_decoder(form)
+    if decoder is None:
         raise unsupported(path, f"{form} by the Pillow that is installed")
     with decoding(path, form), warnings.catch_warnings(), path.open("rb") as file:
         warnings.simplefilter("ignore")
-        image: Any = (WebPImageFile if form == "WebP" else AvifImageFile)(file)
+        image: Any = decoder(file)
         check_size(path, *image.size)
         image.load()
         if image.mode not in _MODES:
@@ -113,6 +110,20 @@ def read_webp_or_avif(path: Path, form: str, long_side: int | None) -> tuple[Dec
     picture = _coded(pixels, stated_color(path), (*notes, *_hdr_notes(path)))
     exif = with_camera_matrix(exif, properties, image.size)
     return decode(picture, long_side, str(path), exif.orientation), exif
+
+
+def _pillow_decoder(form: str) -> Callable[[BinaryIO], Any] | None:
+    """Pillow's reader of a form; None where it was built without, or is older than AVIF in it."""
+    from PIL import features
+
+    try:
+        if form == "WebP":
+            from PIL.WebPImagePlugin import WebPImageFile as Reader
+        else:
+            from PIL.AvifImagePlugin import AvifImageFile as Reader  # type: ignore[assignment]
+    except ImportError:
+        return None
+    return Reader if features.check(form.lower()) else None
 
 
 def read_heic(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:

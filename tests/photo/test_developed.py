@@ -206,6 +206,13 @@ def test_webp_and_avif(tmp_path, codes, form):
     assert load_photo(tmp_path / f"b.{form}").fov_source == "exif"
 
 
+def test_a_pillow_without_avif_is_called_that(tmp_path, codes, monkeypatch):
+    Image.fromarray(codes).save(tmp_path / "a.avif")
+    monkeypatch.setitem(sys.modules, "PIL.AvifImagePlugin", None)
+    with pytest.raises(MatcapError, match="AVIF by the Pillow that is installed is not supported"):
+        load_photo(tmp_path / "a.avif")
+
+
 def test_a_thumbnail_before_the_picture_is_passed_over(tmp_path, codes):
     """A first page that says so, and one that only is smaller; masks are none either."""
     for options in ({"subfiletype": 1}, {}):
