@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from matcap.export.textures import Workflow
 
 
-def _listed(text: str) -> tuple[str, ...]:
-    return tuple(one.strip() for one in text.split(","))
+def _listed(text: str | Sequence[str]) -> tuple[str, ...]:
+    names = text.split(",") if isinstance(text, str) else text
+    return tuple(one.strip() for one in names)
 
 
 @dataclass(frozen=True)
