@@ -7,6 +7,7 @@ style distance (measures/nsd.py). Beside it what the maps tell, and what is true
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,10 +17,13 @@ from matcap.capture.piece.find import piece_maps
 from matcap.capture.pipeline import capture_file
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
+from matcap.flash.geometry import highlight_foot
 from matcap.lab.bench.methods import photo_as_albedo
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator, Intensity
+from matcap.lab.measures.gloss import highlight_contrast, imprint
+from matcap.lab.measures.lights import mirrored_scene
 from matcap.lab.measures.maps import numbers_beside
 from matcap.lab.simulate.photograph import Shot, as_photo
 from matcap.lab.simulate.specimen import Specimen, photograph
@@ -27,7 +31,9 @@ from matcap.lab.simulate.specimen import Specimen, photograph
 ABOUT = (
     "NSD: normalised style distance by SqueezeNet under new lights; 1 is indistinguishable from "
     "another sample (matcap/lab/measures/nsd.py). Tilt: mean, degrees; albedo: standard deviation "
-    "of its logarithm; roughness: mean; each beside that of true samples."
+    "of its logarithm; roughness: mean; each beside that of true samples. NSD mirrored: under five "
+    "lights whose mirror images are in the picture; highlight: contrast under them, found over "
+    "true; imprint: of the flash, by map, 0 is none (matcap/lab/measures/gloss.py)."
 )
 ALBEDO, EXEMPLAR, FIELD = "photograph as albedo", "exemplar", "field"
 
@@ -94,7 +100,7 @@ def nsd_experiment(
             EXEMPLAR: Configuration(_exemplar),
             FIELD: Configuration(_field),
         },
-        (nsd, map_numbers, capture_seconds),
+        (nsd, under_mirrored_lights, flash_imprint, map_numbers, capture_seconds),
         settings=(settings, evaluation),
     )
 
@@ -102,6 +108,37 @@ def nsd_experiment(
 def nsd(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
     """Normalised style distance."""
     return {"NSD": captured.evaluator.nsd_of(*maps)}
+
+
+def under_mirrored_lights(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
+    """NSD under mirrored lights; contrast of the highlight under them, found over true."""
+    evaluator, scene = captured.evaluator, mirrored_scene(captured.evaluator.flash)
+    middle = evaluator.middle(maps[0])
+    true = [math.log(highlight_contrast(one, scene)) for one in evaluator.truths]
+    found = math.log(highlight_contrast(middle, scene))
+    pictures = evaluator.relit(middle, maps[1], scene)
+    return {
+        "NSD mirrored": evaluator.nsd(pictures, scene=scene),
+        "highlight": math.exp(found - sum(true) / len(true)),
+    }
+
+
+def flash_imprint(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
+    """Imprint of the flash by map, in [-1, 1]; 0 is none."""
+    whole = maps[0]
+    if (
+        captured.result.found is None
+        or whole.size != piece_maps(captured.result.found.exemplar).size
+    ):
+        return {}
+    towards = highlight_foot(captured.result.material.setup)
+    logs = {
+        "albedo": whole.diffuse.mean(0).clamp_min(1e-3).log(),
+        "F0": whole.specular.mean(0).clamp_min(1e-3).log(),
+        "roughness": whole.roughness[0],
+        "height": whole.height[0] / whole.texel_size,
+    }
+    return {f"imprint {name}": imprint(plane, towards) for name, plane in logs.items()}
 
 
 def map_numbers(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:

@@ -20,6 +20,8 @@ _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 # Degrees from the plane's normal: well away from a flash beside the lens, and not yet grazing.
 _NEAREST, _FURTHEST = 25.0, 65.0
 _DISTANCES = (1.5, 3.0)  # plane units
+_MIRRORED = 5
+_STRAIGHT, _ASIDE = 5.0, 20.0  # degrees
 _ROWS = 128  # shaded at a time
 
 
@@ -69,6 +71,22 @@ def bench_scene(flash: FlashSetup) -> BenchScene:
         )
         strength = (distance / flash.distance) ** 2 / math.cos(polar)
         found.append(BenchLight(place, strength))
+    return BenchScene(flash.distance, tuple(found))
+
+
+def mirrored_scene(flash: FlashSetup) -> BenchScene:
+    """The photograph's camera and five lights whose mirror images lie in the picture.
+
+    At 5 to 20 degrees from the plane's normal and at the camera's height, as strong as of
+    `bench_scene`: only under such lights is gloss seen.
+    """
+    found = []
+    for index in range(_MIRRORED):
+        share = index / (_MIRRORED - 1)
+        polar = math.radians(_STRAIGHT + (_ASIDE - _STRAIGHT) * share)
+        around, aside = index * _GOLDEN_ANGLE, flash.distance * math.tan(polar)
+        place = (aside * math.cos(around), aside * math.sin(around), flash.distance)
+        found.append(BenchLight(place, math.cos(polar) ** -3))
     return BenchScene(flash.distance, tuple(found))
 
 

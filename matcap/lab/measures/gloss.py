@@ -1,0 +1,89 @@
+"""How strong highlights are under mirrored lights, and what a photograph's flash left in maps."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.maps import MapSet
+from matcap.flash.geometry import plane_points
+from matcap.flash.render import shade
+from matcap.lab.measures.lights import BenchScene
+
+NEAR, FAR = 0.06, 0.3  # plane units from the mirror point
+_OCTAVES, _SECTORS = 5, 8
+_LEAST = 0.01  # of the strongest octave's energy
+_RINGS = 0.84  # of the shorter half side: radii whose rings lie in the map whole
+
+
+def mirror_point(scene: BenchScene, place: tuple[float, float, float]) -> tuple[float, float]:
+    """Where a mirror in the plane shows the scene's camera a light at a place; plane units."""
+    share = scene.distance / (scene.distance + place[2])
+    return share * place[0], share * place[1]
+
+
+def highlight_contrast(maps: MapSet, scene: BenchScene) -> float:
+    """Mean radiance at the mirror point over an even matte surface's, relative to far from it.
+
+    Geometric mean over the scene's lights; 1 is a matte surface.
+
+    Args:
+        maps: in the middle of the plane, wide enough to hold every light's mirror point.
+        scene: camera and lights.
+    """
+    width, height = maps.size
+    half = maps.texel_size * width / 2.0
+    points = half * plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    camera, one = torch.tensor([0.0, 0.0, scene.distance]), torch.ones(1, height, width)
+    matte = MapSet(0.2 * one.expand(3, -1, -1), 1e-6 * one, one, 0.0 * one, maps.texel_size)
+    floats = maps.map(lambda m: m.detach().float())
+    logs = []
+    for light in scene.lights:
+        place, power = torch.tensor(light.place), torch.full((3,), light.strength)
+        lit, even = (shade(each, points, camera, place, power).mean(0) for each in (floats, matte))
+        x, y = mirror_point(scene, light.place)
+        away = torch.hypot(points[0] - x, points[1] - y)
+        ratio = lit / even
+        logs.append((ratio[away < NEAR].mean() / ratio[away > FAR].mean()).log())
+    return float(torch.stack(logs).mean().exp())
+
+
+def imprint(plane: Tensor, towards: tuple[float, float]) -> float:
+    """What of a map is drawn in rings around the flash's mirror point, in [-1, 1]; 0 if nothing.
+
+    Energy of gradients towards the point less that across, over their sum, averaged over sectors
+    of rings that lie in the map whole; of the octave in which it is largest.
+
+    Args:
+        plane: (H, W) a map, or its logarithm.
+        towards: the point, in halves of the width from the middle.
+    """
+    values = plane.detach().numpy().astype(np.float32)
+    height, width = values.shape
+    v, u = np.mgrid[:height, :width] + 0.5
+    x, y = u - (towards[0] + 1.0) * width / 2.0, v - (height - towards[1] * width) / 2.0
+    away = np.maximum(np.hypot(x, y), 1.0)
+    whole = away < _RINGS * 0.5 * min(height, width)
+    sector = (np.arctan2(y, x) / (2.0 * np.pi) % 1.0 * _SECTORS).astype(int) % _SECTORS
+    energies = []
+    for octave in range(_OCTAVES):
+        band = _blurred(values, 2.0**octave) - _blurred(values, 2.0 ** (octave + 1))
+        down, across = np.gradient(band)
+        radial = np.square((across * x + down * y) / away)
+        around = np.square((across * -y + down * x) / away)
+        sums = [
+            (radial[whole & (sector == k)].mean(), around[whole & (sector == k)].mean())
+            for k in range(_SECTORS)
+        ]
+        energies.append(np.array(sums).mean(0))
+    # An octave in which next to nothing is drawn says nothing.
+    least = max(_LEAST * max(float(each.sum()) for each in energies), 1e-12)
+    found = [float((a - b) / (a + b)) for a, b in energies if a + b > least]
+    return max(found, key=abs, default=0.0)
+
+
+def _blurred(plane: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
+    return np.asarray(cv2.GaussianBlur(plane, (0, 0), deviation), np.float32)
