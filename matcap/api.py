@@ -57,11 +57,12 @@ def __getattr__(name: str) -> object:
     return getattr(import_module(_HOMES[name]), name)
 
 
-def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
-    """Turn a flash photograph into a material.
+def capture(path: str | Path, *others: str | Path, **settings: Any) -> Material:  # noqa: ANN401
+    """Turn a flash photograph into a material, or several of one piece.
 
     Args:
         path: RAW (DNG and others), JPEG, PNG or TIFF.
+        others: more photographs of the same piece, from other places (--together).
         settings: fields of matcap.capture.settings.CaptureSettings: preset, steps, time_limit
             (seconds), detail (texels along the long side), fov (degrees), seed, prior.
 
@@ -76,7 +77,7 @@ def capture(path: str | Path, **settings: Any) -> Material:  # noqa: ANN401
     from matcap.capture.pipeline import capture_file
     from matcap.capture.settings import CaptureSettings
 
-    return capture_file(path, CaptureSettings.of(settings)).material
+    return capture_file(path, CaptureSettings.of(settings), others=others).material
 
 
 def relight(

@@ -25,7 +25,7 @@ from matcap.capture.progress import (
     CaptureProgress,
 )
 from matcap.capture.result import CaptureResult
-from matcap.capture.settings import CaptureSettings, OutputSettings, resolve
+from matcap.capture.settings import CaptureSettings, OutputSettings, check_union, resolve
 from matcap.capture.target import CaptureStart, photograph_target
 from matcap.capture.upright import upright
 from matcap.errors import MatcapError, UsageError
@@ -125,6 +125,7 @@ def capture_into(
 def _read_and_captured(
     paths: Sequence[str | Path], settings: CaptureSettings, clock: CaptureClock
 ) -> CaptureResult:
+    check_union(settings, len(paths))  # before anything is read
     with clock.stage("read"):
         several = len(paths) > 1
         photo, *more = (read_photograph(path, settings, several=several) for path in paths)
@@ -150,7 +151,7 @@ def capture_photo(
         others: more photographs of the same sample (flash/joint.py); the result shows the first.
 
     Raises:
-        UsageError: an unknown preset.
+        UsageError: an unknown preset, or a union of one photograph.
         MatcapError: a photograph nothing can be made of, or a prior that cannot be read.
     """
     return capture_under(
@@ -178,6 +179,7 @@ def capture_under(
     others: Sequence[Photo],
 ) -> CaptureResult:
     """The stages between reading and writing; see capture_photo."""
+    check_union(settings, 1 + len(others))
     if others and settings.generator == "example":
         return _captured_together([photo, *others], settings, clock)
     effort = resolve(settings, method)

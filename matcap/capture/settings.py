@@ -267,6 +267,16 @@ class OutputSettings:
         return mapset_bytes(*self.size, png=self.png) + exports + _BESIDES
 
 
+def check_union(settings: CaptureSettings, photographs: int) -> None:
+    """Raise UsageError where one photograph alone is to be a union."""
+    if settings.union and photographs < 2:
+        raise UsageError(
+            "one photograph alone is no union",
+            where="--union",
+            remedy="give two or more of one piece, and --together",
+        )
+
+
 def resolve(settings: CaptureSettings, method: Method | None = None) -> Effort:
     """What a capture with these settings spends.
 

@@ -43,7 +43,8 @@ def open_field(asked: SynthRequest) -> tuple[SynthRequest, OpenedField]:
     Raises:
         MatcapError: a file is missing, damaged, or no material; the mask is no picture; the device
             is not there, or does not compute in this precision.
-        UsageError: a period out of range, or no exemplar where one was asked for.
+        UsageError: a period out of range, no exemplar where one was asked for, or a network's
+            option where there is none.
     """
     if asked.tile == "piece":
         _check_piece(asked)
@@ -56,6 +57,8 @@ def open_field(asked: SynthRequest) -> tuple[SynthRequest, OpenedField]:
         source, name, provenance, choice = _of_exemplar(asked, held)
     else:
         source, name, provenance, choice = _of_material(asked)
+    if choice is None:
+        _refuse_networks_options(asked)
     if asked.tile == "piece":
         width, height = source.period or (0, 0)
         asked = replace(asked, area=Rectangle(0, 0, width or 0, height or 0))
@@ -65,6 +68,17 @@ def open_field(asked: SynthRequest) -> tuple[SynthRequest, OpenedField]:
     provenance |= {"variety": asked.read.variety} if asked.read.variety is not None else {}
     info = MapSetInfo(asked.name or name, asked.seed, (asked.area.x, asked.area.y), provenance)
     return asked, OpenedField(adjusted_source(source, adjust), info, choice)
+
+
+def _refuse_networks_options(asked: SynthRequest) -> None:
+    """A photographed piece is rearranged in whole numbers, on the processor."""
+    given = {"--precision": asked.precision != "fp32", "--device": asked.device == "cuda"}
+    for option in (option for option, holds in given.items() if holds):
+        raise UsageError(
+            "only the paper's network is computed in a precision and on a device",
+            where=option,
+            remedy="leave it out, or give --generator decoder",
+        )
 
 
 _Found = tuple["Source", str, dict[str, Any], "ChosenPrecision | None"]

@@ -5,6 +5,7 @@ import inspect
 import pickle
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -71,3 +72,20 @@ def test_capture_hands_its_settings_on(pipeline, photo):
     assert (call.long_side, call.fov, call.settings.preset) == (256, 50.0, "draft")
     with pytest.raises(TypeError, match="speed"):
         matcap.capture(photo, speed="fast")
+
+
+def test_several_photographs_of_one_piece_are_read_together(monkeypatch):
+    read = []
+
+    def captured(path, settings, others):
+        read.extend([path, *others, settings.union])
+        return SimpleNamespace(material="one")
+
+    monkeypatch.setattr("matcap.capture.pipeline.capture_file", captured)
+    assert matcap.capture("a.dng", "b.dng", "c.dng", union=True) == "one"
+    assert read == ["a.dng", "b.dng", "c.dng", True]
+
+
+def test_a_union_of_one_photograph_is_refused(photo):
+    with pytest.raises(matcap.MatcapError, match="one photograph alone is no union"):
+        matcap.capture(photo, preset="instant", union=True)
