@@ -8,7 +8,6 @@ from matcap.flash.coarse import CoarseFit
 from matcap.flash.geometry import FlashSetup
 from matcap.lab.train.corpus import srgb_bytes
 from matcap.lab.train.pack import Entry, Pack
-from matcap.space.alignment import Alignment
 from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.encoder import Encoder, EncoderConfig
 from matcap.space.prior.anchors import Habits
@@ -77,7 +76,7 @@ def small_prior(seed: int) -> Prior:
         0.1 * torch.eye(VARYING),
     )
     encoder = Encoder(EncoderConfig(width=64)).eval()
-    return Prior(encoder, decoder, Alignment().eval(), habits, {"steps": 0})
+    return Prior(encoder, decoder, habits, {"steps": 0})
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,7 @@ from matcap.capture.piece.find import FoundPiece, piece_maps
 from matcap.capture.progress import CaptureClock
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import CaptureSettings, Effort
+from matcap.capture.tilt import tilt_document
 from matcap.capture.verdict.evidence import evidence
 from matcap.capture.verdict.judge import judge
 from matcap.capture.verdict.marks import marks
@@ -96,6 +97,7 @@ def provenance(
             "roughness": coarse.roughness,
             "residual": coarse.residual,
             "lobes": [list(lobe) for lobe in coarse.lobes],
+            "tilt_degrees": tilt_document(coarse),
         },
     }
     return told | ({"others": joined} if joined else {})

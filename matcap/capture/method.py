@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from matcap.statistics.compare import Weights
 from matcap.statistics.filterbank import FilterBankConfig
 
 if TYPE_CHECKING:
@@ -31,3 +32,7 @@ class Method:
     """At the end, instead of as the preset says."""
     adapted: int | None = None
     """Steps of the exemplar, instead of the preset's."""
+    weights: Weights = Weights()
+    """Of the statistics that textures are compared by."""
+    measured_tilt: bool = True
+    """Whether the alignment branch is asked."""

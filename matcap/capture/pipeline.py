@@ -27,11 +27,11 @@ from matcap.capture.progress import (
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings, OutputSettings, check_union, resolve
 from matcap.capture.target import CaptureStart, photograph_target
+from matcap.capture.tilt import fitted
 from matcap.capture.upright import upright
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
 from matcap.files.interrupts import postponed
-from matcap.flash.coarse import fit_coarse, under_flash
 from matcap.flash.likeness import PhotographTarget
 from matcap.flash.mirror import lit_mirror
 from matcap.flash.plane import Plane
@@ -184,7 +184,7 @@ def capture_under(
         return _captured_together([photo, *others], settings, clock)
     effort = resolve(settings, method)
     with clock.stage("coarse fit"):
-        coarse = under_flash(fit_coarse(photo), photo.flash_intensity)
+        coarse = fitted(photo, measured=method.measured_tilt)
         detail = settings.detail_of(max(photo.pixels.shape))
         plane, lattice = plane_in_detail(photo, coarse.setup, detail)
         plane = lit_mirror(plane, coarse)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from matcap.capture.tilt import tilt_line
 from matcap.capture.verdict.rating import Rating
 from matcap.files.srgb import srgb_picture
 from matcap.files.staging import staged_file
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.capture.piece.find import FoundPiece
     from matcap.capture.result import CaptureResult
-    from matcap.capture.verdict.judge import CaptureVerdict
     from matcap.flash.geometry import FlashSetup
 
 _COLUMNS = 4  # panels side by side
@@ -93,7 +93,7 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             if several.reach is not None:
                 whole = block(list(whole_panels(result, result.found)))
                 blocks.insert(2, titled(whole, several.reach.says()))
-    blocks.insert(0, _headline(result.verdict, blocks[0].width))
+    blocks.insert(0, _headline(result, blocks[0].width))
     return stacked(blocks)
 
 
@@ -108,13 +108,17 @@ def stacked(blocks: Sequence[Image.Image]) -> Image.Image:
     return sheet
 
 
-def _headline(verdict: CaptureVerdict, width: int) -> Image.Image:
-    """The verdict, across the sheet."""
+def _headline(result: CaptureResult, width: int) -> Image.Image:
+    """The verdict and where the tilt is from, across the sheet."""
+    verdict, sources = result.verdict, result.tilt_sources
     lines = textwrap.wrap(f"Verdict: {verdict.sentence()}", _VERDICT_WIDTH)
-    line = Image.new("RGB", (width, 20 + 28 * len(lines)), _PAPER)
-    font = ImageFont.load_default(size=20)
-    text = "\n".join(lines)
-    ImageDraw.Draw(line).text((_GAP, 12), text, fill=_RATED[verdict.rating], font=font, spacing=6)
+    below = textwrap.wrap(tilt_line(sources), _VERDICT_WIDTH) if sources else []
+    line = Image.new("RGB", (width, 20 + 28 * (len(lines) + len(below))), _PAPER)
+    draw, font = ImageDraw.Draw(line), ImageFont.load_default(size=20)
+    ink = _RATED[verdict.rating]
+    draw.text((_GAP, 12), "\n".join(lines), fill=ink, font=font, spacing=6)
+    y = 12 + 28 * len(lines)
+    draw.text((_GAP, y), "\n".join(below), fill=_INK, font=font, spacing=6)
     return line
 
 

@@ -14,7 +14,9 @@ Keys:
     warnings: what may have hurt, a sentence each.
     notes: what was noticed about the file, a sentence each.
     photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share.
-    camera: `fov_degrees` and where it is from, distance, `tilt_degrees`, flash offset and
+    camera: `fov_degrees` and where it is from, distance, `tilt_degrees`, `tilt_sources` (degrees
+        about x and y: `used`, `branch`, which is the alignment branch's with its standard deviation
+        `branch_std`, and `picture`, which is the coarse fit's without it), flash offset and
         intensity, vignetting with r^2 and r^4.
     texel_size: plane units.
     settings: that were asked for.
@@ -120,6 +122,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
             "fov_source": photo.fov_source,
             "distance": setup.distance,
             "tilt_degrees": [math.degrees(angle) for angle in setup.tilt],
+            "tilt_sources": result.tilt_sources,
             "flash_offset": list(setup.offset),
             "flash_intensity": list(setup.intensity),
             "vignetting": setup.vignetting,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +70,12 @@ class CaptureResult:
     interrupted: bool
     found: FoundPiece | None = None
     tuning: Tuning | None = None
+
+    @property
+    def tilt_sources(self) -> Mapping[str, Any] | None:
+        """Degrees: what was used, what the branch and what the picture says (capture/tilt.py)."""
+        coarse: Mapping[str, Any] = self.material.provenance.get("coarse", {})
+        return coarse.get("tilt_degrees")
 
     @property
     def errors(self) -> dict[str, float | None]:

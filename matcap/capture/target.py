@@ -9,6 +9,7 @@ from typing import Any
 
 from matcap.capture.method import Method
 from matcap.capture.settings import CaptureSettings
+from matcap.capture.tilt import fitted
 from matcap.capture.vgg_weights import load_vgg19
 from matcap.flash.coarse import CoarseFit
 from matcap.flash.joint import join
@@ -62,9 +63,11 @@ def photograph_target(
         bank,
         shot.waves,
         plane.texel_size,
+        weights=method.weights,
         expected=coarse.logits(),
     )
-    return join(target, coarse, shot.others, plane.size[0]) if shot.others else (target, [])
+    others = [(photo, fitted(photo)) for photo in shot.others]
+    return join(target, coarse, others, plane.size[0]) if others else (target, [])
 
 
 def _features(settings: CaptureSettings, method: Method) -> Features:

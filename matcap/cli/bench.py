@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -493,6 +494,39 @@ def report(
     more = {table: agreement(table) for table in tables}
     write_page(told, out, ["matcap", *sys.argv[1:]], more)
     typer.echo(str(out))
+
+
+@app.command()
+def paper(
+    sets: Annotated[Path, typer.Argument(metavar="FOLDER", help="Of artists' map sets.")],
+    out: OutOption = Path("bench/paper"),
+    material: OnlyOption = None,
+    configuration: OnlyOption = None,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Of fine-tuning; as of `standard` by default.")
+    ] = None,
+    vgg16: Annotated[
+        Path | None, typer.Option(help="VGG-16's weights (safetensors), for its own columns.")
+    ] = None,
+) -> None:
+    """The tables of Henzler et al. 2021 for their generator and for the default.
+
+    Photographs map sets, captures each by the default, by the decoder, and by the decoder without
+    one part each; compares style under the flash and ten other lights, diversity, colour and time.
+    Writes paper.csv and paper.md, the paper's own figures beside, and prints the page.
+    """
+    from matcap.files.staging import staged_file
+    from matcap.lab.bench.paper_tables import PaperSettings, paper_experiment, paper_page
+    from matcap.lab.experiment.runner import choose
+    from matcap.lab.simulate.specimen import subjects
+
+    experiment = paper_experiment(subjects(material or (), sets), out, PaperSettings(steps, vgg16))
+    chosen = choose(experiment.configurations, configuration or ())
+    rows = _measured(replace(experiment, configurations=chosen), out)
+    page = paper_page(rows, shlex.join(["matcap", *sys.argv[1:]]))
+    with staged_file(out / "paper.md") as file:
+        file.write_text(page, encoding="utf-8")
+    typer.echo(page)
 
 
 def _measured(experiment: Experiment[Any, Any], out: Path) -> list[Trial]:

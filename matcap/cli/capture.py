@@ -57,7 +57,9 @@ def capture(
 
     Writes for each photograph, into a folder of its name: the material (.matcap), a first map
     set, preview.png and report.json. Ends with a verdict: good, usable, doubtful or failed, with
-    the likely cause and what to do. Ctrl-C ends with the best so far, saved.
+    the likely cause and what to do. Ctrl-C ends with the best so far, saved. By default the maps of
+    the photographed piece are found and rearranged; --generator decoder fine-tunes the decoder of
+    Henzler et al. 2021 instead. Both take the tilt that its alignment branch measures.
     """
     from matcap.cli.capture_display import display
     from matcap.files.staging import check_writable

@@ -97,6 +97,7 @@ def inspect(
 def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], str]:
     """What is found, for JSON and as text."""
     from matcap.capture.inspection import inspect_file
+    from matcap.capture.tilt import tilt_line
 
     inspected = inspect_file(path, detail, fov)
     found, told = inspected.quality, inspected.strengths
@@ -104,7 +105,9 @@ def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], 
     lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in found.findings]
     strengths = told.document() if told else None
     lines += [f"     {name:<13} {says}" for name, says in _strengths(strengths)]
-    document = found.document() | {"strengths": strengths}
+    if inspected.tilt is not None:
+        lines.append(f"     {'tilt from':<13} {tilt_line(inspected.tilt)}")
+    document = found.document() | {"strengths": strengths, "tilt_sources": inspected.tilt}
     return document, "\n".join(lines)
 
 

@@ -46,7 +46,10 @@ _REPORT = "please report it with the output of the same command under MATCAP_DEB
 
 app = typer.Typer(
     name="matcap",
-    help="One phone flash photograph in, an endless generator of SVBRDF maps out.",
+    help="One phone flash photograph in, an endless generator of SVBRDF maps out. After Henzler, "
+    'Deschaintre, Mitra and Ritschel 2021, "Generative Modelling of BRDF Textures from Flash '
+    'Images": their generator is --generator decoder; the default rearranges the maps of the '
+    "photographed piece (docs/guide/paper.md).",
     epilog="Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 nothing succeeded, "
     "4 some inputs failed, 130 interrupted.",
     no_args_is_help=True,

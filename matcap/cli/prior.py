@@ -87,31 +87,63 @@ def finish(
     config: Annotated[Path, typer.Option(help="The TOML it was trained with.")],
     training: Annotated[Path, typer.Option(help="Folder that `prior train` wrote to.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The prior.")],
-    tilted: Annotated[
-        int, typer.Option(min=16, help="Simulated photographs to train the alignment branch on.")
-    ] = 3000,
-    steps: Annotated[int, typer.Option(min=1, help="Of the alignment branch's training.")] = 3000,
-    alignment: Annotated[
-        Path | None, typer.Option(help="A prior whose alignment branch is taken over instead.")
-    ] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Make a prior of a finished training, its alignment branch included."""
-    from matcap.lab.train.align import make, train_alignment
+    """Make a prior of a finished training."""
     from matcap.lab.train.finish import finish as run
     from matcap.lab.train.pack import Pack
     from matcap.lab.train.state import start
-    from matcap.space.prior.store import load_prior
 
     state = start(_config(config), "cpu")
     state.load(training)
-    if alignment is not None:
-        branch = load_prior(alignment).alignment
-    else:
-        branch = train_alignment(make(range(tilted)), steps, on_progress=_teller(quiet))
     kept = state.average
-    about = {"steps": state.step}
-    run(kept.encoder, kept.decoder, branch, Pack.load(pack).training, about).save(out)
+    run(kept.encoder, kept.decoder, Pack.load(pack).training, {"steps": state.step}).save(out)
+    if not quiet:
+        typer.echo(f"wrote {out}", err=True)
+
+
+@app.command()
+def align(
+    out: Annotated[Path, typer.Option("--out", "-o", help="The branch.")],
+    materials: Annotated[
+        int, typer.Option(min=16, help="Simulated materials, each photographed three times.")
+    ] = 2000,
+    steps: Annotated[int, typer.Option(min=1, help="Of 24 photographs.")] = 8000,
+    quiet: QuietOption = False,
+) -> None:
+    """Train the alignment branch, which tells every capture the tilt, on simulated photographs."""
+    from matcap.files.staging import check_writable
+    from matcap.lab.train.align import make, report_alignment, train_alignment
+    from matcap.space.alignment import save_alignment
+
+    check_writable(out.parent, 2_000_000)
+    branch = train_alignment(make(range(materials)), steps, on_progress=_teller(quiet))
+    save_alignment(out, branch)
+    typer.echo(report_alignment(branch))
+
+
+@app.command()
+def make(
+    out: Annotated[Path, typer.Option("--out", "-o", help="The prior; its card lies beside it.")],
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="[FOLDER]", help="Of photographs named MATERIAL_*.jpg.")
+    ] = None,
+    recipe: Annotated[
+        Path | None, typer.Option(help="TOML; the one that comes with matcap by default.")
+    ] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Make a prior of photographs: corpus, training, finishing, alignment branch and card.
+
+    Hours of a processor core, resumable: the same command goes on where an earlier one ended, from
+    what it left in the folder of the prior's name.
+    """
+    from matcap.files.staging import check_writable
+    from matcap.lab.train.make import make_prior
+    from matcap.space.prior.store import SHIPPED
+
+    check_writable(out.parent, 200_000_000)
+    make_prior(folder, recipe or SHIPPED.parent / "make.toml", out, _teller(quiet))
     if not quiet:
         typer.echo(f"wrote {out}", err=True)
 

@@ -1,5 +1,8 @@
 """Tensors in a safetensors file, written whole or not at all, with a digest of all of it.
 
+Files to be read may be a stranger's: nothing in them is executed, and every tensor's shape is
+compared with what is expected before it is read.
+
 A flipped byte in a tensor is another number, which nobody would see: the metadata's entry `digest`
 tells. It is of everything but itself, the other metadata and all tensors' bytes.
 """
@@ -9,9 +12,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
@@ -52,3 +57,40 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
     with staged_file(path) as file, file.open("wb") as opened:
         opened.write(len(header).to_bytes(8, "little") + header.encode())
         opened.write(content)
+
+
+@dataclass(frozen=True)
+class StoredTensors:
+    """An open file.
+
+    Attributes:
+        file: as safetensors opens it, for PyTorch.
+        path: where it is.
+        remedy: what to do when it is no good.
+    """
+
+    file: safe_open
+    path: Path
+    remedy: str
+
+    def tensor(self, name: str, shape: tuple[int, ...]) -> Tensor:
+        """One tensor as float32.
+
+        Raises:
+            MatcapError: it is missing, of another shape, or holds NaN or infinity; names it.
+        """
+        try:
+            found = tuple(self.file.get_slice(name).get_shape())
+        except SafetensorError as error:
+            raise self._fault(f"the tensor {name} is missing") from error
+        if found != shape:
+            raise self._fault(f"the tensor {name} has shape {found}, expected {shape}")
+        # A copy, because the file's own lie wherever the file has them, and products of matrices
+        # round as their operands are aligned: what was saved would differ from itself by a bit.
+        value: Tensor = self.file.get_tensor(name).to(torch.float32, copy=True)
+        if not bool(torch.isfinite(value).all()):
+            raise self._fault(f"the tensor {name} holds NaN or infinity")
+        return value
+
+    def _fault(self, what: str) -> MatcapError:
+        return MatcapError(what, where=str(self.path), remedy=self.remedy)

@@ -131,6 +131,25 @@ COARSE = CoarseSettings()
 
 
 @dataclass(frozen=True)
+class TiltPrior:
+    """A Gaussian measurement of both tilt angles from elsewhere (space/alignment.py).
+
+    Attributes:
+        mean: (tilt_x, tilt_y) in radians.
+        std: their standard deviations, radians.
+    """
+
+    mean: tuple[float, float]
+    std: tuple[float, float]
+
+    def times(self, mean: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation of its product with another Gaussian, (2,) each."""
+        own, other = _numbers(*self.std).pow(-2), std.pow(-2)
+        precision = own + other
+        return (own * _numbers(*self.mean) + other * mean) / precision, precision.rsqrt()
+
+
+@dataclass(frozen=True)
 class CoarseFit(Uniform):
     """The uniform material that comes nearest to a photograph.
 
@@ -140,12 +159,17 @@ class CoarseFit(Uniform):
         odds: by how much its cost is lower than the other hypothesis's, in nats of the prior.
         lobes: (share, roughness) of the two lobes that the highlight is best made of, the narrow
             one first; `roughness` is the one lobe that comes nearest.
+        tilt_prior: the measurement of the tilt that was given, if any.
+        picture_tilt: (tilt_x, tilt_y) in radians that the picture's cells alone come to, where
+            there was one.
     """
 
     residual: float
     lobes: tuple[tuple[float, float], ...] = ()
     conductor: bool = False
     odds: float = math.inf
+    tilt_prior: TiltPrior | None = None
+    picture_tilt: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -275,20 +299,29 @@ class _Cells:
 
 
 def fit_coarse(
-    photo: Photo, *, tilt: tuple[float, float] | None = None, falloff: Falloff | None = None
+    photo: Photo,
+    *,
+    tilt: tuple[float, float] | None = None,
+    tilt_prior: TiltPrior | None = None,
+    falloff: Falloff | None = None,
 ) -> CoarseFit:
     """Fit a uniform material and its setup to a photograph, in about a second.
 
     Args:
         photo: any size; only its blurred form is looked at.
-        tilt: (tilt_x, tilt_y) in radians when something better knows them (the alignment branch);
-            held fixed then.
+        tilt: (tilt_x, tilt_y) in radians where they are known; held fixed then.
+        tilt_prior: a measurement of them, which the picture's own evidence is weighed against.
         falloff: of the camera, where more photographs tell it; any phone's by default.
     """
     highlight = find_highlight(light_of(photo.pixels))
     cells = tuple(_see(photo, highlight, level) for level in range(len(COARSE.cells)))
     dielectric, conductor = (
-        _fit_as(photo, cells, highlight, _prior(photo, tilt, falloff or Falloff(), conductor=metal))
+        _fit_as(
+            photo,
+            cells,
+            highlight,
+            _prior(photo, tilt, tilt_prior, falloff or Falloff(), conductor=metal),
+        )
         for metal in (False, True)
     )
     odds = (dielectric.cost - conductor.cost) / conductor.unit - COARSE.conductor_odds
@@ -296,22 +329,31 @@ def fit_coarse(
     # No metal reflects blue better than red: what does is a black surface with a blue sheen.
     is_metal = odds > 0.0 and blue < red + COARSE.bluest
     is_metal &= float(torch.sigmoid(conductor.best.roughness)) < COARSE.dullest
-    return _coarse_fit(conductor if is_metal else dielectric, photo.fov, abs(odds))
+    chosen = conductor if is_metal else dielectric
+    found = _coarse_fit(chosen, photo.fov, abs(odds))
+    return replace(found, tilt_prior=tilt_prior, picture_tilt=chosen.own_tilt)
 
 
 @dataclass(frozen=True)
 class _Prior:
-    """A hypothesis: Gaussian prior of the unknowns, and whether they are a conductor's."""
+    """A hypothesis: Gaussian prior of the unknowns, and whether they are a conductor's.
+
+    `alone` is the tilt's mean and deviation without a measurement of it, where there is one.
+    """
 
     mean: Unknowns
     deviation: Unknowns
     conductor: bool
     held: bool
+    alone: tuple[Tensor, Tensor] | None
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """What one hypothesis came to: cost, a nat of its prior in units of the cost, parameters."""
+    """What one hypothesis came to: cost, a nat of its prior in units of the cost, parameters.
+
+    `own_tilt` is what the picture alone comes to where the tilt was measured, radians.
+    """
 
     cost: float
     unit: float
@@ -319,10 +361,16 @@ class _Fitted:
     both: Unknowns
     residual: float
     conductor: bool
+    own_tilt: tuple[float, float] | None
 
 
 def _prior(
-    photo: Photo, tilt: tuple[float, float] | None, falloff: Falloff, *, conductor: bool
+    photo: Photo,
+    tilt: tuple[float, float] | None,
+    tilt_prior: TiltPrior | None,
+    falloff: Falloff,
+    *,
+    conductor: bool,
 ) -> _Prior:
     mean = replace(_DIELECTRIC_MEAN, vignetting=_numbers(*falloff.mean))
     deviation = replace(_DIELECTRIC_DEVIATION, vignetting=_numbers(*falloff.deviation))
@@ -333,10 +381,15 @@ def _prior(
     if photo.radiometric:
         leaning = _numbers(COARSE.tilt_radiometric, COARSE.tilt_radiometric)
         deviation = replace(deviation, tilt=leaning)
+    alone = None
     if tilt is not None:
         mean = replace(mean, tilt=_numbers(*tilt))
         deviation = replace(deviation, tilt=_numbers(1e-4, 1e-4))
-    return _Prior(mean, deviation, conductor, tilt is not None)
+    elif tilt_prior is not None:
+        alone = (mean.tilt, deviation.tilt)
+        place, std = tilt_prior.times(*alone)
+        mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
+    return _Prior(mean, deviation, conductor, tilt is not None, alone)
 
 
 def _fit_as(
@@ -379,7 +432,13 @@ def _fit_as(
     difference = last.cells.differences(last.log_radiance(best, last.cells.image))
     rest = difference[last.cells.above == 1.0]
     residual = float(rest.square().mean().sqrt()) if rest.numel() else 0.0
-    return _Fitted(cost, unit, Unknowns.of(best), both, residual, prior.conductor)
+    own = None
+    if prior.alone is not None:
+        without = last.with_tilt(*prior.alone, prior.deviation.tilt)
+        unmeasured = Unknowns.of(_levenberg_marquardt(without, best, COARSE.iterations[0])[1])
+        tilt_x, tilt_y = unmeasured.tilt.tolist()
+        own = (tilt_x, tilt_y)
+    return _Fitted(cost, unit, Unknowns.of(best), both, residual, prior.conductor, own)
 
 
 def _coarse_fit(fitted: _Fitted, fov: float, odds: float) -> CoarseFit:
@@ -623,6 +682,16 @@ class _Problem:
             precision=replace(precision, **parted).vector(),
         )
 
+    def with_tilt(self, mean: Tensor, std: Tensor, now: Tensor) -> _Problem:
+        """The same with another prior of the tilt, (2,) each; `now` is the deviation it has."""
+        prior, precision = Unknowns.of(self.prior), Unknowns.of(self.precision)
+        scaled = precision.tilt * (now / std).square()
+        return replace(
+            self,
+            prior=replace(prior, tilt=mean).vector(),
+            precision=replace(precision, tilt=scaled).vector(),
+        )
+
     def at(self, place: Unknowns) -> _Problem:
         """The same with offset and tilt held."""
         prior, held = Unknowns.of(self.prior), _numbers(1e6, 1e6)
@@ -798,7 +867,9 @@ def _starts(
         logits += [math.log(share * means / (1.0 - share * means)) for share in _WIDTHS]
         u, v = highlight.centre
         # The centre lies where it does because the flash is beside the lens, or the plane tilted.
-        beside = replace(mean, offset=_numbers(2.0 * u, 2.0 * v))
+        tilt_x, tilt_y = mean.tilt.tolist()
+        across, up = u + distance * math.tan(tilt_y), v - distance * math.tan(tilt_x)
+        beside = replace(mean, offset=_numbers(2.0 * across, 2.0 * up))
         turned = replace(mean, tilt=_numbers(v / distance, -u / distance))
         places = [beside] if prior.held else [beside, turned]
     for place in places:

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from matcap.errors import MatcapError
-from matcap.flash.coarse import CoarseFit, fit_coarse
+from matcap.flash.coarse import CoarseFit
 from matcap.flash.likeness import PhotographTarget
 from matcap.flash.plane import read_plane
 from matcap.flash.windows import Windows, cut_windows
@@ -28,22 +28,24 @@ from matcap.statistics.compare import Descriptor
 
 
 def join(
-    scene: PhotographTarget, coarse: CoarseFit, others: Sequence[Photo], detail: int
+    scene: PhotographTarget,
+    coarse: CoarseFit,
+    others: Sequence[tuple[Photo, CoarseFit]],
+    detail: int,
 ) -> tuple[PhotographTarget, list[dict[str, Any]]]:
     """A scene that holds the windows of other photographs, too, and what was found of each.
 
     Args:
         scene: of the first photograph.
         coarse: its fit.
-        others: more photographs of the same sample.
+        others: more photographs of the same sample, with their fits.
         detail: texels across each.
 
     Raises:
         MatcapError: a photograph is too narrow to hold a window.
     """
     windows, setups, told = [scene.windows], [], []
-    for photo in others:
-        fit = fit_coarse(photo)
+    for photo, fit in others:
         plane = read_plane(photo, fit.setup, detail)
         if min(plane.size) < scene.windows.size:
             raise MatcapError(

@@ -1,29 +1,63 @@
-"""The alignment branch: how far a photograph was tilted, seen from the photograph alone.
+"""The alignment branch: a photograph's tilt with its standard deviation, from the photograph alone.
 
-Falloff, the highlight's place and the texture's foreshortening all speak of it. The first two
-keep their place in the picture, so features are pooled on a grid, not over the whole picture, and
-the blurred picture itself is handed on. Trained on simulated photographs of known tilt
-(lab/train/align.py). The angles are those of FlashSetup: positive tilt_x turns the plane's upper
-edge towards the camera, positive tilt_y its left edge.
+The paper's encoder has a branch for two rotation angles (Henzler et al. 2021, section "Alignment").
+Here it is a network of its own beside the encoder, since every capture asks it and most need no
+latent code. Falloff, the highlight's place and the texture's foreshortening all speak of tilt. The
+first two keep their place in the picture, so features are pooled on a grid, and the blurred picture
+itself is handed on. Trained on simulated photographs of known tilt (lab/train/align.py).
+
+The angles are those of FlashSetup, in radians: positive tilt_x turns the plane's upper edge towards
+the camera, positive tilt_y its left edge.
 """
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 import torch
 import torch.nn.functional as F
+from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from matcap.space.encoder import PICTURE_CHANNELS, ResidualBlock
+from matcap.errors import MatcapError
+from matcap.files.tensors import StoredTensors, write_tensors
+from matcap.photo.photo import Photo
+from matcap.space.picture import PICTURE_CHANNELS, picture
+from matcap.space.residual import ResidualBlock
 
 WIDTH = 256  # picture columns it is shown
+CONDITIONS = 3  # numbers that it is told besides
+SHIPPED = Path(__file__).parent / "prior" / "weights" / "alignment.safetensors"
+
+_FORMAT = "matcap-alignment-1"
+_REMEDY = "install matcap again, or train the branch with `matcap prior align`"
 _GRID = (3, 4)  # rows and columns of the pooled features
 _BLURRED = (12, 16)  # rows and columns of the pooled picture
 _WIDTHS = (32, 48, 64, 64)  # channels of the layers after the first
 _UNIT = 0.15  # radians: what the last layer calls 1
+_LOG_STD = (math.log(0.002), math.log(0.3))  # of radians: what may be predicted
+
+
+class TiltMeasurement(NamedTuple):
+    """A photograph's tilt as the branch sees it: two independent Gaussians, in radians.
+
+    Attributes:
+        x, y: means of tilt_x and tilt_y.
+        std_x, std_y: their standard deviations.
+    """
+
+    x: float
+    y: float
+    std_x: float
+    std_y: float
 
 
 class Alignment(nn.Module):
-    """A photograph (as space/prior/look.py shows it) and its field of view to two tilt angles."""
+    """A photograph (as space/prior/look.py shows it) and what is known of it, to two angles."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -33,23 +67,92 @@ class Alignment(nn.Module):
             layers.append(ResidualBlock(channels, width, 2))
             channels = width
         self.features = nn.Sequential(*layers)
-        inputs = channels * _GRID[0] * _GRID[1] + 3 * _BLURRED[0] * _BLURRED[1] + 1
+        inputs = channels * _GRID[0] * _GRID[1] + 3 * _BLURRED[0] * _BLURRED[1] + CONDITIONS
         self.hidden = nn.Sequential(
             nn.Linear(inputs, 192), nn.ReLU(), nn.Linear(192, 64), nn.ReLU()
         )
-        self.head = nn.Linear(64, 2)
+        self.head = nn.Linear(64, 4)
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
 
-    def forward(self, picture: Tensor, fov: Tensor) -> Tensor:
-        """(B, 2) tilt_x and tilt_y in radians.
+    def forward(self, pictures: Tensor, conditions: Tensor) -> tuple[Tensor, Tensor]:
+        """Means and log standard deviations of (tilt_x, tilt_y), (B, 2) each, in radians.
 
         Args:
-            picture: (B, PICTURE_CHANNELS, h, w), WIDTH columns.
-            fov: (B,) across the long side, in degrees.
+            pictures: (B, PICTURE_CHANNELS, h, w), WIDTH columns.
+            conditions: (B, CONDITIONS), by conditions().
         """
-        features = self.features(picture.contiguous(memory_format=torch.channels_last))
+        features = self.features(pictures.contiguous(memory_format=torch.channels_last))
         pooled = F.adaptive_avg_pool2d(features, _GRID).float().flatten(1)
-        blurred = F.adaptive_avg_pool2d(picture[:, :3].float(), _BLURRED).flatten(1)
-        view = ((fov - 60.0) / 15.0)[:, None]
-        return _UNIT * self.head(self.hidden(torch.cat([pooled, blurred, view], dim=1))).float()
+        blurred = F.adaptive_avg_pool2d(pictures[:, :3].float(), _BLURRED).flatten(1)
+        hidden = self.hidden(torch.cat([pooled, blurred, conditions], dim=1))
+        mean, log_std = self.head(hidden).float().chunk(2, dim=1)
+        return _UNIT * mean, (log_std + math.log(0.1)).clamp(*_LOG_STD)
+
+
+def conditions(fov: Tensor, known: Tensor, radiometric: Tensor) -> Tensor:
+    """(B, CONDITIONS) of (B,) each: degrees across the long side, is it known, is this RAW."""
+    return torch.stack([(fov - 60.0) / 15.0, known.float(), radiometric.float()], dim=1)
+
+
+def tilt_measurement(photo: Photo, branch: Alignment | None = None) -> TiltMeasurement:
+    """A photograph's tilt and how well it is known, in radians.
+
+    Args:
+        photo: any size; what is left out of it is not looked at.
+        branch: the network; None takes the one that comes with matcap.
+
+    Raises:
+        MatcapError: that one is missing or damaged.
+    """
+    pixels = photo.pixels
+    if photo.left_out is not None and not photo.left_out.all():
+        out = photo.left_out[..., None]
+        pixels = np.where(out, np.median(pixels[~photo.left_out], axis=0), pixels)
+    known = torch.tensor([photo.fov_source != "assumed"])
+    told = conditions(torch.tensor([photo.fov]), known, torch.tensor([photo.radiometric]))
+    with torch.inference_mode():
+        mean, log_std = (branch or _shipped())(picture(pixels, WIDTH)[None], told.float())
+    (x, y), (std_x, std_y) = mean[0].tolist(), log_std[0].exp().tolist()
+    return TiltMeasurement(x, y, std_x, std_y)
+
+
+@lru_cache(maxsize=1)
+def _shipped() -> Alignment:
+    return load_alignment(SHIPPED)
+
+
+def save_alignment(path: Path, branch: Alignment) -> None:
+    """Write the branch in half precision; whole or not at all."""
+    tensors = {name: tensor.half() for name, tensor in branch.state_dict().items()}
+    write_tensors(path, tensors, {"matcap": _FORMAT})
+
+
+def load_alignment(path: Path) -> Alignment:
+    """Read a branch.
+
+    Raises:
+        MatcapError: missing, no such file, or damaged.
+    """
+    branch = Alignment()
+    try:
+        with safe_open(path, framework="pt") as file:
+            if (file.metadata() or {}).get("matcap") != _FORMAT:
+                raise MatcapError(
+                    f"this is not an alignment branch ({_FORMAT})",
+                    where=str(path),
+                    remedy=_REMEDY,
+                )
+            stored = StoredTensors(file, path, _REMEDY)
+            branch.load_state_dict(
+                {
+                    name: stored.tensor(name, tuple(value.shape))
+                    for name, value in branch.state_dict().items()
+                },
+                assign=True,
+            )
+    except (SafetensorError, OSError) as error:
+        raise MatcapError(
+            f"the alignment branch cannot be read ({error})", where=str(path), remedy=_REMEDY
+        ) from error
+    return branch.eval().requires_grad_(False)

@@ -16,13 +16,13 @@ from torch import Tensor, nn
 
 from matcap.errors import UsageError
 from matcap.space.decoder import CODE_SIZE
+from matcap.space.picture import PICTURE_CHANNELS
+from matcap.space.residual import ResidualBlock, norm, shortcut
 
-PICTURE_CHANNELS = 5  # log colour, and the two image coordinates
 NUMBERS = 16  # what space/prior/look.py tells of the coarse fit
 TEXTURE = 231  # what it tells of the texture at full detail
 BACKBONES = ("small", "resnet50")
 
-_GROUP = 16  # channels normalised together
 _LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0  # of a code's number
 
 
@@ -39,25 +39,6 @@ class EncoderConfig:
     width: int = 256
 
 
-class ResidualBlock(nn.Module):
-    """Two 3 x 3 convolutions beside a shortcut."""
-
-    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
-        super().__init__()
-        self.body = nn.Sequential(
-            nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False),
-            _norm(outputs),
-            nn.ReLU(inplace=True),
-            nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False),
-            _norm(outputs),
-        )
-        self.shortcut = _shortcut(inputs, outputs, stride)
-
-    def forward(self, features: Tensor) -> Tensor:
-        """(B, inputs, h, w) to (B, outputs, h / stride, w / stride)."""
-        return F.relu(self.body(features) + self.shortcut(features))
-
-
 class Bottleneck(nn.Module):
     """ResNet-50's block: 1 x 1, 3 x 3, 1 x 1 convolutions beside a shortcut."""
 
@@ -66,15 +47,15 @@ class Bottleneck(nn.Module):
         inner = outputs // 4
         self.body = nn.Sequential(
             nn.Conv2d(inputs, inner, 1, bias=False),
-            _norm(inner),
+            norm(inner),
             nn.ReLU(inplace=True),
             nn.Conv2d(inner, inner, 3, stride, 1, bias=False),
-            _norm(inner),
+            norm(inner),
             nn.ReLU(inplace=True),
             nn.Conv2d(inner, outputs, 1, bias=False),
-            _norm(outputs),
+            norm(outputs),
         )
-        self.shortcut = _shortcut(inputs, outputs, stride)
+        self.shortcut = shortcut(inputs, outputs, stride)
 
     def forward(self, features: Tensor) -> Tensor:
         """(B, inputs, h, w) to (B, outputs, h / stride, w / stride)."""
@@ -134,7 +115,7 @@ def _small() -> tuple[nn.Module, int]:
     widths = (32, 64, 96, 128, 192)
     layers: list[nn.Module] = [
         nn.Conv2d(PICTURE_CHANNELS, widths[0], 5, 2, 2, bias=False),
-        _norm(widths[0]),
+        norm(widths[0]),
         nn.ReLU(inplace=True),
     ]
     for inputs, outputs in zip(widths[:-1], widths[1:], strict=True):
@@ -146,7 +127,7 @@ def _small() -> tuple[nn.Module, int]:
 def _resnet50() -> tuple[nn.Module, int]:
     layers: list[nn.Module] = [
         nn.Conv2d(PICTURE_CHANNELS, 64, 7, 2, 3, bias=False),
-        _norm(64),
+        norm(64),
         nn.ReLU(inplace=True),
         nn.MaxPool2d(3, 2, 1),
     ]
@@ -156,13 +137,3 @@ def _resnet50() -> tuple[nn.Module, int]:
             layers.append(Bottleneck(channels, outputs, stride if index == 0 else 1))
             channels = outputs
     return nn.Sequential(*layers), channels
-
-
-def _norm(channels: int) -> nn.GroupNorm:
-    return nn.GroupNorm(channels // _GROUP, channels)
-
-
-def _shortcut(inputs: int, outputs: int, stride: int) -> nn.Module:
-    if inputs == outputs and stride == 1:
-        return nn.Identity()
-    return nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), _norm(outputs))

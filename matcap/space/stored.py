@@ -1,64 +1,18 @@
-"""Reading a network from a safetensors file that a stranger may have written.
-
-Nothing in such a file is executed. Its description states a shape; the shape is bounded, and every
-tensor is compared with it before it is read.
-"""
+"""The shape of a decoder as a file that a stranger may have written describes it: bounded."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
-from torch import Tensor
 
-from matcap.errors import MatcapError
 from matcap.space.decoder import DEPTH, Decoder, DecoderConfig
 from matcap.space.grains import GRAIN_CHANNELS
 
 _LARGEST_WIDTH = 1024  # channels; a stranger's file cannot ask for more memory than this allows
 _MOST_CELLS = 64  # channels at full resolution, whatever the network makes of them
 _MOST_NUMBERS = 64_000_000  # weights; a quarter of a gigabyte
-
-
-@dataclass(frozen=True)
-class StoredTensors:
-    """An open file.
-
-    Attributes:
-        file: as safetensors opens it, for PyTorch.
-        path: where it is.
-        remedy: what to do when it is no good.
-    """
-
-    file: safe_open
-    path: Path
-    remedy: str
-
-    def tensor(self, name: str, shape: tuple[int, ...]) -> Tensor:
-        """One tensor as float32.
-
-        Raises:
-            MatcapError: it is missing, of another shape, or holds NaN or infinity; names it.
-        """
-        try:
-            found = tuple(self.file.get_slice(name).get_shape())
-        except SafetensorError as error:
-            raise self._fault(f"the tensor {name} is missing") from error
-        if found != shape:
-            raise self._fault(f"the tensor {name} has shape {found}, expected {shape}")
-        # A copy, because the file's own lie wherever the file has them, and products of matrices
-        # round as their operands are aligned: what was saved would differ from itself by a bit.
-        value: Tensor = self.file.get_tensor(name).to(torch.float32, copy=True)
-        if not bool(torch.isfinite(value).all()):
-            raise self._fault(f"the tensor {name} holds NaN or infinity")
-        return value
-
-    def _fault(self, what: str) -> MatcapError:
-        return MatcapError(what, where=str(self.path), remedy=self.remedy)
 
 
 def decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:

@@ -17,12 +17,13 @@ from matcap.errors import UsageError
 from matcap.field.header import REMEDY
 from matcap.field.material import Material
 from matcap.field.plane import Period, check_period, check_seed
+from matcap.files.tensors import StoredTensors
 from matcap.files.values import bounded
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import ALIGNMENT, CODE_SIZE, Decoder, Moments
 from matcap.space.freeze import FoldedDecoder, fold
 from matcap.space.source import DecoderSource
-from matcap.space.stored import StoredTensors, decoder_config, empty_decoder
+from matcap.space.stored import decoder_config, empty_decoder
 from matcap.statistics.lattice import Wave
 
 _CPU = torch.device("cpu")

@@ -1,5 +1,6 @@
-"""The capture is one chain of named stages, and the paper's network is no part of it."""
+"""The capture is one chain of named stages, and the paper's decoder is no part of it."""
 
+import ast
 import json
 import subprocess
 import sys
@@ -62,7 +63,7 @@ def test_a_stage_without_a_share_is_a_bug():
         pass
 
 
-def test_nothing_of_a_default_material_loads_the_papers_network(tmp_path):
+def test_of_the_papers_system_a_default_material_loads_the_alignment_branch_alone(tmp_path):
     """Capture, synth, relight, export and view, in a process of its own."""
     program = """
 import sys
@@ -84,4 +85,6 @@ print(sorted(name for name in sys.modules if name.startswith(("matcap.space", "m
     command = [sys.executable, "-c", program, str(PHOTO), str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip().splitlines()[-1] == "[]"
+    loaded = set(ast.literal_eval(done.stdout.strip().splitlines()[-1]))
+    branch = {"alignment", "picture", "residual"}
+    assert loaded == {"matcap.space"} | {f"matcap.space.{name}" for name in branch}

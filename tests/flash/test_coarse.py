@@ -13,7 +13,7 @@ import pytest
 import torch
 from uniform import a_setup, photograph
 
-from matcap.flash.coarse import Falloff, fit_coarse
+from matcap.flash.coarse import Falloff, TiltPrior, fit_coarse
 
 # torch's forward-mode derivatives warn once, when first used.
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
@@ -173,3 +173,25 @@ def test_a_known_falloff_is_kept():
     found = fit_coarse(photo, falloff=Falloff((0.3, 0.0), (0.01, 0.01))).setup
     assert found.vignetting == pytest.approx(0.3, abs=0.05)
     assert found.vignetting_quartic == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_measured_tilt_moves_the_fit_as_far_as_it_is_certain():
+    """A sharp measurement decides, a vague one leaves the picture's own; both are told."""
+    _, photo = made(tilt=(0.06, -0.04))
+    alone = fit_coarse(photo)
+    sharp = fit_coarse(photo, tilt_prior=TiltPrior((0.13, 0.03), (1e-4, 1e-4)))
+    vague = fit_coarse(photo, tilt_prior=TiltPrior((0.13, 0.03), (10.0, 10.0)))
+    assert sharp.setup.tilt == pytest.approx((0.13, 0.03), abs=2e-3)
+    assert vague.setup.tilt == pytest.approx(alone.setup.tilt, abs=5e-3)
+    for fit in (sharp, vague):
+        assert fit.picture_tilt == pytest.approx(alone.setup.tilt, abs=0.02)
+        assert fit.tilt_prior is not None and fit.tilt_prior.mean == (0.13, 0.03)
+    assert alone.tilt_prior is None and alone.picture_tilt is None
+
+
+def test_measurement_and_prior_weigh_by_their_precisions():
+    mean, std = TiltPrior((0.3, 0.0), (0.1, 0.2)).times(
+        torch.tensor([0.0, 0.4], dtype=torch.float64), torch.tensor([0.2, 0.2]).double()
+    )
+    assert mean.tolist() == pytest.approx([0.24, 0.2])
+    assert std.tolist() == pytest.approx([(25.0 + 100.0) ** -0.5, 50.0**-0.5])

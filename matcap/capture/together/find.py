@@ -242,6 +242,7 @@ def _registered(
         registration, _ = less_room(registration)
         first, setup = registration.views[0].photo, registration.setup
         again = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
+        again = replace(again, tilt_prior=coarse.tilt_prior, picture_tilt=coarse.picture_tilt)
         coarse = under_flash(again, first.flash_intensity)
         # What the fit hardly moved at all is the camera still.
         camera = replace(coarse.setup, fov=setup.fov, tilt=setup.tilt)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from matcap.flash.coarse import CoarseFit, fit_coarse, under_flash
+from matcap.capture.tilt import fitted as fitted_one
+from matcap.flash.coarse import CoarseFit
 from matcap.flash.registration.ambient import flash_first
 from matcap.flash.registration.register import Registration, register
 from matcap.photo.photo import Photo
@@ -12,8 +13,7 @@ from matcap.photo.photo import Photo
 
 def fitted(photos: Sequence[Photo]) -> CoarseFit:
     """The coarse fit of the first photograph with flash, under that where it is known."""
-    first = flash_first(photos)[0]
-    return under_flash(fit_coarse(first), first.flash_intensity)
+    return fitted_one(flash_first(photos)[0])
 
 
 def placed(photos: Sequence[Photo], coarse: CoarseFit | None = None) -> Registration:

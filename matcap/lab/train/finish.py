@@ -17,12 +17,12 @@ from torch import Tensor
 
 from matcap.flash.rectify import rectify
 from matcap.lab.train.pack import WAVE_DETAIL, Entry
-from matcap.space.alignment import Alignment
 from matcap.space.decoder import CODE_SIZE, Decoder
 from matcap.space.encoder import Encoder
+from matcap.space.picture import picture
 from matcap.space.prior.anchors import Anchor, Anchors, Habits, anchors_of
 from matcap.space.prior.base import VARYING, base_of, varying
-from matcap.space.prior.look import describe_windows, numbers, picture, texture
+from matcap.space.prior.look import describe_windows, numbers, texture
 from matcap.space.prior.store import Prior
 
 _RIDGE = 10.0  # photographs' worth of belief that bases do not go with codes
@@ -100,7 +100,6 @@ def habits_of(codes: Codes, entries: Sequence[Entry]) -> Habits:
 def finish(
     encoder: Encoder,
     decoder: Decoder,
-    alignment: Alignment,
     entries: Sequence[Entry],
     about: Mapping[str, Any],
 ) -> Prior:
@@ -119,7 +118,6 @@ def finish(
     return Prior(
         encoder,
         decoder,
-        alignment,
         habits,
         {**about, **measured},
         anchors_known(codes, habits, entries),

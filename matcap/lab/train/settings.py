@@ -28,19 +28,24 @@ def read_config(path: Path) -> TrainConfig:
         raise UsageError(f"it cannot be read ({error.strerror})", where=str(path)) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"this is no TOML ({error})", where=str(path)) from error
+    return configured(stated, str(path))
+
+
+def configured(stated: dict[str, Any], path: str) -> TrainConfig:
+    """A configuration of what the TOML at a path states; see read_config."""
     encoder = _filled(EncoderConfig(), stated.pop("encoder", {}), f"{path}, encoder")
     decoder = _filled(DecoderConfig(), stated.pop("decoder", {}), f"{path}, decoder")
-    config = _filled(TrainConfig(), stated, str(path))
+    config = _filled(TrainConfig(), stated, path)
     if encoder.backbone not in BACKBONES:
         raise UsageError(
             f"there is no backbone '{encoder.backbone}'",
-            where=str(path),
+            where=path,
             remedy=f"choose from {', '.join(BACKBONES)}",
         )
     if not fits(config.window):
         raise UsageError(
             f"the window {config.window} is no multiple of 16 from 64 on",
-            where=str(path),
+            where=path,
             remedy="give 96",
         )
     return replace(config, encoder=encoder, decoder=decoder)

@@ -9,10 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 
-import cv2
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.flash.coarse import CoarseFit
@@ -31,24 +28,6 @@ _LAGS_DOWN = (0, 1, 2, 4, 7, 11)  # texels of a level, as are those across
 _LAGS_ACROSS = (-11, -7, -4, -2, -1, 0, 1, 2, 4, 7, 11)
 _QUANTILES = (1, 5, 12, 24, 39, 51, 58, 62)  # of 64
 _STRONGEST = 2  # the encoding's channel of most variance
-_TOE = 0.03  # of the median: bounds the logarithm in the dark
-
-
-def picture(pixels: NDArray[np.float32], width: int) -> Tensor:
-    """(5, h, width) of (H, W, 3) linear pixels: log colour about its median, coordinates u, v.
-
-    Image coordinates, u to the right and v up.
-    """
-    height = round(width * pixels.shape[0] / pixels.shape[1])
-    small = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
-    linear = torch.from_numpy(np.ascontiguousarray(small.transpose(2, 0, 1)))
-    return torch.cat([log_colour(linear), _coordinates(width, height)])
-
-
-def log_colour(linear: Tensor) -> Tensor:
-    """(3, h, w) logarithm of radiance, its median at 0: the exposure does not show."""
-    median = linear.mean(0).median().clamp_min(1e-6)
-    return torch.log(linear.clamp(0.0, 1.0) / median + _TOE)
 
 
 def numbers(coarse: CoarseFit, contrast: Tensor, detail: int) -> Tensor:
@@ -71,12 +50,6 @@ def numbers(coarse: CoarseFit, contrast: Tensor, detail: int) -> Tensor:
     ]
     assert len(values) == NUMBERS
     return torch.tensor(values, dtype=torch.float32)
-
-
-def _coordinates(width: int, height: int) -> Tensor:
-    u = (torch.arange(width) + 0.5) / width * 2.0 - 1.0
-    v = (1.0 - (torch.arange(height) + 0.5) / height * 2.0) * height / width
-    return torch.stack([u.expand(height, width), v[:, None].expand(height, width)])
 
 
 def texture(windows: Descriptor) -> Tensor:

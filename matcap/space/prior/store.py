@@ -1,8 +1,9 @@
 """Prior: the trained space of materials and its file.
 
-One safetensors file: encoder, decoder and alignment branch in half precision, what is needed to
-draw materials from nothing, and JSON metadata as strings. Nothing in it is executed; every shape
-is checked against the stated configuration, and an error names the tensor.
+One safetensors file: encoder and decoder in half precision, what is needed to draw materials from
+nothing, and JSON metadata as strings. Nothing in it is executed; every shape is checked against the
+stated configuration, and an error names the tensor. The alignment branch, which every capture asks
+and most without a prior, has a file of its own (space/alignment.py).
 """
 
 from __future__ import annotations
@@ -23,25 +24,26 @@ from torch import Tensor, nn
 from matcap.errors import MatcapError, UsageError
 from matcap.field.header import DAMAGED
 from matcap.field.material import Material
-from matcap.files.tensors import write_tensors
+from matcap.files.tensors import StoredTensors, write_tensors
 from matcap.flash.coarse import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.plane import Plane, read_plane
 from matcap.photo.photo import Photo
-from matcap.space.alignment import WIDTH, Alignment
 from matcap.space.decoder import CODE_SIZE, Decoder
 from matcap.space.encoder import BACKBONES, Encoder, EncoderConfig
 from matcap.space.freeze import freeze
+from matcap.space.picture import picture
 from matcap.space.prior.anchors import SPREAD, Anchor, Anchors, Habits, nowhere
 from matcap.space.prior.base import VARYING, base_of, fold
-from matcap.space.prior.look import describe_windows, numbers, picture, texture
-from matcap.space.stored import StoredTensors, decoder_config, empty_decoder
+from matcap.space.prior.look import describe_windows, numbers, texture
+from matcap.space.stored import decoder_config, empty_decoder
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.start import log_contrast
 from matcap.statistics.lattice import find_lattice
 
 FORMAT = "matcap-prior"
-VERSIONS = (1, 2)  # of the file: without, and with structured noise
+# Of the file: without, and with structured noise, both with an alignment branch; without that.
+VERSIONS = (1, 2, 3)
 SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
 
 _MOST_ANCHORS = 1_000_000  # a stranger's file cannot ask for more memory than this allows
@@ -56,7 +58,6 @@ class Prior:
     Attributes:
         encoder: photograph to code.
         decoder: code and noise to maps, in units of the base.
-        alignment: photograph to tilt.
         habits: how bases go with codes.
         about: how it was trained; JSON.
         anchors: where the training photographs lie; without them draws may lie anywhere.
@@ -64,17 +65,9 @@ class Prior:
 
     encoder: Encoder
     decoder: Decoder
-    alignment: Alignment
     habits: Habits
     about: Mapping[str, Any] = field(default_factory=dict)
     anchors: Anchors | None = None
-
-    def tilt(self, photo: Photo) -> tuple[float, float]:
-        """(tilt_x, tilt_y) of a photograph in radians."""
-        with torch.inference_mode():
-            shown = picture(photo.pixels, WIDTH)[None]
-            found = self.alignment(shown, torch.tensor([photo.fov]))[0].tolist()
-        return found[0], found[1]
 
     def code(self, pixels: NDArray[np.float32], coarse: CoarseFit, plane: Plane) -> Tensor:
         """(CODE_SIZE,) mean code of a photograph.
@@ -166,7 +159,7 @@ class Prior:
             tensors |= {f"anchors.{name}": tensor for name, tensor in vars(self.anchors).items()}
         about = {
             "format": FORMAT,
-            "version": VERSIONS[bool(self.decoder.config.grains)],
+            "version": VERSIONS[-1],
             "encoder": asdict(self.encoder.config),
             "decoder": asdict(self.decoder.config),
             "anchors": 0 if self.anchors is None else len(self.anchors),
@@ -175,7 +168,7 @@ class Prior:
         write_tensors(path, tensors, {"matcap": json.dumps(about)})
 
     def _modules(self) -> dict[str, nn.Module]:
-        return {"encoder": self.encoder, "decoder": self.decoder, "alignment": self.alignment}
+        return {"encoder": self.encoder, "decoder": self.decoder}
 
 
 def load_prior(path: Path | None = None) -> Prior:
@@ -196,7 +189,6 @@ def load_prior(path: Path | None = None) -> Prior:
             prior = Prior(
                 encoder=encoder,
                 decoder=empty_decoder(decoder_config(about["decoder"])),
-                alignment=Alignment(),
                 habits=Habits(
                     *(
                         stored.tensor(f"habits.{name}", shape)

@@ -66,7 +66,7 @@ def test_an_evaluation_writes_its_page_and_a_picture_without_the_photographs(
     monkeypatch.setattr(
         evaluate, "ways_of", lambda prior, settings: {name: way([], name) for name in names}
     )
-    settings = evaluate.EvaluateSettings(materials=1, tilted=1)
+    settings = evaluate.EvaluateSettings(materials=1)
     page = evaluate.run_evaluation(prior, pack, settings, tmp_path, "matcap ...")
     assert (tmp_path / "prior-evaluation.md").read_text() == page
     assert (tmp_path / "prior-evaluation.jpg").is_file()

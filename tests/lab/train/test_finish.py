@@ -26,7 +26,7 @@ def test_standardising_changes_codes_and_no_picture(prior, pack):
 
 
 def test_a_finished_prior_knows_its_codes(prior, pack):
-    done = finish(prior.encoder, prior.decoder, prior.alignment, pack.entries[:3], {"steps": 1})
+    done = finish(prior.encoder, prior.decoder, pack.entries[:3], {"steps": 1})
     assert done.about["steps"] == 1
     assert len(done.about["code_mean"]) == len(done.about["code_variance"]) == 64
     assert 0 <= done.about["dead_dimensions"] <= 64

@@ -1,0 +1,66 @@
+"""A photograph's coarse fit, with the tilt that the alignment branch measures beside its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from matcap.flash.coarse import CoarseFit, TiltPrior, fit_coarse, under_flash
+from matcap.photo.photo import Photo
+from matcap.space.alignment import tilt_measurement
+
+# What the branch's standard deviation counts for in a developed picture: its cells leave correlated
+# residuals (tone curve, local contrast), so that their own evidence is less than it seems.
+_DEVELOPED = 0.3
+
+
+def fitted(photo: Photo, *, measured: bool = True) -> CoarseFit:
+    """The coarse fit of a photograph as every capture and every inspection begins.
+
+    The alignment branch's two angles are a Gaussian measurement in it; a flash whose intensity is
+    known makes its albedo absolute.
+
+    Args:
+        photo: the photograph.
+        measured: whether the branch is asked; without it the picture alone decides.
+    """
+    prior = None
+    if measured:
+        seen = tilt_measurement(photo)
+        share = 1.0 if photo.radiometric else _DEVELOPED
+        prior = TiltPrior((seen.x, seen.y), (share * seen.std_x, share * seen.std_y))
+    return under_flash(fit_coarse(photo, tilt_prior=prior), photo.flash_intensity)
+
+
+def tilt_document(coarse: CoarseFit) -> dict[str, Any] | None:
+    """The tilt that was used and its sources, degrees about x and y; None without a measurement.
+
+    Keys: `used`; `branch` with the standard deviation that it was weighed with, `branch_std`; and
+    `picture`, what the coarse fit comes to without the branch.
+    """
+    if coarse.tilt_prior is None or coarse.picture_tilt is None:
+        return None
+    return {
+        "used": _degrees(coarse.setup.tilt),
+        "branch": _degrees(coarse.tilt_prior.mean),
+        "branch_std": _degrees(coarse.tilt_prior.std),
+        "picture": _degrees(coarse.picture_tilt),
+    }
+
+
+def tilt_line(told: Mapping[str, Any]) -> str:
+    """What tilt_document says, in a sentence."""
+    x, y = told["used"]
+    bx, by = told["branch"]
+    sx, sy = told["branch_std"]
+    px, py = told["picture"]
+    return (
+        f"Tilt about x and y: {x:.1f} and {y:.1f} degrees; the alignment branch says {bx:.1f} "
+        f"and {by:.1f} (standard deviations {sx:.1f} and {sy:.1f}), the picture alone {px:.1f} "
+        f"and {py:.1f}."
+    )
+
+
+def _degrees(angles: Sequence[float]) -> list[float]:
+    return [round(math.degrees(angle), 2) for angle in angles]

@@ -1,0 +1,71 @@
+"""Gram matrices of VGG-16 (Simonyan and Zisserman 2014), which the paper measures style by.
+
+The weights are not matcap's to give: a safetensors file with tensors conv1_1.weight to
+conv4_3.bias, by path. The paper says "VGG" and leaves open which network, layers and scale; here
+they are relu1_2, 2_2, 3_3 and 4_3, and the relative L1 difference of style.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+from matcap.errors import MatcapError
+from matcap.files.tensors import StoredTensors
+from matcap.lab.measures.style import Group, StyleStatistics
+from matcap.statistics.gram import gram
+
+_BLOCKS = ((3, 64, 2), (64, 128, 2), (128, 256, 3), (256, 512, 3))  # inputs, outputs, layers
+_MEAN = (123.68, 116.779, 103.939)  # of 255 * sRGB
+_REMEDY = "give a safetensors file of VGG-16 with tensors conv1_1.weight to conv4_3.bias"
+
+
+class Vgg16Style:
+    """Gram matrices of the last layer of VGG-16's first four blocks, a Style."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the weights.
+
+        Raises:
+            MatcapError: missing, or a tensor is missing or of another shape.
+        """
+        self._layers: list[list[tuple[Tensor, Tensor]]] = []
+        try:
+            with safe_open(path, framework="pt") as file:
+                stored = StoredTensors(file, path, _REMEDY)
+                for block, (inputs, outputs, count) in enumerate(_BLOCKS, 1):
+                    sizes = [inputs] + [outputs] * count
+                    self._layers.append([])
+                    for n in range(1, count + 1):
+                        name, shape = f"conv{block}_{n}", (sizes[n], sizes[n - 1], 3, 3)
+                        weight = stored.tensor(f"{name}.weight", shape)
+                        bias = stored.tensor(f"{name}.bias", shape[:1])
+                        self._layers[-1].append((weight, bias))
+        except (SafetensorError, OSError) as error:
+            raise MatcapError(
+                f"the weights of VGG-16 cannot be read ({error})", where=str(path), remedy=_REMEDY
+            ) from error
+
+    @torch.no_grad()
+    def features(self, pictures: Tensor) -> list[Tensor]:
+        """Responses (B, C, h, w) of each block to sRGB pictures (B, 3, H, W) in [0, 1]."""
+        features = 255.0 * pictures - torch.tensor(_MEAN)[:, None, None]
+        found = []
+        for block, layers in enumerate(self._layers):
+            if block:
+                features = F.max_pool2d(features, 2)
+            for weight, bias in layers:
+                features = F.relu(F.conv2d(features, weight, bias, padding=1))
+            found.append(features)
+        return found
+
+    def __call__(self, pictures: Tensor) -> StyleStatistics:
+        """Describe (B, 3, H, W)."""
+        return {
+            f"block {number}": Group(gram(features)[:, :-1, :-1].flatten(1), 0.0)
+            for number, features in enumerate(self.features(pictures), 1)
+        }

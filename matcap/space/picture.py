@@ -1,0 +1,36 @@
+"""The small picture of a photograph that the encoder and the alignment branch are shown."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+PICTURE_CHANNELS = 5  # log colour, and the two image coordinates
+_TOE = 0.03  # of the median: bounds the logarithm in the dark
+
+
+def picture(pixels: NDArray[np.float32], width: int) -> Tensor:
+    """(5, h, width) of (H, W, 3) linear pixels: log colour about its median, coordinates u, v.
+
+    Image coordinates, u to the right and v up.
+    """
+    height = round(width * pixels.shape[0] / pixels.shape[1])
+    small = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
+    linear = torch.from_numpy(np.ascontiguousarray(small.transpose(2, 0, 1)))
+    return torch.cat([log_colour(linear), picture_coordinates(width, height)])
+
+
+def log_colour(linear: Tensor) -> Tensor:
+    """(3, h, w) logarithm of radiance, its median at 0: the exposure does not show."""
+    median = linear.mean(0).median().clamp_min(1e-6)
+    return torch.log(linear.clamp(0.0, 1.0) / median + _TOE)
+
+
+def picture_coordinates(width: int, height: int) -> Tensor:
+    """(2, h, w) image coordinates u, v of pixel centres, the long side in [-1, 1]."""
+    u = (torch.arange(width) + 0.5) / width * 2.0 - 1.0
+    v = (1.0 - (torch.arange(height) + 0.5) / height * 2.0) * height / width
+    return torch.stack([u.expand(height, width), v[:, None].expand(height, width)])
