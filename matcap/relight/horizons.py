@@ -19,7 +19,7 @@ from ctypes import byref, c_int64, c_uint32
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
-from typing import TYPE_CHECKING
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -34,10 +34,8 @@ from matcap.relight.loops.library import (
     loops,
 )
 from matcap.relight.loops.structures import CHorizon, CWalk
+from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array
-
-if TYPE_CHECKING:
-    from matcap.relight.relief import Relief
 
 _FARTHEST = 256
 _LOWEST = math.tan(math.radians(3.0))
@@ -73,6 +71,40 @@ class _Known:
     for it."""
 
 
+class HeightField(Protocol):
+    """What horizons must know of a relief (relief.py)."""
+
+    @property
+    def texture(self) -> Texture:
+        """Its material."""
+        ...
+
+    @property
+    def heights(self) -> Array:
+        """(H W,) of its texels, as it lies on the surface."""
+        ...
+
+    @property
+    def low(self) -> float:
+        """The lowest of them."""
+        ...
+
+    @property
+    def high(self) -> float:
+        """The highest."""
+        ...
+
+    @property
+    def texel_size(self) -> float:
+        """A texel's side, in the heights' unit."""
+        ...
+
+    @property
+    def around(self) -> Literal["wrap", "edge"]:
+        """What np.pad puts around its texels."""
+        ...
+
+
 class Horizons:
     """Horizons of a relief, found as they are asked for.
 
@@ -83,7 +115,7 @@ class Horizons:
             neighbours: no transfer vector is longer than that times the largest albedo.
     """
 
-    def __init__(self, relief: Relief) -> None:
+    def __init__(self, relief: HeightField) -> None:
         self.relief = relief
         size = len(relief.heights)
         # Memory is taken where it is written to.
