@@ -1,14 +1,15 @@
 """Where a batch works: beside its output, in folders that appear in their place by renaming.
 
 OUT/leather/                   a material; complete, or not there
-OUT/.matcap-batch/runs/RUN/    one run's own: `alive`, and what it is making or replacing
+OUT/.matcap-batch/runs/RUN/    one run's own: what it is making or replacing
+OUT/.matcap-batch/runs/RUN.alive  locked while it lives
 OUT/.matcap-batch/claims/NAME  who is making a material, so that two runs do not both
 OUT/.matcap-batch/failed/NAME  photographs that cannot be used, and why
 
-`alive` and claims are locked files: the system lets go of them when their process ends, however it
-ends, so that nobody has to guess who is dead. Nothing here is trusted for what is done (that is
-record.py): where a file system knows no locks, two runs may make one material twice, and what dead
-runs left stays.
+Both `RUN.alive` and claims are locked files: the system lets go of them when their process ends,
+however it ends, so that nobody has to guess who is dead. Nothing here is trusted for what is done
+(that is record.py): where a file system knows no locks, two runs may make one material twice, and
+what dead runs left stays.
 
 A power cut leaves what had its name before, whole, or the new one, whole: a folder's files reach
 the disk before it is renamed (record.py). Between the two renames of a replacement the name is
@@ -37,7 +38,6 @@ from matcap.capture.outputs import output_files
 from matcap.files.publish import sync
 from matcap.files.staging import write_error
 
-_ALIVE = "alive"
 _SWAPS = 16  # tries to take a name that another run takes at the same moment
 
 
@@ -151,12 +151,13 @@ def open_run(out: Path) -> Iterator[Run]:
     """
     folder = out / WORKSPACE / "runs" / f"{os.getpid()}-{uuid.uuid4().hex[:12]}"
     try:
-        folder.mkdir(parents=True)
-        alive = _held(folder / _ALIVE)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        alive = _held(_alive(folder))  # before there is a folder that others might clear away
+        folder.mkdir()
     except OSError as error:
         raise write_error(out, error) from error
     for other in folder.parent.iterdir():
-        if other != folder:
+        if other != folder and other.is_dir():
             _clear_if_dead(out, other)
     run = Run(out, folder)
     try:
@@ -166,6 +167,7 @@ def open_run(out: Path) -> Iterator[Run]:
             for name in list(run.claims):
                 run.release(name)
         _clear(out, folder)
+        _alive(folder).unlink(missing_ok=True)
         if alive is not None:
             alive.release()
 
@@ -186,12 +188,16 @@ def _held(path: Path) -> FileLock | None:
 
 
 def _clear_if_dead(out: Path, run: Path) -> None:
-    """Clear away what a dead run left; one that is only just beginning has no `alive` yet."""
-    if not (run / _ALIVE).exists():
-        return
-    lock = FileLock(run / _ALIVE, timeout=0)
+    """Clear away what a dead run left."""
+    lock = FileLock(_alive(run), timeout=0)
     with suppress(OSError, NotImplementedError), lock:
         _clear(out, run)
+        _alive(run).unlink(missing_ok=True)
+
+
+def _alive(run: Path) -> Path:
+    """What is locked while a run lives; after a power cut it may be gone, and is made again."""
+    return run.with_name(f"{run.name}.alive")
 
 
 def _clear(out: Path, run: Path) -> None:
