@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -47,8 +49,8 @@ def filled(plane: ChannelPlane, known: NDArray[np.bool_]) -> ChannelPlane:
     return np.where(known, plane, enlarged(coarser, plane.shape))
 
 
-def split(plane: ChannelPlane) -> list[ChannelPlane]:
-    """Bands of a plane (H, W) by the length of waves, strengths.BANDS, and the rest.
+def split(plane: ChannelPlane, bands: Sequence[tuple[float, float]] = BANDS) -> list[ChannelPlane]:
+    """Bands of a plane (H, W) by the length of waves, and the rest.
 
     Longest first; what is longer than all bands comes last. They add up to the plane.
     """
@@ -58,7 +60,7 @@ def split(plane: ChannelPlane) -> list[ChannelPlane]:
     waves = cv2.dct(whole.astype(np.float32))
     rows, columns = (np.arange(side) / (2.0 * side) for side in whole.shape)
     octave = np.log2(np.maximum(np.hypot(rows[:, None], columns), 1e-9)).astype(np.float32)
-    passed = [_ramp(octave + np.float32(np.log2(longest))) for longest, _ in BANDS]
+    passed = [_ramp(octave + np.float32(np.log2(longest))) for longest, _ in bands]
     below = [*passed[1:], np.zeros_like(octave)]
     shares = [above - finer for above, finer in zip(passed, below, strict=True)]
     return [

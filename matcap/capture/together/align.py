@@ -27,6 +27,7 @@ from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
     SLOPES,
     SolveSettings,
+    levelled,
     numbers_of,
     spread_of,
     stepped,
@@ -206,6 +207,7 @@ def _begun(
         light = shared_light(dark, believed, believed, spread, light, radiometric, solving)
         numbers = believed
     seen = under_room(seen, numbers)
+    believed = levelled(believed, light)
     for _ in range(steps):
         numbers = stepped(seen, numbers, believed, spread, light, solving).numbers
     return numbers

@@ -155,7 +155,7 @@ def find_together(
     if reach.margins.any:
         doubt = torch.minimum(doubt, scatter(single.maps, single.errors)[:, None, None])
     with stage("solve"):
-        views, solved = _solved(found, prior, doubt, hue, radiometric, partial(tell, "solve"))
+        found, views, solved = _solved(found, prior, doubt, hue, radiometric, tell)
     interrupted |= solved.interrupted
     coarse = replace(coarse, setup=solved.light.onto(found.setup))
     with stage("predict"):
@@ -256,9 +256,13 @@ def _solved(
     doubt: Tensor,
     hue: Tensor | None,
     radiometric: bool,
-    tell: Callable[[float], None],
-) -> tuple[list[PieceView], Solved]:
-    """All photographs on the piece's grid, and what they make of it: coarse, then fine."""
+    tell: Tell,
+) -> tuple[Aligned, list[PieceView], Solved]:
+    """All photographs on the piece's grid, and what they make of it: coarse, then fine.
+
+    Photographs were brought over each other by relief as it was read, which is too flat; by the
+    coarse grid's they are looked up with their whole parallax.
+    """
     begun: Solved | None = None
     light, rounds = found.light, SolveSettings().rounds
     across, down = prior.size
@@ -272,9 +276,12 @@ def _solved(
             unsure,
             light,
             radiometric=radiometric,
-            tell=lambda share: tell(0.4 * share),
+            tell=lambda share: tell("solve", 0.4 * share),
         )
         light, rounds = begun.light, SolveSettings().finer
+        relief = np.asarray(begun.maps.height[0].numpy(), np.float32)
+        places = tuple(replace(place, relief=relief) for place in found.places)
+        found = replace(found, places=places)
     views = _on_grid(found, across, down, hue)
     solved = solve(
         views,
@@ -283,10 +290,10 @@ def _solved(
         light,
         radiometric=radiometric,
         settings=replace(SolveSettings(), rounds=rounds),
-        tell=lambda share: tell(share if begun is None else 0.4 + 0.6 * share),
+        tell=lambda share: tell("solve", share if begun is None else 0.4 + 0.6 * share),
         begun=begun,
     )
-    return views, solved
+    return found, views, solved
 
 
 def _on_grid(found: Aligned, across: int, down: int, hue: Tensor | None) -> list[PieceView]:

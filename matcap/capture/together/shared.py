@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.together.texels import (
+    GLOSS,
     NUMBERS,
     SolveSettings,
     derivatives,
@@ -30,6 +31,7 @@ from matcap.flash.extent import OWN
 from matcap.flash.registration.camera import Doubles
 
 _LIGHT = 4  # flash's offset, vignetting
+_SHARED = _LIGHT + 2  # and the level of gloss
 _GAINS = 3
 _MOVES = 8  # of a homography near the identity
 _FOURTH = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], np.float32) / 12.0
@@ -45,6 +47,7 @@ class SharedSettings:
         counted: what a texel weighs: neighbours lie beside their truth together.
         offset: deviation of the flash's place from where it is expected, plane units.
         vignetting: deviations of its exponents.
+        gloss: deviations of the mean of log F0 and of logit roughness from what was read.
         gain: deviation of a photograph's gain, log.
         apart: the same where no two of a larger piece show a texel: each would find its own.
         astray: deviation of a photograph's place, plane units.
@@ -55,6 +58,7 @@ class SharedSettings:
     counted: float = 0.03
     offset: float = 0.06
     vignetting: tuple[float, float] = (0.4, 0.6)
+    gloss: tuple[float, float] = (0.1, 1.0)
     gain: float = 1.5
     apart: float = 0.03
     astray: float = 0.004
@@ -68,7 +72,6 @@ class _Samples:
     points: Tensor
     logs: list[Tensor]
     seen: list[Tensor]
-    steep: list[Tensor]
     along: list[Tensor]  # (MOVES, 3, 1, N): what a move of a photograph changes
 
 
@@ -122,14 +125,17 @@ def shared_step(
     samples = _sampled(views, chosen, moving)
     some, prior, doubted = (each.flatten(1)[:, chosen] for each in (numbers, believed, spread))
     own = _GAINS + (_MOVES if moving else 0)
-    count = _LIGHT + own * (len(views) - 1)
-    # Offset and vignetting, then of every photograph but the first its gains and its move.
-    start = torch.cat([light.offset, light.vignetting, torch.zeros(count - _LIGHT)]).double()
+    count = _SHARED + own * (len(views) - 1)
+    # Offset, vignetting, gloss; then of every photograph but the first its gains and its move.
+    common = [light.offset, light.vignetting, light.gloss]
+    start = torch.cat([*common, torch.zeros(count - _SHARED)]).double()
     for k in range(1, len(views)):
-        first = _LIGHT + own * (k - 1)
+        first = _SHARED + own * (k - 1)
         start[first : first + _GAINS] = light.gain[k]
     deviation = _deviations(len(views), own, radiometric, held, shared)
     values, some = start.clone(), some.clone()
+    # Gloss is expected as it was read, whatever was found since.
+    start[_LIGHT:_SHARED] = 0.0
     for _ in range(shared.steps):
         system = _eliminated(views, samples, some, prior, doubted, values, light, own, settings)
         normal = shared.counted * system.normal + torch.diag(deviation**-2)
@@ -141,7 +147,7 @@ def shared_step(
         some = some + system.texels(step)
     moves = [np.eye(3)]
     for k in range(1, len(views)):
-        first = _LIGHT + own * (k - 1) + _GAINS
+        first = _SHARED + own * (k - 1) + _GAINS
         moves.append(_homography(values[first : first + _MOVES].numpy()) if moving else np.eye(3))
     return _light_of(values, light, own), moves
 
@@ -181,7 +187,6 @@ def _sampled(views: Sequence[PieceView], chosen: Tensor, moving: bool) -> _Sampl
         points,
         [view.log.flatten(1)[:, chosen] for view in views],
         [view.seen.flatten(1)[:, chosen] for view in views],
-        [view.steep.flatten()[chosen] for view in views],
         along,
     )
 
@@ -233,17 +238,23 @@ def _eliminated(
     right = precision * (prior - some)[:, 0].T
     normal = torch.zeros(count, count, dtype=torch.float64)
     gradient = torch.zeros(count, dtype=torch.float64)
+    # The mean of gloss is seen through every texel's prior alone: hierarchical least squares.
+    level = slice(_LIGHT, _SHARED)
+    right[:, GLOSS] += precision[:, GLOSS] * values[level].float()
+    between[:, GLOSS, level] = -torch.diag_embed(precision[:, GLOSS])
+    normal[level, level] = torch.diag(precision[:, GLOSS].double().sum(0))
+    gradient[level] = -right[:, GLOSS].double().sum(0)
     now = _light_of(values, light, own)
     for k, view in enumerate(views):
         lit = light_at(k, view, now, samples.points)
         log, own_numbers = derivatives(some, lit, settings.step)
-        first = _LIGHT + own * (k - 1)
+        first = _SHARED + own * (k - 1)
         moved = values[first + _GAINS : first + own].float() if k and own > _GAINS else None
         seen_log = samples.logs[k]
         if moved is not None:
             seen_log = seen_log + torch.einsum("i,icxn->cxn", moved, samples.along[k])
         residual = seen_log - log
-        weight = weights(residual, samples.seen[k], samples.steep[k], view.noise, settings)[:, 0]
+        weight = weights(residual, samples.seen[k], view.noise, settings)[:, 0]
         columns, places = _by_shared(view, k, samples, some, log, values, light, own, first)
         weighted = own_numbers * weight
         within += torch.einsum("icn,jcn->nij", weighted, own_numbers)
@@ -313,7 +324,7 @@ def _deviations(
     photographs: int, own: int, radiometric: bool, held: Container[int], shared: SharedSettings
 ) -> Tensor:
     vignetting = (1e-3, 1e-3) if radiometric else shared.vignetting
-    whole = [shared.offset, shared.offset, *vignetting]
+    whole = [shared.offset, shared.offset, *vignetting, *shared.gloss]
     for number in range(1, photographs):
         moves = 1e-9 if number in held else shared.astray
         whole += [shared.gain] * _GAINS + [moves] * (own - _GAINS)
@@ -323,7 +334,7 @@ def _deviations(
 def _limited(step: Tensor, own: int, most: float) -> Tensor:
     """A step by which no photograph moves farther."""
     step = step.clone()
-    for first in range(_LIGHT + _GAINS, len(step), own):
+    for first in range(_SHARED + _GAINS, len(step), own):
         step[first : first + _MOVES] = step[first : first + _MOVES].clamp(-most, most)
     return step
 
@@ -334,6 +345,7 @@ def _homography(move: NDArray[np.float64]) -> Doubles:
 
 
 def _light_of(values: Tensor, light: SetLight, own: int) -> SetLight:
-    gains = values[_LIGHT:].reshape(-1, own)[:, :_GAINS]
+    gains = values[_SHARED:].reshape(-1, own)[:, :_GAINS]
     gain = torch.cat([torch.zeros(1, 3), gains.float()])
-    return replace(light, offset=values[:2].float(), vignetting=values[2:4].float(), gain=gain)
+    offset, vignetting, gloss = values[:_SHARED].float().split(2)
+    return replace(light, offset=offset, vignetting=vignetting, gloss=gloss, gain=gain)

@@ -17,19 +17,22 @@ import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
-from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.piece.smooth import smoothed
+from matcap.capture.together.octaves import denoised, read_error
 from matcap.capture.together.shared import shared_light
 from matcap.capture.together.surface import surface_of
 from matcap.capture.together.texels import (
     ALBEDO,
     F0,
+    GLOSS,
     ROUGH,
     SLOPES,
     SolveSettings,
+    Stepped,
+    levelled,
     maps_of,
     numbers_of,
     points_of,
@@ -53,6 +56,7 @@ class Solved:
         residual: (photographs,) median difference of log radiance of what each shows.
         told: share of what is known of log albedo, log F0, roughness and slopes that photographs
             tell, and the prior does not; medians over texels.
+        read_off: deviation of slopes that were read too weak, by what photographs tell.
         interrupted: ended early, with the best so far.
     """
 
@@ -61,6 +65,7 @@ class Solved:
     light: SetLight
     residual: tuple[float, ...]
     told: tuple[float, float, float, float]
+    read_off: float
     interrupted: bool = False
 
 
@@ -89,41 +94,77 @@ def solve(
         tell: called with the share that is done.
         begun: the same piece solved on fewer texels: where texels begin, in place of what was read.
     """
-    settings = settings or SolveSettings()
-    given, believed = views, numbers_of(prior)
-    views = under_room(given, believed)
-    spread = spread_of(doubt, settings)
+    settings, tell = settings or SolveSettings(), tell or (lambda _share: None)
+    return _solve(views, (prior, doubt), light, radiometric, settings, tell, begun)
+
+
+def _solve(
+    given: Sequence[PieceView],
+    read: tuple[MapSet, Tensor],
+    light: SetLight,
+    radiometric: bool,
+    settings: SolveSettings,
+    tell: Callable[[float], None],
+    begun: Solved | None,
+) -> Solved:
+    """As solve, of what was read and its doubts."""
+    (prior, doubt), believed = read, numbers_of(read[0])
+    views, spread = under_room(given, believed), spread_of(doubt, settings)
     if not settings.rounds:
         light = shared_light(views, believed, believed, spread, light, radiometric, settings)
+    # Of the light, which a common error of slopes would move, and of texels.
+    off = 0.0 if begun is None else begun.read_off
+    known = _held_by(spread, off)
+    fresh = begun is None and len(settings.rounds) > 0
+    spread = _held_by(spread, settings.slope if fresh else settings.wider * off)
     numbers = believed.clone() if begun is None else _continued(believed, prior, begun)
     unit = views[0].extent.unit(numbers.shape[-1])
     precision, total, done, interrupted = torch.zeros(()), sum(settings.rounds) + 2, 0, False
-    relief: Tensor | None = None
+    step: Stepped | None = None
     try:
         for index, steps in enumerate(settings.rounds):
             views = under_room(given, numbers)
-            light = shared_light(views, numbers, believed, spread, light, radiometric, settings)
-            for _ in range(steps):
-                step = stepped(views, numbers, believed, spread, light, settings)
-                numbers, precision, relief = step.numbers, step.told, step.relief
+            before = light.gloss
+            light = shared_light(views, numbers, believed, known, light, radiometric, settings)
+            numbers[GLOSS] += (light.gloss - before)[:, None, None]
+            held = levelled(believed, light)
+            for turn in range(1, steps + 1):
+                each = turn == steps and (
+                    index == len(settings.rounds) - 1 or (not index and fresh)
+                )
+                step = stepped(views, numbers, held, spread, light, settings, without_each=each)
+                numbers, precision = step.numbers, step.told
                 done += 1
-                if tell:
-                    tell(done / total)
+                tell(done / total)
             numbers[SLOPES] = _without_slow(numbers[SLOPES], unit, settings)
-            if index == 0:
-                told = believed, spread, numbers, precision
-                believed, spread = _told_around(*told, unit, settings)
+            if index == 0 and step is not None:
+                if fresh:
+                    off = _read_off(numbers, believed, step.changes)
+                    spread = _held_by(known, settings.wider * off)
+                    known = _held_by(known, off)
+                believed = _told_around(believed, numbers - held, precision, unit, settings)
     except KeyboardInterrupt:
         interrupted = True
-    height = surface_of(numbers[SLOPES], prior.texel_size, relief)
-    numbers[SLOPES] = slopes_of(height, prior.texel_size)
-    if settings.rounds and not interrupted:
-        numbers = _answering(views, numbers, believed, spread, light, settings)
+    height = surface_of(numbers[SLOPES], prior.texel_size, None if step is None else step.relief)
+    if step is not None and not interrupted:
+        every = [believed[SLOPES], *step.changes[:, SLOPES]]
+        slow = (_without_slow(each, unit, settings) for each in every)
+        calm, *changes = (surface_of(each, prior.texel_size)[0].numpy() for each in slow)
+        height[0] = torch.from_numpy(denoised(height[0].numpy(), calm, changes, drawn=True))
         numbers[SLOPES] = slopes_of(height, prior.texel_size)
+        numbers = _answering(views, numbers, held, spread, light, settings)
+    numbers[SLOPES] = slopes_of(height, prior.texel_size)
     errors = _errors(precision, spread)
     maps = maps_of(numbers, height, prior.texel_size)
-    residuals = _residuals(views, numbers, light, settings)
-    return Solved(maps, errors, light, residuals, _told(precision, spread), interrupted)
+    left, shares = _residuals(views, numbers, light, settings), _told(precision, spread)
+    return Solved(maps, errors, light, left, shares, off, interrupted)
+
+
+def _held_by(spread: Tensor, slope: float) -> Tensor:
+    """(NUMBERS, H, W) deviations of a prior, those of slopes no less than one."""
+    spread = spread.clone()
+    spread[SLOPES] = spread[SLOPES].clamp_min(slope)
+    return spread
 
 
 def _continued(believed: Tensor, prior: MapSet, begun: Solved) -> Tensor:
@@ -166,27 +207,33 @@ def _without_slow(slopes: Tensor, unit: float, settings: SolveSettings) -> Tenso
 
 def _told_around(
     believed: Tensor,
-    spread: Tensor,
-    numbers: Tensor,
+    off: Tensor,
     precision: Tensor,
     unit: float,
     settings: SolveSettings,
-) -> tuple[Tensor, Tensor]:
-    """A prior of gloss from what was told of it around, however little of it was told here."""
-    believed, spread = believed.clone(), spread.clone()
+) -> Tensor:
+    """A prior of gloss from what was told of it around, however little of it was told here.
+
+    Args:
+        believed: (NUMBERS, H, W) prior so far.
+        off: likewise, what numbers are off by from it.
+        precision: likewise, of what photographs tell of each number.
+        unit: texels of the long side.
+        settings: see SolveSettings.
+    """
+    believed = believed.clone()
     deviation = settings.around * unit
     for number in (F0, ROUGH):
         told = precision[number].numpy()
         weight = told / (told + float(np.median(told)) + 1e-6)
-        off = (numbers[number] - believed[number]).numpy()
+        change = off[number].numpy()
         near, amount = (
             cv2.GaussianBlur(plane, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
-            for plane in (off * weight, weight)
+            for plane in (change * weight, weight)
         )
-        whole = float((off * weight).sum() / max(float(weight.sum()), 1e-6))
-        change: NDArray[np.float32] = (near + 0.05 * whole) / (amount + 0.05)
-        believed[number] += torch.from_numpy(change)
-    return believed, spread
+        whole = float((change * weight).sum() / max(float(weight.sum()), 1e-6))
+        believed[number] += torch.from_numpy((near + 0.05 * whole) / (amount + 0.05))
+    return believed
 
 
 def _answering(
@@ -197,11 +244,27 @@ def _answering(
     light: SetLight,
     settings: SolveSettings,
 ) -> Tensor:
-    """Numbers after a step in which slopes stay as they are."""
+    """Numbers after a step in which slopes stay as they are, albedo without noise."""
     held, held_to = spread.clone(), believed.clone()
     held[SLOPES] = 1e-4
     held_to[SLOPES] = numbers[SLOPES]
-    return stepped(views, numbers, held_to, held, light, settings).numbers
+    step = stepped(views, numbers, held_to, held, light, settings, without_each=True)
+    for channel in range(3):
+        told, read, changes = (
+            each.numpy()
+            for each in (step.numbers[channel], believed[channel], step.changes[:, channel])
+        )
+        step.numbers[channel] = torch.from_numpy(denoised(told, read, changes))
+    return step.numbers
+
+
+def _read_off(numbers: Tensor, believed: Tensor, changes: Tensor) -> float:
+    """Deviation of a slope that was read too weak, by what photographs tell."""
+    squares = [
+        read_error(numbers[k].numpy(), believed[k].numpy(), changes[:, k].numpy())
+        for k in range(SLOPES.start, SLOPES.stop)
+    ]
+    return math.sqrt(sum(squares) / len(squares))
 
 
 def _errors(precision: Tensor, spread: Tensor) -> Tensor:

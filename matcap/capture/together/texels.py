@@ -21,6 +21,7 @@ from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight
 
 ALBEDO, F0, ROUGH, SLOPES = slice(0, 3), 3, 4, slice(5, 7)
+GLOSS = slice(3, 5)  # F0 and ROUGH
 NUMBERS = 7
 
 
@@ -36,10 +37,11 @@ class SolveSettings:
         robust: log radiance at which a residual counts half.
         noise: of log radiance, of one channel of one photograph: what re-rendering is off by at
             best.
-        beside: texels that photographs lie beside each other at last: where log radiance is steep
-            it is off by as much more.
-        albedo, gloss, slope: least deviations of what the network read: log albedo, log F0 and
-            logit roughness, slope. Smaller holds more to it.
+        albedo, gloss: least deviations of what the network read: log albedo, log F0 and logit
+            roughness. Smaller holds more to it.
+        slope: the same of slopes, until photographs have told what those that were read are off by.
+        wider: deviations of that, within which slopes are then held: how much of each octave is
+            believed is told later (octaves.py).
         steepest: slope.
         step: of finite differences.
         damping: share of what is told of a number that holds it where it is; a step that is too
@@ -56,10 +58,10 @@ class SolveSettings:
     coarse: int = 320
     robust: float = 0.25
     noise: float = 0.02
-    beside: float = 0.35
     albedo: float = 0.25
     gloss: float = 0.2
-    slope: float = 0.07
+    slope: float = 1.0
+    wider: float = 3.0
     steepest: float = 3.0
     step: float = 0.02
     damping: float = 0.005
@@ -78,11 +80,14 @@ class Stepped:
         told: (NUMBERS, H, W) precision of what photographs tell of each number alone.
         relief: (3, H, W) precision of slopes, all other numbers answering, with what was believed:
             of x, of y, and of both together.
+        changes: (photographs, NUMBERS, H, W) what numbers change by when each photograph is left
+            out: the jackknife (Efron 1982). Empty where it was not asked for.
     """
 
     numbers: Tensor
     told: Tensor
     relief: Tensor
+    changes: Tensor
 
 
 def numbers_of(maps: MapSet) -> Tensor:
@@ -132,7 +137,14 @@ def spread_of(doubt: Tensor, settings: SolveSettings) -> Tensor:
     off = doubt.clamp(-8.0, 2.0).exp()
     albedo = off[:1].clamp_min(settings.albedo).expand(3, -1, -1)
     gloss = off[1:3].clamp_min(settings.gloss)
-    return torch.cat([albedo, gloss, off[3:4].clamp_min(settings.slope).expand(2, -1, -1)])
+    return torch.cat([albedo, gloss, off[3:4].expand(2, -1, -1)])
+
+
+def levelled(believed: Tensor, light: SetLight) -> Tensor:
+    """(NUMBERS, H, W) of a prior, its gloss on the level that all photographs tell."""
+    believed = believed.clone()
+    believed[GLOSS] += light.gloss[:, None, None]
+    return believed
 
 
 def rendered(numbers: Tensor, lights: Sequence[FlashLight | RoomLight]) -> list[Tensor]:
@@ -154,12 +166,10 @@ def _even(view: PieceView, numbers: Tensor) -> PieceView:
     return replace(view, log=log, room=RoomLight(lean))
 
 
-def weights(
-    residual: Tensor, seen: Tensor, steep: Tensor, noise: float, settings: SolveSettings
-) -> Tensor:
+def weights(residual: Tensor, seen: Tensor, noise: float, settings: SolveSettings) -> Tensor:
     """What residuals of log radiance weigh (Geman and McClure 1985)."""
     kept = 1.0 / (1.0 + (residual / settings.robust).square()).square()
-    return seen * kept / (settings.noise**2 + noise**2 + (settings.beside * steep).square())
+    return seen * kept / (settings.noise**2 + noise**2)
 
 
 def stepped(
@@ -169,53 +179,59 @@ def stepped(
     spread: Tensor,
     light: SetLight,
     settings: SolveSettings,
+    *,
+    without_each: bool = False,
 ) -> Stepped:
-    """A Gauss-Newton step of every texel."""
+    """A Gauss-Newton step of every texel; `without_each` of the photographs as well."""
     moved, told = torch.empty_like(numbers), torch.empty_like(numbers)
     relief = torch.empty(3, *numbers.shape[1:])
+    changes = torch.zeros(len(views) * without_each, *numbers.shape)
     for rows in strips(numbers.shape[1], settings.rows):
         part = slice(None), rows
         points = points_of(numbers.shape[-2:], rows, views[0].extent)
-        system = _system(views, rows, numbers[part], light, points, settings)
-        moved[part], told[part], relief[part] = _solved(
-            *system, numbers[part], believed[part], spread[part], settings.damping
-        )
+        of_each = [
+            _system(index, view, rows, numbers[part], light, points, settings)
+            for index, view in enumerate(views)
+        ]
+        here = numbers[part], believed[part], spread[part]
+        moved[part], told[part], relief[part] = _solved(of_each, *here, settings.damping)
+        for k, change in enumerate(changes):
+            others = of_each[:k] + of_each[k + 1 :]
+            change[part] = _solved(others, *here, settings.damping)[0] - moved[part]
     steep = settings.steepest
     moved[SLOPES] = moved[SLOPES].clamp(-steep, steep)
     moved[ALBEDO] = moved[ALBEDO].clamp(math.log(1e-3), math.log(0.98))
     moved[F0] = moved[F0].clamp(math.log(5e-3), math.log(0.98))
     moved[ROUGH] = moved[ROUGH].clamp(-3.5, 3.9)
-    return Stepped(moved, told, relief)
+    return Stepped(moved, told, relief, changes)
 
 
 def _system(
-    views: Sequence[PieceView],
+    index: int,
+    view: PieceView,
     rows: slice,
     numbers: Tensor,
     light: SetLight,
     points: Tensor,
     settings: SolveSettings,
 ) -> tuple[Tensor, Tensor]:
-    """Normal equations (N, 7, 7) and right-hand sides (N, 7) of some rows."""
+    """Normal equations (N, 7, 7) and right-hand sides (N, 7) of some rows of a photograph."""
     count = numbers[0].numel()
-    normal = torch.zeros(NUMBERS, NUMBERS, count)
-    gradient = torch.zeros(NUMBERS, count)
-    for index, view in enumerate(views):
-        seen = view.seen[:, rows]
-        if not seen.any():
-            continue
+    normal, gradient = torch.zeros(NUMBERS, NUMBERS, count), torch.zeros(NUMBERS, count)
+    seen = view.seen[:, rows]
+    if seen.any():
         log, shown = derivatives(numbers, light_at(index, view, light, points), settings.step)
         residual = view.log[:, rows] - log
-        weight = weights(residual, seen, view.steep[rows], view.noise, settings).flatten(1)
+        weight = weights(residual, seen, view.noise, settings).flatten(1)
         weighted = shown * weight
         # Albedo's channels show in themselves alone.
         for channel in range(3):
             own = weighted[channel, channel]
-            normal[channel, channel] += own * shown[channel, channel]
-            normal[3:, channel] += own * shown[3:, channel]
+            normal[channel, channel] = own * shown[channel, channel]
+            normal[3:, channel] = own * shown[3:, channel]
         for number in range(3, NUMBERS):
-            normal[number:, number] += (weighted[number] * shown[number:]).sum(1)
-        gradient += (weighted * residual.flatten(1)).sum(1)
+            normal[number:, number] = (weighted[number] * shown[number:]).sum(1)
+        gradient = (weighted * residual.flatten(1)).sum(1)
     for number in range(NUMBERS):
         normal[number, number + 1 :] = normal[number + 1 :, number]
     return normal.permute(2, 0, 1), gradient.T
@@ -251,15 +267,16 @@ def derivatives(
 
 
 def _solved(
-    normal: Tensor,
-    gradient: Tensor,
+    systems: Sequence[tuple[Tensor, Tensor]],
     numbers: Tensor,
     believed: Tensor,
     spread: Tensor,
     damping: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What Stepped holds, of some rows."""
-    shape = numbers.shape
+    """What Stepped holds, of some rows, by any number of photographs."""
+    shape, count = numbers.shape, numbers[0].numel()
+    normal = sum((each for each, _ in systems), torch.zeros(count, NUMBERS, NUMBERS))
+    gradient = sum((each for _, each in systems), torch.zeros(count, NUMBERS))
     here, prior = numbers.flatten(1).T, believed.flatten(1).T
     held = spread.flatten(1).T.square().reciprocal()
     told = normal.diagonal(dim1=1, dim2=2).clone()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -40,12 +40,15 @@ class SetLight:
         vignetting: (2,) exponents with r^2 and r^4 (flash/geometry.py).
         gain: (photographs, 3) logarithm of what a channel is brighter by than the first's.
         intensity: (3,) of the first one's flash.
+        gloss: (2,) mean of log F0 and of logit roughness, less that of what was read: an error of
+            this level scales all slopes.
     """
 
     offset: Tensor
     vignetting: Tensor
     gain: Tensor
     intensity: Tensor
+    gloss: Tensor = field(default_factory=lambda: torch.zeros(2))
 
     @staticmethod
     def of(setup: FlashSetup, count: int) -> SetLight:
@@ -113,8 +116,6 @@ class PieceView:
         name: its file's.
         log: (3, H, W) logarithm of its radiance.
         seen: (3, H, W) bool, by channel: in the picture and not clipped.
-        steep: (H, W) how much log radiance changes from a texel to the next: what a texel that is
-            looked up beside its place is off by.
         camera: where it stood.
         room: what lit it where that was not its flash.
         noise: of log radiance, what it is off by beside what a flash photograph is.
@@ -124,7 +125,6 @@ class PieceView:
     name: str
     log: Tensor
     seen: Tensor
-    steep: Tensor
     camera: PosedCamera
     room: RoomLight | None = None
     noise: float = 0.0
@@ -171,7 +171,6 @@ class PieceView:
             photo.name,
             shown if hue is None else shown - on_grid(hue, (across, down)).log(),
             torch.from_numpy(np.ascontiguousarray(seen.transpose(2, 0, 1))),
-            torch.from_numpy(_steepness(log.mean(2))),
             view.camera,
             None if view.flash else RoomLight(),
             0.0 if view.flash else ROOM.noise,
@@ -193,13 +192,6 @@ def _looked_up(
 
 def _shrunk(picture: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _steepness(log: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(H, W) root of the mean square around of what (H, W) changes by from texel to texel."""
-    dx = cv2.Sobel(log, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
-    dy = cv2.Sobel(log, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
-    return np.asarray(np.sqrt(cv2.GaussianBlur(dx * dx + dy * dy, (0, 0), 1.5)), np.float32)
 
 
 def light_at(

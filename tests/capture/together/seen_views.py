@@ -29,7 +29,7 @@ def seen(pieces: Sequence[MapSet], noise: float = 0.0) -> tuple[list[PieceView],
         zip(hold(PHONE, Hand(), count, 1), pieces, strict=True)
     ):
         empty = torch.zeros(3, *SIZE)
-        view = PieceView("made", empty, empty == 0.0, torch.zeros(SIZE), camera)
+        view = PieceView("made", empty, empty == 0.0, camera)
         lit = light_at(number, view, light, points_of(SIZE))
         log = rendered(numbers_of(maps), [lit])[0].log()
         views.append(replace(view, log=log + noise * torch.randn(log.shape, generator=generator)))

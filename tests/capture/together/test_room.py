@@ -123,7 +123,7 @@ def _maps(seed=0):
 
 def _view(maps, camera, light, number, room=None):
     empty = torch.zeros(3, *SIZE)
-    view = PieceView("made", empty, empty == 0.0, torch.zeros(SIZE), camera, room, 0.0)
+    view = PieceView("made", empty, empty == 0.0, camera, room, 0.0)
     lit = light_at(number, view, light, points_of(SIZE))
     return replace(view, log=rendered(numbers_of(maps), [lit])[0].log())
 

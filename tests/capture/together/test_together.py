@@ -18,6 +18,7 @@ from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.capture.together.shared import shared_step
 from matcap.capture.together.solve import predicted, solve
 from matcap.capture.together.texels import (
+    SLOPES,
     SolveSettings,
     numbers_of,
     spread_of,
@@ -103,6 +104,19 @@ def test_the_flash_is_found_beside_the_lens():
         views, numbers, numbers, spread, begun, True, SolveSettings(), moving=False
     )
     assert np.abs(found.offset.numpy() - OFFSET).max() < 0.01
+
+
+def test_gloss_that_was_read_wrong_does_not_scale_relief():
+    """Nor a network that thinks itself sure of a relief half as steep."""
+    maps = _true(6)
+    views, light = seen([maps] * 5, 0.005)
+    read = replace(maps, roughness=maps.roughness - 0.2, height=0.5 * maps.height)
+    sure = torch.log(torch.tensor([0.5, 0.05, 0.2, 0.02]))[:, None, None].expand(4, *SIZE)
+    found = solve(views, read, sure, light, radiometric=True)
+    assert found.light.gloss[1] > 0.4
+    before, after = (numbers_of(each)[SLOPES].square().mean() for each in (maps, found.maps))
+    assert 0.75 < float(after / before) < 1.15
+    assert found.read_off > 0.3 * float(before.sqrt())
 
 
 def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it():

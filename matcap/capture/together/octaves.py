@@ -1,0 +1,119 @@
+"""Octave by octave: what photographs tell of a map, their noise, and what was read of it.
+
+In an octave let y be what photographs tell of a map, with noise of variance nu, and m what the
+network read. The truth is taken for g m + e with e of variance T, so
+
+    y = g m + e + noise,    g = E[y m] / E[m^2],    T = E[(y - g m)^2] - nu.
+
+nu is told by the photographs themselves, by what each changes when it is left out: the jackknife
+(Efron 1982), which needs no model of misregistration, shadows or JPEG. m has noise of the first
+photograph in it, which has therefore no part in g. So the photographs calibrate the network on
+steep and on flat materials alike. The posterior mean g m + T / (T + nu) (y - g m) is too smooth;
+with the square root of that gain the octave has its energy g^2 E[m^2] + T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.capture.piece.smooth import smoothed, split
+from matcap.capture.piece.strengths import BANDS
+
+Floats = NDArray[np.float32]
+
+_OCTAVES = ((256.0, 128.0), (128.0, 64.0), *BANDS)
+_AROUND = 2.0  # waves over which noise is averaged
+_LEAST = 1e-12  # of variances
+_NOISE = 1.0  # share of itself that the noise's variance may be off by
+
+
+@dataclass(frozen=True)
+class _Octave:
+    """A band of a map.
+
+    Attributes:
+        told, read: (H, W) y and m.
+        noise: (H, W) nu.
+        gain, error: g and T.
+    """
+
+    told: Floats
+    read: Floats
+    noise: Floats
+    gain: np.float32
+    error: np.float32
+
+    @staticmethod
+    def of(told: Floats, others: Floats, read: Floats, noise: Floats, wave: float) -> _Octave:
+        """By what all tell, and all but the first; `wave` is the longest in it, texels."""
+        weight = 1.0 / noise
+        # g is 1 within 1 if no wave tells it, and never negative.
+        count = told.size / wave**2
+        few = float((weight * noise).mean()) / count
+        gain = max(float((weight * others * read).mean()) + few, 0.0) / (
+            float((weight * read * read).mean()) + few
+        )
+        left = np.square(told - np.float32(gain) * read) - noise
+        error = max(float((weight * left).sum() / weight.sum()), _LEAST)
+        return _Octave(told, read, noise, np.float32(gain), np.float32(error))
+
+    def posterior(self, gain: np.float32) -> Floats:
+        """(H, W) with a gain in place of g of what was read, and the energy T of the rest."""
+        kept = np.sqrt(self.error / (self.error + self.noise), dtype=np.float32)
+        return gain * self.read + kept * (self.told - self.gain * self.read)
+
+    def drawn(self) -> np.float32:
+        """A gain by which what was read brings the octave to its energy, known or not.
+
+        Photographs tell that energy within their noise, what was read within itself.
+        """
+        read, noise = float(np.square(self.read).mean()), float(self.noise.mean())
+        seen = float(self.gain) ** 2 * read + float(self.error)
+        sure = read**2 / (read**2 + (_NOISE * noise) ** 2 + _LEAST**2)
+        more = (sure * seen + (1.0 - sure) * read - float(self.error)) / max(read, _LEAST)
+        return np.float32(max(abs(float(self.gain)), np.sqrt(max(more, 0.0))))
+
+
+def denoised(
+    told: Floats, read: Floats, changes: Sequence[Floats] | Floats, *, drawn: bool = False
+) -> Floats:
+    """(H, W) a map with every octave's noise taken off, and its energy kept.
+
+    Args:
+        told: (H, W) by all photographs.
+        read: (H, W) by the network.
+        changes: (H, W) each, of what is told when a photograph is left out.
+        drawn: what noise hides is drawn as it was read.
+    """
+    bands = [o.posterior(o.drawn() if drawn else o.gain) for o in _octaves(told, read, changes)]
+    return np.asarray(np.sum(bands, axis=0), np.float32)
+
+
+def read_error(told: Floats, read: Floats, changes: Sequence[Floats] | Floats) -> float:
+    """Variance of what was read too weak, or in the wrong places, all octaves together.
+
+    Args: as of denoised.
+    """
+    return sum(
+        float(o.error) + max(float(o.gain) - 1.0, 0.0) ** 2 * float(np.square(o.read).mean())
+        for o in _octaves(told, read, changes)
+    )
+
+
+def _octaves(told: Floats, read: Floats, changes: Sequence[Floats] | Floats) -> Iterator[_Octave]:
+    """Each of both maps, and the rest."""
+    share = np.float32(
+        max(0.5, 1.0 - 1.0 / len(changes))
+    )  # of one, what it changes is all it tells
+    noises = [np.full_like(told, _LEAST) for _ in range(len(_OCTAVES) + 1)]
+    for change in changes:
+        for noise, band in zip(noises, split(change, _OCTAVES), strict=True):
+            noise += share * np.square(band)
+    waves = [*(longest for longest, _ in _OCTAVES), 2.0 * _OCTAVES[0][0]]
+    bands = (split(each, _OCTAVES) for each in (told, told + changes[0], read))
+    for y, others, m, noise, wave in zip(*bands, noises, waves, strict=True):
+        yield _Octave.of(y, others, m, smoothed(noise, _AROUND * wave), wave)
