@@ -309,7 +309,7 @@ FAULTS = (
           "example/test_exemplar.py"),
     Fault("settings: any number is within its limits", "files.settings Setting.check",
           "not (math.isfinite(value) and rule.least <= value <= rule.most)", "False",
-          "files/test_settings.py"),
+          "files/test_declared_settings.py"),
     Fault("batch: a claim that another holds", "batch.workspace _held", "return None",
           "return lock", "batch/test_workspace.py -k claim_keeps"),
     Fault("file: any version", "field _about", "about['version'] != VERSION", "False",
