@@ -82,7 +82,7 @@ def seen(photo):
         (None, srgb_encode, [(b"sRGB", b"\0"), gamma(1.8)], None),
         (P3, srgb_encode, [(b"cICP", bytes((12, 13, 0, 1))), gamma(1.0)], "Display P3"),
     ],
-    ids=str,
+    ids=lambda each: getattr(each, "__name__", str(each)),
 )
 def test_png(tmp_path, primaries, encode, chunks, named):
     photo = load_photo(write_png(tmp_path / "a.png", patches(primaries, encode), *chunks))
