@@ -199,7 +199,8 @@ def refine(
         counts = weights * tells
         counts = counts / counts.sum(0, keepdim=True).clamp_min(1e-6)
         grey = (counts * residual).sum(0, keepdim=True)
-        glare = (REFINE.glare * (1.0 - share)).square()
+        uncertain = REFINE.glare + (REFINE.glare_metal - REFINE.glare) * bare
+        glare = (uncertain * (1.0 - share)).square()
         # The channels' noise is taken to go together: what development smooths is blotches.
         unknown = (counts * white).sum(0, keepdim=True).square() + glare
         common = base * albedo * grey / (base.square() * albedo + unknown)

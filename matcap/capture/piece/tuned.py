@@ -188,7 +188,9 @@ class RefineSettings:
         slow: the picture's long side over the deviation of what counts as slow and stays out.
         most: of log radiance a step explains. Gaps between threads are darker than read by more
             than 0.5.
-        glare: of log radiance: what a highlight's fit leaves where all light is mirrored.
+        glare, glare_metal: of log radiance: what a highlight's fit leaves where all light is
+            mirrored, by a dielectric and by metal, whose texture is its F0: with 0.5 a brushed
+            steel is 2.5 times as far as two samples differ, with 0.15 1.8.
         chroma: deviation of albedo's colour as a share of its lightness's. More takes the sensor's
             noise for the material's.
         stationary: the long side over the deviation of what a stationary sample is even over.
@@ -204,6 +206,7 @@ class RefineSettings:
     slow: float = 12.0
     most: float = 1.5
     glare: float = 0.5
+    glare_metal: float = 0.15
     chroma: float = 0.3
     stationary: float = 8.0
     thinned: int = 3
