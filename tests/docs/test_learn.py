@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 import typer
 
+import matcap as package
 from matcap.batch.settings import read_settings
+from matcap.capture.progress import DECODER_STAGES, PIECE_STAGES
 from matcap.cli.main import app, main
 from matcap.relight.scenefile import parse_scene
 
@@ -118,6 +120,34 @@ def test_python_guide_runs_from_top_to_bottom(small, tmp_path, monkeypatch):
     for snippet in snippets:
         exec(compile(snippet, "docs/guide/python.md", "exec"), names)
     assert len(snippets) > 10 and Path("leather.html").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("stages", [PIECE_STAGES, DECODER_STAGES], ids=["example", "decoder"])
+def test_how_it_works_goes_through_the_stages_of_today(stages):
+    text = (ROOT / "docs/guide/how-it-works.md").read_text(encoding="utf-8")
+    lists = re.findall(r"(?:^\d+\. (?:.|\n)*?(?=\n\n|\n\d+\. |\Z)\n?)+", text, re.MULTILINE)
+    assert list(stages) in [re.findall(r"\*\*([a-z-][a-z -]*)\*\*", steps) for steps in lists]
+
+
+def test_releases_are_called_alike():
+    cited = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)[1]
+    latest = re.search(
+        r"^## (\S+) - \d{4}-\d\d-\d\d$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE
+    )
+    assert cited == latest[1] == package.__version__
+
+
+def test_hooks_before_a_commit_are_what_ci_runs():
+    hooks = (ROOT / ".pre-commit-config.yaml").read_text()
+    entries = re.findall(r"entry: ([a-z-]+(?: [a-z]+)?)", hooks)
+    ci = (ROOT / ".ci" / "run").read_text()
+    assert len(entries) == 4
+    assert all(re.search(rf"bin/{entry}( |$)", ci, re.MULTILINE) for entry in entries)
+
+
+def test_readme_and_changelog_stay_short():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 140
+    assert len((ROOT / "CHANGELOG.md").read_text().splitlines()) <= 120
 
 
 @pytest.mark.parametrize("name", NAMES)
