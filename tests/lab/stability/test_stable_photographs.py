@@ -106,13 +106,10 @@ def test_half_the_exposure_gives_the_same_maps():
     assert seen.float().mean() > 0.2
     one, other = (torch.from_numpy(p.stacked())[:, seen] for p in pieces)
     assert torch.allclose(one[:5].mean(1), other[:5].mean(1), rtol=0.01)
-    spreads = torch.stack([one.std(1), other.std(1)])
-    others = [0, 1, 2, 4, 5]
-    assert torch.allclose(*spreads[:, others], rtol=0.05)
-    # F0 without metal is drawn by its ties alone, which so few steps tell to a fortieth of it.
-    assert torch.allclose(*spreads[:, 3], rtol=0.0, atol=0.025 * float(one[3].mean()))
+    # F0 and roughness are one number each: a class's.
+    assert torch.allclose(one.std(1), other.std(1), rtol=0.05, atol=1e-6)
     apart = (one - other).square().mean(1).sqrt()
-    assert (apart / one.std(1)).max() < 0.3
+    assert bool((apart <= 0.3 * one.std(1) + 1e-6).all())
     intensities = [r.material.setup.intensity[0] for r in (bright, dark)]
     assert intensities[1] / intensities[0] == pytest.approx(0.5, rel=0.02)
 
