@@ -99,6 +99,7 @@ def look_again(
 
 def _entry(sample: ShotSample, settings: BatchSettings, prior: str, card: str) -> BatchEntry:
     try:
-        return BatchEntry(sample, identity(sample.photos, settings, prior=prior, card=card), "todo")
+        wanted = identity(sample.photos, settings, prior=prior, card=card, profile=sample.profile)
+        return BatchEntry(sample, wanted, "todo")
     except MatcapError as error:
         return BatchEntry(sample, "", "failed", str(error))

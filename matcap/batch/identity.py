@@ -15,6 +15,7 @@ from typing import Any
 from matcap.batch.settings import BatchSettings
 from matcap.errors import MatcapError
 from matcap.files.maker import MAKER_VERSION
+from matcap.photo.camera import CameraProfile
 
 # Settings that say what to work on or how, and leave the material as it is; of prior and card the
 # bytes count.
@@ -29,6 +30,7 @@ def identity(
     *,
     prior: str,
     card: str = "",
+    profile: CameraProfile | None = None,
     version: str = MAKER_VERSION,
 ) -> str:
     """64 hexadecimal digits.
@@ -38,6 +40,7 @@ def identity(
         settings: how it is captured and written.
         prior: prior_hash of its prior.
         card: hash of the calibration that is applied, or "".
+        profile: of the camera that the shoot tells, if it does.
         version: of matcap.
 
     Raises:
@@ -48,8 +51,10 @@ def identity(
         for key, value in settings.named().items()
         if key not in _NO_MATTER and (key not in _SINCE or value != _SINCE[key])
     }
-    if settings.capture.mask is not None:
-        chosen["mask"] = file_hash(settings.capture.mask)  # whose bytes count
+    for name in ("mask", "camera"):
+        file = getattr(settings.capture, name)
+        if file is not None:
+            chosen[name] = file_hash(file)  # whose bytes count
     what: dict[str, Any] = {
         "photographs": [file_hash(photo) for photo in photos],
         "settings": chosen,
@@ -57,6 +62,8 @@ def identity(
         "prior": prior,
         "card": card,
     }
+    if profile is not None:  # unsaid else, for old materials to stay
+        what["camera"] = profile.document()
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
 

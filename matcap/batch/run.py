@@ -154,6 +154,7 @@ class Batch:
             self._run,
             detail,
             card=self._card,
+            profile=sample.profile,
         )
 
     def _fill(self) -> None:

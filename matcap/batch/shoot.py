@@ -14,6 +14,7 @@ from typing import Literal
 from matcap.errors import MatcapError
 from matcap.files.names import kept_plain, series
 from matcap.files.quiet import quiet_decoders
+from matcap.photo.camera import CameraProfile
 
 Grouping = Literal["none", "name", "dir", "time"]
 Taken = Callable[[Path], float | None]
@@ -50,6 +51,8 @@ class ShotSample:
     """The photographs it is made from."""
     beside: tuple[Path, ...] = ()
     """Files set aside, because a RAW of the same stem says more."""
+    profile: CameraProfile | None = None
+    """Of the camera, where the shoot tells one (cameras.py)."""
 
 
 def find_samples(

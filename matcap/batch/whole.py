@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
+from matcap.batch.cameras import with_profiles
 from matcap.batch.crew import BatchCrew, Machines, Processes
 from matcap.batch.entries import BatchEntry, make_plan
 from matcap.batch.identity import prior_hash
@@ -21,6 +22,7 @@ from matcap.errors import ExitCode, MatcapError
 from matcap.files.memory import free_bytes
 from matcap.files.staging import check_writable
 from matcap.photo.calibrate import Calibration, card_sentence, read_card
+from matcap.photo.camera import CameraProfile, write_camera_profile
 
 _SETS_SAID = 12  # sets that are named before a batch starts
 
@@ -41,6 +43,8 @@ class Prepared:
     """How many there will be."""
     card: Calibration | None = None
     """What the shoot's calibration card told, or None."""
+    profiles: Mapping[Path, CameraProfile] = field(default_factory=dict)
+    """Of the shoot's cameras, each with its file in the output."""
 
     @property
     def todo(self) -> list[BatchEntry]:
@@ -64,6 +68,9 @@ def prepare(
         show.note(sentence)
     card = read_card(cards[0], fov=settings.capture.fov) if cards else None
     show.note(card_sentence(card))
+    samples, profiles = with_profiles(samples, shoot, out, settings.capture, again=policy.force)
+    for profile in profiles.values():
+        show.note(profile.says())
     check_writable(out, settings.outputs.room)
     entries = make_plan(
         samples,
@@ -83,7 +90,7 @@ def prepare(
             f"Only {workers} of {settings.jobs} workers: each may take {each / 1e9:.1f} GB, "
             f"and {free_bytes() / 1e9:.1f} GB are free."
         )
-    return Prepared(out, settings, entries, each, workers, card)
+    return Prepared(out, settings, entries, each, workers, card, profiles)
 
 
 def group_sentences(samples: Sequence[ShotSample]) -> list[str]:
@@ -138,6 +145,8 @@ def work_off(
             show.note(str(error))  # the materials matter more than their page
 
     with open_run(out) as run:
+        for file, profile in prepared.profiles.items():
+            write_camera_profile(file, profile)
         show.expect(len(entries))
         for entry in entries:
             if entry.state != "todo":

@@ -19,6 +19,7 @@ from matcap.errors import MatcapError
 from matcap.files.progress import Progress, TellProgress
 from matcap.files.staging import write_error
 from matcap.photo.calibrate import Calibration, calibrated
+from matcap.photo.camera import CameraProfile
 
 if TYPE_CHECKING:
     from matcap.capture.result import CaptureResult
@@ -50,6 +51,8 @@ class BatchJob:
     """Nothing else runs beside it."""
     card: Calibration | None = None
     """What the shoot's card told, or None."""
+    profile: CameraProfile | None = None
+    """Of the camera, as the shoot tells it."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,7 @@ def _do(job: BatchJob, tell: TellProgress) -> dict[str, Any]:
     photos = []
     for path in job.photos:
         photo = read_photograph(path, chosen, several=len(job.photos) > 1)
+        photo = photo if job.profile is None else photo.known_by(job.profile)
         photos.append(photo if job.card is None else calibrated(photo, job.card))
 
     result = capture_photo(photos[0], chosen, tell, others=photos[1:])
@@ -162,6 +166,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "inspection": [found.document() for found in looked_at],
         "albedo": "absolute" if result.photo.flash_intensity is not None else "relative",
         "card": job.card.document() if job.card else None,
+        "camera": result.photo.profile and result.photo.profile.document(),
         "stage_seconds": {name: round(s, 3) for name, s in result.stage_seconds.items()},
         "steps": resolve(result.settings).work(result.settings.generator),
     }

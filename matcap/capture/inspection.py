@@ -11,6 +11,7 @@ from matcap.capture.piece.strengths import Strengths
 from matcap.capture.piece.told import photographed_strengths
 from matcap.capture.tilt import fitted, tilt_document
 from matcap.flash.coarse import CoarseFit
+from matcap.photo.camera import CameraProfile
 from matcap.photo.inspect import Inspection, inspect_photo
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
@@ -31,18 +32,22 @@ class InspectedPhotograph:
     tilt: Mapping[str, Any] | None = None
 
 
-def inspect_file(path: Path, detail: int, fov: float | None = None) -> InspectedPhotograph:
+def inspect_file(
+    path: Path, detail: int, fov: float | None = None, profile: CameraProfile | None = None
+) -> InspectedPhotograph:
     """Look at a photograph as a capture would.
 
     Args:
         path: of the photograph.
         detail: pixels across its long side.
         fov: field of view along that side, degrees; None for what the file says.
+        profile: of the camera, if it is known.
 
     Raises:
         MatcapError: it cannot be read, or nothing can be fitted to it.
     """
     photo = load_photo(path, long_side=detail, fov=fov, noise=False)
+    photo = photo if profile is None else photo.known_by(profile)
     coarse = fitted(photo)
     strengths = photographed_strengths(photo, coarse, photo.pixels.shape[1])
     return InspectedPhotograph(photograph_quality(photo, coarse), strengths, tilt_document(coarse))

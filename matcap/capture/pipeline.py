@@ -35,6 +35,7 @@ from matcap.files.interrupts import postponed
 from matcap.flash.likeness import PhotographTarget
 from matcap.flash.mirror import lit_mirror
 from matcap.flash.plane import Plane
+from matcap.photo.camera import read_camera_profile
 from matcap.photo.left_out import leave_out
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
@@ -56,7 +57,8 @@ def read_photograph(
     """A photograph as a capture with these settings, done so, needs it; of several, or alone.
 
     Raises:
-        UsageError: an unknown preset; a crop outside of the photograph, or of several.
+        UsageError: an unknown preset; a crop outside of the photograph, or of several; a bad
+            profile of the camera.
         MatcapError: the file is not a photograph that can be read; a mask that does not fit; one
             of several that is cut out.
     """
@@ -70,6 +72,8 @@ def read_photograph(
             remedy="leave it out: what does not belong is found by itself",
         )
     photo = load_photo(path, long_side=detail, fov=settings.fov, noise=noise)
+    if settings.camera is not None:
+        photo = photo.known_by(read_camera_profile(settings.camera))
     if several and photo.left_out is not None:
         raise MatcapError(
             "a part of the picture is transparent, which several photographs do not know of",

@@ -146,6 +146,9 @@ class CaptureSettings:
     mask: Path | None = setting(None, metavar="FILE.png")
     """A picture of the photograph's size: white is the material, black (a finger, a label, the
     table's edge) is left out."""
+    camera: Path | None = setting(None, metavar="FILE.json")
+    """Profile of the camera, as matcap camera and matcap batch write it: how much light its corners
+    lose."""
     seed: int = setting(0, least=0, most=2**63 - 1)
     """Seed of the work and of the map set."""
     prior: str = setting("auto", metavar="auto|none|PATH")
@@ -180,9 +183,10 @@ class CaptureSettings:
         told = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
         # Unsaid where there is none, as in files of before there were any.
         told |= {
-            name: part and str(part) for name, part in (("crop", self.crop), ("mask", self.mask))
+            name: part and str(part)
+            for name, part in (("crop", self.crop), ("mask", self.mask), ("camera", self.camera))
         }
-        unsaid = {"crop", "mask", "union"}
+        unsaid = {"crop", "mask", "camera", "union"}
         return {name: value for name, value in told.items() if value or name not in unsaid}
 
     @property

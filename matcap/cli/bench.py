@@ -263,6 +263,35 @@ def gloss(
 
 
 @app.command()
+def camera(
+    material: MaterialArgument = None,
+    sets: SetsOption = None,
+    photographs: Annotated[
+        Path | None, typer.Option(help="Folder of real ones by one camera, instead of simulated.")
+    ] = None,
+    begins: Annotated[str, typer.Option(help="Only real ones whose names begin so.")] = "",
+    falloff: Annotated[
+        tuple[float, float],
+        typer.Option(help="Log of the light that simulated corners lose with r^2 and with r^4."),
+    ] = (0.6, 1.2),
+    jpeg: Annotated[bool, typer.Option("--jpeg", help="Simulated ones are no RAW.")] = False,
+    out: OutOption = Path("bench/camera"),
+) -> None:
+    """What one falloff for all photographs of a camera changes in their coarse fits.
+
+    Fits each alone, then all under the profile that they make together. Prints the table.
+    """
+    from matcap.batch.shoot import find_samples
+    from matcap.lab.bench.cameras import ABOUT, camera_experiment
+    from matcap.lab.simulate.specimen import subjects
+
+    found = find_samples(photographs) if photographs else []
+    real = [one.photos[0] for one in found if one.photos[0].name.startswith(begins)]
+    specimens = [] if photographs else subjects(material or (), sets)
+    _print(camera_experiment(real, specimens, falloff, developed=jpeg), out, ABOUT)
+
+
+@app.command()
 def highlight(
     photographs: Annotated[
         list[Path] | None, typer.Argument(help="Real photographs; those without a highlight pass.")

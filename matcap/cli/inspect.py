@@ -6,12 +6,15 @@ import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from matcap.cli.options import JsonOption, in_range
 from matcap.errors import ExitCode, MatcapError, UsageError
+
+if TYPE_CHECKING:
+    from matcap.photo.camera import CameraProfile
 
 _MARKS = {"good": "ok", "note": "  ", "doubtful": "? ", "poor": "! "}
 
@@ -35,6 +38,10 @@ def inspect(
             help="Field of view along the long side, degrees.",
         ),
     ] = None,
+    camera: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.json", help="Profile of the camera, as of matcap camera."),
+    ] = None,
     together: Annotated[
         bool | None,
         typer.Option(
@@ -53,7 +60,9 @@ def inspect(
     lit, which are nearly the same. Of a material: its exemplar, what of it is left out, and its F0.
     """
     from matcap.files.names import are_a_series
+    from matcap.photo.camera import read_camera_profile
 
+    profile = None if camera is None else read_camera_profile(camera)
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
     failures = 0
@@ -62,7 +71,7 @@ def inspect(
         documents = materials if of_material else photographs
         kind = "material" if of_material else "photo"
         try:
-            document, text = _material(path) if of_material else _photo(path, detail, fov)
+            document, text = _material(path) if of_material else _photo(path, detail, fov, profile)
         except UsageError:
             raise
         except MatcapError as error:
@@ -94,12 +103,14 @@ def inspect(
         raise typer.Exit(ExitCode.SOME_FAILED if some else ExitCode.NOTHING_SUCCEEDED)
 
 
-def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], str]:
+def _photo(
+    path: Path, detail: int, fov: float | None, profile: CameraProfile | None
+) -> tuple[dict[str, Any], str]:
     """What is found, for JSON and as text."""
     from matcap.capture.inspection import inspect_file
     from matcap.capture.tilt import tilt_line
 
-    inspected = inspect_file(path, detail, fov)
+    inspected = inspect_file(path, detail, fov, profile)
     found, told = inspected.quality, inspected.strengths
     lines = [f"{path}: {found.verdict.value}"]
     lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in found.findings]
@@ -107,7 +118,10 @@ def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], 
     lines += [f"     {name:<13} {says}" for name, says in _strengths(strengths)]
     if inspected.tilt is not None:
         lines.append(f"     {'tilt from':<13} {tilt_line(inspected.tilt)}")
+    if profile is not None:
+        lines.append(f"     {'camera':<13} {profile.says()}")
     document = found.document() | {"strengths": strengths, "tilt_sources": inspected.tilt}
+    document["profile"] = profile and profile.document()
     return document, "\n".join(lines)
 
 

@@ -23,6 +23,7 @@ from matcap.cli import (
     batch,
     bench,
     blend,
+    camera,
     capture,
     card,
     compare,
@@ -60,6 +61,7 @@ app.command("capture")(capture.capture)
 app.command("batch")(batch.batch)
 app.command("inspect")(inspect.inspect)
 app.command("compare")(compare.compare)
+app.command("camera")(camera.camera)
 app.command("card")(card.card)
 app.command("synth", cls=synth.SynthCommand)(synth.synth)
 app.command("relight")(relight.relight)

@@ -35,6 +35,7 @@ from matcap.flash.highlight import SURROUNDINGS, Highlight, find_highlight, ligh
 from matcap.flash.light import FlashLight, log_vignette
 from matcap.flash.rectify import CLIPPING
 from matcap.flash.uniform import Uniform
+from matcap.photo.camera import Falloff
 from matcap.photo.photo import Photo
 
 _STEP = 1e-5  # of a parameter, all of which are of order 1, for differences
@@ -150,6 +151,19 @@ class TiltPrior:
 
 
 @dataclass(frozen=True)
+class FalloffEvidence:
+    """A photograph's Gaussian likelihood of the falloff: exp(h x - x L x / 2) up to a factor.
+
+    Attributes:
+        shift: (2,) h, L times the likeliest x = (with r^2, with r^4).
+        precision: L: its first entry, the one off the diagonal, and the last.
+    """
+
+    shift: tuple[float, float]
+    precision: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
 class CoarseFit(Uniform):
     """The uniform material that comes nearest to a photograph.
 
@@ -162,6 +176,7 @@ class CoarseFit(Uniform):
         tilt_prior: the measurement of the tilt that was given, if any.
         picture_tilt: (tilt_x, tilt_y) in radians that the picture's cells alone come to, where
             there was one.
+        falloff: what the picture says of the falloff; None of fits that were made up.
     """
 
     residual: float
@@ -170,6 +185,7 @@ class CoarseFit(Uniform):
     odds: float = math.inf
     tilt_prior: TiltPrior | None = None
     picture_tilt: tuple[float, float] | None = None
+    falloff: FalloffEvidence | None = None
 
 
 @dataclass(frozen=True)
@@ -225,19 +241,6 @@ def _numbers(*values: float) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
 
 
-@dataclass(frozen=True)
-class Falloff:
-    """Light lost towards the corners: mean and deviation of FlashSetup's two coefficients.
-
-    It is the camera's, whatever it photographs: a phone's LED lights a cone, which a RAW shows as
-    well, and a lens darkens its corners. Fitted on 39 matte photographs of one phone their sum is
-    1.07 (0.88 to 1.63); other phones, and lamps without a cone, differ.
-    """
-
-    mean: tuple[float, float] = (0.3, 0.5)
-    deviation: tuple[float, float] = (0.35, 0.7)
-
-
 _DIELECTRIC_MEAN = Unknowns(
     albedo=_numbers(*[math.log(0.2)] * 3),
     specular=_numbers(math.log(0.04)),
@@ -260,6 +263,7 @@ _CONDUCTOR_F0 = (math.log(0.5), 0.5)
 # Of two lobes beside.
 _PARTED_MEAN = {"share": _numbers(0.0), "wider": _numbers(0.0)}
 _PARTED_DEVIATION = {"share": _numbers(1.5), "wider": _numbers(0.7)}
+_FALLOFF = [10, 11]  # where Unknowns.vector() has the falloff
 # Logit of roughness: matte, satin, glossy, mirror-like.
 _STARTS = (0.8, -0.4, -1.4, -2.2)
 # Multiples of the roughness that a highlight's width means: clipping widens it.
@@ -303,25 +307,20 @@ def fit_coarse(
     *,
     tilt: tuple[float, float] | None = None,
     tilt_prior: TiltPrior | None = None,
-    falloff: Falloff | None = None,
 ) -> CoarseFit:
     """Fit a uniform material and its setup to a photograph, in about a second.
+
+    The falloff's prior is of the profile of the photograph's camera; without one any phone's.
 
     Args:
         photo: any size; only its blurred form is looked at.
         tilt: (tilt_x, tilt_y) in radians where they are known; held fixed then.
         tilt_prior: a measurement of them, which the picture's own evidence is weighed against.
-        falloff: of the camera, where more photographs tell it; any phone's by default.
     """
     highlight = find_highlight(light_of(photo.pixels))
     cells = tuple(_see(photo, highlight, level) for level in range(len(COARSE.cells)))
     dielectric, conductor = (
-        _fit_as(
-            photo,
-            cells,
-            highlight,
-            _prior(photo, tilt, tilt_prior, falloff or Falloff(), conductor=metal),
-        )
+        _fit_as(photo, cells, highlight, _prior(photo, tilt, tilt_prior, conductor=metal))
         for metal in (False, True)
     )
     odds = (dielectric.cost - conductor.cost) / conductor.unit - COARSE.conductor_odds
@@ -338,11 +337,14 @@ def fit_coarse(
 class _Prior:
     """A hypothesis: Gaussian prior of the unknowns, and whether they are a conductor's.
 
-    `alone` is the tilt's mean and deviation without a measurement of it, where there is one.
+    `deviation` is of each with the others known; `coupling` the precision that the falloff's two
+    coefficients have in common. `alone` is the tilt's mean and deviation without a measurement of
+    it, where there is one.
     """
 
     mean: Unknowns
     deviation: Unknowns
+    coupling: float
     conductor: bool
     held: bool
     alone: tuple[Tensor, Tensor] | None
@@ -362,18 +364,20 @@ class _Fitted:
     residual: float
     conductor: bool
     own_tilt: tuple[float, float] | None
+    falloff: FalloffEvidence
 
 
 def _prior(
     photo: Photo,
     tilt: tuple[float, float] | None,
     tilt_prior: TiltPrior | None,
-    falloff: Falloff,
     *,
     conductor: bool,
 ) -> _Prior:
+    falloff = Falloff() if photo.profile is None else photo.profile.falloff
     mean = replace(_DIELECTRIC_MEAN, vignetting=_numbers(*falloff.mean))
-    deviation = replace(_DIELECTRIC_DEVIATION, vignetting=_numbers(*falloff.deviation))
+    own, coupling = torch.from_numpy(falloff.precision).diagonal(), falloff.precision[0, 1]
+    deviation = replace(_DIELECTRIC_DEVIATION, vignetting=own.rsqrt())
     if conductor:
         level, scatter = _CONDUCTOR_F0
         mean = replace(mean, albedo=_numbers(*[level] * 3))
@@ -389,7 +393,7 @@ def _prior(
         alone = (mean.tilt, deviation.tilt)
         place, std = tilt_prior.times(*alone)
         mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
-    return _Prior(mean, deviation, conductor, tilt is not None, alone)
+    return _Prior(mean, deviation, float(coupling), conductor, tilt is not None, alone)
 
 
 def _fit_as(
@@ -408,6 +412,7 @@ def _fit_as(
             rings=_rings(highlight),
             prior=prior.mean.vector(),
             precision=unit / prior.deviation.vector().square(),
+            coupling=unit * prior.coupling,
             conductor=prior.conductor,
         )
         for each in cells
@@ -428,17 +433,19 @@ def _fit_as(
     start = replace(
         Unknowns.of(single), offset=both.offset, tilt=both.tilt, vignetting=both.vignetting
     )
-    cost, best = _levenberg_marquardt(last.at(both), start.vector(), COARSE.iterations[1])
+    whole, last = last, last.at(both)
+    cost, best = _levenberg_marquardt(last, start.vector(), COARSE.iterations[1])
     difference = last.cells.differences(last.log_radiance(best, last.cells.image))
     rest = difference[last.cells.above == 1.0]
     residual = float(rest.square().mean().sqrt()) if rest.numel() else 0.0
     own = None
     if prior.alone is not None:
-        without = last.with_tilt(*prior.alone, prior.deviation.tilt)
+        without = whole.with_tilt(*prior.alone, prior.deviation.tilt)
         unmeasured = Unknowns.of(_levenberg_marquardt(without, best, COARSE.iterations[0])[1])
         tilt_x, tilt_y = unmeasured.tilt.tolist()
         own = (tilt_x, tilt_y)
-    return _Fitted(cost, unit, Unknowns.of(best), both, residual, prior.conductor, own)
+    seen = last.falloff_evidence(best, unit)
+    return _Fitted(cost, unit, Unknowns.of(best), both, residual, prior.conductor, own, seen)
 
 
 def _coarse_fit(fitted: _Fitted, fov: float, odds: float) -> CoarseFit:
@@ -469,6 +476,7 @@ def _coarse_fit(fitted: _Fitted, fov: float, odds: float) -> CoarseFit:
         lobes=tuple((float(share), float(wide)) for share, wide in fitted.both.lobes),
         conductor=fitted.conductor,
         odds=odds,
+        falloff=fitted.falloff,
     )
 
 
@@ -628,6 +636,7 @@ class _Problem:
         evidence: its weight, as share of the picture's.
         rings: (2, 3 * directions) image coordinates: its middle, half width and surroundings.
         prior, precision: (12,) or (14,) the prior's mean and inverse variance.
+        coupling: precision that the falloff's coefficients have in common.
         whitening: (3, 3) of the channels of cells that no bound concerns; None for as they are.
         conductor: `albedo` of the parameters is F0, and nothing is diffuse.
     """
@@ -639,6 +648,7 @@ class _Problem:
     rings: Tensor
     prior: Tensor
     precision: Tensor
+    coupling: float
     whitening: Tensor | None = None
     conductor: bool = False
 
@@ -670,7 +680,8 @@ class _Problem:
         rest = self.residuals(parameters)[:count].clamp(-0.5, 0.5)
         variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
         nat = float(variance) / COARSE.cells_that_count
-        return replace(self, precision=self.precision * (nat / unit)), nat
+        scale = nat / unit
+        return replace(self, precision=self.precision * scale, coupling=self.coupling * scale), nat
 
     def with_two_lobes(self, unit: float) -> _Problem:
         """The same with the share of the narrow lobe, and how much wider the other is."""
@@ -747,6 +758,35 @@ class _Problem:
             return difference
         return torch.cat([difference, COARSE.huber * self._evidence(parameters, self.highlight)])
 
+    def prior_hessian(self) -> Tensor:
+        """(n, n) of the prior's cost."""
+        hessian = torch.diag(self.precision)
+        hessian[_FALLOFF, _FALLOFF[::-1]] = self.coupling
+        return hessian
+
+    def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+        """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, but for brightening."""
+        r = self.residuals(parameters)
+        jacobian = _jacobian(self.residuals, parameters, r)
+        weight = self.weight * COARSE.huber / r.abs().clamp_min(COARSE.huber)
+        prior = self.prior_hessian()
+        hessian = (jacobian * weight[:, None]).T @ jacobian + prior
+        return hessian, jacobian.T @ (weight * r) + prior @ (parameters - self.prior)
+
+    def falloff_evidence(self, parameters: Tensor, unit: float) -> FalloffEvidence:
+        """What the picture alone says of the falloff, by Laplace's method at the parameters.
+
+        The Hessian over a nat's cost, `unit`, is the posterior's precision; its Schur complement
+        over all other unknowns is the falloff's. Less its prior's, that is the likelihood's.
+        """
+        hessian, gradient = self.quadratic(parameters)
+        best = (parameters - torch.linalg.solve(hessian, gradient))[_FALLOFF]
+        posterior = torch.linalg.inv(torch.linalg.inv(hessian / unit)[_FALLOFF][:, _FALLOFF])
+        prior = self.prior_hessian()[_FALLOFF][:, _FALLOFF] / unit
+        first, second = (posterior @ best - prior @ self.prior[_FALLOFF]).tolist()
+        (own, both), (_, other) = (posterior - prior).tolist()
+        return FalloffEvidence((first, second), (own, both, other))
+
     def brightening(self, parameters: Tensor) -> Tensor:
         """(n,) precision at 0 that holds a falloff which has become negative."""
         vignetting, precision = Unknowns.of(parameters).vignetting, Unknowns.of(self.precision)
@@ -760,7 +800,8 @@ class _Problem:
         huber = torch.where(
             r < COARSE.huber, 0.5 * r.square(), COARSE.huber * (r - 0.5 * COARSE.huber)
         )
-        prior = 0.5 * ((parameters - self.prior).square() * self.precision).sum()
+        away = parameters - self.prior
+        prior = 0.5 * away @ self.prior_hessian() @ away
         prior = prior + 0.5 * (parameters.square() * self.brightening(parameters)).sum()
         return float((self.weight * huber).sum() + prior)
 
@@ -886,14 +927,10 @@ def _levenberg_marquardt(problem: _Problem, start: Tensor, iterations: int) -> t
     """Minimise a problem's cost; returns (cost, parameters)."""
     parameters, damping = start.clone(), 1e-2
     cost = problem.cost(parameters)
-    prior, precision, each = problem.prior, problem.precision, problem.weight
     for _ in range(iterations):
-        r = problem.residuals(parameters)
-        jacobian = _jacobian(problem.residuals, parameters, r)
-        weight = each * COARSE.huber / r.abs().clamp_min(COARSE.huber)
+        normal, gradient = problem.quadratic(parameters)
         held = problem.brightening(parameters)
-        normal = (jacobian * weight[:, None]).T @ jacobian + torch.diag(precision + held)
-        gradient = jacobian.T @ (weight * r) + precision * (parameters - prior) + held * parameters
+        normal, gradient = normal + torch.diag(held), gradient + held * parameters
         candidate, new = parameters, math.inf
         while not new < cost and damping < 1e6:
             damped = normal + damping * torch.diag(normal.diagonal())

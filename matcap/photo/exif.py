@@ -62,6 +62,7 @@ class Exif:
         flash_fired: or None where the file does not say.
         exposure: how much light it took in, in units that compare within a shoot: exposure time
             times sensitivity over the squared f-number; None where the file lacks one.
+        camera: maker, model, lens, focal length and digital zoom; "" where no model is named.
     """
 
     orientation: int = 1
@@ -70,6 +71,7 @@ class Exif:
     measured: bool = False
     flash_fired: bool | None = None
     exposure: float | None = None
+    camera: str = ""
 
     def view(self, width: int, height: int) -> tuple[float | None, tuple[str, ...]]:
         """Field of view across the long side in degrees, or None; and what is to be said of it.
@@ -211,6 +213,20 @@ def _exposure(tags: dict[str, Any]) -> float | None:
     return time * sensitivity / aperture**2
 
 
+def _camera(tags: dict[str, Any]) -> str:
+    """What of a camera decides how much light its corners lose, in words."""
+    names = ("Image Make", "Image Model", "EXIF LensModel")
+    maker, model, lens = (str(getattr(tags.get(name), "values", "")).strip() for name in names)
+    if not model:
+        return ""
+    maker = "" if model.casefold().startswith(maker.casefold()) else maker
+    said = " ".join(part for part in (maker, model, lens) if part)
+    length, zoom = _ratio(tags, "EXIF FocalLength"), _ratio(tags, "EXIF DigitalZoomRatio")
+    said += "" if length is None else f", {length:g} mm"
+    said += "" if zoom is None or zoom == 1.0 else f", zoom {zoom:g}"
+    return "".join(c for c in said if c.isprintable())[:200]
+
+
 def _focal_plane(tags: dict[str, Any]) -> FocalPlane | None:
     """Of FocalLength and FocalPlaneXResolution, of the size that Exif says the picture has."""
     length = _ratio(tags, "EXIF FocalLength")
@@ -259,6 +275,7 @@ def _interpret(tags: dict[str, Any], xmp: bytes) -> Exif:
         focal_plane=_focal_plane(tags),
         flash_fired=bool(flash & 1) if flash >= 0 else None,
         exposure=_exposure(tags),
+        camera=_camera(tags),
     )
 
 

@@ -151,6 +151,7 @@ def _photo(
         noise=None if picture.noise is None else lying(picture.noise),
         exposure=exif.exposure,
         balance=picture.balance,
+        camera=exif.camera,
     )
     if picture.opacity is None:
         return photo

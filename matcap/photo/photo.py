@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from matcap.photo.camera import CameraProfile
 
 FULL = 0.95  # of the clip level: a clipped pixel's channels above this did it
 DEFAULT_FOV = 45.0  # degrees across the long side, where the file does not say (the paper's)
@@ -42,6 +44,8 @@ class Photo:
         exposure: what the file says of exposure time, sensitivity and aperture together: how much
             larger numbers are for the same light; None where it does not say.
         balance: by channel, how much white balance lifted it; None where it is unknown.
+        camera: maker, model, lens, focal length and zoom as the file says; "" where it does not.
+        profile: of the camera, where one is known: the prior of its falloff.
     """
 
     pixels: NDArray[np.float32]
@@ -62,11 +66,19 @@ class Photo:
     left_out: NDArray[np.bool_] | None = None
     exposure: float | None = None
     balance: tuple[float, float, float] | None = None
+    camera: str = ""
+    profile: CameraProfile | None = None
 
     @property
     def stem(self) -> str:
         """The file's name without its ending."""
         return self.name.rsplit(".", 1)[0] or self.name
+
+    def known_by(self, profile: CameraProfile) -> Photo:
+        """The same with its camera's profile; a note says if that is another camera's."""
+        said = f"The camera's profile is of {profile.camera}, the photograph of {self.camera}."
+        foreign = self.camera not in profile.camera
+        return replace(self, profile=profile, notes=(*self.notes, said) if foreign else self.notes)
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -13,7 +13,8 @@ import pytest
 import torch
 from uniform import a_setup, photograph
 
-from matcap.flash.coarse import Falloff, TiltPrior, fit_coarse
+from matcap.flash.coarse import TiltPrior, fit_coarse
+from matcap.photo.camera import CameraProfile, Falloff
 
 # torch's forward-mode derivatives warn once, when first used.
 pytestmark = pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
@@ -128,7 +129,8 @@ def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials(lost, fallof
     coned = replace(setup, vignetting=lost[0], vignetting_quartic=lost[1])
     plain = fit_coarse(replace(photo, radiometric=False))
     taken = replace(photograph(coned, roughness=0.5), radiometric=False)
-    cone = fit_coarse(taken, falloff=falloff)
+    profile = falloff and CameraProfile("phone", falloff, 9)
+    cone = fit_coarse(replace(taken, profile=profile))
     assert cone.setup.vignetting_quartic > plain.setup.vignetting_quartic + 0.5 * lost[1]
     assert cone.residual < 0.03
     assert cone.roughness == pytest.approx(plain.roughness, abs=0.05)
@@ -166,13 +168,6 @@ def test_a_conductor_is_told_from_a_dielectric():
 
 def test_what_reflects_blue_best_is_no_conductor():
     assert not fit_coarse(_even((1e-4,) * 3, (0.3, 0.4, 0.55), 0.35)).conductor
-
-
-def test_a_known_falloff_is_kept():
-    photo = _even((0.2,) * 3, (0.04,) * 3, 0.8)
-    found = fit_coarse(photo, falloff=Falloff((0.3, 0.0), (0.01, 0.01))).setup
-    assert found.vignetting == pytest.approx(0.3, abs=0.05)
-    assert found.vignetting_quartic == pytest.approx(0.0, abs=0.05)
 
 
 def test_a_measured_tilt_moves_the_fit_as_far_as_it_is_certain():

@@ -209,7 +209,7 @@ def aligned_photographs(
     registration, coarse, plane = _registered(photos, detail, unnamed)
     single = _read_alone(plane, coarse, network, unnamed)
     radiometric = all(view.photo.radiometric for view in registration.views)
-    light = SetLight.of(coarse.setup, len(registration.views))
+    light = SetLight.of(coarse.setup, len(registration.views), photos[0].profile)
     registration = replace(registration, setup=coarse.setup)
     found = aligned(registration, single.maps, single.errors, light, radiometric=radiometric)
     return registration, found
@@ -337,7 +337,8 @@ def _laid_over(
     tell: Tell,
 ) -> tuple[Aligned, bool]:
     """Photographs brought over each other, and whether that was interrupted: as they were then."""
-    light = SetLight.of(registration.setup, len(registration.views))
+    views = registration.views
+    light = SetLight.of(registration.setup, len(views), views[0].photo.profile)
     try:
         with stage("align"):
             return aligned(

@@ -46,7 +46,6 @@ class SharedSettings:
         steps: Gauss-Newton steps.
         counted: what a texel weighs: neighbours lie beside their truth together.
         offset: deviation of the flash's place from where it is expected, plane units.
-        vignetting: deviations of its exponents.
         gloss: deviations of the mean of log F0 and of logit roughness from what was read.
         gain: deviation of a photograph's gain, log.
         apart: the same where no two of a larger piece show a texel: each would find its own.
@@ -57,7 +56,6 @@ class SharedSettings:
     steps: int = 3
     counted: float = 0.03
     offset: float = 0.06
-    vignetting: tuple[float, float] = (0.4, 0.6)
     gloss: tuple[float, float] = (0.1, 1.0)
     gain: float = 1.5
     apart: float = 0.03
@@ -132,7 +130,8 @@ def shared_step(
     for k in range(1, len(views)):
         first = _SHARED + own * (k - 1)
         start[first : first + _GAINS] = light.gain[k]
-    deviation = _deviations(len(views), own, radiometric, held, shared)
+    lost = (1e-3, 1e-3) if radiometric else light.lost
+    deviation = _deviations(len(views), own, lost, held, shared)
     values, some = start.clone(), some.clone()
     # Gloss is expected as it was read, whatever was found since.
     start[_LIGHT:_SHARED] = 0.0
@@ -321,10 +320,13 @@ def _by_shared(
 
 
 def _deviations(
-    photographs: int, own: int, radiometric: bool, held: Container[int], shared: SharedSettings
+    photographs: int,
+    own: int,
+    lost: tuple[float, float],
+    held: Container[int],
+    shared: SharedSettings,
 ) -> Tensor:
-    vignetting = (1e-3, 1e-3) if radiometric else shared.vignetting
-    whole = [shared.offset, shared.offset, *vignetting, *shared.gloss]
+    whole = [shared.offset, shared.offset, *lost, *shared.gloss]
     for number in range(1, photographs):
         moves = 1e-9 if number in held else shared.astray
         whole += [shared.gain] * _GAINS + [moves] * (own - _GAINS)

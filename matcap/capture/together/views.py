@@ -19,6 +19,7 @@ from matcap.flash.light import FlashLight, log_vignette
 from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.grid import grid_points, to_pixels
 from matcap.flash.registration.register import RegisteredView
+from matcap.photo.camera import CameraProfile
 from matcap.photo.photo import FULL
 
 _FINER = 2  # places a texel's side is seen at
@@ -42,6 +43,7 @@ class SetLight:
         intensity: (3,) of the first one's flash.
         gloss: (2,) mean of log F0 and of logit roughness, less that of what was read: an error of
             this level scales all slopes.
+        lost: deviations of the exponents of vignetting: the camera's profile's, if it has one.
     """
 
     offset: Tensor
@@ -49,16 +51,18 @@ class SetLight:
     gain: Tensor
     intensity: Tensor
     gloss: Tensor = field(default_factory=lambda: torch.zeros(2))
+    lost: tuple[float, float] = (0.4, 0.6)
 
     @staticmethod
-    def of(setup: FlashSetup, count: int) -> SetLight:
-        """A first guess for so many photographs."""
-        return SetLight(
+    def of(setup: FlashSetup, count: int, profile: CameraProfile | None = None) -> SetLight:
+        """A first guess for so many photographs, of a camera with this profile."""
+        light = SetLight(
             torch.tensor(setup.offset[:2]).float(),
             torch.tensor([setup.vignetting, setup.vignetting_quartic]),
             torch.zeros(count, 3),
             torch.tensor(setup.intensity).float(),
         )
+        return light if profile is None else replace(light, lost=profile.falloff.deviation)
 
     def onto(self, setup: FlashSetup) -> FlashSetup:
         """The first photograph's setup, under this light."""

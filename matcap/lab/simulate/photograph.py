@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -84,11 +84,9 @@ def take(realise: Realise, camera: PhoneCamera, setup: FlashSetup) -> Shot:
     Args:
         realise: the material, one realisation of it.
         camera: the camera.
-        setup: offset, tilt and vignetting; field of view and intensity are set here.
+        setup: offset, tilt and falloff; field of view and intensity are set here.
     """
-    setup = FlashSetup(
-        fov=camera.fov, offset=setup.offset, tilt=setup.tilt, vignetting=setup.vignetting
-    )
+    setup = replace(setup, fov=camera.fov, intensity=(1.0, 1.0, 1.0))
     x, y, width, height = _seen(camera, setup)
     fine = camera.supersampling
     maps = realise(width * fine, height * fine, 2.0 / (camera.width * fine))

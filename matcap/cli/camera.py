@@ -1,0 +1,55 @@
+"""`matcap camera`: the profile of a camera, from photographs of different materials."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from matcap.cli.options import QuietOption, in_range
+from matcap.errors import MatcapError
+
+
+def camera(
+    shoot: Annotated[Path, typer.Argument(metavar="SHOOT", help="A folder of photographs.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The profile.")] = Path("camera.json"),
+    fov: Annotated[
+        float | None,
+        typer.Option(
+            parser=in_range(1.0, 170.0),
+            metavar="1..170",
+            help="Field of view along the long side, degrees.",
+        ),
+    ] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Estimate how much light a camera and its flash lose towards the corners.
+
+    Takes five photographs or more of different materials, by one camera; matte ones tell most. Give
+    the file to matcap capture and matcap batch with --camera. A batch of five photographs or more
+    makes one by itself.
+    """
+    from matcap.batch.cameras import camera_of, estimated_profile
+    from matcap.batch.shoot import find_samples
+    from matcap.capture.settings import CaptureSettings
+    from matcap.photo.camera import write_camera_profile
+
+    photos = [sample.photos[0] for sample in find_samples(shoot, group="name")]
+    cameras = sorted({camera_of(photo, shoot) for photo in photos})
+    if len(cameras) > 1:
+        raise MatcapError(
+            f"these photographs are of {len(cameras)} cameras ({'; '.join(cameras[:4])})",
+            where=str(shoot),
+            remedy="give a folder of one camera's, or matcap batch all of them",
+        )
+    profile = estimated_profile(cameras[0], photos, CaptureSettings(fov=fov))
+    if profile is None:
+        raise MatcapError(
+            f"{len(photos)} photographs tell no profile",
+            where=str(shoot),
+            remedy="give five or more that can be used, of different materials",
+        )
+    write_camera_profile(out, profile)
+    if not quiet:
+        typer.echo(f"wrote {out}. {profile.says()}", err=True)

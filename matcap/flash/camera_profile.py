@@ -1,0 +1,118 @@
+"""One falloff for all photographs of a camera, from what each says of it.
+
+Photograph i loses x_i = x + e_i towards its corners (Falloff's two coefficients): x is the camera's
+and e_i ~ N(0, tau^2 I) what tone curves, relief and room light add. Its coarse fit gives the
+likelihood N(x_i; L_i^-1 h_i, L_i^-1) by Laplace's method (FalloffEvidence), wide where a highlight
+hides the falloff. With e_i integrated out and one prior N(m, P) of x,
+
+    x ~ N(C (P^-1 m + sum w_i (I + tau^2 L_i)^-1 h_i), C),
+    C = (P^-1 + sum w_i (I + tau^2 L_i)^-1 L_i)^-1,
+
+a random-effects meta-analysis. The weights are Student's t's, w_i = (nu + 2) / (nu + d_i^2), where
+d_i is Mahalanobis' distance between x_i and x: a photograph of which the wrong thing is believed
+hardly counts. tau is the likeliest of some, by that t distribution of d_i.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.flash.coarse import CoarseFit, FalloffEvidence
+from matcap.photo.camera import CameraProfile, Falloff
+
+Doubles = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ProfileSettings:
+    """How photographs are combined.
+
+    Attributes:
+        least: photographs; fewer are no shoot, and leave the prior as it is.
+        freedom: degrees, nu: fewer trust fewer photographs.
+        scatter: deviations between photographs that are tried for tau.
+        rounds: of weights.
+    """
+
+    least: int = 5
+    freedom: float = 4.0
+    scatter: tuple[float, ...] = (0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8)
+    rounds: int = 30
+
+
+PROFILE = ProfileSettings()
+
+
+def camera_profile(camera: str, fits: Sequence[CoarseFit]) -> CameraProfile | None:
+    """The profile of a camera, or None of fewer photographs than tell one.
+
+    Args:
+        camera: its name.
+        fits: of its photographs, in any order, under the wide prior.
+    """
+    seen = [fit.falloff for fit in fits if fit.falloff is not None]
+    if len(seen) < PROFILE.least:
+        return None
+    return CameraProfile(camera, shared_falloff(seen), len(seen))
+
+
+def shared_falloff(seen: Sequence[FalloffEvidence], prior: Falloff | None = None) -> Falloff:
+    """What photographs say together of the next one's falloff; fewer than `least` the prior.
+
+    Args:
+        seen: what each says; their order does not matter.
+        prior: any camera's by default.
+    """
+    prior = prior or Falloff()
+    if len(seen) < PROFILE.least:
+        return prior
+    # Sums of floats depend on their order.
+    ordered = sorted(seen, key=lambda one: (one.shift, one.precision))
+    shifts = np.array([one.shift for one in ordered])
+    precisions = np.array([one.precision for one in ordered])[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    tried = (_combined(shifts, precisions, prior, scatter) for scatter in PROFILE.scatter)
+    _, mean, covariance = max(tried, key=lambda one: one[0])
+    first, second = np.sqrt(np.diagonal(covariance)).tolist()
+    across, up = mean.tolist()
+    return Falloff((across, up), (first, second), float(covariance[0, 1]) / (first * second))
+
+
+def _combined(
+    shifts: Doubles, precisions: Doubles, prior: Falloff, scatter: float
+) -> tuple[float, Doubles, Doubles]:
+    """Log likelihood of tau, and mean (2,) and covariance (2, 2) of the next photograph's x_i.
+
+    Args:
+        shifts: (n, 2) h_i.
+        precisions: (n, 2, 2) L_i.
+        prior: of x.
+        scatter: tau.
+    """
+    wider = np.eye(2) + scatter**2 * precisions
+    widened = np.linalg.inv(wider)
+    precisions, shifts = widened @ precisions, np.einsum("nij,nj->ni", widened, shifts)
+    spread = np.linalg.pinv(precisions, hermitian=True)
+    weight = np.ones(len(shifts))
+    for _ in range(PROFILE.rounds):
+        precision = prior.precision + np.einsum("n,nij->ij", weight, precisions)
+        mean = _no_gain(precision, prior.precision @ prior.mean + weight @ shifts)
+        away = shifts - precisions @ mean
+        distances = np.einsum("ni,nij,nj->n", away, spread, away)
+        weight = (PROFILE.freedom + 2.0) / (PROFILE.freedom + distances)
+    likelihood = -0.5 * np.linalg.slogdet(wider).logabsdet
+    likelihood -= 0.5 * (PROFILE.freedom + 2.0) * np.log1p(distances / PROFILE.freedom)
+    return float(likelihood.sum()), mean, np.linalg.inv(precision) + scatter**2 * np.eye(2)
+
+
+def _no_gain(precision: Doubles, shift: Doubles) -> Doubles:
+    """The likeliest (2,) at which corners gain no light: neither coefficient is negative."""
+    mean = np.linalg.solve(precision, shift)
+    for one, other in ((0, 1), (1, 0)):
+        if mean[one] < 0.0:
+            mean = np.zeros(2)
+            mean[other] = max(0.0, shift[other] / precision[other, other])
+    return np.asarray(mean, np.float64)

@@ -1,0 +1,114 @@
+"""`matcap bench camera`: coarse fits of one camera's photographs, each alone and under its profile.
+
+Real photographs show how far the fitted falloff scatters and what is taken for metal; simulated
+ones, whose camera loses a known share, also how far albedo, F0 and roughness are off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+
+from matcap.brdf.maps import MapSet
+from matcap.capture.tilt import fitted
+from matcap.errors import MatcapError
+from matcap.flash.camera_profile import camera_profile
+from matcap.flash.coarse import CoarseFit
+from matcap.lab.experiment.results import Value
+from matcap.lab.experiment.runner import Configuration, Experiment
+from matcap.lab.simulate.photograph import PhoneCamera, as_photo, take, true_maps
+from matcap.lab.simulate.specimen import Specimen
+from matcap.photo.camera import CameraProfile
+from matcap.photo.load import load_photo
+from matcap.photo.photo import Photo
+
+ABOUT = (
+    "lost: log of the light that corners lose, as fitted; metal: 1 where taken for it. Errors of "
+    "simulated ones: of lost and of roughness, and of log F0, log albedo and their difference, "
+    "which alone a photograph tells without knowing its flash."
+)
+_PHONE = PhoneCamera(width=512, height=384)
+_WIDTH = 512  # pixels across of real ones
+
+
+@dataclass(frozen=True)
+class CameraSubject:
+    """A photograph, and where it was simulated its maps and what corners truly lose."""
+
+    photo: Photo
+    truth: MapSet | None = None
+    lost: float = math.nan
+
+
+def camera_experiment(
+    photographs: Sequence[Path],
+    specimens: Sequence[Specimen],
+    falloff: tuple[float, float],
+    *,
+    developed: bool = False,
+) -> Experiment[CameraSubject, CoarseFit]:
+    """Fit photographs alone, and under the profile of all of them.
+
+    Args:
+        photographs: real ones of one camera.
+        specimens: simulated materials.
+        falloff: what the simulated camera loses with r^2 and r^4.
+        developed: simulated photographs are no RAW; one that loses nothing to a tone curve.
+    """
+
+    def simulated(specimen: Specimen) -> CameraSubject:
+        lost, more = falloff
+        setup = replace(specimen.setup, vignetting=lost, vignetting_quartic=more)
+        piece = specimen.pieces(specimen.seed)
+        photo = as_photo(take(piece, _PHONE, setup), specimen.seed, specimen.name)
+        photo = replace(photo, radiometric=not developed)
+        return CameraSubject(photo, true_maps(piece, _PHONE, setup), sum(falloff))
+
+    def real(path: Path) -> CameraSubject:
+        return CameraSubject(load_photo(path, long_side=_WIDTH, noise=False))
+
+    prepared: dict[str, Callable[[], CameraSubject]] = {
+        **{path.name: cache(partial(real, path)) for path in photographs},
+        **{specimen.name: cache(partial(simulated, specimen)) for specimen in specimens},
+    }
+
+    @cache
+    def profile() -> CameraProfile:
+        found = camera_profile("bench", [fitted(one().photo) for one in prepared.values()])
+        if found is None:
+            raise MatcapError("there are too few photographs", remedy="give five or more")
+        return found
+
+    def under_profile(subject: CameraSubject, _seed: int) -> CoarseFit:
+        return fitted(replace(subject.photo, profile=profile()))
+
+    return Experiment(
+        "camera",
+        prepared,
+        {
+            "alone": Configuration(lambda subject, _seed: fitted(subject.photo)),
+            "one camera": Configuration(under_profile),
+        },
+        (found_of,),
+        settings=(falloff, developed, list(prepared)),
+    )
+
+
+def found_of(subject: CameraSubject, fit: CoarseFit) -> Mapping[str, Value]:
+    """What a fit says, and beside the truth how far it is off."""
+    lost = fit.setup.vignetting + fit.setup.vignetting_quartic
+    said = {"lost": lost, "metal": float(fit.conductor), "roughness": fit.roughness}
+    names = ("lost off", "roughness off", "F0 off", "albedo off", "F0 over albedo off")
+    if subject.truth is None:
+        return said | dict.fromkeys(names, math.nan)
+    true = subject.truth
+    specular = math.log(fit.specular / float(true.specular.mean()))
+    diffuse = math.log(sum(fit.diffuse) / 3.0 / float(true.diffuse.mean()))
+    off = (
+        lost - subject.lost, fit.roughness - float(true.roughness.mean()), specular, diffuse,
+        specular - diffuse,
+    )  # fmt: skip
+    return said | dict(zip(names, map(abs, off), strict=True))
