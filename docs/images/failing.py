@@ -2,7 +2,7 @@
 
 python docs/images/failing.py FOLDER
 
-What is said and made of each is described in docs/notes/failures.md.
+What is said and made of each is described in docs/notes/verdict.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """How much memory a worker takes, and how many fit.
 
-Measured on Linux with the allocator of glibc (docs/notes/batch.md has the command): the libraries,
+Measured on Linux, glibc (docs/notes/stability.md has the command): the libraries,
 the photograph as it is developed, what grows with the detail, and what grows with the map set.
 """
 

@@ -4,7 +4,7 @@ The piece has as many as are asked for. The network joins what lies within some 
 windows of 160 are compared. What is coarser comes out as grain of the right colours, wood as
 sawdust; read on half as many texels across the same pattern spans half as many, and the capture
 holds it. Finer bands are carried over from the photograph (piece/finest.py). Figures in
-docs/notes/capture.md and exemplar.md.
+docs/notes/capture.md.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matcap.field.source import Generator
     from matcap.files.values import Region
 
-QUICK_DETAIL = 512  # texels, for a first look: docs/notes/presets.md
+QUICK_DETAIL = 512  # texels, for a first look: docs/notes/capture.md
 DETAIL = 1024  # docs/notes/capture.md has what more and less of them buy
 FINE_DETAIL = 2048  # likewise, of photographs that have so many
 FINEST_DETAIL = 4000  # likewise: nearly all that 12 megapixels have

@@ -175,7 +175,7 @@ def evaluate(
     out: Annotated[
         Path,
         typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
-    ] = Path("docs/notes"),
+    ] = Path("bench/prior"),
     steps: Annotated[int, typer.Option(min=1, help="Fine-tuning steps from the prior.")] = 100,
     longer: Annotated[int, typer.Option(min=1, help="Steps from nothing beside them.")] = 1000,
     materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
@@ -209,7 +209,7 @@ def ablate(
     out: Annotated[
         Path,
         typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
-    ] = Path("docs/notes"),
+    ] = Path("bench/prior"),
     steps: Annotated[int, typer.Option(min=1, help="Of fine-tuning.")] = 350,
     materials: Annotated[int, typer.Option(min=1, help="How many held-out ones.")] = 12,
     quiet: QuietOption = False,
@@ -238,7 +238,7 @@ def variety(
     prior: PriorOption = None,
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for the table and the picture.")
-    ] = Path("docs/notes"),
+    ] = Path("bench/prior"),
     draws: Annotated[int, typer.Option(min=8, help="How many materials to draw.")] = 256,
     simulated: Annotated[
         int, typer.Option(min=8, help="Unseen simulated photographs beside the held-out ones.")

@@ -6,7 +6,7 @@ correction looks a fixed number of places around itself: so a rectangle needs so
 around it at every level, and then is a part of the endless whole, to the bit.
 
 Lefebvre and Hoppe (2005) also move places at random on every level. That breaks up what is longer
-than some ten texels, and repetition is not what it mends (docs/notes/by-example.md).
+than some ten texels, and repetition is not what it mends (docs/notes/field.md).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What is tuned of the field by example: one frozen dataclass a stage.
 
-Each number with its unit and what it trades; measured in docs/notes/by-example.md. Sizes that the
+Each number with its unit and what it trades; measured in docs/notes/field.md. Sizes that the
 stored index or the integers of kernel.c are laid out by stand where they are used.
 """
 

@@ -8,10 +8,10 @@ things of a target; one evaluation serves all of them. Sources:
   UsdPreviewSurface 2.6 of every channel, and its metals reflect their own colour at grazing.
 - MaterialX 1.39 (OpenPBR, standard_surface), Unreal's Substrate: the layer takes its directional
   albedo, and what bounces between microfacets is given back (Turquin 2019, eq. 16).
-- Unreal, Godot: Hammon's approximation of height-correlated Smith (PBR Diffuse Lighting for
-  GGX+Smith, GDC 2017, slide 83); reflection fades below F0 = 0.02.
+- Unreal, Godot: Hammon's approximation of height-correlated Smith [hammon2017, slide 83];
+  reflection fades below F0 = 0.02.
 - Unity HDRP: Disney's diffuse (Burley 2012, eq. 4), divided by 1.03571.
-- Unity URP: visibility and Fresnel as one term (Karas, Optimizing PBR for Mobile, SIGGRAPH 2015).
+- Unity URP: visibility and Fresnel as one term [karas2015].
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from matcap.errors import UsageError
 from matcap.field.plane import COORDINATE_LIMIT, Period, Rectangle
 
-BLOCK = 512  # texels along x; docs/notes/synthesis.md has the measurement
+BLOCK = 512  # texels along x; docs/notes/field.md has the measurement
 BLOCK_HEIGHT = 256
 RING = 1  # texels around a block that its normals look at
 

@@ -11,8 +11,8 @@ Before step 4 the journal puts the old back (`roll_back`): at once when a step f
 power cut when the next run comes by (`recover`). Only one process publishes into a folder at a
 time. What several files promise a single one keeps by its renaming alone.
 
-The method: undo logging (Gray and Reuter, Transaction Processing, 1993, ch. 9). What a disk may
-do to files that were not synced: Pillai et al., All File Systems Are Not Created Equal, OSDI 2014.
+The method: undo logging (Gray and Reuter 1993, ch. 9). What a disk may
+do to files that were not synced: Pillai et al. 2014.
 
 Read next: staging.py, where the new files are made.
 """

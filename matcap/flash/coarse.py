@@ -1,6 +1,6 @@
 """The coarse fit: a handful of numbers for a photograph's smooth part.
 
-How far it is off is measured in docs/notes/coarse-fit.md.
+How far it is off is measured in docs/notes/capture.md.
 
 A flat, uniform material under a flash is fitted to the blurred photograph by robust least squares
 on the logarithm of radiance: albedo or F0, roughness, flash intensity and offset, tilt, falloff of
@@ -44,7 +44,7 @@ _DARKEST = 1e-12  # radiance, so that there is a logarithm
 
 @dataclass(frozen=True)
 class CoarseSettings:
-    """What is tuned of the coarse fit; docs/notes/coarse-fit.md has what was measured.
+    """What is tuned of the coarse fit; docs/notes/capture.md has what was measured.
 
     Attributes:
         cells: across the long side, enough for what is smooth; all starts are tried on the former.

@@ -21,7 +21,7 @@ SURROUNDINGS = (0.5, 0.7)  # plane units from the centre: outside most highlight
 
 @dataclass(frozen=True)
 class HighlightSettings:
-    """What is tuned of finding a highlight; docs/notes/coarse-fit.md."""
+    """What is tuned of finding a highlight; docs/notes/capture.md."""
 
     seed_blur: float = 0.04
     """Plane units, deviation: a glint is smaller, a highlight is not."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ScheduleSettings:
-    """What is tuned of every run of descent; docs/notes/capture.md."""
+    """What is tuned of every run of descent; docs/notes/prior.md."""
 
     warm_up: int = 10
     """Steps."""

@@ -20,7 +20,7 @@ from matcap.statistics.compare import UNSEEN, Descriptor, Features, describe
 
 @dataclass(frozen=True)
 class WindowSettings:
-    """What is tuned of comparing place by place; docs/notes/capture.md."""
+    """What is tuned of comparing place by place; docs/notes/prior.md."""
 
     hiss: float = 2e-3
     """Of the clip level, added to what shot noise grows with: sensors hiss in the dark."""

@@ -28,7 +28,7 @@ from matcap.statistics.spectrum import autocorrelation
 
 @dataclass(frozen=True)
 class CompareSettings:
-    """What is tuned of descriptors; docs/notes/capture.md."""
+    """What is tuned of descriptors; docs/notes/prior.md."""
 
     reach: int = 12
     """Lags of the autocorrelation at every level, in that level's texels."""

@@ -16,7 +16,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class EncodingSettings:
-    """What is tuned of the colours textures are compared in; docs/notes/capture.md."""
+    """What is tuned of the colours textures are compared in; docs/notes/prior.md."""
 
     toe: float = 0.05
     """Of the photograph's median: radiances so far below it all look black."""

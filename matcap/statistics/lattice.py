@@ -21,7 +21,7 @@ from matcap.statistics.spectrum import power_spectrum
 
 @dataclass(frozen=True)
 class LatticeSettings:
-    """What is tuned of finding regular order; docs/notes/capture.md."""
+    """What is tuned of finding regular order; docs/notes/prior.md."""
 
     window: int = 256
     """Texels a side: what spectra are taken of."""

@@ -1,4 +1,4 @@
-"""What docs/notes/failures.md says that `inspect` sees of photographs that break a capture."""
+"""What docs/notes/verdict.md says that `inspect` sees of photographs that break a capture."""
 
 import importlib.util
 from pathlib import Path

@@ -17,8 +17,6 @@ from matcap.relight.scenefile import parse_scene
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
-# Notes say how things stood on their dates: their links hold, their commands and paths need not.
-TODAY = [page for page in PAGES if page.parent.name != "notes"]
 # Pages of the guide whose commands are run.
 RUN = ("view", "relight", "synth", "blend")
 # As shown, but smaller: as good a test.
@@ -43,7 +41,7 @@ def toml(page: str) -> list[str]:
     return re.findall(r"```toml\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
 
 
-SHOWN = sorted({(str(p.relative_to(ROOT)), line) for p in TODAY for line in commands(p)})
+SHOWN = sorted({(str(p.relative_to(ROOT)), line) for p in PAGES for line in commands(p)})
 
 
 @pytest.mark.parametrize(("page", "line"), SHOWN)
@@ -145,9 +143,12 @@ def test_hooks_before_a_commit_are_what_ci_runs():
     assert all(re.search(rf"bin/{entry}( |$)", ci, re.MULTILINE) for entry in entries)
 
 
-def test_readme_and_changelog_stay_short():
+def test_readme_changelog_and_notes_stay_short():
     assert len((ROOT / "README.md").read_text().splitlines()) <= 140
     assert len((ROOT / "CHANGELOG.md").read_text().splitlines()) <= 120
+    notes = list((ROOT / "docs/notes").glob("*.md"))
+    assert len(notes) <= 12
+    assert sum(page.stat().st_size for page in notes) <= 120_000
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -178,6 +179,6 @@ def test_pictures_are_small_and_shown(folder):
 
 def test_files_named_in_the_documentation_exist():
     named = re.compile(r"`((?:matcap|tests|examples|docs)/[\w/.-]+)`")
-    for page in TODAY:
+    for page in PAGES:
         for path in named.findall(page.read_text(encoding="utf-8")):
             assert (ROOT / path).exists(), f"{page.name}: {path}"

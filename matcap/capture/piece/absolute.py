@@ -6,7 +6,7 @@ albedo, which spreads over two orders of magnitude; metals mirror most and have 
 So where a highlight tells F0 over albedo, it tells both: black leather whose gloss is three times
 its albedo is black. Where texels are told apart into metal and what is none (metal.py), each part
 is held to its own kind, and metal to how bright metals of its hue are: gold is brighter than steel.
-docs/notes/exemplar.md.
+docs/notes/capture.md.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ is not the sensor's noise, goes to albedo, but for what relief must show of it: 
 of every finer octave as its own last octaves let one expect. It is drawn along with the
 photograph's own grain, high where that is bright or where it is dark, as its coarser bands are. A
 drawing from what shows of slope would run along the light's tangents: streaks all around the flash
-(docs/notes/exemplar.md).
+(docs/notes/capture.md).
 """
 
 from __future__ import annotations

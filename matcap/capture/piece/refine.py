@@ -4,7 +4,7 @@ First the means of albedo and gloss, then every texel: Gauss-Newton steps in whi
 log radiance is shared among albedo, F0 and roughness by how much each shows there and how much it
 is in doubt (a Wiener filter whose prior is the network's answer and its expected errors). Relief
 is left as it is: what of it lies in the wrong place would be cancelled instead of moved
-(docs/notes/exemplar.md). A clipped channel is a lower bound, and the others
+(docs/notes/capture.md). A clipped channel is a lower bound, and the others
 tell what they tell. What varies slowly over the whole
 picture is what coarse fit and tone curve left undone, not the material, and stays out of the maps.
 """

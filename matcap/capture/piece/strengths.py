@@ -12,7 +12,7 @@ in all directions alike: mirrored light dilutes it, dark gaps more than all, the
 rim, and streaks end. Where the flash stands m is small, and so is s: taken for 1 it makes relief of
 albedo. But relief shows along the light and not across. Windows differ in s, and a regression over
 them and all directions recovers A and S, and how far S is to be doubted: by its scatter, and by
-what two opinions of g tell differently (docs/notes/exemplar.md).
+what two opinions of g tell differently (docs/notes/capture.md).
 """
 
 from __future__ import annotations

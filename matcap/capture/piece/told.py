@@ -41,7 +41,7 @@ def plane_strengths(
     """The same of a photograph on its plane and what the network is told of it.
 
     What slope changes of log radiance is taken from the coarse fit, which is nearer to the truth
-    than the maps that were read (docs/notes/exemplar.md); where both differ, less is believed.
+    than the maps that were read (docs/notes/capture.md); where both differ, less is believed.
 
     Args:
         plane: the photograph.

@@ -1,7 +1,7 @@
 """What is tuned in finding the piece: one frozen dataclass a stage.
 
 Each number with its unit and what it trades. Measured on simulated and on artists' materials:
-docs/notes/exemplar.md, unless another note is named. Bands are strengths.BANDS, longest first.
+docs/notes/capture.md, unless another note is named. Bands are strengths.BANDS, longest first.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class StrengthSettings:
 
 @dataclass(frozen=True)
 class KindSettings:
-    """Metal beside what is none, told apart and each given levels of its own; docs/notes/metal.md.
+    """Metal beside what is none, told apart and each given levels of its own; docs/notes/gloss.md.
 
     Attributes:
         around: the long side over the deviation of a neighbourhood that a texel is compared with.
@@ -355,7 +355,7 @@ FINEST = FinestSettings()
 
 @dataclass(frozen=True)
 class BandSettings:
-    """How planes are parted into bands; docs/notes/exemplar.md.
+    """How planes are parted into bands; docs/notes/capture.md.
 
     Attributes:
         coarser: texels a side that are one, for wide blurs. More is quicker, and shows as cells.

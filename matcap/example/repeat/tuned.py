@@ -1,4 +1,4 @@
-"""What is tuned of the piece made to repeat; measured in docs/notes/by-example.md."""
+"""What is tuned of the piece made to repeat; measured in docs/notes/field.md."""
 
 from __future__ import annotations
 

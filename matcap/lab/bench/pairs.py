@@ -61,7 +61,7 @@ def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:
 
 
 def agreement(table: Path) -> list[str]:
-    """How often each measure says what was written of pairs; nothing without pairs.csv beside it.
+    """How often each measure says what was written of pairs; nothing where none is known.
 
     Lines of Markdown: of all pairs in which one was nearer, and of those that a measure tells
     apart by 10 % and more.
@@ -77,6 +77,8 @@ def agreement(table: Path) -> list[str]:
         for row in told
         if all((row["material"], row[side]) in known for side in ("left", "right"))
     ]
+    if not looked:
+        return []
     rows = []
     for name in _MEASURES:
         both = [(a.number(name), b.number(name), nearer) for a, b, nearer in looked]

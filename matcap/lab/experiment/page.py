@@ -110,7 +110,8 @@ def section(table: Path, told: Presentation, page: Path) -> list[str]:
     subjects = len({row.subject for row in rows})
     where, numbers = (os.path.relpath(path, page.parent) for path in (picture, table))
     lines = [
-        f"## {told.title}", "", f"{len(rows)} rows, {subjects} subjects. On {machines}.", "",
+        f"## {told.title}", "",
+        f"{len(rows)} rows, {subjects} subjects.{f' On {machines}.' if machines else ''}", "",
         told.about, "",
         *([f"![{told.axes[1]} against {told.axes[0]}]({where})", ""] if told.picture else []),
         f"Every measurement: [{numbers}]({numbers}). Least {told.axes[0]} first; on the Pareto "

@@ -1,6 +1,6 @@
 """How unlike several realisations of one material are (paper, section 5.2, "diversity").
 
-The paper's is the mean pairwise L1 of VGG features over all realisations, after Henzler, Mitra,
+The paper's is the mean pairwise L1 of VGG features over all realisations, after Henzler, Mitra and
 Ritschel (2020), "Learning a Neural 3D Texture Space from 2D Exemplars"; here the features are those
 of RandomFilters (style.py). They are compared place by place, so that the same texture with its
 grains elsewhere counts as another picture; and as features of several scales, not as pixels, so

@@ -2,7 +2,7 @@
 
 Everything random in a step follows from its number, so weights, moments and step are the whole
 state: a run killed at any time goes on from its last checkpoint as if nothing had happened. What a
-network is trained on and by stands beside it: train/prior.py, inverse/train.py.
+network is trained on and by stands beside it: train/train.py, inverse/train.py.
 """
 
 from __future__ import annotations

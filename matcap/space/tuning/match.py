@@ -1,7 +1,7 @@
 """Matching: mean and contrast of a tuned material moved to the photograph's.
 
 Fine-tuning compares statistics window by window, whose best compromise is a little too faint where
-the structure is not met, and may be off in mean (docs/notes/capture.md). The last AdaIN states mean
+the structure is not met, and may be off in mean (docs/notes/prior.md). The last AdaIN states mean
 and deviation of every map outright, so both can be set right without another step: the material is
 rendered as the whole photograph, compared, and moved, a few times over. Diffuse albedo and relief
 take one common gain, for the picture tells their contrast only together; F0 and roughness stay.

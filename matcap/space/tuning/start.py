@@ -4,7 +4,7 @@ The coarse fit says what the material is on average and the photograph how stron
 The decoder's last AdaIN states both outright, so they are put there: mean maps from the fit,
 contrast of the diffuse albedo from the photograph, hardly any relief. Colour explains first, and
 relief takes over what colour cannot: what turns with the direction to the flash. Starting with
-relief instead ends with dark spots dug as rough pits (docs/notes/capture.md).
+relief instead ends with dark spots dug as rough pits (docs/notes/prior.md).
 """
 
 from __future__ import annotations

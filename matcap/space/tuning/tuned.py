@@ -1,4 +1,4 @@
-"""What is tuned of fine-tuning a decoder: one frozen dataclass a stage; docs/notes/capture.md."""
+"""What is tuned of fine-tuning a decoder: one frozen dataclass a stage; docs/notes/prior.md."""
 
 from __future__ import annotations
 
