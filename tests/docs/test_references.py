@@ -1,0 +1,205 @@
+"""What comments, docstrings and pages refer to exists: pages, files, modules and papers."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import io
+import re
+import tokenize
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("matcap", "tests", "docs", "examples")
+# Changes tell of what was; weights' cards stand in the same folder as what they describe.
+PAGES = sorted({*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("matcap/**/*.md")})
+PAGES.remove(ROOT / "CHANGELOG.md")
+MODULES = sorted(file for folder in FOLDERS for file in (ROOT / folder).rglob("*.py"))
+OTHERS = sorted(
+    file
+    for folder in FOLDERS
+    for pattern in ("*.c", "*.h", "*.js", "*.toml")
+    for file in (ROOT / folder).rglob(pattern)
+)
+FILES = [*PAGES, *MODULES, *OTHERS]
+
+BIBLIOGRAPHY = ROOT / "docs" / "references.bib"
+CITED = re.compile(r"\[([a-z]+\d{4}(?:[;,] [^][]+)?)\]")
+KEY = re.compile(r"^[a-z]+\d{4}$")
+# Heitz 2014; Lefebvre and Hoppe (2005, 2006); Henzler, Mitra and Ritschel (2020); He et al. 2016.
+MENTIONED = re.compile(
+    r"\b([A-Z][a-z]+)(?:(?:, [A-Z]\w+)* and [A-Z]\w+| et al\.)?,? "
+    r"\(?((?:17|19|20)\d\d)\b(?!-\d\d)"
+)
+# Words before a year that are nobody's name.
+NO_NAMES = {
+    "January", "February", "March", "April", "May", "June", "July", "August", "September",
+    "October", "November", "December", "Since", "Before", "Until", "In", "After", "By", "Of",
+}  # fmt: skip
+
+PATH = re.compile(
+    r"(?<![\w/.*<>{}-])((?:[\w-]+/)*[\w-]+\.(?:py|c|h|js|toml|bib|md|csv))(#[\w-]+)?(?![\w/*])"
+)
+DOTTED = re.compile(r"(?<![\w/.\"'-])matcap(?:\.[A-Za-z_]\w*)+")
+# Scripts that an export of NAME has.
+EXPORTED = re.compile(r"(?:T_)?(?:NAME|leather)_\w+(?:/\w+)?\.py$")
+# What docs/guide/extend.md has its reader make.
+WALKED_THROUGH = {"matcap/relight/effects/fuzz.py"}
+# Files that users have, and examples of names.
+NOT_MODULES = {"matcap.toml", "matcap.a.b"}
+
+
+@cache
+def prose(file: Path) -> str:
+    """A page's text; of a module its comments and docstrings."""
+    text = file.read_text(encoding="utf-8")
+    if file.suffix != ".py":
+        return re.sub(r"https?://\S+", "", text)
+    # Docstrings of modules, classes, functions and fields are all statements of one string.
+    docstrings = [
+        node.value.value
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    ]
+    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    comments = [token.string for token in tokens if token.type == tokenize.COMMENT]
+    return "\n".join([*docstrings, *comments])
+
+
+@cache
+def anchors(page: Path) -> frozenset[str]:
+    """The anchors that a page's headings make."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return frozenset(re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings)
+
+
+@cache
+def known_names() -> frozenset[str]:
+    return frozenset(
+        file.name for folder in FOLDERS for file in (ROOT / folder).rglob("*") if file.is_file()
+    )
+
+
+def found(path: str, file: Path) -> Path | None:
+    """The file that a path means: from the root, from matcap/, or from near the file that says it.
+
+    A name without folders stands for a file of this name beside it, or the only ones there are.
+    """
+    places = (ROOT, ROOT / "matcap", ROOT / "tests", *file.parents)
+    for place in places:
+        if place.is_relative_to(ROOT) and (place / path).is_file():
+            return place / path
+    return Path(path) if "/" not in path and path in known_names() else None
+
+
+def dead_paths(file: Path) -> Iterator[str]:
+    # Of other projects' and users' files only those in our folders can be told.
+    for path, anchor in PATH.findall(prose(file)):
+        ours = path.split("/")[0] in FOLDERS or path.endswith((".py", ".bib"))
+        if not ours or EXPORTED.match(path) or path in WALKED_THROUGH:
+            continue
+        place = found(path, file)
+        if place is None or (anchor and place.is_file() and anchor[1:] not in anchors(place)):
+            yield path + anchor
+
+
+def faults(check: Callable[[Path], Iterable[str]]) -> dict[str, list[str]]:
+    """What a check finds, by file."""
+    found = {str(file.relative_to(ROOT)): sorted(check(file)) for file in FILES}
+    return {name: wrong for name, wrong in found.items() if wrong}
+
+
+def test_files_and_pages_that_are_named_exist():
+    assert faults(dead_paths) == {}
+
+
+@cache
+def public(module: Path) -> frozenset[str]:
+    """Names that a module defines or imports."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Name | ast.Attribute):
+            names.add(node.id if isinstance(node, ast.Name) else node.attr)
+        elif isinstance(node, ast.ImportFrom | ast.Import):
+            names.update(alias.asname or alias.name for alias in node.names)
+    return frozenset(names)
+
+
+def exists(dotted: str) -> bool:
+    """Whether a dotted name is a module, or a name in one."""
+    place, parts = ROOT / "matcap", dotted.split(".")[1:]
+    while parts and (place / parts[0]).is_dir():
+        place, parts = place / parts[0], parts[1:]
+    module = place / "__init__.py"
+    if parts and (place / f"{parts[0]}.py").is_file():
+        module, parts = place / f"{parts[0]}.py", parts[1:]
+    if not parts:
+        return True
+    return parts[0] in public(module) or (
+        module.parent == ROOT / "matcap" and hasattr(importlib.import_module("matcap"), parts[0])
+    )
+
+
+def dead_modules(file: Path) -> list[str]:
+    named = set(DOTTED.findall(prose(file))) - NOT_MODULES
+    return [name for name in named if not exists(name)]
+
+
+def test_modules_that_are_named_exist():
+    assert faults(dead_modules) == {}
+
+
+@cache
+def keys() -> frozenset[str]:
+    entries = re.findall(r"^@\w+\{(\w+),", BIBLIOGRAPHY.read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(entries) == len(set(entries)) > 50
+    return frozenset(entries)
+
+
+def cited(file: Path) -> set[str]:
+    """Keys that a file cites: [heitz2014], [heitz2014, eq. 99], [gatys2015; liu2016]."""
+    parts = (
+        part.split(",")[0].strip() for c in CITED.findall(prose(file)) for part in c.split(";")
+    )
+    return {part for part in parts if KEY.match(part)}
+
+
+def mentioned(file: Path) -> set[str]:
+    """Keys of papers that a file names in words: Heitz 2014."""
+    text = re.sub(r"\s+", " ", prose(file))
+    return {
+        f"{name.lower()}{year}" for name, year in MENTIONED.findall(text) if name not in NO_NAMES
+    }
+
+
+def test_papers_that_are_named_are_in_the_bibliography():
+    assert faults(lambda file: (cited(file) | mentioned(file)) - keys()) == {}
+
+
+def test_no_entry_is_cited_nowhere():
+    used = set().union(*(cited(file) | mentioned(file) for file in FILES))
+    assert sorted(keys() - used) == []
+
+
+def test_a_key_is_surname_and_year():
+    text = BIBLIOGRAPHY.read_text(encoding="utf-8")
+    for entry in re.split(r"^@\w+\{", text, flags=re.MULTILINE)[1:]:
+        key = entry.split(",")[0]
+        surname = re.search(r"author = \{(\w+)", entry)[1].lower()
+        year = re.search(r"year = \{(\d{4})\}", entry)[1]
+        assert key == f"{surname}{year}"
+
+
+def test_dead_references_are_found(tmp_path):
+    """The checks themselves: a page that is wrong in every way."""
+    page = tmp_path / "page.md"
+    page.write_text("docs/gone.md matcap/gone.py matcap.gone.x [nobody1999] Nobody (1998)")
+    assert list(dead_paths(page)) == ["docs/gone.md", "matcap/gone.py"]
+    assert not exists("matcap.gone.x") and exists("matcap.flash.coarse.fit_coarse")
+    assert cited(page) == {"nobody1999"} and mentioned(page) == {"nobody1998"}
