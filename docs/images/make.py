@@ -104,14 +104,14 @@ def page(paths: list[Path]) -> None:
     import uvicorn
     from playwright.sync_api import sync_playwright
 
-    from matcap.view.beside import find_beside
     from matcap.view.pages import Pages
+    from matcap.view.references import find_references
     from matcap.view.serve import listen
     from matcap.view.server import make_app, new_address
     from matcap.view.subject import open_subject
 
     subject = open_subject(*paths[:2])
-    beside = find_beside(paths[0], subject.facts.name, None, subject.first.exemplar)
+    beside = find_references(paths[0], subject.facts.name, None, subject.first.exemplar)
     listening = listen(0)
     address = new_address(listening.getsockname()[1])
     app = make_app(subject, Pages(subject), address, beside)

@@ -22,9 +22,9 @@ from typing import Any, Literal, Protocol
 from matcap.errors import MatcapError
 from matcap.files.cluster import Cluster, RemoteResult
 from matcap.files.interrupts import settle_child, starting_children
-from matcap.files.progress import Progress, TellProgress, nobody
+from matcap.files.progress import OnProgress, Progress, nobody
 
-DoWork = Callable[[Any, TellProgress], Any]
+DoWork = Callable[[Any, OnProgress], Any]
 Prepare = Callable[[], None]
 _LOOK_EVERY = 0.1  # seconds; samples take minutes
 

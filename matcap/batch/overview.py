@@ -76,19 +76,19 @@ def _rows(
     for folder in sorted(out.iterdir()):
         record = read_record(folder) if folder.name not in names else None
         if record is not None:
-            rows.append(_told(record, "done", folder.name))
+            rows.append(_row_of(record, "done", folder.name))
             pictures.append(_pictures(record))
     return rows, pictures
 
 
 def _stated(entry: BatchEntry) -> dict[str, Any]:
-    row = _told(entry.record, _STATES[entry.state], entry.sample.name)
+    row = _row_of(entry.record, _STATES[entry.state], entry.sample.name)
     row["photographs"] = [str(path) for path in entry.sample.photos]
     row["reason"] = entry.reason
     return row
 
 
-def _told(record: dict[str, Any], state: str, name: str) -> dict[str, Any]:
+def _row_of(record: dict[str, Any], state: str, name: str) -> dict[str, Any]:
     tilt = record.get("tilt_degrees") or (None, None)
     verdict = record.get("verdict") or {}
     error = record.get("error") or {}
@@ -113,8 +113,8 @@ def _told(record: dict[str, Any], state: str, name: str) -> dict[str, Any]:
 
 
 def _pictures(record: dict[str, Any]) -> dict[str, str]:
-    found = record.get("thumbnails")
-    return dict(found) if isinstance(found, dict) else {}
+    thumbnails = record.get("thumbnails")
+    return dict(thumbnails) if isinstance(thumbnails, dict) else {}
 
 
 def _csv(rows: Sequence[dict[str, Any]]) -> str:

@@ -72,7 +72,7 @@ class Prediction:
             {
                 "name": entry.sample.name,
                 "photographs": [str(photo) for photo in entry.sample.photos],
-                "beside": [str(photo) for photo in entry.sample.beside],
+                "superseded": [str(photo) for photo in entry.sample.superseded],
                 "status": {"todo": "to do", "kept": "done"}.get(entry.state, entry.state),
                 "reason": entry.reason or None,
             }
@@ -122,7 +122,7 @@ def predict(prepared: Prepared) -> Prediction:
 
 
 def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
-    found = []
+    earlier = []
     capture = prepared.settings.capture
     steps = resolve(capture).work(capture.generator)
     for file in sorted(prepared.out.glob(f"*/{FILE}")):
@@ -131,11 +131,11 @@ def _from_before(prepared: Prepared) -> tuple[float, int, str] | None:
             steps,
             capture.most_detail,
         ):
-            found.append((float(record["seconds"]), sum(record["files"].values())))
-    if not found:
+            earlier.append((float(record["seconds"]), sum(record["files"].values())))
+    if not earlier:
         return None
-    seconds = sum(s for s, _ in found) / len(found)
-    return seconds, max(size for _, size in found), f"as the {len(found)} made before"
+    seconds = sum(s for s, _ in earlier) / len(earlier)
+    return seconds, max(size for _, size in earlier), f"as the {len(earlier)} made before"
 
 
 def _trial(photos: Sequence[Path], settings: BatchSettings) -> tuple[float, int]:
@@ -153,12 +153,12 @@ def _trial(photos: Sequence[Path], settings: BatchSettings) -> tuple[float, int]
     steps = min(work, _TRIAL_STEPS)
     ticks: list[float] = []  # when each step of the longest stage was done
 
-    def told(now: CaptureProgress) -> None:
+    def on_progress(now: CaptureProgress) -> None:
         if now.stage in ("adapt", "fine-tuning"):
             ticks.append(now.seconds)
 
     short = replace(wanted, steps=steps, time_limit=None, target=None)
-    result = capture_file(photos[0], short, told, others=photos[1:])
+    result = capture_file(photos[0], short, on_progress, others=photos[1:])
     with tempfile.TemporaryDirectory(prefix="matcap-") as folder:
         write_outputs(result, Path(folder) / "trial", settings.outputs)
         size = sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())

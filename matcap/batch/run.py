@@ -113,7 +113,7 @@ class Batch:
         Raises:
             KeyboardInterrupt: after the workers are stopped and the index is written.
         """
-        told = False
+        announced = False
         try:
             while self._waiting or self._alone or self._elsewhere or self._crew.busy():
                 if self._stop:
@@ -125,10 +125,10 @@ class Batch:
                     for event in self._crew.wait(_POLL):
                         self._happened(event)
                 elif self._elsewhere and not self._waiting and not self._alone:
-                    if not told:
+                    if not announced:
                         count = len(self._elsewhere)
                         self._show.note(f"{count} are being made by another run: waiting for it.")
-                    told = True
+                    announced = True
                     time.sleep(_POLL)
                     self._waiting, self._elsewhere = self._elsewhere, deque()
                 if time.monotonic() - self._paged > _PAGE_EVERY:

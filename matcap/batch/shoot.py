@@ -49,7 +49,7 @@ class ShotSample:
     """Of the material and its folder; unique in the shoot whatever the letters' case."""
     photos: tuple[Path, ...]
     """The photographs it is made from."""
-    beside: tuple[Path, ...] = ()
+    superseded: tuple[Path, ...] = ()
     """Files set aside, because a RAW of the same stem says more."""
     profile: CameraProfile | None = None
     """Of the camera, where the shoot tells one (cameras.py)."""
@@ -162,12 +162,12 @@ def _pairs(files: Sequence[Path]) -> list[_Shot]:
     for path in files:
         raw = raws.get(_shot_of(path))
         if kind(path) in _RAW:
-            beside = [
+            superseded = [
                 other
                 for other in files
                 if kind(other) in _CAMERA and _shot_of(other) == _shot_of(path)
             ]
-            shots.append((path, tuple(beside) if raw == path else ()))
+            shots.append((path, tuple(superseded) if raw == path else ()))
         elif kind(path) in _OTHER or (kind(path) in _CAMERA and raw is None):
             shots.append((path, ()))
     return shots
@@ -206,7 +206,7 @@ def _by_name(shots: Sequence[_Shot]) -> list[list[_Shot]]:
 def _joined(shots: Sequence[_Shot]) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
     return (
         tuple(photo for photo, _ in shots),
-        tuple(other for _, beside in shots for other in beside),
+        tuple(other for _, superseded in shots for other in superseded),
     )
 
 
@@ -222,9 +222,9 @@ def _named(
     for _, label, _, _ in grouped:
         count[label.casefold()] = count.get(label.casefold(), 0) + 1
     samples = []
-    for place, label, photos, beside in grouped:
+    for place, label, photos, superseded in grouped:
         plain = label.lstrip(".") or "photograph"
         if count[label.casefold()] > 1 or plain.casefold() in _TAKEN or plain != label:
             plain += "-" + hashlib.sha256(place.as_posix().encode()).hexdigest()[:6]
-        samples.append(ShotSample(plain, photos, beside))
+        samples.append(ShotSample(plain, photos, superseded))
     return samples

@@ -112,13 +112,13 @@ def _cards(shoot: Path, wanted: str, out: Path) -> list[Path]:
         return [Path(wanted)]
     if wanted == "none" or not shoot.is_dir():
         return []
-    found = [
+    cards = [
         file
         for sample in find_samples(shoot, without=(out,))
         if sample.photos[0].stem.casefold().startswith("card")
-        for file in (*sample.photos, *sample.beside)
+        for file in (*sample.photos, *sample.superseded)
     ]
-    return found
+    return cards
 
 
 def work_off(

@@ -16,7 +16,7 @@ from matcap.batch.record import write_record
 from matcap.batch.settings import BatchSettings
 from matcap.batch.workspace import Run
 from matcap.errors import MatcapError
-from matcap.files.progress import Progress, TellProgress
+from matcap.files.progress import OnProgress, Progress
 from matcap.files.staging import write_error
 from matcap.photo.calibrate import Calibration, calibrated
 from matcap.photo.camera import CameraProfile
@@ -65,20 +65,20 @@ class Failure:
     """Where, what and remedy."""
 
 
-def do_job(job: BatchJob, tell: TellProgress) -> dict[str, Any] | Failure:
+def do_job(job: BatchJob, on_progress: OnProgress) -> dict[str, Any] | Failure:
     """Make a material, put it in its place, and return its record's summary.
 
     Whatever goes wrong with this sample comes back as a Failure.
     """
     try:
-        return _do(job, tell)
+        return _do(job, on_progress)
     except MemoryError:
         return Failure("memory", _no_memory(job))
     except MatcapError as error:
         return Failure(_fault(error), str(error))
     except OSError as error:
-        told = write_error(job.run.out / job.name, error)
-        return Failure("disk" if error.errno in _DISK else "crash", str(told))
+        failure = write_error(job.run.out / job.name, error)
+        return Failure("disk" if error.errno in _DISK else "crash", str(failure))
     except Exception as error:
         if _is_no_memory(error):
             return Failure("memory", _no_memory(job))
@@ -96,14 +96,14 @@ def _fault(error: MatcapError) -> Fault:
     return "photograph"
 
 
-def _do(job: BatchJob, tell: TellProgress) -> dict[str, Any]:
+def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
     from matcap.capture.inspection import photograph_quality
     from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_photo, read_photograph
     from matcap.photo.inspect import inspect_photo
 
     started = time.perf_counter()
-    tell(Progress("reading", 0.0))
+    on_progress(Progress("reading", 0.0))
     settings = job.settings
     chosen = measured(settings.capture, job.card)
     if job.detail != chosen.most_detail:
@@ -114,8 +114,8 @@ def _do(job: BatchJob, tell: TellProgress) -> dict[str, Any]:
         photo = photo if job.profile is None else photo.known_by(job.profile)
         photos.append(photo if job.card is None else calibrated(photo, job.card))
 
-    result = capture_photo(photos[0], chosen, tell, others=photos[1:])
-    tell(Progress("writing", 0.95))
+    result = capture_photo(photos[0], chosen, on_progress, others=photos[1:])
+    on_progress(Progress("writing", 0.95))
     # One tilt for all that is told of a photograph: the capture's own.
     first = inspect_photo(photos[0], result.material.setup.tilt)
     looked_at = [first, *map(photograph_quality, photos[1:])]
@@ -146,9 +146,9 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
     said += warnings(result)
     if job.detail != job.settings.capture.most_detail:
         said.append(f"Memory ran out: made at a detail of {job.detail} texels across.")
-    for found in looked_at:
-        of = f"{found.name}: " if len(looked_at) > 1 else ""
-        doubts = [f.line() for f in found.findings if f.verdict.value in ("doubtful", "poor")]
+    for inspection in looked_at:
+        of = f"{inspection.name}: " if len(looked_at) > 1 else ""
+        doubts = [f.line() for f in inspection.findings if f.verdict.value in ("doubtful", "poor")]
         said += [f"{of}{doubt}" for doubt in doubts]
     tilt = result.material.setup.tilt
     return {
@@ -160,10 +160,10 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "error": result.errors,
         "tilt_degrees": [round(angle * 57.29577951, 3) for angle in tilt],
         "clipped": round(result.photo.clipped_share, 5),
-        "doubtful": not verdict.fit or any(found.doubtful for found in looked_at),
+        "doubtful": not verdict.fit or any(inspection.doubtful for inspection in looked_at),
         "warnings": said,
         "notes": list(result.photo.remarks),
-        "inspection": [found.document() for found in looked_at],
+        "inspection": [inspection.document() for inspection in looked_at],
         "albedo": "absolute" if result.photo.flash_intensity is not None else "relative",
         "card": job.card.document() if job.card else None,
         "camera": result.photo.profile and result.photo.profile.document(),

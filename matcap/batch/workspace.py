@@ -108,7 +108,7 @@ class Run:
             return True
         folder = self.out / WORKSPACE / "claims"
         folder.mkdir(parents=True, exist_ok=True)
-        lock = _held(folder / name)
+        lock = _acquired(folder / name)
         if lock is not None:
             self.claims[name] = lock
         return lock is not None
@@ -136,10 +136,10 @@ class Run:
 def read_failure(out: Path, name: str) -> dict[str, Any] | None:
     """What is remembered of a photograph that could not be used."""
     try:
-        found = json.loads((out / WORKSPACE / "failed" / name).read_text(encoding="utf-8"))
+        record = json.loads((out / WORKSPACE / "failed" / name).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return record if isinstance(record, dict) else None
 
 
 @contextmanager
@@ -152,7 +152,7 @@ def open_run(out: Path) -> Iterator[Run]:
     folder = out / WORKSPACE / "runs" / f"{os.getpid()}-{uuid.uuid4().hex[:12]}"
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        alive = _held(_alive(folder))  # before there is a folder that others might clear away
+        alive = _acquired(_alive(folder))  # before there is a folder that others might clear away
         folder.mkdir()
     except OSError as error:
         raise write_error(out, error) from error
@@ -172,7 +172,7 @@ def open_run(out: Path) -> Iterator[Run]:
             alive.release()
 
 
-def _held(path: Path) -> FileLock | None:
+def _acquired(path: Path) -> FileLock | None:
     """A lock that this process holds from here on; None where another does.
 
     Where the file system knows no locks everybody holds it.

@@ -92,11 +92,11 @@ class Adjustments:
     @property
     def text(self) -> str:
         """What parse_adjustments takes; "" for none."""
-        told = (
+        changed = (
             (name, value) for name, value in asdict(self).items() if value != getattr(NONE, name)
         )
         return ",".join(
-            f"{name}={value if isinstance(value, str) else f'{value:g}'}" for name, value in told
+            f"{name}={value if isinstance(value, str) else f'{value:g}'}" for name, value in changed
         )
 
     @property
@@ -118,10 +118,10 @@ class Adjustments:
             np.array([int(self.tint[at : at + 2], 16) for at in (1, 3, 5)], np.float64) / 255.0
         )
         tint = linear / float(linear @ _LUMINANCE)
-        found: NDArray[np.float32] = (self.brightness * tint[:, None] * saturated).astype(
+        matrix: NDArray[np.float32] = (self.brightness * tint[:, None] * saturated).astype(
             np.float32
         )
-        return found
+        return matrix
 
 
 NONE = Adjustments()
@@ -161,24 +161,24 @@ def adjusted_planes(planes: Planes, adjustments: Adjustments) -> Planes:
     """
     if not adjustments.changes:
         return planes
-    found = planes.copy()
+    adjusted = planes.copy()
     with_normal = len(planes) > 8
     coloured = len(planes) in (8, 11)
     roughness, height = (4, 5) if not coloured else (6, 7)
     if not np.array_equal(adjustments.colour, NONE.colour):
         mixed = np.einsum("ij,jhw->ihw", adjustments.colour, planes[:3])
-        found[:3] = mixed.clip(0.0, 1.0)
+        adjusted[:3] = mixed.clip(0.0, 1.0)
     if coloured and adjustments.saturation != 1.0:
-        found[3:6] = np.einsum("ij,jhw->ihw", adjustments.mixing, planes[3:6]).clip(0.0, 1.0)
+        adjusted[3:6] = np.einsum("ij,jhw->ihw", adjustments.mixing, planes[3:6]).clip(0.0, 1.0)
     if adjustments.roughness:
-        found[roughness] = (planes[roughness] + np.float32(adjustments.roughness)).clip(0.0, 1.0)
+        adjusted[roughness] = (planes[roughness] + np.float32(adjustments.roughness)).clip(0.0, 1.0)
     if adjustments.relief != 1.0:
         factor = np.float32(adjustments.relief)
-        found[height] *= factor
+        adjusted[height] *= factor
         if with_normal:
-            found[-3:-1] *= factor
-            found[-3:] /= np.sqrt(np.square(found[-3:]).sum(axis=0))
-    return found
+            adjusted[-3:-1] *= factor
+            adjusted[-3:] /= np.sqrt(np.square(adjusted[-3:]).sum(axis=0))
+    return adjusted
 
 
 def adjusted(maps: MapSet, adjustments: Adjustments) -> MapSet:
@@ -190,9 +190,9 @@ def adjusted(maps: MapSet, adjustments: Adjustments) -> MapSet:
     stacked = maps.stacked() if maps.painted is None else torch.cat([maps.stacked(), maps.painted])
     planes = adjusted_planes(stacked.detach().cpu().float().numpy(), adjustments)
     count = stacked.shape[-3] - (0 if maps.painted is None else 3)
-    found = type(maps).from_stacked(torch.from_numpy(planes[:count]), maps.texel_size)
+    changed = type(maps).from_stacked(torch.from_numpy(planes[:count]), maps.texel_size)
     painted = None if maps.painted is None else torch.from_numpy(planes[count:])
-    return replace(found, periodic=maps.periodic, painted=painted)
+    return replace(changed, periodic=maps.periodic, painted=painted)
 
 
 def _number(name: str, value: str) -> float:
@@ -212,11 +212,11 @@ def _read(path: Path) -> str:
         if path.stat().st_size > _LONGEST:
             raise ValueError("too long")
         document = json.loads(path.read_text(encoding="utf-8"))
-        found = document.get(KEY, document.get("provenance", {}).get(KEY))
-        if not isinstance(found, str):
+        text = document.get(KEY, document.get("provenance", {}).get(KEY))
+        if not isinstance(text, str):
             raise ValueError("no adjustments")
     except (OSError, ValueError, AttributeError) as error:
         raise UsageError(
             "this file has no adjustments", where=str(path), remedy="give relief=1.3 or the like"
         ) from error
-    return found
+    return text

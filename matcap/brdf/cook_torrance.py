@@ -123,8 +123,8 @@ class Angles:
         half = normalize(to_light + to_view)
         # Of unit vectors a chord d apart the squared sine is d^2 (1 - d^2 / 4): as exact as their
         # cross product where they nearly meet, at a fraction of its cost.
-        apart = normal - half
-        chord = dot(apart, apart)
+        difference = normal - half
+        chord = dot(difference, difference)
         return Angles(
             dot(normal, to_light).clamp_min(LEAST_COSINE),
             dot(normal, to_view).clamp_min(LEAST_COSINE),

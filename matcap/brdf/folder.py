@@ -188,8 +188,8 @@ def read_mapset(
     maps = {}
     for kind, channels in stated.channels.items():
         name, named = stated.files[kind]
-        found = read_exr_named(file.parent / name, size=stated.size, channels=named)
-        pixels = as_saved(found, channels, str(file.parent / name))
+        picture = read_exr_named(file.parent / name, size=stated.size, channels=named)
+        pixels = as_saved(picture, channels, str(file.parent / name))
         if pixels.shape[2] != channels:
             raise MatcapError(
                 f"has {pixels.shape[2]} channels instead of {channels}",
@@ -197,7 +197,7 @@ def read_mapset(
                 remedy=_recount(kind, pixels.shape[2]),
             )
         if kind in COLOURS and channels == 3:
-            pixels = in_rec709(pixels, found.primaries, str(file.parent / name))
+            pixels = in_rec709(pixels, picture.primaries, str(file.parent / name))
         if kind == "height":
             if stated.height_scale != 1.0:
                 pixels = pixels * np.float32(stated.height_scale)
@@ -212,10 +212,10 @@ def read_mapset(
     return whole, document
 
 
-def _recount(kind: str, found: int) -> str:
+def _recount(kind: str, count: int) -> str:
     """What to do about a map of another number of channels: an editor may have added a colour."""
-    if kind == "specular" and found in (1, 3):
-        return f'save it as it was, or say "{SPECULAR_CHANNELS}": {found} in the JSON file'
+    if kind == "specular" and count in (1, 3):
+        return f'save it as it was, or say "{SPECULAR_CHANNELS}": {count} in the JSON file'
     return "write the map set again"
 
 
@@ -268,9 +268,9 @@ def find_mapsets(folder: Path) -> list[Path]:
 
     A photographed piece beside its material's own set is that one's companion, and not listed.
     """
-    found = [file for file in sorted(folder.glob("*.json")) if _load_document(file) is not None]
-    names = {file.stem for file in found}
-    return [file for file in found if file.stem.removesuffix(PIECE) not in names - {file.stem}]
+    documents = [file for file in sorted(folder.glob("*.json")) if _load_document(file) is not None]
+    names = {file.stem for file in documents}
+    return [file for file in documents if file.stem.removesuffix(PIECE) not in names - {file.stem}]
 
 
 def _arrays(maps: MapSet, normal: NormalStyle) -> dict[str, NDArray[np.float32]]:
@@ -358,21 +358,21 @@ def _find_document(path: Path) -> Path:
     if not path.is_dir():
         what = "no such file or folder" if not path.exists() else "this is no ordinary file"
         raise MatcapError(what, where=str(path), remedy="check the path")
-    found = find_mapsets(path)
-    if not found:
+    documents = find_mapsets(path)
+    if not documents:
         raise MatcapError(
             "there is no map set in this folder",
             where=str(path),
             remedy="give a folder that matcap synth or matcap capture wrote",
         )
-    if len(found) > 1:
-        names = ", ".join(file.name for file in found)
+    if len(documents) > 1:
+        names = ", ".join(file.name for file in documents)
         raise MatcapError(
-            f"there are {len(found)} map sets in this folder ({names})",
+            f"there are {len(documents)} map sets in this folder ({names})",
             where=str(path),
             remedy="name the JSON file of one of them",
         )
-    return found[0]
+    return documents[0]
 
 
 def _load_any(file: Path) -> dict[str, Any] | None:

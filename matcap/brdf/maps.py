@@ -48,11 +48,11 @@ class MapSet:
     def __post_init__(self) -> None:
         shape = self.height.shape
         for name, channels in CHANNELS.items():
-            found = getattr(self, name).shape
+            actual = getattr(self, name).shape
             allowed = (channels, COLOURED) if name == "specular" else (channels,)
-            if len(found) < 3 or found[-3] not in allowed or found[-2:] != shape[-2:]:
+            if len(actual) < 3 or actual[-3] not in allowed or actual[-2:] != shape[-2:]:
                 raise ValueError(
-                    f"{name} has shape {tuple(found)}; expected (..., {channels}, "
+                    f"{name} has shape {tuple(actual)}; expected (..., {channels}, "
                     f"{shape[-2]}, {shape[-1]})"
                 )
 
@@ -96,13 +96,13 @@ class MapSet:
         def turn(planes: Tensor) -> Tensor:
             return planes.rot90(quarters, (-2, -1)).contiguous()
 
-        found = self.map(turn)
-        if found.painted is None:
-            return found
-        x, y, z = found.painted.unbind(-3)
+        rotated = self.map(turn)
+        if rotated.painted is None:
+            return rotated
+        x, y, z = rotated.painted.unbind(-3)
         for _ in range(quarters % 4):
             x, y = -y, x
-        return replace(found, painted=torch.stack([x, y, z], dim=-3))
+        return replace(rotated, painted=torch.stack([x, y, z], dim=-3))
 
     def crop(self, x: int, y: int, width: int, height: int) -> MapSet:
         """The rectangle whose left top texel is (x, y), rows counted from the top."""

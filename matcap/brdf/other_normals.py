@@ -77,13 +77,13 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
             "the map set names no file of normals", where=str(folder), remedy=_WITHOUT
         )
     where = str(folder / name)
-    found = without_alpha(read_exr_named(folder / name, size=size))
-    if found.shape[2] != 3:
+    pixels = without_alpha(read_exr_named(folder / name, size=size))
+    if pixels.shape[2] != 3:
         raise MatcapError(
-            f"has {found.shape[2]} channels instead of 3", where=where, remedy=_WITHOUT
+            f"has {pixels.shape[2]} channels instead of 3", where=where, remedy=_WITHOUT
         )
-    length = np.linalg.norm(found, axis=-1, keepdims=True)
-    unit = found / np.maximum(length, np.float32(1e-9))
+    length = np.linalg.norm(pixels, axis=-1, keepdims=True)
+    unit = pixels / np.maximum(length, np.float32(1e-9))
     turned = int((unit[..., 2] < _STEEPEST).sum())
     if turned:
         raise MatcapError(
@@ -94,22 +94,22 @@ def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int
     return torch.from_numpy(np.ascontiguousarray(unit.transpose(2, 0, 1), np.float32))
 
 
-def _differing(found: np.ndarray[Any, Any], maps: MapSet, *, down: bool) -> float:
+def _differing(pixels: np.ndarray[Any, Any], maps: MapSet, *, down: bool) -> float:
     """The share of texels inside whose normal is another one; borders may know more than these."""
     from matcap.brdf.normals import normals_of_rows
 
     width, height = maps.size
-    if found.shape[2] != 3 or min(width, height) < 3:
-        return 0.0 if found.shape[2] == 3 else 1.0
+    if pixels.shape[2] != 3 or min(width, height) < 3:
+        return 0.0 if pixels.shape[2] == 3 else 1.0
     step = max(1, width * height // _TEXELS)
     off = texels = 0
     for row in range(1, height - 1, step):
         meant = normals_of_rows(
             maps.height, maps.texel_size, slice(row, row + 1), periodic=maps.periodic
         )
-        told = found[row] * np.array([1.0, -1.0 if down else 1.0, 1.0], np.float32)
-        cosine = (meant[:, 0].movedim(0, -1).numpy() * told).sum(axis=-1)
-        cosine /= np.maximum(np.linalg.norm(told, axis=-1), 1e-9)
+        unit = pixels[row] * np.array([1.0, -1.0 if down else 1.0, 1.0], np.float32)
+        cosine = (meant[:, 0].movedim(0, -1).numpy() * unit).sum(axis=-1)
+        cosine /= np.maximum(np.linalg.norm(unit, axis=-1), 1e-9)
         off += int((cosine[1:-1] < _OFF).sum())
         texels += width - 2
     return off / texels

@@ -107,10 +107,10 @@ def stated_specular(document: Mapping[str, Any]) -> int:
     Raises:
         ValueError: another number, or none.
     """
-    found = document.get(SPECULAR_CHANNELS, 1)
-    if isinstance(found, bool) or found not in (1, 3):
-        raise ValueError(f"'{SPECULAR_CHANNELS}' is {shown(found)}, neither 1 nor 3")
-    return int(found)
+    count = document.get(SPECULAR_CHANNELS, 1)
+    if isinstance(count, bool) or count not in (1, 3):
+        raise ValueError(f"'{SPECULAR_CHANNELS}' is {shown(count)}, neither 1 nor 3")
+    return int(count)
 
 
 def known_provenance(stated: object) -> dict[str, Any]:

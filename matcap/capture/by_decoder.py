@@ -24,7 +24,7 @@ from matcap.space.decoder import DecoderConfig
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.anytime import Forecaster, self_difference
 from matcap.space.tuning.audition import begin
-from matcap.space.tuning.finetune import TellStep, Tuned, TuneSettings, finetune
+from matcap.space.tuning.finetune import OnStep, Tuned, TuneSettings, finetune
 from matcap.space.tuning.match import match_photograph
 
 
@@ -76,7 +76,7 @@ def _tuned_decoder(
     target: PhotographTarget,
     tune: TuneSettings,
     clock: CaptureClock,
-    tell: TellStep,
+    tell: OnStep,
 ) -> tuple[TunedDecoder, Tuned]:
     """The decoder from where it starts to how it was tuned."""
     with clock.stage("start"):
@@ -114,7 +114,7 @@ def _tune(
     )
 
 
-def _told(clock: CaptureClock, own: float) -> TellStep:
+def _told(clock: CaptureClock, own: float) -> OnStep:
     """What tells a step of fine-tuning."""
     ahead = Forecaster(own)
     return lambda share, error, seconds: clock.tuning(share, *ahead.after(error, seconds))

@@ -120,12 +120,14 @@ def _document(entry: BatchEntry, out: Path) -> dict[str, Any]:
     }
 
 
-def _print_prediction(entries: Sequence[BatchEntry], found: Prediction, *, as_json: bool) -> None:
+def _print_prediction(
+    entries: Sequence[BatchEntry], prediction: Prediction, *, as_json: bool
+) -> None:
     if as_json:
-        typer.echo(json.dumps(found.document(entries), indent=2))
+        typer.echo(json.dumps(prediction.document(entries), indent=2))
         return
     for entry in entries:
         state = {"todo": "to do", "kept": "done", "failed": "cannot be used"}[entry.state]
         photos = ", ".join(photo.name for photo in entry.sample.photos)
         typer.echo(f"{entry.sample.name}: {state} ({entry.reason or photos})")
-    typer.echo(found.text())
+    typer.echo(prediction.text())

@@ -162,7 +162,7 @@ def floors(
     from matcap.lab.bench import nsd, several
     from matcap.lab.measures.evaluator import EvaluationSettings
     from matcap.lab.measures.squeezenet import WEIGHTS
-    from matcap.lab.simulate.hand_held import Hand, beside
+    from matcap.lab.simulate.hand_held import Hand, downward
     from matcap.lab.simulate.photograph import PhoneCamera
     from matcap.lab.simulate.specimen import subjects
 
@@ -173,7 +173,7 @@ def floors(
     if not photographs:
         _print(nsd.nsd_experiment(chosen, out, settings, evaluation), out, nsd.ABOUT)
         return
-    ambient = several.Ambient(room, union, beside(camera) if union else Hand())
+    ambient = several.Ambient(room, union, downward(camera) if union else Hand())
     experiment = several.several_experiment(chosen, photographs, out, settings, evaluation, ambient)
     rows = _print(experiment, out, several.ABOUT)
     _draw(rows, out / "photographs.png", "What more photographs of one sample are worth")
@@ -233,8 +233,8 @@ def fields(
     _print(fields_experiment(subjects(material or (), sets)), out, ABOUT)
     for period, angle in _LATTICES if phases else ():
         off = phase_off(grating(period, angle, (1280, 960)))
-        told = "no lattice" if off is None else f"{off:.4f} of a turn off"
-        typer.echo(f"period {period:g} at {angle:g} degrees: {told}")
+        text = "no lattice" if off is None else f"{off:.4f} of a turn off"
+        typer.echo(f"period {period:g} at {angle:g} degrees: {text}")
 
 
 @app.command()
@@ -300,7 +300,7 @@ def highlight(
         int, typer.Option(min=0, help="So many simulated photographs, of known offset and tilt.")
     ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Of the simulated ones.")] = 0,
-    tells_fov: Annotated[
+    states_fov: Annotated[
         bool, typer.Option("--fov/--no-fov", help="Whether the simulated ones tell theirs.")
     ] = True,
     out: OutOption = Path("bench/highlight"),
@@ -313,7 +313,7 @@ def highlight(
     """
     from matcap.lab.bench.highlight import ABOUT, highlight_experiment
 
-    experiment = highlight_experiment(photographs or (), simulated, seed, out, has_fov=tells_fov)
+    experiment = highlight_experiment(photographs or (), simulated, seed, out, has_fov=states_fov)
     _print(experiment, out, ABOUT)
 
 
@@ -445,9 +445,9 @@ def relight(
         _print(bench.mitsuba_experiment(), out, bench.NOISE, json=json)
     elif tolerances:
         experiment = bench.tolerance_experiment(scenes or (), width=width)
-        told = bench.TOLERANCE
-        rows = _print(experiment, out, told.about, json=json)
-        _draw(rows, out / "tolerances.png", told.title, told.axes, told.least)
+        about = bench.TOLERANCE
+        rows = _print(experiment, out, about.about, json=json)
+        _draw(rows, out / "tolerances.png", about.title, about.axes, about.least)
     else:
         _print(bench.plan_experiment(scenes or ()), out, bench.PLAN.about, json=json)
 
@@ -519,9 +519,9 @@ def report(
     from matcap.lab.bench.presentations import presentation_of
     from matcap.lab.experiment.page import write_page
 
-    told = {table: presentation_of(table) for table in tables}
+    presentations = {table: presentation_of(table) for table in tables}
     more = {table: agreement(table) for table in tables}
-    write_page(told, out, ["matcap", *sys.argv[1:]], more)
+    write_page(presentations, out, ["matcap", *sys.argv[1:]], more)
     typer.echo(str(out))
 
 

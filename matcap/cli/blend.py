@@ -28,16 +28,16 @@ def shares(text: str | Shares) -> Shares:
     if isinstance(text, Shares):
         return text
     number = r"\d*\.?\d+|\d+\."
-    found = re.fullmatch(rf"({number})(?::({number}):(\d{{1,9}}))?", text.strip())
-    if not found:
+    match = re.fullmatch(rf"({number})(?::({number}):(\d{{1,9}}))?", text.strip())
+    if not match:
         raise typer.BadParameter(f"'{text}' is neither a share such as 0.5 nor a range as 0:1:9")
-    first = float(found[1])
-    last, count = (float(found[2]), int(found[3])) if found[2] else (first, 1)
+    first = float(match[1])
+    last, count = (float(match[2]), int(match[3])) if match[2] else (first, 1)
     if not (0 <= first <= 1 and 0 <= last <= 1):
         raise typer.BadParameter(f"'{text}' reaches outside 0 to 1")
     if count > _MOST_STEPS:
         raise typer.BadParameter(f"'{text}' asks for more than {_MOST_STEPS} steps")
-    if count < (2 if found[2] else 1):
+    if count < (2 if match[2] else 1):
         raise typer.BadParameter(f"'{text}' asks for fewer than two steps")
     step = (last - first) / max(1, count - 1)
     return Shares(tuple(min(1.0, round(first + i * step, 6)) for i in range(count)))
@@ -72,7 +72,7 @@ def blend(
     """
     from functools import partial
 
-    from matcap.field.header import provenance_tells
+    from matcap.field.header import provenance_says
     from matcap.field.material import Material
     from matcap.files.mark import check_replaceable
     from matcap.files.names import kept_plain
@@ -88,7 +88,7 @@ def blend(
         _MARK,
         inputs=[first, second],
         overwrite=overwrite,
-        own=partial(provenance_tells, "blend"),
+        own=partial(provenance_says, "blend"),
     )
     ends = Material.load(first), Material.load(second)
     check_writable(out, 4_000_000 * len(share.values))

@@ -61,8 +61,8 @@ def compare(
     with staged_file(out) as file:
         sheet.save(file, "PNG", pnginfo=pillow_mark(_MARK))
     if as_json:
-        told = [{"name": one.name, "verdict": one.verdict} for one in captures]
-        typer.echo(json.dumps({"picture": str(out), "captures": told}, indent=2))
+        entries = [{"name": one.name, "verdict": one.verdict} for one in captures]
+        typer.echo(json.dumps({"picture": str(out), "captures": entries}, indent=2))
     elif not quiet:
         for one in captures:
             typer.echo(one.title(), err=True)

@@ -104,8 +104,8 @@ class Diagnosis:
     def as_json(self) -> dict[str, Any]:
         """The same as JSON."""
         report = asdict(self)
-        for extra, told in zip(self.extras, report["extras"], strict=True):
-            told |= {"installed": extra.installed, "command": extra.command}
+        for extra, entry in zip(self.extras, report["extras"], strict=True):
+            entry |= {"installed": extra.installed, "command": extra.command}
         return report | {"healthy": self.healthy}
 
     def text(self) -> str:
@@ -218,27 +218,27 @@ def _self_test() -> tuple[Check, ...]:
     from matcap.synth.request import SynthRequest
     from matcap.synth.synthesise import synthesise
 
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
 
     def draw() -> None:
-        found["material"] = load_prior().draw(0)
+        results["material"] = load_prior().draw(0)
 
     def field() -> None:
-        found["maps"] = found["material"].maps(_SIDE, _SIDE, seed=0)
+        results["maps"] = results["material"].maps(_SIDE, _SIDE, seed=0)
 
     def light() -> None:
-        picture = relight(found["maps"], "top")
+        picture = relight(results["maps"], "top")
         if not 0.0 < float(picture.mean()) < 1e3:
             raise MatcapError("the picture is black or not finite")
 
     def write(folder: str) -> None:
         area = Rectangle(0, 0, _SIDE, _SIDE)
-        synthesise(SynthRequest(found["material"], area, device="cpu"), folder)
+        synthesise(SynthRequest(results["material"], area, device="cpu"), folder)
 
     def disk() -> None:
         with tempfile.TemporaryDirectory() as folder:
             write(folder)
-            if (read_mapset(Path(folder))[0].height != found["maps"].height).any():
+            if (read_mapset(Path(folder))[0].height != results["maps"].height).any():
                 raise MatcapError("a map set does not come back as it was written")
 
     def export() -> None:

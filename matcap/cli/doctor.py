@@ -23,11 +23,11 @@ def doctor(
     from matcap.cli.diagnosis import diagnose
     from matcap.errors import ExitCode
 
-    found = diagnose(self_test=self_test)
+    diagnosis = diagnose(self_test=self_test)
     if json:
         from json import dumps
 
-        typer.echo(dumps(found.as_json(), indent=2))
+        typer.echo(dumps(diagnosis.as_json(), indent=2))
     else:
-        typer.echo(found.text())
-    raise typer.Exit(ExitCode.DONE if found.healthy else ExitCode.NOTHING_SUCCEEDED)
+        typer.echo(diagnosis.text())
+    raise typer.Exit(ExitCode.DONE if diagnosis.healthy else ExitCode.NOTHING_SUCCEEDED)

@@ -147,33 +147,33 @@ def export(
         columns_rows = (udim.width, udim.height)
         tiles, stem = open_set(path, columns_rows, side, seed or 0, read)
         inner, around = tiles.tile(0, 0)
-        found = OpenedMaps(inner, stem, dict(tiles.material.provenance))
+        opened = OpenedMaps(inner, stem, dict(tiles.material.provenance))
     else:
         asked_size = (size.width, size.height) if size else None
-        found = open_tile(path, read, size=asked_size, seed=seed, piece=tile is not None)
+        opened = open_tile(path, read, size=asked_size, seed=seed, piece=tile is not None)
     asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
     asked_for += f"_udim{udim}" * (udim is not None)
     asked_for += f"_{changes.file_part}" * changes.changes
     asked_for += f"_variety{read.variety}" * (read.variety is not None)
-    asked_for += "_painted" * (found.maps.painted is not None)
+    asked_for += "_painted" * (opened.maps.painted is not None)
     asked_for += "_tile-piece" * (tile is not None)
-    folder = out or Path(f"{found.name}_{target}{asked_for}")
-    sidecar = folder / sidecar_name(found.name, target)
+    folder = out or Path(f"{opened.name}_{target}{asked_for}")
+    sidecar = folder / sidecar_name(opened.name, target)
     if sidecar.exists() and not overwrite:
         raise MatcapError(
             "an earlier export stands here",
             where=str(sidecar),
             remedy="choose another folder with -o, or give --overwrite",
         )
-    check_writable(folder, count * export_bytes(*found.maps.size))
+    check_writable(folder, count * export_bytes(*opened.maps.size))
     job = ExportJob(
-        found.maps,
-        found.name,
-        options.unit or known_scale(found.provenance),
+        opened.maps,
+        opened.name,
+        options.unit or known_scale(opened.provenance),
         options.bits,
-        found.provenance,
+        opened.provenance,
         options.container,
-        material_reach(path, found.name),
+        material_reach(path, opened.name),
         options.tiled,
         around,
         tiles,

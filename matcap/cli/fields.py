@@ -34,8 +34,8 @@ class Fields:
     """Stands in a signature for the settings of some dataclasses, but for those named."""
 
     def __init__(self, *kinds: type, but: tuple[str, ...] = ()) -> None:
-        found = {name: one for kind in kinds for name, one in settings_in(kind).items()}
-        self.settings = {name: one for name, one in found.items() if name not in but}
+        settings = {name: one for kind in kinds for name, one in settings_in(kind).items()}
+        self.settings = {name: one for name, one in settings.items() if name not in but}
 
 
 def with_settings(command: Callable[..., None]) -> Callable[..., None]:

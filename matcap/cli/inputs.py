@@ -18,6 +18,6 @@ def files_read(*given: Path | None) -> list[Path]:
 def _of(path: Path) -> Iterable[Path]:
     if path.is_dir() or path.suffix.lower() == ".json":
         folder = path if path.is_dir() else path.parent
-        found = [file for file in sorted(folder.glob("*")) if file.suffix.lower() in _READ]
-        return [file for file in found if not mark_of(file)]  # what relight left is no map
+        files = [file for file in sorted(folder.glob("*")) if file.suffix.lower() in _READ]
+        return [file for file in files if not mark_of(file)]  # what relight left is no map
     return [path]

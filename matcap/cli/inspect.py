@@ -83,19 +83,19 @@ def inspect(
         if not as_json:
             typer.echo(text)
     pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
-    told: dict[str, Any] = {"photographs": photographs}
-    told |= {"materials": materials} if materials else {}
+    summary: dict[str, Any] = {"photographs": photographs}
+    summary |= {"materials": materials} if materials else {}
     if together if together is not None else are_a_series([path.stem for path in pictures]):
         try:
-            told["together"], text = _set(pictures, fov)
+            summary["together"], text = _set(pictures, fov)
         except MatcapError as error:
             failures += 1
-            told["together"] = {"reason": str(error)}
+            summary["together"] = {"reason": str(error)}
             typer.echo(f"matcap: {error}", err=True)
         else:
             typer.echo("" if as_json else text, nl=not as_json)
     if as_json:
-        typer.echo(json.dumps(told, indent=2, allow_nan=False))
+        typer.echo(json.dumps(summary, indent=2, allow_nan=False))
     if failures:
         some = len(photographs) + len(materials) > sum(
             "reason" in d for d in photographs + materials
@@ -111,16 +111,16 @@ def _photo(
     from matcap.capture.tilt import tilt_line
 
     inspected = inspect_file(path, detail, fov, profile)
-    found, told = inspected.quality, inspected.strengths
-    lines = [f"{path}: {found.verdict.value}"]
-    lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in found.findings]
-    strengths = told.document() if told else None
+    quality, relief = inspected.quality, inspected.strengths
+    lines = [f"{path}: {quality.verdict.value}"]
+    lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in quality.findings]
+    strengths = relief.document() if relief else None
     lines += [f"     {name:<13} {says}" for name, says in _strengths(strengths)]
     if inspected.tilt is not None:
         lines.append(f"     {'tilt from':<13} {tilt_line(inspected.tilt)}")
     if profile is not None:
         lines.append(f"     {'camera':<13} {profile.says()}")
-    document = found.document() | {"strengths": strengths, "tilt_sources": inspected.tilt}
+    document = quality.document() | {"strengths": strengths, "tilt_sources": inspected.tilt}
     document["profile"] = profile and profile.document()
     return document, "\n".join(lines)
 
@@ -129,17 +129,17 @@ def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]
     """What photographs of one piece show and lack, for JSON and as text."""
     from matcap.capture.together.look import look_at_files
 
-    found = look_at_files(paths, fov)
-    lines = [f"{len(paths)} photographs together: {found.verdict.value}"]
-    lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in found.findings]
-    return found.document(), "\n".join(lines)
+    quality = look_at_files(paths, fov)
+    lines = [f"{len(paths)} photographs together: {quality.verdict.value}"]
+    lines += [f"  {_MARKS[f.verdict.value]} {f.name:<13} {f.line()}" for f in quality.findings]
+    return quality.document(), "\n".join(lines)
 
 
-def _strengths(told: dict[str, Any] | None) -> list[tuple[str, str]]:
+def _strengths(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
     """How strong relief and colour are, as one would say it of the sample."""
-    if told is None:
+    if measured is None:
         return []
-    bands = told["bands"]
+    bands = measured["bands"]
 
     def finest(of: str) -> str:
         low, high = sorted(max(bands, key=lambda band: float(band[of]))["waves"])
@@ -159,9 +159,11 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
     from matcap.example.summary import summary
     from matcap.export.job import known_scale
 
-    held = read_exemplified(path)
-    if held is None:
+    exemplified = read_exemplified(path)
+    if exemplified is None:
         return {"exemplar": None}, f"{path}: a network alone, without an exemplar"
-    about = summary(held.example)
-    lines = [f"     {name:<13} {says}" for name, says in about.lines(known_scale(held.provenance))]
+    about = summary(exemplified.example)
+    lines = [
+        f"     {name:<13} {says}" for name, says in about.lines(known_scale(exemplified.provenance))
+    ]
     return {"exemplar": about.document()}, "\n".join([f"{path}: by example", *lines])

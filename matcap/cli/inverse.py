@@ -73,7 +73,7 @@ def train(
         batch=batch, workers=workers, device=device, maps=maps,
         width=size[0], height=size[1], compiled=compiled, real=real,
     )  # fmt: skip
-    run(folder, settings, on_progress=(lambda _line: None) if quiet else _tell, begin=begin)
+    run(folder, settings, on_progress=(lambda _line: None) if quiet else _print_line, begin=begin)
 
 
 @app.command()
@@ -163,5 +163,5 @@ def ship(
         typer.echo(f"wrote {out}: {card['steps']} steps", err=True)
 
 
-def _tell(line: str) -> None:
+def _print_line(line: str) -> None:
     typer.echo(line, err=True)

@@ -84,7 +84,7 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _tell_cost(start: float) -> None:
+def _print_cost(start: float) -> None:
     """What a command took, on stderr."""
     cost = f"{MAKER}: {time.perf_counter() - start:.1f} s"
     if sys.platform == "linux":
@@ -112,7 +112,7 @@ def _matcap(
     ] = False,
 ) -> None:
     if verbose:
-        context.call_on_close(partial(_tell_cost, time.perf_counter()))
+        context.call_on_close(partial(_print_cost, time.perf_counter()))
     del debug  # main() looks for it itself: a failed command leaves no context to ask
 
 
@@ -213,10 +213,10 @@ def _show_file(error: OSError, *, debug: bool) -> int:
     """A file that cannot even be looked at: its name is too long, a folder above it is closed."""
     why = (error.strerror or type(error).__name__).lower()
     where = str(error.filename)[:200]
-    told = MatcapError(f"cannot be used ({why})", where=where, remedy="give another file")
-    told.__cause__ = error
-    _show(told, debug=debug)
-    return told.exit_code
+    shown = MatcapError(f"cannot be used ({why})", where=where, remedy="give another file")
+    shown.__cause__ = error
+    _show(shown, debug=debug)
+    return shown.exit_code
 
 
 def _end_early() -> ExitCode:

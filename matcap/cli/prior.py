@@ -44,7 +44,7 @@ def corpus(
     from matcap.lab.train.corpus import build
 
     check_writable(out.parent, 50_000_000)
-    built = build(folder, simulated, seed, _teller(quiet))
+    built = build(folder, simulated, seed, _printer(quiet))
     built.pack.save(out)
     for name, why in built.skipped:
         typer.echo(f"left out {name}: {why}", err=True)
@@ -77,7 +77,7 @@ def train(
         resume=resume,
         prior=load_prior(begin) if begin is not None else None,
         device=device,
-        on_progress=_teller(quiet),
+        on_progress=_printer(quiet),
     )
 
 
@@ -117,7 +117,7 @@ def align(
     from matcap.space.alignment import save_alignment
 
     check_writable(out.parent, 2_000_000)
-    branch = train_alignment(make(range(materials)), steps, on_progress=_teller(quiet))
+    branch = train_alignment(make(range(materials)), steps, on_progress=_printer(quiet))
     save_alignment(out, branch)
     typer.echo(report_alignment(branch))
 
@@ -143,7 +143,7 @@ def make(
     from matcap.space.prior.store import SHIPPED
 
     check_writable(out.parent, 200_000_000)
-    make_prior(folder, recipe or SHIPPED.parent / "make.toml", out, _teller(quiet))
+    make_prior(folder, recipe or SHIPPED.parent / "make.toml", out, _printer(quiet))
     if not quiet:
         typer.echo(f"wrote {out}", err=True)
 
@@ -197,7 +197,7 @@ def evaluate(
     settings = EvaluateSettings(steps, longer, materials)
     command = shlex.join(["matcap", *sys.argv[1:]])
     table = run_evaluation(
-        load_prior(prior), Pack.load(pack), settings, out, command, _teller(quiet)
+        load_prior(prior), Pack.load(pack), settings, out, command, _printer(quiet)
     )
     typer.echo(table)
 
@@ -228,7 +228,7 @@ def ablate(
     settings = EvaluateSettings(steps, materials=materials)
     command = shlex.join(["matcap", *sys.argv[1:]])
     typer.echo(
-        run_ablation(load_prior(prior), Pack.load(pack), settings, out, command, _teller(quiet))
+        run_ablation(load_prior(prior), Pack.load(pack), settings, out, command, _printer(quiet))
     )
 
 
@@ -260,11 +260,11 @@ def variety(
     check_writable(out, 2_000_000)
     command = shlex.join(["matcap", *sys.argv[1:]])
     settings = VarietySettings(draws, simulated)
-    page = run_variety(load_prior(prior), Pack.load(pack), settings, out, command, _teller(quiet))
+    page = run_variety(load_prior(prior), Pack.load(pack), settings, out, command, _printer(quiet))
     typer.echo(page)
 
 
-def _teller(quiet: bool) -> Callable[[str], None]:
+def _printer(quiet: bool) -> Callable[[str], None]:
     return (lambda line: None) if quiet else (lambda line: typer.echo(line, err=True))
 
 

@@ -47,7 +47,7 @@ def sample(
     """
     from functools import partial
 
-    from matcap.field.header import provenance_tells
+    from matcap.field.header import provenance_says
     from matcap.field.plane import check_seed
     from matcap.files.mark import check_replaceable
     from matcap.files.picture import check_picture_path, write_picture
@@ -64,7 +64,7 @@ def sample(
         _MARK,
         inputs=[file for file in (like, prior) if file is not None],
         overwrite=overwrite,
-        own=partial(provenance_tells, "drawn"),
+        own=partial(provenance_says, "drawn"),
     )
     draw = drawing(prior, like, spread)
     if materials is not None:

@@ -40,13 +40,13 @@ class SynthCommand(PlainCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
         """Give a lone --tile its value."""
-        told = []
+        words = []
         for index, argument in enumerate(args):
             after = args[index + 1] if index + 1 < len(args) else ""
-            told.append(argument)
+            words.append(argument)
             if argument == "--tile" and after not in ("both", "x", "y", "piece"):
-                told.append("both")
-        return super().parse_args(ctx, told)
+                words.append("both")
+        return super().parse_args(ctx, words)
 
 
 @with_settings
@@ -141,11 +141,11 @@ def synth(
     subject, name = _subject(material, given.get("seed", 0), like, spread)
     read = chosen(ReadOptions, reading)
     asked = SynthRequest(subject, area, name=name, read=read, growth=growth, **given)
-    told_apart = _told_apart(asked)
+    slug = _slug(asked)
     which = "" if is_piece else f"_{area.width}x{area.height}_seed{asked.seed}"
-    folder = out or Path(f"{name}{which}{told_apart}")
+    folder = out or Path(f"{name}{which}{slug}")
 
-    def told(choice: ChosenPrecision) -> None:
+    def on_precision(choice: ChosenPrecision) -> None:
         if asked.precision == "auto" and not quiet:
             typer.echo(choice.sentence(), err=True)
 
@@ -157,11 +157,11 @@ def synth(
             err=True,
         )
     try:
-        with _progress(quiet=quiet) as tell:
+        with _progress(quiet=quiet) as on_progress:
             inputs = tuple(file for file in (subject, blend, mask) if isinstance(file, Path))
             crew = {"workers": os.cpu_count() or 1, **working}
-            work = Work(progress=tell, overwrite=overwrite, inputs=inputs, **crew)
-            document = synthesise(asked, folder, work, told)
+            work = Work(progress=on_progress, overwrite=overwrite, inputs=inputs, **crew)
+            document = synthesise(asked, folder, work, on_precision)
     except KeyboardInterrupt:
         typer.echo("matcap: interrupted; the same command with --resume goes on.", err=True)
         raise typer.Exit(ExitCode.INTERRUPTED) from None
@@ -176,7 +176,7 @@ def synth(
         typer.echo(f"wrote {document}", err=True)
 
 
-def _told_apart(asked: SynthRequest) -> str:
+def _slug(asked: SynthRequest) -> str:
     """What the default folder's name says beside name, size and seed."""
     area, growth, read = asked.area, asked.growth, asked.read
     parts = {
@@ -247,13 +247,13 @@ def _progress(*, quiet: bool) -> Iterator[Callable[[SynthProgress], None]]:
     if quiet or not console.is_terminal or console.is_dumb_terminal:
         said = time.monotonic()
 
-        def tell(now: SynthProgress) -> None:
+        def on_progress(now: SynthProgress) -> None:
             nonlocal said
             if not quiet and time.monotonic() - said >= _EVERY:
                 said = time.monotonic()
                 typer.echo(f"  {now.fraction:6.1%}  {_rate(now)}", err=True)
 
-        yield tell
+        yield on_progress
         return
     columns = (
         TextColumn("{task.percentage:>3.0f} %"),

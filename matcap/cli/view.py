@@ -63,9 +63,9 @@ def view(
     """
     from matcap.errors import UsageError
     from matcap.files.mark import check_replaceable
-    from matcap.view.beside import find_beside
     from matcap.view.document import MARK, check_page_path, sealed_page, write_page
     from matcap.view.library import Library, find_library
+    from matcap.view.references import find_references
     from matcap.view.serve import serve, serve_library
     from matcap.view.subject import Materials, open_subject
 
@@ -93,12 +93,17 @@ def view(
         return
     subject = open_subject(path, blend, seed, read)
     material = subject.first if isinstance(subject, Materials) else None
-    beside = find_beside(path, subject.facts.name, photo, material)
+    references = find_references(path, subject.facts.name, photo, material)
     if html is not None:
-        write_page(sealed_page(subject, tile, beside, read.adjustments), html)
+        write_page(sealed_page(subject, tile, references, read.adjustments), html)
         if not quiet:
             typer.echo(f"wrote {html}", err=True)
         return
     serve(
-        subject, port=port, beside=beside, adjust=read.adjustments, opens=opens, announce=announce
+        subject,
+        port=port,
+        references=references,
+        adjust=read.adjustments,
+        opens=opens,
+        announce=announce,
     )

@@ -45,13 +45,13 @@ def choose_basis(features: FeatureMap, step: int) -> Basis:
     places = features.shape[1] * features.shape[2]
     chosen = np.arange(0, places, max(1, places // APPEARANCE.samples))
     rows, columns = np.divmod(chosen, features.shape[2])
-    found = np.concatenate([tap[:, rows, columns] for tap in taps]).astype(np.float64)
+    samples = np.concatenate([tap[:, rows, columns] for tap in taps]).astype(np.float64)
     weight = np.repeat(_tap_weights(), PLANES)
-    centred = (found - found.mean(axis=1, keepdims=True)) * weight[:, None]
+    centred = (samples - samples.mean(axis=1, keepdims=True)) * weight[:, None]
     _, components = np.linalg.eigh(centred @ centred.T)
     components = components[:, : -DIMENSIONS - 1 : -1].T * weight
     weights = np.rint(components * (LIMIT / np.abs(components).max())).astype(np.int8)
-    sums = np.abs(weights[0].astype(np.float64) @ found)
+    sums = np.abs(weights[0].astype(np.float64) @ samples)
     large = max(float(np.quantile(sums, 1.0 - APPEARANCE.clipped)), 1.0)
     return Basis(weights, max(0, math.ceil(math.log2(large / LARGEST))), step)
 
@@ -65,11 +65,17 @@ def project(features: FeatureMap, basis: Basis) -> Appearance:
     rows, columns = features.shape[1:]
     around = np.ascontiguousarray(padded(features, basis).transpose(1, 2, 0))
     weights = np.ascontiguousarray(basis.weights, np.int16)
-    found = np.empty((rows, columns, DIMENSIONS), np.int16)
+    projected = np.empty((rows, columns, DIMENSIONS), np.int16)
     loops().matcap_project(
-        address(around), address(weights), basis.step, basis.shift, columns, rows, address(found)
+        address(around),
+        address(weights),
+        basis.step,
+        basis.shift,
+        columns,
+        rows,
+        address(projected),
     )
-    return found
+    return projected
 
 
 def padded(features: FeatureMap, basis: Basis) -> FeatureMap:

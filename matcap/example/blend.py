@@ -70,17 +70,17 @@ def bands_of(exemplar: Exemplar) -> tuple[Band, ...]:
     for channel, plane in enumerate(maps):
         logs = channel < len(maps) + (ROUGHNESS.start or 0)
         # Rounded from float64, so that it is the same on every machine.
-        found = np.log2(np.maximum(plane, _DARKEST), dtype=np.float64) if logs else plane
-        values[..., channel] = found - found.mean(dtype=np.float64)
+        shown = np.log2(np.maximum(plane, _DARKEST), dtype=np.float64) if logs else plane
+        values[..., channel] = shown - shown.mean(dtype=np.float64)
     smooth = [values]
     for band in range(1, BLEND.bands):
         values = values[:: min(band, 2), :: min(band, 2)].copy()
         rows, columns = values.shape[:2]
         loops().matcap_smooth(address(values), address(np.empty_like(values)), columns, rows)
         smooth.append(values)
-    found = [smooth[0] - smooth[1]]
-    found += [fine - _doubled(coarse, fine) for fine, coarse in pairwise(smooth[1:])]
-    return tuple(_quantised(band, max(0, k - 1)) for k, band in enumerate((*found, smooth[-1])))
+    shown = [smooth[0] - smooth[1]]
+    shown += [fine - _doubled(coarse, fine) for fine, coarse in pairwise(smooth[1:])]
+    return tuple(_quantised(band, max(0, k - 1)) for k, band in enumerate((*shown, smooth[-1])))
 
 
 def alike_at_seams(bands: Sequence[Band], places: Places, step: int) -> tuple[float, ...]:
@@ -96,10 +96,10 @@ def alike_at_seams(bands: Sequence[Band], places: Places, step: int) -> tuple[fl
     """
     at = places.astype(np.int64)
     pairs = []
-    for axis, apart in ((1, (step, 0)), (0, (0, step))):
+    for axis, offset in ((1, (step, 0)), (0, (0, step))):
         one, other = (at.take(range(k, at.shape[axis] - 1 + k), axis) for k in (0, 1))
-        seams = (other - one != apart).any(axis=-1)
-        pairs.append((one[seams], other[seams] - apart))
+        seams = (other - one != offset).any(axis=-1)
+        pairs.append((one[seams], other[seams] - offset))
     first, second = (np.concatenate(side) for side in zip(*pairs, strict=True))
     return (*(_correlation(band, first, second) for band in bands[:-1]), 1.0)
 
@@ -128,12 +128,12 @@ def _doubled(coarse: Floats, fine: Floats) -> Floats:
         ahead = coarse.take(after, axis)
         shape = list(coarse.shape)
         shape[axis] = count
-        found = np.empty(shape, np.float32)
+        doubled = np.empty(shape, np.float32)
         along = (slice(None),) * axis
-        found[(*along, slice(0, None, 2))] = coarse
+        doubled[(*along, slice(0, None, 2))] = coarse
         between = coarse[(*along, slice(0, count // 2))]
-        found[(*along, slice(1, None, 2))] = (between + ahead) * np.float32(0.5)
-        coarse = found
+        doubled[(*along, slice(1, None, 2))] = (between + ahead) * np.float32(0.5)
+        coarse = doubled
     return coarse
 
 
@@ -172,11 +172,11 @@ class Nodes:
         begin, rest = divmod(2 * start * count + whole, 2 * whole)
         steps = rest + 2 * count * np.arange(length)
         nearest = steps // (2 * whole)
-        apart = (steps % (2 * whole)) / (2 * whole) - 0.5
+        fraction = (steps % (2 * whole)) / (2 * whole) - 0.5
         numbers = range(begin - 1, begin + int(nearest[-1]) + 2)
         at = np.array([j * whole // count // unit * unit for j in numbers], np.int64)
         weights = np.stack(
-            [0.5 * (0.5 - apart) ** 2, 0.75 - apart**2, 0.5 * (0.5 + apart) ** 2], axis=-1
+            [0.5 * (0.5 - fraction) ** 2, 0.75 - fraction**2, 0.5 * (0.5 + fraction) ** 2], axis=-1
         )
         return Nodes(at, nearest.astype(np.int32), weights.astype(np.float32))
 
@@ -235,10 +235,10 @@ class Votes:
         """
         shift, x, y = self.level + self.bits, self.across.at, self.down.at
         columns, rows = (x >> shift) - self.wanted.x, (y >> shift) - self.wanted.y
-        found = places[np.ix_(rows, columns)].astype(np.int32) << self.bits
-        found[..., 0] -= (x - area.x).astype(np.int32)
-        found[..., 1] -= (y - area.y).astype(np.int32)[:, None]
-        return found
+        seen_at = places[np.ix_(rows, columns)].astype(np.int32) << self.bits
+        seen_at[..., 0] -= (x - area.x).astype(np.int32)
+        seen_at[..., 1] -= (y - area.y).astype(np.int32)[:, None]
+        return seen_at
 
 
 class _Band(ctypes.Structure):
@@ -305,7 +305,7 @@ def blended(
     )  # fmt: skip
     kept: list[NDArray[Any]] = []
 
-    def held(array: NDArray[Any]) -> int:
+    def keep(array: NDArray[Any]) -> int:
         kept.append(np.ascontiguousarray(array))
         return kept[-1].ctypes.data
 
@@ -313,16 +313,16 @@ def blended(
     keeps[channels - 1] = 0.0
     bands = (_Band * len(votes))(*(
         _Band(
-            held(band.values), held(band.scale), held(keeps), held(predicted),
-            held(of.across.first), held(of.down.first),
-            held(of.across.weights), held(of.down.weights),
+            keep(band.values), keep(band.scale), keep(keeps), keep(predicted),
+            keep(of.across.first), keep(of.down.first),
+            keep(of.across.weights), keep(of.down.weights),
             band.values.shape[1], band.values.shape[0], predicted.shape[1],
             band.bits + bits + 1, alike,
         )
         for band, (of, predicted), alike in zip(shown.bands, votes, shown.alike, strict=True)
     ))  # fmt: skip
-    found = np.empty((channels, area.height, area.width), np.float32)
+    joined = np.empty((channels, area.height, area.width), np.float32)
     loops().matcap_blend(
-        ctypes.byref(exemplar), bands, len(bands), area.width, area.height, address(found)
+        ctypes.byref(exemplar), bands, len(bands), area.width, area.height, address(joined)
     )
-    return found
+    return joined

@@ -31,10 +31,10 @@ def places_from_afar(example: Example, seed: int, level: int, area: Rectangle) -
     if level < bits:
         raise ValueError(f"level {level} is finer than the grid of places ({bits})")
     if depth <= coarsest:
-        found = coordinates(lookup, seed, {depth: area}, None)[depth]
+        places = coordinates(lookup, seed, {depth: area}, None)[depth]
     else:
         step = depth - coarsest
         columns = np.arange(area.x, area.x + area.width) << step
         rows = np.arange(area.y, area.y + area.height) << step
-        found = begin(lookup, seed, columns, rows, None)
-    return found << np.int16(bits)
+        places = begin(lookup, seed, columns, rows, None)
+    return places << np.int16(bits)

@@ -52,7 +52,7 @@ def coordinates(
             areas[depth] = areas[depth].united(wanted[depth])
         begun[depth] = areas[depth].grown(margin(_passes(depth)))
     places: Places | None = None
-    found = {}
+    by_depth = {}
     for depth in reversed(range(finest, count)):
         level, area = lookup.levels[depth], begun[depth]
         columns, rows = _wrapped(area, depth, period)
@@ -64,8 +64,8 @@ def coordinates(
         odd_columns, odd_rows = columns % 2 == 1, rows % 2 == 1
         places = correct(places, level, odd_columns, odd_rows, _passes(depth), phases)
         if depth in wanted:
-            found[depth] = places[wanted[depth].within(areas[depth])]
-    return found
+            by_depth[depth] = places[wanted[depth].within(areas[depth])]
+    return by_depth
 
 
 def _passes(depth: int) -> int:
@@ -94,11 +94,11 @@ def begin(
     depth, level = len(lookup.levels) - 1, lookup.levels[-1]
     x, y = columns << depth, rows << depth
     if lookup.order is not None:
-        best_x, best_y, apart_x, apart_y = _ordered(lookup, lookup.order, seed, x, y, period)
+        best_x, best_y, offset_x, offset_y = _ordered(lookup, lookup.order, seed, x, y, period)
     elif lookup.sizes.loose:
         side = lookup.sizes.width
         # Middles of pieces, from which places are counted.
-        apart_x, apart_y = x % side - side // 2, (y % side - side // 2)[:, None]
+        offset_x, offset_y = x % side - side // 2, (y % side - side // 2)[:, None]
         hashes = hash_places(seed, depth, x // side, (y // side)[:, None])
         # As much around the middle of a piece as it is wide.
         best_x, best_y = cheapest(level, hashes, inset(level.frame, side // 2, side // 2))
@@ -109,8 +109,8 @@ def begin(
             Axis.of(y, lookup.sizes.height, along_y),
         )
         best_x, best_y = laid(level, depth, seed, across, down)
-        apart_x, apart_y = across.apart, down.apart[:, None]
-    places = np.stack(np.broadcast_arrays(best_x + apart_x, best_y + apart_y), axis=-1)
+        offset_x, offset_y = across.offset, down.offset[:, None]
+    places = np.stack(np.broadcast_arrays(best_x + offset_x, best_y + offset_y), axis=-1)
     return _clamped(places, level.frame)
 
 
@@ -137,9 +137,9 @@ def _in_phase(
     wanted = order.wanted(seed, cells.middle_x, cells.middle_y, period or (None, None))
     turns = order.periods()
     for _ in range(2):  # the second time for what the lattice bends on the way
-        apart = (wanted - order.phases(x, y)).astype(np.int64)
-        x = x + ((apart @ turns[0] + (1 << 23)) >> 24)
-        y = y + ((apart @ turns[1] + (1 << 23)) >> 24)
+        phase_error = (wanted - order.phases(x, y)).astype(np.int64)
+        x = x + ((phase_error @ turns[0] + (1 << 23)) >> 24)
+        y = y + ((phase_error @ turns[1] + (1 << 23)) >> 24)
     return x, y
 
 
@@ -154,10 +154,10 @@ def _wanted(
     """(rows, columns, 2) phases that places of a level are to have."""
     if lookup.order is None or lookup.levels[depth].phases is None:
         return None
-    found = lookup.order.wanted(
+    phases = lookup.order.wanted(
         seed, (columns << depth)[None, :], (rows << depth)[:, None], period or (None, None)
     )
-    return two_phases(found)
+    return two_phases(phases)
 
 
 def _refine(coarse: Places, given: Rectangle, level: Level, area: Rectangle) -> Places:

@@ -68,7 +68,7 @@ def correct(
     phases = None if phases is None else np.ascontiguousarray(phases)
     scratch = np.empty_like(places)
     frame = level.frame
-    told = _Level(
+    c_level = _Level(
         level.appearance.ctypes.data, level.price.ctypes.data, level.similar.ctypes.data,
         None if level.phases is None else level.phases.ctypes.data,
         level.appearance.shape[1], level.similar.shape[1], level.price.shape[1],
@@ -78,7 +78,7 @@ def correct(
     rows, columns = places.shape[:2]
     odd_columns, odd_rows = odd_columns.astype(np.uint8), odd_rows.astype(np.uint8)
     loops().matcap_correct(
-        ctypes.byref(told), address(places), address(scratch), columns, rows,
+        ctypes.byref(c_level), address(places), address(scratch), columns, rows,
         address(odd_columns), address(odd_rows), passes,
         None if phases is None else address(phases),
     )  # fmt: skip

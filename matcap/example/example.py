@@ -135,8 +135,8 @@ class Example:
 
         from matcap.brdf.maps import MapSet
 
-        found = torch.from_numpy(self.repeating_source().stacked)
-        return MapSet.from_stacked(found, self.exemplar.texel_size, periodic=True)
+        stacked = torch.from_numpy(self.repeating_source().stacked)
+        return MapSet.from_stacked(stacked, self.exemplar.texel_size, periodic=True)
 
     def repeating_source(self) -> RepeatedSource:
         """The same to be written, without PyTorch.
@@ -171,8 +171,8 @@ class Example:
         """Tensors and an entry of a material's description (stored.py reads them)."""
         import torch
 
-        found, about = self.stored()
-        tensors = {PREFIX + name: torch.from_numpy(data.copy()) for name, data in found.items()}
+        arrays, about = self.stored()
+        tensors = {PREFIX + name: torch.from_numpy(data.copy()) for name, data in arrays.items()}
         return tensors, {"example": about}
 
     @staticmethod
@@ -229,16 +229,16 @@ class Example:
         """(height, width, 2) int16: x, y of the exemplar that every texel of an area shows."""
         bits = detail_bits(self.exemplar)
         coarse = area.coarser(bits)
-        found = coordinates(self._ready.lookup, seed, {0: coarse}, _coarser(period, bits))[0]
+        placed = coordinates(self._ready.lookup, seed, {0: coarse}, _coarser(period, bits))[0]
         if not bits:
-            return found
+            return placed
         side = 1 << bits
-        found = (found.repeat(side, axis=0).repeat(side, axis=1)) << np.int16(bits)
+        placed = (placed.repeat(side, axis=0).repeat(side, axis=1)) << np.int16(bits)
         within = np.arange(side, dtype=np.int16)
-        found[..., 0] += np.tile(within, coarse.width)
-        found[..., 1] += np.tile(within, coarse.height)[:, None]
+        placed[..., 0] += np.tile(within, coarse.width)
+        placed[..., 1] += np.tile(within, coarse.height)[:, None]
         left, top = area.x - (coarse.x << bits), area.y - (coarse.y << bits)
-        return found[top : top + area.height, left : left + area.width]
+        return placed[top : top + area.height, left : left + area.width]
 
     @property
     def lookup(self) -> Lookup:

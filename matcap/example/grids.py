@@ -53,8 +53,8 @@ def step_of(level: int) -> int:
 
 def grids_of(features: FeatureMap, count: int) -> list[FeatureMap]:
     """Per level: the features, smoothed to its spacing."""
-    found = [features]
+    grids = [features]
     for _ in range(1, count):
-        found.append(smoothed(features))
+        grids.append(smoothed(features))
         features = halved(features)
-    return found
+    return grids

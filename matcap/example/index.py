@@ -139,12 +139,12 @@ def build_index(exemplar: Exemplar, waves: tuple[Frequency, ...]) -> Index:
     with ThreadPoolExecutor() as pool:
         bases = list(pool.map(choose_basis, grids, steps))
         appearances = list(pool.map(project, grids, bases))
-        found = list(pool.map(partial(_similar, width, height), range(count), appearances))
-    unique = _unique(found[min(INDEX.unique_level, count - 1)])
+        candidates = list(pool.map(partial(_similar, width, height), range(count), appearances))
+    unique = _unique(candidates[min(INDEX.unique_level, count - 1)])
     reluctance = np.maximum(_doubt(exemplar), _MOST * _resized(unique, width, height))
     places = [
         (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
-        for level, one in enumerate(found)
+        for level, one in enumerate(candidates)
     ]
     return Index(
         scale,
@@ -170,7 +170,7 @@ def _similar(width: int, height: int, level: int, appearance: Appearance) -> Sim
         slice(-(-frame.left >> bits), (frame.right >> bits) + 1),
     )
     some = np.ascontiguousarray(appearance[::skip, ::skip])
-    return find_similar(some, max(INDEX.apart, INDEX.apart_texels >> bits), allowed)
+    return find_similar(some, max(INDEX.least_steps, INDEX.least_texels >> bits), allowed)
 
 
 def _unique(similar: Similar) -> NDArray[np.bool_]:
@@ -233,13 +233,13 @@ def _order(
 ) -> Order | None:
     if not waves:
         return None
-    found = tuple((float(fx), float(fy)) for fx, fy in waves[:2])
-    lengths = [math.hypot(*wave) for wave in found]
+    vectors = tuple((float(fx), float(fy)) for fx, fy in waves[:2])
+    lengths = [math.hypot(*wave) for wave in vectors]
     if not all(1e-4 < length < 1.0 for length in lengths):
         raise ValueError(f"waves of {waves}")
-    if len(found) == 2:
-        (ax, ay), (bx, by) = found
+    if len(vectors) == 2:
+        (ax, ay), (bx, by) = vectors
         if abs(ax * by - ay * bx) < 0.01 * lengths[0] * lengths[1]:
             raise ValueError(f"waves in one direction, {waves}")
     rows, columns = (side + 1 for side in _shape(width, height, GRID))
-    return Order(found, unpack(tensor("bends"), (len(found), rows, columns), np.int32))
+    return Order(vectors, unpack(tensor("bends"), (len(vectors), rows, columns), np.int32))

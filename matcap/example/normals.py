@@ -19,9 +19,9 @@ def with_normals(maps: Floats, texel_size: float, normal: NormalStyle) -> NDArra
     across = (height[RING:-RING, 2 * RING :] - height[RING:-RING, : -2 * RING]) / size
     up = (height[: -2 * RING, RING:-RING] - height[2 * RING :, RING:-RING]) / size
     upright = np.float32(1.0) / np.sqrt(np.float32(1.0) + across * across + up * up)
-    found = np.empty((len(maps) + 3, *across.shape), np.float32)
-    found[:-3] = maps[:, RING:-RING, RING:-RING]
-    np.multiply(across, -upright, out=found[-3])
-    np.multiply(up, upright if normal == "dx" else -upright, out=found[-2])
-    found[-1] = upright
-    return found
+    planes = np.empty((len(maps) + 3, *across.shape), np.float32)
+    planes[:-3] = maps[:, RING:-RING, RING:-RING]
+    np.multiply(across, -upright, out=planes[-3])
+    np.multiply(up, upright if normal == "dx" else -upright, out=planes[-2])
+    planes[-1] = upright
+    return planes

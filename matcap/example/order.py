@@ -47,11 +47,11 @@ class Order:
         """(2, len(waves)) by how much x and y change for a turn of each wave, in 1/256 texels."""
         if len(self.waves) == 1:
             ((ax, ay),) = self.waves
-            area, found = ax * ax + ay * ay, [[ax], [ay]]
+            area, columns = ax * ax + ay * ay, [[ax], [ay]]
         else:
             (ax, ay), (bx, by) = self.waves
-            area, found = ax * by - ay * bx, [[by, -ay], [-bx, ax]]
-        return np.rint(256.0 * np.array(found) / area).astype(np.int64)
+            area, columns = ax * by - ay * bx, [[by, -ay], [-bx, ax]]
+        return np.rint(256.0 * np.array(columns) / area).astype(np.int64)
 
     def piece(self, cells: float = ORDER.piece) -> float:
         """The least width of a piece in texels, where cells of so many are laid together."""
@@ -254,8 +254,8 @@ def measure_order(planes: NDArray[np.floating], waves: tuple[Frequency, ...]) ->
     measured = [_measured(planes, wave) for wave in waves]
     if not measured or any(one is None for one in measured):
         return None
-    found = [one for one in measured if one is not None]
-    order = Order(tuple(wave for wave, _ in found), np.stack([bend for _, bend in found]))
+    fitted = [one for one in measured if one is not None]
+    order = Order(tuple(wave for wave, _ in fitted), np.stack([bend for _, bend in fitted]))
     joints = _joints(np.delete(planes, ORDER.slopes, axis=0), order)
     return Order(order.waves, order.bends - joints[:, None, None])
 
@@ -274,13 +274,13 @@ def _joints(planes: NDArray[np.floating], order: Order) -> NDArray[np.int32]:
     for plane in planes[:, ::2, ::2].reshape(len(planes), -1):
         mean = np.bincount(place, plane, size) / count
         spread += np.bincount(place, plane * plane, size) / count - mean * mean
-    found = []
+    joints = []
     for axis in range(bins.shape[-1]):
         grid = spread.reshape((ORDER.bins,) * bins.shape[-1])
         line = grid if grid.ndim == 1 else grid.mean(axis=1 - axis)
         smooth = np.roll(line, 1) + 2 * line + np.roll(line, -1)
-        found.append((2 * int(np.argmin(smooth)) + 1) * _TURN // (2 * ORDER.bins))
-    return np.array(found, np.int32)
+        joints.append((2 * int(np.argmin(smooth)) + 1) * _TURN // (2 * ORDER.bins))
+    return np.array(joints, np.int32)
 
 
 def _measured(
@@ -334,8 +334,8 @@ def _joined(local: NDArray[np.complexfloating], lag: int) -> NDArray[np.complexf
 
 def _windows(length: int, centres: NDArray[np.int64], deviation: float) -> NDArray[np.float64]:
     """(len(centres), length) Gaussian windows of unit sum."""
-    apart = np.arange(length)[None, :] - centres[:, None]
-    windows = np.exp(-0.5 * (apart / deviation) ** 2)
+    distance = np.arange(length)[None, :] - centres[:, None]
+    windows = np.exp(-0.5 * (distance / deviation) ** 2)
     return windows / windows.sum(axis=1, keepdims=True)
 
 

@@ -17,10 +17,10 @@ _EFFORT = 6  # zlib's: 9 takes three times as long for one per cent
 
 def pack(codes: NDArray[Any]) -> NDArray[np.uint8]:
     """The bytes of an array of integers, few for one that varies slowly along its rows."""
-    apart = codes.copy()
-    apart[..., 1:] -= codes[..., :-1]
-    planes = apart.astype(apart.dtype.newbyteorder("<")).view(np.uint8)
-    planes = planes.reshape(-1, apart.dtype.itemsize).T
+    swapped = codes.copy()
+    swapped[..., 1:] -= codes[..., :-1]
+    planes = swapped.astype(swapped.dtype.newbyteorder("<")).view(np.uint8)
+    planes = planes.reshape(-1, swapped.dtype.itemsize).T
     return np.frombuffer(zlib.compress(planes.tobytes(), _EFFORT), np.uint8)
 
 
@@ -40,5 +40,5 @@ def unpack(packed: NDArray[np.uint8], shape: tuple[int, ...], kind: type) -> NDA
     if len(data) != size or not opened.eof:
         raise ValueError(f"{len(data)} bytes, expected {size}")
     planes = np.frombuffer(data, np.uint8).reshape(wanted.itemsize, -1).T
-    apart = np.ascontiguousarray(planes).view(wanted).reshape(shape)
-    return np.cumsum(apart, axis=-1, dtype=kind)
+    values = np.ascontiguousarray(planes).view(wanted).reshape(shape)
+    return np.cumsum(values, axis=-1, dtype=kind)

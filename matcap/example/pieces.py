@@ -28,7 +28,7 @@ class Axis:
 
     number: Integers
     """Of the piece that each column or row lies in; wrapped as the field is."""
-    apart: Integers
+    offset: Integers
     """Texels from the middle of it."""
     side: int
     """Texels of a piece."""
@@ -62,7 +62,7 @@ def laid(
         if not (some_rows.size and some_columns.size):
             return
         at = np.ix_(some_rows, some_columns)
-        beside = []
+        neighbours = []
         for along_x, step in ((True, -1), (True, 1), (False, -1), (False, 1)):
             numbers, axis, chosen = (
                 (columns, across, some_columns) if along_x else (rows, down, some_rows)
@@ -73,8 +73,8 @@ def laid(
             wanted = wanted if axis.count is None else wanted % axis.count
             other = np.searchsorted(numbers, wanted)
             there = np.ix_(some_rows, other) if along_x else np.ix_(other, some_columns)
-            beside.append(_Neighbour(along_x, step, x[there], y[there]))
-        x[at], y[at] = _fitting(level, hashes[at], frame, beside, across.side, down.side)
+            neighbours.append(_Neighbour(along_x, step, x[there], y[there]))
+        x[at], y[at] = _fitting(level, hashes[at], frame, neighbours, across.side, down.side)
 
     fit(even_rows, odd_columns)
     fit(odd_rows, even_columns)
@@ -117,7 +117,7 @@ def _fitting(
     level: Level,
     hashes: Hashes,
     frame: Frame,
-    beside: list[_Neighbour],
+    neighbours: list[_Neighbour],
     width: int,
     height: int,
 ) -> tuple[Integers, Integers]:
@@ -127,7 +127,7 @@ def _fitting(
     for attempt in range(PLACEMENT.fitted):
         x, y = _drawn(hashes, attempt, frame)
         cost = _price(level, x, y).astype(np.int64)
-        for other in beside:
+        for other in neighbours:
             cost += _border(level, x, y, other, width, height)
         better = cost < best
         best_x, best_y = np.where(better, x, best_x), np.where(better, y, best_y)

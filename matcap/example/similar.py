@@ -34,15 +34,15 @@ class Similar:
 
 def find_similar(
     appearance: Appearance,
-    apart: int,
+    gap: int,
     allowed: tuple[slice, slice],
     start: tuple[NDArray[np.int32], NDArray[np.int32]] | None = None,
 ) -> Similar:
-    """The most similar place at least `apart` texels away, for each place of a grid.
+    """k-coherence candidate of each grid place: the most similar place at least `gap` texels off.
 
     Args:
         appearance: (H, W, DIMENSIONS).
-        apart: along x or along y.
+        gap: texels, the larger of the offsets along x and y.
         allowed: rows and columns that a place may be in.
         start: rows and columns to begin with, as of a coarser grid.
     """
@@ -67,10 +67,10 @@ def find_similar(
 
     def attempt(rows: NDArray[np.int32], columns: NDArray[np.int32]) -> None:
         rows, columns = rows.clip(top, bottom - 1), columns.clip(left, right - 1)
-        near = (np.abs(rows - own_rows) < apart) & (np.abs(columns - own_columns) < apart)
-        found = distance(rows, columns)
-        better = (found < best) & ~near
-        np.copyto(best, found, where=better)
+        near = (np.abs(rows - own_rows) < gap) & (np.abs(columns - own_columns) < gap)
+        distances = distance(rows, columns)
+        better = (distances < best) & ~near
+        np.copyto(best, distances, where=better)
         np.copyto(best_rows, rows, where=better)
         np.copyto(best_columns, columns, where=better)
 
@@ -81,10 +81,10 @@ def find_similar(
         directions = draw(line, index, 2 * SIMILAR.steepest + 1) - SIMILAR.steepest
         order = np.argsort(flat.astype(np.int32) @ directions.astype(np.int32), kind="stable")
         for before, after in ((order[:-1], order[1:]), (order[1:], order[:-1])):
-            beside = np.empty_like(order)
-            beside[before] = after
-            beside[order[-1] if before[0] == order[0] else order[0]] = after[0]
-            rows, columns = np.divmod(beside.reshape(high, wide).astype(np.int32), wide)
+            adjacent = np.empty_like(order)
+            adjacent[before] = after
+            adjacent[order[-1] if before[0] == order[0] else order[0]] = after[0]
+            rows, columns = np.divmod(adjacent.reshape(high, wide).astype(np.int32), wide)
             attempt(rows, columns)
         if index % SIMILAR.lines == SIMILAR.lines - 1:
             for y, x in _NEIGHBOURS:

@@ -54,9 +54,9 @@ def read(about: Mapping[str, Any], file: Any, path: Path) -> Example | None:  # 
         return None
 
     def data(name: str) -> NDArray[np.uint8]:
-        found = np.asarray(file.get_tensor(PREFIX + name))
-        if found.dtype != np.uint8 or found.ndim != 1:
+        array = np.asarray(file.get_tensor(PREFIX + name))
+        if array.dtype != np.uint8 or array.ndim != 1:
             raise ValueError(f"{name} is no bytes")
-        return found
+        return array
 
     return Example.read(about["example"], data)

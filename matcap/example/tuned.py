@@ -100,14 +100,14 @@ ORDER = OrderSettings()
 
 @dataclass(frozen=True)
 class IndexSettings:
-    """What the index says of places.
+    """How the k-coherence candidates and the placement cost of an exemplar are computed.
 
     Attributes:
-        apart: steps of its grid between a place and what is similar to it, and ...
-        apart_texels: ... texels at least.
+        least_steps: grid steps between a place and its candidates, at least, and ...
+        least_texels: ... texels, at least.
         fineness: places of the coarsest level along the shorter side of a lattice's piece.
         unique: times the median distance to what is most similar: a mark that occurs once, ...
-        unique_level: ... told at this level, of some twenty texels.
+        unique_level: ... measured at this pyramid level, over some twenty texels.
         least_trust: of a map: what was not seen is drawn by example.
         trusted: quantile of confidence that a place is held against.
         slack: confidence below it up to which a place is as good: steps of it lie between most
@@ -117,8 +117,8 @@ class IndexSettings:
             less draws from scraps.
     """
 
-    apart: int = 4
-    apart_texels: int = 8
+    least_steps: int = 4
+    least_texels: int = 8
     fineness: int = 16
     unique: float = 12.0
     unique_level: int = 2

@@ -46,11 +46,11 @@ def chosen(example: Example) -> Example:
     """The example with the most random variety that keeps its long structure."""
     long, tries = tried(example)
     limit = max(VARIETY.torn, VARIETY.share * long)
-    found = next(
+    variety = next(
         (one.variety for one in tries if one.torn <= limit and one.seams <= VARIETY.seams),
         VARIETY.tried[-1],
     )
-    return example.varied(found)
+    return example.varied(variety)
 
 
 def tried(example: Example) -> tuple[float, tuple[Tried, ...]]:
@@ -97,10 +97,10 @@ def _blocks(
     kept, seams = [], []
     for seed in range(VARIETY.blocks if level == VARIETY.level else 1):
         places = coordinates(lookup, seed, {level: area}, None)[level].astype(np.int64)
-        found, _ = _correlation(seen(places[..., 0], places[..., 1]))
-        rows, columns = (min(a, b) for a, b in zip(found.shape, true.shape, strict=True))
+        correlation, _ = _correlation(seen(places[..., 0], places[..., 1]))
+        rows, columns = (min(a, b) for a, b in zip(correlation.shape, true.shape, strict=True))
         wanted = true[:rows, :columns]
-        kept.append(float((found[:rows, :columns] * wanted).sum() / (wanted**2).sum()))
+        kept.append(float((correlation[:rows, :columns] * wanted).sum() / (wanted**2).sum()))
         broken = (np.diff(places, axis=1) != [spacing, 0]).any(-1)
         seams.append(float(broken.mean()) / spacing)
     return float(np.mean(kept)), float(np.mean(seams))
@@ -128,8 +128,8 @@ def _thinned(planes: Planes, spacing: int) -> Planes:
     side = max(1, VARIETY.step // spacing)
     rows, columns = (n // side for n in planes.shape[1:])
     cut = planes[:, : rows * side, : columns * side]
-    found: Planes = cut.reshape(len(planes), rows, side, columns, side).mean(axis=(2, 4))
-    return found
+    means: Planes = cut.reshape(len(planes), rows, side, columns, side).mean(axis=(2, 4))
+    return means
 
 
 def _correlation(planes: Planes) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -144,5 +144,5 @@ def _correlation(planes: Planes) -> tuple[NDArray[np.float64], NDArray[np.float6
     overlap = np.abs(np.fft.rfft2(np.ones((rows, columns)), whole)) ** 2
     alike = np.fft.irfft2(power, whole) / np.maximum(np.fft.irfft2(overlap, whole), 1.0)
     down, across = np.arange(rows // 2), np.arange(-(columns // 2), columns // 2)
-    found = alike[np.ix_(down, across)] / max(float(alike[0, 0]), 1e-9)
-    return found, VARIETY.step * np.hypot(down[:, None], across[None, :])
+    half_plane = alike[np.ix_(down, across)] / max(float(alike[0, 0]), 1e-9)
+    return half_plane, VARIETY.step * np.hypot(down[:, None], across[None, :])

@@ -36,7 +36,7 @@ _LEAST = 0.02  # of the grid's roughness: below it a highlight is narrower than 
 
 
 @dataclass(frozen=True)
-class Told:
+class FittedTables:
     """Tables over roughness (rows, even from 0 to 1) and the root of F0 (columns, likewise)."""
 
     diffuse: Picture
@@ -53,8 +53,8 @@ class Told:
     def albedo(self, f0: Picture, roughness: Picture) -> Picture:
         """(H, W, 1 or 3) factors on the diffuse albedo, of (H, W[, 3]) F0 and (H, W) roughness."""
         taken = f0 if self.each else brightest_channel(f0)
-        found = self._at(self.diffuse, taken, roughness)
-        return found if found.ndim == 3 else found[..., None]
+        factor = self._at(self.diffuse, taken, roughness)
+        return factor if factor.ndim == 3 else factor[..., None]
 
     def f0(self, f0: Picture, roughness: Picture) -> Picture:
         """(H, W[, 3]) the F0 to tell, as many channels as it has; may exceed 1."""
@@ -72,12 +72,12 @@ class Told:
         if np.ptp(table) < 1e-5:  # most tables say 1 throughout
             return np.full_like(f0, table.flat[0])
         if f0.ndim == 3:
-            by_channel = (Told._at(table, one, roughness) for one in np.moveaxis(f0, -1, 0))
+            by_channel = (FittedTables._at(table, one, roughness) for one in np.moveaxis(f0, -1, 0))
             return np.stack(list(by_channel), axis=-1)
         y = np.clip(roughness, 0.0, 1.0) * np.float32(_ROUGH - 1)
         x = np.sqrt(np.clip(f0, 0.0, 1.0)) * np.float32(_F0 - 1)
-        found = cv2.remap(table, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(found, dtype=np.float32)
+        factors = cv2.remap(table, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(factors, dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -117,12 +117,12 @@ def _light() -> tuple[Picture, Picture, Picture]:
     means = diffuse.mean(1), specular.mean(1)
     relative = torch.minimum(diffuse / means[0][:, None], specular / means[1][:, None])
     together = relative.mean(1).clamp(max=_MOST_TOGETHER)
-    found = (one.numpy().astype(np.float32) for one in (*means, together))
-    return next(found), next(found), next(found)
+    planes = (one.numpy().astype(np.float32) for one in (*means, together))
+    return next(planes), next(planes), next(planes)
 
 
 @lru_cache(maxsize=64)
-def told(shading: TargetShading) -> Told:
+def fitted_tables(shading: TargetShading) -> FittedTables:
     """The tables of a target; all the same numbers where it shades as matcap does."""
     rough = torch.linspace(0.0, 1.0, _ROUGH, dtype=torch.float64).clamp_min(_LEAST)
     f0 = torch.linspace(0.0, 1.0, _F0, dtype=torch.float64).square().clamp_min(1e-4)
@@ -138,7 +138,7 @@ def told(shading: TargetShading) -> Told:
     shown = torch.stack([diffuse_lobe(shading, at, nearest, layer) * at.light for at in places])
     albedo = meant.sum(0) / shown.sum(0).clamp_min(1e-6)
     tables = [table[0].numpy().astype(np.float32) for table in (albedo, factor, ratio)]
-    return Told(tables[0], tables[1], tables[2], shading.each)
+    return FittedTables(tables[0], tables[1], tables[2], shading.each)
 
 
 def _nearest(

@@ -32,8 +32,8 @@ from matcap.export.specular_workflow import (
     base_colour,
     brightest,
     clipping_notes,
+    fitted_roughness,
     specular_colour,
-    told_roughness,
 )
 from matcap.export.surface import MadeSurface, Reader, TargetSurface
 from matcap.export.texture_file import WRITERS, TextureFile
@@ -82,7 +82,7 @@ def gltf_specular(job: ExportJob) -> Export:
 
     def rough(piece: MapRows) -> Picture:
         occluded, flat = piece.picture("occlusion"), 0.0 * piece.ones
-        return np.stack([occluded, told_roughness(piece, SHADING), flat], axis=-1)
+        return np.stack([occluded, fitted_roughness(piece, SHADING), flat], axis=-1)
 
     textures = {
         "base_color": _stored(job, lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),

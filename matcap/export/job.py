@@ -179,8 +179,8 @@ class ExportJob:
         """A map as (H, W, 3) or (H, W) float32: diffuse, specular, roughness, height, normal,
         occlusion, cavity or bent.
         """
-        found: Picture = getattr(self, kind)
-        return found
+        values: Picture = getattr(self, kind)
+        return values
 
     def piece(self, rows: slice = slice(None), columns: slice = slice(None)) -> MapRows:
         """Some of the texels; all by default."""
@@ -221,9 +221,9 @@ def known_scale(provenance: Mapping[str, Any]) -> float | None:
     """Millimetres of a plane unit that a material's history tells; None where it does not."""
     card = provenance.get("card")
     for place in (provenance, card if isinstance(card, Mapping) else {}):
-        found = place.get("millimetres_per_unit")
-        if isinstance(found, int | float) and 0.0 < found < float("inf"):
-            return float(found)
+        scale = place.get("millimetres_per_unit")
+        if isinstance(scale, int | float) and 0.0 < scale < float("inf"):
+            return float(scale)
     return None
 
 

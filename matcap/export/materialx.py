@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from matcap.errors import UsageError
-from matcap.export.fit import told
+from matcap.export.fit import fitted_tables
 from matcap.export.formats import Picture
 from matcap.export.gltf import ior
 from matcap.export.job import ExportJob, MapRows
@@ -128,14 +128,14 @@ class Layered:
     @staticmethod
     def metallic(job: ExportJob) -> Layered:
         """With metalness, base colour and metalness found texel by texel."""
-        found = Lit(TargetShading(), "metallic", even=_INDICES[0]).of(job)
-        index = max(found.dielectric[0], _LEAST_INDEX)
+        textures = Lit(TargetShading(), "metallic", even=_INDICES[0]).of(job)
+        index = max(textures.dielectric[0], _LEAST_INDEX)
         shading = TargetShading(layer="albedo", compensated=True, index=index)
 
         def made(piece: MapRows) -> Metallic:
             f0, rough = piece.picture("specular"), piece.picture("roughness")
             diffuse = base_colour(piece, shading)
-            shown = np.clip(told(replace(shading, index=None)).f0(f0, rough), 0.0, 1.0)
+            shown = np.clip(fitted_tables(replace(shading, index=None)).f0(f0, rough), 0.0, 1.0)
             return to_metallic(MetallicAim(diffuse, shown, rough, index, index), "free")
 
         return Layered(

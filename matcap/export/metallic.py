@@ -143,15 +143,15 @@ class _Tried:
             dielectric = np.clip(
                 mean / np.maximum(below * rest, 1e-6), wanted.lowest, wanted.highest
             ).astype(np.float32)
-        shows, mirrors = weights.diffuse * below, weights.specular * metallic
+        diffused, mirrors = weights.diffuse * below, weights.specular * metallic
         diffuse = weights.diffuse[..., None] * wanted.diffuse
         specular = weights.specular[..., None] * (f0 - (dielectric * rest)[..., None])
         both = weights.together
-        size = shows**2 + 2.0 * both * shows * mirrors + mirrors**2
-        along = (shows + both * mirrors)[..., None] * diffuse
-        along += (mirrors + both * shows)[..., None] * specular
+        size = diffused**2 + 2.0 * both * diffused * mirrors + mirrors**2
+        along = (diffused + both * mirrors)[..., None] * diffuse
+        along += (mirrors + both * diffused)[..., None] * specular
         base = np.clip(along / np.maximum(size, 1e-12)[..., None], 0.0, 1.0).astype(np.float32)
-        more, brighter = shows[..., None] * base - diffuse, mirrors[..., None] * base - specular
+        more, brighter = diffused[..., None] * base - diffuse, mirrors[..., None] * base - specular
         off = more**2 + 2.0 * both[..., None] * more * brighter + brighter**2
         return _Tried(base, dielectric, off.sum(axis=-1))
 

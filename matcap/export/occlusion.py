@@ -52,12 +52,12 @@ class Occlusion:
 
     def whole(self, kind: str) -> Picture:
         """One of them by its name, at the size of the height field."""
-        found: Picture = getattr(self, kind)
+        values: Picture = getattr(self, kind)
         if self.size is None:
-            return found
+            return values
         import cv2
 
-        return np.asarray(cv2.resize(found, self.size), dtype=np.float32)
+        return np.asarray(cv2.resize(values, self.size), dtype=np.float32)
 
 
 def settings(width: int, height: int) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from matcap.errors import UsageError
-from matcap.export.fit import told
+from matcap.export.fit import fitted_tables
 from matcap.export.formats import Depth, Picture, brightest_channel, mean_channel
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.metallic import FIRST_METAL, FORMS, Form, Metallic, MetallicAim, to_metallic
@@ -67,19 +67,19 @@ class PackedMaterial:
     @property
     def roughness(self) -> Picture:
         """(H, W)."""
-        return told(self.lit.shading).rough(*self._meant)
+        return fitted_tables(self.lit.shading).rough(*self._meant)
 
     @property
     def f0(self) -> Picture:
         """(H, W) or (H, W, 3) in [0, 1]."""
-        return np.clip(told(self.lit.shading).f0(*self._meant), 0.0, 1.0)
+        return np.clip(fitted_tables(self.lit.shading).f0(*self._meant), 0.0, 1.0)
 
     @property
     def metallic(self) -> Metallic:
         """The nearest metallic material of the form."""
         low, high = self.lit.dielectric
         f0, rough = self._meant
-        share = told(self.lit.shading).albedo(np.clip(f0, low, high), rough)
+        share = fitted_tables(self.lit.shading).albedo(np.clip(f0, low, high), rough)
         diffuse = self.piece.picture("diffuse") * share
         wanted = MetallicAim(diffuse, self.f0, rough, low, high, self.lit.below)
         return to_metallic(wanted, self.lit.form)
@@ -87,7 +87,7 @@ class PackedMaterial:
     @property
     def base(self) -> Picture:
         """(H, W, 3) base colour below any F0."""
-        share = told(self.lit.shading).albedo(*self._meant)
+        share = fitted_tables(self.lit.shading).albedo(*self._meant)
         if self.lit.conserving:
             share = share / np.maximum(1.0 - brightest_channel(self.f0), 1e-6)[..., None]
         return np.clip(self.piece.picture("diffuse") * share, 0.0, 1.0)
@@ -310,10 +310,10 @@ def _facts(job: ExportJob, preset: Preset, wanted: Sequence[str]) -> dict[str, A
 
 
 def _made(job: ExportJob, lit: Lit | None, texture: PresetTexture) -> TextureFile:
-    told_as = lit or Lit(MATCAP, "specular")
+    source = lit or Lit(MATCAP, "specular")
 
     def make(piece: MapRows) -> Picture:
-        return texture.make(PackedMaterial(piece, told_as))
+        return texture.make(PackedMaterial(piece, source))
 
     srgb = job.coloured if texture.srgb is None else texture.srgb
     return TextureFile.of(job, make, texture.depth, texture.meaning, srgb=srgb)

@@ -201,8 +201,8 @@ def directional_albedo(roughness: Tensor, cosine: Tensor) -> tuple[Tensor, Tenso
     roughness, cosine = torch.broadcast_tensors(roughness, cosine)
     tables = _tables().to(roughness.dtype)
     places = torch.stack([cosine.clamp(0.0, 1.0).sqrt(), roughness.clamp(0.0, 1.0)], dim=-1)
-    found = grid_sample(tables, 2.0 * places - 1.0, align_corners=True, padding_mode="border")
-    return found[:, 0], found[:, 1].clamp_min(1e-3)
+    looked_up = grid_sample(tables, 2.0 * places - 1.0, align_corners=True, padding_mode="border")
+    return looked_up[:, 0], looked_up[:, 1].clamp_min(1e-3)
 
 
 @lru_cache(maxsize=1)

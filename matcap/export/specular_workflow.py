@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from matcap.export.fit import told
+from matcap.export.fit import fitted_tables
 from matcap.export.formats import bands
 from matcap.export.shading import TargetShading
 
@@ -19,24 +19,24 @@ if TYPE_CHECKING:
 
 def base_colour(piece: MapRows, shading: TargetShading) -> Picture:
     """(H, W, 3) colour that shows as the diffuse albedo; may exceed 1."""
-    share = told(shading).albedo(piece.picture("specular"), piece.picture("roughness"))
+    share = fitted_tables(shading).albedo(piece.picture("specular"), piece.picture("roughness"))
     return piece.picture("diffuse") * share
 
 
 def specular_colour(piece: MapRows, shading: TargetShading) -> Picture:
     """(H, W[, 3]) F0 that shows as the one that is meant; may exceed 1."""
-    return told(shading).f0(piece.picture("specular"), piece.picture("roughness"))
+    return fitted_tables(shading).f0(piece.picture("specular"), piece.picture("roughness"))
 
 
-def told_roughness(piece: MapRows, shading: TargetShading) -> Picture:
+def fitted_roughness(piece: MapRows, shading: TargetShading) -> Picture:
     """(H, W) roughness that shows as the one that is meant."""
-    return told(shading).rough(piece.picture("specular"), piece.picture("roughness"))
+    return fitted_tables(shading).rough(piece.picture("specular"), piece.picture("roughness"))
 
 
 def brightest(job: ExportJob, shading: TargetShading) -> float:
     """The largest F0 that the target is told."""
-    found = (specular_colour(piece, shading).max() for piece in _bands(job))
-    return max(1e-4, *(float(one) for one in found), 0.0)
+    peaks = (specular_colour(piece, shading).max() for piece in _bands(job))
+    return max(1e-4, *(float(one) for one in peaks), 0.0)
 
 
 def clipping_notes(job: ExportJob, shading: TargetShading) -> tuple[str, ...]:

@@ -172,9 +172,9 @@ def nearest(job: ExportJob, surfaces: Sequence[MadeSurface], margin: float = 0.0
         margin: share of its residual by which another than the first must be nearer.
     """
     named = {str(key): made for key, made in enumerate(surfaces)}
-    found = [one.mean for one in residuals(job, named, _FEW_TEXELS).values()]
-    best = min(range(len(found)), key=found.__getitem__)
-    return best if found[best] < (1.0 - margin) * found[0] else 0
+    means = [one.mean for one in residuals(job, named, _FEW_TEXELS).values()]
+    best = min(range(len(means)), key=means.__getitem__)
+    return best if means[best] < (1.0 - margin) * means[0] else 0
 
 
 def _channels(values: Picture) -> Tensor:

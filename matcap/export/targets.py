@@ -152,11 +152,13 @@ def export_mapset(folder: Path, target: str) -> Exported:
     """
     from matcap.field.opened import open_tile
 
-    found = open_tile(folder)
+    opened = open_tile(folder)
     place = folder if folder.is_dir() else folder.parent
-    millimetres = known_scale(found.provenance)
-    reach = material_reach(folder, found.name)
-    job = ExportJob(found.maps, found.name, millimetres, provenance=found.provenance, reach=reach)
+    millimetres = known_scale(opened.provenance)
+    reach = material_reach(folder, opened.name)
+    job = ExportJob(
+        opened.maps, opened.name, millimetres, provenance=opened.provenance, reach=reach
+    )
     return write_export(job, target, place / target)
 
 
@@ -200,13 +202,13 @@ def write_export(
     _check_tiles(job, target)
     # Every form is asked what comes of it; only the chosen one makes its files.
     made = {name: make(job) for name, make in forms.items()}
-    found = {name: residuals(job, export.surfaces) for name, export in made.items()}
-    first = {name: next(iter(one.values()), None) for name, one in found.items()}
+    errors = {name: residuals(job, export.surfaces) for name, export in made.items()}
+    first = {name: next(iter(one.values()), None) for name, one in errors.items()}
     chosen = form or _nearest(first)
-    told = {name: one for per_form in found.values() for name, one in per_form.items()}
+    named = {name: one for per_form in errors.values() for name, one in per_form.items()}
     about = _sidecar(made[chosen], job, target, first[chosen]) | {
         "workflow": chosen,
-        "residuals": {name: {"mean": one.mean, "worst": one.worst} for name, one in told.items()},
+        "residuals": {name: {"mean": one.mean, "worst": one.worst} for name, one in named.items()},
     }
     own = _earlier(folder, target)
     check_replaceable(
@@ -217,7 +219,7 @@ def write_export(
         own=lambda file: file.name in own,
     )
     files = _write(made[chosen], job, about, folder)
-    return Exported(folder, files, first[chosen], tuple(about["notes"]), chosen, told)
+    return Exported(folder, files, first[chosen], tuple(about["notes"]), chosen, named)
 
 
 def sidecar_name(name: str, target: str) -> str:
@@ -320,10 +322,10 @@ def _write_textures(
         list(pool.map(write, textures.items()))
 
 
-def _nearest(found: Mapping[Workflow | None, Residual | None]) -> Workflow | None:
+def _nearest(errors: Mapping[Workflow | None, Residual | None]) -> Workflow | None:
     """The form whose light is nearest; of those that are as near, the target's first."""
-    least = min(_mean(off) for off in found.values())
-    return next(form for form, off in found.items() if _mean(off) <= (1.0 + _AS_NEAR) * least)
+    least = min(_mean(off) for off in errors.values())
+    return next(form for form, off in errors.items() if _mean(off) <= (1.0 + _AS_NEAR) * least)
 
 
 def _mean(off: Residual | None) -> float:

@@ -233,8 +233,8 @@ def _export(
 
     def package(folder: Path) -> bytes:
         # Read one by one: all of them are as large as the package.
-        held = ((file, (folder / file).read_bytes()) for file in files.values())
-        return _package(chain([(f"{job.name}.usda", stage)], held))
+        contents = ((file, (folder / file).read_bytes()) for file in files.values())
+        return _package(chain([(f"{job.name}.usda", stage)], contents))
 
     documents: dict[str, Callable[[Path], bytes]] = {f"{job.name}.usda": lambda _: stage}
     if job.tiles is None:  # what opens packages knows no texture sets

@@ -78,8 +78,8 @@ def read_source(source: Source, wanted: Rectangle, workers: int) -> MapSet:
     def fill(piece: Piece) -> None:
         # Whether the caller's tensors are for inference only or not, they are so here.
         with torch.inference_mode():
-            found = inner(source.maps(piece.block))[(..., *piece.source)]
-            stacked[(..., *piece.target)] = found.cpu()
+            planes = inner(source.maps(piece.block))[(..., *piece.source)]
+            stacked[(..., *piece.target)] = planes.cpu()
 
     with single_threaded(min(workers, len(pieces))) as pool:
         list(pool.map(fill, pieces))

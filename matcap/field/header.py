@@ -73,7 +73,7 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
         ) from error
 
 
-def provenance_tells(entry: str, path: Path) -> bool:
+def provenance_says(entry: str, path: Path) -> bool:
     """Whether a file is a material whose provenance has an entry: how a command knows its own."""
     try:
         with opened(path, "np") as (_, about):

@@ -128,8 +128,8 @@ class Material:
     @cached_property
     def code(self) -> Tensor:
         """(64,) where it lies in the paper's space; worked out when it is first asked for."""
-        found: Tensor = import_module(_CODES).code_of(self)
-        return found
+        latent: Tensor = import_module(_CODES).code_of(self)
+        return latent
 
     def maps(
         self,
@@ -171,8 +171,8 @@ class Material:
             "provenance": dict(self.provenance),
         }
         for part in self.generators.values():
-            found, described = part.in_file()
-            tensors |= found
+            arrays, described = part.in_file()
+            tensors |= arrays
             about |= described
         write_tensors(Path(path), tensors, {"matcap": json.dumps(about)})
 

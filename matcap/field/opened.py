@@ -69,20 +69,22 @@ def open_tile(
     if path.suffix.lower() == ".matcap":
         _refuse_normals(path, read.normals)
         material = _material(path).by(read.generator).varied(read.variety)
-        told = dict(material.provenance)
+        provenance = dict(material.provenance)
         if piece:
-            return _told(material.repeating(), kept_plain(path.stem), told | REPEATS, adjust)
+            return _adjusted_with_provenance(
+                material.repeating(), kept_plain(path.stem), provenance | REPEATS, adjust
+            )
         size, seed = size or (1024, 1024), seed or 0
         repeat = material.alignment
         period = None if size[0] % repeat or size[1] % repeat else size
         maps = material.maps(*size, seed=seed, period=period)
-        return _told(maps, kept_plain(path.stem), told, adjust)
+        return _adjusted_with_provenance(maps, kept_plain(path.stem), provenance, adjust)
     given: dict[str, object] = {"--size": size, "--seed": seed, "--generator": read.generator}
     given |= {"--variety": read.variety, "--tile piece": piece or None}
     for option in (option for option, asked in given.items() if asked is not None):
         raise _own(path, option)
     maps, document = read_mapset(path, read.normals or "height")
-    return _told(maps, document["name"], document["provenance"], adjust)
+    return _adjusted_with_provenance(maps, document["name"], document["provenance"], adjust)
 
 
 def _own(path: Path, option: str) -> UsageError:
@@ -102,7 +104,9 @@ def _refuse_normals(path: Path, normals: NormalSource | None) -> None:
         )
 
 
-def _told(maps: MapSet, name: str, provenance: dict[str, Any], adjust: Adjustments) -> OpenedMaps:
+def _adjusted_with_provenance(
+    maps: MapSet, name: str, provenance: dict[str, Any], adjust: Adjustments
+) -> OpenedMaps:
     if adjust.changes:
         before = provenance.get(KEY)
         provenance[KEY] = f"{before}; {adjust.text}" if before else adjust.text
@@ -155,14 +159,14 @@ def material_file(path: Path) -> Path:
     Raises:
         MatcapError: no material there, or several.
     """
-    found = _resolved(path)
-    if found.is_dir() or found.suffix.lower() == ".json":
+    resolved = _resolved(path)
+    if resolved.is_dir() or resolved.suffix.lower() == ".json":
         raise MatcapError(
             "this is a map set, of which there is no more",
             where=str(path),
             remedy="give the material (.matcap)",
         )
-    return found
+    return resolved
 
 
 def open_material(path: Path) -> tuple[Path, Material]:

@@ -146,8 +146,8 @@ def planes_of(source: Source, block: Rectangle, normal: NormalStyle) -> NDArray[
         normals = normals_from_slopes((right - left) / size, (above - below) / size)
         if normal == "dx":
             normals[1].neg_()
-        found: NDArray[np.float32] = torch.cat([inner(maps), normals]).cpu().numpy()
-        return found
+        planes: NDArray[np.float32] = torch.cat([inner(maps), normals]).cpu().numpy()
+        return planes
 
 
 def inner(maps: Tensor) -> Tensor:

@@ -44,32 +44,32 @@ def primary_properties(path: Path) -> Properties:
     (item,) = struct.unpack_from(">I" if wide else ">H", primary, 4)
     groups = list(_boxes(boxes[b"iprp"]))
     shared = list(_boxes(dict(groups)[b"ipco"]))
-    found = Properties()
+    properties = Properties()
     for name, data in groups:
         if name != b"ipma":
             continue
         for index in _of_item(data, item):
             if 0 < index <= len(shared):
-                found = _with(found, *shared[index - 1])
-    return found
+                properties = _with(properties, *shared[index - 1])
+    return properties
 
 
-def _with(found: Properties, name: bytes, data: bytes) -> Properties:
+def _with(properties: Properties, name: bytes, data: bytes) -> Properties:
     if name == b"colr" and data[:4] == b"nclx":
-        return replace(found, code_points=struct.unpack_from(">2H", data, 4))
+        return replace(properties, code_points=struct.unpack_from(">2H", data, 4))
     if name == b"colr" and data[:4] in (b"prof", b"rICC"):
-        return replace(found, profile=data[4:])
+        return replace(properties, profile=data[4:])
     if name == b"irot":
-        return replace(found, sideways=bool(data[0] & 1))
+        return replace(properties, sideways=bool(data[0] & 1))
     if name == b"pixi" and len(data) > 5:
-        return replace(found, bits=max(data[5 : 5 + data[4]]))
+        return replace(properties, bits=max(data[5 : 5 + data[4]]))
     if name == b"cmin":
         # Flags: bits 8 to 12 are log2 of the denominator (ISO/IEC 23008-12, 6.5.43).
         flags = int.from_bytes(data[1:4], "big")
         (focal_length,) = struct.unpack_from(">i", data, 4)
         widths = focal_length / (1 << (flags >> 8 & 31))
-        return replace(found, focal_length=widths if widths > 0.0 else None)
-    return found
+        return replace(properties, focal_length=widths if widths > 0.0 else None)
+    return properties
 
 
 def _meta(path: Path) -> bytes:

@@ -147,8 +147,8 @@ def hlg_decode(code: Values) -> Values:
     With the system gamma applied to luminance, code 0.75 is 203 cd/m2 on a display of 1000.
     """
     a, b, c = 0.17883277, 0.28466892, 0.55991073
-    held = np.clip(code, 0.0, 1.0)
-    scene = np.where(held <= 0.5, held**2 / 3.0, (np.exp((held - c) / a) + b) / 12.0)
+    clipped = np.clip(code, 0.0, 1.0)
+    scene = np.where(clipped <= 0.5, clipped**2 / 3.0, (np.exp((clipped - c) / a) + b) / 12.0)
     return scene / (_WHITE / _HLG_PEAK) ** (1.0 / _HLG_GAMMA)
 
 

@@ -137,10 +137,10 @@ def read_exr_named(
                 where=str(path),
                 remedy="flatten it, and save it with one sample a pixel",
             )
-        found = (spec.width, spec.height)
-        if size is not None and found != size:
+        actual = (spec.width, spec.height)
+        if size is not None and actual != size:
             raise MatcapError(
-                f"is {found[0]} x {found[1]} texels, not {size[0]} x {size[1]}",
+                f"is {actual[0]} x {actual[1]} texels, not {size[0]} x {size[1]}",
                 where=str(path),
                 remedy=remedy,
             )

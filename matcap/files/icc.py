@@ -63,8 +63,8 @@ def lineariser_of(
 def _is_srgb(space: ColorSpace) -> bool:
     """Whether it differs from sRGB by no more than profiles of sRGB differ from each other."""
     codes = np.linspace(0.0, 1.0, 64)
-    apart = max(float(np.abs(curve(codes) - srgb_decode(codes)).max()) for curve in space.curves)
-    return space.matrix is None and space.system_gamma == 1.0 and apart < 2e-3
+    worst = max(float(np.abs(curve(codes) - srgb_decode(codes)).max()) for curve in space.curves)
+    return space.matrix is None and space.system_gamma == 1.0 and worst < 2e-3
 
 
 def inks_lineariser_of(

@@ -126,14 +126,14 @@ def _of_exr(path: Path) -> str:
 
 
 def _of_mp4(path: Path) -> str:
-    found = _BOX.search(path.read_bytes()[-64:])
-    return found[1].decode() if found else ""
+    match = _BOX.search(path.read_bytes()[-64:])
+    return match[1].decode() if match else ""
 
 
 def _of_page(path: Path) -> str:
     with path.open("rb") as file:
-        found = _GENERATOR.search(file.read(_AT_ONCE))
-    return found[1].decode() if found else ""
+        match = _GENERATOR.search(file.read(_AT_ONCE))
+    return match[1].decode() if match else ""
 
 
 _READERS: dict[str, Callable[[Path], str]] = {

@@ -35,19 +35,19 @@ def series(stems: Sequence[str]) -> list[list[int]]:
     Returns:
         Positions of the names of each series, in the order of their numbers.
     """
-    found: dict[str, dict[int, int]] = {}
+    numbered: dict[str, dict[int, int]] = {}
     twice = set()
     for position, stem in enumerate(stems):
         match = _NUMBERED.fullmatch(stem)
         if match is None:
             continue
         name, number = match[1].casefold(), int(match[2])
-        if number in found.setdefault(name, {}):
+        if number in numbered.setdefault(name, {}):
             twice.add(name)
-        found[name][number] = position
+        numbered[name][number] = position
     return [
         [at[number] for number in sorted(at)]
-        for name, at in found.items()
+        for name, at in numbered.items()
         if name not in twice
         and 2 <= len(at) <= _LONGEST_SERIES
         and min(at) <= 1

@@ -120,24 +120,24 @@ def read_pixels(path: Path, *, outside: float | None = None) -> Pixels:
     try:
         with quiet_decoders():
             if head.startswith(b"\xff\xd8\xff"):
-                found = _from_jpeg(path)
+                decoded = _from_jpeg(path)
             elif head.startswith(MAGIC):
-                found = _from_radiance(path)
+                decoded = _from_radiance(path)
             else:
-                found = _decoded(path, outside)
+                decoded = _decoded(path, outside)
     except MemoryError as error:
         raise MatcapError(
             "there is not enough memory to read it",
             where=where,
             remedy="free some memory or reduce the picture",
         ) from error
-    if not found.whole and not np.isfinite(found.stored).all():
+    if not decoded.whole and not np.isfinite(decoded.stored).all():
         raise MatcapError(
             "has values that are not finite (NaN or infinity)",
             where=where,
             remedy="replace them in a picture editor",
         )
-    return found
+    return decoded
 
 
 def _from_jpeg(path: Path) -> Pixels:

@@ -48,8 +48,8 @@ def png_bytes(whole: NDArray[np.uint8] | NDArray[np.uint16], mark: str = "") -> 
     png = encoded.tobytes()
     if not mark:
         return png
-    told = png_chunk(b"tEXt", f"{SOFTWARE}\0{mark}".encode())
-    return png[:PNG_HEADER] + told + png[PNG_HEADER:]
+    text = png_chunk(b"tEXt", f"{SOFTWARE}\0{mark}".encode())
+    return png[:PNG_HEADER] + text + png[PNG_HEADER:]
 
 
 def png_chunk(kind: bytes, data: bytes) -> bytes:

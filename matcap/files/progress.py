@@ -20,7 +20,7 @@ class Progress:
     """Expected, or None where it is too early to say."""
 
 
-TellProgress = Callable[[Progress], None]
+OnProgress = Callable[[Progress], None]
 
 
 def nobody(now: Progress) -> None:

@@ -63,18 +63,18 @@ def radiance_header(path: Path) -> RadianceHeader:
     with path.open("rb") as file:
         head = file.read(_LONGEST)
     end = re.search(rb"\n\r?\n", head)
-    found = end and _RESOLUTION.match(head, end.end())
-    if not end or not found:
+    match = end and _RESOLUTION.match(head, end.end())
+    if not end or not match:
         raise ValueError("it has no resolution")
     lines = [line.strip() for line in head[: end.start()].decode("latin-1").split("\n")[1:]]
-    told = [line.split("=", 1) for line in lines if "=" in line]
-    formats = [value.strip() for key, value in told if key.strip() == "FORMAT"]
+    entries = [line.split("=", 1) for line in lines if "=" in line]
+    formats = [value.strip() for key, value in entries if key.strip() == "FORMAT"]
     xyz = any(value == "32-bit_rle_xyze" for value in formats)
     if not xyz and any(value != "32-bit_rle_rgbe" for value in formats):
         raise ValueError(f"its format is {formats[0][:40]!r}")
     exposure = np.ones(3)
     primaries: tuple[float, ...] | None = XYZ if xyz else None
-    for key, value in told:
+    for key, value in entries:
         numbers = [float(word) for word in value.split()] if key in _NUMBERS else []
         if len(numbers) != _NUMBERS.get(key, 0):
             raise ValueError(f"its {key} is {value[:40]!r}")
@@ -84,13 +84,13 @@ def radiance_header(path: Path) -> RadianceHeader:
             exposure = exposure * numbers
     if not (np.isfinite(exposure).all() and exposure.min() > 0.0):
         raise ValueError("its exposure is none")
-    (first, axis, scanlines), (second, other, texels) = found.groups()[:3], found.groups()[3:]
+    (first, axis, scanlines), (second, other, texels) = match.groups()[:3], match.groups()[3:]
     if axis == other or not int(scanlines) or not int(texels):
         raise ValueError("its resolution is none")
     signs = {axis: first, other: second}
     flips = signs[b"Y"] == b"+", signs[b"X"] == b"-"
     return RadianceHeader(
-        found.end(), int(scanlines), int(texels), axis == b"X", flips, exposure, primaries
+        match.end(), int(scanlines), int(texels), axis == b"X", flips, exposure, primaries
     )
 
 

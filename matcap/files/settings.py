@@ -128,28 +128,28 @@ class Setting:
 @cache
 def settings_in(kind: type) -> Mapping[str, Setting]:
     """What users set of a dataclass, by field."""
-    told = field_docs(kind)
-    found = {}
+    docs = field_docs(kind)
+    settings = {}
     for one in fields(kind):
         if "rule" in one.metadata:
             rule: SettingRule = one.metadata["rule"]
             first = re.split(r"\W", str(one.type), maxsplit=1)[0]
-            found[one.name] = Setting(
+            settings[one.name] = Setting(
                 one.name, rule.option or one.name, _KINDS.get(first, str), one.default,
-                told.get(one.name, ""), rule,
+                docs.get(one.name, ""), rule,
             )  # fmt: skip
-    return found
+    return settings
 
 
-def check_settings(held: Any) -> None:  # noqa: ANN401
+def check_settings(values: Any) -> None:  # noqa: ANN401
     """For `__post_init__` of a dataclass: hold every setting to its words and limits.
 
     Raises:
         UsageError: one is outside of them.
     """
-    kind: type = type(held)
+    kind: type = type(values)
     for name, one in settings_in(kind).items():
-        one.check(getattr(held, name), one.flag)
+        one.check(getattr(values, name), one.flag)
 
 
 def typed_settings(kind: type, named: Mapping[str, Any]) -> dict[str, Any]:
@@ -176,20 +176,20 @@ def field_docs(kind: type) -> dict[str, str]:
 def _docs_in(module: str) -> dict[str, dict[str, str]]:
     """Of all classes of a module."""
     file = Path(str(sys.modules[module].__file__))
-    found = {}
+    by_class = {}
     for node in ast.parse(file.read_bytes()).body:
         if isinstance(node, ast.ClassDef):
-            told: dict[str, str] = {}
+            docs: dict[str, str] = {}
             names: list[str] = []
             for line in node.body:
                 if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name):
                     names.append(line.target.id)
                 elif isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant):
                     # One docstring for all fields above it that have none.
-                    told |= dict.fromkeys(names, " ".join(str(line.value.value).split()))
+                    docs |= dict.fromkeys(names, " ".join(str(line.value.value).split()))
                     names = []
-            found[node.name] = told
-    return found
+            by_class[node.name] = docs
+    return by_class
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

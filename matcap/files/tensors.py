@@ -50,8 +50,10 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
     digest = hashlib.new(METHOD, text_first(metadata))
     digest.update(content)
     # By hand, for safetensors writes the metadata in another order every time.
-    told = dict(sorted({**metadata, DIGEST: digest.hexdigest()}.items()))
-    header = json.dumps({"__metadata__": told, **json.loads(plain[8:start])}, separators=(",", ":"))
+    about = dict(sorted({**metadata, DIGEST: digest.hexdigest()}.items()))
+    header = json.dumps(
+        {"__metadata__": about, **json.loads(plain[8:start])}, separators=(",", ":")
+    )
     header += " " * (-len(header) % 8)
     # As bytes: save_file would give the file to its owner alone, whatever the umask says.
     with staged_file(path) as file, file.open("wb") as opened:
@@ -80,11 +82,11 @@ class StoredTensors:
             MatcapError: it is missing, of another shape, or holds NaN or infinity; names it.
         """
         try:
-            found = tuple(self.file.get_slice(name).get_shape())
+            size = tuple(self.file.get_slice(name).get_shape())
         except SafetensorError as error:
             raise self._fault(f"the tensor {name} is missing") from error
-        if found != shape:
-            raise self._fault(f"the tensor {name} has shape {found}, expected {shape}")
+        if size != shape:
+            raise self._fault(f"the tensor {name} has shape {size}, expected {shape}")
         # A copy, because the file's own lie wherever the file has them, and products of matrices
         # round as their operands are aligned: what was saved would differ from itself by a bit.
         value: Tensor = self.file.get_tensor(name).to(torch.float32, copy=True)

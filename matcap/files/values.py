@@ -73,11 +73,11 @@ def size(text: str | Size) -> Size:
     """'4096x256' to 4096 by 256; '512' to 512 by 512; '4K' to 4096 by 4096."""
     if isinstance(text, Size):
         return text
-    found = re.fullmatch(r"(\d{1,18})([kK]?)(?:[xX](\d{1,18})([kK]?))?", text.strip())
-    if not found:
+    match = re.fullmatch(r"(\d{1,18})([kK]?)(?:[xX](\d{1,18})([kK]?))?", text.strip())
+    if not match:
         raise ValueError(f"'{text}' is not a size such as 4096x256, 2K or 4K")
-    width = int(found[1]) * (_KILO if found[2] else 1)
-    height = int(found[3]) * (_KILO if found[4] else 1) if found[3] else width
+    width = int(match[1]) * (_KILO if match[2] else 1)
+    height = int(match[3]) * (_KILO if match[4] else 1) if match[3] else width
     if min(width, height) < 1:
         raise ValueError(f"'{text}' has a side of zero")
     return Size(width, height)
@@ -86,8 +86,8 @@ def size(text: str | Size) -> Size:
 def sides_of(text: str | int | Sequence[int]) -> tuple[int, int]:
     """As size(): '4096x256', 512 or [4096, 256] to (width, height)."""
     words = text if isinstance(text, str | int) else "x".join(str(part) for part in text)
-    found = size(str(words))
-    return found.width, found.height
+    sides = size(str(words))
+    return sides.width, sides.height
 
 
 def seed(text: str | int) -> int:
@@ -147,8 +147,8 @@ def duration(text: str | float) -> float:
     """'90', '90s', '1.5m' to seconds."""
     if isinstance(text, int | float):
         return float(text)
-    found = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([smh]?)", text.strip())
-    seconds = float(found[1]) * _SECONDS[found[2]] if found else math.nan
+    match = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([smh]?)", text.strip())
+    seconds = float(match[1]) * _SECONDS[match[2]] if match else math.nan
     if not 0 < seconds < math.inf:
         raise ValueError(f"'{text}' is not a time such as 90s or 1.5m")
     return seconds

@@ -91,15 +91,15 @@ def read_card(path: Path, *, fov: float | None = None) -> Calibration:
     photo = load_photo(path, long_side=_WIDTH, fov=fov, noise=False)
     code = (srgb_encode(np.clip(photo.pixels, 0.0, 1.0).astype(np.float64)) * 255.0).round()
     picture = code.astype(np.uint8)
-    found = Calibration(photo.name, "")
+    calibration = Calibration(photo.name, "")
     seen = _board(picture)
     if seen is not None:
         scale, tilt = _pose(*seen, picture.shape, photo.fov)
-        found = replace(found, millimetres_per_unit=scale, tilt=tilt)
+        calibration = replace(calibration, millimetres_per_unit=scale, tilt=tilt)
     fit = _best_chart(picture, photo, seen) if photo.radiometric else None
     if fit is not None:
-        found = replace(
-            found,
+        calibration = replace(
+            calibration,
             matrix=tuple(tuple(float(v) for v in row) for row in fit.matrix),
             white=fit.white,
             exposure=read_exif(path).exposure,
@@ -111,8 +111,8 @@ def read_card(path: Path, *, fov: float | None = None) -> Calibration:
             where=str(path),
             remedy="photograph the card whole and sharp, or take the photograph out of the shoot",
         )
-    digest = hashlib.sha256(repr(found).encode()).hexdigest()
-    return replace(found, digest=digest)
+    digest = hashlib.sha256(repr(calibration).encode()).hexdigest()
+    return replace(calibration, digest=digest)
 
 
 def calibrated(photo: Photo, calibration: Calibration) -> Photo:
@@ -240,10 +240,10 @@ def _boxes(picture: NDArray[np.uint8], seen: _Board | None) -> Iterator[Values]:
         detector = cv2.mcc.CCheckerDetector.create()
         detector.setColorChartType(cv2.mcc.MCC24)
         try:
-            found = detector.process(np.ascontiguousarray(sized), 3)
+            detected = detector.process(np.ascontiguousarray(sized), 3)
         except cv2.error:
             continue
-        for checker in detector.getListColorChecker() if found else ():
+        for checker in detector.getListColorChecker() if detected else ():
             yield np.asarray(checker.getBox(), np.float64) / scale
 
 

@@ -140,11 +140,11 @@ class _Camera:
             total = x + y + z
             if not total > 0.0 or not 0.0 < y / total < 1.0:
                 return _D65
-            found = (float(x / total), float(y / total))
-            if abs(found[0] - white[0]) + abs(found[1] - white[1]) < 1e-7:
-                return found
+            estimate = (float(x / total), float(y / total))
+            if abs(estimate[0] - white[0]) + abs(estimate[1] - white[1]) < 1e-7:
+                return estimate
             # Half way on: it may else swing to and fro between two.
-            white = ((white[0] + found[0]) / 2.0, (white[1] + found[1]) / 2.0)
+            white = ((white[0] + estimate[0]) / 2.0, (white[1] + estimate[1]) / 2.0)
         return white
 
     def to_rec709(self, white: tuple[float, float], neutral: Matrix) -> Matrix:

@@ -89,10 +89,10 @@ class Exif:
             return film, ()
         if self.measured or film is None:
             return own, ()
-        apart = tan(radians(own / 2.0)) / tan(radians(film / 2.0))
-        if 1.0 / _DIFFERS < apart < _DIFFERS:
+        ratio = tan(radians(own / 2.0)) / tan(radians(film / 2.0))
+        if 1.0 / _DIFFERS < ratio < _DIFFERS:
             return own, ()
-        kept = own if 1.0 / _CONTRADICTS < apart < _CONTRADICTS else film
+        kept = own if 1.0 / _CONTRADICTS < ratio < _CONTRADICTS else film
         note = (
             f"Its focal plane resolution says a field of view of {own:.1f} degrees, its focal "
             f"length on 35 mm film {film:.1f}: {kept:.1f} taken."
@@ -147,10 +147,10 @@ def _of_png(chunks: list[tuple[bytes, bytes]]) -> Exif:
                 xmp = text
             elif key in (b"Raw profile type exif", b"Raw profile type APP1") and not exif:
                 exif = _hexadecimal(text)
-    found = read_exif(exif, xmp)
-    if found.orientation == 1 and orientation in range(1, 9):
-        return replace(found, orientation=orientation)
-    return found
+    read = read_exif(exif, xmp)
+    if read.orientation == 1 and orientation in range(1, 9):
+        return replace(read, orientation=orientation)
+    return read
 
 
 def _text(kind: bytes, data: bytes) -> tuple[bytes, bytes]:
@@ -200,8 +200,8 @@ def _xmp_of(path: Path, head: bytes) -> bytes:
 
 def _of_xmp(xmp: bytes, name: bytes) -> int:
     """A whole number that XMP states as attribute or element, or -1."""
-    found = re.search(name + rb"\s*(?:=\s*[\"']|>)\s*(\d{1,5})\b", xmp)
-    return int(found[1]) if found else -1
+    match = re.search(name + rb"\s*(?:=\s*[\"']|>)\s*(\d{1,5})\b", xmp)
+    return int(match[1]) if match else -1
 
 
 def _exposure(tags: dict[str, Any]) -> float | None:

@@ -255,7 +255,7 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
 
 
 def _flash(photo: Photo, falloff: float) -> Finding:
-    name, fired, shows = "flash", photo.flash_fired, falloff > SHOT.falloff
+    name, fired, visible = "flash", photo.flash_fired, falloff > SHOT.falloff
     if fired is False:
         return Finding(
             name,
@@ -264,7 +264,7 @@ def _flash(photo: Photo, falloff: float) -> Finding:
             "The file says that the flash did not fire.",
             "Photograph again with the flash switched on, not on automatic.",
         )
-    if not shows:
+    if not visible:
         said = "The flash fired but hardly shows" if fired else "No flash shows"
         return Finding(
             name,

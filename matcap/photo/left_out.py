@@ -146,10 +146,10 @@ def mirrored(left_out: Marks) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     nearest[labels[kept]] = np.flatnonzero(kept)
     at = nearest[labels]
     near_y, near_x = at // columns, at % columns
-    away = np.hypot(near_y - y, near_x - x)
+    distance = np.hypot(near_y - y, near_x - x)
     reach = max(1.0, _FOLDED * min(rows, columns))
-    folded = reach - np.abs(away % (2.0 * reach) - reach)
-    share = np.where(left_out, folded / np.maximum(away, 1e-9), 0.0)
+    folded = reach - np.abs(distance % (2.0 * reach) - reach)
+    share = np.where(left_out, folded / np.maximum(distance, 1e-9), 0.0)
     to_y = np.rint(near_y + share * (near_y - y)).astype(np.intp).clip(0, rows - 1)
     to_x = np.rint(near_x + share * (near_x - x)).astype(np.intp).clip(0, columns - 1)
     # A mirror that lands on what is left out, round a thin strip, shows the nearest place itself.

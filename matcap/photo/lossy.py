@@ -159,14 +159,14 @@ def inks(
     Raises:
         MatcapError: no profile says what colours the inks have.
     """
-    found = inks_lineariser_of(profile, dtype) if profile else None
-    if found is None:
+    lineariser = inks_lineariser_of(profile, dtype) if profile else None
+    if lineariser is None:
         raise MatcapError(
             "the picture's colours are inks (CMYK), and no profile in it says how they look",
             where=str(path),
             remedy="export it as RGB",
         )
-    return found
+    return lineariser
 
 
 def with_camera_matrix(exif: Exif, properties: bmff.Properties, size: tuple[int, int]) -> Exif:

@@ -117,8 +117,8 @@ def _noisy(raw: Any) -> NDArray[np.uint16] | None:  # noqa: ANN401
     """The mosaic with one more draw of its own noise."""
     mosaic = raw.raw_image_visible
     black = np.array(raw.black_level_per_channel, np.float64)[raw.raw_colors_visible[:2, :2]]
-    found = find_noise(mosaic, black, float(raw.white_level))
-    return None if found is None else found.added(mosaic, black, _SEED)
+    noise = find_noise(mosaic, black, float(raw.white_level))
+    return None if noise is None else noise.added(mosaic, black, _SEED)
 
 
 def _develop(

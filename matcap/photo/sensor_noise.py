@@ -89,12 +89,12 @@ def find_noise(
     signal = shot / read
     order = np.argsort(signal)
     edges = np.linspace(0, order.size, bins + 1).astype(int)
-    found = []
+    points = []
     for first, last in pairwise(edges):
         at = order[first:last]
         plainest = np.quantile(variance[at] / shot[at], _PLAIN) / _FLAT_FIELD
-        found.append((signal[at].mean(), max(plainest * signal[at].mean(), _ROUNDING)))
-    return _lower_line(np.array(found))
+        points.append((signal[at].mean(), max(plainest * signal[at].mean(), _ROUNDING)))
+    return _lower_line(np.array(points))
 
 
 def _tiles(mosaic: NDArray[np.uint16]) -> list[NDArray[np.uint16]]:
@@ -139,10 +139,10 @@ def _blocks(picture: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(shaped.mean(axis=(1, 3), dtype=np.float64)).ravel()
 
 
-def _lower_line(found: NDArray[np.float64]) -> SensorNoise:
+def _lower_line(points: NDArray[np.float64]) -> SensorNoise:
     """The straight line through those (signal, variance) that hold no texture: the lowest."""
-    signal, variance = found.T
-    kept = np.ones(len(found), bool)
+    signal, variance = points.T
+    kept = np.ones(len(points), bool)
     while True:
         line = _line(signal[kept], variance[kept])
         above = variance / (line.shot * signal + line.read)

@@ -12,7 +12,7 @@ from matcap.relight.clock import Clock
 from matcap.relight.effects import multiscatter
 from matcap.relight.environment_map import Environment
 from matcap.relight.horizons import Horizons
-from matcap.relight.loops.library import HeldArrays
+from matcap.relight.loops.library import KeptArrays
 from matcap.relight.loops.structures import CPixels
 from matcap.relight.plan import Plan
 from matcap.relight.relief import Relief
@@ -120,14 +120,14 @@ class Block:
         return self.tiles[np.flatnonzero(np.diff(self.tiles, prepend=-1))]
 
     @cached_property
-    def _told(self) -> tuple[CPixels, HeldArrays]:
-        kept, hits, sample = HeldArrays(), self.hits, self.sample
+    def _as_c(self) -> tuple[CPixels, KeptArrays]:
+        kept, hits, sample = KeptArrays(), self.hits, self.sample
 
         def vector(arrays: tuple[Array, ...] | list[Array]) -> tuple[int, ...]:
-            found = [kept.of(one) for one in arrays]
-            return tuple(found * 3)[:3]
+            addresses = [kept.of(one) for one in arrays]
+            return tuple(addresses * 3)[:3]
 
-        told = CPixels(
+        pixels = CPixels(
             count=self.tiles.size,
             column=kept.of(self.column, np.float64),
             row=kept.of(self.row, np.float64),
@@ -143,19 +143,19 @@ class Block:
             total=tuple(one.ctypes.data for one in self.total),
         )
         if self.plan.on("shadows"):
-            told.wide = kept.of(self.context.sampler.covered(hits.footprint))
+            pixels.wide = kept.of(self.context.sampler.covered(hits.footprint))
         if hits.frame is not None:
-            told.frame = tuple(kept.of(one) for axis in hits.frame for one in axis)
+            pixels.frame = tuple(kept.of(one) for axis in hits.frame for one in axis)
         if self.flow is not None:
-            told.flow = tuple(one.ctypes.data for one in self.flow)
+            pixels.flow = tuple(one.ctypes.data for one in self.flow)
         if self.strength:
             lost = albedo().lost
-            told.strength, told.near = vector(self.strength), kept.of(self._near)
-            told.lost, told.lost_size = kept.of(lost), lost.size
-            told.lost_step = albedo().lost_step
-        return told, kept
+            pixels.strength, pixels.near = vector(self.strength), kept.of(self._near)
+            pixels.lost, pixels.lost_size = kept.of(lost), lost.size
+            pixels.lost_step = albedo().lost_step
+        return pixels, kept
 
     @property
-    def told(self) -> CPixels:
+    def as_c(self) -> CPixels:
         """As the loops know it."""
-        return self._told[0]
+        return self._as_c[0]

@@ -45,5 +45,5 @@ class Budget:
         allowed = np.float32(share * self.codes / self.film.gain)
         if self.film.transfer == "linear":
             return np.broadcast_to(allowed, known.shape)
-        found: Array = allowed / srgb_slope(known * np.float32(self.film.gain))
-        return found
+        tolerance: Array = allowed / srgb_slope(known * np.float32(self.film.gain))
+        return tolerance

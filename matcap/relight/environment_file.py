@@ -126,6 +126,6 @@ def _from_cube(cube: EnvironmentPicture, where: str) -> EnvironmentPicture:
     for index, (seen, column, row, far) in enumerate(faces):
         face = np.ascontiguousarray(cube[index * side : (index + 1) * side])
         at = [((one / far + 1.0) * (0.5 * (side - 1))).astype(np.float32) for one in (column, row)]
-        found = cv2.remap(face, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        picture[seen] = found[seen]
+        looked_up = cv2.remap(face, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        picture[seen] = looked_up[seen]
     return picture

@@ -219,7 +219,7 @@ def _angle_cosine(light: Light, near: float, region: VisibleRegion, view: View) 
     """
     if not view.perspective or not isinstance(light, PointLight):
         return 0.0
-    apart = math.dist(light.position, view.position)
+    baseline = math.dist(light.position, view.position)
     sides = near + region.distances(view.position.tolist())[0]
-    sine = min(apart / max(sides, 1e-12), 1.0)
+    sine = min(baseline / max(sides, 1e-12), 1.0)
     return math.sqrt(1.0 - sine * sine)

@@ -27,7 +27,7 @@ from matcap.relight.loops.library import (
     AZIMUTHS,
     CHANNELS,
     LANES,
-    HeldArrays,
+    KeptArrays,
     Pointer,
     Whole,
     address,
@@ -61,7 +61,7 @@ class _Known:
 
     walk: CWalk
     """For the loops; distances come in parts of which each sends its light from one place."""
-    kept: HeldArrays
+    kept: KeptArrays
     """What it points to."""
     walked: Array
     """(H W,) 1 at the first texel of each group that was walked from."""
@@ -141,7 +141,7 @@ class Horizons:
         assert known.transfer is not None
         return known.transfer
 
-    def told(self, *, thrifty: bool) -> CHorizon:
+    def as_c(self, *, thrifty: bool) -> CHorizon:
         """As the loops know them."""
         width, height = self.relief.texture.size
         return CHorizon(self.tangents.ctypes.data, width, height, int(thrifty))
@@ -149,25 +149,25 @@ class Horizons:
     def _walk(self, known: _Known, column: Array, row: Array, which: Array | None) -> None:
         width, height = self.relief.texture.size
         size = len(column) if which is None else len(which)
-        texels, kept = np.empty(4 * size, dtype=np.int32), HeldArrays()
+        texels, kept = np.empty(4 * size, dtype=np.int32), KeptArrays()
         some = None if which is None else kept.of(which, np.int32)
         library = loops()
         library.matcap_relight_unknown.restype = c_int64
-        found = library.matcap_relight_unknown(
+        unknown = library.matcap_relight_unknown(
             Whole(width), Whole(height), address(known.walked), address(self._marks),
             c_uint32(next(self._calls)), c_int64(size), Pointer(some), address(column),
             address(row), address(texels),
         )  # fmt: skip
-        if not found:
+        if not unknown:
             return
         transfer = None if known.transfer is None else known.transfer.ctypes.data
         library.matcap_relight_walk(
-            byref(known.walk), c_int64(found), address(texels),
+            byref(known.walk), c_int64(unknown), address(texels),
             address(self.tangents), address(self.open), Pointer(transfer),
         )  # fmt: skip
-        known.walked[texels[:found]] = 1
+        known.walked[texels[:unknown]] = 1
         if known is not self._seen:
-            self._seen.walked[texels[:found]] = 1
+            self._seen.walked[texels[:unknown]] = 1
 
     def prepare(self, *, sends: bool, fine: bool) -> None:
         """Make what all threads share, before they begin."""
@@ -190,7 +190,7 @@ class Horizons:
         return self._known([[step] for step in self._steps], sends=True)
 
     def _known(self, parts: Sequence[Sequence[int]], *, sends: bool) -> _Known:
-        moves, kept = _moves(np.array([step for part in parts for step in part])), HeldArrays()
+        moves, kept = _moves(np.array([step for part in parts for step in part])), KeptArrays()
         inverse = (1.0 / np.hypot(*moves)).astype(np.float32)
         ends = np.cumsum([len(part) for part in parts])
         nearest = [one.max() for one in np.split(inverse, ends[:-1], axis=1)]
@@ -249,11 +249,11 @@ class Horizons:
         z = 1.0 / np.sqrt(1.0 + x * x + y * y)
         # albedo / pi, and the width of an azimuth.
         factor = np.float32(2.0 / AZIMUTHS)
-        found: Array = np.empty((CHANNELS, *self._padded.shape), dtype=np.float32)
+        transfer: Array = np.empty((CHANNELS, *self._padded.shape), dtype=np.float32)
         for channel, albedo in enumerate(self.relief.texture.diffuse):
             for axis, component in enumerate((-x * z, -y * z, z)):
-                found[3 * channel + axis] = self._wrapped(albedo * component * factor)
-        return found
+                transfer[3 * channel + axis] = self._wrapped(albedo * component * factor)
+        return transfer
 
 
 def steps_of(rise: float) -> list[int]:

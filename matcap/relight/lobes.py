@@ -10,7 +10,7 @@ from ctypes import c_int64
 
 import numpy as np
 
-from matcap.relight.loops.library import HeldArrays, Pointer, address, loops
+from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
 from matcap.relight.vectors import Array, Vec
 
 MIN_ROUGHNESS = 1e-3  # as matcap.brdf
@@ -28,10 +28,10 @@ def lobe(normal: Vec, to_view: Vec, to_light: Vec, alpha: Array) -> tuple[Array,
         normal, to_view, to_light: unit vectors, (N,) each.
         alpha: positive.
     """
-    kept, count = HeldArrays(), alpha.size
-    found, weight = np.empty((2, count), dtype=np.float32)
+    kept, count = KeptArrays(), alpha.size
+    values, weight = np.empty((2, count), dtype=np.float32)
     vectors = (Pointer(kept.of(np.stack(one))) for one in (normal, to_view, to_light))
     loops().matcap_relight_lobe(
-        c_int64(count), *vectors, Pointer(kept.of(alpha)), address(found), address(weight)
+        c_int64(count), *vectors, Pointer(kept.of(alpha)), address(values), address(weight)
     )
-    return found, weight
+    return values, weight

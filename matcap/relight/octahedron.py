@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.relight.loops.library import HeldArrays, Pointer, address, loops
+from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
 from matcap.relight.loops.structures import CSky
 from matcap.relight.vectors import Array, Vec
 
@@ -50,14 +50,14 @@ class Octahedra:
             direction: (N,) arrays.
             wide: (N,) square root of a solid angle.
         """
-        kept, found = HeldArrays(), np.empty((3, wide.size), dtype=np.float32)
+        kept, looked_up = KeptArrays(), np.empty((3, wide.size), dtype=np.float32)
         places = (Pointer(kept.of(one)) for one in (*direction, wide))
         loops().matcap_relight_radiance(
-            byref(self.told(kept)), c_int64(wide.size), *places, address(found)
+            byref(self.as_c(kept)), c_int64(wide.size), *places, address(looked_up)
         )
-        return found
+        return looked_up
 
-    def told(self, kept: HeldArrays) -> CSky:
+    def as_c(self, kept: KeptArrays) -> CSky:
         """As the loops know it."""
         return CSky(
             kept.of(self.atlas), kept.of(self.tops), kept.of(self.sides),

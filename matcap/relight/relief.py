@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from matcap.relight.horizons import Horizons
-from matcap.relight.loops.library import HeldArrays, Pointer, address, loops
+from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
 from matcap.relight.loops.structures import CField
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array
@@ -77,9 +77,9 @@ class Relief:
     @cached_property
     def swift(self) -> CField:
         """The same for loops that follow many rays from each place: none that are clear."""
-        told = self._field()
-        told.clear = self.clear.ctypes.data
-        return told
+        c_field = self._field()
+        c_field.clear = self.clear.ctypes.data
+        return c_field
 
     def _field(self) -> CField:
         width, height = self.texture.size
@@ -91,14 +91,14 @@ class Relief:
 
     def at(self, u: Array, v: Array) -> Array:
         """Heights at places (u, v) in plane units, float32."""
-        kept, shape = HeldArrays(), np.broadcast_shapes(u.shape, v.shape)
+        kept, shape = KeptArrays(), np.broadcast_shapes(u.shape, v.shape)
         places = (np.broadcast_to(one, shape) for one in self.texels(u, v))
-        found = np.empty(shape, dtype=np.float32)
+        heights = np.empty(shape, dtype=np.float32)
         loops().matcap_relight_heights(
-            byref(self.field), c_int64(found.size),
-            *(Pointer(kept.of(one, np.float64)) for one in places), address(found),
+            byref(self.field), c_int64(heights.size),
+            *(Pointer(kept.of(one, np.float64)) for one in places), address(heights),
         )  # fmt: skip
-        return found
+        return heights
 
     @property
     def around(self) -> Literal["wrap", "edge"]:
@@ -122,15 +122,15 @@ class Relief:
         steep = np.maximum(cells[:-1], cells[1:])
         steep = np.maximum(steep[:, :-1], steep[:, 1:])
         lowest = field - steep * np.float32(math.sqrt(0.5))
-        found = _highest(steep, _NEAR, self.around)
+        upper = _highest(steep, _NEAR, self.around)
         nearest = float(_NEAR)
         for reach in _RINGS:
             peaks = _highest(field, reach, self.around)
-            found = np.maximum(found, (peaks - lowest) / nearest)
+            upper = np.maximum(upper, (peaks - lowest) / nearest)
             nearest = reach - 0.5
         highest = np.float32(self.high / self.texel_size)
-        found = np.maximum(found, (highest - lowest) / nearest) * np.float32(_ROUNDING)
-        return np.ascontiguousarray(found, dtype=np.float32).ravel()
+        upper = np.maximum(upper, (highest - lowest) / nearest) * np.float32(_ROUNDING)
+        return np.ascontiguousarray(upper, dtype=np.float32).ravel()
 
     def peaks(self, reach: int) -> Array:
         """(H W,) the highest texel within so many texels of each, along either axis."""

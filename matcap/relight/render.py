@@ -41,7 +41,7 @@ _BLOCK = 32768
 # Top, bottom, left and right; half open.
 Cut = tuple[int, int, int, int]
 Item = TypeVar("Item")
-TellShare = Callable[[float], None]
+OnShare = Callable[[float], None]
 # Effects that are decided tile by tile.
 BY_TILES = ("area", "environment", "parallax", "shadows", "visibility", "interreflection")
 # Texels that a material is read across at most; beyond that it repeats.
@@ -142,7 +142,7 @@ class Renderer:
         *,
         tolerance: float = DEFAULT_TOLERANCE,
         effects: str | EffectChoice = "auto",
-        progress: TellShare = lambda _share: None,
+        progress: OnShare = lambda _share: None,
     ) -> Rendering:
         """One picture.
 
@@ -188,10 +188,10 @@ class Renderer:
             top, bottom, left, right = place
             hits = shape.hits(view.part(left, right), top, bottom)
             if hits.seen is None or hits.seen.any():
-                found = shade(context, hits, tally.of(*place))
+                radiance = shade(context, hits, tally.of(*place))
                 if view.vignetted:
-                    found *= view.part(left, right).share(top, bottom)
-                picture[top:bottom, left:right] = np.moveaxis(found, 0, -1)
+                    radiance *= view.part(left, right).share(top, bottom)
+                picture[top:bottom, left:right] = np.moveaxis(radiance, 0, -1)
 
         blocks = list(_blocks(view.size, whole_tiles=thrifty))
         _in_parallel(block, blocks, lambda done: progress(done / len(blocks)))

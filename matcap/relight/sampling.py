@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from matcap.relight.lobes import alpha_of
-from matcap.relight.loops.library import HeldArrays, Pointer, address, loops
+from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
 from matcap.relight.loops.structures import CTexels
 from matcap.relight.texture import Texture
 from matcap.relight.vectors import Array, Vec
@@ -120,7 +120,7 @@ class Sampler:
         return np.ascontiguousarray(stack.reshape(len(stack), -1).T)
 
     @cached_property
-    def _pyramid(self) -> tuple[CTexels, HeldArrays]:
+    def _pyramid(self) -> tuple[CTexels, KeptArrays]:
         """All levels, as the loops read them, and what keeps them."""
         import cv2
 
@@ -157,7 +157,7 @@ def between(rows: Array, size: tuple[int, int], column: Array, row: Array) -> Ar
     return read(*_texels(rows, [size]), column, row, None)
 
 
-def read(texels: CTexels, kept: HeldArrays, column: Array, row: Array, wide: Array | None) -> Array:
+def read(texels: CTexels, kept: KeptArrays, column: Array, row: Array, wide: Array | None) -> Array:
     """(C, ...) values of a repeating texture, averaged over `wide` texels.
 
     Args:
@@ -167,18 +167,18 @@ def read(texels: CTexels, kept: HeldArrays, column: Array, row: Array, wide: Arr
         wide: None reads between the four nearest.
     """
     shape = np.broadcast_shapes(column.shape, row.shape)
-    here = HeldArrays()
+    here = KeptArrays()
     places = [Pointer(here.of(np.broadcast_to(c, shape), np.float64)) for c in (column, row)]
     width = None if wide is None else here.of(np.broadcast_to(wide, shape))
-    found = np.empty((texels.channels, *shape), dtype=np.float32)
+    looked_up = np.empty((texels.channels, *shape), dtype=np.float32)
     loops().matcap_relight_read(
-        byref(texels), c_int64(found[0].size), *places, Pointer(width), address(found)
+        byref(texels), c_int64(looked_up[0].size), *places, Pointer(width), address(looked_up)
     )
-    return found
+    return looked_up
 
 
-def _texels(rows: Array, sizes: list[tuple[int, int]]) -> tuple[CTexels, HeldArrays]:
-    kept = HeldArrays()
+def _texels(rows: Array, sizes: list[tuple[int, int]]) -> tuple[CTexels, KeptArrays]:
+    kept = KeptArrays()
     starts = np.cumsum([0, *(width * height for width, height in sizes[:-1])])
     widths, heights = np.array(sizes).T
     return CTexels(

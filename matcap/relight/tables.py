@@ -45,8 +45,8 @@ class Albedo:
         """Values of fine_total or fine_bias at cosines, linear between those tabulated."""
         x = np.sqrt(np.asarray(mu, dtype=np.float32)) * np.float32(_SIZE - 1)
         j = np.floor(x)
-        found = np.take(fine, (rows + j).astype(np.intp), mode="clip")
-        values: Array = found.real + (x - j) * found.imag
+        value = np.take(fine, (rows + j).astype(np.intp), mode="clip")
+        values: Array = value.real + (x - j) * value.imag
         return values
 
     @cached_property

@@ -64,8 +64,8 @@ class Texture:
         slopes = -normal[:2] / normal[2:]
 
         def array(tensor: object) -> HorizonMap:
-            found: HorizonMap = tensor.detach().cpu().float().contiguous().numpy()  # type: ignore[attr-defined]
-            return found
+            plane: HorizonMap = tensor.detach().cpu().float().contiguous().numpy()  # type: ignore[attr-defined]
+            return plane
 
         check_heights(array(maps.height), "the material")
         return Texture(

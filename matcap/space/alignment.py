@@ -110,9 +110,13 @@ def tilt_measurement(photo: Photo, branch: Alignment | None = None) -> TiltMeasu
         out = photo.left_out[..., None]
         pixels = np.where(out, np.median(pixels[~photo.left_out], axis=0), pixels)
     known = torch.tensor([photo.fov_source != "assumed"])
-    told = conditions(torch.tensor([photo.fov]), known, torch.tensor([photo.radiometric]))
+    known_conditions = conditions(
+        torch.tensor([photo.fov]), known, torch.tensor([photo.radiometric])
+    )
     with torch.inference_mode():
-        mean, log_std = (branch or _shipped())(picture(pixels, WIDTH)[None], told.float())
+        mean, log_std = (branch or _shipped())(
+            picture(pixels, WIDTH)[None], known_conditions.float()
+        )
     (x, y), (std_x, std_y) = mean[0].tolist(), log_std[0].exp().tolist()
     return TiltMeasurement(x, y, std_x, std_y)
 

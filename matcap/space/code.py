@@ -72,14 +72,14 @@ def tuned_of(material: Material, prior: Prior | None = None) -> TunedDecoder:
 def _seen(material: Material) -> _Seen:
     maps = next((m for m in (g.piece() for g in material.generators.values()) if m), None)
     try:
-        told = material.provenance["coarse"]
-        red, green, blue = (float(v) for v in told["diffuse"])
+        stored = material.provenance["coarse"]
+        red, green, blue = (float(v) for v in stored["diffuse"])
         coarse = CoarseFit(
             (red, green, blue),
-            float(told["specular"]),
-            float(told["roughness"]),
+            float(stored["specular"]),
+            float(stored["roughness"]),
             replace(material.setup, turned=False),
-            float(told["residual"]),
+            float(stored["residual"]),
         )
     except DAMAGED as error:
         raise _unplaced(material) from error

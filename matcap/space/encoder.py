@@ -99,8 +99,8 @@ class Encoder(nn.Module):
         """
         features = self.features(picture.contiguous(memory_format=torch.channels_last))
         pooled = pool(features)
-        told = self.numbers(torch.cat([numbers, texture], dim=1)).float()
-        hidden = self.hidden(torch.cat([pooled, told], dim=1))
+        embedded = self.numbers(torch.cat([numbers, texture], dim=1)).float()
+        hidden = self.hidden(torch.cat([pooled, embedded], dim=1))
         mean, log_variance = self.head(hidden).float().chunk(2, dim=1)
         return mean, log_variance.clamp(_LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE)
 

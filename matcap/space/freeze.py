@@ -170,9 +170,9 @@ class FoldedDecoder:
         for level, (first, *others) in zip(reversed(range(DEPTH)), self.up, strict=True):
             joined = (rows.joined[level], columns.joined[level])
             below = cut(features, (rows.risen[level + 1], columns.risen[level + 1]), covered)
-            beside = cut(skips[level], joined, (rows.skips[level], columns.skips[level]))
+            skip = cut(skips[level], joined, (rows.skips[level], columns.skips[level]))
             waves = [field.waves[level]] if self.has_waves else []
-            features = first.valid(steps, double(below), beside, *waves)
+            features = first.valid(steps, double(below), skip, *waves)
             for layer in others:
                 features = layer.valid(steps, features)
             covered = (joined[0].grown(-1 - len(others)), joined[1].grown(-1 - len(others)))

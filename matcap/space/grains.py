@@ -93,9 +93,9 @@ def _cellular(patch: Patch, spacing: tuple[int, int], seed: int) -> tuple[Tensor
     first = torch.full(patch.shape, 9.0)
     second, number = first.clone(), torch.zeros(patch.shape)
     for down in range(3):
-        beside = points[:, rows.place + down]
+        row_points = points[:, rows.place + down]
         for across in range(3):
-            x, y, own = beside[:, :, columns.place + across]
+            x, y, own = row_points[:, :, columns.place + across]
             x += (across - 1.0 - columns.within)[None, :]
             y += (down - 1.0 - rows.within)[:, None]
             squared = x.mul_(x).add_(y.mul_(y))

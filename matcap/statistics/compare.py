@@ -134,14 +134,14 @@ def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
     )
 
 
-def distance(found: Descriptor, target: Descriptor, weights: Weights) -> Tensor:
+def distance(sample: Descriptor, target: Descriptor, weights: Weights) -> Tensor:
     """(B,) how far apart windows look; 0 for the same statistics, about 1 for unlike textures."""
-    total = weights.mean * (found.mean - target.mean).abs().mean(dim=1)
+    total = weights.mean * (sample.mean - target.mean).abs().mean(dim=1)
     for weight, ours, theirs in (
-        (weights.gram, found.grams, target.grams),
-        (weights.cross, found.crosses, target.crosses),
-        (weights.spectrum, found.spectra, target.spectra),
-        (weights.histogram, found.quantiles, target.quantiles),
+        (weights.gram, sample.grams, target.grams),
+        (weights.cross, sample.crosses, target.crosses),
+        (weights.spectrum, sample.spectra, target.spectra),
+        (weights.histogram, sample.quantiles, target.quantiles),
     ):
         for one, other in zip(ours, theirs, strict=True):
             total = total + weight / len(theirs) * _relative(one, other)
@@ -155,10 +155,10 @@ def _middle(level: Tensor) -> Tensor:
     return level[..., y : y + min(height, COMPARE.largest), x : x + min(width, COMPARE.largest)]
 
 
-def _relative(found: Tensor, target: Tensor) -> Tensor:
+def _relative(sample: Tensor, target: Tensor) -> Tensor:
     """(B,) L1 difference as a share of the target's L1 size."""
     size = target.abs().flatten(1).mean(dim=1)
-    return (found - target).abs().flatten(1).mean(dim=1) / size.clamp_min(UNSEEN)
+    return (sample - target).abs().flatten(1).mean(dim=1) / size.clamp_min(UNSEEN)
 
 
 def _quantiles(level: Tensor) -> Tensor:

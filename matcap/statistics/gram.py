@@ -38,8 +38,8 @@ def moments(features: Sequence[Tensor], *, crossed: bool) -> tuple[Matrices, Mat
         their middles meet.
     """
     # torch leaves apply untyped.
-    found: Matrices = _Moments.apply(crossed, *features)  # type: ignore[no-untyped-call]
-    return found[: len(features)], found[len(features) :]
+    matrices: Matrices = _Moments.apply(crossed, *features)  # type: ignore[no-untyped-call]
+    return matrices[: len(features)], matrices[len(features) :]
 
 
 class _Moments(torch.autograd.Function):

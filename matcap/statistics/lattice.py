@@ -125,12 +125,12 @@ def _whole_periods(waves: tuple[Wave, ...], colour: Tensor, valid: Tensor) -> tu
     for the windows, has its peaks at 29. Moved by 29 texels it is less like itself than by 87.
     """
     alike = _alike(colour, valid)
-    found = []
+    fundamentals = []
     for wave, (x, y) in zip(waves, _periods(waves), strict=True):
         likeness = {m: alike(m * x, m * y) for m in LATTICE.multiples}
         times = max(LATTICE.multiples, key=lambda m: likeness[m] - LATTICE.clearly * (m > 1))
-        found.append(Wave(wave.fx / times, wave.fy / times))
-    return tuple(found)
+        fundamentals.append(Wave(wave.fx / times, wave.fy / times))
+    return tuple(fundamentals)
 
 
 def _periods(waves: tuple[Wave, ...]) -> list[tuple[float, float]]:
@@ -217,11 +217,11 @@ def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
     # A median is dear: only where there is a maximum.
     background = patches[:, row, column].median(dim=0).values
     mass = sums[row, column] - 9.0 * background
-    found = (full[row, column] > LATTICE.peak_ratio * background) & (
+    is_peak = (full[row, column] > LATTICE.peak_ratio * background) & (
         2.0 * mass > LATTICE.least_share * total
     )
     peaks = []
-    for y, x, power in zip(*(v[found].tolist() for v in (row, column, mass)), strict=True):
+    for y, x, power in zip(*(v[is_peak].tolist() for v in (row, column, mass)), strict=True):
         fy, fx = _refine(full, y, x)
         peaks.append((fx - middle, fy - middle, 2.0 * power))
     peaks.sort(key=lambda peak: -peak[2])
@@ -251,14 +251,14 @@ def _refine(full: Tensor, row: int, column: int) -> tuple[float, float]:
 
 def _candidates(peaks: list[tuple[float, float]]) -> list[tuple[float, float]]:
     """Waves that may generate the lattice: peaks, their halves, half sums and differences."""
-    found = list(peaks)
+    candidates = list(peaks)
     for fx, fy in peaks[:6]:
-        found.append((fx / 2.0, fy / 2.0))
+        candidates.append((fx / 2.0, fy / 2.0))
     for (ax, ay), (bx, by) in itertools.combinations(peaks[:6], 2):
-        found += [((ax + bx) / 2.0, (ay + by) / 2.0), ((ax - bx) / 2.0, (ay - by) / 2.0)]
-        found += [(ax - bx, ay - by)]
+        candidates += [((ax + bx) / 2.0, (ay + by) / 2.0), ((ax - bx) / 2.0, (ay - by) / 2.0)]
+        candidates += [(ax - bx, ay - by)]
     least = LATTICE.window / LATTICE.longest
-    return [(fx, fy) for fx, fy in found if (fx * fx + fy * fy) ** 0.5 >= least]
+    return [(fx, fy) for fx, fy in candidates if (fx * fx + fy * fy) ** 0.5 >= least]
 
 
 def _cell(basis: tuple[tuple[float, float], ...]) -> float:

@@ -58,11 +58,11 @@ class Vgg19(nn.Module):
         features = ((srgb_encode_tensor(linear.clamp(0.0, 1.0)) - mean) / deviation).contiguous(
             memory_format=torch.channels_last
         )
-        found, convolution = [], -1
+        activations, convolution = [], -1
         for layer in self.features:
             features = layer(features)
             if isinstance(layer, nn.Conv2d):
                 convolution += 1
             elif isinstance(layer, nn.ReLU) and convolution in _LOOKED_AT:
-                found.append(features)
-        return found
+                activations.append(features)
+        return activations

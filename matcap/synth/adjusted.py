@@ -55,8 +55,8 @@ class AdjustedSource:
         """Stacked maps of a block and its ring."""
         import torch
 
-        found = self.source.maps(block)
-        return torch.from_numpy(adjusted_planes(found.cpu().numpy(), self.adjustments))
+        maps = self.source.maps(block)
+        return torch.from_numpy(adjusted_planes(maps.cpu().numpy(), self.adjustments))
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
         """(9 or 11, height, width) of a block: its maps and the normal."""

@@ -48,13 +48,15 @@ def open_field(asked: SynthRequest) -> tuple[SynthRequest, OpenedField]:
     """
     if asked.tile == "piece":
         _check_piece(asked)
-    held = None
+    exemplified = None
     if isinstance(asked.material, Path) and asked.growth is None:
-        held = None if asked.read.generator == "decoder" else read_exemplified(asked.material)
+        exemplified = (
+            None if asked.read.generator == "decoder" else read_exemplified(asked.material)
+        )
     if asked.growth is not None:
         source, name, provenance, choice = _blend(asked, asked.growth)
-    elif held is not None:
-        source, name, provenance, choice = _of_exemplar(asked, held)
+    elif exemplified is not None:
+        source, name, provenance, choice = _of_exemplar(asked, exemplified)
     else:
         source, name, provenance, choice = _of_material(asked)
     if choice is None:
@@ -81,19 +83,19 @@ def _refuse_networks_options(asked: SynthRequest) -> None:
         )
 
 
-_Found = tuple["Source", str, dict[str, Any], "ChosenPrecision | None"]
+_FieldParts = tuple["Source", str, dict[str, Any], "ChosenPrecision | None"]
 
 
-def _of_exemplar(asked: SynthRequest, held: Exemplified) -> _Found:
+def _of_exemplar(asked: SynthRequest, exemplified: Exemplified) -> _FieldParts:
     """Without PyTorch."""
-    example = held.example
+    example = exemplified.example
     if asked.tile == "piece":
-        return example.repeating_source(), held.name, dict(held.provenance), None
+        return example.repeating_source(), exemplified.name, dict(exemplified.provenance), None
     source = example.varied(asked.read.variety).source(asked.seed, asked.period)
-    return source, held.name, dict(held.provenance), None
+    return source, exemplified.name, dict(exemplified.provenance), None
 
 
-def _of_material(asked: SynthRequest) -> _Found:
+def _of_material(asked: SynthRequest) -> _FieldParts:
     from matcap.example.repeat.source import RepeatedSource
     from matcap.field.field import Field
     from matcap.field.source import Network
@@ -114,7 +116,7 @@ def _of_material(asked: SynthRequest) -> _Found:
     return choice.source, name, provenance, choice
 
 
-def _blend(asked: SynthRequest, growth: Growth) -> _Found:
+def _blend(asked: SynthRequest, growth: Growth) -> _FieldParts:
     """The first material where the mask is black, the second where it is white."""
     from matcap.field.device import find_device
     from matcap.synth.blend import blend_source
@@ -128,15 +130,15 @@ def _blend(asked: SynthRequest, growth: Growth) -> _Found:
         find_device(asked.device), asked.read.generator,
     )  # fmt: skip
     choice = choose(between, asked.precision)
-    told = {"blend": [start.name, end.name], "mask_over": list(astuple(over))}
-    return choice.source, start.name, dict(start.provenance) | told, choice
+    mask_provenance = {"blend": [start.name, end.name], "mask_over": list(astuple(over))}
+    return choice.source, start.name, dict(start.provenance) | mask_provenance, choice
 
 
 def _loaded(material: Path | Material, asked: SynthRequest) -> Material:
     from matcap.field.material import Material
 
-    found = Material.load(material) if isinstance(material, Path) else material
-    return found.by(asked.read.generator).varied(asked.read.variety)
+    opened = Material.load(material) if isinstance(material, Path) else material
+    return opened.by(asked.read.generator).varied(asked.read.variety)
 
 
 def _check_piece(asked: SynthRequest) -> None:

@@ -50,7 +50,7 @@ class PictureFile:
 
     def places(self, kind: str) -> list[int]:
         """Which channels of the layout a map has, in its own order; none of another file's."""
-        own = [place for place, found in enumerate(self.kinds) if found == kind]
+        own = [place for place, stored in enumerate(self.kinds) if stored == kind]
         return sorted(own, key=lambda place: self.planes[place])
 
 
@@ -96,13 +96,13 @@ def pictures_of(
         PictureFile(
             file,
             Layout(
-                *size, tuple(Channel(c, kind != "height") for c, _, kind in sorted(found)),
+                *size, tuple(Channel(c, kind != "height") for c, _, kind in sorted(channels_at)),
                 mipmap, wrap,
             ),
-            tuple(plane for _, plane, _ in sorted(found)),
-            tuple(kind for _, _, kind in sorted(found)),
+            tuple(plane for _, plane, _ in sorted(channels_at)),
+            tuple(kind for _, _, kind in sorted(channels_at)),
         )
-        for file, found in places.items()
+        for file, channels_at in places.items()
     )  # fmt: skip
 
 

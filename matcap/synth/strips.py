@@ -59,8 +59,8 @@ def _write_png(
         raise OSError(errno.EIO, oiio.geterror())
     done = True
     for rows in _strips(file):
-        found = read_planes(file, 0, (rows, slice(0, layout.width)))
-        pixels = np.stack([found[place] for place in places], axis=-1)
+        planes = read_planes(file, 0, (rows, slice(0, layout.width)))
+        pixels = np.stack([planes[place] for place in places], axis=-1)
         values = coded(kind, pixels.astype(np.float32), *heights)
         whole = np.rint(np.clip(values, 0.0, 1.0) * 65535.0).astype(np.uint16)
         done = done and output.write_scanlines(rows.start, rows.stop, 0, whole)

@@ -23,7 +23,7 @@ def synthesise(
     asked: SynthRequest,
     folder: str | Path,
     work: Work | None = None,
-    told: Callable[[ChosenPrecision], None] = lambda choice: None,
+    on_precision: Callable[[ChosenPrecision], None] = lambda choice: None,
 ) -> Path:
     """Write it into a folder, all of its files or none; returns the JSON file.
 
@@ -31,7 +31,7 @@ def synthesise(
         asked: what.
         folder: where to; made when missing.
         work: who does it, and with whom to tell how far it is.
-        told: called with a network's precision, once it is chosen.
+        on_precision: called with a network's precision, once it is chosen.
 
     Raises:
         UsageError: a size or repeat out of range, a device that is not there.
@@ -44,7 +44,7 @@ def synthesise(
     if work.scheduler and asked.device == "auto":
         # A cluster's machines may have no CUDA device, and their blocks must be alike.
         asked = replace(asked, device="cpu")
-    asked, found = open_field(asked)
-    if found.choice is not None:
-        told(found.choice)
-    return write_field(asked, found, folder, work)
+    asked, opened = open_field(asked)
+    if opened.choice is not None:
+        on_precision(opened.choice)
+    return write_field(asked, opened, folder, work)

@@ -47,8 +47,10 @@ def crew(source: Source, workers: int, jobs: int, scheduler: str | None = None) 
     """
     if scheduler is not None:
         with Cluster(scheduler) as machines:
-            held = machines.shared(pack(source))
-            yield Crew(partial(machines.submit, _render_alone, held), _AHEAD * machines.threads)
+            shared_source = machines.shared(pack(source))
+            yield Crew(
+                partial(machines.submit, _render_alone, shared_source), _AHEAD * machines.threads
+            )
     elif workers == 1 or jobs <= _FEW or source.device_type != "cpu":
         with single_threaded(workers) as pool:
             yield Crew(lambda job: pool.submit(rendered, source, job), _AHEAD * workers)

@@ -102,11 +102,11 @@ class SmallerForms:
         stride, means = self._means(bits)
         rows = np.minimum(y // stride, means.shape[1] - 1)
         columns = np.minimum(x // stride, means.shape[2] - 1)
-        found = means[:, rows, columns]
+        averaged = means[:, rows, columns]
         if level > bits:
             # Of n independent squares the mean is sqrt(n) times nearer to that of all.
-            found = self._mean + (found - self._mean) * np.float32(2.0 ** (bits - level))
-        return found
+            averaged = self._mean + (averaged - self._mean) * np.float32(2.0 ** (bits - level))
+        return averaged
 
     def _of(self, bits: int) -> tuple[int, Planes]:
         """Squares that begin at every fourth of their side: the stride, and their means."""
@@ -158,8 +158,8 @@ class NetworkFromAfar:
         return _coarser(moments_of(cut, self.texel_size), level)
 
     def _decoded(self, block: Rectangle) -> Planes:
-        found: Planes = self.source.maps(block).numpy()
-        return found
+        planes: Planes = self.source.maps(block).numpy()
+        return planes
 
     @cached_property
     def _tile(self) -> Pyramid:

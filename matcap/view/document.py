@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any
 from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import UsageError
 from matcap.example.example import Example
-from matcap.view.beside import Beside, EncodedPicture
 from matcap.view.enclosed import packed_piece, packed_tile
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH
+from matcap.view.references import EncodedPicture, References
 from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def page_file(name: str) -> str:
 
 
 def served_page(
-    facts: ViewFacts, beside: Beside, adjust: Adjustments = NONE, *, library: bool = False
+    facts: ViewFacts, references: References, adjust: Adjustments = NONE, *, library: bool = False
 ) -> str:
     """The document that fetches scripts and pages from its server.
 
@@ -68,9 +68,9 @@ def served_page(
 
     head = f'<link rel="stylesheet" href="{STYLE}">'
     scripts = f'<script type="module" src="{SCRIPTS[-1]}"></script>'
-    about = _about(facts, adjust, beside) | {
-        "photo": beside.photo and "photo",
-        "doubt": beside.doubt and "doubt",
+    about = _about(facts, adjust, references) | {
+        "photo": references.photo and "photo",
+        "doubt": references.doubt and "doubt",
         "tile": None,
         "enclosed": None,
         "piece_level": 0,
@@ -83,7 +83,7 @@ def served_page(
 def sealed_page(
     subject: Viewable,
     size: int = DEFAULT_TILE,
-    beside: Beside | None = None,
+    references: References | None = None,
     adjust: Adjustments = NONE,
 ) -> str:
     """One self-contained document: a tile of the subject that repeats without a seam.
@@ -106,10 +106,10 @@ def sealed_page(
         f"<style>\n{page_file(STYLE)}</style>"
     )
     scripts = f'<script type="module">\n{_joined_scripts()}</script>'
-    beside = beside or Beside()
-    about = _about(facts, adjust, beside) | {
-        "photo": beside.photo and _data_url(beside.photo),
-        "doubt": beside.doubt and _data_url(beside.doubt),
+    references = references or References()
+    about = _about(facts, adjust, references) | {
+        "photo": references.photo and _data_url(references.photo),
+        "doubt": references.doubt and _data_url(references.doubt),
         "second": "",
         "period": list(maps.size),
         "tile": packed_tile(maps),
@@ -175,9 +175,9 @@ def _tile(subject: Viewable, size: int) -> MapSet:
     return subject.maps
 
 
-def _about(facts: ViewFacts, adjust: Adjustments, beside: Beside) -> dict[str, Any]:
+def _about(facts: ViewFacts, adjust: Adjustments, references: References) -> dict[str, Any]:
     form = {"width": WIDTH, "height": PAGE_HEIGHT, "apron": APRON, "mips": MIPS}
-    return asdict(facts) | {"page": form, "adjust": adjust.text, "verdict": beside.verdict}
+    return asdict(facts) | {"page": form, "adjust": adjust.text, "verdict": references.verdict}
 
 
 def _joined_scripts() -> str:

@@ -16,8 +16,8 @@ from matcap.brdf.folder import find_mapsets
 from matcap.errors import MatcapError
 from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.field.plane import Rectangle
-from matcap.view.beside import Beside, find_beside, read_verdict
 from matcap.view.pages import APRON, Page, packed
+from matcap.view.references import References, find_references, read_verdict
 from matcap.view.subject import Materials
 
 if TYPE_CHECKING:
@@ -64,15 +64,15 @@ class Library:
         """
         return self._kept(first, second)
 
-    def beside(self, index: int) -> Beside:
+    def references(self, index: int) -> References:
         """What is shown beside one of them."""
         file = self.files[index]
         subject = self.subject(index)
         # A photograph that cannot be read any more does not hide the material.
         try:
-            return find_beside(file, file.stem, None, subject.first)
+            return find_references(file, file.stem, None, subject.first)
         except MatcapError:
-            return Beside(verdict=read_verdict(file.parent))
+            return References(verdict=read_verdict(file.parent))
 
     def swatch(self, index: int) -> Page:
         """Of one of them.
@@ -119,7 +119,7 @@ def numbers(name: str, count: int) -> tuple[int, int | None] | None:
     parts = name.split("+")
     if len(parts) > 2 or not all(part.isascii() and part.isdigit() for part in parts):
         return None
-    found = [int(part) for part in parts if len(part) < 9]
-    if len(found) < len(parts) or max(found) >= count:
+    indices = [int(part) for part in parts if len(part) < 9]
+    if len(indices) < len(parts) or max(indices) >= count:
         return None
-    return found[0], found[1] if len(found) > 1 else None
+    return indices[0], indices[1] if len(indices) > 1 else None

@@ -27,15 +27,15 @@ def moments_of(stacked: Planes, texel_size: float) -> Planes:
     *_, roughness, height = stacked
     inner = stacked[:, RING:-RING, RING:-RING]
     step = np.float32(0.5 / texel_size)
-    found = np.empty((len(stacked) + 3, *inner.shape[1:]), np.float32)
-    found[ALBEDO] = inner[:-2]
+    moments = np.empty((len(stacked) + 3, *inner.shape[1:]), np.float32)
+    moments[ALBEDO] = inner[:-2]
     rough = np.maximum(roughness[RING:-RING, RING:-RING], _LEAST_ROUGHNESS)
-    found[ALPHA2] = np.square(np.square(rough))
-    found[SLOPE_X] = (height[RING:-RING, 2 * RING :] - height[RING:-RING, : -2 * RING]) * step
-    found[SLOPE_Y] = (height[: -2 * RING, RING:-RING] - height[2 * RING :, RING:-RING]) * step
-    found[SQUARES] = np.square(found[SLOPE_X]) + np.square(found[SLOPE_Y])
-    found[HEIGHT] = inner[-1]
-    return found
+    moments[ALPHA2] = np.square(np.square(rough))
+    moments[SLOPE_X] = (height[RING:-RING, 2 * RING :] - height[RING:-RING, : -2 * RING]) * step
+    moments[SLOPE_Y] = (height[: -2 * RING, RING:-RING] - height[2 * RING :, RING:-RING]) * step
+    moments[SQUARES] = np.square(moments[SLOPE_X]) + np.square(moments[SLOPE_Y])
+    moments[HEIGHT] = inner[-1]
+    return moments
 
 
 def halved(moments: Planes) -> Planes:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError
-from matcap.view.beside import Beside
 from matcap.view.pages import Pages, Place
+from matcap.view.references import References
 from matcap.view.server import Address, make_app, make_library, new_address
 from matcap.view.subject import Viewable
 
@@ -29,7 +29,7 @@ def serve(
     subject: Viewable,
     *,
     port: int = 0,
-    beside: Beside | None = None,
+    references: References | None = None,
     adjust: Adjustments = NONE,
     opens: bool = True,
     announce: Callable[[str], None],
@@ -50,7 +50,7 @@ def serve(
 
     def open_app(address: Address, opened: ExitStack) -> Starlette:
         pages = _begun(subject, opened)
-        return make_app(subject, pages, address, beside, adjust)
+        return make_app(subject, pages, address, references, adjust)
 
     _run(open_app, port, opens=opens, announce=announce)
 

@@ -18,7 +18,6 @@ from urllib.parse import quote
 
 from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError, UsageError
-from matcap.view.beside import Beside
 from matcap.view.document import (
     LIBRARY_SCRIPT,
     SCRIPTS,
@@ -30,6 +29,7 @@ from matcap.view.document import (
 from matcap.view.exporting import wish_of, zipped
 from matcap.view.library import Library, numbers
 from matcap.view.pages import Page, Pages, Place
+from matcap.view.references import References
 from matcap.view.subject import Viewable
 from matcap.view.surroundings import LARGEST_FILE, decoded
 
@@ -81,7 +81,7 @@ def make_app(
     subject: Viewable,
     pages: Pages,
     address: Address,
-    beside: Beside | None = None,
+    references: References | None = None,
     adjust: Adjustments = NONE,
 ) -> Starlette:
     """The server's application for one subject.
@@ -93,7 +93,7 @@ def make_app(
         beside: what is shown beside it.
         adjust: what is changed first.
     """
-    return _guarded(_subject_routes(subject, pages, beside or Beside(), adjust), address)
+    return _guarded(_subject_routes(subject, pages, references or References(), adjust), address)
 
 
 def make_library(library: Library, name: str, address: Address, pages: PagesOf) -> Starlette:
@@ -120,15 +120,15 @@ def make_library(library: Library, name: str, address: Address, pages: PagesOf) 
         if wanted is None:
             return PlainTextResponse("There is no such material.", 404)
         try:
-            found = await asyncio.to_thread(library.swatch, wanted[0])
+            page = await asyncio.to_thread(library.swatch, wanted[0])
         except MatcapError as error:
             return PlainTextResponse(str(error), 400)
-        return _page_answer(found)
+        return _page_answer(page)
 
     def open_one(first: int, second: int | None) -> Starlette:
         subject = library.subject(first, second)
-        beside = library.beside(first)
-        routes = _subject_routes(subject, pages(subject), beside, library.adjust, library=True)
+        references = library.references(first)
+        routes = _subject_routes(subject, pages(subject), references, library.adjust, library=True)
         return Starlette(routes=routes)
 
     async def material(scope: Scope, receive: Receive, send: Send) -> None:
@@ -181,7 +181,7 @@ def _parts(names: Sequence[str]) -> Callable[[Request], Awaitable[Response]]:
 def _subject_routes(
     subject: Viewable,
     pages: Pages,
-    beside: Beside,
+    references: References,
     adjust: Adjustments,
     *,
     library: bool = False,
@@ -189,17 +189,17 @@ def _subject_routes(
     from starlette.responses import HTMLResponse, PlainTextResponse, Response
     from starlette.routing import Route
 
-    page = served_page(subject.facts, beside, adjust, library=library)
-    pictures = {"photo": beside.photo, "doubt": beside.doubt}
+    page = served_page(subject.facts, references, adjust, library=library)
+    pictures = {"photo": references.photo, "doubt": references.doubt}
 
     async def whole(_: Request) -> Response:
         return HTMLResponse(page)
 
     async def picture(request: Request) -> Response:
-        found = pictures[request.url.path.rpartition("/")[2]]
-        if found is None:
+        wanted = pictures[request.url.path.rpartition("/")[2]]
+        if wanted is None:
             return PlainTextResponse("There is no such picture.", 404)
-        return Response(found.data, media_type=found.kind)
+        return Response(wanted.data, media_type=wanted.kind)
 
     async def alive(_: Request) -> Response:
         return Response(status_code=204)
@@ -232,12 +232,12 @@ def _subject_routes(
 
     async def piece(request: Request) -> Response:
         try:
-            found = await _waited(pages, place_of(request.query_params), request)
+            wanted = await _waited(pages, place_of(request.query_params), request)
         except MatcapError as error:
             return PlainTextResponse(str(error), 400)
-        if found is None:
+        if wanted is None:
             return PlainTextResponse("Nobody waits for it.", 499)
-        return _page_answer(found)
+        return _page_answer(wanted)
 
     return [
         Route("/", whole),

@@ -295,5 +295,5 @@ def open_subject(
 def _material_in(path: Path) -> Path | None:
     if path.suffix.lower() == ".matcap":
         return path
-    found = sorted(path.glob("*.matcap")) if path.is_dir() else []
-    return found[0] if len(found) == 1 else None
+    files = sorted(path.glob("*.matcap")) if path.is_dir() else []
+    return files[0] if len(files) == 1 else None

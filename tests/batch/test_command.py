@@ -34,7 +34,7 @@ def test_a_dry_run_predicts_from_a_trial_and_writes_nothing(shoot, tmp_path, cap
     told = json.loads(capsys.readouterr().out)
     assert (told["todo"], told["seconds"], told["disk_bytes"]) == (1, 30.0, 5_000_000)
     assert [row["status"] for row in told["materials"]] == ["to do"]
-    assert told["materials"][0]["beside"][0].endswith("leather.jpg")
+    assert told["materials"][0]["superseded"][0].endswith("leather.jpg")
     assert not out.exists()
     assert main(["batch", str(shoot), "-o", str(out), "--dry-run"]) == 0
     text = capsys.readouterr().out

@@ -24,9 +24,9 @@ def test_a_raw_and_its_jpeg_are_one_photograph(tmp_path):
     found = find_samples(tmp_path)
     assert names(found) == ["a", "b", "c", "sub-a"]
     assert found[0].photos == (tmp_path / "a.DNG",)
-    assert found[0].beside == (tmp_path / "A.jpg",)
+    assert found[0].superseded == (tmp_path / "A.jpg",)
     assert found[2].photos == (tmp_path / "c.nef",)
-    assert found[3].beside == ()
+    assert found[3].superseded == ()
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def test_a_raw_and_its_jpeg_are_one_photograph(tmp_path):
 def test_a_pixel_s_raw_and_its_cover_are_one_photograph(tmp_path, raw, developed):
     touch(tmp_path, raw, developed, "PXL_20251115_140016.MP.jpg", "wall.cover.jpg", "wall.dng")
     found = find_samples(tmp_path)
-    assert [(one.photos, one.beside) for one in found] == [
+    assert [(one.photos, one.superseded) for one in found] == [
         ((tmp_path / raw,), (tmp_path / developed,)),
         ((tmp_path / "PXL_20251115_140016.MP.jpg",), ()),
         ((tmp_path / "wall.cover.jpg",), ()),  # no Pixel's name: two photographs
@@ -93,7 +93,7 @@ def test_grouped_by_folder(tmp_path):
     found = find_samples(tmp_path, group="dir")
     assert [len(sample.photos) for sample in found] == [1, 2, 1]
     assert names(found) == [tmp_path.name, "one", "two"]
-    assert found[2].beside == (tmp_path / "two/a.jpg",)
+    assert found[2].superseded == (tmp_path / "two/a.jpg",)
 
 
 def test_grouped_by_name(tmp_path):

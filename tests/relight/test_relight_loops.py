@@ -303,7 +303,7 @@ def test_mirrored_surroundings(relief, whole, tmp_path, hides, even, thrifty):
     else:
         expected = plain.environment.differing(sky, lobe, 144, test)
     relief.horizons.see(block.column, block.row)
-    horizon = relief.horizons.told(thrifty=thrifty)
+    horizon = relief.horizons.as_c(thrifty=thrifty)
     if not hides:
         horizon.tangents = None
     found = environment._sampled(block, sky, horizon, np.arange(200, dtype=np.int32))

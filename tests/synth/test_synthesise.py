@@ -17,7 +17,7 @@ from matcap.synth.synthesise import synthesise
 def test_a_request_is_written_as_the_field_reads(material, tmp_path):
     told = []
     asked = SynthRequest(material, Rectangle(-20, 7, 48, 32), seed=3)
-    file = synthesise(asked, tmp_path / "set", told=told.append)
+    file = synthesise(asked, tmp_path / "set", on_precision=told.append)
     maps, document = read_mapset(file)
     expected = material.maps(48, 32, seed=3, x=-20, y=7)
     torch.testing.assert_close(maps.height, expected.height)

@@ -40,8 +40,8 @@ from matcap.flash.render import render_rectified
 from matcap.relight.output import encode
 from matcap.relight.scene import EnvironmentLight, Film
 from matcap.space.between import blend
-from matcap.view.beside import Beside, EncodedPicture, doubt_picture
 from matcap.view.document import sealed_page
+from matcap.view.references import EncodedPicture, References, doubt_picture
 from matcap.view.subject import Maps, Materials
 
 PLANES = [
@@ -561,7 +561,7 @@ def photographed():
     """A material that knows its piece, and what lies beside it."""
     material = replace(a_material(example=an_example()), setup=SETUP)
     shade = doubt_picture(material.part(Example).exemplar)
-    told = Beside(EncodedPicture(jpeg(), "image/jpeg"), shade, ("usable", "Look at it."))
+    told = References(EncodedPicture(jpeg(), "image/jpeg"), shade, ("usable", "Look at it."))
     return material, told
 
 
@@ -644,7 +644,7 @@ def test_page_fits_its_window(tab, address, size):
 
 def test_enclosed_page_draws_the_same_and_fetches_nothing(tab, material, subject, tmp_path):
     path = tmp_path / "page.html"
-    told = Beside(EncodedPicture(jpeg(), "image/jpeg"))
+    told = References(EncodedPicture(jpeg(), "image/jpeg"))
     path.write_text(sealed_page(subject, 256, told), encoding="utf-8")
     page = tab(path.as_uri())
     shown = picture(page, x=700, y=-900, span=WIDTH, lamp=LAMP)

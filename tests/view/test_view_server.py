@@ -21,10 +21,10 @@ from matcap.field.field import Field
 from matcap.field.plane import Rectangle
 from matcap.files.exr import write_exr
 from matcap.view.afar import ExampleFromAfar, NetworkFromAfar, SmallerForms
-from matcap.view.beside import Beside, EncodedPicture, doubt_picture, read_verdict
 from matcap.view.document import SCRIPTS, STYLE
 from matcap.view.moments import edged, halved, moments_of
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, Pages, Place
+from matcap.view.references import EncodedPicture, References, doubt_picture, read_verdict
 from matcap.view.subject import Maps, Materials
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
@@ -44,7 +44,7 @@ def pages(subject):
 
 @pytest.fixture(scope="module")
 def client(subject, pages):
-    app = server.make_app(subject, pages, ADDRESS, Beside(PHOTO))
+    app = server.make_app(subject, pages, ADDRESS, References(PHOTO))
     return testclient.TestClient(app, base_url=BASE)
 
 

@@ -25,29 +25,29 @@ def least_cut(
     Returns:
         (rows,): the first column of the second copy, at least 1; and the mean cost.
     """
-    beside = differences[:, 1:] + differences[:, :-1] + length  # between columns c and c + 1
+    between = differences[:, 1:] + differences[:, :-1] + length  # between columns c and c + 1
     following = np.roll(differences, -1, axis=0)
     passed = np.cumsum(differences + following + length, axis=1)[:, :-1]
     if not closed:
-        found, cost = _through(beside, passed)
-        return found + 1, cost / len(beside)
+        columns, cost = _through(between, passed)
+        return columns + 1, cost / len(between)
     # Where a cut of two turns passes between them, one of a single turn is begun.
-    twice, _ = _through(np.tile(beside, (2, 1)), np.tile(passed, (2, 1)))
-    start = int(twice[len(beside)])
-    found, cost = _through(beside, passed, start)
-    cost += abs(float(passed[-1, found[-1]] - passed[-1, start]))
-    return found + 1, cost / len(beside)
+    twice, _ = _through(np.tile(between, (2, 1)), np.tile(passed, (2, 1)))
+    start = int(twice[len(between)])
+    columns, cost = _through(between, passed, start)
+    cost += abs(float(passed[-1, columns[-1]] - passed[-1, start]))
+    return columns + 1, cost / len(between)
 
 
 def _through(
-    beside: NDArray[np.floating], passed: NDArray[np.floating], start: int | None = None
+    between: NDArray[np.floating], passed: NDArray[np.floating], start: int | None = None
 ) -> tuple[CutColumns, float]:
     """The cheapest columns, and what they cost; from `start` and back to it where that is given."""
-    rows, columns = beside.shape
-    best = beside[0].astype(np.float64)
+    rows, columns = between.shape
+    best = between[0].astype(np.float64)
     if start is not None:
         best = np.full(columns, np.inf)
-        best[start] = beside[0, start]
+        best[start] = between[0, start]
     came = np.zeros((rows, columns), np.int64)
     order = np.arange(columns)
     for row in range(1, rows):
@@ -58,13 +58,13 @@ def _through(
         rightwards = rightwards + way
         left = rightwards <= leftwards
         came[row] = np.where(left, from_left, from_right)
-        best = np.where(left, rightwards, leftwards) + beside[row]
+        best = np.where(left, rightwards, leftwards) + between[row]
     ends = best if start is None else best + np.abs(passed[-1] - passed[-1, start])
-    found = np.empty(rows, np.int64)
-    found[-1] = int(np.argmin(ends))
+    path = np.empty(rows, np.int64)
+    path[-1] = int(np.argmin(ends))
     for row in range(rows - 1, 0, -1):
-        found[row - 1] = came[row, found[row]]
-    return found, float(best[found[-1]])
+        path[row - 1] = came[row, path[row]]
+    return path, float(best[path[-1]])
 
 
 def _least(

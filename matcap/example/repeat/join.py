@@ -18,9 +18,9 @@ def joined(maps: Floats, x: PieceTexels, y: PieceTexels) -> Floats:
     slope of the whole is lost by that. Of the others, what differs at a cut is spread over a few
     texels by the same equation, held to what is shown there.
     """
-    found = np.stack([_closed(plane, x, y, REPEAT.blur) for plane in maps[:-1]])
-    np.clip(found, 0.0, 1.0, out=found)
-    return np.concatenate([found, _closed(maps[-1], x, y, None)[None]])
+    planes = np.stack([_closed(plane, x, y, REPEAT.blur) for plane in maps[:-1]])
+    np.clip(planes, 0.0, 1.0, out=planes)
+    return np.concatenate([planes, _closed(maps[-1], x, y, None)[None]])
 
 
 def is_cut(x: PieceTexels, y: PieceTexels) -> NDArray[np.bool_]:
@@ -38,12 +38,12 @@ def _closed(plane: Floats, x: PieceTexels, y: PieceTexels, blur: float | None) -
     turns = [np.cos(2.0 * np.pi * np.fft.fftfreq(shown.shape[0]))[:, None]]
     turns += [np.cos(2.0 * np.pi * np.fft.rfftfreq(shown.shape[1]))[None, :]]
     laplacian = 4.0 - 2.0 * turns[0] - 2.0 * turns[1]
-    held = 0.0 if blur is None else 1.0 / blur**2
-    waves = np.fft.rfft2(held * shown - divergence)
+    screening = 0.0 if blur is None else 1.0 / blur**2
+    waves = np.fft.rfft2(screening * shown - divergence)
     if blur is None:
         laplacian[0, 0] = 1.0
         waves[0, 0] = shown.sum()
-    return np.fft.irfft2(waves / (laplacian + held), s=shown.shape).astype(np.float32)
+    return np.fft.irfft2(waves / (laplacian + screening), s=shown.shape).astype(np.float32)
 
 
 def _steps(

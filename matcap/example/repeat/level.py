@@ -20,7 +20,7 @@ def levelled(maps: Floats) -> Floats:
     what is none are each told from their own median: a part with a little more rust than metal is
     no darker for that.
     """
-    found = maps.copy()
+    flattened = maps.copy()
     metal = maps[SPECULAR].max(axis=0) > REPEAT.metal
     kinds = (metal, ~metal) if len(maps[SPECULAR]) == COLOURED else ()
     # All but the height, whose slope closing takes away; light multiplies albedo and F0.
@@ -28,22 +28,22 @@ def levelled(maps: Floats) -> Floats:
     for index in range(roughness + 1):
         if index < roughness:
             logs = np.log(np.maximum(maps[index], _BLACK))
-            found[index] *= np.exp(-_slow(_of_one_kind(logs, kinds)))
+            flattened[index] *= np.exp(-_slow(_of_one_kind(logs, kinds)))
         else:
-            found[index] -= _slow(_of_one_kind(maps[index], kinds))
-    np.clip(found[:-1], 0.0, 1.0, out=found[:-1])
-    return found
+            flattened[index] -= _slow(_of_one_kind(maps[index], kinds))
+    np.clip(flattened[:-1], 0.0, 1.0, out=flattened[:-1])
+    return flattened
 
 
 def _of_one_kind(plane: Floats, kinds: tuple[NDArray[np.bool_], ...]) -> Floats:
     """(H, W) a plane less the median of its kind, at every texel; itself where there are none."""
     if not kinds:
         return plane
-    found = plane.copy()
+    flattened = plane.copy()
     for kind in kinds:
         if kind.any():
-            found[kind] -= np.median(plane[kind])
-    return found
+            flattened[kind] -= np.median(plane[kind])
+    return flattened
 
 
 def _slow(plane: Floats) -> Floats:

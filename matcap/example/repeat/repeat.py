@@ -72,9 +72,9 @@ def repeated(
     straight, along, below = straightened(level, across, down)
     seen = _seen(straight, texel_size)
     x, y = _places(seen, along, below)
-    found, cut = joined(straight, x, y), is_cut(x, y)
-    begins = _usual_line(found, 1), _usual_line(found, 2)
-    return Repeated(np.roll(found, begins, (1, 2)), np.roll(cut, begins, (0, 1)))
+    tile, cut = joined(straight, x, y), is_cut(x, y)
+    begins = _usual_line(tile, 1), _usual_line(tile, 2)
+    return Repeated(np.roll(tile, begins, (1, 2)), np.roll(cut, begins, (0, 1)))
 
 
 def _shifts(seen: Planes, waves: tuple[Frequency, ...]) -> tuple[Shift, Shift, float]:
@@ -96,11 +96,11 @@ def _places(seen: Planes, along: int, below: int) -> tuple[PieceTexels, PieceTex
     rows, columns = np.arange(below), np.arange(seen.shape[2])
     # First what lies above and below, over the whole width; then what lies left and right.
     first, second = copies(_turned(seen), below)
-    upper, _ = least_cut(_apart(first, second), REPEAT.length, closed=False)
+    upper, _ = least_cut(_rms_difference(first, second), REPEAT.length, closed=False)
     down = rows[:, None] + below * (rows[:, None] < upper[None, :])
     shown = seen[:, down, columns[None, :]]
     first, second = copies(shown, along)
-    left, _ = least_cut(_apart(first, second), REPEAT.length, closed=True)
+    left, _ = least_cut(_rms_difference(first, second), REPEAT.length, closed=True)
     across = columns[None, :along] + along * (columns[None, :along] < left[:, None])
     return across, down[rows[:, None], across]
 
@@ -118,9 +118,9 @@ def _usual_line(maps: Floats, axis: int) -> int:
     )
     reach = len(worst) // 2
     # Step i is between lines i and i + 1, the last one that across the border.
-    away = np.abs(np.arange(-1 - reach, reach) + 1)
+    distance = np.abs(np.arange(-1 - reach, reach) + 1)
     near = np.arange(-1 - reach, reach)
-    order = np.argsort(away, kind="stable")
+    order = np.argsort(distance, kind="stable")
     calm = [int(near[i]) for i in order if worst[near[i]] <= REPEAT.calm]
     chosen = calm[0] if calm else int(near[np.argmin(worst[near])])
     return -(chosen + 1)
@@ -136,7 +136,7 @@ def _seen(maps: Floats, texel_size: float) -> Planes:
     return ((planes - scale.offsets[:, None, None]) * factors[:, None, None])[:-1]
 
 
-def _apart(first: Planes, second: Planes) -> NDArray[np.float32]:
+def _rms_difference(first: Planes, second: Planes) -> NDArray[np.float32]:
     return np.sqrt(np.square(first - second).mean(axis=0))
 
 

@@ -18,7 +18,7 @@ Shift = tuple[float, float]  # texels along x (right) and y (down)
 
 
 @dataclass(frozen=True)
-class Found:
+class RatedShift:
     """A shift, and what the least visible cut that closes it costs a line."""
 
     shift: Shift
@@ -43,7 +43,7 @@ def best_shift(
     waves: tuple[Frequency, ...],
     slant: float = 0.0,
     reach: float = REPEAT.turn,
-) -> Found:
+) -> RatedShift:
     """The shift along x that the least visible cut can close.
 
     Args:
@@ -63,20 +63,20 @@ def best_shift(
     if not straight:
         straight, others = list(_straight(table, scale, slant)), list(_any(table, scale))
     usual = float(np.median(table.values)) + 1e-12
-    found = [
-        Found(one.shift, _cost(small, one.shift, scale))
+    rated = [
+        RatedShift(one.shift, _cost(small, one.shift, scale))
         for some in (straight, others)
         for one in _likeliest(some, usual, width, scale)
     ]
-    middle = float(np.median([one.cost for one in found])) + 1e-12
+    middle = float(np.median([one.cost for one in rated])) + 1e-12
     is_straight = {one.shift for one in straight}
 
-    def score(one: Found) -> float:
+    def score(one: RatedShift) -> float:
         dearer = 1.0 if one.shift in is_straight else REPEAT.slanted
         return dearer * one.cost / middle - REPEAT.larger * one.shift[0] / width
 
-    best = min(found, key=score)
-    return best if waves else Found(_refined(planes, best.shift, scale), best.cost)
+    best = min(rated, key=score)
+    return best if waves else RatedShift(_refined(planes, best.shift, scale), best.cost)
 
 
 def _likeliest(some: list[_Candidate], usual: float, width: int, scale: int) -> list[_Candidate]:
@@ -84,13 +84,13 @@ def _likeliest(some: list[_Candidate], usual: float, width: int, scale: int) -> 
     ranked = sorted(
         some, key=lambda one: one.difference / usual - REPEAT.larger * one.shift[0] / width
     )
-    apart: list[_Candidate] = []
+    separate: list[_Candidate] = []
     for one in ranked:
-        if len(apart) == REPEAT.candidates:
+        if len(separate) == REPEAT.candidates:
             break
-        if all(_apart(one, other) > scale for other in apart):
-            apart.append(one)
-    return apart
+        if all(_largest_difference(one, other) > scale for other in separate):
+            separate.append(one)
+    return separate
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def _ordered(
         yield _Candidate((float(shift[0]), float(shift[1])), float(table.values[row, column]))
 
 
-def _apart(one: _Candidate, other: _Candidate) -> float:
+def _largest_difference(one: _Candidate, other: _Candidate) -> float:
     return max(abs(a - b) for a, b in zip(one.shift, other.shift, strict=True))
 
 
@@ -169,8 +169,8 @@ def _cost(planes: Planes, shift: Shift, scale: int) -> float:
     """Of the least visible cut between a piece and itself shifted, a row."""
     along, down = round(shift[0] / scale), round(shift[1] / scale)
     first, second = copies(planes, along, down)
-    apart = np.sqrt(np.square(first - second).mean(axis=0))
-    return least_cut(apart, REPEAT.length, closed=False)[1]
+    difference = np.sqrt(np.square(first - second).mean(axis=0))
+    return least_cut(difference, REPEAT.length, closed=False)[1]
 
 
 def copies(planes: Planes, along: int, down: int = 0) -> tuple[Planes, Planes]:
@@ -191,8 +191,8 @@ def _refined(planes: Planes, shift: Shift, scale: int) -> Shift:
         for column in range(-scale, scale + 1):
             along, down = min(round(shift[0]) + column, most), round(shift[1]) + row
             first, second = copies(planes, along, down)
-            apart = float(np.square(first[:, ::2, ::2] - second[:, ::2, ::2]).mean())
-            best = min(best, (apart, (float(along), float(down))))
+            difference = float(np.square(first[:, ::2, ::2] - second[:, ::2, ::2]).mean())
+            best = min(best, (difference, (float(along), float(down))))
     return best[1]
 
 

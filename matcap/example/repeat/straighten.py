@@ -56,8 +56,8 @@ def straightened(maps: Floats, across: Shift, down: Shift) -> tuple[Floats, int,
     # What lies outside of the piece at its corners is never shown: the borders are cut off.
     inside = (from_x >= 0) & (from_x <= width - 1) & (from_y >= 0) & (from_y <= height - 1)
     rows, columns = _inside(inside)
-    found = _read(maps, from_x[rows, columns], from_y[rows, columns])
-    return found, along, below
+    sheared = _read(maps, from_x[rows, columns], from_y[rows, columns])
+    return sheared, along, below
 
 
 def _inside(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
@@ -74,6 +74,6 @@ def _inside(inside: NDArray[np.bool_]) -> tuple[slice, slice]:
 def _read(maps: Floats, x: NDArray[np.floating], y: NDArray[np.floating]) -> Floats:
     at = np.asarray(x, np.float32), np.asarray(y, np.float32)
     read = [cv2.remap(p, *at, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE) for p in maps]
-    found = np.stack(read).astype(np.float32, copy=False)
-    np.clip(found[:-1], 0.0, 1.0, out=found[:-1])
-    return found
+    planes = np.stack(read).astype(np.float32, copy=False)
+    np.clip(planes[:-1], 0.0, 1.0, out=planes[:-1])
+    return planes

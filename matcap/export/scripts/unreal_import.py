@@ -25,7 +25,7 @@ def sidecar():
 def load(about):
     """The textures by kind, imported with the settings that they need."""
     folder = f"{PLACE}/{about['name']}"
-    found = {}
+    textures = {}
     for kind, file in about["textures"].items():
         task = unreal.AssetImportTask()
         # Of a texture set the first tile is named: Unreal finds the others beside it.
@@ -46,8 +46,8 @@ def load(about):
         texture.set_editor_property("srgb", is_colour)
         texture.set_editor_property("flip_green_channel", kind == "normal_gl")
         unreal.EditorAssetLibrary.save_loaded_asset(texture)
-        found["normal" if kind.startswith("normal") else kind] = texture
-    return found
+        textures["normal" if kind.startswith("normal") else kind] = texture
+    return textures
 
 
 def build(about, textures):

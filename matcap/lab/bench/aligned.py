@@ -115,10 +115,10 @@ def from_foot(maps: MapSet, setup: FlashSetup) -> Tensor:
     return (points[:2] - foot).square().sum(0).sqrt()
 
 
-def _correlation(found: Tensor, true: Tensor) -> float:
-    found, true = found - found.mean(), true - true.mean()
-    scale = float(found.norm() * true.norm())
-    return float((found * true).sum()) / scale if scale > 0.0 else 0.0
+def _correlation(estimate: Tensor, true: Tensor) -> float:
+    estimate, true = estimate - estimate.mean(), true - true.mean()
+    scale = float(estimate.norm() * true.norm())
+    return float((estimate * true).sum()) / scale if scale > 0.0 else 0.0
 
 
 def _mean(values: Tensor) -> float:
@@ -129,7 +129,7 @@ def _mean(values: Tensor) -> float:
 class AlignedSubject:
     """A photograph's true maps, and errors of what was found of it, by method and ring."""
 
-    found: Callable[[str], Mapping[str, AlignedErrors]]
+    errors_by_model: Callable[[str], Mapping[str, AlignedErrors]]
 
 
 def aligned_experiment(
@@ -167,7 +167,7 @@ def aligned_experiment(
         return AlignedSubject(errors)
 
     def run(method: str, ring: str, aligned: AlignedSubject, _seed: int) -> AlignedErrors:
-        return aligned.found(method)[ring]
+        return aligned.errors_by_model(method)[ring]
 
     return Experiment(
         "aligned",

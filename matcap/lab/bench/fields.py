@@ -101,8 +101,8 @@ def fields_experiment(
 def nsd(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
     """Normalised style distance, the mean over samples."""
     light = true.evaluator.flash.intensity
-    found = [true.evaluator.nsd_of(maps, light) for maps in samples]
-    return {"NSD": sum(found) / len(found)}
+    distances = [true.evaluator.nsd_of(maps, light) for maps in samples]
+    return {"NSD": sum(distances) / len(distances)}
 
 
 def variety(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
@@ -127,17 +127,17 @@ def phase(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
 
 def seams(true: TrueExample, samples: Samples) -> Mapping[str, Value]:
     """How far the field's seams show."""
-    exemplar, found = true.example.exemplar, None
+    exemplar, contrast = true.example.exemplar, None
     if samples is true.fields:
         area = Rectangle(*_ELSEWHERE, *samples[0].size)
         places = true.example.places(_SEEDS[0], area, None).astype(np.int64)
         maps = samples[0].stacked().numpy()
-        found = seam_contrast(maps, places, exemplar.stacked(), exemplar.texel_size)
-    told: dict[str, Value] = {}
+        contrast = seam_contrast(maps, places, exemplar.stacked(), exemplar.texel_size)
+    columns: dict[str, Value] = {}
     for name in ("albedo", "slope"):
-        told[f"seam {name}"] = found[name].median if found else math.nan
-        told[f"seam {name} 99 %"] = found[name].high if found else math.nan
-    return told
+        columns[f"seam {name}"] = contrast[name].median if contrast else math.nan
+        columns[f"seam {name} 99 %"] = contrast[name].high if contrast else math.nan
+    return columns
 
 
 def true_example(maps: MapSet) -> Example:
@@ -181,8 +181,8 @@ def phase_off(example: Example) -> float | None:
         places = example.places(0, Rectangle(x, y, 256, 256), None).astype(np.int64) >> bits
         columns, rows = (np.arange(at, at + 256) >> bits for at in (x, y))
         wanted = order.wanted(0, columns[None, :], rows[:, None], (None, None))
-        apart = (order.phases(places[..., 0], places[..., 1]) - wanted).astype(np.int16)
-        turns = np.exp(2j * np.pi * apart.astype(np.float64) / 2**16).mean(axis=(0, 1))
+        difference = (order.phases(places[..., 0], places[..., 1]) - wanted).astype(np.int16)
+        turns = np.exp(2j * np.pi * difference.astype(np.float64) / 2**16).mean(axis=(0, 1))
         worst = max(worst, float(np.abs(np.angle(turns)).max()) / (2.0 * np.pi))
     return worst
 

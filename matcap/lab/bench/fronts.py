@@ -245,9 +245,9 @@ def fronts_experiment(bench: Fronts) -> Experiment[At, CommandOutcome]:
 
 def spent(_at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
     """Seconds of the processor and by the clock, and memory."""
-    told = outcome.spent
+    cost = outcome.spent
     return {
-        "seconds": told["processor"], "megabytes": told["megabytes"], "clock": told["clock"]
+        "seconds": cost["processor"], "megabytes": cost["megabytes"], "clock": cost["clock"]
     }  # fmt: skip
 
 
@@ -308,8 +308,8 @@ def _photographed(specimen: Specimen, bench: Fronts, count: int, pixels: int) ->
 def _inspected(photograph: Path) -> str:
     """What `inspect` says of it that is not good."""
     quality = inspect_file(photograph, _INSPECTED).quality
-    told = [each.name for each in quality.findings if each.verdict.value not in ("good", "note")]
-    return f"{quality.verdict.value}{': ' if told else ''}{', '.join(told)}"
+    remarks = [each.name for each in quality.findings if each.verdict.value not in ("good", "note")]
+    return f"{quality.verdict.value}{': ' if remarks else ''}{', '.join(remarks)}"
 
 
 def _capture(name: str, way: Way, out: Path, at: At, seed: int) -> CommandOutcome:
@@ -333,8 +333,8 @@ def command_of(name: str, photographs: Sequence[Path], folder: Path, seed: int) 
     if name == PAPER:
         return [sys.executable, "-c", _PAPER, first, str(folder / "paper.matcap"), str(seed)]
     given = [str(path) for path in photographs[: way.photographs]]
-    told = ["--quiet", "--seed", str(seed), "--out", str(folder)]
-    return [sys.executable, "-c", _CAPTURE, "capture", *given, *way.options, *told]
+    common = ["--quiet", "--seed", str(seed), "--out", str(folder)]
+    return [sys.executable, "-c", _CAPTURE, "capture", *given, *way.options, *common]
 
 
 def command_spent(command: Sequence[str]) -> dict[str, float]:
@@ -347,8 +347,8 @@ def command_spent(command: Sequence[str]) -> dict[str, float]:
         [sys.executable, clocked.__file__, *command], capture_output=True, text=True, check=False
     )
     if done.returncode:
-        told = done.stderr.strip().splitlines() or ["nothing was said"]
-        raise MatcapError(f"the command failed: {told[-1]}", remedy="run it to see why")
+        lines = done.stderr.strip().splitlines() or ["nothing was said"]
+        raise MatcapError(f"the command failed: {lines[-1]}", remedy="run it to see why")
     used: dict[str, float] = json.loads(done.stdout)
     return used
 
@@ -365,8 +365,8 @@ def _reported(report: Path, kept: Path) -> str:
     text = report.read_text(encoding="utf-8")
     kept.parent.mkdir(parents=True, exist_ok=True)
     kept.write_text(text, encoding="utf-8")
-    told: dict[str, Any] = json.loads(text)["verdict"]
-    return str(told["sentence"]).partition(". ")[0]
+    verdict: dict[str, Any] = json.loads(text)["verdict"]
+    return str(verdict["sentence"]).partition(". ")[0]
 
 
 def _write_sheet(out: Path, subject: str, name: str, pictures: Tensor) -> None:

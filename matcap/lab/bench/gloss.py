@@ -111,25 +111,27 @@ def gloss_experiment(
     return Experiment(
         "gloss",
         {material.name: partial(prepare, material) for material in chosen},
-        {f"{ev:+d} EV": Configuration(partial(_found, ev, exemplar)) for ev in evs},
+        {f"{ev:+d} EV": Configuration(partial(_capture_gloss, ev, exemplar)) for ev in evs},
         (gloss,),
         settings=exemplar,
     )
 
 
-def gloss(subject: tuple[PlainMaterial, Shot], found: Gloss) -> Mapping[str, Value]:
+def gloss(subject: tuple[PlainMaterial, Shot], fitted: Gloss) -> Mapping[str, Value]:
     """As found, and whether roughness is near the true one."""
-    off = found.roughness - subject[0].roughness
+    off = fitted.roughness - subject[0].roughness
     return {
-        "roughness": found.roughness,
+        "roughness": fitted.roughness,
         "off": off,
         "near": float(abs(off) <= WITHIN),
-        "F0": found.specular,
-        "clipped": found.clipped,
+        "F0": fitted.specular,
+        "clipped": fitted.clipped,
     }
 
 
-def _found(ev: int, exemplar: bool, subject: tuple[PlainMaterial, Shot], _seed: int) -> Gloss:
+def _capture_gloss(
+    ev: int, exemplar: bool, subject: tuple[PlainMaterial, Shot], _seed: int
+) -> Gloss:
     shot = subject[1]
     gain = 2.0**ev
     setup = shot.setup.with_intensity((gain * shot.setup.intensity[0],) * 3)

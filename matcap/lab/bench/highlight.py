@@ -87,15 +87,15 @@ def kept(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
     names = ("apart", "width", "contrast", "kept")
     if truth is not None:
         return dict.fromkeys(names, math.nan)
-    found = find_highlight(light_of(photo.pixels))
+    highlight = find_highlight(light_of(photo.pixels))
     again = find_highlight(_rerendered(fit, photo).mean(axis=2))
-    assert found is not None
+    assert highlight is not None
     if again is None:
         return dict(zip(names, (math.inf, 0.0, 0.0, 0.0), strict=True))
-    apart = math.dist(found.centre, again.centre)
-    width, contrast = again.width / found.width, again.contrast / found.contrast
-    near = apart <= CENTRE and abs(width - 1.0) <= WIDTH and abs(contrast - 1.0) <= CONTRAST
-    return dict(zip(names, (apart, width, contrast, float(near)), strict=True))
+    distance = math.dist(highlight.centre, again.centre)
+    width, contrast = again.width / highlight.width, again.contrast / highlight.contrast
+    near = distance <= CENTRE and abs(width - 1.0) <= WIDTH and abs(contrast - 1.0) <= CONTRAST
+    return dict(zip(names, (distance, width, contrast, float(near)), strict=True))
 
 
 def placed(seen: Seen, fit: CoarseFit) -> Mapping[str, Value]:
@@ -128,22 +128,22 @@ def simulated(count: int, seed: int, *, has_fov: bool = True) -> dict[str, Calla
     """So many photographs by name: RAW, any field of view, offset and tilt."""
     rng = np.random.default_rng(seed)
     width, height = _CAMERA
-    found: dict[str, Callable[[], Seen]] = {}
+    subjects: dict[str, Callable[[], Seen]] = {}
     for number in range(count):
         material = random_kind(rng) if number % 3 else random_material(rng)
         half = math.tan(math.radians(rng.uniform(*_FOV)) / 2.0)
-        away, towards = rng.uniform(*_OFFSET), rng.uniform(0.0, 2.0 * math.pi)
+        aside, towards = rng.uniform(*_OFFSET), rng.uniform(0.0, 2.0 * math.pi)
         lean, about = math.radians(rng.uniform(0.0, _TILT)), rng.uniform(0.0, 2.0 * math.pi)
         setup = FlashSetup(
-            offset=(away * math.cos(towards), away * math.sin(towards), 0.0),
+            offset=(aside * math.cos(towards), aside * math.sin(towards), 0.0),
             tilt=(lean * math.cos(about), lean * math.sin(about)),
             vignetting=0.02,
         )
         focal_length = round(18.0 / half)
         camera = PhoneCamera(width, height, focal_length, supersampling=1, blur=0.5)
         name = f"{getattr(material, 'kind', 'pattern')} {seed}/{number}"
-        found[name] = partial(_taken, material.realise, number, camera, setup, has_fov=has_fov)
-    return found
+        subjects[name] = partial(_taken, material.realise, number, camera, setup, has_fov=has_fov)
+    return subjects
 
 
 def _taken(

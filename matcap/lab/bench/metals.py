@@ -80,31 +80,31 @@ def metals_experiment(
         "metals",
         {subject.name: partial(prepare, subject) for subject in subjects},
         {"flash known" if known else "exemplar": Configuration(run)},
-        (lambda metal, found: f0_errors(found, metal.truth),),
+        (lambda metal, estimate: f0_errors(estimate, metal.truth),),
         settings=(settings, camera),
     )
 
 
-def f0_errors(found: MapSet, truth: MapSet) -> Mapping[str, Value]:
+def f0_errors(estimate: MapSet, truth: MapSet) -> Mapping[str, Value]:
     """Of found maps and true ones of the same rectangle, the latter on any grid."""
-    size = found.specular.shape[-2:]
+    size = estimate.specular.shape[-2:]
     true = F.interpolate(truth.specular[None].float(), size, mode="area")[0].expand(3, -1, -1)
-    told = found.specular.float().expand(3, -1, -1)
+    f0 = estimate.specular.float().expand(3, -1, -1)
     grey = true.mean(0)
     metal, rest = grey > METAL, grey < NONE
-    of_metal, true_of_metal = _mean(told, metal), _mean(true, metal)
+    of_metal, true_of_metal = _mean(f0, metal), _mean(true, metal)
     brightness = of_metal / true_of_metal
     hue = 100.0 * (brightness / (of_metal.sum() / true_of_metal.sum()) - 1.0)
-    coloured = len(found.specular) > 1
-    beside = float(rest.float().mean()) > _LEAST_SHARE
+    coloured = len(estimate.specular) > 1
+    has_rest = float(rest.float().mean()) > _LEAST_SHARE
     return {
         **dict(zip(_CHANNELS, brightness.tolist(), strict=True)),
         **{
             f"{name} hue": float(off) if coloured else math.nan
             for name, off in zip(_CHANNELS, hue, strict=True)
         },
-        "beside": float(told[:, rest].mean()) if beside else math.nan,
-        "true beside": float(true[:, rest].mean()) if beside else math.nan,
+        "dielectric": float(f0[:, rest].mean()) if has_rest else math.nan,
+        "true dielectric": float(true[:, rest].mean()) if has_rest else math.nan,
     }
 
 

@@ -102,7 +102,7 @@ class Rearranged:
         return MapSet.from_stacked(stacked, self.texel_size)
 
 
-def found_exemplar(path: Path, detail: int) -> tuple[FoundPiece, FlashSetup]:
+def capture_exemplar(path: Path, detail: int) -> tuple[FoundPiece, FlashSetup]:
     """The exemplar of a photograph's file, and its setup as fitted."""
     settings = CaptureSettings(steps=0, detail=detail, aligned=True)  # no decoder is asked for
     method = Method(adapted=PRESETS["standard"].adapted)
@@ -114,14 +114,14 @@ def found_exemplar(path: Path, detail: int) -> tuple[FoundPiece, FlashSetup]:
 
 def photographed_exemplar(path: Path, detail: int) -> Fixed:
     """The maps themselves."""
-    found, setup = found_exemplar(path, detail)
-    return Fixed(piece_maps(found.exemplar), setup)
+    piece, setup = capture_exemplar(path, detail)
+    return Fixed(piece_maps(piece.exemplar), setup)
 
 
 def rearranged_exemplar(path: Path, detail: int) -> Rearranged:
     """More of them."""
-    found, setup = found_exemplar(path, detail)
-    return Rearranged(found.example, setup)
+    piece, setup = capture_exemplar(path, detail)
+    return Rearranged(piece.example, setup)
 
 
 def true_exemplar(
@@ -133,7 +133,7 @@ def true_exemplar(
 
 def exemplar_of(maps: MapSet) -> Exemplar:
     """True maps as an exemplar that is trusted everywhere."""
-    found = {name: np.ascontiguousarray(getattr(maps, name).float().numpy()) for name in CHANNELS}
+    planes = {name: np.ascontiguousarray(getattr(maps, name).float().numpy()) for name in CHANNELS}
     width, height = maps.size
     trusted = np.ones((len(CHANNELS), height, width), np.float32)
-    return Exemplar(**found, confidence=trusted, texel_size=maps.texel_size)
+    return Exemplar(**planes, confidence=trusted, texel_size=maps.texel_size)

@@ -24,7 +24,7 @@ from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator, Intensity
 from matcap.lab.measures.gloss import highlight_contrast, imprint
 from matcap.lab.measures.lights import mirrored_scene
-from matcap.lab.measures.maps import numbers_beside
+from matcap.lab.measures.maps import compared_numbers
 from matcap.lab.simulate.photograph import Shot, as_photo
 from matcap.lab.simulate.specimen import Specimen, photograph
 
@@ -115,11 +115,11 @@ def under_mirrored_lights(captured: CapturedSubject, maps: LitMaps) -> Mapping[s
     evaluator, scene = captured.evaluator, mirrored_scene(captured.evaluator.flash)
     middle = evaluator.middle(maps[0])
     true = [math.log(highlight_contrast(one, scene)) for one in evaluator.truths]
-    found = math.log(highlight_contrast(middle, scene))
+    log_contrast = math.log(highlight_contrast(middle, scene))
     pictures = evaluator.relit(middle, maps[1], scene)
     return {
         "NSD mirrored": evaluator.nsd(pictures, scene=scene),
-        "highlight": math.exp(found - sum(true) / len(true)),
+        "highlight": math.exp(log_contrast - sum(true) / len(true)),
     }
 
 
@@ -144,7 +144,7 @@ def flash_imprint(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Valu
 def map_numbers(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:
     """What the maps tell, and what is true."""
     evaluator = captured.evaluator
-    return numbers_beside(evaluator.middle(maps[0]), evaluator.truths)
+    return compared_numbers(evaluator.middle(maps[0]), evaluator.truths)
 
 
 def capture_seconds(captured: CapturedSubject, maps: LitMaps) -> Mapping[str, Value]:

@@ -23,7 +23,7 @@ from matcap.lab.experiment.results import markdown, read
 _ON_A_PAGE = 5
 _MARGIN = 8  # pixels
 _MEASURES = ("field", "fine", "flash", "patches", "filters")
-_APART = 1.1  # of errors: less is as far as seeds scatter
+_SEPARATION = 1.1  # of errors: less is as far as seeds scatter
 
 
 def write_pairs(fronts: Path, out: Path, count: int, seed: int) -> Path:
@@ -71,10 +71,10 @@ def agreement(table: Path) -> list[str]:
         return []
     known = {(row.subject, row.configuration): row for row in read(table) if row.seed == 0}
     with path.open(encoding="utf-8") as file:
-        told = [row for row in csv.DictReader(file) if row["nearer"] in ("left", "right")]
+        decided = [row for row in csv.DictReader(file) if row["nearer"] in ("left", "right")]
     looked = [
         (known[row["material"], row["left"]], known[row["material"], row["right"]], row["nearer"])
-        for row in told
+        for row in decided
         if all((row["material"], row[side]) in known for side in ("left", "right"))
     ]
     if not looked:
@@ -83,9 +83,9 @@ def agreement(table: Path) -> list[str]:
     for name in _MEASURES:
         both = [(a.number(name), b.number(name), nearer) for a, b, nearer in looked]
         both = [(a, b, nearer) for a, b, nearer in both if not math.isnan(a + b)]
-        apart = [(a, b, nearer) for a, b, nearer in both if max(a, b) >= _APART * min(a, b)]
-        rows.append([name, _agreed(both), _agreed(apart)])
-    head = ["measure", "agrees", f"{_APART - 1.0:.0%} apart, agrees"]
+        separate = [(a, b, nearer) for a, b, nearer in both if max(a, b) >= _SEPARATION * min(a, b)]
+        rows.append([name, _agreed(both), _agreed(separate)])
+    head = ["measure", "agrees", f"{_SEPARATION - 1.0:.0%} apart, agrees"]
     about = f"Pairs looked at without names ({path.name}); in {len(looked)} of them one was nearer."
     return ["### What eyes say", "", about, "", *markdown(head, rows), ""]
 

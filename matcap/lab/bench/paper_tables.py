@@ -179,26 +179,26 @@ def _diversity_and_colour(subject: PaperSubject, made: PaperPictures) -> Mapping
 
 def paper_page(rows: Sequence[Trial], command: str) -> str:
     """The paper's two tables in Markdown, its own figures beside."""
-    found = {mean.configuration: mean for mean in means(rows)}
+    by_name = {mean.configuration: mean for mean in means(rows)}
     columns = list(dict.fromkeys(name for row in rows for name in row.values))
     subjects = len({row.subject for row in rows})
     head = ["generator", *columns]
     lines = [
-        [name, *(shown(found[name][column]) for column in columns)]
+        [name, *(shown(by_name[name][column]) for column in columns)]
         for name in (DEFAULT, DECODER)
-        if name in found
+        if name in by_name
     ]
     style = (
         "VGG-16, relit" if any("VGG-16, relit" in row.values for row in rows) else "style, relit"
     )
     ablations = []
-    if DECODER in found:
-        full = found[DECODER][style]
-        for name, mean in found.items():
+    if DECODER in by_name:
+        full = by_name[DECODER][style]
+        for name, mean in by_name.items():
             if name not in (DEFAULT, DECODER):
-                beside = 100.0 * (mean[style] / full - 1.0)
-                told = PAPER_ABLATIONS.get(name, "not measured")
-                ablations.append([name, shown(mean[style]), f"{beside:+.1f} %", told])
+                change = 100.0 * (mean[style] / full - 1.0)
+                published = PAPER_ABLATIONS.get(name, "not measured")
+                ablations.append([name, shown(mean[style]), f"{change:+.1f} %", published])
     return "\n".join(
         [
             "# The paper's tables",

@@ -138,8 +138,8 @@ def quality_experiment(
 
 def nsd(judged: Judged, pictures: Tensor) -> Mapping[str, Value]:
     """By each statistics, and their mean."""
-    found = {name: judged.evaluator.nsd(pictures, name) for name in judged.evaluator.styles}
-    return {**found, "mean": sum(found.values()) / len(found)}
+    distances = {name: judged.evaluator.nsd(pictures, name) for name in judged.evaluator.styles}
+    return {**distances, "mean": sum(distances.values()) / len(distances)}
 
 
 def sheet(judged: Judged, _pictures: Tensor) -> Mapping[str, Value]:

@@ -125,7 +125,7 @@ def plan_experiment(scenes: Sequence[Path], repeats: int = 3) -> Experiment[LitS
             EVERYTHING: Configuration(everything),
             "next picture": Configuration(following),
         },
-        (lambda _lit, found: found.values,),
+        (lambda _lit, timing: timing.values,),
         settings=(chosen_scenes(scenes), repeats),
         skips=lambda subject, name: subject == MEGAPIXEL and name == EVERYTHING,
     )
@@ -163,7 +163,7 @@ def tolerance_experiment(
             name: Configuration(partial(run, effects, steps), group)
             for name, (group, effects, steps) in points.items()
         },
-        (lambda _lit, found: found.values,),
+        (lambda _lit, timing: timing.values,),
         settings=(chosen, texels, repeats),
     )
 
@@ -201,7 +201,7 @@ def mitsuba_experiment(*, width: int = 320, texels: int = 512) -> Experiment[Lit
         "mitsuba",
         {name: partial(_lit, scene, texels) for name, scene in chosen.items()},
         {"matcap": Configuration(ours), "Mitsuba to 1 % of noise": Configuration(theirs)},
-        (lambda _lit, found: found.values,),
+        (lambda _lit, timing: timing.values,),
         settings=(width, texels),
     )
 
@@ -269,8 +269,8 @@ def _seconds(mitsuba: Any, scene: Any) -> tuple[float, float]:  # noqa: ANN401
     one, other = (np.array(mitsuba.render(scene, spp=_SAMPLES, seed=seed)) for seed in (1, 2))
     seconds = (process_time() - start) / 2.0
     mean = (one + other).mean(axis=-1) / 2.0
-    apart = np.abs(one - other).mean(axis=-1)[mean > 0.0] / mean[mean > 0.0]
-    noise = float(np.median(apart)) / _MEDIAN
+    difference = np.abs(one - other).mean(axis=-1)[mean > 0.0] / mean[mean > 0.0]
+    noise = float(np.median(difference)) / _MEDIAN
     return seconds * (noise / _NOISE) ** 2, noise
 
 

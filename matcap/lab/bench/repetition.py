@@ -54,10 +54,10 @@ def example_of(material: str) -> Example:
         MatcapError: the file has none.
     """
     if material.endswith(".matcap"):
-        held = read_exemplified(Path(material))
-        if held is None:
+        exemplified = read_exemplified(Path(material))
+        if exemplified is None:
             raise MatcapError("there is no exemplar in it", where=material, remedy=REMEDY)
-        return held.example
+        return exemplified.example
     exemplar = true_exemplar(material, *_EXEMPLAR)
     maps = torch.from_numpy(exemplar.stacked())
     lattice = find_lattice(maps, torch.ones(maps.shape[1:], dtype=torch.bool))
@@ -103,8 +103,8 @@ def diversity_of_seeds(example: Example, maps: list[MapArray]) -> Mapping[str, V
     """How far they are apart, as a share of what texels drawn at random are."""
     texels = example.exemplar.stacked().reshape(len(maps[0]), -1)
     drawn = np.random.default_rng(_SEEDS[0]).permutation(texels.shape[1])
-    unrelated = _apart(texels, texels[:, drawn])
-    return {"diversity": float((_apart(*maps) / unrelated).mean())}
+    unrelated = _rms_difference(texels, texels[:, drawn])
+    return {"diversity": float((_rms_difference(*maps) / unrelated).mean())}
 
 
 def correlation(first: MapArray, second: MapArray) -> float:
@@ -136,7 +136,7 @@ def copies(places: NDArray[np.int16]) -> tuple[float, ...]:
     return tuple((shares / (rows * columns)).tolist())
 
 
-def _apart(first: MapArray, second: MapArray) -> NDArray[np.float64]:
+def _rms_difference(first: MapArray, second: MapArray) -> NDArray[np.float64]:
     """Mean distance of each of the stacked maps (6, ...), colours together."""
     planes = [np.abs(a - b).mean(dtype=np.float64) for a, b in zip(first, second, strict=True)]
     starts = np.cumsum([0, *CHANNELS.values()])[:-1]

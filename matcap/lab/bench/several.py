@@ -21,16 +21,16 @@ from matcap.lab.bench.nsd import PhotographSettings
 from matcap.lab.experiment.results import Value
 from matcap.lab.experiment.runner import Configuration, Experiment
 from matcap.lab.measures.evaluator import EvaluationSettings, Evaluator
-from matcap.lab.measures.maps import MapsOff, numbers_beside
+from matcap.lab.measures.maps import MapsOff, compared_numbers
 from matcap.lab.simulate.hand_held import (
     Hand,
-    HeldShot,
+    HandShot,
     Room,
-    held_along,
-    held_on,
     hold,
     take_several,
     take_without_flash,
+    true_maps_along,
+    true_maps_on,
 )
 from matcap.lab.simulate.specimen import Specimen
 from matcap.lab.simulate.write_dng import write_dng
@@ -81,7 +81,7 @@ class TakenSubject:
         bent = (0.0, 0.0) if several is None else several.bent
         realise = self.subject.pieces(self.subject.seed)
         phone = self.evaluator.settings.camera
-        return held_on(realise, phone, self.cameras, result.material.setup, bent)
+        return true_maps_on(realise, phone, self.cameras, result.material.setup, bent)
 
 
 def several_experiment(
@@ -127,8 +127,8 @@ def several_experiment(
     for count in counts:
         for extra in (False, True) if ambient.room else (False,):
             for union in (False, True) if ambient.union and count > 1 else (False,):
-                told = f"{count} + 1" if extra else f"{count}"
-                name = f"{told} photographs{', union' if union else ''}"
+                photographs = f"{count} + 1" if extra else f"{count}"
+                name = f"{photographs} photographs{', union' if union else ''}"
                 ways[name] = Configuration(partial(capture, count, extra, union), "several")
     return Experiment(
         "several",
@@ -142,12 +142,12 @@ def several_experiment(
 def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """Normalised style distance of the exemplar, tilts, and seconds of the capture."""
     assert result.found is not None
-    found, evaluator = piece_maps(result.found.framed), taken.evaluator
-    middle = evaluator.middle(found)
-    numbers = numbers_beside(middle, evaluator.truths)
+    maps, evaluator = piece_maps(result.found.framed), taken.evaluator
+    middle = evaluator.middle(maps)
+    numbers = compared_numbers(middle, evaluator.truths)
     return {
         "seconds": sum(result.stage_seconds.values()),
-        "NSD": evaluator.nsd_of(found, result.material.setup.intensity),
+        "NSD": evaluator.nsd_of(maps, result.material.setup.intensity),
         "tilt": numbers["tilt"],
         "true tilt": numbers["true tilt"],
     }
@@ -156,8 +156,8 @@ def nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
 def off(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     """What the first photograph's rectangle is off by."""
     assert result.found is not None
-    found = piece_maps(result.found.framed)
-    return asdict(MapsOff.of(found, taken.true_on(result)(*found.size)))
+    maps = piece_maps(result.found.framed)
+    return asdict(MapsOff.of(maps, taken.true_on(result)(*maps.size)))
 
 
 def residuals(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
@@ -179,11 +179,11 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     A texel that one photograph drew lies where that one was registered, which is beside its place
     by more the farther it is from the first: truth is looked up along its rays.
     """
-    found = result.found
-    reach = None if found is None or found.several is None else found.several.reach
-    if found is None or found.several is None or reach is None:
+    piece = result.found
+    reach = None if piece is None or piece.several is None else piece.several.reach
+    if piece is None or piece.several is None or reach is None:
         return {}
-    exemplar, views = piece_maps(found.exemplar), found.several.views
+    exemplar, views = piece_maps(piece.exemplar), piece.several.views
     points = grid_points(*exemplar.size, reach.extent)
     left = ~reach.margins.own(reach.size)
     planes, known = torch.zeros(9, *exemplar.size[::-1]), torch.zeros_like(left)
@@ -194,17 +194,17 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
         up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
         here = left & torch.from_numpy(sees(view.camera, points, up, UNION.steepest))
         number = names.index(view.photo.name)
-        true = held_along(realise, phone, taken.cameras, number, view.camera, reach.extent)(
+        true = true_maps_along(realise, phone, taken.cameras, number, view.camera, reach.extent)(
             *exemplar.size
         )
         planes[:, here] = torch.cat([true.stacked(), true.normal]).float()[:, here]
         known, left = known | here, left & ~here
     whole = replace(MapSet.from_stacked(planes[:6], exemplar.texel_size), painted=planes[6:])
-    told = asdict(MapsOff.of(exemplar, whole, known))
-    return {"times": reach.times, **{f"{name} beyond": value for name, value in told.items()}}
+    errors = asdict(MapsOff.of(exemplar, whole, known))
+    return {"times": reach.times, **{f"{name} beyond": value for name, value in errors.items()}}
 
 
-def _write(subject: Specimen, shot: HeldShot, number: int, out: Path, *, jpeg: bool) -> Path:
+def _write(subject: Specimen, shot: HandShot, number: int, out: Path, *, jpeg: bool) -> Path:
     path = out / f"{subject.name.replace(':', '-')}_{number}.{'jpg' if jpeg else 'dng'}"
     if jpeg:
         write_jpeg(path, shot.shot, subject.seed + number)

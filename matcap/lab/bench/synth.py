@@ -218,16 +218,16 @@ def _steps(
         tensors, about = subject.example.stored()
 
         def read() -> None:
-            found = Example.read(about, tensors.__getitem__)
-            found.source(0).maps(Rectangle(0, 0, 16, 16))
+            example = Example.read(about, tensors.__getitem__)
+            example.source(0).maps(Rectangle(0, 0, 16, 16))
 
         return _costs(read, settings.repeats)
 
     def texels(size: tuple[int, int], workers: int, subject: SynthSubject, _seed: int) -> Costs:
         source, wanted = subject.example.source(1), Rectangle(0, 0, *size)
-        found = _costs(lambda: read_source(source, wanted, workers), settings.repeats)
-        each = float(found["processor"]) * 1e6 / (size[0] * size[1])
-        return {**found, "a megatexel": each}
+        cost = _costs(lambda: read_source(source, wanted, workers), settings.repeats)
+        each = float(cost["processor"]) * 1e6 / (size[0] * size[1])
+        return {**cost, "a megatexel": each}
 
     steps: dict[str, Callable[[SynthSubject, int], Costs]] = {
         "index": index, "unpack and prepare": ready

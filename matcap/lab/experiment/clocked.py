@@ -21,9 +21,9 @@ def main(command: list[str]) -> int:
     done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=sys.stderr, check=False)
     clock = time.monotonic() - began
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    held = used.ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
-    told = {"clock": clock, "processor": used.ru_utime + used.ru_stime, "megabytes": held}
-    sys.stdout.write(json.dumps(told) + "\n")
+    peak = used.ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    cost = {"clock": clock, "processor": used.ru_utime + used.ru_stime, "megabytes": peak}
+    sys.stdout.write(json.dumps(cost) + "\n")
     return done.returncode
 
 

@@ -41,13 +41,13 @@ class Presentation:
     """The configuration that those of fewer subjects are paired with, and that subjects are told
     by; see results.means."""
 
-    beside: tuple[str, ...] = ()
+    listed_with: tuple[str, ...] = ()
     """Configurations that stand beside it in the table by subject."""
 
     labels: Mapping[str, str] = field(default_factory=dict)
     """What configurations are also called."""
 
-    apart: frozenset[str] = frozenset()
+    separate_groups: frozenset[str] = frozenset()
     """Groups that are compared with no other: their subjects are others'."""
 
     least: float | None = None
@@ -78,8 +78,8 @@ def write_page(
             cannot be written.
     """
     lines = ["# What accuracy costs in time", "", "Written by:", "", f"    {shlex.join(command)}"]
-    for table, told in tables.items():
-        lines += ["", *section(table, told, page), *more.get(table, ())]
+    for table, form in tables.items():
+        lines += ["", *section(table, form, page), *more.get(table, ())]
     before = page.read_text(encoding="utf-8") if page.exists() else ""
     _, kept, by_hand = before.partition(f"{BY_HAND}\n")
     text = "\n".join(lines).rstrip() + "\n" + (f"\n{kept}{by_hand}" if kept else "")
@@ -88,7 +88,7 @@ def write_page(
     return text
 
 
-def section(table: Path, told: Presentation, page: Path) -> list[str]:
+def section(table: Path, form: Presentation, page: Path) -> list[str]:
     """A table's lines, and its picture beside it.
 
     Raises:
@@ -97,41 +97,47 @@ def section(table: Path, told: Presentation, page: Path) -> list[str]:
     rows = read(table)
     if not rows:
         raise MatcapError("the table is missing or empty", where=str(table), remedy="measure first")
-    apart = [row for row in rows if row.group in told.apart]
-    usual = [row for row in rows if row.group not in told.apart] or rows
-    found = means(usual, told.base)
+    separate = [row for row in rows if row.group in form.separate_groups]
+    usual = [row for row in rows if row.group not in form.separate_groups] or rows
+    averages = means(usual, form.base)
     picture = table.with_suffix(".png")
-    if told.picture:
-        best = front(found, *told.axes) if told.base else None
+    if form.picture:
+        best = front(averages, *form.axes) if form.base else None
         draw(
-            found, picture, told.axes, told.title, labels=told.labels, least=told.least, best=best
+            averages, picture, form.axes, form.title,
+            labels=form.labels, least=form.least, best=best,
         )  # fmt: skip
     machines = "; ".join(dict.fromkeys(row.machine for row in rows if row.machine))
     subjects = len({row.subject for row in rows})
     where, numbers = (os.path.relpath(path, page.parent) for path in (picture, table))
     lines = [
-        f"## {told.title}", "",
+        f"## {form.title}", "",
         f"{len(rows)} rows, {subjects} subjects.{f' On {machines}.' if machines else ''}", "",
-        told.about, "",
-        *([f"![{told.axes[1]} against {told.axes[0]}]({where})", ""] if told.picture else []),
-        f"Every measurement: [{numbers}]({numbers}). Least {told.axes[0]} first; on the Pareto "
-        "front: *.", "", *_means(found, told), "",
+        form.about, "",
+        *([f"![{form.axes[1]} against {form.axes[0]}]({where})", ""] if form.picture else []),
+        f"Every measurement: [{numbers}]({numbers}). Least {form.axes[0]} first; on the Pareto "
+        "front: *.", "", *_means(averages, form), "",
     ]  # fmt: skip
-    if told.base:
-        lines += ["### By subject", "", *_by_subject(usual, told), ""]
-    if apart and apart != usual:
-        lines += [f"### {', '.join(sorted(told.apart)).capitalize()}", "", *_each(apart), ""]
+    if form.base:
+        lines += ["### By subject", "", *_by_subject(usual, form), ""]
+    if separate and separate != usual:
+        lines += [
+            f"### {', '.join(sorted(form.separate_groups)).capitalize()}",
+            "",
+            *_each(separate),
+            "",
+        ]
     return lines
 
 
-def _means(found: Sequence[Mean], told: Presentation) -> list[str]:
-    x, y = told.axes
-    best = front(found, x, y)
-    columns = [c for c in found[0].values if any(shown(mean[c]) for mean in found)]
-    scattered = any(mean.seeds > 1 for mean in found)
+def _means(averages: Sequence[Mean], form: Presentation) -> list[str]:
+    x, y = form.axes
+    best = front(averages, x, y)
+    columns = [c for c in averages[0].values if any(shown(mean[c]) for mean in averages)]
+    scattered = any(mean.seeds > 1 for mean in averages)
     rows = []
-    for mean in sorted(found, key=lambda mean: mean[x]):
-        called = told.labels.get(mean.configuration, "")
+    for mean in sorted(averages, key=lambda mean: mean[x]):
+        called = form.labels.get(mean.configuration, "")
         cells = ["*" if mean in best else "", mean.configuration, called, str(mean.subjects)]
         cells += [shown(mean[column]) for column in columns]
         rows.append(cells + ([shown(mean.scatter[y])] if scattered else []))
@@ -139,12 +145,12 @@ def _means(found: Sequence[Mean], told: Presentation) -> list[str]:
     return markdown(head + ([f"{y} over seeds"] if scattered else []), rows, 3)
 
 
-def _by_subject(rows: Sequence[Trial], told: Presentation) -> list[str]:
+def _by_subject(rows: Sequence[Trial], form: Presentation) -> list[str]:
     """Errors of the base and what stands beside it, the worst subjects first."""
-    error = told.axes[1]
-    names = [told.base, *told.beside]
+    error = form.axes[1]
+    names = [form.base, *form.listed_with]
     first = {(row.configuration, row.subject): row for row in rows if row.seed == 0}
-    known = [row for (name, _), row in first.items() if name == told.base]
+    known = [row for (name, _), row in first.items() if name == form.base]
     worst = sorted(known, key=lambda row: -row.number(error))
     words = [c for c in columns_of(rows) if any(isinstance(r.values.get(c), str) for r in known)]
     lines = []

@@ -13,7 +13,7 @@ from matcap.lab.experiment.results import Mean, comparable, front
 
 
 def draw(
-    found: Sequence[Mean],
+    averages: Sequence[Mean],
     path: Path,
     axes: tuple[str, str],
     title: str,
@@ -39,15 +39,15 @@ def draw(
     x, y = axes
     figure = new_figure((9.0, 5.6))
     plot = figure.add_subplot()
-    for group in dict.fromkeys(mean.group for mean in found):
-        of = [mean for mean in found if mean.group == group]
+    for group in dict.fromkeys(mean.group for mean in averages):
+        of = [mean for mean in averages if mean.group == group]
         at = [mean[x] for mean in of], [mean[y] for mean in of]
         spread = [mean.spread.get(y, 0.0) for mean in of]
         plot.errorbar(*at, yerr=spread, fmt="o", markersize=5, elinewidth=0.6, label=group or None)
-    best = front(comparable(found), x, y) if best is None else best
+    best = front(comparable(averages), x, y) if best is None else best
     line = [mean[x] for mean in best], [mean[y] for mean in best]
     plot.plot(*line, color="0.4", linewidth=1.0, zorder=0, label="Pareto front")
-    for mean in found:
+    for mean in averages:
         name = labels.get(mean.configuration) or (mean.configuration if mean in best else "")
         place = (mean[x], mean[y])
         turn = 25 if mean.configuration in labels else -25  # neighbours are closer than names long
@@ -55,7 +55,7 @@ def draw(
             name, place, xytext=(4, turn // 4), textcoords="offset points", fontsize=7,
             rotation=turn, rotation_mode="anchor",
         )  # fmt: skip
-    if found and min(mean[x] for mean in found) > 0:
+    if averages and min(mean[x] for mean in averages) > 0:
         plot.set_xscale("log")
         # 1, 2 and 5 of every decade: all nine run into each other where points are hours apart.
         plot.xaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))

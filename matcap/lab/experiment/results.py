@@ -49,9 +49,9 @@ class Trial:
     @property
     def line(self) -> str:
         """In one line, for progress."""
-        told = (f"{name} {shown(value)}" for name, value in self.values.items() if shown(value))
+        parts = (f"{name} {shown(value)}" for name, value in self.values.items() if shown(value))
         seed = f", seed {self.seed}" if self.seed else ""
-        return f"{self.subject}, {self.configuration}{seed}: {', '.join(told)}"
+        return f"{self.subject}, {self.configuration}{seed}: {', '.join(parts)}"
 
     def number(self, column: str) -> float:
         """Of a column; NaN where there is none."""
@@ -135,24 +135,27 @@ def means(rows: Iterable[Trial], base: str | None = None) -> list[Mean]:
             for plain means.
     """
     latest = {row.key: row for row in rows}
-    found: dict[str, dict[str, list[Trial]]] = {}
+    by_configuration: dict[str, dict[str, list[Trial]]] = {}
     for row in latest.values():
-        found.setdefault(row.configuration, {}).setdefault(row.subject, []).append(row)
+        by_configuration.setdefault(row.configuration, {}).setdefault(row.subject, []).append(row)
     columns = columns_of(latest.values())
-    paired = found.get(base, {}) if base else {}
-    return [_mean_of(name, of_subjects, paired, columns) for name, of_subjects in found.items()]
+    paired = by_configuration.get(base, {}) if base else {}
+    return [
+        _mean_of(name, of_subjects, paired, columns)
+        for name, of_subjects in by_configuration.items()
+    ]
 
 
-def comparable(found: Sequence[Mean]) -> list[Mean]:
+def comparable(averages: Sequence[Mean]) -> list[Mean]:
     """Those measured on as many subjects as any."""
-    most = max((mean.subjects for mean in found), default=0)
-    return [mean for mean in found if mean.subjects == most]
+    most = max((mean.subjects for mean in averages), default=0)
+    return [mean for mean in averages if mean.subjects == most]
 
 
-def front(found: Sequence[Mean], x: str, y: str) -> list[Mean]:
+def front(averages: Sequence[Mean], x: str, y: str) -> list[Mean]:
     """The Pareto front, least x first: of none are both as small."""
     best, least = [], math.inf
-    for mean in sorted(found, key=lambda mean: (mean[x], mean[y])):
+    for mean in sorted(averages, key=lambda mean: (mean[x], mean[y])):
         if mean[y] < least:
             best.append(mean)
             least = mean[y]
@@ -180,18 +183,20 @@ def table(rows: Sequence[Trial], command: str, about: str = "") -> str:
             for mean in means(rows)
         ]
     head = ["subject", "configuration", *columns]
-    told = [about, ""] if about else []
-    return "\n".join([f"Measured by `{command}`.", "", *told, *markdown(head, lines, 2)]) + "\n"
+    paragraphs = [about, ""] if about else []
+    return (
+        "\n".join([f"Measured by `{command}`.", "", *paragraphs, *markdown(head, lines, 2)]) + "\n"
+    )
 
 
 def as_json(rows: Sequence[Trial]) -> str:
     """The rows as a JSON list, nothing where there is no number."""
-    told = [
+    entries = [
         {"subject": row.subject, "configuration": row.configuration, "seed": row.seed}
         | {n: None if v != v else v for n, v in row.values.items()}
         for row in rows
     ]
-    return json.dumps(told, indent=2)
+    return json.dumps(entries, indent=2)
 
 
 def shown(value: Value) -> str:
@@ -235,12 +240,12 @@ def _mean_of(
         return {subject: _mean([t.number(column) for t in of]) for subject, of in trials.items()}
 
     def mean(column: str) -> float:
-        own, beside = over_seeds(column, of_subjects), over_seeds(column, base)
-        shared = [s for s, value in own.items() if not math.isnan(value + beside.get(s, math.nan))]
+        own, paired = over_seeds(column, of_subjects), over_seeds(column, base)
+        shared = [s for s, value in own.items() if not math.isnan(value + paired.get(s, math.nan))]
         if not shared:
             return _mean(list(own.values()))
-        ratio = _mean([own[s] for s in shared]) / _mean([beside[s] for s in shared])
-        return ratio * _mean(list(beside.values()))
+        ratio = _mean([own[s] for s in shared]) / _mean([paired[s] for s in shared])
+        return ratio * _mean(list(paired.values()))
 
     def scatter(column: str) -> float:
         several = [of for of in of_subjects.values() if len(of) > 1]
@@ -258,12 +263,12 @@ def _mean_of(
 
 
 def _trial(row: dict[str, str | None]) -> Trial:
-    told = {name: row.pop(name, "") or "" for name in _KEYS}
-    if not told["experiment"] or not told["configuration"] or None in row:
+    keys = {name: row.pop(name, "") or "" for name in _KEYS}
+    if not keys["experiment"] or not keys["configuration"] or None in row:
         raise ValueError("no experiment and configuration stand in it")
     values = {name: _value(text or "") for name, text in row.items()}
-    seed = int(told.pop("seed") or 0)
-    return Trial(values=values, seed=seed, **told)
+    seed = int(keys.pop("seed") or 0)
+    return Trial(values=values, seed=seed, **keys)
 
 
 def _value(text: str) -> Value:

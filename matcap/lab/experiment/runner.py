@@ -77,8 +77,8 @@ class Experiment(Generic[Subject, Outcome]):
     def version(self, configuration: str) -> str:
         """Eight hexadecimal digits of matcap's source and a configuration's settings."""
         source = "" if self.any_version else source_version()
-        told = f"{source}{self.settings!r}{self.configurations[configuration].settings!r}"
-        return hashlib.sha256(told.encode()).hexdigest()[:8]
+        identity = f"{source}{self.settings!r}{self.configurations[configuration].settings!r}"
+        return hashlib.sha256(identity.encode()).hexdigest()[:8]
 
 
 def run(
@@ -141,10 +141,10 @@ def run(
         for subject in experiment.subjects
         for name in experiment.configurations
     ]
-    found = [rows[key] for key in asked if key in rows]
-    if not found:
+    available = [rows[key] for key in asked if key in rows]
+    if not available:
         raise MatcapError("nothing could be measured", where=str(table), remedy="see why above")
-    return found
+    return available
 
 
 def choose(known: Mapping[str, Outcome], names: Sequence[str]) -> dict[str, Outcome]:

@@ -64,22 +64,22 @@ def of_picture(linear: Picture) -> dict[str, float]:
 
 def drawn(count: int, sets: Sequence[PackedSet], real: float, size: tuple[int, int]) -> Measured:
     """Of training's photographs: of real materials (`real` 1) or of simulated ones (0)."""
-    found: Measured = {name: [] for name in QUANTITIES}
+    measured: Measured = {name: [] for name in QUANTITIES}
     for index in range(count):
         # Simulated pieces are drawn for many numbers: each its own.
         sample = draw_sample(_FIRST + 1000 * index, *size, sets=sets, real=real)
         linear = np.ascontiguousarray(sample.linear.permute(1, 2, 0).numpy())
-        _add(found, {**of_maps(sample.truth), **of_picture(linear)})
-    return found
+        _add(measured, {**of_maps(sample.truth), **of_picture(linear)})
+    return measured
 
 
 def of_sets(sets: Sequence[PackedSet]) -> Measured:
     """Of the sets as they are."""
-    found: Measured = {name: [] for name in QUANTITIES}
+    measured: Measured = {name: [] for name in QUANTITIES}
     for packed in sets:
         stacked = torch.cat([packed.surface[0][:7].float(), packed.height[0]])
-        _add(found, of_maps(MapSet.from_stacked(stacked, 1.0, periodic=True)))
-    return found
+        _add(measured, of_maps(MapSet.from_stacked(stacked, 1.0, periodic=True)))
+    return measured
 
 
 def of_photographs(folder: Path, size: tuple[int, int]) -> Measured:
@@ -88,7 +88,7 @@ def of_photographs(folder: Path, size: tuple[int, int]) -> Measured:
     Raises:
         MatcapError: there is none.
     """
-    found: Measured = {name: [] for name in QUANTITIES}
+    measured: Measured = {name: [] for name in QUANTITIES}
     for path in sorted(folder.glob("*.jpg")):
         read = cv2.imread(str(path), cv2.IMREAD_COLOR)
         if read is None:
@@ -97,14 +97,14 @@ def of_photographs(folder: Path, size: tuple[int, int]) -> Measured:
         scale = _LONG_SIDE / max(height, width)
         small = cv2.resize(read, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         linear = (np.asarray(small, np.float32) / 255.0) ** 2.2
-        _add(found, _windows(linear, size))
-    if not found["clipped share"]:
+        _add(measured, _windows(linear, size))
+    if not measured["clipped share"]:
         raise MatcapError(
             "there are no photographs in this folder",
             where=str(folder),
             remedy="give a folder of JPEGs",
         )
-    return found
+    return measured
 
 
 def plot(measured: Mapping[str, Measured], path: Path) -> None:
@@ -155,6 +155,6 @@ def _windows(linear: Picture, size: tuple[int, int]) -> dict[str, float]:
     return {name: float(np.mean([e[name] for e in each])) for name in each[0]}
 
 
-def _add(found: Measured, measured: Mapping[str, float]) -> None:
+def _add(totals: Measured, measured: Mapping[str, float]) -> None:
     for name, value in measured.items():
-        found[name].append(value)
+        totals[name].append(value)

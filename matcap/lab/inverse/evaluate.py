@@ -56,9 +56,9 @@ def real_samples(sets: Sequence[PackedSet], each: int = 2) -> list[Sample]:
 
 def simulated_samples(count: int = 24) -> list[Sample]:
     """Photographs of simulated materials of kinds that are held out."""
-    apart = 1_000_000  # so that each is of a piece of its own
+    stride = 1_000_000  # so that each is of a piece of its own
     return [
-        draw_sample(_FIRST + apart + 10_000 * i, *_SIZE, material=_left_out) for i in range(count)
+        draw_sample(_FIRST + stride + 10_000 * i, *_SIZE, material=_left_out) for i in range(count)
     ]
 
 
@@ -70,17 +70,17 @@ def evaluate(network: Inverse, samples: Sequence[Sample]) -> dict[str, float]:
     """
     scores, expected, errors = [], [], []
     for index, sample in enumerate(samples):
-        told = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
+        inputs = network_inputs(sample.linear, sample.valid, sample.uniform, sample.points)
         with torch.no_grad():
-            outputs = network(told.stacked()[None])[0]
+            outputs = network(inputs.stacked()[None])[0]
         scores.append(score(outputs, sample, np.random.default_rng([index, 6])))
         doubted, made = doubts(outputs, sample)
         expected.append(doubted)
         errors.append(made)
-    found = {name: sum(one[name] for one in scores) / len(scores) for name in scores[0]}
+    averages = {name: sum(one[name] for one in scores) / len(scores) for name in scores[0]}
     ratios = calibration(torch.cat(expected, 1), torch.cat(errors, 1)).log().abs().amax(1).exp()
     off = zip(DOUBTS, ratios.tolist(), strict=True)
-    return found | {f"doubt of {name}, worst tenth off by": worst for name, worst in off}
+    return averages | {f"doubt of {name}, worst tenth off by": worst for name, worst in off}
 
 
 def _maps(answer: NetworkAnswer, sample: Sample) -> MapSet:
@@ -103,13 +103,13 @@ def score(outputs: Tensor, sample: Sample, rng: np.random.Generator) -> dict[str
     parts = loss_parts(outputs[None], wanted([sample], rng))
     truth = sample.truth
     maps = _maps(NetworkAnswer.from_stacked(outputs), sample)
-    found, true = _slopes(maps.normal), _slopes(truth.normal)
+    estimated, true = _slopes(maps.normal), _slopes(truth.normal)
     tilt = _log_ratio(_tilt(maps.normal), _tilt(truth.normal))
     contrast = _log_ratio(_contrast(maps.diffuse), _contrast(truth.diffuse))
     return {
         "loss": float(total(parts, LossWeights(metal=0.0))),
         **{name: float(part) for name, part in parts.items()},
-        "correlation": _correlation(found, true),
+        "correlation": _correlation(estimated, true),
         "tilt": tilt,
         "tilt_off": abs(tilt),
         "contrast": contrast,
@@ -138,21 +138,21 @@ def relit_error(maps: MapSet, truth: MapSet, sample: Sample) -> float:
     """Mean difference of log radiance under lights from elsewhere, each picture's level aside."""
     points = sample.points
     camera = torch.tensor([0.0, 0.0, sample.uniform.setup.distance])
-    apart = []
+    errors = []
     for polar, around, far in _LIGHTS:
         polar, around = math.radians(polar), math.radians(around)
-        beside = far * math.sin(polar)
+        radius = far * math.sin(polar)
         place = torch.tensor(
-            [beside * math.cos(around), beside * math.sin(around), far * math.cos(polar)]
+            [radius * math.cos(around), radius * math.sin(around), far * math.cos(polar)]
         )
         intensity = torch.tensor([math.pi * far**3 / float(place[2])])
-        found, true = (
+        estimated, true = (
             (shade(m, points, camera, place, intensity) + _DARKEST).log() for m in (maps, truth)
         )
-        off = found - true
+        off = estimated - true
         # What one photograph cannot tell, the gain between flash and albedo, cancels.
-        apart.append(float((off - off.median()).abs().mean()))
-    return sum(apart) / len(apart)
+        errors.append(float((off - off.median()).abs().mean()))
+    return sum(errors) / len(errors)
 
 
 def doubts(outputs: Tensor, sample: Sample) -> tuple[Tensor, Tensor]:
@@ -174,8 +174,8 @@ def calibration(expected: Tensor, made: Tensor, tenths: int = 10) -> Tensor:
     """(C, tenths) median errors over expected ones, by what is expected, both (C, n)."""
     order = expected.argsort(1)
     rows = []
-    for told, errors in zip(expected.gather(1, order), made.gather(1, order), strict=True):
-        bins = zip(told.tensor_split(tenths), errors.tensor_split(tenths), strict=True)
+    for predicted, errors in zip(expected.gather(1, order), made.gather(1, order), strict=True):
+        bins = zip(predicted.tensor_split(tenths), errors.tensor_split(tenths), strict=True)
         rows.append(
             torch.stack(
                 [(e.median() + _BIT) / (t.median() + _BIT).clamp_min(_BIT) for t, e in bins]
@@ -186,8 +186,8 @@ def calibration(expected: Tensor, made: Tensor, tenths: int = 10) -> Tensor:
 
 def table(results: Mapping[str, Mapping[str, float]]) -> str:
     """Markdown: a row a number, a column a network and kind of photographs."""
-    names = dict.fromkeys(name for found in results.values() for name in found)
-    rows = [[name, *(f"{found[name]:.3f}" for found in results.values())] for name in names]
+    names = dict.fromkeys(name for scores in results.values() for name in scores)
+    rows = [[name, *(f"{scores[name]:.3f}" for scores in results.values())] for name in names]
     return "\n".join(markdown(["", *results], rows))
 
 
@@ -214,12 +214,12 @@ def _contrast(diffuse: Tensor) -> float:
     return float((diffuse.mean(0) + 1e-3).log().std())
 
 
-def _log_ratio(found: float, true: float) -> float:
-    return math.log((found + _FLAT) / (true + _FLAT))
+def _log_ratio(estimate: float, true: float) -> float:
+    return math.log((estimate + _FLAT) / (true + _FLAT))
 
 
-def _correlation(found: Tensor, true: Tensor) -> float:
+def _correlation(estimate: Tensor, true: Tensor) -> float:
     """Of two fields (2, H, W), their means aside."""
-    a = found - found.mean((1, 2), keepdim=True)
+    a = estimate - estimate.mean((1, 2), keepdim=True)
     b = true - true.mean((1, 2), keepdim=True)
     return float((a * b).sum() / (a.square().sum() * b.square().sum()).sqrt().clamp_min(1e-9))

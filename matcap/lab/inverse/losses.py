@@ -123,11 +123,11 @@ def loss_parts(
         compare: `compared`, or that compiled.
     """
     w = wanted
-    parts, found, true = (compare or compared)(
+    parts, estimated, true = (compare or compared)(
         outputs, w.truth, (w.metal, w.hue, w.seen), w.base, w.points, w.camera, w.near, w.far
     )
     if style:
-        parts = {**parts, "style": _style(found, true)}
+        parts = {**parts, "style": _style(estimated, true)}
     return parts
 
 
@@ -152,51 +152,56 @@ def compared(
         outputs: of the network; the others: as in WantedOutputs, metal, hue and seen as one.
     """
     answer = NetworkAnswer.from_stacked(outputs)
-    found, true = answer.departures, SurfaceParameters.from_stacked(truth)
+    estimated, true = answer.departures, SurfaceParameters.from_stacked(truth)
     uniform = SurfaceParameters.from_stacked(base)
     metal, hue, seen = metals
-    maps_found = _tinted((uniform + found).reflectance(), tint(answer.metal.sigmoid(), seen))
+    maps_estimated = _tinted(
+        (uniform + estimated).reflectance(), tint(answer.metal.sigmoid(), seen)
+    )
     maps_true = _tinted((uniform + true).reflectance(), hue)
     # Of a metal's dark diffuse albedo nothing is seen but that it is dark.
-    albedo_found, albedo_true = (m.diffuse.add(_BLACK).log() for m in (maps_found, maps_true))
-    albedo_apart = (albedo_found - albedo_true).abs()
-    specular_apart = (found.specular - true.specular).abs()
-    roughness_apart = (found.roughness - true.roughness).abs()
-    slopes_found, slopes_true = _slopes(found.height), _slopes(true.height)
+    albedo_estimated, albedo_true = (
+        m.diffuse.add(_BLACK).log() for m in (maps_estimated, maps_true)
+    )
+    albedo_error = (albedo_estimated - albedo_true).abs()
+    specular_error = (estimated.specular - true.specular).abs()
+    roughness_error = (estimated.roughness - true.roughness).abs()
+    slopes_estimated, slopes_true = _slopes(estimated.height), _slopes(true.height)
     strength = slopes_true[0].square().mean((1, 2, 3)).sqrt() + _FLAT
-    slope_apart = [
-        (a - b).abs().mean((1, 2, 3)) for a, b in zip(slopes_found, slopes_true, strict=True)
+    slope_errors = [
+        (a - b).abs().mean((1, 2, 3)) for a, b in zip(slopes_estimated, slopes_true, strict=True)
     ]
     inner = (..., slice(1, -1), slice(1, -1))
     errors = ExpectedErrors(
-        albedo_apart.mean(1, keepdim=True)[inner],
-        specular_apart[inner],
-        roughness_apart[inner],
-        (slopes_found[0] - slopes_true[0]).abs().mean(1, keepdim=True),
+        albedo_error.mean(1, keepdim=True)[inner],
+        specular_error[inner],
+        roughness_error[inner],
+        (slopes_estimated[0] - slopes_true[0]).abs().mean(1, keepdim=True),
     ).stacked()
     doubt = (answer.errors.stacked()[inner] - (errors.detach() + 0.01).log()).abs().mean()
-    normal_found, normal_true = (normals_from_height(s.height, 1.0) for s in (found, true))
+    normal_estimated, normal_true = (normals_from_height(s.height, 1.0) for s in (estimated, true))
     thin = (..., slice(None, None, _THIN), slice(None, None, _THIN))
     at_near = FlashLight.between(points[thin], camera, near, _power(near))
     at_far = FlashLight.between(points, camera, far, _power(far))
-    near_found, near_true = (
+    near_estimated, near_true = (
         at_near.onto(normal[thin]).radiance(*(m[thin] for m in maps))
-        for maps, normal in ((maps_found, normal_found), (maps_true, normal_true))
+        for maps, normal in ((maps_estimated, normal_estimated), (maps_true, normal_true))
     )
-    far_found = at_far.onto(normal_found).radiance(*maps_found)
+    far_estimated = at_far.onto(normal_estimated).radiance(*maps_estimated)
     far_true = at_far.onto(normal_true).radiance(*maps_true)
     gain = _WHITE / far_true.mean((1, 2, 3), keepdim=True)
     parts = {
-        "albedo": albedo_apart.mean(),
-        "specular": specular_apart.mean(),
-        "roughness": roughness_apart.mean(),
-        "slope": (torch.stack(slope_apart).sum(0) / strength).mean(),
-        "energy": _energies(slopes_found, slopes_true, albedo_found, albedo_true),
-        "render": 0.5 * (_log_apart(near_found, near_true) + _log_apart(far_found, far_true)),
+        "albedo": albedo_error.mean(),
+        "specular": specular_error.mean(),
+        "roughness": roughness_error.mean(),
+        "slope": (torch.stack(slope_errors).sum(0) / strength).mean(),
+        "energy": _energies(slopes_estimated, slopes_true, albedo_estimated, albedo_true),
+        "render": 0.5
+        * (_log_error(near_estimated, near_true) + _log_error(far_estimated, far_true)),
         "doubt": doubt,
         "metal": F.binary_cross_entropy_with_logits(answer.metal, metal),
     }
-    return parts, far_found * gain, far_true * gain
+    return parts, far_estimated * gain, far_true * gain
 
 
 def _tinted(reflectance: Reflectance, hue: Tensor) -> Reflectance:
@@ -212,9 +217,9 @@ def _lights(sample: Sample, rng: np.random.Generator) -> tuple[list[float], list
     up = rng.uniform(0.6, 2.5)
     there = 1.0 + up / sample.uniform.setup.distance
     polar, around = math.radians(rng.uniform(15.0, 68.0)), rng.uniform(0.0, 2.0 * math.pi)
-    away = rng.uniform(1.3, 3.0)
-    beside = away * math.sin(polar)
-    afar = [beside * math.cos(around), beside * math.sin(around), away * math.cos(polar)]
+    distance = rng.uniform(1.3, 3.0)
+    radius = distance * math.sin(polar)
+    afar = [radius * math.cos(around), radius * math.sin(around), distance * math.cos(polar)]
     return [x * there, y * there, up], afar
 
 
@@ -232,16 +237,16 @@ def _slopes(height: Tensor) -> list[Tensor]:
 
 
 def _energies(
-    found: list[Tensor], true: list[Tensor], albedo_found: Tensor, albedo_true: Tensor
+    estimated: list[Tensor], true: list[Tensor], albedo_estimated: Tensor, albedo_true: Tensor
 ) -> Tensor:
     """Mean difference of log strength over bands and places."""
     differences = []
-    for level, (a, b) in enumerate(zip(found, true, strict=True)):
+    for level, (a, b) in enumerate(zip(estimated, true, strict=True)):
         cell = max(4, _CELLS >> level)
         e = (_FLAT / 2**level) ** 2
         differences.append(_strength(a, cell, e) - _strength(b, cell, e))
-    bands_found, bands_true = _bands(albedo_found), _bands(albedo_true)
-    for level, (a, b) in enumerate(zip(bands_found, bands_true, strict=True)):
+    bands_estimated, bands_true = _bands(albedo_estimated), _bands(albedo_true)
+    for level, (a, b) in enumerate(zip(bands_estimated, bands_true, strict=True)):
         cell = max(4, _CELLS >> level)
         differences.append(0.5 * (_strength(a, cell, _PLAIN**2) - _strength(b, cell, _PLAIN**2)))
     return torch.stack([d.abs().mean() for d in differences]).mean()
@@ -265,11 +270,11 @@ def _bands(picture: Tensor) -> list[Tensor]:
     return bands
 
 
-def _log_apart(found: Tensor, true: Tensor) -> Tensor:
-    return ((found + _DARKEST).log() - (true + _DARKEST).log()).abs().mean()
+def _log_error(estimated: Tensor, true: Tensor) -> Tensor:
+    return ((estimated + _DARKEST).log() - (true + _DARKEST).log()).abs().mean()
 
 
-def _style(found: Tensor, true: Tensor) -> Tensor:
+def _style(estimated: Tensor, true: Tensor) -> Tensor:
     """Relative difference of Gram matrices of random filters of pictures (B, 3, H, W)."""
 
     def described(picture: Tensor) -> list[Tensor]:
@@ -279,11 +284,11 @@ def _style(found: Tensor, true: Tensor) -> Tensor:
 
     with torch.no_grad():
         sought = described(true)
-    apart = []
-    for a, b in zip(described(found), sought, strict=True):
+    differences = []
+    for a, b in zip(described(estimated), sought, strict=True):
         most = a.detach().abs().mean((1, 2)) + b.abs().mean((1, 2)) + 1e-6
-        apart.append(((a - b).abs().mean((1, 2)) / most * 2.0).mean())
-    return torch.stack(apart).mean()
+        differences.append(((a - b).abs().mean((1, 2)) / most * 2.0).mean())
+    return torch.stack(differences).mean()
 
 
 def _power(light: Tensor) -> Tensor:

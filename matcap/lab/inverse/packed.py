@@ -120,12 +120,12 @@ def open_pack(path: Path) -> Mapping[str, PackedSet]:
         MatcapError: it is no such file.
     """
     remedy = "make it with `matcap inverse pack`"
-    told, tensors = read_tensors(path, (_FORMAT, _VERSION), "pack of maps", remedy)
+    metadata, tensors = read_tensors(path, (_FORMAT, _VERSION), "pack of maps", remedy)
 
     def levels(name: str, what: str) -> tuple[Tensor, ...]:
         return tuple(tensors[f"{name}/{i}/{what}"] for i in range(LEVELS))
 
-    names: list[str] = json.loads(told["names"])
+    names: list[str] = json.loads(metadata["names"])
     return {n: PackedSet(n, levels(n, "surface"), levels(n, "height")) for n in names}
 
 

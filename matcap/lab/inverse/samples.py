@@ -112,12 +112,12 @@ def draw_setup(rng: np.random.Generator) -> FlashSetup:
     """Camera and flash of some phone: 40 to 90 degrees, a flash 1 to 3 cm from the lens."""
     fov = rng.uniform(40.0, 90.0)
     distance = FlashSetup(fov=fov).distance
-    beside = distance * rng.uniform(0.01, 0.1)
+    radius = distance * rng.uniform(0.01, 0.1)
     around = rng.uniform(0.0, 2.0 * math.pi)
     tilt = np.clip(rng.normal(0.0, math.radians(3.5), 2), -0.26, 0.26)
     return FlashSetup(
         fov=fov,
-        offset=(beside * math.cos(around), beside * math.sin(around), 0.0),
+        offset=(radius * math.cos(around), radius * math.sin(around), 0.0),
         tilt=(float(tilt[0]), float(tilt[1])),
         vignetting=rng.uniform(0.0, 0.4) if rng.random() < 0.5 else 0.0,
     )

@@ -121,8 +121,8 @@ def train(
         training.about["shown"] = training.about.get("shown", 0) + len(batch)
         return step_loss(training.model, step, batch, settings, compare)
 
-    told = Reporting(_REPORTED, _MINUTES, on_progress=on_progress)
-    fit(training, loss_of, settings.schedule, folder, told)
+    reporting = Reporting(_REPORTED, _MINUTES, on_progress=on_progress)
+    fit(training, loss_of, settings.schedule, folder, reporting)
     samples.close()
     return training
 

@@ -24,11 +24,11 @@ def diversity(pictures: Tensor) -> float:
     features of all places: 0 for the same picture, at most 2. One picture alone has 0.
     """
     levels = RandomFilters().features(pictures)
-    apart = [
+    distances = [
         torch.stack([_relative(level[i], level[j]) for level in levels]).mean()
         for i, j in itertools.combinations(range(len(pictures)), 2)
     ]
-    return float(torch.stack(apart).mean()) if apart else 0.0
+    return float(torch.stack(distances).mean()) if distances else 0.0
 
 
 def _relative(first: Tensor, second: Tensor) -> Tensor:

@@ -45,9 +45,9 @@ def highlight_contrast(maps: MapSet, scene: BenchScene) -> float:
         place, power = torch.tensor(light.place), torch.full((3,), light.strength)
         lit, even = (shade(each, points, camera, place, power).mean(0) for each in (floats, matte))
         x, y = mirror_point(scene, light.place)
-        away = torch.hypot(points[0] - x, points[1] - y)
+        distance = torch.hypot(points[0] - x, points[1] - y)
         ratio = lit / even
-        logs.append((ratio[away < NEAR].mean() / ratio[away > FAR].mean()).log())
+        logs.append((ratio[distance < NEAR].mean() / ratio[distance > FAR].mean()).log())
     return float(torch.stack(logs).mean().exp())
 
 
@@ -65,15 +65,15 @@ def imprint(plane: Tensor, towards: tuple[float, float]) -> float:
     height, width = values.shape
     v, u = np.mgrid[:height, :width] + 0.5
     x, y = u - (towards[0] + 1.0) * width / 2.0, v - (height - towards[1] * width) / 2.0
-    away = np.maximum(np.hypot(x, y), 1.0)
-    whole = away < _RINGS * 0.5 * min(height, width)
+    distance = np.maximum(np.hypot(x, y), 1.0)
+    whole = distance < _RINGS * 0.5 * min(height, width)
     sector = (np.arctan2(y, x) / (2.0 * np.pi) % 1.0 * _SECTORS).astype(int) % _SECTORS
     energies = []
     for octave in range(_OCTAVES):
         band = _blurred(values, 2.0**octave) - _blurred(values, 2.0 ** (octave + 1))
         down, across = np.gradient(band)
-        radial = np.square((across * x + down * y) / away)
-        around = np.square((across * -y + down * x) / away)
+        radial = np.square((across * x + down * y) / distance)
+        around = np.square((across * -y + down * x) / distance)
         sums = [
             (radial[whole & (sector == k)].mean(), around[whole & (sector == k)].mean())
             for k in range(_SECTORS)
@@ -81,8 +81,8 @@ def imprint(plane: Tensor, towards: tuple[float, float]) -> float:
         energies.append(np.array(sums).mean(0))
     # An octave in which next to nothing is drawn says nothing.
     least = max(_LEAST * max(float(each.sum()) for each in energies), 1e-12)
-    found = [float((a - b) / (a + b)) for a, b in energies if a + b > least]
-    return max(found, key=abs, default=0.0)
+    ratios = [float((a - b) / (a + b)) for a, b in energies if a + b > least]
+    return max(ratios, key=abs, default=0.0)
 
 
 def _blurred(plane: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:

@@ -57,7 +57,7 @@ def bench_scene(flash: FlashSetup) -> BenchScene:
     Each light is as strong as makes a white matte plane's middle as bright as a flash at the
     camera's place does, so that one exposure fits all.
     """
-    found = []
+    lights = []
     for index in range(LIGHTS):
         share = (index + 0.5) / LIGHTS
         polar = math.radians(_NEAREST + (_FURTHEST - _NEAREST) * share)
@@ -70,8 +70,8 @@ def bench_scene(flash: FlashSetup) -> BenchScene:
             distance * math.cos(polar),
         )
         strength = (distance / flash.distance) ** 2 / math.cos(polar)
-        found.append(BenchLight(place, strength))
-    return BenchScene(flash.distance, tuple(found))
+        lights.append(BenchLight(place, strength))
+    return BenchScene(flash.distance, tuple(lights))
 
 
 def mirrored_scene(flash: FlashSetup) -> BenchScene:
@@ -80,14 +80,14 @@ def mirrored_scene(flash: FlashSetup) -> BenchScene:
     At 5 to 20 degrees from the plane's normal and at the camera's height, as strong as of
     `bench_scene`: only under such lights is gloss seen.
     """
-    found = []
+    lights = []
     for index in range(_MIRRORED):
         share = index / (_MIRRORED - 1)
         polar = math.radians(_STRAIGHT + (_ASIDE - _STRAIGHT) * share)
         around, aside = index * _GOLDEN_ANGLE, flash.distance * math.tan(polar)
         place = (aside * math.cos(around), aside * math.sin(around), flash.distance)
-        found.append(BenchLight(place, math.cos(polar) ** -3))
-    return BenchScene(flash.distance, tuple(found))
+        lights.append(BenchLight(place, math.cos(polar) ** -3))
+    return BenchScene(flash.distance, tuple(lights))
 
 
 def relight(

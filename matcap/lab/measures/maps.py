@@ -58,29 +58,29 @@ class MapsOff:
     """Mean absolute difference."""
 
     @staticmethod
-    def of(found: MapSet, true: MapSet, where: Tensor | None = None) -> MapsOff:
+    def of(estimate: MapSet, true: MapSet, where: Tensor | None = None) -> MapsOff:
         """Of maps, or of some of their texels, (H, W) bool."""
-        here = torch.ones(found.size[::-1], dtype=torch.bool) if where is None else where
-        off = (true.normal.float() * found.normal).sum(0).clamp(-1.0, 1.0).acos().rad2deg()
+        here = torch.ones(estimate.size[::-1], dtype=torch.bool) if where is None else where
+        off = (true.normal.float() * estimate.normal).sum(0).clamp(-1.0, 1.0).acos().rad2deg()
         lean = true.normal[2].clamp(-1.0, 1.0).acos().rad2deg()
         steep = (lean > _STEEP) & here
-        log = (found.diffuse.mean(0) + 1e-3).log() - (true.diffuse.mean(0) + 1e-3).log()
+        log = (estimate.diffuse.mean(0) + 1e-3).log() - (true.diffuse.mean(0) + 1e-3).log()
         return MapsOff(
             float(off[steep].mean()) if steep.any() else math.nan,
             float(lean[steep].mean()) if steep.any() else math.nan,
             float((log - log[here].median())[here].abs().mean()),
-            float((found.roughness - true.roughness)[0][here].abs().mean()),
+            float((estimate.roughness - true.roughness)[0][here].abs().mean()),
         )
 
 
-def numbers_beside(found: MapSet, truths: Sequence[MapSet]) -> dict[str, float]:
+def compared_numbers(estimate: MapSet, truths: Sequence[MapSet]) -> dict[str, float]:
     """MapNumbers of maps, and their means over true samples in texels of the same size."""
-    shrunk = [asdict(MapNumbers.of(shrunk_to(maps, found.texel_size))) for maps in truths]
-    told = {}
-    for name, value in asdict(MapNumbers.of(found)).items():
-        told[name] = value
-        told[f"true {name}"] = sum(one[name] for one in shrunk) / len(shrunk)
-    return told
+    shrunk = [asdict(MapNumbers.of(shrunk_to(maps, estimate.texel_size))) for maps in truths]
+    columns = {}
+    for name, value in asdict(MapNumbers.of(estimate)).items():
+        columns[name] = value
+        columns[f"true {name}"] = sum(one[name] for one in shrunk) / len(shrunk)
+    return columns
 
 
 def shrunk_to(maps: MapSet, texel_size: float) -> MapSet:

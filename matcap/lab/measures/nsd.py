@@ -76,8 +76,8 @@ class NormalisedStyleDistance:
         pairs = list(itertools.combinations(self._truths, 2))
         self.between_truths = sum(float(difference(a, b).mean()) for a, b in pairs) / len(pairs)
 
-    def of(self, found: Tensor) -> float:
+    def of(self, pictures: Tensor) -> float:
         """NSD of pictures (L, 3, H, W) relit from the same directions; 1 is indistinguishable."""
-        statistics = self._style(found)
+        statistics = self._style(pictures)
         errors = [float(difference(statistics, truth).mean()) for truth in self._truths]
         return sum(errors) / len(errors) / self.between_truths

@@ -48,7 +48,7 @@ def seam_contrast(
     ]
     if sum(int(some.sum()) for some in seams) < _FEWEST:
         return None
-    found = {}
+    contrasts = {}
     for name, here, own in zip(
         ("albedo", "slope"), _seen(maps, texel_size), _seen(exemplar, texel_size), strict=True
     ):
@@ -56,8 +56,8 @@ def seam_contrast(
         at_seams = np.quantile(np.concatenate(there), (0.5, 0.99))
         usual = np.quantile(np.concatenate([one.ravel() for one in _steps(own)]), (0.5, 0.99))
         median, high = at_seams / np.maximum(usual, 1e-9)
-        found[name] = SeamContrast(float(median), float(high))
-    return found
+        contrasts[name] = SeamContrast(float(median), float(high))
+    return contrasts
 
 
 def _seen(maps: Floats, texel_size: float) -> tuple[Floats, Floats]:

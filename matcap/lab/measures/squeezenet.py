@@ -74,13 +74,13 @@ class SqueezeNet(nn.Module):
         """Nine rectified responses (B, C, h, w) of sRGB-encoded pictures (B, 3, H, W) in [0, 1]."""
         mean, deviation = (torch.tensor(v).to(pictures)[:, None, None] for v in (_MEAN, _DEVIATION))
         features = F.relu(self.first((pictures - mean) / deviation))
-        found = [features]
+        activations = [features]
         for index, fire in enumerate(self.fires):
             if index in _POOLED_BEFORE:
                 features = F.max_pool2d(features, 3, stride=2, ceil_mode=True)
             features = fire(features)
-            found.append(features)
-        return found
+            activations.append(features)
+        return activations
 
 
 def _fill(convolution: nn.Conv2d, data: bytes, offset: int, path: Path) -> int:

@@ -106,9 +106,11 @@ class PortillaSimoncelli:
         """Describe (B, 3, H, W)."""
         luma = torch.tensor(LUMINANCE).to(pictures)[:, None, None]
         grey = (pictures * luma).sum(1, keepdim=True)
-        told = self._model.convert_to_dict(self._model(grey))
-        groups = {name: Group(_finite(told[name]), unseen) for name, unseen in _GROUPS.items()}
-        pixel = _finite(told["pixel_statistics"])
+        statistics = self._model.convert_to_dict(self._model(grey))
+        groups = {
+            name: Group(_finite(statistics[name]), unseen) for name, unseen in _GROUPS.items()
+        }
+        pixel = _finite(statistics["pixel_statistics"])
         for name, column, unseen in (*_PIXEL, *_PIXEL_MOMENTS):
             groups[f"pixel {name}"] = Group(pixel[:, column : column + 1], unseen)
         colours = pictures.flatten(2)
@@ -144,9 +146,9 @@ class RandomFilters:
 
 def _relative(first: Group, second: Group) -> Tensor:
     """(B,) relative L1 difference of a group."""
-    apart = (first.values - second.values).abs().mean(1)
+    difference = (first.values - second.values).abs().mean(1)
     size = (first.values.abs().mean(1) + second.values.abs().mean(1)) / 2.0
-    return apart / (size + first.unseen).clamp_min(1e-12)
+    return difference / (size + first.unseen).clamp_min(1e-12)
 
 
 def _finite(statistics: Tensor) -> Tensor:

@@ -34,14 +34,14 @@ class Variety:
 
     precision: float
     recall: float
-    apart: float
-    apart_true: float
+    mean_distance: float
+    mean_distance_true: float
     nearest: Tensor
 
     @property
     def spread(self) -> float:
         """How far apart made pictures are, as a share of how far true ones are."""
-        return self.apart / self.apart_true
+        return self.mean_distance / self.mean_distance_true
 
 
 def variety(made: StyleStatistics, true: StyleStatistics, neighbour: int = NEIGHBOUR) -> Variety:
@@ -51,8 +51,8 @@ def variety(made: StyleStatistics, true: StyleStatistics, neighbour: int = NEIGH
     return Variety(
         precision=_covered(across, reaches(within_true, neighbour)),
         recall=_covered(across.T, reaches(within, neighbour)),
-        apart=mean_apart(within),
-        apart_true=mean_apart(within_true),
+        mean_distance=mean_pairwise(within),
+        mean_distance_true=mean_pairwise(within_true),
         nearest=across.argmin(dim=1),
     )
 
@@ -73,14 +73,14 @@ def joined(parts: Sequence[StyleStatistics]) -> StyleStatistics:
 
 def style_distances(first: StyleStatistics, second: StyleStatistics) -> Tensor:
     """(N, M) distances between N and M pictures: style.difference of every pair."""
-    found = []
+    distances = []
     for name, group in first.items():
         one, other = group.values, second[name].values
         count = one.shape[1]
         sizes = one.abs().mean(1)[:, None] + other.abs().mean(1)[None, :]
-        apart = torch.cdist(one, other, p=1.0) / count
-        found.append(apart / (sizes / 2.0 + group.unseen).clamp_min(1e-12))
-    return torch.stack(found).mean(0)
+        difference = torch.cdist(one, other, p=1.0) / count
+        distances.append(difference / (sizes / 2.0 + group.unseen).clamp_min(1e-12))
+    return torch.stack(distances).mean(0)
 
 
 def reaches(within: Tensor, neighbour: int) -> Tensor:
@@ -88,7 +88,7 @@ def reaches(within: Tensor, neighbour: int) -> Tensor:
     return within.sort(dim=1).values[:, neighbour]  # the first is the member itself
 
 
-def mean_apart(within: Tensor) -> float:
+def mean_pairwise(within: Tensor) -> float:
     """Mean distance of two different members, from (N, N)."""
     count = len(within)
     return float(within.sum() - within.diagonal().sum()) / (count * (count - 1))

@@ -54,14 +54,14 @@ class Vgg16Style:
     def features(self, pictures: Tensor) -> list[Tensor]:
         """Responses (B, C, h, w) of each block to sRGB pictures (B, 3, H, W) in [0, 1]."""
         features = 255.0 * pictures - torch.tensor(_MEAN)[:, None, None]
-        found = []
+        activations = []
         for block, layers in enumerate(self._layers):
             if block:
                 features = F.max_pool2d(features, 2)
             for weight, bias in layers:
                 features = F.relu(F.conv2d(features, weight, bias, padding=1))
-            found.append(features)
-        return found
+            activations.append(features)
+        return activations
 
     def __call__(self, pictures: Tensor) -> StyleStatistics:
         """Describe (B, 3, H, W)."""

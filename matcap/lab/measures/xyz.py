@@ -31,5 +31,5 @@ def xyz_difference(first: Tensor, second: Tensor) -> float:
     It is the share of pixels that are of a colour the other picture has no pixel for: 0 for the
     same colours in any order, 1 for no colour in common. The pictures may differ in size.
     """
-    apart = np.abs(xyz_histograms(first) - xyz_histograms(second)).sum(axis=1)
-    return float(apart.mean() / 2.0)
+    difference = np.abs(xyz_histograms(first) - xyz_histograms(second)).sum(axis=1)
+    return float(difference.mean() / 2.0)

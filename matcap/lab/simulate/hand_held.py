@@ -91,7 +91,7 @@ class Hand:
 
 
 @dataclass(frozen=True)
-class HeldShot:
+class HandShot:
     """One of several photographs.
 
     Attributes:
@@ -103,7 +103,7 @@ class HeldShot:
     camera: PosedCamera
 
 
-def beside(phone: PhoneCamera) -> Hand:
+def downward(phone: PhoneCamera) -> Hand:
     """A hand that moves a phone by half a picture each time and looks straight down."""
     return Hand(aside=math.tan(math.radians(phone.fov) / 2.0), aimed=1.0)
 
@@ -133,7 +133,7 @@ def take_several(
     cameras: Sequence[PosedCamera],
     hand: Hand,
     seed: int = 0,
-) -> list[HeldShot]:
+) -> list[HandShot]:
     """Photograph one piece from several places; every exposure is automatic.
 
     Args:
@@ -159,10 +159,10 @@ def take_several(
             intensity=tuple(float(v) for v in gain * balance),  # type: ignore[arg-type]
             vignetting=hand.vignetting,
         )
-        shots.append(HeldShot(Shot(linear * gain, setup, phone, exposure=gain), camera))
+        shots.append(HandShot(Shot(linear * gain, setup, phone, exposure=gain), camera))
     first = shots[0]
     tilted = replace(first.shot.setup, tilt=_tilt(first.camera))
-    shots[0] = HeldShot(replace(first.shot, setup=tilted), first.camera)
+    shots[0] = HandShot(replace(first.shot, setup=tilted), first.camera)
     return shots
 
 
@@ -172,7 +172,7 @@ def take_without_flash(
     cameras: Sequence[PosedCamera],
     hand: Hand,
     seed: int = 0,
-) -> HeldShot:
+) -> HandShot:
     """Photograph the same piece by the room's light alone, from the first place, a little shaken.
 
     Args:
@@ -189,10 +189,10 @@ def take_without_flash(
     linear = _picture(maps, (hand.room or Room()).on(maps), camera, phone, hand) * balance
     gain = sensor_exposure(linear, phone)
     setup = FlashSetup(fov=phone.fov)
-    return HeldShot(Shot(linear * gain, setup, phone, exposure=gain, fired=False), camera)
+    return HandShot(Shot(linear * gain, setup, phone, exposure=gain, fired=False), camera)
 
 
-def held_on(
+def true_maps_on(
     realise: Realise,
     phone: PhoneCamera,
     cameras: Sequence[PosedCamera],
@@ -212,15 +212,15 @@ def held_on(
     Returns:
         (columns, rows) of the plane to its maps.
     """
-    return held_along(realise, phone, cameras, 0, PosedCamera.of(setup, bent))
+    return true_maps_along(realise, phone, cameras, 0, PosedCamera.of(setup, bent))
 
 
-def held_along(
+def true_maps_along(
     realise: Realise,
     phone: PhoneCamera,
     cameras: Sequence[PosedCamera],
     number: int,
-    believed: PosedCamera,
+    estimated: PosedCamera,
     extent: Extent = OWN,
 ) -> Callable[[int, int], MapSet]:
     """True maps along the rays of any of the cameras, where it alone drew a piece's texels.
@@ -244,7 +244,7 @@ def held_along(
             np.asarray(cv2.GaussianBlur(channel, (0, 0), blur), np.float32)
             for channel in maps.stacked().float().numpy()
         ]
-        points = first.on_plane(believed.sees(grid_points(columns, rows, extent)))
+        points = first.on_plane(estimated.sees(grid_points(columns, rows, extent)))
         ray = points - first.place[:, None, None]
 
         def looked_up(channel: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -261,8 +261,8 @@ def held_along(
         for _ in range(_MEETINGS):
             share = (looked_up(stacked[-1]) - first.place[2]) / ray[2]
             points = first.place[:, None, None] + share * ray
-        found = np.stack([looked_up(channel) for channel in stacked])
-        return MapSet.from_stacked(torch.from_numpy(found), extent.texel(columns))
+        planes = np.stack([looked_up(channel) for channel in stacked])
+        return MapSet.from_stacked(torch.from_numpy(planes), extent.texel(columns))
 
     return on
 

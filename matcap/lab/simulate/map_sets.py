@@ -70,10 +70,10 @@ class MapSetMaterial:
         step = texel_size / self.texel_size * columns / self.tile.shape[2]
         x = seed * _PLASTIC[0] * columns + _from_middle(width) * step - 0.5
         y = seed * _PLASTIC[1] * rows + _from_middle(height) * step - 0.5
-        found = _sampled(_sampled(tile, y, 1), x, 2).astype(np.float64)
-        found[SURFACE] = found[SURFACE].clip(0.0, 1.0)
-        found[HEIGHT] *= self.texel_size
-        return MapSet.from_stacked(torch.from_numpy(found), texel_size)
+        planes = _sampled(_sampled(tile, y, 1), x, 2).astype(np.float64)
+        planes[SURFACE] = planes[SURFACE].clip(0.0, 1.0)
+        planes[HEIGHT] *= self.texel_size
+        return MapSet.from_stacked(torch.from_numpy(planes), texel_size)
 
 
 def read_map_set(folder: Path, span: float = SPAN) -> MapSetMaterial:
@@ -125,20 +125,20 @@ def read_surface(folder: Path, *, bare_metal: bool) -> SurfaceMaps:
     Raises:
         MatcapError: base colour, normal or roughness is missing, or cannot be read.
     """
-    found = read_channels(folder, normal="gl")
-    missing = [k for k in ("roughness", "slopes") if getattr(found, k) is None]
+    channels = read_channels(folder, normal="gl")
+    missing = [k for k in ("roughness", "slopes") if getattr(channels, k) is None]
     if missing:
         raise MatcapError(
             f"there is no map of {missing[0]} that can be read",
             where=str(folder),
             remedy="give a folder with basecolor, normal and roughness",
         )
-    assert found.roughness is not None and found.slopes is not None
-    metallic = found.metallic
+    assert channels.roughness is not None and channels.slopes is not None
+    metallic = channels.metallic
     if metallic is None:
-        metallic = np.full_like(found.roughness, float(bare_metal))
-    both = metallic_of(found.base, metallic)
-    return SurfaceMaps(both[:3], both[3:], found.roughness, metallic, found.slopes)
+        metallic = np.full_like(channels.roughness, float(bare_metal))
+    both = metallic_of(channels.base, metallic)
+    return SurfaceMaps(both[:3], both[3:], channels.roughness, metallic, channels.slopes)
 
 
 def map_set_folders(folder: Path) -> list[Path]:
@@ -150,8 +150,8 @@ def bare_metals(manifest: Path) -> frozenset[str]:
     """Sets that are metal all over though they have no map that says so."""
     if not manifest.is_file():
         return frozenset()
-    told = json.loads(manifest.read_text())
-    return frozenset(one["name"] for one in told if "bare metal" in one.get("remarks", ""))
+    entries = json.loads(manifest.read_text())
+    return frozenset(one["name"] for one in entries if "bare metal" in one.get("remarks", ""))
 
 
 def _shrunk(tile: Floats, step: float) -> Floats:

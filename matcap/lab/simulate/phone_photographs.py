@@ -74,8 +74,8 @@ class PhonePhotographs:
         """
         subject = self.specimen
         paths = [out / f"{subject.name.replace(':', '-')}_{number}.dng" for number in range(count)]
-        told = out / "setup.json"
-        if not all(path.exists() for path in (told, *paths)):
+        sidecar = out / "setup.json"
+        if not all(path.exists() for path in (sidecar, *paths)):
             cameras = hold(self.phone, self.hand, count, subject.seed)
             first = FlashSetup(fov=self.phone.fov, tilt=self.tilt)
             cameras[0] = PosedCamera.of(first, self.hand.bent)
@@ -83,8 +83,8 @@ class PhonePhotographs:
             shots = take_several(realise, self.phone, cameras, self.hand, subject.seed)
             for number, (path, shot) in enumerate(zip(paths, shots, strict=True)):
                 write_dng(path, shot.shot, subject.sensor, subject.seed + number)
-            told.write_text(json.dumps({"intensity": shots[0].shot.setup.intensity}))
-        red, green, blue = json.loads(told.read_text())["intensity"]
+            sidecar.write_text(json.dumps({"intensity": shots[0].shot.setup.intensity}))
+        red, green, blue = json.loads(sidecar.read_text())["intensity"]
         setup = FlashSetup(fov=self.phone.fov, offset=self.hand.flash, tilt=self.tilt)
         return paths, setup.with_intensity((red, green, blue))
 

@@ -210,13 +210,13 @@ def cells(
     shift_u, shift_v = generator.random(2)
     u = np.clip(u - corners_u.min() + shift_u + margin / 2, 1.0, columns - 1.001)
     v = np.clip(v - corners_v.min() + shift_v + margin / 2, 1.0, rows - 1.001)
-    found = [
+    distances = [
         _nearest(a, b, points[0], points[1], columns)
         for a, b in zip(_chunks(u), _chunks(v), strict=True)
     ]
     shape = (canvas.height, canvas.width)
     nearest, second, index, du, dv = (
-        np.concatenate(part).reshape(shape) for part in zip(*found, strict=True)
+        np.concatenate(part).reshape(shape) for part in zip(*distances, strict=True)
     )
     return VoronoiCells(nearest, second, index, rows * columns, (du, dv))
 

@@ -129,7 +129,7 @@ def take_tilted(seed: int, width: int, shots: int = SHOTS) -> Tilted:
     """A material of a seed, photographed `width` pixels across from several tilts."""
     rng = np.random.default_rng([20261127, seed])
     material = material_of(seed)
-    found = []
+    windows = []
     # Making a piece takes longer than lighting it: the shots are of parts of one.
     pieces = cache(lambda texel: material.realise(round(_PIECE * width), width, seed, texel))
     for _ in range(shots):
@@ -144,8 +144,8 @@ def take_tilted(seed: int, width: int, shots: int = SHOTS) -> Tilted:
         realise = partial(_cut, pieces, rng)
         linear = torch.from_numpy(take(realise, camera, setup).linear).permute(2, 0, 1)
         linear = linear / linear.mean(0).median().clamp_min(1e-6)
-        found.append((linear.clamp(0.0, 6e4).half(), camera.fov, setup.offset[:2], setup.tilt))
-    radiance, fov, offset, tilt = zip(*found, strict=True)
+        windows.append((linear.clamp(0.0, 6e4).half(), camera.fov, setup.offset[:2], setup.tilt))
+    radiance, fov, offset, tilt = zip(*windows, strict=True)
     return Tilted(
         torch.stack(radiance), torch.tensor(fov), torch.tensor(offset), torch.tensor(tilt)
     )
@@ -320,12 +320,12 @@ def train_alignment(
         taken = pool.at(torch.from_numpy(rng.integers(0, len(pool.fov), batch)))
         if rng.random() < 0.5:
             taken = mirror(taken)
-        pictures, told = develop(_cropped(taken, rng), rng).shown()
+        pictures, known = develop(_cropped(taken, rng), rng).shown()
         order = torch.from_numpy(np.concatenate([rng.permutation(3), [3, 4]]))
         with mixed("cpu"):
-            found, log_std = network(pictures[:, order], told)
-        training.update(likelihood_loss(found, log_std, taken.tilt), schedule.share(step))
-        errors.append(math.degrees(float((found.detach() - taken.tilt).abs().mean())))
+            estimate, log_std = network(pictures[:, order], known)
+        training.update(likelihood_loss(estimate, log_std, taken.tilt), schedule.share(step))
+        errors.append(math.degrees(float((estimate.detach() - taken.tilt).abs().mean())))
         if step % 50 == 49:
             on_progress(f"step {step + 1}  mean error {mean(errors[-50:]):.2f} degrees")
     return network.eval()
@@ -371,10 +371,10 @@ def evaluate_alignment(
     errors, scores = [], []
     for seed in seeds:
         photo, tilt = tilted_photo(seed, width, radiometric=radiometric)
-        found = tilt_measurement(photo, branch)
-        away = torch.tensor([found.x - tilt[0], found.y - tilt[1]])
-        errors.append(torch.rad2deg(away))
-        scores.append(away / torch.tensor([found.std_x, found.std_y]))
+        measurement = tilt_measurement(photo, branch)
+        error = torch.tensor([measurement.x - tilt[0], measurement.y - tilt[1]])
+        errors.append(torch.rad2deg(error))
+        scores.append(error / torch.tensor([measurement.std_x, measurement.std_y]))
     return TiltErrors(torch.stack(errors), torch.stack(scores))
 
 
@@ -386,12 +386,14 @@ def report_alignment(branch: Alignment, count: int = 60) -> str:
         "|---|---:|---:|---:|---:|",
     ]
     for name, radiometric in (("JPEG", False), ("RAW", True)):
-        found = evaluate_alignment(branch, range(UNSEEN, UNSEEN + count), radiometric=radiometric)
-        away = found.error.abs()
-        x, y = found.error.mean(0).tolist()
-        within = float((found.score.abs() < 1.0).float().mean())
+        evaluation = evaluate_alignment(
+            branch, range(UNSEEN, UNSEEN + count), radiometric=radiometric
+        )
+        size = evaluation.error.abs()
+        x, y = evaluation.error.mean(0).tolist()
+        within = float((evaluation.score.abs() < 1.0).float().mean())
         lines.append(
-            f"| {count} {name} | {float(away.mean()):.2f} | {float(away.quantile(0.95)):.2f} "
+            f"| {count} {name} | {float(size.mean()):.2f} | {float(size.quantile(0.95)):.2f} "
             f"| {x:+.2f}, {y:+.2f} | {within:.0%} |"
         )
     return "\n".join(lines)

@@ -50,7 +50,7 @@ def build(
     folder: Path | None,
     simulated: int,
     seed: int = 0,
-    tell: Callable[[str], None] = lambda line: None,
+    on_progress: Callable[[str], None] = lambda line: None,
 ) -> Built:
     """Pack the photographs of a folder and as many simulated ones.
 
@@ -65,13 +65,13 @@ def build(
     for path in _pictures(folder):
         try:
             entries.append(read(path))
-            tell(f"{path.name}: packed")
+            on_progress(f"{path.name}: packed")
         except MatcapError as error:
             skipped.append((path.name, error.what))
-            tell(f"{path.name}: left out, {error.what}")
+            on_progress(f"{path.name}: left out, {error.what}")
     for index in range(simulated):
         entries.append(simulate(seed * 1_000_003 + index))
-        tell(f"{entries[-1].name}: packed")
+        on_progress(f"{entries[-1].name}: packed")
     if not entries:
         where = str(folder) if folder else "corpus"
         raise MatcapError(

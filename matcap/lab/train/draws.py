@@ -67,23 +67,27 @@ def run_variety(
         drawn.append(lit(prior.draw(seed)))
         if (seed + 1) % 16 == 0:
             on_progress(f"{seed + 1} of {settings.draws} draws")
-    told = describe_pictures(real), describe_pictures(simulated)
+    statistics = describe_pictures(real), describe_pictures(simulated)
     ceiling = describe_pictures([middle(entry) for entry in pack.training])
-    beside = {"all": joined(told), "photographs": told[0], "simulated": told[1]}
+    references = {
+        "all": joined(statistics),
+        "photographs": statistics[0],
+        "simulated": statistics[1],
+    }
     made = {"draws": describe_pictures(drawn), "training photographs": ceiling}
-    found = {
+    results = {
         (what, name): variety(ours, true)
-        for what, true in beside.items()
+        for what, true in references.items()
         for name, ours in made.items()
     }
     rows = [
         Trial("prior-variety", name, what, {
-            "precision": one.precision, "recall": one.recall, "apart": one.apart,
+            "precision": one.precision, "recall": one.recall, "apart": one.mean_distance,
             "spread": one.spread,
         })
-        for (what, name), one in found.items()
+        for (what, name), one in results.items()
     ]  # fmt: skip
-    blends = middles(prior, first_of_each(pack.reporting), joined([*told, ceiling]))
+    blends = middles(prior, first_of_each(pack.reporting), joined([*statistics, ceiling]))
     rows += [
         Trial("prior-variety", "blend", f"{one.first} and {one.second}", {
             "ends": one.ends, "middle": one.middle, "ratio": one.ratio,
@@ -97,7 +101,7 @@ def run_variety(
     page = f"{table(rows, command, _ABOUT)}\n{pictures}"
     out.mkdir(parents=True, exist_ok=True)
     (out / "prior-variety.md").write_text(page, encoding="utf-8")
-    order = found["all", "draws"].nearest[:_SHEET].argsort(stable=True).tolist()
+    order = results["all", "draws"].nearest[:_SHEET].argsort(stable=True).tolist()
     write_grid([drawn[index] for index in order], _COLUMNS, out / "prior-variety.jpg")
     write_grid([one.strip for one in blends], 2, out / "prior-blends.jpg")
     return page
@@ -136,12 +140,12 @@ def middles(prior: Prior, entries: Sequence[Entry], photographs: StyleStatistics
     """
     places = [prior.place(entry.photo()) for entry in entries[: PAIRS + 1]]
     materials = [prior.draw(0, near=place, spread=0.0) for place in places]
-    found = []
+    windows = []
     for index in range(len(materials) - 1):
         first, second = materials[index : index + 2]
         steps = [lit(blend(first, second, share)) for share in _SHARES]
         nearest = style_distances(describe_pictures(steps), photographs).min(dim=1).values
-        found.append(
+        windows.append(
             Middle(
                 entries[index].material,
                 entries[index + 1].material,
@@ -150,4 +154,4 @@ def middles(prior: Prior, entries: Sequence[Entry], photographs: StyleStatistics
                 torch.cat(steps, dim=2),
             )
         )
-    return found
+    return windows

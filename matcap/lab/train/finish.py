@@ -108,11 +108,11 @@ def finish(
     encoder, decoder = standardise(encoder, decoder, codes)
     codes = codes.standardised()
     mean, variance = codes.aggregate
-    told = codes.mean.var(dim=0, correction=0)
+    informative = codes.mean.var(dim=0, correction=0)
     measured = {
         "code_mean": [round(v, 3) for v in mean.tolist()],
         "code_variance": [round(v, 3) for v in variance.tolist()],
-        "dead_dimensions": int((told < DEAD).sum()),
+        "dead_dimensions": int((informative < DEAD).sum()),
     }
     habits = habits_of(codes, entries)
     return Prior(

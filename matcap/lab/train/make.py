@@ -69,8 +69,8 @@ def make_prior(
         save_alignment(
             branch, train_alignment(pool, tables["alignment"]["steps"], on_progress=on_progress)
         )
-    told = min(24, tables["alignment"]["materials"])
-    card = _card(prior, pack, recipe, place, branch if told else None, told)
+    count = min(24, tables["alignment"]["materials"])
+    card = _card(prior, pack, recipe, place, branch if count else None, count)
     with staged_file(out.with_suffix(".md")) as file:
         file.write_text(card, encoding="utf-8")
     return prior
@@ -117,8 +117,8 @@ def _card(
     if curves.exists():
         with curves.open(encoding="utf-8", newline="") as file:
             *_, last = csv.DictReader(file)
-        told = ", ".join(f"{name} {value}" for name, value in last.items())
-        lines += [f"At the end of training: {told}.", ""]
+        columns = ", ".join(f"{name} {value}" for name, value in last.items())
+        lines += [f"At the end of training: {columns}.", ""]
     if branch is not None:
         lines += ["Alignment branch, on kinds never trained on, degrees:", ""]
         lines += [report_alignment(load_alignment(branch), count), ""]

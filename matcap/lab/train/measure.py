@@ -129,12 +129,12 @@ def capture(
     started = time.perf_counter()
     decoder, code = begin()
     scene = tuned.scene
-    found = finetune(decoder, code, scene, TuneSettings(steps=steps, learning_rate=rate), _untold)
+    outcome = finetune(decoder, code, scene, TuneSettings(steps=steps, learning_rate=rate), _untold)
     seconds = time.perf_counter() - started
-    if found.interrupted:
+    if outcome.interrupted:
         raise KeyboardInterrupt  # half a capture is no measurement
-    decoder = found.decoder.eval().requires_grad_(False)
-    frozen = (decoder, code, found.moments, scene.waves, scene.texel_size)
+    decoder = outcome.decoder.eval().requires_grad_(False)
+    frozen = (decoder, code, outcome.moments, scene.waves, scene.texel_size)
     material: Material | Unfolded
     if isinstance(decoder, DecoderOnly):
         material = Unfolded(*frozen)

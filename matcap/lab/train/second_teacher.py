@@ -40,7 +40,12 @@ def side_light(rng: np.random.Generator) -> Tensor:
 
 
 def relit_distance(
-    found: MapSet, truth: MapSet, light: Tensor, encoding: Encoding, bank: FilterBank, device: str
+    estimate: MapSet,
+    truth: MapSet,
+    light: Tensor,
+    encoding: Encoding,
+    bank: FilterBank,
+    device: str,
 ) -> Tensor:
     """(B,) style distance of maps (B, C, H, W) from true ones, seen from above under a far light.
 
@@ -50,17 +55,17 @@ def relit_distance(
     with torch.no_grad(), mixed(device):
         wanted = describe(_exposed(truth, light, encoding), encoding, bank)
     with mixed(device):
-        seen = describe(_exposed(found, light, encoding), encoding, bank)
+        seen = describe(_exposed(estimate, light, encoding), encoding, bank)
     return distance(seen, wanted, Weights())
 
 
-def relief_distance(found: MapSet, truth: MapSet) -> Tensor:
+def relief_distance(estimate: MapSet, truth: MapSet) -> Tensor:
     """(B,) mean over octaves of how far apart slopes are, in logarithms of their variance."""
-    apart = [
+    differences = [
         ((ours + _UNSEEN**2) / (theirs + _UNSEEN**2)).log().abs()
-        for ours, theirs in zip(_octaves(found), _octaves(truth), strict=True)
+        for ours, theirs in zip(_octaves(estimate), _octaves(truth), strict=True)
     ]
-    return torch.stack(apart).mean(0)
+    return torch.stack(differences).mean(0)
 
 
 def comb(maps: MapSet) -> Tensor:
@@ -77,11 +82,11 @@ def comb(maps: MapSet) -> Tensor:
 def _octaves(maps: MapSet) -> list[Tensor]:
     """(B,) mean squared slopes: as normals show them, between texels, and octave by octave."""
     height = maps.height / maps.texel_size
-    found = [_shown(maps)]
+    octaves = [_shown(maps)]
     for octave in range(_OCTAVES):
-        found.append(_between(height) / 4.0**octave)
+        octaves.append(_between(height) / 4.0**octave)
         height = F.avg_pool2d(height, 2)
-    return found
+    return octaves
 
 
 def _shown(maps: MapSet) -> Tensor:

@@ -56,8 +56,8 @@ def held_out_loss(
         wanted = targets([sample], bank, device)
         code = encode(model, sample, wanted[0], device)
         maps = decode_windows(model.decoder, code, [sample], _SEED, device)
-        found, _ = compare(maps, [sample], wanted, bank, device)
-        losses.append(float(torch.log1p(found)))
+        loss, _ = compare(maps, [sample], wanted, bank, device)
+        losses.append(float(torch.log1p(loss)))
     seen = [window(entry, 1) for entry in first_of_each(pack.training)[:_SHOWN]]
     pictures = [_pair(model, sample, bank, device) for sample in [*samples[:_SHOWN], *seen]]
     if pictures:

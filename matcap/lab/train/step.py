@@ -47,9 +47,9 @@ def step_loss(
     pictures = torch.stack([s.picture for s in samples]).to(device)
     numbers = torch.stack([s.numbers for s in samples]).to(device)
     wanted = targets(samples, bank, device)
-    told = torch.stack([texture(target) for target in wanted])
+    statistics = torch.stack([texture(target) for target in wanted])
     with mixed(device):
-        mean, log_variance = model.encoder(pictures, numbers, told)
+        mean, log_variance = model.encoder(pictures, numbers, statistics)
     noise_seed = config.seed * 1_000_003 + step
     generator = torch.Generator().manual_seed(noise_seed)
     drawn = torch.randn(mean.shape, generator=generator).to(device)
@@ -104,8 +104,8 @@ def compare(
     losses = []
     for one, sample, target in zip(maps, samples, wanted, strict=True):
         with mixed(device):
-            found = describe(sample.render(one), sample.encoding, bank)
-        losses.append(distance(found, target, Weights()).mean())
+            described = describe(sample.render(one), sample.encoding, bank)
+        losses.append(distance(described, target, Weights()).mean())
     return torch.stack(losses), torch.stack([slope_penalty(one) for one in maps])
 
 

@@ -79,13 +79,13 @@ def train(
 
     def measure() -> Mapping[str, float]:
         with torch.no_grad():
-            found = held_out_loss(
+            loss = held_out_loss(
                 training.average, pack, source, config, (bank, device), out / "sheet.png"
             )
-        return {"held_out": found}
+        return {"held_out": loss}
 
-    told = Reporting(config.report_every, config.checkpoint_minutes, measure, on_progress)
-    fit(training, loss_of, schedule(config.steps), out, told)
+    reporting = Reporting(config.report_every, config.checkpoint_minutes, measure, on_progress)
+    fit(training, loss_of, schedule(config.steps), out, reporting)
     return training
 
 

@@ -134,19 +134,19 @@ class Training(Generic[Trained]):
         """
         path = folder / CHECKPOINT
         remedy = "start again, in another folder or without --resume"
-        told, found = read_tensors(path, (_FORMAT, _VERSION), "checkpoint", remedy)
+        metadata, tensors = read_tensors(path, (_FORMAT, _VERSION), "checkpoint", remedy)
         self._begin_optimiser()
         for name, tensor in self._tensors().items():
-            if name not in found or found[name].shape != tensor.shape:
-                has = tuple(found[name].shape) if name in found else "nothing"
+            if name not in tensors or tensors[name].shape != tensor.shape:
+                has = tuple(tensors[name].shape) if name in tensors else "nothing"
                 raise MatcapError(
                     f"tensor '{name}' should be {tuple(tensor.shape)} and is {has}",
                     where=str(path),
                     remedy="use the configuration it was trained with",
                 )
             with torch.no_grad():
-                tensor.copy_(found[name])
-        self.step, self.about = int(told["step"]), json.loads(told["about"])
+                tensor.copy_(tensors[name])
+        self.step, self.about = int(metadata["step"]), json.loads(metadata["about"])
 
     def _tensors(self) -> dict[str, Tensor]:
         """Every tensor, by name; writing into them changes the state."""
@@ -190,7 +190,7 @@ def fit(
     loss_of: LossOf,
     schedule: RateSchedule,
     folder: Path,
-    told: Reporting,
+    reporting: Reporting,
 ) -> None:
     """Train until the schedule ends, writing checkpoints and curves into a folder.
 
@@ -207,9 +207,9 @@ def fit(
         loss, parts = loss_of(training.step)
         training.update(loss, schedule.share(training.step))
         curves.note({name: float(part.detach()) for name, part in parts.items()})
-        if training.step % told.every == 0 or training.step == schedule.steps:
-            told.on_progress(curves.write(training.step, told.measure()))
-        if time.monotonic() - saved > 60.0 * told.minutes:
+        if training.step % reporting.every == 0 or training.step == schedule.steps:
+            reporting.on_progress(curves.write(training.step, reporting.measure()))
+        if time.monotonic() - saved > 60.0 * reporting.minutes:
             training.save(folder)
             saved = time.monotonic()
     training.save(folder)
@@ -264,7 +264,7 @@ def read_tensors(
     """
     try:
         with safe_open(path, framework="pt") as file:
-            told = file.metadata() or {}
+            metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except FileNotFoundError as error:
         raise MatcapError(f"there is no such {what}", where=str(path), remedy=remedy) from error
@@ -272,9 +272,9 @@ def read_tensors(
         raise MatcapError(
             f"the {what} cannot be read ({error})", where=str(path), remedy=remedy
         ) from error
-    if (told.get("format"), told.get("version")) != (kind[0], str(kind[1])):
+    if (metadata.get("format"), metadata.get("version")) != (kind[0], str(kind[1])):
         raise MatcapError(f"this is no {what} of version {kind[1]}", where=str(path), remedy=remedy)
-    return told, tensors
+    return metadata, tensors
 
 
 def mixed(device: str) -> torch.autocast:

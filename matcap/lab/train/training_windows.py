@@ -173,7 +173,7 @@ def cut(
         gain = torch.from_numpy(rng.uniform(1.0, _MOST_GAIN, 3)).float()
     hue = torch.log(gain) - torch.log(gain).mean()
     base = base_of(source.entry.coarse, source.entry.contrast)
-    told = numbers(source.entry.coarse, source.entry.contrast, WAVE_DETAIL // coarser)
+    inputs = numbers(source.entry.coarse, source.entry.contrast, WAVE_DETAIL // coarser)
     camera, light = camera_in_plane(setup)
     shown = torch.cat(
         [
@@ -184,11 +184,11 @@ def cut(
     colours = torch.cat([order, torch.arange(3, 6)])
     mean = base.mean[colours].clone()
     mean[:3] += torch.log(gain)
-    told[:3], told[5:8] = told[:3][order] + torch.log(gain), told[5:8][order]
-    told[9:11], told[11:13] = _turned_numbers(told, turn)
+    inputs[:3], inputs[5:8] = inputs[:3][order] + torch.log(gain), inputs[5:8][order]
+    inputs[9:11], inputs[11:13] = _turned_numbers(inputs, turn)
     return TrainingSample(
         picture=turn.image(shown),
-        numbers=told,
+        numbers=inputs,
         base=Base(mean, base.deviation[colours]),
         waves=tuple(turn.wave(Wave(w.fx * coarser, w.fy * coarser)) for w in source.entry.waves),
         linear=turn.image(torch.stack(crops))[:, order] * gain[:, None, None],
@@ -224,14 +224,14 @@ def _true_window(
     return MapSet.from_stacked(stacked, truth.texel_size * coarser)
 
 
-def _turned_numbers(told: Tensor, turn: Turn) -> tuple[Tensor, Tensor]:
+def _turned_numbers(inputs: Tensor, turn: Turn) -> tuple[Tensor, Tensor]:
     """Offset and tilt among the encoder's numbers, moved.
 
     Tilts are rotations: about x by tilt_x, about y by tilt_y. To first order the plane's normal
     leans by (tilt_y, -tilt_x), and that vector moves like any other.
     """
-    leaning = turn.vector(torch.stack([told[12], -told[11]]))
-    return turn.vector(told[9:11]), torch.stack([-leaning[1], leaning[0]])
+    leaning = turn.vector(torch.stack([inputs[12], -inputs[11]]))
+    return turn.vector(inputs[9:11]), torch.stack([-leaning[1], leaning[0]])
 
 
 def _place(valid: Tensor, span: int, rng: np.random.Generator) -> tuple[int, int]:

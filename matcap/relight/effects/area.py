@@ -26,7 +26,7 @@ import numpy as np
 
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
-from matcap.relight.loops.library import LANES, HeldArrays, Whole, address, loops
+from matcap.relight.loops.library import LANES, KeptArrays, Whole, address, loops
 from matcap.relight.loops.structures import CAreaLight, CRule, directions
 from matcap.relight.scene import RectangleLight, SphereLight
 from matcap.relight.vectors import Array, unit3
@@ -88,7 +88,7 @@ def bound(facts: Facts) -> Bound:
 def add(block: Block, light: AreaLight) -> None:
     """Add a light with a size."""
     plan, relief = block.plan, block.context.relief
-    told, _ = _told(
+    c_light, _ = _as_c(
         light,
         falls=plan.on("falloff"),
         diffuse=plan.on("diffuse"),
@@ -101,7 +101,7 @@ def add(block: Block, light: AreaLight) -> None:
         field = byref(relief.swift if swift else relief.field)
     with block.context.clock.on("area"):
         loops().matcap_relight_area(
-            byref(block.told), byref(told), field,
+            byref(block.as_c), byref(c_light), field,
             byref(directions(SAMPLES)[0]), Whole(block.thrifty), address(ran),
         )  # fmt: skip
     block.ran("area", ran > 0)
@@ -109,31 +109,31 @@ def add(block: Block, light: AreaLight) -> None:
 
 
 @lru_cache(maxsize=64)
-def _told(
+def _as_c(
     light: AreaLight, *, falls: bool, diffuse: bool, specular: bool
-) -> tuple[CAreaLight, HeldArrays]:
+) -> tuple[CAreaLight, KeptArrays]:
     """The light as the loops know it, with all rules that a pixel may choose."""
-    kept, central = HeldArrays(), max(sum(c * c for c in light.position), 1e-12)
-    told = CAreaLight(
+    kept, central = KeptArrays(), max(sum(c * c for c in light.position), 1e-12)
+    c_light = CAreaLight(
         place=light.position, colour=light.radiance, half=_half(light),
         even=0.0 if falls else 1.0 / central, density=_DENSITY, rate=_RATE, spread=_SPREAD,
         turn=_TURN, diffuse=diffuse, specular=specular, limits=ORDERS,
     )  # fmt: skip
     if isinstance(light, SphereLight):
-        told.radius = light.radius
+        c_light.radius = light.radius
     else:
-        told.across, told.along, told.normal = (tuple(axis) for axis in _axes(light))
-        told.size = light.size
+        c_light.across, c_light.along, c_light.normal = (tuple(axis) for axis in _axes(light))
+        c_light.size = light.size
     # Beyond the last order the lobe is sampled, and this is for diffuse light.
     for number, order in enumerate((*ORDERS, 6), start=1):
-        told.plain[number] = _rule(rule(light, order), order, kept)
+        c_light.plain[number] = _rule(rule(light, order), order, kept)
         parted = 12 if number > len(ORDERS) else max(4 * math.ceil(order / 4), 8)
-        told.parted[number] = _rule(rule(light, parted, parts=True), parted, kept)
-    told.probe = _rule(rule(light, 4), 4, kept)
-    return told, kept
+        c_light.parted[number] = _rule(rule(light, parted, parts=True), parted, kept)
+    c_light.probe = _rule(rule(light, 4), 4, kept)
+    return c_light, kept
 
 
-def _rule(rule: Rule, order: int, kept: HeldArrays) -> CRule:
+def _rule(rule: Rule, order: int, kept: KeptArrays) -> CRule:
     count = len(rule.weights)
     size = count + -count % LANES
     # Points too many are the last one again, and weigh nothing.

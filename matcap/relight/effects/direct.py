@@ -80,7 +80,7 @@ def add(block: Block, light: PointLight | DirectionalLight | SphereLight | Recta
             lit = np.ones(block.tiles.size, dtype=np.float32)
             cast = np.zeros(block.tiles.size, dtype=np.uint8)
             loops().matcap_relight_past(
-                byref(block.told), byref(lamp), byref(block.context.relief.field), None,
+                byref(block.as_c), byref(lamp), byref(block.context.relief.field), None,
                 address(lit), address(cast),
             )  # fmt: skip
             block.ran("shadows", cast > 0)
@@ -91,7 +91,7 @@ def shine(block: Block, lamp: CLamp, lit: Array | None) -> None:
     """Add a lamp where its light arrives; all its parts take one loop, clocked as the costliest."""
     with block.context.clock.on("specular" if block.plan.on("specular") else "diffuse"):
         arrives = None if lit is None else address(lit)
-        loops().matcap_relight_lamp(byref(block.told), byref(lamp), arrives)
+        loops().matcap_relight_lamp(byref(block.as_c), byref(lamp), arrives)
 
 
 def sun(direction: tuple[float, float, float], irradiance: tuple[float, float, float]) -> CLamp:
@@ -103,7 +103,7 @@ def above(block: Block, lamp: CLamp, horizon: CHorizon) -> Array:
     """(N,) 1 where a lamp is above the horizon of the relief."""
     lit = np.ones(block.tiles.size, dtype=np.float32)
     loops().matcap_relight_past(
-        byref(block.told), byref(lamp), None, byref(horizon), address(lit), None
+        byref(block.as_c), byref(lamp), None, byref(horizon), address(lit), None
     )
     return lit
 

@@ -28,7 +28,7 @@ from matcap.relight.effects import direct
 from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
 from matcap.relight.environment_map import Environment
 from matcap.relight.facts import WHOLE, Facts
-from matcap.relight.loops.library import HeldArrays, address, loops
+from matcap.relight.loops.library import KeptArrays, address, loops
 from matcap.relight.loops.structures import CHorizon, directions
 from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
 from matcap.relight.tables import albedo
@@ -134,7 +134,7 @@ def _mirror(block: Block, sky: Environment) -> None:
     which = np.flatnonzero(needed).astype(np.int32)
     horizon = CHorizon(thrifty=int(block.thrifty))
     if block.plan.on("visibility") and context.horizons is not None:
-        horizon = context.horizons.told(thrifty=block.thrifty)
+        horizon = context.horizons.as_c(thrifty=block.thrifty)
     if len(which):
         plain, mixed = _sampled(block, calm, horizon, which)
         scale[:, which] += plain
@@ -149,39 +149,39 @@ def _mirror(block: Block, sky: Environment) -> None:
 
 def _sampled(block: Block, calm: Environment, horizon: CHorizon, which: Array) -> Array:
     """(2, 3, n) what differs from the mean, times F0 and on its own, of some pixels."""
-    told, _ = directions(block.context.samples)
+    c_directions, _ = directions(block.context.samples)
     if calm.varying == 0.0:
         hidden = np.empty((2, len(which)), dtype=np.float32)
         loops().matcap_relight_hidden(
-            byref(block.told), byref(told), byref(horizon), c_int64(len(which)),
+            byref(block.as_c), byref(c_directions), byref(horizon), c_int64(len(which)),
             address(which), address(hidden),
         )  # fmt: skip
         return -calm.mean.astype(np.float32)[None, :, None] * hidden[:, None]
-    found, kept = np.empty((2, 3, len(which)), dtype=np.float32), HeldArrays()
-    sky = calm.octahedra.told(kept)
+    correction, kept = np.empty((2, 3, len(which)), dtype=np.float32), KeptArrays()
+    sky = calm.octahedra.as_c(kept)
     sky.blur, sky.mean = _BLUR, tuple(float(one) for one in calm.mean)
     loops().matcap_relight_sky(
-        byref(block.told), byref(told), byref(sky), byref(horizon), c_int64(len(which)),
-        address(which), address(found),
+        byref(block.as_c), byref(c_directions), byref(sky), byref(horizon), c_int64(len(which)),
+        address(which), address(correction),
     )  # fmt: skip
-    return found
+    return correction
 
 
 def diffuse_irradiance(sky: Environment, normal: Vec, hits: Hits) -> Array:
     """(3, ...) irradiance of a block's shading normals; tables would blunt suns' terminators."""
     calm, share = sky.calm, np.float32(0.5) * (1.0 + normal[2])
     if calm.varying == 0.0:
-        found: Any = (math.pi * calm.mean).astype(np.float32)[:, None] * share
+        irradiance: Any = (math.pi * calm.mean).astype(np.float32)[:, None] * share
     elif hits.frame is None:
-        found = calm.irradiance_above(normal)
+        irradiance = calm.irradiance_above(normal)
     else:
-        found = calm.irradiance(to_scene(normal, hits.frame)) * share
+        irradiance = calm.irradiance(to_scene(normal, hits.frame)) * share
     for sun in sky.suns:
         to_light = to_frame(vec(sun.direction), hits.frame)
         facing = np.maximum(dot(normal, to_light), np.float32(0.0))
         facing = facing * ((to_light[2] > 0.0) if hits.frame is None else share)
-        found = found + facing * np.array(sun.irradiance, dtype=np.float32)[:, None]
-    return found
+        irradiance = irradiance + facing * np.array(sun.irradiance, dtype=np.float32)[:, None]
+    return irradiance
 
 
 def _flow(sky: Environment, hits: Hits) -> list[Vec]:

@@ -58,7 +58,7 @@ def add(block: Block) -> None:
             continue
         transfer = horizons.send(block.column, block.row, which, fine=fine)
         loops().matcap_relight_bounce(
-            byref(block.told), Whole(size[0]), Whole(size[1]), address(transfer),
+            byref(block.as_c), Whole(size[0]), Whole(size[1]), address(transfer),
             c_int64(len(which)), address(which),
         )  # fmt: skip
         block.ran("interreflection", which)

@@ -19,7 +19,7 @@ import numpy as np
 
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
-from matcap.relight.loops.library import HeldArrays, Pointer, address, loops
+from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
 from matcap.relight.loops.structures import CSearch
 from matcap.relight.relief import Relief
 from matcap.relight.surfaces.hits import Hits, to_scene
@@ -55,7 +55,7 @@ def shift(
         (u, v) there and the height there, arrays of one shape.
     """
     shape = np.broadcast_shapes(place[0].shape, place[1].shape, to_view[2].shape)
-    kept, height = HeldArrays(), np.empty(shape, dtype=np.float32)
+    kept, height = KeptArrays(), np.empty(shape, dtype=np.float32)
     column, row = (
         np.array(np.broadcast_to(one, shape), dtype=np.float64) for one in relief.texels(*place)
     )

@@ -21,7 +21,7 @@ import numpy as np
 
 from matcap.relight.effects.bound import Bound
 from matcap.relight.facts import Facts
-from matcap.relight.loops.library import HeldArrays, Pointer, address, loops
+from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
 from matcap.relight.relief import Relief
 from matcap.relight.vectors import Array, Vec
 
@@ -59,15 +59,15 @@ def lit(
         distance: to the light; None when it is infinitely far.
     """
     shape = np.broadcast_shapes(*(a.shape for a in (*place, height, *to_light)))
-    kept, found = HeldArrays(), np.empty(shape, dtype=np.uint8)
+    kept, visible = KeptArrays(), np.empty(shape, dtype=np.uint8)
 
     def every(values: Array, dtype: type = np.float32) -> Any:  # noqa: ANN401
         return Pointer(kept.of(np.broadcast_to(values, shape), dtype))
 
     column, row = relief.texels(*place)
     loops().matcap_relight_lit(
-        byref(relief.field), c_int64(found.size), every(column, np.float64),
+        byref(relief.field), c_int64(visible.size), every(column, np.float64),
         every(row, np.float64), every(height), *(every(one) for one in to_light),
-        None if distance is None else every(distance), address(found),
+        None if distance is None else every(distance), address(visible),
     )  # fmt: skip
-    return found.astype(bool)
+    return visible.astype(bool)

@@ -93,17 +93,17 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
 
 
 def _read_folder(folder: Path, stated: Stated | None, normal: NormalStyle | None) -> SetChannels:
-    found = stated.files if stated else assigned(folder)
-    if "base" not in found.files:
-        beside = f" (not used: {', '.join(found.left_out)})" if found.left_out else ""
+    assignment = stated.files if stated else assigned(folder)
+    if "base" not in assignment.files:
+        unused = f" (not used: {', '.join(assignment.left_out)})" if assignment.left_out else ""
         raise MatcapError(
-            f"there is no map of base colour in this folder{beside}",
+            f"there is no map of base colour in this folder{unused}",
             where=str(folder),
             remedy="name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
         )
-    set_ = _Set(dict(found.files), stated.grid if stated else None)
+    set_ = _Set(dict(assignment.files), stated.grid if stated else None)
     channels = set_.channels(stated, normal)
-    left_out = (*found.left_out, *set_.left_out)
+    left_out = (*assignment.left_out, *set_.left_out)
     if left_out:
         set_.notes.append(f"not used: {', '.join(left_out)}")
     names = {kind: file.path.name for kind, file in set_.files.items()}
@@ -199,14 +199,14 @@ class _Set:
         if kind not in self.files:
             return None
         pixels, role = self._pixels(kind), self.files[kind].channels[kind]
-        self._tell_of_colours(pixels, self.files[kind])
+        self._note_colours(pixels, self.files[kind])
         return self._fitted(self._clipped(pixels.channel(role)[None], pixels), size, pixels)
 
     def _height(self, size: tuple[int, int], stated: Stated | None) -> tuple[Array | None, bool]:
         if "height" not in self.files:
             return None, False
         pixels, file = self._pixels("height"), self.files["height"]
-        self._tell_of_colours(pixels, file)
+        self._note_colours(pixels, file)
         height = self._fitted(pixels.channel(file.channels["height"])[None], size, pixels)
         if stated is not None and stated.height is not None:
             scale, midlevel = stated.height
@@ -219,9 +219,9 @@ class _Set:
         if "normal" not in self.files:
             return None
         file, pixels = self.files["normal"], self._pixels("normal")
-        found, notes = slopes_of(pixels)
+        raw_slopes, notes = slopes_of(pixels)
         self.notes += notes
-        slopes = self._fitted(found, size, pixels)
+        slopes = self._fitted(raw_slopes, size, pixels)
         if style is not None and file.style not in ("", style):
             self.notes.append(f"{file.path.name}: its name says {file.style}, which goes first")
         named: NormalStyle | None = "gl" if file.style == "gl" else "dx" if file.style else style
@@ -255,7 +255,7 @@ class _Set:
         """Whether F0 has gloss in its alpha, as Unity and glTF have it: these conserve energy."""
         return "specular" in self.files and "gloss" in self.files["specular"].channels
 
-    def _tell_of_colours(self, pixels: Pixels, file: NamedFile) -> None:
+    def _note_colours(self, pixels: Pixels, file: NamedFile) -> None:
         if len(file.channels) > 1 or pixels.grey or "B" not in pixels.roles:
             return
         red, *others = (pixels.channel(role) for role in ("R", "G", "B"))
@@ -263,12 +263,12 @@ class _Set:
             self.notes.append(f"{pixels.path.name}: has colours, of which red is taken")
 
     def _clipped(self, values: Array, pixels: Pixels) -> Array:
-        found: Array = np.clip(values, 0.0, 1.0).astype(np.float32, copy=False)
+        clipped: Array = np.clip(values, 0.0, 1.0).astype(np.float32, copy=False)
         if not pixels.whole:
-            off = float(np.abs(found - values).max())
+            off = float(np.abs(clipped - values).max())
             if off > 1e-3:
                 self.notes.append(f"{pixels.path.name}: values outside of 0 to 1 are clipped")
-        return found
+        return clipped
 
     def _fitted(self, values: Array, size: tuple[int, int], pixels: Pixels) -> Array:
         """(C, H, W) at (width, height), for sets whose maps differ in size."""

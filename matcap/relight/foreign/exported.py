@@ -73,16 +73,16 @@ def stated_export(folder: Path, place: Path) -> Stated | None:
     Raises:
         MatcapError: several exports, one without textures of its own, or a damaged sidecar.
     """
-    found = [(file, about) for file in sorted(folder.glob("*.json")) if (about := _read(file))]
-    if not found:
+    sidecars = [(file, about) for file in sorted(folder.glob("*.json")) if (about := _read(file))]
+    if not sidecars:
         return None
-    if len(found) > 1:
+    if len(sidecars) > 1:
         raise MatcapError(
-            f"there are {len(found)} exports in this folder",
+            f"there are {len(sidecars)} exports in this folder",
             where=str(folder),
             remedy="keep one export in a folder",
         )
-    file, about = found[0]
+    file, about = sidecars[0]
     try:
         return _stated(folder, about, place)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OSError) as error:
@@ -119,7 +119,7 @@ def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> Stated:
     unit = 1.0
     if about["unit"] == "mm":
         unit = bounded(about["provenance"][SCALE], f"'{SCALE}'", 1e-9, 1e9)
-    named = [_named(folder, name, told) for name, told in about["files"].items()]
+    named = [_named(folder, name, entry) for name, entry in about["files"].items()]
     f0 = None
     if about["target"] in _INSIDE:
         document = folder / plain_name(about["documents"][0])
@@ -150,17 +150,17 @@ def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> Stated:
     return Stated(assignment, texel, height, conserving, grid, about["periodic"] is True, f0)
 
 
-def _named(folder: Path, name: str, told: Mapping[str, str]) -> NamedFile:
-    meaning = told["meaning"]
+def _named(folder: Path, name: str, entry: Mapping[str, str]) -> NamedFile:
+    meaning = entry["meaning"]
     wrong = flaw(name.replace(TOKEN, "1001"))
     if wrong:
         raise ValueError(f"the file {name!r} {wrong}")
-    fits = [held for start, held in _MEANINGS if meaning == start or _goes_on(meaning, start)]
+    fits = [packing for start, packing in _MEANINGS if meaning == start or _goes_on(meaning, start)]
     channels = fits[0] if fits else {}
     style = "dx" if "-Y" in meaning or "+Y down" in meaning else "gl"
     rank = 0 if meaning.startswith(("diffuse albedo", "specular albedo")) else 1
     style = style if "normal" in channels else ""
-    return NamedFile(folder / name, channels, style, rank, light=told["colour_space"] == "linear")
+    return NamedFile(folder / name, channels, style, rank, light=entry["colour_space"] == "linear")
 
 
 def _goes_on(meaning: str, start: str) -> bool:

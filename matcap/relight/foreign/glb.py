@@ -16,7 +16,7 @@ from matcap.relight.foreign.names import NamedFile, Packing
 
 _SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}
 # By the end of an image's name, what it holds.
-_HELD: dict[str, Packing] = {
+_PACKINGS: dict[str, Packing] = {
     "_base_color": {"base": "RGB"},
     "_specular_color": {"specular": "RGB"},
     "_roughness": {"roughness": "G", "metallic": "B"},
@@ -37,20 +37,20 @@ def unpacked(file: Path, place: Path) -> tuple[list[NamedFile], float]:
         raise ValueError(f"{file.name} is no glTF binary")
     document: dict[str, Any] = json.loads(data[20 : 20 + length])
     content = data[28 + length :]
-    held = []
+    textures = []
     for image in document["images"]:
         view = document["bufferViews"][image["bufferView"]]
         start, size = int(view.get("byteOffset", 0)), int(view["byteLength"])
-        ends = [end for end in _HELD if str(image["name"]).endswith(end)]
+        ends = [end for end in _PACKINGS if str(image["name"]).endswith(end)]
         if start < 0 or size <= 0 or start + size > len(content):
             raise ValueError(f"an image lies outside of {file.name}")
         if ends:
             target = place / f"{file.stem}{ends[0]}{_SUFFIX[image['mimeType']]}"
             target.write_bytes(content[start : start + size])
             style = "gl" if ends[0] == "_normal" else ""
-            held.append(NamedFile(target, _HELD[ends[0]], style))
+            textures.append(NamedFile(target, _PACKINGS[ends[0]], style))
     extensions = document["materials"][0]["extensions"]
     index = bounded(extensions["KHR_materials_ior"]["ior"], "ior", 1.0, 1e6)
     factor = extensions.get("KHR_materials_specular", {}).get("specularColorFactor", [1.0])[0]
     f0 = ((index - 1.0) / (index + 1.0)) ** 2 * bounded(factor, "specularColorFactor", 0.0, 1e3)
-    return held, f0
+    return textures, f0

@@ -72,7 +72,7 @@ _STYLES = {
     "dx": ("dx", "directx", "d3d", "ydown"),
 }
 # Said beside the map's word, without changing which map it is.
-_BESIDE = (
+_QUALIFIERS = (
     "map", "tex", "texture", "srgb", "linear", "lin", "raw", "noncolor", "data", "ambient", "mixed",
     "tangent", "pbr",
 )  # fmt: skip
@@ -164,7 +164,7 @@ class _Word:
         return self.text in _VOCABULARY
 
 
-_VOCABULARY = frozenset((*_KIND, *_STYLE, *_BESIDE, *SHORT))
+_VOCABULARY = frozenset((*_KIND, *_STYLE, *_QUALIFIERS, *SHORT))
 
 
 def assigned(folder: Path) -> Assigned:
@@ -175,14 +175,14 @@ def assigned(folder: Path) -> Assigned:
     """
     # macOS leaves ._NAME beside files on other file systems.
     paths = [p for p in sorted(folder.iterdir()) if not p.name.startswith(".") and p.is_file()]
-    found = named([path for path in paths if path.suffix.lower() in READ_SUFFIXES])
+    candidates = named([path for path in paths if path.suffix.lower() in READ_SUFFIXES])
     files: dict[str, NamedFile] = {}
     left_out = {
         path: "a kind of file that is not read"
         for path in paths
         if path.suffix.lower() in _OTHER_SUFFIXES
     }
-    for file in sorted(found, key=_preference):
+    for file in sorted(candidates, key=_preference):
         wanted = [kind for kind in file.channels if kind in USED]
         taken = [kind for kind in wanted if kind in files]
         for kind in taken:
@@ -216,11 +216,11 @@ def named(paths: Sequence[Path]) -> list[NamedFile]:
     """What the names of a folder's pictures say, in order."""
     cut = [_words(path.stem) for path in paths]
     before, after = _shared(cut), _shared([words[::-1] for words in cut])
-    found = [_named(path, words, before, after) for path, words in zip(paths, cut, strict=True)]
-    if not any("base" in file.channels for file in found):
+    files = [_named(path, words, before, after) for path, words in zip(paths, cut, strict=True)]
+    if not any("base" in file.channels for file in files):
         # What all share was the map's own word: color.png beside color_ao.png.
-        found = [_named(path, words, (), ()) for path, words in zip(paths, cut, strict=True)]
-    return found
+        files = [_named(path, words, (), ()) for path, words in zip(paths, cut, strict=True)]
+    return files
 
 
 def _preference(file: NamedFile) -> tuple[int, int, int, int, str]:
@@ -266,14 +266,16 @@ def _shared(cut: Sequence[Sequence[_Word]]) -> tuple[str, ...]:
     """
     names = [tuple(word.text for word in words) for words in cut]
     least = len(names) if len(names) < 4 else max(3, len(names) // 2 + 1)
-    found: tuple[str, ...] = ()
+    common: tuple[str, ...] = ()
     while True:
-        group = [name for name in names if name[: len(found)] == found and len(name) > len(found)]
-        following = Counter(name[len(found)] for name in group)
+        group = [
+            name for name in names if name[: len(common)] == common and len(name) > len(common)
+        ]
+        following = Counter(name[len(common)] for name in group)
         word, count = max(following.items(), key=lambda one: one[1], default=("", 0))
         if count < max(2, least):
-            return found
-        found = (*found, word)
+            return common
+        common = (*common, word)
         least = max(2, len(names) if len(names) < 4 else count - count // 5)
 
 
@@ -327,7 +329,7 @@ def _goes_with(word: _Word, following: Sequence[_Word]) -> bool:
 
     An abbreviation does not make a packed map: metal_rough is a metal's roughness.
     """
-    if word.text in _STYLE or word.text in _BESIDE:
+    if word.text in _STYLE or word.text in _QUALIFIERS:
         return True
     kind = _KIND.get(word.text)
     kinds = tuple(dict.fromkeys(_KIND[w.text] for w in following if w.text in _KIND))

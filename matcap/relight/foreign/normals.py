@@ -16,7 +16,7 @@ _STEEPEST = 20.0  # a slope: 8 bits tell none beyond
 _STEP = 2.0 / 255.0  # a channel that varies by less is constant
 _UNIT = 0.05  # by which vectors' length may be off, on average
 _NEGATIVE = 0.01  # share of texels: fewer are what resampling leaves of a coded map
-_FACING_AWAY = 0.5  # share of texels of which a map is of no surface seen from above
+_FACING_DOWN = 0.5  # share of texels of which a map is of no surface seen from above
 _CLEARLY = 0.9  # of the other way's curl: more tells nothing
 _SAMPLE = 1_000_000  # texels that a map's coding is judged by
 
@@ -55,15 +55,15 @@ def slopes_of(pixels: Pixels) -> tuple[Array, tuple[str, ...]]:
     if z is None:
         notes.append(f"{name}: z is computed from x and y")
         z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
-    away = float((z <= 0.0).mean())
-    if away > _FACING_AWAY:
+    facing_down = float((z <= 0.0).mean())
+    if facing_down > _FACING_DOWN:
         raise MatcapError(
-            f"{away:.0%} of its normals point away from the surface",
+            f"{facing_down:.0%} of its normals point away from the surface",
             where=str(pixels.path),
             remedy="bake it in tangent space",
         )
-    if away > 1e-3:
-        notes.append(f"{name}: {away:.1%} of its normals point away and are taken as steep")
+    if facing_down > 1e-3:
+        notes.append(f"{name}: {facing_down:.1%} of its normals point away and are taken as steep")
     z = np.maximum(z, 1.0 / _STEEPEST)
     slopes = np.stack([-x / z, -y / z])
     # What is steeper is no normal of length 1.

@@ -60,19 +60,19 @@ def read_foreign(folder: str | Path, *, normal: NormalStyle | None = None) -> Fo
     Raises:
         MatcapError: as read_channels; heights that are none of a surface.
     """
-    found = read_channels(folder, normal=normal)
-    notes = list(found.notes)
-    roughness = found.roughness
+    channels = read_channels(folder, normal=normal)
+    notes = list(channels.notes)
+    roughness = channels.roughness
     if roughness is None:
-        roughness = np.full((1, *found.shape), 0.5, dtype=np.float32)
+        roughness = np.full((1, *channels.shape), 0.5, dtype=np.float32)
         notes.append("no roughness map: 0.5 everywhere")
-    diffuse, specular = _reflectance(found, notes)
-    height, slopes = _relief(found, notes)
+    diffuse, specular = _reflectance(channels, notes)
+    height, slopes = _relief(channels, notes)
     check_heights(height, str(folder))
     maps = (diffuse, specular, roughness, height, slopes)
     a, b, c, d, e = (np.ascontiguousarray(one, dtype=np.float32) for one in maps)
-    texture = Texture(a, b, c, d, e, found.texel, found.periodic)
-    return Foreign(texture, tuple(notes), found.files)
+    texture = Texture(a, b, c, d, e, channels.texel, channels.periodic)
+    return Foreign(texture, tuple(notes), channels.files)
 
 
 def metallic_of(base: Array, metallic: Array, dielectric: Array | float = DIELECTRIC) -> Array:
@@ -81,41 +81,41 @@ def metallic_of(base: Array, metallic: Array, dielectric: Array | float = DIELEC
     return np.concatenate([base * (1.0 - metallic), specular])
 
 
-def _reflectance(found: SetChannels, notes: list[str]) -> tuple[Array, Array]:
+def _reflectance(channels: SetChannels, notes: list[str]) -> tuple[Array, Array]:
     """(3, H, W) diffuse albedo and (1 or 3, H, W) F0."""
-    base, metallic, specular = found.base, found.metallic, found.specular
-    stated = found.exact or ("gloss" in found.files and metallic is None)
+    base, metallic, specular = channels.base, channels.metallic, channels.specular
+    stated = channels.exact or ("gloss" in channels.files and metallic is None)
     if specular is not None and stated:
-        if not found.exact:
-            notes.append(f"{found.files['specular']} is F0, as gloss comes with it")
-        if found.conserving:
+        if not channels.exact:
+            notes.append(f"{channels.files['specular']} is F0, as gloss comes with it")
+        if channels.conserving:
             base = base * (1.0 - specular.max(axis=0, keepdims=True))
         grey = np.ptp(specular, axis=0).max() < 1e-6
         return base, specular[:1] if grey else specular
     if specular is not None:
-        notes.append(f"not used: {found.files['specular']} (F0 of what is no metal is 0.04)")
-    plain = found.dielectric if found.level is None else _LEVEL * found.level
+        notes.append(f"not used: {channels.files['specular']} (F0 of what is no metal is 0.04)")
+    plain = channels.dielectric if channels.level is None else _LEVEL * channels.level
     if metallic is None:
-        if _METALS & set(re.findall("[a-z]+", found.files["base"].lower())):
+        if _METALS & set(re.findall("[a-z]+", channels.files["base"].lower())):
             notes.append("no metallic map: none of it is taken as metal, though its name says so")
-        metallic = np.zeros((1, *found.shape), dtype=np.float32)
+        metallic = np.zeros((1, *channels.shape), dtype=np.float32)
     both = metallic_of(base, metallic, plain)
     return both[:3], both[3:] if metallic.any() else both[3:4]
 
 
-def _relief(found: SetChannels, notes: list[str]) -> tuple[Array, Array]:
+def _relief(channels: SetChannels, notes: list[str]) -> tuple[Array, Array]:
     """(1, H, W) heights and (2, H, W) slopes of the shading normal."""
-    height, slopes, texel = found.height, found.slopes, found.texel
+    height, slopes, texel = channels.height, channels.slopes, channels.texel
     if height is not None and np.ptp(height) <= _FLAT * max(1.0, float(np.abs(height).max())):
-        notes.append(f"the height map is flat ({found.files['height']})")
+        notes.append(f"the height map is flat ({channels.files['height']})")
         height = np.zeros_like(height)
-        return height, np.zeros((2, *found.shape), np.float32) if slopes is None else slopes
-    if height is not None and found.exact:
+        return height, np.zeros((2, *channels.shape), np.float32) if slopes is None else slopes
+    if height is not None and channels.exact:
         return height, gradient(height, texel) if slopes is None else slopes
     if height is not None and slopes is not None:
         return height * _scale(height, slopes, texel, notes), slopes
     if height is not None:
-        span = 1.0 if found.whole else float(np.ptp(height))
+        span = 1.0 if channels.whole else float(np.ptp(height))
         height = height * np.float32(_ASSUMED_RELIEF * 2.0 / span)
         notes.append(f"no normal map: the height is taken to span {_ASSUMED_RELIEF * 2.0:g} units")
         return height, gradient(height, texel)
@@ -123,7 +123,7 @@ def _relief(found: SetChannels, notes: list[str]) -> tuple[Array, Array]:
         notes.append("no height map: the normal map was integrated")
         return integrated(slopes, texel), slopes
     notes.append("neither normal nor height map: the surface is flat")
-    return np.zeros((1, *found.shape), np.float32), np.zeros((2, *found.shape), np.float32)
+    return np.zeros((1, *channels.shape), np.float32), np.zeros((2, *channels.shape), np.float32)
 
 
 def _scale(height: Array, slopes: Array, texel: float, notes: list[str]) -> np.float32:

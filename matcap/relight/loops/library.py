@@ -51,7 +51,7 @@ def loops() -> Any:  # noqa: ANN401
     return library
 
 
-class HeldArrays:
+class KeptArrays:
     """Addresses of arrays for as long as this lives."""
 
     def __init__(self) -> None:

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from matcap.relight.loops.library import LANES, HeldArrays, Pointer, Real, Whole
+from matcap.relight.loops.library import LANES, KeptArrays, Pointer, Real, Whole
 from matcap.relight.visible_normals import lattice
 
 _Three, _Nine = Pointer * 3, Pointer * 9
@@ -125,8 +125,8 @@ class CWalk(ctypes.Structure):
 
 
 @cache
-def directions(samples: int) -> tuple[CLattice, HeldArrays]:
+def directions(samples: int) -> tuple[CLattice, KeptArrays]:
     """A lattice of so many directions, up to a multiple of what is read at once."""
-    rows, kept = np.array(lattice(samples), dtype=np.float32).T, HeldArrays()
+    rows, kept = np.array(lattice(samples), dtype=np.float32).T, KeptArrays()
     rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % LANES)))
     return CLattice(*(kept.of(row) for row in rows), rows.shape[1]), kept

@@ -34,8 +34,8 @@ class Hits:
 
         def every(array: Array) -> Array:
             whole = np.broadcast_to(array, shape)
-            found: Array = whole.ravel() if index is None else whole.reshape(-1)[index]
-            return found
+            flattened: Array = whole.ravel() if index is None else whole.reshape(-1)[index]
+            return flattened
 
         def vector(one: Vec) -> Vec:
             return every(one[0]), every(one[1]), every(one[2])

@@ -164,14 +164,18 @@ def _normals(points: Array, normals: Array, faces: Array, flat: Array) -> Array:
     total = np.zeros_like(points)
     for corner in range(3):
         np.add.at(total, faces[:, corner, 0], flat)
-    found = total[faces[..., 0]]
+    vertex_normals = total[faces[..., 0]]
     stated = faces[..., 2] >= 0
     if stated.any():
         own = normals[np.maximum(faces[..., 2], 0)]
         stated &= np.isfinite(own).all(axis=-1) & (np.abs(own).max(axis=-1) > 0.0)
-        found[stated] = own[stated]
-    found = found / np.maximum(np.abs(found).max(axis=-1, keepdims=True), 1e-30)
-    return np.asarray(found / np.maximum(np.linalg.norm(found, axis=-1, keepdims=True), 1e-30))
+        vertex_normals[stated] = own[stated]
+    vertex_normals = vertex_normals / np.maximum(
+        np.abs(vertex_normals).max(axis=-1, keepdims=True), 1e-30
+    )
+    return np.asarray(
+        vertex_normals / np.maximum(np.linalg.norm(vertex_normals, axis=-1, keepdims=True), 1e-30)
+    )
 
 
 def _parse(lines: list[str], where: str) -> tuple[Array, Array, Array, Array]:
@@ -208,13 +212,13 @@ def _parse(lines: list[str], where: str) -> tuple[Array, Array, Array, Array]:
     points, spots, normals = (np.array(tables[key], dtype=np.float64) for key in ("v", "vt", "vn"))
     if not np.isfinite(points).all():
         raise MatcapError("a vertex is not finite", where=where, remedy="export the mesh again")
-    found = np.array(faces, dtype=np.int64)
+    indices = np.array(faces, dtype=np.int64)
     for column, (table, what, instead) in _OPTIONAL.items():
-        missing = found[..., column] >= len(tables[table])
+        missing = indices[..., column] >= len(tables[table])
         if missing.any():
             note(f"{where}: {int(missing.sum())} corners name {what} it does not hold; {instead}")
-            found[..., column][missing] = -1
-    return points, spots, normals, found
+            indices[..., column][missing] = -1
+    return points, spots, normals, indices
 
 
 # Of a corner's indices those that geometry does without.
@@ -261,7 +265,7 @@ def _visible(corners: Array, view: View) -> Array:
     wide = np.maximum(high_x - low_x + 1, 0)
     counts = wide * np.maximum(high_y - low_y + 1, 0)
     depths = np.full(width * height, np.inf)
-    found = np.full(width * height, -1, dtype=np.int64)
+    nearest = np.full(width * height, -1, dtype=np.int64)
     ends = np.cumsum(counts)
     start = 0
     while start < len(kept):
@@ -274,9 +278,9 @@ def _visible(corners: Array, view: View) -> Array:
         px = low_x[owner] + rank % np.maximum(wide[owner], 1)
         py = low_y[owner] + rank // np.maximum(wide[owner], 1)
         face = kept[owner]
-        _nearer(x, y, ahead.reshape(-1, 3), area, face, px, py, width, view, depths, found)
+        _nearer(x, y, ahead.reshape(-1, 3), area, face, px, py, width, view, depths, nearest)
         start = stop
-    return found.reshape(height, width)
+    return nearest.reshape(height, width)
 
 
 def _nearer(
@@ -290,7 +294,7 @@ def _nearer(
     width: int,
     view: View,
     depths: Array,
-    found: Array,
+    nearest: Array,
 ) -> None:
     """Enter the triangles that cover pixels nearer than what is there."""
 
@@ -313,7 +317,7 @@ def _nearer(
     pixel, depth, face = pixel[first], depth[first], face[first]
     closer = depth < depths[pixel]
     depths[pixel[closer]] = depth[closer]
-    found[pixel[closer]] = face[closer]
+    nearest[pixel[closer]] = face[closer]
 
 
 def _meet(

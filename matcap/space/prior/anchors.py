@@ -47,8 +47,8 @@ class Habits:
 
     def rest(self, code: Tensor, base: Base) -> Tensor:
         """(VARYING,) what a code does not tell of a base."""
-        beside = varying(base) - self.offset - self.matrix @ code
-        return torch.linalg.solve_triangular(self.spread, beside[:, None], upper=False)[:, 0]
+        residual = varying(base) - self.offset - self.matrix @ code
+        return torch.linalg.solve_triangular(self.spread, residual[:, None], upper=False)[:, 0]
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)  # that windows are compared by in training
 # The encoder is told spectra and distributions; Gram matrices, which it is not, can be small.
-_TOLD = FilterBankConfig(sizes=(5,), filters=1, crossed=False)
+_ENCODER_BANK = FilterBankConfig(sizes=(5,), filters=1, crossed=False)
 WINDOW = 96  # texels a side of the windows whose texture is told
 _PLACES_ACROSS, _PLACES_DOWN = (0.1, 0.37, 0.63, 0.9), (0.15, 0.5, 0.85)
 _LEVELS = 3  # of the pyramid; what a window of 64 texels has
@@ -87,4 +87,4 @@ def describe_windows(linear: Tensor, valid: Tensor) -> Descriptor:
         for (x, y), share in zip(corners, shares, strict=True)
         if share >= least
     ]
-    return describe(torch.stack(windows), fit_encoding(linear, valid), FilterBank(_TOLD))
+    return describe(torch.stack(windows), fit_encoding(linear, valid), FilterBank(_ENCODER_BANK))

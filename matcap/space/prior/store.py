@@ -80,9 +80,9 @@ class Prior:
         with torch.no_grad():
             shown = picture(pixels, self.encoder.config.width)[None]
             contrast = log_contrast(plane.linear, plane.valid)
-            told = numbers(coarse, contrast, plane.size[0])[None]
+            inputs = numbers(coarse, contrast, plane.size[0])[None]
             seen = texture(describe_windows(plane.linear, plane.valid))[None]
-            mean, _ = self.encoder(shown, told, seen)
+            mean, _ = self.encoder(shown, inputs, seen)
         return mean[0]
 
     def start(

@@ -34,12 +34,12 @@ def self_difference(windows: Windows, weights: Weights) -> float:
     if not len(first):
         return math.nan
     target = windows.target
-    found = distance(
+    difference = distance(
         target.select(first),
         target.select(second),
         replace(weights, mean=0.0),
     )
-    return float(found.mean())
+    return float(difference.mean())
 
 
 def forecast(history: History, seconds: float) -> float | None:

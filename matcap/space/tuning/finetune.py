@@ -34,7 +34,7 @@ from matcap.statistics.precision import computes_bfloat16
 # steps lose colours that it had (docs/notes/prior.md).
 RATE_FROM_NOTHING, RATE_FROM_PRIOR = 2e-2, 2.5e-3
 
-_SEEDS_APART = 1_000_003  # runs of different seeds share no noise
+_SEED_STRIDE = 1_000_003  # runs of different seeds share no noise
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Tuned:
     """Ended by Ctrl-C."""
 
 
-TellStep = Callable[[float, float, float], None]  # share done, running error, seconds so far
+OnStep = Callable[[float, float, float], None]  # share done, running error, seconds so far
 
 
 def finetune(
@@ -81,7 +81,7 @@ def finetune(
     code: Tensor,
     scene: PhotographTarget,
     settings: TuneSettings,
-    report: TellStep,
+    report: OnStep,
 ) -> Tuned:
     """Tune a decoder at a code to a photograph. The decoder given is changed.
 
@@ -107,7 +107,7 @@ def finetune(
                 moments = freeze(decoder, code, scene.waves)
                 guard.begin_again()
             places = torch.tensor([next(order) for _ in range(settings.places)])
-            seed = wrap64(settings.seed * _SEEDS_APART + schedule.step)
+            seed = wrap64(settings.seed * _SEED_STRIDE + schedule.step)
             maps = decode_window(decoder, code, scene, seed, moments, half_precision=half)
             rendered = render_windows(maps, scene, places, schedule.step)
             loss = compare_windows(rendered, scene, places, half_precision=half)

@@ -53,17 +53,17 @@ def match_photograph(material: Material, plane: Plane, seed: int = 0) -> Materia
         plane: the photograph; its noise is contrast that the material need not have.
         seed: of the realisation that is compared.
     """
-    found = correction(material, plane, seed)
+    step = correction(material, plane, seed)
     tuned = _tuned(material)
     decoder = copy.deepcopy(tuned.decoder)
     affine = decoder.head.adain.affine
     with torch.no_grad():
         mean, deviation = affine.bias.split(OUTPUTS)
         _, slope = affine.weight.split(OUTPUTS)
-        mean[_DIFFUSE] += found.shift
+        mean[_DIFFUSE] += step.shift
         for rows in (_DIFFUSE, _HEIGHT):
-            deviation[rows] *= found.gain
-            slope[rows] *= found.gain
+            deviation[rows] *= step.gain
+            slope[rows] *= step.gain
     return replace(material, generators={"decoder": replace(tuned, decoder=decoder)})
 
 
@@ -145,14 +145,14 @@ def _diffuse_share(maps: MapSet, rendered: Tensor, material: Material, points: T
     return share.clamp(0.0, 1.0) * (1.0 - maps.diffuse)
 
 
-def _gain(wanted: Tensor, found: Tensor, blocks: _Blocks) -> float:
+def _gain(wanted: Tensor, rendered: Tensor, blocks: _Blocks) -> float:
     """Ratio of two contrasts, as far as mean and median agree; 1 where they do not."""
     whole = blocks.weight[0] > 0.5
     if not whole.any():
         return 1.0
-    wanted, found = (blocks(contrast).mean(dim=0)[whole] for contrast in (wanted, found))
+    wanted, rendered = (blocks(contrast).mean(dim=0)[whole] for contrast in (wanted, rendered))
     ratios = [
-        float((measure(wanted) / measure(found).clamp_min(1e-12)).sqrt())
+        float((measure(wanted) / measure(rendered).clamp_min(1e-12)).sqrt())
         for measure in (torch.mean, torch.median)
     ]
     least, most = min(ratios), max(ratios)
@@ -163,12 +163,12 @@ def _bounded(value: float, limits: tuple[float, float]) -> float:
     return min(max(value, limits[0]), limits[1])
 
 
-def _shift(apart: Tensor, share: Tensor, already: Tensor, blocks: _Blocks) -> Tensor:
+def _shift(difference: Tensor, share: Tensor, already: Tensor, blocks: _Blocks) -> Tensor:
     """(3,) shift of the logits that best explains differences of log radiance (3, H, W).
 
     Least squares over blocks, each by its share of diffuse light: a highlight that is not met is
     no reason to change the diffuse albedo. Damped as a whole, with what is moved `already` (3,).
     """
-    apart, share, weight = blocks(apart), blocks(share), blocks.weight
-    explained = weight * share * (apart + share * already[:, None, None])
+    difference, share, weight = blocks(difference), blocks(share), blocks.weight
+    explained = weight * share * (difference + share * already[:, None, None])
     return explained.sum((1, 2)) / (weight * (share.square() + MATCH.damping)).sum((1, 2))

@@ -35,13 +35,13 @@ from matcap.flash.registration.camera import PosedCamera
 from matcap.flash.registration.grid import grid_points
 from matcap.flash.registration.register import RegisteredView
 from matcap.lab.measures.maps import MapsOff
-from matcap.lab.simulate.hand_held import beside, held_along, hold, take_several
+from matcap.lab.simulate.hand_held import downward, hold, take_several, true_maps_along
 from matcap.lab.simulate.photograph import PhoneCamera, as_photo
 from matcap.lab.simulate.specimen import named_specimen
 from matcap.photo.photo import Photo
 
 PHONE = PhoneCamera(width=640, height=480, supersampling=1)
-BESIDE = beside(PHONE)
+BESIDE = downward(PHONE)
 SIZE = (128, 96)
 
 
@@ -214,7 +214,7 @@ def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
     beyond = torch.from_numpy(sees(other, points, 0.75, UNION.steepest))
     beyond &= ~reach.margins.own(reach.size)
     args = leather.pieces(leather.seed), PHONE, cameras, 1, other, reach.extent
-    true = held_along(*args)(*piece.size)
+    true = true_maps_along(*args)(*piece.size)
     off = MapsOff.of(piece, true, beyond)
     assert off.normals < 0.9 * off.flat
     log = true.diffuse.mean(0).log()[beyond]

@@ -27,7 +27,7 @@ import numpy as np
 from inputs import spoil, write_inputs
 
 from matcap.batch.crew import Processes
-from matcap.files.progress import TellProgress
+from matcap.files.progress import OnProgress
 
 LONGEST = 10.0  # seconds
 LARGEST = 2 << 30  # bytes
@@ -57,7 +57,7 @@ class Fault:
     what: str
 
 
-def read(job: Input, tell: TellProgress) -> tuple[str, str]:
+def read(job: Input, tell: OnProgress) -> tuple[str, str]:
     """Read an input, in a worker: ("good" or "refused" or "fault", details)."""
     from matcap.errors import MatcapError
 

@@ -27,7 +27,7 @@ from fuzz import most_held
 from inputs import write_example, write_material
 
 from matcap.batch.crew import Processes
-from matcap.files.progress import TellProgress
+from matcap.files.progress import OnProgress
 
 LONGEST, LARGEST = 30.0, 3 << 30  # seconds, bytes
 _NUMBERS = (
@@ -114,7 +114,7 @@ def drawn(chance: random.Random) -> tuple[str, ...]:
     return (*words, "-j", "1") if command == "synth" else tuple(words)
 
 
-def answer(line: Line, tell: TellProgress) -> tuple[str, str]:
+def answer(line: Line, tell: OnProgress) -> tuple[str, str]:
     """Run a line, in a worker: ("good", "refused" or "fault", what was said)."""
     from matcap.cli.main import main
 

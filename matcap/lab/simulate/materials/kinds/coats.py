@@ -63,10 +63,12 @@ def chipped(canvas: Canvas, rng: np.random.Generator) -> SurfaceFields:
     else:
         crack = np.zeros_like(patch)
     covered = patch > left
-    away = _distance(canvas, covered)
-    coat = np.where(covered, smoothstep(0.0, 1.5 * canvas.texel_size, away), 0.0) * (1.0 - crack)
+    distance = _distance(canvas, covered)
+    coat = np.where(covered, smoothstep(0.0, 1.5 * canvas.texel_size, distance), 0.0) * (
+        1.0 - crack
+    )
     thick = log_uniform(rng, 0.002, 0.006)
-    lip = rng.uniform(-0.4, 1.2) * np.exp(-away / (2.5 * thick))
+    lip = rng.uniform(-0.4, 1.2) * np.exp(-distance / (2.5 * thick))
     diffuse, specular, rough, ground = _ground(canvas, rng)
     primer = shade(rng, paint, 0.6, 0.2)[:, None, None]
     brush = noise(canvas, "brush", Spectrum(0.06, 0.008, 0.8, stretch=8.0, angle=angle(rng)))

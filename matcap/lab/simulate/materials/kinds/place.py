@@ -159,14 +159,14 @@ def polygons(
     step = 2.0 * math.pi / corners
     turn = generator.uniform(0.0, 2.0 * math.pi, (count, 1)) + step * np.arange(corners)
     turn = turn + 0.45 * ragged * step * generator.uniform(-1.0, 1.0, turn.shape)
-    away = 1.0 - 0.5 * ragged * generator.random(turn.shape)
+    radius = 1.0 - 0.5 * ragged * generator.random(turn.shape)
     cosine, sine = np.cos(turn), np.sin(turn)
 
     def inside(u: Raster, v: Raster, which: Whole) -> Raster:
         least = np.full(np.broadcast_shapes(u.shape, v.shape), np.inf)
         for side in range(corners):
             far = u * cosine[which, side] + v * sine[which, side]
-            np.minimum(least, 1.0 - far / away[which, side], out=least)
+            np.minimum(least, 1.0 - far / radius[which, side], out=least)
         return least
 
     return inside

@@ -37,7 +37,7 @@ class EncodedPicture:
 
 
 @dataclass(frozen=True)
-class Beside:
+class References:
     """What there is to show."""
 
     photo: EncodedPicture | None = None
@@ -48,9 +48,9 @@ class Beside:
     """(rating, sentence) on the capture, or none."""
 
 
-def find_beside(
+def find_references(
     path: Path, name: str, photo: Path | None = None, material: Material | None = None
-) -> Beside:
+) -> References:
     """What lies with a material or map set, or in it.
 
     Args:
@@ -66,7 +66,7 @@ def find_beside(
     file = photo or find_photograph(path, name) or reported_photograph(folder)
     example = material.part(Example) if material else None
     setup = material.setup if material and example else None
-    return Beside(
+    return References(
         browser_picture(file, setup) if file else None,
         doubt_picture(example.exemplar) if example else None,
         read_verdict(folder),
@@ -86,8 +86,8 @@ def find_photograph(path: Path, name: str) -> Path | None:
 def reported_photograph(folder: Path) -> Path | None:
     """The photograph that a capture's report says it was made from, where it still is."""
     try:
-        told = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-        file = Path(told["photograph"]["path"])
+        report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+        file = Path(report["photograph"]["path"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return file if file.is_file() else None
