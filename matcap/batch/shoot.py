@@ -50,9 +50,9 @@ class ShotSample:
     photos: tuple[Path, ...]
     """The photographs it is made from."""
     superseded: tuple[Path, ...] = ()
-    """Files set aside, because a RAW of the same stem says more."""
+    """JPEG or HEIC files left out because a RAW file of the same shot exists."""
     profile: CameraProfile | None = None
-    """Of the camera, where the shoot tells one (cameras.py)."""
+    """Of the camera, where the shoot has one (cameras.py)."""
 
 
 def find_samples(

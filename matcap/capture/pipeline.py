@@ -241,7 +241,7 @@ def _captured_together(
         settings.detail,
         union=settings.union,
         stage=clock.stage,
-        tell=clock.within,
+        on_progress=clock.within,
     )
     found, coarse, plane = together.found, together.coarse, together.plane
     several = found.several

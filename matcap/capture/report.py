@@ -48,7 +48,7 @@ Keys:
         `left_out` (name and why), `measured_share` (by map: what photographs tell rather than the
         network), flash offset and lens distortion;
         of a union `union`: `margins` (texels around the first photograph's own), `times` (its
-        texels over those), `held_share` (of what photographs show, in it), `seen_share` (of it,
+        texels over those), `covered_share` (of what photographs show, in it), `seen_share` (of it,
         by any photograph) and `limited` (it would be larger but for memory).
     provenance: how the material was made.
     versions: of matcap, Python, the system and the libraries.

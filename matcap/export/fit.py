@@ -57,11 +57,11 @@ class FittedTables:
         return factor if factor.ndim == 3 else factor[..., None]
 
     def f0(self, f0: Picture, roughness: Picture) -> Picture:
-        """(H, W[, 3]) the F0 to tell, as many channels as it has; may exceed 1."""
+        """(H, W[, 3]) the F0 to write, as many channels as it has; may exceed 1."""
         return f0 * self._at(self.specular, f0, roughness)
 
     def rough(self, f0: Picture, roughness: Picture) -> Picture:
-        """(H, W) the roughness to tell."""
+        """(H, W) the roughness to write."""
         factor = self._at(self.roughness, mean_channel(f0), roughness)
         return np.clip(roughness * factor, 0.0, 1.0)
 
@@ -132,7 +132,7 @@ def fitted_tables(shading: TargetShading) -> FittedTables:
     places = [Geometry.of(flat, *pair) for pair in DIRECTIONS]
     factor, ratio = _nearest(shading, places, f0, rough)
     nearest = (rough * ratio).clamp(max=1.0)
-    # The layer is as bright as the F0 that is told.
+    # The layer is as bright as the F0 that is written.
     layer = (f0 * factor).clamp(max=1.0)
     meant = torch.stack([diffuse_lobe(MATCAP, at, rough, None) * at.light for at in places])
     shown = torch.stack([diffuse_lobe(shading, at, nearest, layer) * at.light for at in places])

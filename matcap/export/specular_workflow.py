@@ -29,12 +29,12 @@ def specular_colour(piece: MapRows, shading: TargetShading) -> Picture:
 
 
 def fitted_roughness(piece: MapRows, shading: TargetShading) -> Picture:
-    """(H, W) roughness that shows as the one that is meant."""
+    """(H, W) roughness that reproduces the intended one in the target's shading model."""
     return fitted_tables(shading).rough(piece.picture("specular"), piece.picture("roughness"))
 
 
 def brightest(job: ExportJob, shading: TargetShading) -> float:
-    """The largest F0 that the target is told."""
+    """The largest F0 that is written for the target."""
     peaks = (specular_colour(piece, shading).max() for piece in _bands(job))
     return max(1e-4, *(float(one) for one in peaks), 0.0)
 

@@ -54,7 +54,7 @@ def open_tile(
 
     Args:
         path: what to open.
-        read: which of its maps; what is changed of them, the provenance tells.
+        read: which of its maps; changes are recorded in the provenance.
         size: (width, height) in texels of a material's maps, 1024 x 1024 by default.
         seed: the realisation of a material, 0 by default.
         piece: the photographed piece itself, made to repeat, at its own size.

@@ -1,4 +1,4 @@
-"""How far work is: what everything that takes long tells whoever shows it."""
+"""Progress reports of long-running work, passed to a callback."""
 
 from __future__ import annotations
 

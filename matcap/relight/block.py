@@ -157,5 +157,5 @@ class Block:
 
     @property
     def as_c(self) -> CPixels:
-        """As the loops know it."""
+        """As a C structure (loops/structures.py)."""
         return self._as_c[0]

@@ -142,7 +142,7 @@ class Horizons:
         return known.transfer
 
     def as_c(self, *, thrifty: bool) -> CHorizon:
-        """As the loops know them."""
+        """As a C structure (loops/structures.py)."""
         width, height = self.relief.texture.size
         return CHorizon(self.tangents.ctypes.data, width, height, int(thrifty))
 

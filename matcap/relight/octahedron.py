@@ -58,7 +58,7 @@ class Octahedra:
         return looked_up
 
     def as_c(self, kept: KeptArrays) -> CSky:
-        """As the loops know it."""
+        """As a C structure (loops/structures.py)."""
         return CSky(
             kept.of(self.atlas), kept.of(self.tops), kept.of(self.sides),
             self.atlas.shape[1], len(self.sides), self.finest,

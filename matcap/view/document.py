@@ -60,7 +60,7 @@ def served_page(
 
     Args:
         facts: of the subject.
-        beside: what its server has to show beside it.
+        references: photograph, doubt mask and verdict that its server shows with it.
         adjust: what is changed first.
         library: there is a page of more materials above it.
     """
@@ -91,7 +91,7 @@ def sealed_page(
     Args:
         subject: a material, of which a periodic piece is taken, or a map set, taken whole.
         size: sides of a material's tile in texels, a multiple of 16.
-        beside: to show beside it.
+        references: photograph, doubt mask and verdict shown with it.
         adjust: what is changed first.
 
     Raises:

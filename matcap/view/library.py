@@ -65,7 +65,7 @@ class Library:
         return self._kept(first, second)
 
     def references(self, index: int) -> References:
-        """What is shown beside one of them."""
+        """Photograph, doubt mask and verdict of one of them."""
         file = self.files[index]
         subject = self.subject(index)
         # A photograph that cannot be read any more does not hide the material.

@@ -1,4 +1,4 @@
-"""What is shown beside a material: its photograph, the verdict on its capture, what is doubtful."""
+"""Reference data of a material in the viewer: photograph, verdict of its capture, doubt mask."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class EncodedPicture:
 
 @dataclass(frozen=True)
 class References:
-    """What there is to show."""
+    """Reference data of a material; None for what there is not."""
 
     photo: EncodedPicture | None = None
     """The photograph; of a piece that is known, as seen from straight above it."""
@@ -51,12 +51,12 @@ class References:
 def find_references(
     path: Path, name: str, photo: Path | None = None, material: Material | None = None
 ) -> References:
-    """What lies with a material or map set, or in it.
+    """Collect the reference data that lies with a material or map set, or in it.
 
     Args:
         path: its file or folder.
         name: of it.
-        photo: to be shown in place of what is found.
+        photo: file shown in place of the one in the folder.
         material: the material itself; None of a map set.
 
     Raises:

@@ -39,7 +39,7 @@ def serve(
     Args:
         subject: what to show.
         port: 0 takes a free one.
-        beside: what is shown beside it.
+        references: photograph, doubt mask and verdict shown with it.
         adjust: what is changed first.
         opens: the browser is opened.
         announce: told the address once requests are accepted.

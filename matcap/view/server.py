@@ -90,7 +90,7 @@ def make_app(
         subject: what is shown.
         pages: of the subject.
         address: whose token and host requests must have.
-        beside: what is shown beside it.
+        references: photograph, doubt mask and verdict shown with it.
         adjust: what is changed first.
     """
     return _guarded(_subject_routes(subject, pages, references or References(), adjust), address)

@@ -113,7 +113,7 @@ def aligned(
     radiometric: bool,
     extent: Extent = OWN,
     settings: AlignSettings | None = None,
-    tell: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] | None = None,
 ) -> Aligned:
     """Cameras, and where every photograph is to be looked up, the first one where it is.
 
@@ -122,7 +122,7 @@ def aligned(
         prior, doubt, light, radiometric: as for solve, on the registration's plane.
         extent: of the piece, and of those.
         settings: see AlignSettings.
-        tell: called with the share that is done.
+        on_progress: called with the share that is done.
     """
     settings, solving = settings or AlignSettings(), SolveSettings()
     prior, hue = uncoloured(prior)
@@ -138,7 +138,7 @@ def aligned(
         down = max(8, round(height * across / width))
         small, unsure = shrunk(prior, doubt, (down, across), extent)
         small = reframed(small, start, views[0].camera, extent)
-        believed, spread = numbers_of(small), spread_of(unsure, solving)
+        prior_mean, spread = numbers_of(small), spread_of(unsure, solving)
         sure = [n for n, v in enumerate(views) if v.astray < settings.surer * small.texel_size]
         moving = len(sure) < len(views)
         moved |= set(range(len(views))).difference(sure)
@@ -147,20 +147,20 @@ def aligned(
                 PieceView.of(v, across, down, p, hue) for v, p in zip(views, places, strict=True)
             ]
             if turn == 0 or numbers is None:
-                numbers = _begun(seen, numbers, believed, spread, light, radiometric, steps)
+                numbers = _begun(seen, numbers, prior_mean, spread, light, radiometric, steps)
                 relief = _relief(numbers, small.texel_size, extent.unit(across), settings)
             seen = under_room(seen, numbers)
             light, moves = shared_step(
-                seen, numbers, believed, spread, light, radiometric, solving,
-                moving=moving, held=sure,
+                seen, numbers, prior_mean, spread, light, radiometric, solving,
+                moving=moving, fixed=sure,
             )  # fmt: skip
             first, both = views[0].camera.place, zip(places, moves, strict=True)
             places = [ViewPlace(p.nudge @ m, relief, first, extent) for p, m in both]
             if moving:
                 setup, views, places = _posed(registration.setup, views, places, settings)
             done += 1
-            if tell:
-                tell(done / effort)
+            if on_progress:
+                on_progress(done / effort)
             if _farthest(moves) < settings.settled * small.texel_size:
                 break
     return Aligned(setup, _less_doubted(views, moved, settings), tuple(places), light)
@@ -192,7 +192,7 @@ def _relief(
 def _begun(
     seen: Sequence[PieceView],
     numbers: Tensor | None,
-    believed: Tensor,
+    prior_mean: Tensor,
     spread: Tensor,
     light: SetLight,
     radiometric: bool,
@@ -201,15 +201,15 @@ def _begun(
     """Numbers of a level's texels."""
     solving = SolveSettings()
     if numbers is not None:
-        numbers = F.interpolate(numbers[None], size=believed.shape[1:], mode="bilinear")[0]
+        numbers = F.interpolate(numbers[None], size=prior_mean.shape[1:], mode="bilinear")[0]
     else:
-        dark = under_room(seen, believed)
-        light = shared_light(dark, believed, believed, spread, light, radiometric, solving)
-        numbers = believed
+        dark = under_room(seen, prior_mean)
+        light = shared_light(dark, prior_mean, prior_mean, spread, light, radiometric, solving)
+        numbers = prior_mean
     seen = under_room(seen, numbers)
-    believed = levelled(believed, light)
+    prior_mean = levelled(prior_mean, light)
     for _ in range(steps):
-        numbers = stepped(seen, numbers, believed, spread, light, solving).numbers
+        numbers = stepped(seen, numbers, prior_mean, spread, light, solving).numbers
     return numbers
 
 
@@ -219,7 +219,7 @@ def _posed(
     places: Sequence[ViewPlace],
     settings: AlignSettings,
 ) -> tuple[FlashSetup, list[RegisteredView], list[ViewPlace]]:
-    """Cameras that see the plane where photographs were found to lie."""
+    """Cameras refitted (bundle adjustment) to the aligned places of the photographs."""
     points = grid_points(24, 18).reshape(3, -1)
     first = views[0].camera.sees(points)
     inside = np.abs(first).max(0) < 1.0
@@ -230,10 +230,10 @@ def _posed(
         ratio = view.camera.lens.focal / views[0].camera.lens.focal
         pairs.append(Pair(first[:, both], seen[:, both], settings.pixel, ratio))
     known = AdjustSettings(relief=0.0)
-    found = adjust(setup, pairs, known=True, settings=known)
-    cameras = [replace(v, camera=c) for v, c in zip(views, found.cameras, strict=True)]
+    adjusted = adjust(setup, pairs, known=True, settings=known)
+    cameras = [replace(v, camera=c) for v, c in zip(views, adjusted.cameras, strict=True)]
     return (
-        found.first,
+        adjusted.first,
         cameras,
         [replace(p, nudge=np.eye(3), first=cameras[0].camera.place) for p in places],
     )
@@ -245,7 +245,7 @@ def _moved(homography: Doubles, points: Doubles) -> Doubles:
 
 
 def reframed(maps: MapSet, old: PosedCamera, new: PosedCamera, extent: Extent = OWN) -> MapSet:
-    """Maps on the plane of a camera as it is now believed to stand, on its rays as they were."""
+    """Maps resampled from the plane of an earlier estimate of a camera to that of a later one."""
     across, down = maps.size
     points = old.on_plane(new.sees(grid_points(across, down, extent)))
     middle = np.asarray(extent.middle)[:, None, None]
@@ -259,14 +259,14 @@ def reframed(maps: MapSet, old: PosedCamera, new: PosedCamera, extent: Extent = 
 
 
 def _looked_up(channel: Tensor, x: Doubles, y: Doubles) -> Tensor:
-    found = cv2.remap(
+    looked_up = cv2.remap(
         channel.numpy(),
         x.astype(np.float32),
         y.astype(np.float32),
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REFLECT_101,
     )
-    return torch.from_numpy(found)
+    return torch.from_numpy(looked_up)
 
 
 def shrunk(

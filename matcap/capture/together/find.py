@@ -73,7 +73,7 @@ from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
 Stage = Callable[[str], AbstractContextManager[None]]
-Tell = Callable[[str, float], None]
+OnStage = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def find_together(
     *,
     union: bool = False,
     stage: Stage,
-    tell: Tell,
+    on_progress: OnStage,
 ) -> FoundTogether:
     """The piece of several photographs; an interrupt ends with the best so far.
 
@@ -130,7 +130,7 @@ def find_together(
         detail: texels across, or None for as many as by default.
         union: the piece is all that photographs show (union.py), not the first one's rectangle.
         stage: entered with the name of each stage.
-        tell: called with a stage and the share of it that is done.
+        on_progress: called with a stage and the share of it that is done.
 
     Raises:
         MatcapError: no other photograph shows the same piece.
@@ -140,48 +140,55 @@ def find_together(
     radiometric = all(view.photo.radiometric for view in registration.views)
     reach = reach_of(registration.views, plane.size) if union else Reach.own(plane.size)
     read = spread_over(single.maps, single.errors, reach.margins)
-    found, interrupted = _laid_over(
-        replace(registration, setup=coarse.setup), read, reach.extent, radiometric, stage, tell
+    alignment, interrupted = _laid_over(
+        replace(registration, setup=coarse.setup),
+        read,
+        reach.extent,
+        radiometric,
+        stage,
+        on_progress,
     )
-    plane, lattice = plane_in_detail(first, found.setup, detail)
-    posed = PosedCamera.of(registration.setup), found.views[0].camera
+    plane, lattice = plane_in_detail(first, alignment.setup, detail)
+    posed = PosedCamera.of(registration.setup), alignment.views[0].camera
     prior, hue = uncoloured(reframed(read[0], *posed, reach.extent))
     doubt, readings = unread(read[1], reach), None
     if not interrupted:
         with stage("join"):
-            prior, doubt, readings = _all_read(found, prior, doubt, coarse, network, tell)
+            prior, doubt, readings = _all_read(
+                alignment, prior, doubt, coarse, network, on_progress
+            )
         interrupted = readings is None
     hue = hue_over(hue, readings, reach)
     if reach.margins.any:
         doubt = torch.minimum(doubt, scatter(single.maps, single.errors)[:, None, None])
     with stage("solve"):
-        found, views, solved = _solved(found, prior, doubt, hue, radiometric, tell)
+        alignment, views, solved = _solved(alignment, prior, doubt, hue, radiometric, on_progress)
     interrupted |= solved.interrupted
-    coarse = replace(coarse, setup=solved.light.onto(found.setup))
+    coarse = replace(coarse, setup=solved.light.onto(alignment.setup))
     with stage("predict"):
         ahead: Predictions | None = None
         if not interrupted and readings is not None:
-            ahead = predictions(found, readings, solved, radiometric, hue)
+            ahead = predictions(alignment, readings, solved, radiometric, hue)
     with stage("lend"):
-        reach, whole, solved = _whole(plane, found, reach, solved)
-        exemplar = _lent(Sight.of(whole, coarse), solved, hue, views)
+        reach, whole, solved = _whole(plane, alignment, reach, solved)
+        exemplar = _inpainted(Sight.of(whole, coarse), solved, hue, views)
     with stage("index"):
         example, scale = _indexed(first, exemplar, single.metal, lattice.waves, reach)
-    told = SetReport.of(registration, found, solved, ahead, reach)
+    report = SetReport.of(registration, alignment, solved, ahead, reach)
     piece = FoundPiece(
-        example, single.strengths, solved.residual[0], 0.0, 1.0, (), interrupted, told, scale
+        example, single.strengths, solved.residual[0], 0.0, 1.0, (), interrupted, report, scale
     )
     sharp = sharpness(piece_maps(piece.framed), plane, coarse)
     return FoundTogether(replace(piece, sharpness=sharp), coarse, plane, lattice.waves, first)
 
 
 def _whole(
-    plane: Plane, found: Aligned, reach: Reach, solved: Solved
+    plane: Plane, alignment: Aligned, reach: Reach, solved: Solved
 ) -> tuple[Reach, Plane, Solved]:
     """The first photograph on the piece's grid, what nobody saw left out, and maps there."""
     if not reach.margins.any:
         return reach, plane, solved
-    known = seen_by_any(found.views, reach)
+    known = seen_by_any(alignment.views, reach)
     slow = SolveSettings().slow * plane.size[0]
     return (
         replace(reach, known=float(known.float().mean())),
@@ -211,8 +218,8 @@ def aligned_photographs(
     radiometric = all(view.photo.radiometric for view in registration.views)
     light = SetLight.of(coarse.setup, len(registration.views), photos[0].profile)
     registration = replace(registration, setup=coarse.setup)
-    found = aligned(registration, single.maps, single.errors, light, radiometric=radiometric)
-    return registration, found
+    alignment = aligned(registration, single.maps, single.errors, light, radiometric=radiometric)
+    return registration, alignment
 
 
 def _indexed(
@@ -251,12 +258,12 @@ def _registered(
 
 
 def _solved(
-    found: Aligned,
+    alignment: Aligned,
     prior: MapSet,
     doubt: Tensor,
     hue: Tensor | None,
     radiometric: bool,
-    tell: Tell,
+    on_progress: OnStage,
 ) -> tuple[Aligned, list[PieceView], Solved]:
     """All photographs on the piece's grid, and what they make of it: coarse, then fine.
 
@@ -264,25 +271,25 @@ def _solved(
     coarse grid's they are looked up with their whole parallax.
     """
     begun: Solved | None = None
-    light, rounds = found.light, SolveSettings().rounds
+    light, rounds = alignment.light, SolveSettings().rounds
     across, down = prior.size
-    if found.extent.unit(across) >= 2 * SolveSettings().coarse:
+    if alignment.extent.unit(across) >= 2 * SolveSettings().coarse:
         half = (round(down / 2), round(across / 2))
-        small, unsure = shrunk(prior, doubt, half, found.extent)
-        views = _on_grid(found, half[1], half[0], hue)
+        small, unsure = shrunk(prior, doubt, half, alignment.extent)
+        views = _on_grid(alignment, half[1], half[0], hue)
         begun = solve(
             views,
             small,
             unsure,
             light,
             radiometric=radiometric,
-            tell=lambda share: tell("solve", 0.4 * share),
+            on_progress=lambda share: on_progress("solve", 0.4 * share),
         )
         light, rounds = begun.light, SolveSettings().finer
         relief = np.asarray(begun.maps.height[0].numpy(), np.float32)
-        places = tuple(replace(place, relief=relief) for place in found.places)
-        found = replace(found, places=places)
-    views = _on_grid(found, across, down, hue)
+        places = tuple(replace(place, relief=relief) for place in alignment.places)
+        alignment = replace(alignment, places=places)
+    views = _on_grid(alignment, across, down, hue)
     solved = solve(
         views,
         prior,
@@ -290,14 +297,16 @@ def _solved(
         light,
         radiometric=radiometric,
         settings=replace(SolveSettings(), rounds=rounds),
-        tell=lambda share: tell("solve", share if begun is None else 0.4 + 0.6 * share),
+        on_progress=lambda share: on_progress(
+            "solve", share if begun is None else 0.4 + 0.6 * share
+        ),
         begun=begun,
     )
-    return found, views, solved
+    return alignment, views, solved
 
 
-def _on_grid(found: Aligned, across: int, down: int, hue: Tensor | None) -> list[PieceView]:
-    both = zip(found.views, found.places, strict=True)
+def _on_grid(alignment: Aligned, across: int, down: int, hue: Tensor | None) -> list[PieceView]:
+    both = zip(alignment.views, alignment.places, strict=True)
     return [PieceView.of(view, across, down, place, hue) for view, place in both]
 
 
@@ -334,7 +343,7 @@ def _laid_over(
     extent: Extent,
     radiometric: bool,
     stage: Stage,
-    tell: Tell,
+    tell: OnStage,
 ) -> tuple[Aligned, bool]:
     """Photographs brought over each other, and whether that was interrupted: as they were then."""
     views = registration.views
@@ -347,24 +356,24 @@ def _laid_over(
                 light,
                 radiometric=radiometric,
                 extent=extent,
-                tell=partial(tell, "align"),
+                on_progress=partial(tell, "align"),
             ), False
     except KeyboardInterrupt:
         return Aligned.of(registration, registration.setup, light, extent), True
 
 
 def _all_read(
-    found: Aligned,
+    alignment: Aligned,
     prior: MapSet,
     doubt: Tensor,
     coarse: CoarseFit,
     network: Inverse,
-    tell: Tell,
+    on_progress: OnStage,
 ) -> tuple[MapSet, Tensor, list[ReadView | None] | None]:
     """Prior and doubts by all photographs and what each was read as; interrupted the first's."""
     read = partial(_read_plainly, network)
     try:
-        readings = read_views(found, prior, doubt, coarse, read, partial(tell, "join"))
+        readings = read_views(alignment, prior, doubt, coarse, read, partial(on_progress, "join"))
     except KeyboardInterrupt:
         return prior, doubt, None
     return *with_others(prior, doubt, readings), readings
@@ -376,7 +385,9 @@ def _read_plainly(network: Inverse, plane: Plane, coarse: CoarseFit) -> tuple[Ma
     return single.maps, single.errors
 
 
-def _lent(sight: Sight, solved: Solved, hue: Tensor | None, views: Sequence[PieceView]) -> Exemplar:
+def _inpainted(
+    sight: Sight, solved: Solved, hue: Tensor | None, views: Sequence[PieceView]
+) -> Exemplar:
     """What was solved, metal in its colour again, and lent what glare hides."""
     if hue is not None:
         sight = replace(sight, light=replace(sight.light, hue=on_grid(hue, solved.maps.size)))

@@ -33,7 +33,7 @@ class LookSettings:
     aside: float = 0.15
     """Of its height, that a camera must stand to a side for the piece to be lit from there; a third
     is asked for."""
-    apart: float = 0.08
+    same_place: float = 0.08
     """Of the distance, below which two cameras count as the same place."""
     steep: float = 50.0
     """Degrees of tilt, beyond which the far side is told by few pixels."""
@@ -66,31 +66,34 @@ def look_at_files(paths: Sequence[Path], fov: float | None = None) -> Inspection
     return set_quality(placed(photos))
 
 
-def set_quality(found: Registration) -> Inspection:
-    """What photographs show and lack whose cameras are found."""
-    first, lit = found.views[0].photo.name, [view for view in found.views if view.flash]
+def set_quality(registration: Registration) -> Inspection:
+    """What registered photographs show and lack."""
+    first, lit = (
+        registration.views[0].photo.name,
+        [view for view in registration.views if view.flash],
+    )
     return Inspection(
         first,
         (
-            _belong(found),
+            _belonging(registration),
             *_sides(lit),
             _places(lit),
-            *_cameras(found.views),
-            _common(found.views),
-            *_union(found.views),
+            *_cameras(registration.views),
+            _common(registration.views),
+            *_union(registration.views),
         ),
     )
 
 
-def _belong(found: Registration) -> Finding:
-    used, out = len(found.views), found.left_out
+def _belonging(registration: Registration) -> Finding:
+    used, out = len(registration.views), registration.left_out
     says = f"{used} photographs show the same piece."
     if used < 2:
-        says = f"No other photograph shows the piece of {found.views[0].photo.name}."
+        says = f"No other photograph shows the piece of {registration.views[0].photo.name}."
     says = " ".join(
         [
             says,
-            *_room(found),
+            *_room(registration),
             *(f"{one.name} does not belong: {one.why.rstrip('.')}." for one in out),
         ]
     )
@@ -104,9 +107,9 @@ def _belong(found: Registration) -> Finding:
     return Finding("belong", value, Verdict.POOR if used < 2 else Verdict.DOUBTFUL, says, remedy)
 
 
-def _room(found: Registration) -> tuple[str, ...]:
-    dark = [view.photo for view in found.views if not view.flash]
-    known = all(view.photo.exposure is not None for view in found.views)
+def _room(registration: Registration) -> tuple[str, ...]:
+    dark = [view.photo for view in registration.views if not view.flash]
+    known = all(view.photo.exposure is not None for view in registration.views)
     helps = "is taken off the others" if known else "helps with albedo"
     return tuple(f"{photo.name} was taken without flash: what it shows {helps}." for photo in dark)
 
@@ -141,10 +144,10 @@ def _places(views: Sequence[RegisteredView]) -> Finding:
     same, nearest = [], math.inf
     for number, one in enumerate(views):
         for other in views[number + 1 :]:
-            apart = np.linalg.norm(one.camera.place - other.camera.place)
-            share = float(apart / np.linalg.norm(one.camera.place))
+            baseline = np.linalg.norm(one.camera.place - other.camera.place)
+            share = float(baseline / np.linalg.norm(one.camera.place))
             nearest = min(nearest, share)
-            if share < LOOK.apart:
+            if share < LOOK.same_place:
                 same.append(f"{one.photo.name} and {other.photo.name}")
     steep = [v for v in views if math.degrees(v.camera.tilt) > LOOK.steep]
     value = None if math.isinf(nearest) else round(nearest, 3)

@@ -1,11 +1,11 @@
-"""Octave by octave: what photographs tell of a map, their noise, and what was read of it.
+"""Octave by octave: a map measured by photographs is combined with the network's prediction of it.
 
-In an octave let y be what photographs tell of a map, with noise of variance nu, and m what the
-network read. The truth is taken for g m + e with e of variance T, so
+In an octave let y be the map measured by photographs, with noise of variance nu, and m the
+network's prediction. The truth is modelled as g m + e with e of variance T, so
 
     y = g m + e + noise,    g = E[y m] / E[m^2],    T = E[(y - g m)^2] - nu.
 
-nu is told by the photographs themselves, by what each changes when it is left out: the jackknife
+nu is the variance of the change of y when each photograph is left out in turn: the jackknife
 (Efron 1982), which needs no model of misregistration, shadows or JPEG. m has noise of the first
 photograph in it, which has therefore no part in g. So the photographs calibrate the network on
 steep and on flat materials alike. The posterior mean g m + T / (T + nu) (y - g m) is too smooth;
@@ -36,40 +36,40 @@ class _Octave:
     """A band of a map.
 
     Attributes:
-        told, read: (H, W) y and m.
+        measured, read: (H, W) y and m.
         noise: (H, W) nu.
         gain, error: g and T.
     """
 
-    told: Floats
+    measured: Floats
     read: Floats
     noise: Floats
     gain: np.float32
     error: np.float32
 
     @staticmethod
-    def of(told: Floats, others: Floats, read: Floats, noise: Floats, wave: float) -> _Octave:
-        """By what all tell, and all but the first; `wave` is the longest in it, texels."""
+    def of(measured: Floats, others: Floats, read: Floats, noise: Floats, wave: float) -> _Octave:
+        """Of maps by all photographs and by all but the first; `wave`: longest wave, texels."""
         weight = 1.0 / noise
-        # g is 1 within 1 if no wave tells it, and never negative.
-        count = told.size / wave**2
+        # g has the prior 1 +- 1, and is never negative.
+        count = measured.size / wave**2
         few = float((weight * noise).mean()) / count
         gain = max(float((weight * others * read).mean()) + few, 0.0) / (
             float((weight * read * read).mean()) + few
         )
-        left = np.square(told - np.float32(gain) * read) - noise
+        left = np.square(measured - np.float32(gain) * read) - noise
         error = max(float((weight * left).sum() / weight.sum()), _LEAST)
-        return _Octave(told, read, noise, np.float32(gain), np.float32(error))
+        return _Octave(measured, read, noise, np.float32(gain), np.float32(error))
 
     def posterior(self, gain: np.float32) -> Floats:
         """(H, W) with a gain in place of g of what was read, and the energy T of the rest."""
         kept = np.sqrt(self.error / (self.error + self.noise), dtype=np.float32)
-        return gain * self.read + kept * (self.told - self.gain * self.read)
+        return gain * self.read + kept * (self.measured - self.gain * self.read)
 
     def drawn(self) -> np.float32:
-        """A gain by which what was read brings the octave to its energy, known or not.
+        """Gain of the network's prediction at which the octave has its expected energy.
 
-        Photographs tell that energy within their noise, what was read within itself.
+        The energy measured by photographs is uncertain by their noise, the prediction's by itself.
         """
         read, noise = float(np.square(self.read).mean()), float(self.noise.mean())
         seen = float(self.gain) ** 2 * read + float(self.error)
@@ -79,41 +79,43 @@ class _Octave:
 
 
 def denoised(
-    told: Floats, read: Floats, changes: Sequence[Floats] | Floats, *, drawn: bool = False
+    measured: Floats, read: Floats, changes: Sequence[Floats] | Floats, *, drawn: bool = False
 ) -> Floats:
     """(H, W) a map with every octave's noise taken off, and its energy kept.
 
     Args:
-        told: (H, W) by all photographs.
+        measured: (H, W) by all photographs.
         read: (H, W) by the network.
-        changes: (H, W) each, of what is told when a photograph is left out.
+        changes: (H, W) each, change of `measured` when one photograph is left out.
         drawn: what noise hides is drawn as it was read.
     """
-    bands = [o.posterior(o.drawn() if drawn else o.gain) for o in _octaves(told, read, changes)]
+    bands = [o.posterior(o.drawn() if drawn else o.gain) for o in _octaves(measured, read, changes)]
     return np.asarray(np.sum(bands, axis=0), np.float32)
 
 
-def read_error(told: Floats, read: Floats, changes: Sequence[Floats] | Floats) -> float:
+def read_error(measured: Floats, read: Floats, changes: Sequence[Floats] | Floats) -> float:
     """Variance of what was read too weak, or in the wrong places, all octaves together.
 
     Args: as of denoised.
     """
     return sum(
         float(o.error) + max(float(o.gain) - 1.0, 0.0) ** 2 * float(np.square(o.read).mean())
-        for o in _octaves(told, read, changes)
+        for o in _octaves(measured, read, changes)
     )
 
 
-def _octaves(told: Floats, read: Floats, changes: Sequence[Floats] | Floats) -> Iterator[_Octave]:
+def _octaves(
+    measured: Floats, read: Floats, changes: Sequence[Floats] | Floats
+) -> Iterator[_Octave]:
     """Each of both maps, and the rest."""
     share = np.float32(
         max(0.5, 1.0 - 1.0 / len(changes))
     )  # of one, what it changes is all it tells
-    noises = [np.full_like(told, _LEAST) for _ in range(len(_OCTAVES) + 1)]
+    noises = [np.full_like(measured, _LEAST) for _ in range(len(_OCTAVES) + 1)]
     for change in changes:
         for noise, band in zip(noises, split(change, _OCTAVES), strict=True):
             noise += share * np.square(band)
     waves = [*(longest for longest, _ in _OCTAVES), 2.0 * _OCTAVES[0][0]]
-    bands = (split(each, _OCTAVES) for each in (told, told + changes[0], read))
+    bands = (split(each, _OCTAVES) for each in (measured, measured + changes[0], read))
     for y, others, m, noise, wave in zip(*bands, noises, waves, strict=True):
         yield _Octave.of(y, others, m, smoothed(noise, _AROUND * wave), wave)

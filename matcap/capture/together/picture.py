@@ -86,7 +86,7 @@ def draw_set(report: SetReport, piece: NDArray[np.float32], width: int) -> Image
     return sheet
 
 
-def told_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
+def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
     """What is said of a set, each line with the number of its photograph, None for all, or 0 for
     one that was left out.
     """
@@ -102,7 +102,7 @@ def told_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
     for one in report.left_out:
         yield f"left out: {one.name}, {one.why}", 0
     names = ("diffuse", "specular", "roughness", "height")
-    shares = [f"{name} {100.0 * s:.0f} %" for name, s in zip(names, report.told, strict=True)]
+    shares = [f"{name} {100.0 * s:.0f} %" for name, s in zip(names, report.measured, strict=True)]
     yield "measured, not guessed: " + ", ".join(shares), None
     if report.reach is not None:
         yield report.reach.says(), None
@@ -171,7 +171,7 @@ def _words(report: SetReport, width: int, height: int) -> Image.Image:
     sheet, ink = _blank(width, height, "what each told")
     font = ImageFont.load_default(size=14)
     y = 2 * _LINE
-    for said, number in told_lines(report):
+    for said, number in set_report_lines(report):
         colour = _INK if number is None else _LEFT_OUT
         if number:
             colour = _CAMERAS[(number - 1) % len(_CAMERAS)]

@@ -25,8 +25,8 @@ def placed(photos: Sequence[Photo], coarse: CoarseFit | None = None) -> Registra
         coarse: as fitted() tells it, if it is known.
     """
     photos = flash_first(photos)
-    found = register(photos, (coarse or fitted(photos)).setup)
-    if found.blurred and len(found.views) > 2:
+    registration = register(photos, (coarse or fitted(photos)).setup)
+    if registration.blurred and len(registration.views) > 2:
         photos = flash_first([*photos[1:], photos[0]])
-        found = register(photos, fitted(photos).setup)
-    return found
+        registration = register(photos, fitted(photos).setup)
+    return registration

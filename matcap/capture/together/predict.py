@@ -47,7 +47,7 @@ class Predictions:
 
 @torch.no_grad()
 def predictions(
-    found: Aligned,
+    alignment: Aligned,
     readings: Sequence[ReadView | None],
     solved: Solved,
     radiometric: bool,
@@ -60,7 +60,7 @@ def predictions(
     lies does.
 
     Args:
-        found: where photographs lie.
+        alignment: where photographs lie.
         readings: of each (readings.py).
         solved: by all of them, whose light it begins with.
         hue: metal's (hue.py).
@@ -70,12 +70,12 @@ def predictions(
     settings = settings or PredictSettings()
     first = next(read for read in readings if read is not None)
     height, width = first.numbers.shape[1:]
-    across = min(found.extent.across(settings.across), width)
+    across = min(alignment.extent.across(settings.across), width)
     down = max(8, round(height * across / width))
     few = fewer(readings, (down, across))
     views = [
         PieceView.of(view, across, down, place, hue)
-        for view, place in zip(found.views, found.places, strict=True)
+        for view, place in zip(alignment.views, alignment.places, strict=True)
     ]
     if sum(view.room is None for view in views) < 2:
         return None

@@ -73,9 +73,9 @@ class OwnPlane:
     @staticmethod
     def of(camera: PosedCamera, light: SetLight, number: int) -> OwnPlane:
         """Of a camera, under the light of a photograph's number."""
-        away = camera.place[2] / camera.turn[2, 2]
-        origin = (camera.place - away * camera.turn[2])[:2]
-        scale = float(away / camera.lens.focal)
+        distance = camera.place[2] / camera.turn[2, 2]
+        origin = (camera.place - distance * camera.turn[2])[:2]
+        scale = float(distance / camera.lens.focal)
         roll = math.atan2(-camera.turn[1, 0], camera.turn[1, 1])
         c, s = math.cos(roll), math.sin(roll)
         turn = camera.turn @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -97,8 +97,8 @@ class OwnPlane:
     def here(self, points: Doubles) -> Doubles:
         """(2, ...) in this frame of points (3, ...) of the first's plane."""
         c, s = math.cos(self.roll), math.sin(self.roll)
-        away = points[:2] - self.origin.reshape(2, *(1,) * (points.ndim - 1))
-        return np.asarray(np.tensordot(np.array([[c, s], [-s, c]]), away, 1)) / self.scale
+        offset = points[:2] - self.origin.reshape(2, *(1,) * (points.ndim - 1))
+        return np.asarray(np.tensordot(np.array([[c, s], [-s, c]]), offset, 1)) / self.scale
 
 
 @dataclass(frozen=True)
@@ -116,40 +116,40 @@ class ReadView:
 
 
 def read_views(
-    found: Aligned,
+    alignment: Aligned,
     prior: MapSet,
     doubt: Tensor,
     coarse: CoarseFit,
     read: ReadAlone,
-    tell: Callable[[float], None],
+    on_progress: Callable[[float], None],
 ) -> list[ReadView | None]:
     """What every photograph is read as, one at a time.
 
     Args:
-        found: where they lie, and their light.
-        prior, doubt: read from the first, in the frame that was found.
+        alignment: where they lie, and their light.
+        prior, doubt: read from the first, in the estimated frame.
         coarse: of the first, whose mean material is all of theirs.
         read: one alone.
-        tell: called with the share that is done.
+        on_progress: called with the share that is done.
 
     Returns:
         For each photograph, None where it was not read: of the room's light, or too steep.
     """
-    extent = found.extent
+    extent = alignment.extent
     own_across = min(READINGS.across, round(extent.unit(prior.size[0])))
     across = extent.across(own_across)
     down = max(8, round(prior.size[1] * across / prior.size[0]))
     small, unsure = shrunk(prior, doubt, (down, across), extent)
     readings: list[ReadView | None] = [ReadView(numbers_of(small), unsure, extent)]
-    for number, view in enumerate(found.views[1:], 1):
+    for number, view in enumerate(alignment.views[1:], 1):
         readings.append(None)
         if view.flash and math.degrees(view.camera.tilt) < READINGS.steepest:
-            own = OwnPlane.of(view.camera, found.light, number)
+            own = OwnPlane.of(view.camera, alignment.light, number)
             plane = read_plane(view.photo, own.setup, own_across)
             maps, errors = read(plane, replace(coarse, setup=own.setup))
-            place = found.places[number]
+            place = alignment.places[number]
             readings[-1] = brought_over(maps, errors, own, view.camera, place, (across, down))
-        tell(number / (len(found.views) - 1))
+        on_progress(number / (len(alignment.views) - 1))
     return readings
 
 
@@ -168,8 +168,8 @@ def brought_over(
     y = ((height - points[1] * width) / 2.0 - 0.5).astype(np.float32)
 
     def there(channel: Tensor, how: int = cv2.INTER_CUBIC) -> Tensor:
-        found = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
-        return torch.from_numpy(found)
+        resampled = cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
+        return torch.from_numpy(resampled)
 
     maps, hue = uncoloured(maps)
     logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
@@ -212,9 +212,9 @@ def joined(readings: Sequence[ReadView | None]) -> tuple[MapSet, Tensor]:
     # Where all err alike they are off by as much as the best of them.
     alike = weights.amax(0).reciprocal()
     doubt = 0.5 * (READINGS.shared * alike + (1.0 - READINGS.shared) / whole).log()
-    told = (-2.0 * doubt[3]).exp()
+    slope_precision = (-2.0 * doubt[3]).exp()
     texel_size = every[0].extent.texel(numbers.shape[-1])
-    precision = torch.stack([told, told, torch.zeros_like(told)])
+    precision = torch.stack([slope_precision, slope_precision, torch.zeros_like(slope_precision)])
     height = surface_of(numbers[SLOPES], texel_size, precision)
     return maps_of(numbers, height, texel_size), doubt
 

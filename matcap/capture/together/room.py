@@ -112,15 +112,15 @@ def _leaning(left: Picture, slopes: Picture, seen: NDArray[np.bool_]) -> tuple[f
         return (0.0, 0.0)
     x, y = slopes[:, seen].astype(np.float64), left[seen].astype(np.float64)
     weight: NDArray[np.float64] = np.ones_like(y)
-    found = np.zeros(2)
+    lean = np.zeros(2)
     for _ in range(4):
         normal = (x * weight) @ x.T + 1e-3 * len(y) * 0.01 * np.eye(2)
-        found = np.asarray(np.linalg.solve(normal, (x * weight) @ y), np.float64)
-        rest = y - found @ x
+        lean = np.asarray(np.linalg.solve(normal, (x * weight) @ y), np.float64)
+        rest = y - lean @ x
         spread = 1.5 * float(np.median(np.abs(rest))) + 1e-6
         weight = np.asarray(1.0 / (1.0 + np.square(rest / (2.0 * spread))), np.float64)
     most = ROOM.steepest
-    return (float(np.clip(found[0], -most, most)), float(np.clip(found[1], -most, most)))
+    return (float(np.clip(lean[0], -most, most)), float(np.clip(lean[1], -most, most)))
 
 
 def less_room(registration: Registration) -> tuple[Registration, float]:
@@ -192,5 +192,5 @@ def _seen_from(view: RegisteredView, room: RegisteredView) -> Picture:
         cv2.resize(each, (columns, rows), interpolation=cv2.INTER_LINEAR)
         for each in to_pixels(there, width, height)
     )
-    found = cv2.remap(room.photo.pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found, np.float32)
+    pixels = cv2.remap(room.photo.pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(pixels, np.float32)

@@ -1,4 +1,4 @@
-"""What is told of several photographs of one piece."""
+"""The report on several photographs of one sample that were solved together."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from matcap.flash.registration.register import LeftOut, RegisteredView, Registra
 
 @dataclass(frozen=True)
 class SetReport:
-    """What was found of photographs that were solved together."""
+    """Cameras, residuals and measured shares of photographs that were solved together."""
 
     views: tuple[RegisteredView, ...]
     """Those that were used, each with its camera, the first one first."""
@@ -27,7 +27,7 @@ class SetReport:
     one by the room's light; empty where nobody asked."""
     left_out: tuple[LeftOut, ...]
     """Those that were not used, and why."""
-    told: tuple[float, float, float, float]
+    measured: tuple[float, float, float, float]
     """Share of maps that was measured rather than read: albedo, F0, roughness, relief."""
     flash_offset: tuple[float, float]
     """Of all photographs."""
@@ -39,21 +39,21 @@ class SetReport:
     @staticmethod
     def of(
         registration: Registration,
-        found: Aligned,
+        alignment: Aligned,
         solved: Solved,
         ahead: Predictions | None,
         reach: Reach | None = None,
     ) -> SetReport:
-        """Of what was found."""
+        """Of the registered, aligned and solved set."""
         x, y = solved.light.offset.tolist()
         return SetReport(
-            found.views,
+            alignment.views,
             solved.residual if ahead is None else _known(ahead.residual, solved.residual),
             () if ahead is None else ahead.predicted,
             registration.left_out,
-            solved.told,
+            solved.measured,
             (x, y),
-            found.views[0].camera.lens.bent,
+            alignment.views[0].camera.lens.bent,
             reach if reach is not None and reach.margins.any else None,
         )
 
@@ -88,7 +88,7 @@ class SetReport:
             ],
             "left_out": [{"name": one.name, "why": one.why} for one in self.left_out],
             "measured_share": dict(
-                zip(("diffuse", "specular", "roughness", "height"), self.told, strict=True)
+                zip(("diffuse", "specular", "roughness", "height"), self.measured, strict=True)
             ),
             "flash_offset": list(self.flash_offset),
             "lens_distortion": list(self.bent),

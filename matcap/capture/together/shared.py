@@ -48,7 +48,7 @@ class SharedSettings:
         offset: deviation of the flash's place from where it is expected, plane units.
         gloss: deviations of the mean of log F0 and of logit roughness from what was read.
         gain: deviation of a photograph's gain, log.
-        apart: the same where no two of a larger piece show a texel: each would find its own.
+        separate_gain: the same where no texel of a larger exemplar is in two photographs.
         astray: deviation of a photograph's place, plane units.
         farthest: of a step, texels.
     """
@@ -58,7 +58,7 @@ class SharedSettings:
     offset: float = 0.06
     gloss: tuple[float, float] = (0.1, 1.0)
     gain: float = 1.5
-    apart: float = 0.03
+    separate_gain: float = 0.03
     astray: float = 0.004
     farthest: float = 2.0
 
@@ -76,7 +76,7 @@ class _Samples:
 def shared_light(
     views: Sequence[PieceView],
     numbers: Tensor,
-    believed: Tensor,
+    prior_mean: Tensor,
     spread: Tensor,
     light: SetLight,
     radiometric: bool,
@@ -84,16 +84,16 @@ def shared_light(
     shared: SharedSettings | None = None,
 ) -> SetLight:
     """The light of all photographs, where they lie as they do."""
-    found, _ = shared_step(
-        views, numbers, believed, spread, light, radiometric, settings, shared, moving=False
+    light_fitted, _ = shared_step(
+        views, numbers, prior_mean, spread, light, radiometric, settings, shared, moving=False
     )
-    return found
+    return light_fitted
 
 
 def shared_step(
     views: Sequence[PieceView],
     numbers: Tensor,
-    believed: Tensor,
+    prior_mean: Tensor,
     spread: Tensor,
     light: SetLight,
     radiometric: bool,
@@ -101,27 +101,27 @@ def shared_step(
     shared: SharedSettings | None = None,
     *,
     moving: bool,
-    held: Container[int] = (),
+    fixed: Container[int] = (),
 ) -> tuple[SetLight, list[Doubles]]:
     """The light of all photographs, and (3, 3) each by which they are to be looked up elsewhere.
 
     Args:
         views: of the piece, the first photograph, which stays where it is, first.
         numbers: (NUMBERS, H, W) of its texels so far.
-        believed, spread: their prior and its deviations, likewise.
+        prior_mean, spread: their prior and its deviations, likewise.
         light: so far.
-        radiometric: vignetting is held where it is.
+        radiometric: vignetting keeps its value.
         settings, shared: see there.
         moving: whether photographs may move; else all are the identity.
-        held: numbers of photographs that stay where they are all the same.
+        fixed: numbers of photographs that stay where they are all the same.
     """
     shared = shared or SharedSettings()
     texel = views[0].extent.texel(numbers.shape[-1])
     chosen, joined = _chosen(views, settings.sampled)
     if not joined:
-        shared = replace(shared, gain=shared.apart)
+        shared = replace(shared, gain=shared.separate_gain)
     samples = _sampled(views, chosen, moving)
-    some, prior, doubted = (each.flatten(1)[:, chosen] for each in (numbers, believed, spread))
+    some, prior, doubted = (each.flatten(1)[:, chosen] for each in (numbers, prior_mean, spread))
     own = _GAINS + (_MOVES if moving else 0)
     count = _SHARED + own * (len(views) - 1)
     # Offset, vignetting, gloss; then of every photograph but the first its gains and its move.
@@ -131,7 +131,7 @@ def shared_step(
         first = _SHARED + own * (k - 1)
         start[first : first + _GAINS] = light.gain[k]
     lost = (1e-3, 1e-3) if radiometric else light.lost
-    deviation = _deviations(len(views), own, lost, held, shared)
+    deviation = _deviations(len(views), own, lost, fixed, shared)
     values, some = start.clone(), some.clone()
     # Gloss is expected as it was read, whatever was found since.
     start[_LIGHT:_SHARED] = 0.0
@@ -197,17 +197,17 @@ def _gradient(log: Tensor, texel: float) -> tuple[Tensor, Tensor]:
     are then moved twice as far as they lie astray, to and fro.
     """
     right = _FOURTH / texel
-    found: tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]] = ([], [])
+    gradients: tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]] = ([], [])
     for plane in log.numpy():
-        for way, kernel in zip(found, (right, -right.T), strict=True):
+        for way, kernel in zip(gradients, (right, -right.T), strict=True):
             gained = cv2.filter2D(plane, cv2.CV_32F, kernel, borderType=cv2.BORDER_REFLECT_101)
             way.append(np.asarray(gained, np.float32))
-    return torch.from_numpy(np.stack(found[0])), torch.from_numpy(np.stack(found[1]))
+    return torch.from_numpy(np.stack(gradients[0])), torch.from_numpy(np.stack(gradients[1]))
 
 
 @dataclass(frozen=True)
 class _Eliminated:
-    """Normal equations of what is shared, and what texels answer with."""
+    """Reduced normal equations (Schur complement) of the shared parameters, texels eliminated."""
 
     normal: Tensor
     gradient: Tensor
@@ -224,14 +224,14 @@ def _eliminated(
     samples: _Samples,
     some: Tensor,
     prior: Tensor,
-    held: Tensor,
+    spread: Tensor,
     values: Tensor,
     light: SetLight,
     own: int,
     settings: SolveSettings,
 ) -> _Eliminated:
     count, texels = len(values), some.shape[-1]
-    precision = held[:, 0].T.square().reciprocal()
+    precision = spread[:, 0].T.square().reciprocal()
     within = torch.diag_embed(precision)
     between = torch.zeros(texels, NUMBERS, count)
     right = precision * (prior - some)[:, 0].T
@@ -275,18 +275,18 @@ def _eliminated(
 def texels_solved(within: Tensor, sides: Tensor) -> Tensor:
     """(N, NUMBERS, k) solutions of every texel's normal equations (N, NUMBERS, NUMBERS).
 
-    What is told many times over leaves some of them singular in single precision: those answer
-    nothing, where a step of any size would go on into what all texels share.
+    Some are singular in single precision: their solution is set to 0, where a step of any size
+    would propagate into the shared parameters.
 
     Args:
         within: symmetric, positive but for rounding.
         sides: (N, NUMBERS, k) right-hand sides.
     """
-    held = within + torch.diag_embed(_ROUNDING * within.diagonal(dim1=-2, dim2=-1))
-    factor, failed = torch.linalg.cholesky_ex(held)
-    found = torch.cholesky_solve(sides, factor)
-    sound = (failed == 0)[:, None, None] & torch.isfinite(found).all(-2, keepdim=True)
-    return torch.where(sound, found, 0.0)
+    damped = within + torch.diag_embed(_ROUNDING * within.diagonal(dim1=-2, dim2=-1))
+    factor, failed = torch.linalg.cholesky_ex(damped)
+    solution = torch.cholesky_solve(sides, factor)
+    sound = (failed == 0)[:, None, None] & torch.isfinite(solution).all(-2, keepdim=True)
+    return torch.where(sound, solution, 0.0)
 
 
 def _by_shared(
@@ -323,12 +323,12 @@ def _deviations(
     photographs: int,
     own: int,
     lost: tuple[float, float],
-    held: Container[int],
+    fixed: Container[int],
     shared: SharedSettings,
 ) -> Tensor:
     whole = [shared.offset, shared.offset, *lost, *shared.gloss]
     for number in range(1, photographs):
-        moves = 1e-9 if number in held else shared.astray
+        moves = 1e-9 if number in fixed else shared.astray
         whole += [shared.gain] * _GAINS + [moves] * (own - _GAINS)
     return torch.tensor(whole, dtype=torch.float64)
 

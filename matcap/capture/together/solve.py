@@ -54,8 +54,8 @@ class Solved:
         errors: (4, H, W) log of the deviation of log albedo, log F0, logit roughness and slope.
         light: of all photographs, as found.
         residual: (photographs,) median difference of log radiance of what each shows.
-        told: share of what is known of log albedo, log F0, roughness and slopes that photographs
-            tell, and the prior does not; medians over texels.
+        measured: share of the posterior precision of log albedo, log F0, roughness and slopes that
+            photographs contribute rather than the prior, in [0, 1]; medians over texels.
         read_off: deviation of slopes that were read too weak, by what photographs tell.
         interrupted: ended early, with the best so far.
     """
@@ -64,7 +64,7 @@ class Solved:
     errors: Tensor
     light: SetLight
     residual: tuple[float, ...]
-    told: tuple[float, float, float, float]
+    measured: tuple[float, float, float, float]
     read_off: float
     interrupted: bool = False
 
@@ -78,10 +78,10 @@ def solve(
     *,
     radiometric: bool,
     settings: SolveSettings | None = None,
-    tell: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] | None = None,
     begun: Solved | None = None,
 ) -> Solved:
-    """Find the maps; an interrupt ends with the best so far.
+    """Estimate the maps; an interrupt ends with the best so far.
 
     Args:
         views: of the piece, the first photograph first, on the maps' grid.
@@ -91,11 +91,11 @@ def solve(
         light: a first guess.
         radiometric: whether all are RAW: vignetting is then held at none.
         settings: see SolveSettings.
-        tell: called with the share that is done.
+        on_progress: called with the share that is done.
         begun: the same piece solved on fewer texels: where texels begin, in place of what was read.
     """
-    settings, tell = settings or SolveSettings(), tell or (lambda _share: None)
-    return _solve(views, (prior, doubt), light, radiometric, settings, tell, begun)
+    settings, on_progress = settings or SolveSettings(), on_progress or (lambda _share: None)
+    return _solve(views, (prior, doubt), light, radiometric, settings, on_progress, begun)
 
 
 def _solve(
@@ -104,20 +104,20 @@ def _solve(
     light: SetLight,
     radiometric: bool,
     settings: SolveSettings,
-    tell: Callable[[float], None],
+    on_progress: Callable[[float], None],
     begun: Solved | None,
 ) -> Solved:
     """As solve, of what was read and its doubts."""
-    (prior, doubt), believed = read, numbers_of(read[0])
-    views, spread = under_room(given, believed), spread_of(doubt, settings)
+    (prior, doubt), prior_mean = read, numbers_of(read[0])
+    views, spread = under_room(given, prior_mean), spread_of(doubt, settings)
     if not settings.rounds:
-        light = shared_light(views, believed, believed, spread, light, radiometric, settings)
+        light = shared_light(views, prior_mean, prior_mean, spread, light, radiometric, settings)
     # Of the light, which a common error of slopes would move, and of texels.
     off = 0.0 if begun is None else begun.read_off
-    known = _held_by(spread, off)
+    known = _with_least_slope(spread, off)
     fresh = begun is None and len(settings.rounds) > 0
-    spread = _held_by(spread, settings.slope if fresh else settings.wider * off)
-    numbers = believed.clone() if begun is None else _continued(believed, prior, begun)
+    spread = _with_least_slope(spread, settings.slope if fresh else settings.wider * off)
+    numbers = prior_mean.clone() if begun is None else _continued(prior_mean, prior, begun)
     unit = views[0].extent.unit(numbers.shape[-1])
     precision, total, done, interrupted = torch.zeros(()), sum(settings.rounds) + 2, 0, False
     step: Stepped | None = None
@@ -125,54 +125,54 @@ def _solve(
         for index, steps in enumerate(settings.rounds):
             views = under_room(given, numbers)
             before = light.gloss
-            light = shared_light(views, numbers, believed, known, light, radiometric, settings)
+            light = shared_light(views, numbers, prior_mean, known, light, radiometric, settings)
             numbers[GLOSS] += (light.gloss - before)[:, None, None]
-            held = levelled(believed, light)
+            expected = levelled(prior_mean, light)
             for turn in range(1, steps + 1):
                 each = turn == steps and (
                     index == len(settings.rounds) - 1 or (not index and fresh)
                 )
-                step = stepped(views, numbers, held, spread, light, settings, without_each=each)
-                numbers, precision = step.numbers, step.told
+                step = stepped(views, numbers, expected, spread, light, settings, without_each=each)
+                numbers, precision = step.numbers, step.precision
                 done += 1
-                tell(done / total)
+                on_progress(done / total)
             numbers[SLOPES] = _without_slow(numbers[SLOPES], unit, settings)
             if index == 0 and step is not None:
                 if fresh:
-                    off = _read_off(numbers, believed, step.changes)
-                    spread = _held_by(known, settings.wider * off)
-                    known = _held_by(known, off)
-                believed = _told_around(believed, numbers - held, precision, unit, settings)
+                    off = _read_off(numbers, prior_mean, step.changes)
+                    spread = _with_least_slope(known, settings.wider * off)
+                    known = _with_least_slope(known, off)
+                prior_mean = _gloss_prior(prior_mean, numbers - expected, precision, unit, settings)
     except KeyboardInterrupt:
         interrupted = True
     height = surface_of(numbers[SLOPES], prior.texel_size, None if step is None else step.relief)
     if step is not None and not interrupted:
-        every = [believed[SLOPES], *step.changes[:, SLOPES]]
+        every = [prior_mean[SLOPES], *step.changes[:, SLOPES]]
         slow = (_without_slow(each, unit, settings) for each in every)
         calm, *changes = (surface_of(each, prior.texel_size)[0].numpy() for each in slow)
         height[0] = torch.from_numpy(denoised(height[0].numpy(), calm, changes, drawn=True))
         numbers[SLOPES] = slopes_of(height, prior.texel_size)
-        numbers = _answering(views, numbers, held, spread, light, settings)
+        numbers = _step_at_fixed_slopes(views, numbers, expected, spread, light, settings)
     numbers[SLOPES] = slopes_of(height, prior.texel_size)
     errors = _errors(precision, spread)
     maps = maps_of(numbers, height, prior.texel_size)
-    left, shares = _residuals(views, numbers, light, settings), _told(precision, spread)
+    left, shares = _residuals(views, numbers, light, settings), _measured_shares(precision, spread)
     return Solved(maps, errors, light, left, shares, off, interrupted)
 
 
-def _held_by(spread: Tensor, slope: float) -> Tensor:
+def _with_least_slope(spread: Tensor, slope: float) -> Tensor:
     """(NUMBERS, H, W) deviations of a prior, those of slopes no less than one."""
     spread = spread.clone()
     spread[SLOPES] = spread[SLOPES].clamp_min(slope)
     return spread
 
 
-def _continued(believed: Tensor, prior: MapSet, begun: Solved) -> Tensor:
+def _continued(prior_mean: Tensor, prior: MapSet, begun: Solved) -> Tensor:
     """Numbers of a finer grid: what a coarser one changed of what was read, and its fine bands."""
     size = begun.maps.size[::-1]
     small = F.interpolate(prior.stacked()[None].float(), size=size, mode="area")[0]
     change = numbers_of(begun.maps) - numbers_of(MapSet.from_stacked(small, begun.maps.texel_size))
-    return believed + F.interpolate(change[None], size=believed.shape[1:], mode="bilinear")[0]
+    return prior_mean + F.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
 
 
 def predicted(view: PieceView, solved: Solved) -> float:
@@ -183,16 +183,16 @@ def predicted(view: PieceView, solved: Solved) -> float:
     numbers = numbers_of(solved.maps)
     size = view.log.shape[-2:]
     light = replace(solved.light, gain=torch.zeros(1, 3))
-    found = rendered(numbers, [light_at(0, view, light, points_of(size, extent=view.extent))])[
+    shown = rendered(numbers, [light_at(0, view, light, points_of(size, extent=view.extent))])[
         0
     ].log()
-    off = view.log - found
+    off = view.log - shown
     for channel in range(3):
-        told = off[channel][view.seen[channel]]
-        if told.numel():
-            off[channel] -= told.median()
-    told = off[view.seen]
-    return float(told.abs().median()) if told.numel() else math.nan
+        residual = off[channel][view.seen[channel]]
+        if residual.numel():
+            off[channel] -= residual.median()
+    residual = off[view.seen]
+    return float(residual.abs().median()) if residual.numel() else math.nan
 
 
 def _without_slow(slopes: Tensor, unit: float, settings: SolveSettings) -> Tensor:
@@ -205,63 +205,63 @@ def _without_slow(slopes: Tensor, unit: float, settings: SolveSettings) -> Tenso
     return slopes - torch.stack(slow)
 
 
-def _told_around(
-    believed: Tensor,
+def _gloss_prior(
+    prior_mean: Tensor,
     off: Tensor,
     precision: Tensor,
     unit: float,
     settings: SolveSettings,
 ) -> Tensor:
-    """A prior of gloss from what was told of it around, however little of it was told here.
+    """Prior of F0 and roughness: the mean of neighbouring estimates, weighted by their precision.
 
     Args:
-        believed: (NUMBERS, H, W) prior so far.
+        prior_mean: (NUMBERS, H, W) so far.
         off: likewise, what numbers are off by from it.
         precision: likewise, of what photographs tell of each number.
         unit: texels of the long side.
         settings: see SolveSettings.
     """
-    believed = believed.clone()
+    prior_mean = prior_mean.clone()
     deviation = settings.around * unit
     for number in (F0, ROUGH):
-        told = precision[number].numpy()
-        weight = told / (told + float(np.median(told)) + 1e-6)
+        measured = precision[number].numpy()
+        weight = measured / (measured + float(np.median(measured)) + 1e-6)
         change = off[number].numpy()
         near, amount = (
             cv2.GaussianBlur(plane, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
             for plane in (change * weight, weight)
         )
         whole = float((change * weight).sum() / max(float(weight.sum()), 1e-6))
-        believed[number] += torch.from_numpy((near + 0.05 * whole) / (amount + 0.05))
-    return believed
+        prior_mean[number] += torch.from_numpy((near + 0.05 * whole) / (amount + 0.05))
+    return prior_mean
 
 
-def _answering(
+def _step_at_fixed_slopes(
     views: Sequence[PieceView],
     numbers: Tensor,
-    believed: Tensor,
+    prior_mean: Tensor,
     spread: Tensor,
     light: SetLight,
     settings: SolveSettings,
 ) -> Tensor:
-    """Numbers after a step in which slopes stay as they are, albedo without noise."""
-    held, held_to = spread.clone(), believed.clone()
-    held[SLOPES] = 1e-4
-    held_to[SLOPES] = numbers[SLOPES]
-    step = stepped(views, numbers, held_to, held, light, settings, without_each=True)
+    """Parameters after a step with slopes fixed, albedo denoised (octaves.py)."""
+    tight_spread, tight_mean = spread.clone(), prior_mean.clone()
+    tight_spread[SLOPES] = 1e-4
+    tight_mean[SLOPES] = numbers[SLOPES]
+    step = stepped(views, numbers, tight_mean, tight_spread, light, settings, without_each=True)
     for channel in range(3):
-        told, read, changes = (
+        measured, read, changes = (
             each.numpy()
-            for each in (step.numbers[channel], believed[channel], step.changes[:, channel])
+            for each in (step.numbers[channel], prior_mean[channel], step.changes[:, channel])
         )
-        step.numbers[channel] = torch.from_numpy(denoised(told, read, changes))
+        step.numbers[channel] = torch.from_numpy(denoised(measured, read, changes))
     return step.numbers
 
 
-def _read_off(numbers: Tensor, believed: Tensor, changes: Tensor) -> float:
+def _read_off(numbers: Tensor, prior_mean: Tensor, changes: Tensor) -> float:
     """Deviation of a slope that was read too weak, by what photographs tell."""
     squares = [
-        read_error(numbers[k].numpy(), believed[k].numpy(), changes[:, k].numpy())
+        read_error(numbers[k].numpy(), prior_mean[k].numpy(), changes[:, k].numpy())
         for k in range(SLOPES.start, SLOPES.stop)
     ]
     return math.sqrt(sum(squares) / len(squares))
@@ -283,7 +283,7 @@ def _errors(precision: Tensor, spread: Tensor) -> Tensor:
     ).log()
 
 
-def _told(precision: Tensor, spread: Tensor) -> tuple[float, float, float, float]:
+def _measured_shares(precision: Tensor, spread: Tensor) -> tuple[float, float, float, float]:
     if precision.ndim == 0:
         return (0.0, 0.0, 0.0, 0.0)
     share = precision / (precision + spread.square().reciprocal())
@@ -300,8 +300,8 @@ def _residuals(
         for rows in strips(numbers.shape[1], settings.rows):
             points = points_of(numbers.shape[-2:], rows, view.extent)
             lit = light_at(k, view, light, points)
-            found = rendered(numbers[:, rows], [lit])[0].log()
-            off.append((view.log[:, rows] - found)[view.seen[:, rows]].abs())
+            shown = rendered(numbers[:, rows], [lit])[0].log()
+            off.append((view.log[:, rows] - shown)[view.seen[:, rows]].abs())
         every = torch.cat(off)
         left.append(float(every.median()) if every.numel() else math.nan)
     return tuple(left)

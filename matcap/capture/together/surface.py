@@ -39,9 +39,10 @@ def surface_of(
 ) -> Tensor:
     """(1, H, W) the height whose central slopes are nearest to slopes (2, H, W).
 
-    Two photographs tell slopes along the line between them and hardly any across it; but a surface
-    has no curl, and what is told of one is told of the other. So errors e count as e^T P e, and
-    conjugate gradients find the surface, evened by the Poisson equation of the mean P.
+    Two photographs measure slopes along the line between them and hardly any across it; but the
+    gradient of a surface has no curl, so a slope along one axis constrains the other. Minimises the
+    sum of e^T P e over slope errors e by conjugate gradients, preconditioned by the Poisson equation
+    of the mean P.
 
     Args:
         slopes: along x and y.
@@ -54,11 +55,11 @@ def surface_of(
         return _even_surface(slopes, texel_size, 4)
     settings = settings or SurfaceSettings()
     height = _even_surface(slopes, texel_size, 2)
-    told = _doubted(precision, settings.model)
-    told = told / told[:2].mean().clamp_min(1e-12)
-    told[:2] += settings.least
+    weight = _doubted(precision, settings.model)
+    weight = weight / weight[:2].mean().clamp_min(1e-12)
+    weight[:2] += settings.least
     left = (slopes - slopes_of(height, texel_size)).numpy()
-    return height + texel_size * torch.from_numpy(_nearest(left, told.numpy(), settings))[None]
+    return height + texel_size * torch.from_numpy(_nearest(left, weight.numpy(), settings))[None]
 
 
 def _doubted(precision: Tensor, more: float) -> Tensor:
@@ -90,7 +91,7 @@ def _even_surface(slopes: Tensor, texel_size: float, rounds: int) -> Tensor:
 def _nearest(slopes: Floats, weight: Floats, settings: SurfaceSettings) -> Floats:
     """(H, W) heights, in texels, whose slopes (2, H, W) are nearest by weights (3, H, W)."""
     evened = _evening(weight, settings.even)
-    found = np.zeros(slopes.shape[1:], np.float32)
+    correction = np.zeros(slopes.shape[1:], np.float32)
     left = transposed(_weighted(slopes, weight))
     way = evened(left)
     size = float(np.vdot(left, way))
@@ -99,12 +100,12 @@ def _nearest(slopes: Floats, weight: Floats, settings: SurfaceSettings) -> Float
             break
         back = transposed(_weighted(texel_slopes(way), weight))
         length = np.float32(size / max(float(np.vdot(way, back)), 1e-30))
-        found += length * way
+        correction += length * way
         left = left - length * back
         even = evened(left)
         size, before = float(np.vdot(left, even)), size
         way = even + np.float32(size / before) * way
-    return found
+    return correction
 
 
 def _evening(weight: Floats, deviation: float) -> Callable[[Floats], Floats]:

@@ -77,15 +77,15 @@ class Stepped:
 
     Attributes:
         numbers: (NUMBERS, H, W).
-        told: (NUMBERS, H, W) precision of what photographs tell of each number alone.
-        relief: (3, H, W) precision of slopes, all other numbers answering, with what was believed:
+        precision: (NUMBERS, H, W) of each parameter alone, by the photographs.
+        relief: (3, H, W) precision of slopes, all other parameters eliminated, prior included:
             of x, of y, and of both together.
         changes: (photographs, NUMBERS, H, W) what numbers change by when each photograph is left
             out: the jackknife (Efron 1982). Empty where it was not asked for.
     """
 
     numbers: Tensor
-    told: Tensor
+    precision: Tensor
     relief: Tensor
     changes: Tensor
 
@@ -140,11 +140,11 @@ def spread_of(doubt: Tensor, settings: SolveSettings) -> Tensor:
     return torch.cat([albedo, gloss, off[3:4].expand(2, -1, -1)])
 
 
-def levelled(believed: Tensor, light: SetLight) -> Tensor:
-    """(NUMBERS, H, W) of a prior, its gloss on the level that all photographs tell."""
-    believed = believed.clone()
-    believed[GLOSS] += light.gloss[:, None, None]
-    return believed
+def levelled(prior_mean: Tensor, light: SetLight) -> Tensor:
+    """(NUMBERS, H, W) prior mean with the global change of F0 and roughness (SetLight.gloss)."""
+    prior_mean = prior_mean.clone()
+    prior_mean[GLOSS] += light.gloss[:, None, None]
+    return prior_mean
 
 
 def rendered(numbers: Tensor, lights: Sequence[FlashLight | RoomLight]) -> list[Tensor]:
@@ -175,7 +175,7 @@ def weights(residual: Tensor, seen: Tensor, noise: float, settings: SolveSetting
 def stepped(
     views: Sequence[PieceView],
     numbers: Tensor,
-    believed: Tensor,
+    prior_mean: Tensor,
     spread: Tensor,
     light: SetLight,
     settings: SolveSettings,
@@ -183,7 +183,7 @@ def stepped(
     without_each: bool = False,
 ) -> Stepped:
     """A Gauss-Newton step of every texel; `without_each` of the photographs as well."""
-    moved, told = torch.empty_like(numbers), torch.empty_like(numbers)
+    moved, precision = torch.empty_like(numbers), torch.empty_like(numbers)
     relief = torch.empty(3, *numbers.shape[1:])
     changes = torch.zeros(len(views) * without_each, *numbers.shape)
     for rows in strips(numbers.shape[1], settings.rows):
@@ -193,8 +193,8 @@ def stepped(
             _system(index, view, rows, numbers[part], light, points, settings)
             for index, view in enumerate(views)
         ]
-        here = numbers[part], believed[part], spread[part]
-        moved[part], told[part], relief[part] = _solved(of_each, *here, settings.damping)
+        here = numbers[part], prior_mean[part], spread[part]
+        moved[part], precision[part], relief[part] = _solved(of_each, *here, settings.damping)
         for k, change in enumerate(changes):
             others = of_each[:k] + of_each[k + 1 :]
             change[part] = _solved(others, *here, settings.damping)[0] - moved[part]
@@ -203,7 +203,7 @@ def stepped(
     moved[ALBEDO] = moved[ALBEDO].clamp(math.log(1e-3), math.log(0.98))
     moved[F0] = moved[F0].clamp(math.log(5e-3), math.log(0.98))
     moved[ROUGH] = moved[ROUGH].clamp(-3.5, 3.9)
-    return Stepped(moved, told, relief, changes)
+    return Stepped(moved, precision, relief, changes)
 
 
 def _system(
@@ -269,7 +269,7 @@ def derivatives(
 def _solved(
     systems: Sequence[tuple[Tensor, Tensor]],
     numbers: Tensor,
-    believed: Tensor,
+    prior_mean: Tensor,
     spread: Tensor,
     damping: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -277,19 +277,19 @@ def _solved(
     shape, count = numbers.shape, numbers[0].numel()
     normal = sum((each for each, _ in systems), torch.zeros(count, NUMBERS, NUMBERS))
     gradient = sum((each for _, each in systems), torch.zeros(count, NUMBERS))
-    here, prior = numbers.flatten(1).T, believed.flatten(1).T
-    held = spread.flatten(1).T.square().reciprocal()
-    told = normal.diagonal(dim1=1, dim2=2).clone()
-    whole = normal + torch.diag_embed(held + damping * told)
+    here, prior = numbers.flatten(1).T, prior_mean.flatten(1).T
+    prior_precision = spread.flatten(1).T.square().reciprocal()
+    measured_precision = normal.diagonal(dim1=1, dim2=2).clone()
+    whole = normal + torch.diag_embed(prior_precision + damping * measured_precision)
     factor, _ = torch.linalg.cholesky_ex(whole)
-    right = gradient + held * (prior - here)
+    right = gradient + prior_precision * (prior - here)
     step = torch.cholesky_solve(right[..., None], factor)[..., 0]
     step = step.nan_to_num(0.0).clamp(-0.7, 0.7)
-    # The factor's last corner is that of the slopes' precision once all else has answered.
+    # The factor's last corner is that of the slopes' precision, all else eliminated.
     first, across, second = factor[:, 5, 5], factor[:, 6, 5], factor[:, 6, 6]
     relief = torch.stack([first.square(), across.square() + second.square(), first * across])
     return (
         (here + step).T.reshape(shape),
-        told.T.reshape(shape),
+        measured_precision.T.reshape(shape),
         relief.nan_to_num(0.0).reshape(3, *shape[1:]),
     )

@@ -66,7 +66,7 @@ class Reach:
     """Texels, around the first photograph's own."""
     size: tuple[int, int]
     """(width, height) of those."""
-    held: float = 1.0
+    covered: float = 1.0
     """Share of all that photographs show that lies in it."""
     known: float = 1.0
     """Share of it that any photograph shows."""
@@ -102,9 +102,10 @@ class Reach:
         if not self.limited:
             return None
         return (
-            f"{1.0 - self.held:.0%} of what the photographs show lies beyond the piece, which has "
-            f"{self.times:.1f} times the first photograph's texels and is to take no more memory: "
-            "capture it apart, or give a smaller --detail."
+            f"{1.0 - self.covered:.0%} of what the photographs show lies outside the maps, which "
+            f"have {self.times:.1f} times the first photograph's texels and may take no more "
+            "memory: "
+            "capture it separately, or give a smaller --detail."
         )
 
     def document(self) -> dict[str, Any]:
@@ -113,7 +114,7 @@ class Reach:
         return {
             "margins": {"left": m.left, "right": m.right, "top": m.top, "bottom": m.bottom},
             "times": self.times,
-            "held_share": self.held,
+            "covered_share": self.covered,
             "limited": self.limited,
             "seen_share": self.known,
         }
@@ -146,9 +147,9 @@ def reach_of(
     top, bottom, left, right = (
         round(count * size[0] / cells) if count >= settings.thinnest else 0 for count in beyond
     )
-    held = float(seen[box].sum()) / max(float(seen.sum()), 1.0)
+    covered = float(seen[box].sum()) / max(float(seen.sum()), 1.0)
     margins = Margins(left, right, top, bottom)
-    return Reach(margins, size, held, float(seen[box].mean()), limited)
+    return Reach(margins, size, covered, float(seen[box].mean()), limited)
 
 
 def seen_by_any(
@@ -181,8 +182,8 @@ def sees(camera: PosedCamera, points: Doubles, up: float, steepest: float) -> Ma
         up: height of the picture over its width.
         steepest: degrees from the plane's normal.
     """
-    away = camera.place.reshape(3, 1, 1) - points
-    upright = away[2] > math.cos(math.radians(steepest)) * np.sqrt(np.square(away).sum(0))
+    to_camera = camera.place.reshape(3, 1, 1) - points
+    upright = to_camera[2] > math.cos(math.radians(steepest)) * np.sqrt(np.square(to_camera).sum(0))
     u, v = camera.sees(points)
     # Far outside of a picture a lens's polynomial may come back into it.
     near = np.abs(replace(camera, lens=Lens(camera.lens.focal)).sees(points)).max(0) < 1.5
@@ -207,9 +208,9 @@ def _box(
     The side that least of is seen goes first, until enough of every one is and all is no larger
     than `most` cells.
     """
-    held = seen.copy()
-    held[far : far + own[0], far : far + own[1]] = True
-    spans = [np.flatnonzero(held.any(axis)) for axis in (1, 0)]
+    wanted = seen.copy()
+    wanted[far : far + own[0], far : far + own[1]] = True
+    spans = [np.flatnonzero(wanted.any(axis)) for axis in (1, 0)]
     low = [int(span[0]) for span in spans]
     high = [int(span[-1]) + 1 for span in spans]
     while True:
@@ -299,8 +300,8 @@ def hue_over(
     if weights.shape == (1, 1):
         return hue
     beyond = on_grid(total / weights, (hue.shape[-1], hue.shape[-2]))
-    told = on_grid(weights[None], (hue.shape[-1], hue.shape[-2])) > math.exp(-UNREAD)
-    return torch.where(told & ~reach.margins.own(reach.size), beyond, hue)
+    counted = on_grid(weights[None], (hue.shape[-1], hue.shape[-2])) > math.exp(-UNREAD)
+    return torch.where(counted & ~reach.margins.own(reach.size), beyond, hue)
 
 
 def unread(doubt: Tensor, reach: Reach) -> Tensor:

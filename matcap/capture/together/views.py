@@ -190,8 +190,8 @@ def _looked_up(
         return to_pixels(view.camera.sees(grid_points(*fine)), *size)
     # A larger piece's points, doubles and many, are some rows' at a time.
     parts = [slice(None)] if place.extent == OWN else [*strips(fine[1], _ROWS)]
-    found = [to_pixels(view.camera.sees(place.points(*fine, rows)), *size) for rows in parts]
-    return np.concatenate([x for x, _ in found]), np.concatenate([y for _, y in found])
+    pixels = [to_pixels(view.camera.sees(place.points(*fine, rows)), *size) for rows in parts]
+    return np.concatenate([x for x, _ in pixels]), np.concatenate([y for _, y in pixels])
 
 
 def _shrunk(picture: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:

@@ -142,15 +142,15 @@ def _camera(setup: FlashSetup, common: Doubles, own: Doubles, pair: Pair) -> Pos
 def _residuals(
     setup: FlashSetup, pair: Pair, common: Doubles, own: Doubles, settings: AdjustSettings
 ) -> Doubles:
-    """(2, n) pixels that matches lie beside each other, less what relief may explain."""
+    """(2, n) reprojection errors of matches in pixels, less what relief may explain."""
     first, camera = _first_camera(setup, common), _camera(setup, common, own, pair)
-    return less_relief(*apart(first, camera, pair, settings.relief))
+    return less_relief(*reprojection(first, camera, pair, settings.relief))
 
 
-def apart(
+def reprojection(
     first: PosedCamera, camera: PosedCamera, pair: Pair, height: float
 ) -> tuple[Doubles, Doubles]:
-    """(2, n) pixels that matches lie beside each other, and that such a height would move them."""
+    """(2, n) reprojection errors in pixels, and the parallax of a height above the plane."""
     points = first.on_plane(pair.first)
     seen = camera.sees(points)
     # Seen by the first where it was, a feature off the plane lies nearer to the first camera.
@@ -214,11 +214,11 @@ class _System:
             jacobian = np.stack(columns, 1)
             weights = np.tile(weight, 2)
             block = (jacobian * weights[:, None]).T @ jacobian
-            told = jacobian.T @ (weights * here.ravel())
+            gradient = jacobian.T @ (weights * here.ravel())
             first = _COMMON + _OWN * number
             places = np.r_[0:_COMMON, first : first + _OWN]
             self.normal[np.ix_(places, places)] += block
-            self.gradient[places] += told
+            self.gradient[places] += gradient
             self.cost += cost
 
     def step(self, pull: Doubles, precision: Doubles, damping: float) -> Doubles:

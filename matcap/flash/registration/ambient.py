@@ -52,13 +52,13 @@ def without_flash(
     ]
     if not any(lit):
         return {}
-    told = {}
+    reasons = {}
     for number, (photo, bright) in enumerate(zip(photos, falloff, strict=True)):
         if photo.flash_fired is False:
-            told[number] = "its file says that the flash did not fire"
+            reasons[number] = "its file says that the flash did not fire"
         elif photo.flash_fired is None and bright < settings.faint:
-            told[number] = (
+            reasons[number] = (
                 "no flash shows in it: its middle is hardly brighter than its border "
                 f"({bright:.2f} times)"
             )
-    return told
+    return reasons

@@ -62,8 +62,8 @@ class PosedCamera:
 
     def sees(self, points: Doubles) -> Doubles:
         """(2, ...) image coordinates of points (3, ...); NaN behind the camera."""
-        away = points - self.place.reshape(3, *(1,) * (points.ndim - 1))
-        x, y, z = np.tensordot(self.turn, away, 1)
+        relative = points - self.place.reshape(3, *(1,) * (points.ndim - 1))
+        x, y, z = np.tensordot(self.turn, relative, 1)
         depth = np.where(z < 0.0, -z, np.nan)
         return self.lens.drawn(self.lens.focal * np.stack([x, y]) / depth)
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.flash.registration.adjust import Adjusted, Pair, apart, less_relief
+from matcap.flash.registration.adjust import Adjusted, Pair, less_relief, reprojection
 from matcap.flash.registration.camera import Doubles, Lens, PosedCamera
 from matcap.flash.registration.grid import grid_points
 
@@ -60,32 +60,32 @@ class Doubts:
     by: one that is moved and turned sees the plane alike."""
 
 
-def doubts(found: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings | None = None) -> Doubts:
-    """What cameras and their photographs may be off by.
+def doubts(fit: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings | None = None) -> Doubts:
+    """Standard deviations of camera positions and of the photographs' registration.
 
     Args:
-        found: cameras.
-        pairs: the matches they were found by.
+        fit: cameras after bundle adjustment.
+        pairs: the matches they were fitted to.
         settings: see DoubtSettings.
     """
-    covariance = _covariance(found, pairs, settings or DoubtSettings())
-    cameras, others = found.cameras, range(1, len(found.cameras))
+    covariance = _covariance(fit, pairs, settings or DoubtSettings())
+    cameras, others = fit.cameras, range(1, len(fit.cameras))
     return Doubts(
         np.array([_off(cameras, number, covariance) for number in others]),
-        np.array([_beside(cameras, number, covariance) for number in others]),
+        np.array([_misregistration(cameras, number, covariance) for number in others]),
     )
 
 
-def _covariance(found: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings) -> Doubles:
+def _covariance(fit: Adjusted, pairs: Sequence[Pair], settings: DoubtSettings) -> Doubles:
     """Of what cameras have in common, and of each but the first, what shading moves them by too."""
-    cameras = found.cameras
+    cameras = fit.cameras
     size = _COMMON + _OWN * len(pairs)
     deviation = np.array([settings.focal, settings.bent, settings.tilt, settings.tilt])
     normal = np.diag(np.r_[deviation**-2, np.zeros(size - _COMMON)])
     pulled, depths = np.zeros(size), []
     for number, pair in enumerate(pairs):
         first, camera = cameras[0], cameras[number + 1]
-        residual, parallax = apart(first, camera, pair, settings.relief)
+        residual, parallax = reprojection(first, camera, pair, settings.relief)
         noise, depth = _scatter(residual, parallax, settings)
         depths.append(depth)
         jacobian, shading = _linear(first, camera, pair, settings)
@@ -125,7 +125,7 @@ def _linear(
     def off(change: Doubles, depth: float = 0.0) -> Doubles:
         one = _changed(first, np.r_[change[:_COMMON], np.zeros(_OWN)])
         other = _changed(camera, np.r_[change[:2], 0.0, 0.0, change[_COMMON:]])
-        residual, parallax = apart(one, other, pair, settings.relief)
+        residual, parallax = reprojection(one, other, pair, settings.relief)
         if depth:
             residual = residual + depth * shaded
         return less_relief(residual, parallax).ravel()
@@ -189,8 +189,8 @@ def _off(cameras: Sequence[PosedCamera], number: int, covariance: Doubles) -> fl
     return math.sqrt(float(variance.sum())) / float(np.linalg.norm(cameras[number].place))
 
 
-def _beside(cameras: Sequence[PosedCamera], number: int, covariance: Doubles) -> float:
-    """Plane units that a photograph may lie beside the first, where both show the plane."""
+def _misregistration(cameras: Sequence[PosedCamera], number: int, covariance: Doubles) -> float:
+    """Registration error of a photograph to the first, plane units, where both show the plane."""
     points = grid_points(16, 12).reshape(3, -1)
     both = (np.abs(cameras[number].sees(points)) < 1.0).all(0)
     image = cameras[0].sees(points[:, both] if both.any() else points)
@@ -202,11 +202,11 @@ def _beside(cameras: Sequence[PosedCamera], number: int, covariance: Doubles) ->
     return math.sqrt(2.0 * float(_variance(seen, covariance, number).mean()))
 
 
-def _variance(told: Callable[[Doubles], Doubles], covariance: Doubles, number: int) -> Doubles:
+def _variance(f: Callable[[Doubles], Doubles], covariance: Doubles, number: int) -> Doubles:
     """(n,) variances of what a change (10,) of a photograph's numbers makes of something (n,)."""
     places = _numbers(number)
     nothing = np.zeros(len(places))
-    here = told(nothing)
-    jacobian = np.stack([(told(_STEP * unit) - here) / _STEP for unit in np.eye(len(places))], 1)
+    here = f(nothing)
+    jacobian = np.stack([(f(_STEP * unit) - here) / _STEP for unit in np.eye(len(places))], 1)
     spread = covariance[np.ix_(places, places)]
     return np.asarray(np.einsum("ni,ij,nj->n", jacobian, spread, jacobian))

@@ -70,16 +70,16 @@ class KeypointFinder:
     def __init__(self, settings: KeypointSettings | None = None) -> None:
         """With settings."""
         self._settings = settings or KeypointSettings()
-        self._found: dict[tuple[int, int], Keypoints] = {}
+        self._cached: dict[tuple[int, int], Keypoints] = {}
 
     def matched(self, first: Photo, second: Photo) -> tuple[Doubles, Doubles, float]:
         """(2, n) image coordinates in both of features that agree, and the second one's pixel."""
         best: tuple[Doubles, Doubles, float] | None = None
         for number in range(len(_EVEN)):
             one, other = (self._keypoints(photo, number) for photo in (first, second))
-            found = (*matched(one, other, self._settings), other.pixel)
-            if best is None or found[0].shape[1] > best[0].shape[1]:
-                best = found
+            candidate = (*matched(one, other, self._settings), other.pixel)
+            if best is None or candidate[0].shape[1] > best[0].shape[1]:
+                best = candidate
             if best[0].shape[1] >= self._settings.enough:
                 break
         assert best is not None
@@ -87,9 +87,9 @@ class KeypointFinder:
 
     def _keypoints(self, photo: Photo, number: int) -> Keypoints:
         key = (id(photo), number)
-        if key not in self._found:
-            self._found[key] = find_keypoints(photo, _EVEN[number], self._settings)
-        return self._found[key]
+        if key not in self._cached:
+            self._cached[key] = find_keypoints(photo, _EVEN[number], self._settings)
+        return self._cached[key]
 
 
 def find_keypoints(
@@ -158,7 +158,7 @@ def matched(
     _, chosen = _homography(*places, settings)
     if chosen.sum() < settings.enough:
         voted = _voted(one, other, second.shape[j] / first.shape[i], settings)
-        among = _told_by(voted, *places, settings)
+        among = _consistent(voted, *places, settings)
         chosen = among if among.sum() > chosen.sum() else chosen
     return one[:, chosen], other[:, chosen]
 
@@ -180,16 +180,16 @@ def best_both_ways(
     back, least = np.zeros(len(second), np.int64), np.full(len(second), np.inf, np.float32)
     for top in range(0, len(first), _AT_ONCE):
         some = first[top : top + _AT_ONCE]
-        apart = np.square(some).sum(1)[:, None] + lengths - 2.0 * (some @ second.T)
+        distances = np.square(some).sum(1)[:, None] + lengths - 2.0 * (some @ second.T)
         rows = np.arange(len(some))
-        low, found = apart.min(0), apart.argmin(0)
-        back[low < least] = top + found[low < least]
+        low, row = distances.min(0), distances.argmin(0)
+        back[low < least] = top + row[low < least]
         least = np.minimum(least, low)
-        best = apart.argmin(1)
-        closest = apart[rows, best]
-        apart[rows, best] = np.inf
+        best = distances.argmin(1)
+        closest = distances[rows, best]
+        distances[rows, best] = np.inf
         nearest[top + rows] = best
-        clear[top + rows] = np.maximum(closest, 0.0) < ratio**2 * apart.min(1)
+        clear[top + rows] = np.maximum(closest, 0.0) < ratio**2 * distances.min(1)
     kept = np.flatnonzero(clear & (back[nearest] == np.arange(len(first))))
     return kept, nearest[kept]
 
@@ -201,23 +201,23 @@ def _homography(
     nothing = np.zeros(one.shape[1], bool)
     if one.shape[1] < 8:
         return None, nothing
-    found, kept = cv2.findHomography(
+    matrix, kept = cv2.findHomography(
         one.T, other.T, cv2.USAC_MAGSAC, settings.off, maxIters=20000, confidence=0.9999
     )
-    if found is None or kept is None:
+    if matrix is None or kept is None:
         return None, nothing
-    return np.asarray(found), kept.ravel() > 0
+    return np.asarray(matrix), kept.ravel() > 0
 
 
-def _told_by(
+def _consistent(
     some: NDArray[np.bool_], one: Doubles, other: Doubles, settings: KeypointSettings
 ) -> NDArray[np.bool_]:
-    """(n,) which matches agree with the homography that some of them tell."""
-    found, _ = _homography(one[:, some], other[:, some], settings)
+    """(n,) which matches agree with the homography fitted to some of them."""
+    matrix, _ = _homography(one[:, some], other[:, some], settings)
     among = np.zeros(one.shape[1], bool)
-    if found is None:
+    if matrix is None:
         return among
-    x, y, w = found @ np.concatenate([one, np.ones_like(one[:1])])
+    x, y, w = matrix @ np.concatenate([one, np.ones_like(one[:1])])
     near = np.hypot(x / w - other[0], y / w - other[1]) < 4.0 * settings.off
     _, among[near] = _homography(one[:, near], other[:, near], settings)
     return among
@@ -240,8 +240,8 @@ def _voted(
     step = -(-len(here) // settings.voters)
     between = here[None] - here[::step, None]
     off = np.abs(there[::step, None] + shapes[::step, None] * between - there[None])
-    far, apart = np.abs(between), np.abs(np.log(shapes[None] / shapes[::step, None]))
+    far, ratio = np.abs(between), np.abs(np.log(shapes[None] / shapes[::step, None]))
     # Perspective turns and stretches what lies farther away; what lies at the same place repeats.
-    along = (off < 0.03 + 0.3 * far) & (apart < 0.6) & (far < 0.7)
+    along = (off < 0.03 + 0.3 * far) & (ratio < 0.6) & (far < 0.7)
     votes = (along & (far > 0.02)).sum(1)
     return np.asarray(along[int(np.argmax(votes))])

@@ -148,18 +148,18 @@ def _views(
     photos: Sequence[Photo],
     pairs: dict[int, Pair],
     dark: Container[int],
-    found: Adjusted,
+    adjusted: Adjusted,
     settings: RegisterSettings,
 ) -> tuple[tuple[RegisteredView, ...], dict[int, str]]:
     """Photographs with flash, then the best without, and why others without are not used."""
-    lit, unlit = [RegisteredView(photos[0], found.cameras[0])], dict[int, RegisteredView]()
-    unsure = doubts(found, list(pairs.values()))
+    lit, unlit = [RegisteredView(photos[0], adjusted.cameras[0])], dict[int, RegisteredView]()
+    unsure = doubts(adjusted, list(pairs.values()))
     for number, (index, pair) in enumerate(pairs.items()):
-        view = RegisteredView(photos[index], found.cameras[number + 1])
+        view = RegisteredView(photos[index], adjusted.cameras[number + 1])
         view = replace(
             view,
             matches=pair.first.shape[1],
-            off=found.off[number],
+            off=adjusted.off[number],
             alike=likeness(lit[0], view, settings),
             flash=index not in dark,
             doubt=float(unsure.places[number]),
@@ -176,27 +176,27 @@ def _views(
 
 
 def _blurred(
-    photos: Sequence[Photo], others: Sequence[int], dark: Container[int], found: Adjusted
+    photos: Sequence[Photo], others: Sequence[int], dark: Container[int], adjusted: Adjusted
 ) -> tuple[bool, list[tuple[int, str]]]:
     """Whether the first is blurred, and which others are, the worst first, each with why."""
     lit = [(0, 0), *((index, n) for n, index in enumerate(others, 1) if index not in dark)]
-    blur = blurring([photos[index] for index, _ in lit], [found.cameras[n] for _, n in lit])
-    told = sorted(zip(blur, lit, strict=True), reverse=True)
+    blur = blurring([photos[index] for index, _ in lit], [adjusted.cameras[n] for _, n in lit])
+    ranked = sorted(zip(blur, lit, strict=True), reverse=True)
     return blur[0] > SHARP.blurred, [
         (index, f"it is blurred: it shows {math.exp(-amount):.0%} of the others' finest detail")
-        for amount, (index, _) in told
+        for amount, (index, _) in ranked
         if index and amount > SHARP.blurred
     ]
 
 
 def _wrong(
-    photos: Sequence[Photo], numbers: dict[int, int], found: Adjusted, settings: RegisterSettings
+    photos: Sequence[Photo], numbers: dict[int, int], adjusted: Adjusted, settings: RegisterSettings
 ) -> list[tuple[int, str]]:
     """Photographs whose camera cannot be right, the worst first, each with why."""
     wrong = []
-    first = RegisteredView(photos[0], found.cameras[0])
+    first = RegisteredView(photos[0], adjusted.cameras[0])
     for index, number in numbers.items():
-        camera, off = found.cameras[number + 1], found.off[number]
+        camera, off = adjusted.cameras[number + 1], adjusted.off[number]
         if not np.isfinite(camera.place).all() or camera.place[2] <= 0.05:
             wrong.append((math.inf, index, "no camera could have taken it of a flat piece"))
         elif off > settings.off:
@@ -216,7 +216,7 @@ def _wrong(
 def likeness(first: RegisteredView, second: RegisteredView, settings: RegisterSettings) -> float:
     """Correlation of the fine texture of two photographs where both show the piece.
 
-    -1 where they do not show the same, or fit better a few texels beside.
+    -1 where they do not show the same, or correlate better when shifted by a few texels.
     """
     across = settings.compared
     down = round(across * first.photo.pixels.shape[0] / first.photo.pixels.shape[1])
@@ -232,8 +232,8 @@ def likeness(first: RegisteredView, second: RegisteredView, settings: RegisterSe
 
     here = correlation(0, 0)
     far = settings.shifted
-    beside = max(correlation(x, y) for x, y in ((far, 0), (-far, 0), (0, far), (0, -far)))
-    return here if here > beside else -1.0
+    shifted = max(correlation(x, y) for x, y in ((far, 0), (-far, 0), (0, far), (0, -far)))
+    return here if here > shifted else -1.0
 
 
 def _texture(

@@ -46,14 +46,14 @@ def blurring(photos: Sequence[Photo], cameras: Sequence[PosedCamera]) -> list[fl
     Each is compared where it and the first both show the piece; 0 where nothing is in common.
     """
     both = zip(photos, cameras, strict=True)
-    told = [_fineness(photo, camera, photos[0]) for photo, camera in both]
-    first = told[0]
-    found = []
-    for each in told:
+    finenesses = [_fineness(photo, camera, photos[0]) for photo, camera in both]
+    first = finenesses[0]
+    amounts = []
+    for each in finenesses:
         seen = np.isfinite(each) & np.isfinite(first)
-        found.append(float(np.median((first - each)[seen])) if seen.sum() > 4 else 0.0)
-    middle = sorted(found)[(len(found) - 1) // 2]  # of two, the sharper one
-    return [each - middle for each in found]
+        amounts.append(float(np.median((first - each)[seen])) if seen.sum() > 4 else 0.0)
+    middle = sorted(amounts)[(len(amounts) - 1) // 2]  # of two, the sharper one
+    return [each - middle for each in amounts]
 
 
 def _fineness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.float64]:

@@ -25,7 +25,7 @@ def draw(
     """Draw one column against another, the Pareto front joined and named, as a PNG.
 
     Args:
-        found: the means; whiskers show the spread over their subjects.
+        averages: the means; whiskers show the spread over their subjects.
         path: of the picture.
         axes: columns across and up; the one across over decades.
         title: above it.

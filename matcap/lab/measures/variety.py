@@ -27,8 +27,8 @@ class Variety:
     Attributes:
         precision: share of the made ones that look like a true one, 0 to 1.
         recall: share of the true ones that look like a made one, 0 to 1.
-        apart: mean style distance of two made ones, 0 to 2.
-        apart_true: mean style distance of two true ones.
+        mean_distance: mean style distance of two made ones, 0 to 2.
+        mean_distance_true: mean style distance of two true ones.
         nearest: (made,) the true picture nearest to each made one.
     """
 

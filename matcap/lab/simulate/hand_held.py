@@ -199,15 +199,15 @@ def true_maps_on(
     setup: FlashSetup,
     bent: tuple[float, float] = (0.0, 0.0),
 ) -> Callable[[int, int], MapSet]:
-    """True maps of the very piece that take_several photographs, on a plane that was found.
+    """True maps of the very piece that take_several photographs, on an estimated plane.
 
-    A camera that is found leaning by half a degree more has its plane's texels elsewhere: truth is
-    looked up along the rays of the pixels that each texel was drawn from.
+    An error of half a degree in the estimated tilt moves the plane's texels: truth is looked up
+    along the rays of the pixels that each texel was resampled from.
 
     Args:
         realise, phone, cameras: as of take_several.
-        setup: of the first camera, as it was found.
-        bent: of its lens, as it was found.
+        setup: estimate of the first camera.
+        bent: estimate of its lens distortion.
 
     Returns:
         (columns, rows) of the plane to its maps.
@@ -228,7 +228,7 @@ def true_maps_along(
     Args:
         realise, phone, cameras: as of take_several.
         number: of the camera.
-        believed: where it was found to stand.
+        estimated: its estimated pose.
         extent: of the piece.
 
     Returns:

@@ -199,7 +199,7 @@ def fit(
         loss_of: of a step by its number.
         schedule: of rate and end.
         folder: made when missing.
-        told: what is written.
+        reporting: what is written, and when.
     """
     curves = Curves(folder / CURVES, training.step)
     began = saved = time.monotonic()

@@ -112,7 +112,7 @@ def add(block: Block, light: AreaLight) -> None:
 def _as_c(
     light: AreaLight, *, falls: bool, diffuse: bool, specular: bool
 ) -> tuple[CAreaLight, KeptArrays]:
-    """The light as the loops know it, with all rules that a pixel may choose."""
+    """The light as a C structure, with all quadrature rules a pixel may choose."""
     kept, central = KeptArrays(), max(sum(c * c for c in light.position), 1e-12)
     c_light = CAreaLight(
         place=light.position, colour=light.radiance, half=_half(light),

@@ -52,13 +52,13 @@ def loops() -> Any:  # noqa: ANN401
 
 
 class KeptArrays:
-    """Addresses of arrays for as long as this lives."""
+    """Keeps NumPy arrays alive while C code holds their addresses."""
 
     def __init__(self) -> None:
         self._arrays: list[Array] = []
 
     def of(self, values: Array | Sequence[float], dtype: type = np.float32) -> int:
-        """Address of values, one beside the other; in place where they are so already."""
+        """Address of values as a C-contiguous array; no copy where they are one already."""
         array: Array = np.ascontiguousarray(values, dtype=dtype)
         self._arrays.append(array)
         return array.ctypes.data

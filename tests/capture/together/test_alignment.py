@@ -56,7 +56,7 @@ def moved():
             True,
             settings,
             moving=True,
-            held=held,
+            fixed=held,
         )
         return [float(move[0, 2]) / flat.texel_size for move in moves]
 
@@ -97,7 +97,7 @@ def laid(held):
         told = []
         by = aligned(
             replace(found, views=(found.views[0], *views[1:])), maps, doubt, light,
-            radiometric=True, settings=settings, tell=told.append,
+            radiometric=True, settings=settings, on_progress=told.append,
         )  # fmt: skip
         return found, by, len(told)
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from matcap.capture.together.picture import draw_set, told_lines
+from matcap.capture.together.picture import draw_set, set_report_lines
 from matcap.capture.together.set_report import SetReport
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.registration.camera import PosedCamera
@@ -55,14 +55,14 @@ def test_cameras_stand_where_they_stood_and_flashes_beside_them():
 
 
 def test_what_each_told_is_told():
-    said = [line for line, _ in told_lines(report())]
+    said = [line for line, _ in set_report_lines(report())]
     assert said[0] == "1 oak_1.jpg: re-rendered within 2.0 %, foretold within 4.0 %"
     assert said[2] == "left out: cat.jpg, it shows something else"
     assert said[3].startswith("measured, not guessed: diffuse 90 %, specular 30 %")
 
 
 def test_an_interrupted_set_has_foretold_nothing():
-    assert "foretold" not in next(told_lines(report(predicted=())))[0]
+    assert "foretold" not in next(set_report_lines(report(predicted=())))[0]
 
 
 def test_a_photograph_without_flash_has_a_camera_and_no_spark():
@@ -71,5 +71,5 @@ def test_a_photograph_without_flash_has_a_camera_and_no_spark():
     drawn = [np.asarray(draw_set(one, PIECE, 900)) for one in (told, dark)]
     sparks = [int((picture == SPARK).all(-1).sum()) for picture in drawn]
     assert 0 < sparks[1] < sparks[0]
-    said = [line for line, _ in told_lines(dark)]
+    said = [line for line, _ in set_report_lines(dark)]
     assert said[1].endswith("without flash") and "foretold" not in said[1]

@@ -71,7 +71,7 @@ def test_five_photographs_tell_relief_that_nothing_else_does():
     off = (found.maps.diffuse.log() - maps.diffuse.log()).abs().mean()
     assert off < 0.03
     assert max(found.residual) < 0.02
-    assert found.told[3] > 0.5
+    assert found.measured[3] > 0.5
 
 
 def test_more_photographs_tell_more():

@@ -79,7 +79,7 @@ def test_two_photographs_side_by_side_reach_half_as_far_again():
     assert (reach.margins.left, reach.margins.top, reach.margins.bottom) == (0, 0, 0)
     assert reach.margins.right == pytest.approx(64, abs=2)
     assert reach.times == pytest.approx(1.5, abs=0.02)
-    assert reach.known > 0.98 and reach.held > 0.98
+    assert reach.known > 0.98 and reach.covered > 0.98
     assert reach.warns() is None and "1.5 times" in reach.says()
     # One that lights nothing reads nothing.
     assert not reach_of([_view(_camera()), _view(_camera(x=1.0), flash=False)], SIZE).margins.any
@@ -114,9 +114,9 @@ def test_a_piece_grows_no_larger_than_memory_allows_and_says_so():
     far = [_view(_camera())] + [_view(_camera(x=1.5 * n, y=1.1 * n)) for n in range(1, 5)]
     reach = reach_of(far, SIZE)
     assert reach.limited and reach.times <= UNION.most
-    assert "lies beyond the piece" in reach.warns()
+    assert "lies outside the maps" in reach.warns()
     few = reach_of(far, SIZE, replace(UNION, texels=1.2 * SIZE[0] * SIZE[1]))
-    assert few.times <= 1.2 and few.held < reach.held
+    assert few.times <= 1.2 and few.covered < reach.covered
 
 
 def _drawn(size, seed=0):
