@@ -39,10 +39,10 @@ def surface_of(
 ) -> Tensor:
     """(1, H, W) the height whose central slopes are nearest to slopes (2, H, W).
 
+
     Two photographs measure slopes along the line between them and hardly any across it; but the
-    gradient of a surface has no curl, so a slope along one axis constrains the other. Minimises the
-    sum of e^T P e over slope errors e by conjugate gradients, preconditioned by the Poisson equation
-    of the mean P.
+    gradient of a surface has no curl, so one slope constrains the other. Minimises the sum of
+    e^T P e over slope errors e by conjugate gradients, preconditioned by the Poisson equation of P.
 
     Args:
         slopes: along x and y.
