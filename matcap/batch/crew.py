@@ -1,6 +1,6 @@
 """Worker processes that may die without taking the batch along.
 
-A pool from the standard library breaks as a whole when one process is killed, and does not tell
+A pool from the standard library breaks as a whole when one process is killed, and does not say
 which job killed it. Here every worker has a pipe of its own: its death is an event like another.
 Workers end themselves when the main process is gone, however it went.
 """
@@ -42,7 +42,7 @@ class Event:
 
 
 class BatchCrew(Protocol):
-    """Whoever works: processes of this machine, or a cluster."""
+    """A worker pool: processes of this machine, or a cluster."""
 
     size: int
 
@@ -64,7 +64,7 @@ class Processes:
 
     Args:
         size: at most so many.
-        work: a module-level function, called with a job and a way to tell of its progress.
+        work: a module-level function, called with a job and a progress callback.
         prepare: called once in every new process.
     """
 
@@ -174,15 +174,15 @@ class Machines:
     """A crew of a dask cluster's workers; as many jobs at once as they have threads.
 
     Every machine must see the shoot and the output under the same names. Progress inside a job is
-    not told, only its end.
+    not reported, only its end.
 
     Args:
         scheduler: its address, such as tcp://host:8786.
-        work: a module-level function, called with a job and a way to tell of its progress.
+        work: a module-level function, called with a job and a progress callback.
         prepare: called before every job.
 
     Raises:
-        MatcapError: the extra is missing, nobody answers at the address, or there is no worker.
+        MatcapError: the extra is missing, no answer at the address, or there is no worker.
     """
 
     def __init__(self, scheduler: str, work: DoWork, prepare: Prepare) -> None:

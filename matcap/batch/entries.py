@@ -58,7 +58,7 @@ def make_plan(
         force: make even what is done.
         retry_failed: try even what is known to fail.
         overwrite: make even what would replace a longer capture.
-        tell: called with how many have been looked at.
+        tell: called with the number of samples looked at.
     """
     entries = []
     for index, sample in enumerate(samples):

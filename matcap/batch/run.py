@@ -46,7 +46,7 @@ class Policy:
 
 
 class Show(Protocol):
-    """Whoever watches."""
+    """Displays the progress of a batch."""
 
     def expect(self, total: int) -> None:
         """So many samples there are."""
@@ -82,7 +82,7 @@ class Batch:
         policy: what to do again.
         show: who watches.
         page: writes the index; called now and then, and at the end.
-        card: what the calibration card of the shoot told, or None.
+        card: calibration from the card of the shoot, or None.
     """
 
     def __init__(
@@ -241,7 +241,7 @@ class Batch:
             self._tasks.clear()
 
     def _following(self, task: _Task, failure: Failure, again: bool) -> tuple[_Task, str] | None:
-        """The next try: with nothing beside it, then at half the detail; None to give up."""
+        """The next try: alone, then at half the detail; None to give up."""
         job, tries = task.job, task.tries + 1
         if failure.kind == "crash":
             if again and not job.alone:

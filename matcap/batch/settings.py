@@ -20,7 +20,7 @@ from matcap.files.settings import (
 )
 
 FILE = "matcap.toml"
-_MOST_BYTES = 1_000_000  # of a settings file; nobody writes more
+_MOST_BYTES = 1_000_000  # limit of a settings file
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class Prepared:
     workers: int
     """How many there will be."""
     card: Calibration | None = None
-    """What the shoot's calibration card told, or None."""
+    """Calibration from the shoot's card, or None."""
     profiles: Mapping[Path, CameraProfile] = field(default_factory=dict)
     """Of the shoot's cameras, each with its file in the output."""
 

@@ -48,11 +48,11 @@ class BatchJob:
     detail: int
     """Texels across, less than the settings' where memory ran out."""
     alone: bool = False
-    """Nothing else runs beside it."""
+    """It runs alone."""
     card: Calibration | None = None
-    """What the shoot's card told, or None."""
+    """Calibration from the shoot's card, or None."""
     profile: CameraProfile | None = None
-    """Of the camera, as the shoot tells it."""
+    """Of the camera, estimated from the shoot."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
 
     result = capture_photo(photos[0], chosen, on_progress, others=photos[1:])
     on_progress(Progress("writing", 0.95))
-    # One tilt for all that is told of a photograph: the capture's own.
+    # One tilt for all findings of a photograph: the capture's own.
     first = inspect_photo(photos[0], result.material.setup.tilt)
     looked_at = [first, *map(photograph_quality, photos[1:])]
     stage = job.run.stage(job.name)
@@ -130,14 +130,14 @@ def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
 
 
 def measured(settings: CaptureSettings, card: Calibration | None) -> CaptureSettings:
-    """With the width that a card's board tells, where nobody gave another."""
+    """With the width measured by a card's board, where none is given."""
     if settings.width_cm is not None or card is None or card.millimetres_per_unit is None:
         return settings
     return replace(settings, width_cm=2.0 * card.millimetres_per_unit / 10.0)
 
 
 def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult) -> dict[str, Any]:
-    """What the index tells of a material."""
+    """The entry of a material in the index."""
     from matcap.capture.report import warnings
     from matcap.capture.settings import resolve
 

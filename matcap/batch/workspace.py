@@ -7,7 +7,7 @@ OUT/.matcap-batch/claims/NAME  who is making a material, so that two runs do not
 OUT/.matcap-batch/failed/NAME  photographs that cannot be used, and why
 
 Both `RUN.alive` and claims are locked files: the system lets go of them when their process ends,
-however it ends, so that nobody has to guess who is dead. Nothing here is trusted for what is done
+however it ends, so that a dead run is always recognised. Nothing here is trusted for what is done
 (that is record.py): where a file system knows no locks, two runs may make one material twice, and
 what dead runs left stays.
 

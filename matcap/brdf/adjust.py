@@ -51,7 +51,7 @@ _LONGEST = 10_000  # bytes of a file of adjustments
 
 @dataclass(frozen=True)
 class Adjustments:
-    """What is changed; by default nothing. The module tells of each.
+    """What is changed; by default nothing. See the module for each.
 
     Raises:
         UsageError: a value out of range.

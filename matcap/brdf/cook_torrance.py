@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 # Roughness below this shows as this: alpha = 1e-6, whose square and whose peak D = 1 / (pi
-# alpha^2) both stay far inside float32, and which no photograph or picture can tell from 0.
+# alpha^2) both stay far inside float32, and which no photograph or picture can distinguish from 0.
 MIN_ROUGHNESS = 1e-3
 SINGLE_ROUGHNESS = 0.05  # likewise of quick angles: a tenth of a per cent of alpha is float32's
 LEAST_COSINE = 1e-3  # of quick angles

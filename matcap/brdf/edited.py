@@ -22,7 +22,7 @@ MapPixels = NDArray[np.float32]
 def as_saved(stored: NamedChannels, channels: int, where: str) -> MapPixels:
     """(H, W, channels) of a map where its file holds the same in another number of channels.
 
-    Alpha is left out, and told of where it is not opaque; one channel stands for three, and three
+    Alpha is left out, with a note where it is not opaque; one channel stands for three, and three
     equal ones for one. Others come back as they are, for who reads them to refuse.
     """
     pixels = without_alpha(stored)
@@ -40,7 +40,7 @@ def as_saved(stored: NamedChannels, channels: int, where: str) -> MapPixels:
 
 
 def without_alpha(stored: NamedChannels) -> MapPixels:
-    """(H, W, C) without a channel A beside others."""
+    """(H, W, C) without an alpha channel."""
     kept = [place for place, name in enumerate(stored.names) if name != _ALPHA]
     if not kept or len(kept) == len(stored.names):
         return stored.pixels

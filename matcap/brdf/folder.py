@@ -3,7 +3,7 @@
 `<name>_diffuse.exr`, `_specular`, `_roughness` and `_normal` in half float, `_height` in 32-bit
 float, and `<name>.json`, which says what the numbers mean. On request also 16-bit PNGs. The folder
 is read back from the EXR files; the normal is derived from the height again. Where the file says
-something else, a note tells, and `--normals file` reads it (other_normals.py).
+something else, a note says so, and `--normals file` reads it (other_normals.py).
 
 Keys:
     format: "matcap map set".
@@ -26,7 +26,7 @@ Keys:
     png: with PNGs, `height_scale` and `height_midlevel`: height = (value - midlevel) * scale.
     conventions: what axes, unit, reflectance and normals are, in words.
     provenance: how the material was made; its `millimetres_per_unit` is how long a plane unit is,
-        or null where nobody measured it; of the photographed piece, `setup` is its camera and
+        or null where it was not measured; of the photographed piece, `setup` is its camera and
         flash, as in the material file.
 """
 
@@ -59,7 +59,7 @@ from matcap.files.staging import staged
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
-# Entries of a document that tell one map set from another of the same name.
+# Entries of a document that identify a map set among others of the same name.
 _WHAT_IT_IS = (
     "format", "width", "height", "x", "y", "seed", "periodic", "period", "udim", "normal",
     "texel_size", SPECULAR_CHANNELS, "provenance",
@@ -98,7 +98,7 @@ _CONVENTIONS = {
 
 @dataclass(frozen=True)
 class MapSetInfo:
-    """Where a map set comes from: what its JSON file says beside sizes and conventions.
+    """Where a map set comes from: what its JSON file says in addition to sizes and conventions.
 
     Attributes:
         name: what the files are called; a plain file name.

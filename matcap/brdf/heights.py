@@ -14,7 +14,7 @@ TALLEST = 1e6
 def check_heights(height: NDArray[np.floating], where: str = "") -> None:
     """Raise MatcapError if heights, in plane units, are none of a surface.
 
-    NaN and infinity are left to those who tell of them for every map.
+    NaN and infinity are checked for every map elsewhere.
     """
     most = float(np.abs(height).max(initial=0.0))
     if TALLEST < most < float("inf"):

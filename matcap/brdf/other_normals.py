@@ -1,6 +1,6 @@
 """A map set's normal file, where it says something else than its height.
 
-Normals follow from the height. Somebody may have painted on their file: a note tells so, and it is
+Normals follow from the height. Their file may have been edited: a note says so, and it is
 read where it is asked for (`--normals file`).
 """
 
@@ -35,7 +35,7 @@ _WITHOUT = "mend the file, or leave out --normals file"
 
 
 def note_other_normals(maps: MapSet, document: dict[str, Any], folder: Path) -> None:
-    """Tell if the normal file disagrees with the height, or cannot be used.
+    """Note if the normal file disagrees with the height, or cannot be used.
 
     Args:
         maps: as they were read.

@@ -1,4 +1,4 @@
-"""Whether maps repeat without a seam: the step across the border beside those inside."""
+"""Whether maps repeat without a seam: the step across the border compared with those inside."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
     from matcap.brdf.maps import MapSet
 
-SEAMLESS = 1.15  # a ratio that nobody sees: single lines of a texture scatter by as much
+SEAMLESS = 1.15  # an invisible ratio: single lines of a texture scatter by as much
 _LINES = 0.9  # of the lines inside
 
 

@@ -1,7 +1,7 @@
 """What the JSON file of a map set may say: one schema for every reader.
 
 A stranger may have written it: every entry has a type, a range and, where it names a file, a plain
-name. What is wrong is told with its key and its value. Provenance is anybody's, but for what
+name. Errors name the key and the value. Provenance is free-form, but for what
 commands compute with; see known_provenance, which materials' files go through, too.
 
 Read next: folder.py, which writes and reads what is stated.
@@ -114,7 +114,7 @@ def stated_specular(document: Mapping[str, Any]) -> int:
 
 
 def known_provenance(stated: object) -> dict[str, Any]:
-    """Provenance that a file states; numbers that are not finite become None, known to nobody.
+    """Provenance that a file states; numbers that are not finite become None, unknown.
 
     Raises:
         ValueError: it is no object, or a scale in it is no length.
@@ -154,7 +154,7 @@ def _style(value: object) -> NormalStyle:
 def _file(maps: dict[str, Any], kind: str, count: int) -> tuple[str, tuple[str, ...] | None]:
     about = maps.get(kind)
     if not isinstance(about, dict) or "file" not in about:
-        raise ValueError(f"'maps' tells no file of '{kind}'")
+        raise ValueError(f"'maps' names no file of '{kind}'")
     channels = about.get("channels")
     if channels is not None and not (
         isinstance(channels, list)

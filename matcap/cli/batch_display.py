@@ -20,7 +20,7 @@ _FIT = ("good", "usable")  # verdicts
 
 
 class BatchDisplay:
-    """Tells on a console how a batch goes.
+    """Shows the progress of a batch on a console.
 
     Args:
         console: where to.

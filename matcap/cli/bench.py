@@ -156,7 +156,7 @@ def floors(
 
     Photographs known materials, captures them, and compares photograph, exemplar and field with
     other true samples under new lights, by the style that SqueezeNet sees: normalised style
-    distances, 1 is indistinguishable. Prints the table, with what the maps tell and what is true.
+    distances, 1 is indistinguishable. Prints the table, with values of the maps and of the truth.
     """
     from matcap.capture.settings import CaptureSettings
     from matcap.lab.bench import nsd, several
@@ -301,7 +301,7 @@ def highlight(
     ] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Of the simulated ones.")] = 0,
     states_fov: Annotated[
-        bool, typer.Option("--fov/--no-fov", help="Whether the simulated ones tell theirs.")
+        bool, typer.Option("--fov/--no-fov", help="Whether the simulated ones state theirs.")
     ] = True,
     out: OutOption = Path("bench/highlight"),
 ) -> None:
@@ -406,7 +406,7 @@ def pairs(
     """Captures of the fronts side by side, without names, the truth between them.
 
     Look at the pages, write left, right or neither into the column `nearer` of pairs.csv, and put
-    it beside fronts.csv: bench report tells how often each measure agrees.
+    it beside fronts.csv: bench report counts how often each measure agrees.
     """
     from matcap.lab.bench.pairs import write_pairs
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Display:
-    """Tells on a console of photographs being captured.
+    """Shows the progress of captures on a console.
 
     Args:
         console: where to; quiet ones print only failures.

@@ -16,7 +16,7 @@ def doctor(
         typer.Option("--self-test/--no-self-test", help="Also try it all on a small material."),
     ] = True,
 ) -> None:
-    """Tell versions, devices and extras, and try whether all of it works.
+    """Print versions, devices and extras, and test whether all of it works.
 
     Answers 3 where something is missing or broken.
     """

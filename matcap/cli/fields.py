@@ -1,4 +1,4 @@
-"""Options made of the fields of settings (files/settings.py): nothing of them is told twice.
+"""Options generated from the fields of settings (files/settings.py), their only definition.
 
 A command states where they stand in its signature:
 

@@ -55,8 +55,8 @@ def inspect(
     """Say how good photographs are, and what to do at the next shot.
 
     Flash, clipping, hot spot, tilt, sharpness, sameness all over, what kind of file it is, and how
-    strong relief and albedo's contrast are, where that is told outright. Lines marked "!" hurt,
-    "?" may hurt. Of several photographs of one piece: which do not belong, from where nothing is
+    strong relief and albedo's contrast are, where the photograph measures that. Lines marked "!"
+    hurt, "?" may hurt. Of several photographs of one piece: which do not belong, from where nothing is
     lit, which are nearly the same. Of a material: its exemplar, what of it is left out, and its F0.
     """
     from matcap.files.names import are_a_series

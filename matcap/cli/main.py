@@ -104,7 +104,7 @@ def _matcap(
         ),
     ] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Tell what the command took, at its end.")
+        bool, typer.Option("--verbose", "-v", help="Print what the command took, at its end.")
     ] = False,
     debug: Annotated[
         bool,
@@ -123,7 +123,7 @@ def main(
 
     Args:
         arguments: those of the process unless given.
-        interrupted: tells whether a signal came. What it breaks in the middle of a library may
+        interrupted: says whether a signal came. What it breaks in the middle of a library may
             look like any other error.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
@@ -133,7 +133,7 @@ def main(
         app(args=arguments, prog_name="matcap")
     except SystemExit as stop:
         if isinstance(getattr(stop.__context__, "__cause__", None), KeyboardInterrupt):
-            return _end_early()  # as typer tells of one that no command heeded
+            return _end_early()  # as typer does for one that no command handled
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except MatcapError as error:
         _show(error, debug=debug)
@@ -162,7 +162,7 @@ def _show_warning(
     *,
     quiet: bool,
 ) -> None:
-    """Notes are sentences for the user; other warnings are told as Python tells them."""
+    """Notes are sentences for the user; other warnings are printed as Python prints them."""
     if not issubclass(category, Note):
         typer.echo(warnings.formatwarning(message, category, filename, lineno, line), err=True)
     elif not quiet:
@@ -183,7 +183,7 @@ def run() -> None:
     code = main(interrupted=came)
     ignore_both()
     # At its end Python looks for garbage among all there is, torch too: a third of a second. What
-    # it does not look for, OpenImageIO takes for leaks, and tells of one by one.
+    # it does not look for, OpenImageIO takes for leaks, and reports one by one.
     if "OpenImageIO" not in sys.modules:
         gc.freeze()
     sys.exit(_flushed(code))
@@ -194,7 +194,7 @@ def _flushed(code: int) -> int:
     try:
         sys.stdout.flush()
     except OSError as error:
-        # Python would try again at its end, and tell of it in its own words.
+        # Python would try again at its end, and report it in its own words.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if error.errno == errno.ENOSPC and not code:
             return _show_full(error, debug=False)

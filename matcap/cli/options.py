@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 def typed(parse: Callable[[Any], T]) -> Callable[[Any], T]:
-    """A parser for typer: what is a ValueError to `parse` is told as a wrong option."""
+    """A parser for typer: a ValueError of `parse` is reported as a wrong option."""
 
     @wraps(parse)
     def parsed(text: Any) -> T:  # noqa: ANN401
@@ -29,7 +29,7 @@ def typed(parse: Callable[[Any], T]) -> Callable[[Any], T]:
 
 
 def in_range(least: float, most: float) -> Callable[[Any], float]:
-    """A parser for typer of finite numbers within limits, which metavar or help tells."""
+    """A parser for typer of finite numbers within limits, which metavar or help state."""
     return typed(values.number(least, most))
 
 

@@ -111,7 +111,7 @@ def align(
     steps: Annotated[int, typer.Option(min=1, help="Of 24 photographs.")] = 8000,
     quiet: QuietOption = False,
 ) -> None:
-    """Train the alignment branch, which tells every capture the tilt, on simulated photographs."""
+    """Train the alignment branch, which measures every capture's tilt, on simulated photographs."""
     from matcap.files.staging import check_writable
     from matcap.lab.train.align import make, report_alignment, train_alignment
     from matcap.space.alignment import save_alignment
@@ -184,7 +184,7 @@ def evaluate(
     """Measure a prior on held-out photographs and unseen simulated materials.
 
     Every result is a row of prior-evaluation.csv as soon as it is there; the same command again
-    goes on from them. They are told apart by material, prior and options, not by the version of
+    goes on from them. They are identified by material, prior and options, not by the version of
     matcap: after changing that, or the pack, remove the CSV.
     """
     import shlex

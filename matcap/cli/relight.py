@@ -233,7 +233,7 @@ def _scene(name: str | None, lights: list[str], size: values.Size | None) -> Sce
 
 
 def _photographed(path: Path, size: values.Size | None) -> Scene | None:
-    """The photograph's own scene, where a material tells it."""
+    """The photograph's own scene, where a material records it."""
     from matcap.field.opened import open_photographed
     from matcap.relight.photographed import photographed_scene
     from matcap.relight.scene import Film

@@ -12,7 +12,7 @@ _PATIENCE = 2.0
 
 @contextmanager
 def shown(*, quiet: bool) -> Iterator[Callable[[float], None]]:
-    """A function that is told the share that is done, and shows it with the time that is left.
+    """A progress callback that shows the share that is done and the time that is left.
 
     Nothing appears within two seconds, or anywhere but on a terminal.
     """

@@ -177,7 +177,7 @@ def synth(
 
 
 def _slug(asked: SynthRequest) -> str:
-    """What the default folder's name says beside name, size and seed."""
+    """Part of the default folder's name that says what differs from the defaults."""
     area, growth, read = asked.area, asked.growth, asked.read
     parts = {
         f"x{area.x}_y{area.y}": (area.x, area.y) != (0, 0),
@@ -239,7 +239,7 @@ def _rectangle(region: values.Region) -> Rectangle:
 
 @contextmanager
 def _progress(*, quiet: bool) -> Iterator[Callable[[SynthProgress], None]]:
-    """Tell of the work: a bar on a terminal, a line now and then elsewhere."""
+    """Show progress: a bar on a terminal, a line now and then elsewhere."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 

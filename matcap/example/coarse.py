@@ -1,6 +1,6 @@
-"""The field from afar: which place of the exemplar each square of 2^level texels shows.
+"""Coarse levels of detail: the place of the exemplar that each square of 2^level texels shows.
 
-Places are found coarse to fine, so a level from afar is where finding them stops. Beyond the
+Places are synthesised coarse to fine, so a coarser level is where synthesis stops early. Beyond the
 coarsest level each square shows the piece it begins with; neighbouring squares are independent
 then. What is seen is near the mean of the finest texels, not that mean: seams that the finer levels
 would move stay where they are.

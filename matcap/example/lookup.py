@@ -39,7 +39,7 @@ class Level:
     similar: NDArray[np.int16]
     """(H, W, 2) int16 x, y in texels."""
     price: NDArray[np.int32]
-    """(H, W) int32 of a place in squares of 2^PRICE_BITS texels, beside how well it fits."""
+    """(H, W) int32 placement cost of squares of 2^PRICE_BITS texels, added to the mismatch."""
     phases: Phases | None
     """(H, W, 2) of the appearance's grid, where there is order to keep."""
 

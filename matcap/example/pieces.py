@@ -2,7 +2,7 @@
 
 A field of full variety begins with squares of some hundred texels, each anywhere. With less,
 pieces are larger, up to the whole exemplar, which is then repeated: what is long in it is torn
-less often. Every other piece is fitted to those beside it: of several drawn, it is the one whose
+less often. Every other piece is fitted to its neighbours: of several drawn, it is the one whose
 borders continue them best. Pieces of even row and column are free; those between two of them in a
 row or a column fit these; those of odd row and column fit all four. So a piece depends on no more
 than its neighbours' neighbours, and on nothing that was made before.
@@ -105,7 +105,7 @@ def inset(frame: Frame, by_x: int, by_y: int) -> Frame:
 
 @dataclass(frozen=True)
 class _Neighbour:
-    """Pieces beside others: to the left or right (along x) or above or below; their places."""
+    """Neighbouring pieces: to the left or right (along x), or above or below; their places."""
 
     along_x: bool
     step: int

@@ -16,7 +16,7 @@ from matcap.field.header import opened
 
 @dataclass(frozen=True)
 class Exemplified:
-    """A material's exemplar with what is told of it."""
+    """A material's exemplar with its name and provenance."""
 
     name: str
     """Of the material."""

@@ -1,4 +1,4 @@
-"""What is told of an exemplar: how large it is, what it repeats in, what of it is not used."""
+"""Summary of an exemplar: its size, the period of its lattice, the share that is not used."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Summary:
 
 
 def summary(example: Example) -> Summary:
-    """What is told of an example."""
+    """Size, period and unused share of an example."""
     order = example.index.order
     waves = () if order is None else order.waves
     side = 1 << detail_bits(example.exemplar)

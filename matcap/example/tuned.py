@@ -79,7 +79,7 @@ class OrderSettings:
         fewest: periods across an exemplar: of a check larger than a third of it nothing is kept.
         faint: of squared features: a plane may be flat.
         lag: windows' deviations: so far apart they hardly see the same cells.
-        steadiest: a plane alone must not be believed without end.
+        steadiest: upper limit of a plane's coherence, so that no single plane decides alone.
         rounds: a window smooths bends away: what is left of them is measured again.
     """
 
@@ -134,7 +134,7 @@ INDEX = IndexSettings()
 
 @dataclass(frozen=True)
 class LookupSettings:
-    """What a place costs beside how well it fits.
+    """Placement cost, added to the mismatch of appearances.
 
     Attributes:
         ordered: levels from this one on keep to the order.
@@ -183,7 +183,7 @@ class BlendSettings:
         levels: of places, that votes of every band are taken from, the finest band first. Of the
             finest places where a seam is joined where it lies; coarser ones differ there alone, and
             are there around every block anyway. More bands join slower drifts of colour.
-        measured: level, and places a side of a square of it, whose seams tell how far votes that
+        measured: level, and places a side of a square of it, whose seams measure how far votes that
             differ correlate.
     """
 
@@ -209,7 +209,7 @@ class TearingSettings:
         blocks: of each variety: more are less left to chance, and take longer. One where a lattice
             calls for a finer level.
         step: texels that are compared as one.
-        near: texels: shifts as short tell of grain, which pieces of any size keep.
+        near: texels: correlation at shorter shifts is grain, which pieces of any size keep.
         torn: mean correlation over longer shifts that may be lost: chance gives 0.02.
         share: of the exemplar's that may be lost, where it has more.
         seams: share of texels at borders. What is torn no more than it must be has up to 0.0175,

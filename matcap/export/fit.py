@@ -1,4 +1,4 @@
-"""What a target must be told so that it shows what is meant.
+"""Parameters fitted to a target's shading model so that it shows the intended reflectance.
 
 Where a target shades otherwise than matcap, the same numbers give another light: a layer darkens
 what lies below it, Disney's diffuse lobe is not Lambert's, Unity's mobile term is twice as bright

@@ -6,7 +6,7 @@ whatever it is. The metallic form does with glTF's core and one index of refract
 colour makes up for what the layer takes, and F0 for the bounces between microfacets that viewers
 add (fit.py). Ambient occlusion lies in red of the texture of
 roughness and metallic. The height has no place in glTF; its scale goes with the sidecar. A plane
-unit is as many metres as it really is, or one where nobody measured it.
+unit is as many metres as it really is, or one where it was not measured.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ class ExportJob:
     name: str
     """What the files are called; a plain file name."""
     millimetres: float | None = None
-    """How long a plane unit really is; None where nobody measured it."""
+    """Physical length of a plane unit; None where it was not measured."""
     depth: Depth | None = None
     """Of all textures, instead of what suits the target."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class ExportJob:
 
     @property
     def unit(self) -> str:
-        """What lengths are told in: "mm" or "plane unit"."""
+        """Unit of lengths: "mm" or "plane unit"."""
         return "plane unit" if self.millimetres is None else "mm"
 
     @property
@@ -62,7 +62,7 @@ class ExportJob:
 
     @property
     def metres(self) -> float:
-        """How many metres a plane unit is; 1 where nobody measured it, as size_notes() says."""
+        """How many metres a plane unit is; 1 where it was not measured, as size_notes() says."""
         return 1.0 if self.millimetres is None else self.millimetres / 1000.0
 
     @property
@@ -218,7 +218,7 @@ class MapRows:
 
 
 def known_scale(provenance: Mapping[str, Any]) -> float | None:
-    """Millimetres of a plane unit that a material's history tells; None where it does not."""
+    """Millimetres of a plane unit by a material's provenance; None where it has none."""
     card = provenance.get("card")
     for place in (provenance, card if isinstance(card, Mapping) else {}):
         scale = place.get("millimetres_per_unit")

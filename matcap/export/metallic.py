@@ -11,7 +11,7 @@ is nearest is written (presets.py):
   light; exact where the maps are a metallic material's. It may call metal what is none, so it
   is taken only where much is gained.
 
-What is lost is for surface.residual to tell.
+surface.residuals measures what is lost.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ def known(name: str, names: Iterable[str], where: str) -> str:
     """The name itself.
 
     Raises:
-        UsageError: it is not among `names`; tells the nearest of them, or all.
+        UsageError: it is not among `names`; the remedy names the nearest of them, or all.
     """
     names = list(names)
     if name in names:

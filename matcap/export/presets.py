@@ -145,7 +145,7 @@ class PresetTexture:
     depth: Depth
     """How it is stored unless the user says otherwise."""
     make: Callable[[PackedMaterial], Picture]
-    """Its values, of what the target is told; None for maps as they are."""
+    """Its values, fitted to the target's shading; None for maps as they are."""
     meaning: str
     """Of its values, for the sidecar."""
     srgb: bool | None = False

@@ -19,7 +19,7 @@ def material_reach(path: Path, name: str) -> float | None:
         name: of the map set, whose material has the same and may lie beside it.
 
     Returns:
-        None where there is no material with an exemplar: the maps themselves must tell.
+        None where there is no material with an exemplar: the maps themselves decide.
     """
     from matcap.field.material import Material
 

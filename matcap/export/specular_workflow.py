@@ -1,7 +1,7 @@
 """The specular workflow: a base colour below a specular layer of any F0.
 
 What the layer takes from the diffuse part is put into the base colour beforehand, as far as the
-target's shading is known (fit.py); a colour above 1 is clipped, and told.
+target's shading is known (fit.py); a colour above 1 is clipped, with a note.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What a target makes of a material, and how far that is from what matcap means by it.
 
 A TargetSurface holds the maps as a target's files hold them, rounding included, and how the target
-shades (shading.py). Read next: fit.py, which makes what is told to a target such that little
+shades (shading.py). Read next: fit.py, which fits the parameters for a target such that little
 differs.
 """
 

@@ -13,7 +13,7 @@ Keys:
     name: of the map set.
     width: texels.
     height: texels.
-    unit: what lengths are told in, "mm" or "plane unit".
+    unit: of lengths, "mm" or "plane unit".
     tile: (width, height) of the piece in that unit.
     texel: a texel's side in that unit.
     height_code: where the target stores heights, `scale`, `midlevel` and `unit`:
@@ -223,7 +223,7 @@ def write_export(
 
 
 def sidecar_name(name: str, target: str) -> str:
-    """Of the JSON file that tells what an export's folder holds."""
+    """Of the JSON file that lists what an export's folder holds."""
     return f"{made_plain(name)}_{target}.json"
 
 
@@ -275,7 +275,7 @@ def _outputs(export: Export, job: ExportJob, target: str) -> list[str]:
 
 
 def _earlier(folder: Path, target: str) -> set[str]:
-    """Names of the files that earlier exports for a target left in a folder, as they tell."""
+    """Names of the files that earlier exports for a target left in a folder, by their sidecars."""
     names = set()
     for sidecar in folder.glob(f"*_{target}.json"):
         try:
@@ -333,7 +333,7 @@ def _mean(off: Residual | None) -> float:
 
 
 def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) -> dict[str, Any]:
-    """NAME_TARGET.json; the module tells its keys."""
+    """NAME_TARGET.json; the module lists its keys."""
     width, height = job.maps.size
     across, down = (side * job.unit_length for side in job.extent)
     return {

@@ -42,7 +42,7 @@ class TextureFile:
     """There is one of every tile of a texture set."""
     eight_of_16: bool = False
     """Readers may drop the lower byte of 16 bits, as browsers do: the upper one is the nearest
-    number of 8 bits, which costs whoever reads both at most half such a step, and half-way
+    number of 8 bits, which costs a reader of both at most half such a step, and half-way
     nothing."""
 
     @staticmethod

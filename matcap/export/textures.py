@@ -48,7 +48,7 @@ class Export:
     notes: tuple[str, ...] = ()
     """What the user must know, a sentence each."""
     facts: dict[str, Any] = field(default_factory=dict)
-    """What else the sidecar tells; JSON."""
+    """Other entries of the sidecar; JSON."""
 
 
 @dataclass(frozen=True)

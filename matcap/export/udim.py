@@ -1,7 +1,7 @@
 """A texture set: tiles of one piece of material, numbered 1001 from the left bottom on (UDIM).
 
 Every tile is realised by itself, with some of what lies around it, so that normals and occlusion go
-on over its borders. What a target is told of the whole (an index of refraction, a range of heights)
+on over its borders. What a target needs of the whole (an index of refraction, a range of heights)
 is found from the first tile and holds for all. File names and documents say `<UDIM>`.
 """
 

@@ -16,6 +16,6 @@ if TYPE_CHECKING:
 
 def unreal_import(job: ExportJob, files: dict[str, str], lit: Lit) -> dict[str, str]:
     """T_NAME_import.py."""
-    del files, lit  # the sidecar tells
+    del files, lit  # the sidecar states them
     script = resources("matcap.export.scripts").joinpath("unreal_import.py").read_text()
     return {f"T_{job.name}_import.py": script}

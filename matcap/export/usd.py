@@ -457,7 +457,7 @@ def _package(files: Iterable[tuple[str, bytes]]) -> bytes:
         for name, content in files:
             info = zipfile.ZipInfo(name, _DATE)
             start = whole.tell() + _HEADER + len(name.encode())
-            # An extra field, private to nobody, fills up to the next multiple of 64.
+            # An extra field of no meaning fills up to the next multiple of 64.
             fill = -(start + 4) % _ALIGNMENT
             info.extra = struct.pack("<HH", 0x1986, fill) + b"\0" * fill
             package.writestr(info, content)

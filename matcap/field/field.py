@@ -1,7 +1,7 @@
 """Field: random access to the endless material.
 
 The plane is cut into a fixed grid of blocks. A block is always computed whole, on the same grid,
-from the same true noise around it, on one thread: its texels are the same bits whoever asks, in
+from the same true noise around it, on one thread: its texels are the same bits for every caller, in
 whatever order, whatever rectangle, and however many blocks are computed side by side.
 
 Read next: source.py (one block), synth/stream.py (rectangles of any size, to files).

@@ -197,7 +197,7 @@ class AdjustedMaterial:
 
 
 def open_source(path: Path, read: ReadOptions = AS_IT_IS) -> MapSet | Material | AdjustedMaterial:
-    """A map set's maps, or a material itself, to be read where it is seen; both as read tells.
+    """A map set's maps, or a material to read rectangles from; both with the read options.
 
     Raises:
         UsageError: as open_tile.

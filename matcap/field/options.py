@@ -36,7 +36,7 @@ class ReadOptions:
     """Rearrange the photographed piece (example), or ask the network (decoder)."""
     adjust: Adjustments | None = setting(None, metavar="NAME=VALUE,...", parse=_adjustments)
     """Change relief (factor), roughness (added), saturation, brightness (factors) or tint (#rrggbb)
-    of the maps, not of the material: relief=1.3,roughness=-0.1. Or a sidecar (.json) that tells
+    of the maps, not of the material: relief=1.3,roughness=-0.1. Or a sidecar (.json) that records
     it."""
     variety: float | None = setting(
         None, least=0.0, most=1.0, metavar="0..1", otherwise="what capture chose"

@@ -1,4 +1,4 @@
-"""What blocks of a field are read from, whoever makes them."""
+"""Sources that blocks of a field are read from, one interface for all generators."""
 
 from __future__ import annotations
 

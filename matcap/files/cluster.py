@@ -24,7 +24,7 @@ class Cluster:
         worker: the command that starts a worker as it is wanted here.
 
     Raises:
-        MatcapError: the extra is missing, nobody answers at the address, or there is no worker.
+        MatcapError: the extra is missing, no answer at the address, or there is no worker.
     """
 
     def __init__(self, scheduler: str, worker: str = "dask worker") -> None:

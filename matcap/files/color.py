@@ -199,12 +199,12 @@ ADOBE_RGB = space_of_primaries(
 
 
 def converted(space: ColorSpace) -> tuple[str, ...]:
-    """What the user is told of a file in this colour space: nothing where it is sRGB."""
+    """Notes to the user on a file in this colour space: none where it is sRGB."""
     if space is SRGB or space is LINEAR:
         return ()
     return (f"Colours converted from the file's {space.name} to Rec.709.",)
 
 
 def assumed(space: ColorSpace, what: str) -> str:
-    """What the user is told where the file states colours that are not read."""
+    """Note to the user where the file states colours that are not read."""
     return f"The file's {what} cannot be read: {space.name} assumed."

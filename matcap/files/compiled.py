@@ -15,7 +15,7 @@ def find_library(folder: Path, form: tuple[str, int]) -> Any | None:  # noqa: AN
 
     Args:
         folder: that holds kernel.c and what was built of it.
-        form: the function that tells which form of its calls it was built with, and which is meant.
+        form: name of the function that returns its interface version, and the expected one.
     """
     name, expected = form
     for suffix in EXTENSION_SUFFIXES:

@@ -38,7 +38,7 @@ _MODES = {b"RGB ": "RGB", b"GRAY": "L", b"CMYK": "CMYK"}
 def lineariser_of(
     profile: bytes | None, dtype: np.dtype[np.generic], default: ColorSpace
 ) -> tuple[Linearise, tuple[str, ...]]:
-    """How to linearise a file with this embedded profile, and what to tell the user about it.
+    """How to linearise a file with this embedded profile, and notes to the user about it.
 
     Args:
         profile: the ICC bytes, or None.

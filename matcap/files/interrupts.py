@@ -12,7 +12,7 @@ _BOTH = (signal.SIGINT, signal.SIGTERM)
 
 
 def end_alike() -> Callable[[], bool]:
-    """Have both raise KeyboardInterrupt in the main thread; gives what tells whether one came.
+    """Have both raise KeyboardInterrupt in the main thread; gives a function: whether one came.
 
     For a process of its own.
     """
@@ -36,7 +36,7 @@ def ignore_both() -> None:
 
 @contextmanager
 def postponed() -> Iterator[Callable[[], bool]]:
-    """Neither interrupts the block; what the block is given tells whether one came.
+    """Neither interrupts the block; the block receives a function that says whether one came.
 
     For seconds of work that must be whole. In other threads than the main one nothing interrupts.
     """
@@ -57,7 +57,7 @@ def postponed() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def starting_children() -> Iterator[None]:
-    """Processes started meanwhile begin undisturbed, and are told what they are, too.
+    """Processes started meanwhile begin undisturbed, and receive their role.
 
     They inherit that both are held back, until they call `settle_child`.
     """

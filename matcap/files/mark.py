@@ -11,7 +11,7 @@ their formats have for that:
     HTML    <meta name="generator">
 
 A mark is "matcap relight" and the like, without a version. What folders of several files hold their
-JSON document tells: see brdf/folder.py and export/targets.py.
+JSON document states: see brdf/folder.py and export/targets.py.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def check_replaceable(
         mark: of the command.
         inputs: files that the call reads, and folders, whose files are all taken for read.
         overwrite: replace what others wrote.
-        own: tells of files without marks whether the command wrote them.
+        own: decides for files without marks whether the command wrote them.
 
     Raises:
         UsageError: an output is an input.

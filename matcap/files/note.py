@@ -1,4 +1,4 @@
-"""What a reader notices that is no fault: told once, and the work goes on."""
+"""Notes of readers on what is no error: issued once, and the work goes on."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import warnings
 
 
 class Note(UserWarning):
-    """A sentence for whoever reads a file; the command line prints it, programs may filter it."""
+    """A note to the user; the command line prints it, programs may filter it."""
 
 
 def note(sentence: str) -> None:
-    """Tell it; the same sentence once a process, as Python does with warnings."""
+    """Issue a note; the same sentence once a process, as Python does with warnings."""
     warnings.warn(sentence, Note, stacklevel=3)

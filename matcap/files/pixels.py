@@ -69,7 +69,7 @@ class Pixels:
 
     @property
     def grey(self) -> bool:
-        """Whether there is one channel beside alpha."""
+        """Whether there is one channel, alpha not counted."""
         return self.roles["R"] == self.roles.get("G")
 
     def channel(self, role: str) -> NDArray[np.float32]:

@@ -15,7 +15,7 @@ class Progress:
     fraction: float
     """Of the whole, in [0, 1]."""
     seconds: float = 0.0
-    """Since the start; 0 where nobody counts."""
+    """Since the start; 0 where it is not measured."""
     seconds_left: float | None = None
     """Expected, or None where it is too early to say."""
 

@@ -39,7 +39,7 @@ def publish(stage: Path, names: Iterable[str], folder: Path, *, replacing: Itera
 
     Args:
         stage: holds the files; on the same disk as `folder`. After a failure they are there again.
-        names: of the files; documents come last, so that whoever sees one finds what it names.
+        names: of the files; documents come last, so that a reader of one finds what it names.
         folder: where they belong; it exists.
         replacing: names of older files in `folder` that go when the new ones come.
 

@@ -1,4 +1,4 @@
-"""Settings: what users choose, each told once, at the field of the frozen dataclass that holds it.
+"""Settings that users choose, each defined once, at the field of the frozen dataclass.
 
     detail: int | None = setting(None, least=64, most=8192)
     '''Texels along the photograph's long side.'''

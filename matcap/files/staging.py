@@ -53,7 +53,7 @@ def staged(folder: Path, *, replacing: Iterable[str] = ()) -> Iterator[StagedFol
         with new_folder(folder), _stage(folder) as stage:
             yield stage
             names = [file.name for file in stage.iterdir()]
-            if folder.name.startswith(HIDDEN):  # a stage itself: nobody sees half of it
+            if folder.name.startswith(HIDDEN):  # a stage itself, never visible by half
                 for name in names:
                     os.replace(stage / name, folder / name)
             else:

@@ -66,7 +66,7 @@ class StatedColor:
 def stated_color(path: Path, page: int = 0) -> StatedColor:
     """Look into a PNG, JPEG, TIFF, WebP, HEIC or AVIF file; anything else states nothing.
 
-    Broken statements are no statements: their files are judged by whoever reads the pixels.
+    Broken statements are no statements: their files are checked where the pixels are read.
 
     Args:
         path: the file.
@@ -152,7 +152,7 @@ def of_properties(properties: bmff.Properties) -> StatedColor:
 
 
 def of_exif(exif: bytes) -> StatedColor:
-    """What Exif states: R03 is Adobe RGB (DCF 2.0); an uncalibrated space is told of."""
+    """What Exif states: R03 is Adobe RGB (DCF 2.0); an uncalibrated space gives a note."""
     from PIL import Image
 
     tags = Image.Exif()

@@ -1,4 +1,4 @@
-"""What a photographed card tells of the other photographs of a shoot.
+"""Calibration of a shoot from a photograph of the printed card.
 
 From a ChArUco board (matcap card): millimetres a plane unit, and how squarely the card was seen.
 From a ColorChecker Classic in a RAW: a matrix to true colours, and how bright a white surface is
@@ -158,7 +158,7 @@ def fit_patches(measured: Values, places: Values, rounds: int = 100) -> ChartFit
     Args:
         measured: (24, 3) linear.
         places: (24, 2) image coordinates, the middle at 0.
-        rounds: of the alternation; a few tell charts from what is none.
+        rounds: of the alternation; a few distinguish charts from other patterns.
     """
     true = srgb_decode(np.array(PATCHES) / 255.0)
     x, y = places[:, 0], places[:, 1]

@@ -21,7 +21,7 @@ class Decoded:
         gain_map_applied: a DNG lens-shading map was applied.
         notes: sentences for the report.
         clipped_share: of the stored pixels (of a RAW: of the photosites of the colour that clips
-            most), before shrinking, or None where only `clipped` tells.
+            most), before shrinking, or None where only `clipped` is known.
         noise: like pixels, see Photo.
         balance: see Photo.
         opacity: (h, w) float32 in [0, 1], or None where everything is opaque.

@@ -1,7 +1,7 @@
 """A DNG's lens-shading GainMap opcodes: parsing and evaluating (Adobe DNG 1.7.1, chapter 7).
 
 Which picture they are applied to is the business of `raw` and `jxl`. Other opcodes are not carried
-out; of those that change more than single bad pixels the user is told.
+out; of those that change more than single bad pixels there is a note.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class ShotSettings:
         hot_reach: plane units: deviation of the weights of that fit.
         hot_rounds: of moving it.
         hot_edge: nearer the border than this part of a side, the highlight is cut off.
-        falloff: the hot spot over the border: less is no light beside the lens.
+        falloff: brightness of the hot spot over the border; a lower ratio shows no flash.
         clipped: share of the whole picture that is worth a word, and ...
         much_clipped: ... that hurts.
         tilted: degrees; real lenses shift what is found by a few.
@@ -155,7 +155,7 @@ def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Insp
 
     Args:
         photo: read at the detail it would be captured at; sharpness is of that.
-        tilt: (tilt_x, tilt_y) in radians as the coarse fit gives it, or None where nobody knows.
+        tilt: (tilt_x, tilt_y) in radians as the coarse fit gives it, or None where it is unknown.
     """
     place, falloff = hot_spot(photo)
     return Inspection(
@@ -341,7 +341,7 @@ def _sharpness(photo: Photo) -> Finding:
     blur = softness(photo.pixels)
     width = photo.pixels.shape[1]
     if math.isnan(blur):
-        says = "Nothing in it tells whether it is sharp: it is the same all over."
+        says = "Its sharpness cannot be measured: it is the same all over."
         remedy = "Check by eye that the focus was on the sample."
         return Finding("sharpness", None, Verdict.NOTE, says, remedy)
     value = round(blur, 3)

@@ -47,7 +47,7 @@ def read_jxl(path: Path, read: Callable[[Path], Read]) -> Read:
         try:
             return read(copy)
         except MatcapError as error:
-            # Where the copy lay for a moment is nobody's business.
+            # The temporary path of the copy is kept out of the error.
             raise MatcapError(error.what, where=str(path), remedy=error.remedy) from error
 
 

@@ -1,4 +1,4 @@
-"""Which reader a file needs, from its first bytes; the suffix only tells RAWs made as TIFF apart.
+"""Which reader a file needs, from its first bytes; the suffix only distinguishes RAWs made as TIFF.
 
 `matcap` trusts content over names: a JPEG called .png is read as a JPEG, a text file called .dng
 is refused as what it is.
@@ -115,7 +115,7 @@ def _of_tiff(path: Path) -> FileKind:
         return FileKind.TIFF
 
 
-# What is easily told, by its first bytes.
+# Formats recognised by their first bytes.
 _KNOWN = {
     b"\x76\x2f\x31\x01": "an OpenEXR picture", b"#?": "a Radiance picture", b"GIF8": "a GIF",
     b"BM": "a BMP picture", b"8BPS": "a Photoshop document", b"%PDF": "a PDF document",
@@ -125,7 +125,7 @@ _KNOWN = {
 
 
 def _guess(head: bytes) -> str:
-    """A word on what it seems to be, where that is easily told."""
+    """The format it seems to be, where the first bytes say so."""
     for begins, what in _KNOWN.items():
         if head.startswith(begins):
             return f" of a kind that is read but {what}"

@@ -35,7 +35,7 @@ class Photo:
         stored_clipped_share: share of the file's own pixels at the clip level, where known:
             `clipped` overstates it, for a shrunk pixel counts when a quarter of it was clipped.
         flash_intensity: radiant intensity of the flash in the units of `pixels`, where a
-            calibration card told it: albedo is absolute then.
+            calibration card measured it: albedo is absolute then.
         path: where the file was read, absolute; None where there was no file.
         noise: (H, W, 3) float32, what one more draw of the sensor's noise would have added to
             `pixels`; None where it is unknown or has averaged out.

@@ -1,4 +1,4 @@
-"""The sensor's noise: how strong it is, told from the mosaic itself, and another draw of it.
+"""The sensor's noise: its strength estimated from the mosaic itself, and another draw of it.
 
 Light comes in photons, and amplifiers hiss: a photosite's variance is a straight line in its
 signal (Foi et al., "Practical Poissonian-Gaussian noise modeling and fitting for single-image
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 # Mixed second difference: 0 on whatever bends along one direction only, of unit gain for noise
 # (Immerkaer, "Fast noise variance estimation", 1996).
 _CHECKER = np.outer((1.0, -2.0, 1.0), (1.0, -2.0, 1.0)).astype(np.float32) / 6.0
-_SMOOTH = 1.5  # photosites of one colour: standard deviation of the blur that tells the signal
+_SMOOTH = 1.5  # photosites of one colour: standard deviation of the blur that estimates the signal
 _BLOCK = 16  # photosites a side of what a variance is measured in
 _TILE = 256  # photosites a side of what is looked at in one piece
 _TILES = 48  # looked at, at most

@@ -64,7 +64,7 @@ class Block:
         n_dot_v: cosines of the view, not negative.
         facing: which pixels face the camera.
         total: (3, N) radiance.
-        flow: (9, N) for each colour irradiance times direction; None where nobody asks.
+        flow: (9, N) vector irradiance of each colour; None if not needed.
         strength, share: of multiple scattering, (N,) a channel; empty without it.
     """
 

@@ -2,7 +2,7 @@
 
 Linear Rec.709 radiance, whatever primaries the file states. What lies outside of an EXR file's data
 window is black. A cube map is one that says so (OpenEXR's envmap); it is looked up by
-latitude and longitude. A picture of code values (PNG, JPEG) is decoded from its curve and told of.
+latitude and longitude. A picture of code values (PNG, JPEG) is decoded by its curve, with a note.
 """
 
 from __future__ import annotations

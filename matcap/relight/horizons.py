@@ -67,7 +67,7 @@ class _Known:
     """(H W,) 1 at the first texel of each group that was walked from."""
     transfer: Array | None
     """(H W, CHANNELS) for each colour the vector t such that a neighbourhood lit by irradiance e
-    along l sends the texel t . (e l), when none of it faces away from l; or None where nobody asks
+    along l sends the texel t . (e l), when none of it faces away from l; or None if not needed
     for it."""
 
 

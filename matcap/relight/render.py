@@ -280,7 +280,7 @@ def _in_parallel(
     items: Iterable[Item],
     tell: Callable[[int], None] = lambda _done: None,
 ) -> None:
-    """Work on all items, on all cores; tell how many of the first are done."""
+    """Work on all items, on all cores; report how many are done, in order."""
     pool = ThreadPoolExecutor(_workers())
     try:
         for index, _ in enumerate(pool.map(work, items)):

@@ -51,7 +51,7 @@ class Albedo:
 
     @cached_property
     def fine_total(self) -> Array:
-        """Total at 1024 roughnesses, each value beside its step to the next, as real and imag."""
+        """Total at 1024 roughnesses: complex, the value and its step to the next."""
         return _fine(self.total)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What the renderer reads of a material: channels first, float32, with slopes beside the height."""
+"""A material as the renderer reads it: channels first, float32, with slopes of the height."""
 
 from __future__ import annotations
 

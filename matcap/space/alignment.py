@@ -1,7 +1,7 @@
 """The alignment branch: a photograph's tilt with its standard deviation, from the photograph alone.
 
 The paper's encoder has a branch for two rotation angles (Henzler et al. 2021, section "Alignment").
-Here it is a network of its own beside the encoder, since every capture asks it and most need no
+Here it is a network separate from the encoder, since every capture asks it and most need no
 latent code. Falloff, the highlight's place and the texture's foreshortening all speak of tilt. The
 first two keep their place in the picture, so features are pooled on a grid, and the blurred picture
 itself is handed on. Trained on simulated photographs of known tilt (lab/train/align.py).
@@ -30,7 +30,7 @@ from matcap.space.picture import PICTURE_CHANNELS, picture
 from matcap.space.residual import ResidualBlock
 
 WIDTH = 256  # picture columns it is shown
-CONDITIONS = 3  # numbers that it is told besides
+CONDITIONS = 3  # scalar inputs
 SHIPPED = Path(__file__).parent / "prior" / "weights" / "alignment.safetensors"
 
 _FORMAT = "matcap-alignment-1"

@@ -1,9 +1,8 @@
 """The decoder: a U-Net that turns an infinite random field into maps (paper, section 4.2).
 
 Noise enters at full resolution, is halved by max-pooling four times and doubled back by bilinear
-upsampling with skip connections. On the way up every level is also told the material's regular
-order, if it has any (regular_order.py); told on the way down, waves would beat with the poolings'
-grid.
+upsampling with skip connections. On the way up every level also receives the material's regular
+order, if it has any (regular_order.py); on the way down, waves would beat with the poolings' grid.
 
 Every convolution is followed by AdaIN (Huang and Belongie 2017), whose mean and deviation are
 affine in the 64-D code; also the last one, so the code states each map's mean and contrast
@@ -53,7 +52,7 @@ class DecoderConfig:
     """Channels of noise for the cells of regular order (regular_order.py), for materials that have
     any."""
     grains: int = 0
-    """Channels of structured noise (grains.py) read beside the white noise; 0 for none."""
+    """Channels of structured noise (grains.py) in addition to the white noise; 0 for none."""
 
     @property
     def inputs(self) -> int:

@@ -19,8 +19,8 @@ from matcap.space.decoder import CODE_SIZE
 from matcap.space.picture import PICTURE_CHANNELS
 from matcap.space.residual import ResidualBlock, norm, shortcut
 
-NUMBERS = 16  # what space/prior/look.py tells of the coarse fit
-TEXTURE = 231  # what it tells of the texture at full detail
+NUMBERS = 16  # parameters of the coarse fit (space/prior/look.py)
+TEXTURE = 231  # texture statistics at full detail
 BACKBONES = ("small", "resnet50")
 
 _LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0  # of a code's number
@@ -40,7 +40,7 @@ class EncoderConfig:
 
 
 class Bottleneck(nn.Module):
-    """ResNet-50's block: 1 x 1, 3 x 3, 1 x 1 convolutions beside a shortcut."""
+    """ResNet-50's block: 1 x 1, 3 x 3, 1 x 1 convolutions with a shortcut."""
 
     def __init__(self, inputs: int, outputs: int, stride: int) -> None:
         super().__init__()

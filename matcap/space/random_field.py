@@ -1,6 +1,6 @@
 """The random field the decoder reads: noise and, for materials with regular order, that order.
 
-Noise is white, and structured (grains.py) beside it where the decoder reads that, too.
+Noise is white, and also structured (grains.py) where the decoder reads that, too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Regular order, told to the decoder as a pure function of (seed, x, y), exact in [-2^40, 2^40].
+"""Lattice coordinates for the decoder, a pure function of (seed, x, y), exact in [-2^40, 2^40].
 
 For materials with long-range order (weaves, knits, tiles, planks). Noise through a network of
 finite reach can only keep order over that reach; what every texel knows keeps it for ever (after

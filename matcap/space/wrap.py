@@ -26,7 +26,7 @@ class _Wrap(Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: FunctionCtx, gradient: Tensor) -> Tensor:
-        """What a border texel is told goes to the texel it is a copy of."""
+        """The gradient of a border texel goes to the texel it is a copy of."""
         rows = gradient[..., 1:-1, :].clone()
         rows[..., 0, :] += gradient[..., -1, :]
         rows[..., -1, :] += gradient[..., 0, :]

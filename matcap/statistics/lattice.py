@@ -1,7 +1,7 @@
 """Finds the regular order of a texture: the plane waves a weave, knit, tile or stripe is made of.
 
 The averaged power spectrum of a regular texture has sharp peaks on a lattice. The two shortest
-waves that generate all of them are what the decoder needs to be told (space/regular_order.py);
+waves that generate all of them are the decoder's input (space/regular_order.py);
 everything else about the pattern it learns.
 """
 
@@ -214,7 +214,7 @@ def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
     sums = F.avg_pool2d(full[None, None], 3, stride=1, padding=1)[0, 0] * 9.0
     half = (columns > 0) | ((columns == 0) & (rows > 0))
     row, column = ((full == highest) & texture & half).nonzero(as_tuple=True)
-    # A median is dear: only where there is a maximum.
+    # A median is expensive: only where there is a maximum.
     background = patches[:, row, column].median(dim=0).values
     mass = sums[row, column] - 9.0 * background
     is_peak = (full[row, column] > LATTICE.peak_ratio * background) & (

@@ -32,7 +32,7 @@ class OpenedField:
     source: Source
     """Of its blocks."""
     info: MapSetInfo
-    """What is told of it: name, seed, place, provenance."""
+    """Name, seed, place and provenance."""
     choice: ChosenPrecision | None = None
     """A network's precision."""
 

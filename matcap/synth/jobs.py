@@ -1,4 +1,4 @@
-"""Pieces of a field as jobs for whoever computes them; always in order, never many at once."""
+"""Rectangles of a field as jobs for a worker pool; in order, a bounded number at a time."""
 
 from __future__ import annotations
 

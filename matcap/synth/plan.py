@@ -1,4 +1,4 @@
-"""What a request comes to: map sets, the pictures of each, and the document that tells of them."""
+"""What a request comes to: map sets, the pictures of each, and their JSON document."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def _wrap(asked: SynthRequest, source: Source) -> str:
 
 
 def _feed(update: Callable[[bytes], object], value: object) -> None:
-    """Tell a digest of everything that a value is made of."""
+    """Feed a digest with everything that a value is made of."""
     if is_dataclass(value):
         value = (type(value).__name__, *(getattr(value, part.name) for part in fields(value)))
     torch = sys.modules.get("torch")  # a value made without it holds none of its tensors

@@ -57,7 +57,7 @@ class SynthRequest:
     name: str = ""
     """Of the files; the material's unless given."""
     read: ReadOptions = AS_IT_IS
-    """Which of the material's fields, and what is changed of it; the sidecar's provenance tells."""
+    """Generator, variety and adjustments, as recorded in the sidecar's provenance."""
     tile: Literal["both", "x", "y", "piece"] | None = setting(
         None, words=("both", "x", "y", "piece")
     )

@@ -113,7 +113,7 @@ def _fill(
 
 
 class _Clock:
-    """Counts texels and tells of them."""
+    """Counts texels and reports progress."""
 
     def __init__(self, total: int, tell: Callable[[SynthProgress], None]) -> None:
         self._total, self._tell = total, tell

@@ -30,7 +30,7 @@ def synthesise(
     Args:
         asked: what.
         folder: where to; made when missing.
-        work: who does it, and with whom to tell how far it is.
+        work: workers, and the progress callback.
         on_precision: called with a network's precision, once it is chosen.
 
     Raises:

@@ -3,7 +3,7 @@
 Unlike files/staging.py, what an interrupted run leaves is kept and gone on with. Both publish
 alike (files/publish.py).
 
-After a power cut, what the run had written may lack parts: a tile tells by its checksum whether it
+After a power cut, what the run had written may lack parts: a tile's checksum says whether it
 is whole, and the first that is not ends what is gone on with (exr_tiles.py). A tile of pure noise,
 which does not pack, has none.
 """

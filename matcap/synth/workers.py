@@ -97,7 +97,7 @@ def _prepare(packed: bytes) -> None:
 
 
 def _follow(parent: BaseProcess) -> None:
-    """End with the parent, even one that was killed: nobody would end this process then."""
+    """End with the parent process, even one that was killed."""
     parent.join()
     os._exit(1)
 

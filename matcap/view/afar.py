@@ -1,4 +1,4 @@
-"""Materials from afar: moments of squares of 2^level texels, at any place of the endless field.
+"""Mip moments of materials: of squares of 2^level texels, at any place of the endless field.
 
 Near levels are means of the texels themselves. Far ones would be means of more texels than anybody
 waits for: by example they are read from the exemplar's own smaller forms, at places found no finer

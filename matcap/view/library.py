@@ -53,7 +53,7 @@ class Library:
         self._kept = lru_cache(_OPENED)(self._open)
 
     def shelf(self) -> list[dict[str, str]]:
-        """What is told of each, in their order."""
+        """A summary of each, in their order."""
         return [asdict(_shelved(file)) for file in self.files]
 
     def subject(self, first: int, second: int | None = None) -> Materials:

@@ -1,4 +1,4 @@
-"""Moments: what the page averages of a material, so that it looks right from afar.
+"""Moments: means that the page filters a material by, so that it looks right at a distance.
 
 Nine planes a texel, float32: diffuse albedo (3), F0, alpha squared, slopes along x and y, the sum
 of their squares, height; eleven where F0 has a colour, and so three channels. All of them may be

@@ -99,7 +99,7 @@ class Pages:
             return self._kept[place]
 
     def drop(self, place: Place) -> None:
-        """Nobody waits for it any more: it is not begun, unless it already was."""
+        """The request was cancelled: it is not begun, unless it already was."""
         with self._lock:
             kept = self._kept.get(place)
             if kept is not None and kept.cancel():

@@ -42,7 +42,7 @@ def serve(
         references: photograph, doubt mask and verdict shown with it.
         adjust: what is changed first.
         opens: the browser is opened.
-        announce: told the address once requests are accepted.
+        announce: called with the address once requests are accepted.
 
     Raises:
         MatcapError: the port is taken, or the extra `view` is not installed.
@@ -70,7 +70,7 @@ def serve_library(
         name: of the folder.
         port: 0 takes a free one.
         opens: the browser is opened.
-        announce: told the address once requests are accepted.
+        announce: called with the address once requests are accepted.
 
     Raises:
         MatcapError: the port is taken, or the extra `view` is not installed.

@@ -73,7 +73,7 @@ class Address:
 
 
 def new_address(port: int) -> Address:
-    """An address nobody can guess."""
+    """An address with a random token."""
     return Address(port, secrets.token_urlsafe(24))
 
 
@@ -236,7 +236,7 @@ def _subject_routes(
         except MatcapError as error:
             return PlainTextResponse(str(error), 400)
         if wanted is None:
-            return PlainTextResponse("Nobody waits for it.", 499)
+            return PlainTextResponse("The request was cancelled.", 499)
         return _page_answer(wanted)
 
     return [

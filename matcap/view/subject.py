@@ -44,7 +44,7 @@ class Flashed:
 
 @dataclass(frozen=True)
 class ViewFacts:
-    """What the page tells of its subject."""
+    """What the page shows about its subject."""
 
     name: str
     """Of the material or map set."""
@@ -63,7 +63,7 @@ class ViewFacts:
     flash: Flashed | None = None
     """What it was photographed with."""
     millimetres: float = 0.0
-    """Of a plane unit; 0 where nobody measured it."""
+    """Of a plane unit; 0 where it was not measured."""
 
 
 class Viewable(Protocol):
@@ -71,7 +71,7 @@ class Viewable(Protocol):
 
     @property
     def facts(self) -> ViewFacts:
-        """What the page tells of it."""
+        """What the page shows about it."""
         ...
 
     def moments(
@@ -109,7 +109,7 @@ class Materials:
         self.first, self.second, self.seed = first, second, seed
         self._prepared: dict[int, Callable[[], SmallerForms]] = {}
         self._field = lru_cache(_FIELDS)(self._open)
-        self._field(seed, 0.0 if second is None else 0.5)  # what is wrong is told at once
+        self._field(seed, 0.0 if second is None else 0.5)  # errors are raised at once
 
     @property
     def facts(self) -> ViewFacts:

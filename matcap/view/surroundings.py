@@ -34,7 +34,7 @@ def decoded(data: bytes) -> NDArray[np.float32]:
         try:
             picture = read_picture(file)
         except MatcapError as error:
-            # Where the file lay for a moment is nobody's business.
+            # The temporary path of the file is kept out of the error.
             raise MatcapError(error.what, where="the picture", remedy=error.remedy) from error
     height, width = picture.shape[:2]
     if width > _WIDEST:

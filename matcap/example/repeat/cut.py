@@ -1,7 +1,7 @@
 """The least visible cut through what two copies of a piece share (Kwatra et al. 2003).
 
 A minimum cut in which every row is cut once, which dynamic programming finds exactly: from row to
-row it may run any way across, and pays for what it passes.
+row it may run any way across, at the cost of what it crosses.
 """
 
 from __future__ import annotations

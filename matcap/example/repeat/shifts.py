@@ -80,7 +80,7 @@ def best_shift(
 
 
 def _likeliest(some: list[_Candidate], usual: float, width: int, scale: int) -> list[_Candidate]:
-    """Those whose copies differ least, none beside another."""
+    """The shifts whose copies differ least, no two adjacent."""
     ranked = sorted(
         some, key=lambda one: one.difference / usual - REPEAT.larger * one.shift[0] / width
     )

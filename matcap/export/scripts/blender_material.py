@@ -5,7 +5,7 @@ In Blender: open this file in the Text Editor and press Run Script. Or, from a t
     blender --python NAME_blender.py
 
 Both leave a material, marked for the asset browser, and a plane as large as the maps with it on: in
-metres, one for every plane unit where nobody measured it. To keep the material for the asset
+metres, one for every plane unit where it was not measured. To keep the material for the asset
 browser, save the file into a folder that Preferences, File Paths, Asset Libraries names.
 
 In Cycles its reflectance is matcap's own: a Diffuse BSDF and a Metallic BSDF, whose F82 tint of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-# Half a step of an 8-bit picture: what leaving effects out may change, unless told otherwise.
+# Half a step of an 8-bit picture: what leaving effects out may change by default.
 DEFAULT_TOLERANCE = 0.5 / 255.0
 
 

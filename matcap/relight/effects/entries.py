@@ -1,6 +1,6 @@
-"""Every effect there is, in the order in which plans tell of them.
+"""All effects, in the order in which plans list them.
 
-A new one is a file beside this and an entry here. What it may change is its bound; what it does is
+A new one is a file in this folder and an entry here. What it may change is its bound; it acts by
 `move`, before the material is read, or `add`, after the lights. Effects with neither are asked for
 by the loops of the lights, through the plan.
 """

@@ -1,1 +1,1 @@
-"""Map sets that matcap did not make, told apart by their files' names."""
+"""Map sets of other programs, recognised by their files' names."""

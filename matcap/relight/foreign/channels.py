@@ -75,7 +75,7 @@ class SetChannels:
 
 
 def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> SetChannels:
-    """Read the maps of a folder, told apart by their names, or by the sidecar of matcap's export.
+    """Read the maps of a folder, recognised by their names or by the sidecar of matcap's export.
 
     Args:
         folder: holds the pictures of one set.

@@ -1,4 +1,4 @@
-"""The textures inside a .glb that `matcap export` wrote, unpacked beside each other.
+"""The textures inside a .glb that `matcap export` wrote, unpacked into one folder.
 
 A glTF 2.0 binary, section 4.4: a header, a chunk of JSON and one of bytes. Only what matcap writes
 is understood (export/gltf.py); other programs' textures are unpacked with any glTF tool.

@@ -71,7 +71,7 @@ _STYLES = {
     "gl": ("gl", "ogl", "opengl", "yup"),
     "dx": ("dx", "directx", "d3d", "ydown"),
 }
-# Said beside the map's word, without changing which map it is.
+# Qualifiers of a map's name that do not change which map it is.
 _QUALIFIERS = (
     "map", "tex", "texture", "srgb", "linear", "lin", "raw", "noncolor", "data", "ambient", "mixed",
     "tangent", "pbr",
@@ -160,7 +160,7 @@ class _Word:
 
     @property
     def names(self) -> bool:
-        """Whether it names a map, or says something beside it."""
+        """Whether it names a map or is a qualifier."""
         return self.text in _VOCABULARY
 
 
@@ -194,7 +194,7 @@ def assigned(folder: Path) -> Assigned:
                 )
         files |= {kind: file for kind in wanted if kind not in files}
         if not wanted:
-            left_out[file.path] = " and ".join(file.channels) or "its name tells no map"
+            left_out[file.path] = " and ".join(file.channels) or "its name names no map"
         elif len(taken) == len(wanted):
             left_out[file.path] = f"{files[taken[0]].path.name} is taken"
     return Assigned(files, tuple(f"{path.name} ({why})" for path, why in sorted(left_out.items())))
@@ -355,7 +355,7 @@ _JOINED = {
 
 
 def _channels(kinds: tuple[str, ...]) -> Packing:
-    """Where a picture holds the maps that its name spells; nothing where nobody says."""
+    """Where a picture holds the maps that its name spells; nothing where the name says nothing."""
     if kinds in _SPELLED:
         return _SPELLED[kinds]
     if len(kinds) == 1:

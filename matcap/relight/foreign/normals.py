@@ -12,12 +12,12 @@ from matcap.relight.vectors import Array
 
 NormalStyle = Literal["gl", "dx"]
 
-_STEEPEST = 20.0  # a slope: 8 bits tell none beyond
+_STEEPEST = 20.0  # largest slope that 8 bits resolve
 _STEP = 2.0 / 255.0  # a channel that varies by less is constant
 _UNIT = 0.05  # by which vectors' length may be off, on average
 _NEGATIVE = 0.01  # share of texels: fewer are what resampling leaves of a coded map
 _FACING_DOWN = 0.5  # share of texels of which a map is of no surface seen from above
-_CLEARLY = 0.9  # of the other way's curl: more tells nothing
+_CLEARLY = 0.9  # of the other direction's curl: above it the test is undecided
 _SAMPLE = 1_000_000  # texels that a map's coding is judged by
 
 

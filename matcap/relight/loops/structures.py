@@ -1,4 +1,4 @@
-"""What the loops are told, as loops.h and the other files beside it have it."""
+"""C structures of the loops, as declared in loops.h and the other headers."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ _PAIRS = 4_000_000
 _ROOM = 1.1
 _SMALLEST = 1e-12  # of the size squared: twice the area of a triangle that may be seen
 _NOWHERE = 2**62  # an index that no table has
-_FARTHEST_SPOT = 1e6  # repeats of the texture; beyond, single precision tells no texels apart
+_FARTHEST_SPOT = 1e6  # repeats of the texture; beyond, single precision cannot resolve texels
 
 
 @dataclass(frozen=True)

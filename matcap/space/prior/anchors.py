@@ -5,7 +5,7 @@ over all the training photographs together, but not between them: a few hundred 
 dimensions leave most of the space near none. So materials are drawn near photographs' places, and
 each brings its order along, without which nothing is woven.
 
-A base is told by the habits (base = A code + b + L rest) and a rest that is standard normal, too.
+A base is modelled by the habits: base = A code + b + L rest, with rest standard normal.
 Code and rest of an anchor z move to
 
     sqrt(1 - t^2) z + t e,    e standard normal,
@@ -46,7 +46,7 @@ class Habits:
         return base_from(self.matrix @ code + self.offset + self.spread @ rest)
 
     def rest(self, code: Tensor, base: Base) -> Tensor:
-        """(VARYING,) what a code does not tell of a base."""
+        """(VARYING,) the whitened residual L^-1 (base - A code - b)."""
         residual = varying(base) - self.offset - self.matrix @ code
         return torch.linalg.solve_triangular(self.spread, residual[:, None], upper=False)[:, 0]
 
@@ -58,7 +58,7 @@ class Anchor:
     code: Tensor
     """(CODE_SIZE,)."""
     rest: Tensor
-    """(VARYING,) what the code does not tell of the base."""
+    """(VARYING,) the whitened residual of the base given the code."""
     waves: tuple[Wave, ...]
     """Of its regular order, at a drawn material's fineness."""
 

@@ -21,7 +21,7 @@ from matcap.space.tuning.start import head_start
 VARYING = 8  # of the base's numbers differ between materials: 5 means, 3 colour deviations
 
 _CONTRASTS = (0.02, 1.5)  # of log colour: a plain material may still be corrected a little
-# Units of F0 and roughness beside the deviations a capture starts with: means in these units must
+# Units of F0 and roughness, besides the deviations a capture starts with: means must
 # be able to move far.
 _UNIT = (1.0, 1.0, 1.0, 3.0, 3.0, 1.0)
 _START = (1.0, 1.0, 1.0, 0.33, 0.33, 0.33)  # deviations an untrained head begins with

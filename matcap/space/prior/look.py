@@ -19,9 +19,9 @@ from matcap.statistics.encoding import fit_encoding
 from matcap.statistics.filterbank import FilterBank, FilterBankConfig
 
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)  # that windows are compared by in training
-# The encoder is told spectra and distributions; Gram matrices, which it is not, can be small.
+# The encoder's inputs are spectra and distributions; Gram matrices are not, and can be small.
 _ENCODER_BANK = FilterBankConfig(sizes=(5,), filters=1, crossed=False)
-WINDOW = 96  # texels a side of the windows whose texture is told
+WINDOW = 96  # texels a side of the windows whose texture statistics are input
 _PLACES_ACROSS, _PLACES_DOWN = (0.1, 0.37, 0.63, 0.9), (0.15, 0.5, 0.85)
 _LEVELS = 3  # of the pyramid; what a window of 64 texels has
 _LAGS_DOWN = (0, 1, 2, 4, 7, 11)  # texels of a level, as are those across

@@ -66,7 +66,7 @@ def forecast(history: History, seconds: float) -> float | None:
 
 
 class Forecaster:
-    """What is told of fine-tuning while it runs, in multiples of a photograph's self-difference."""
+    """Progress of fine-tuning: errors in multiples of the photograph's self-difference."""
 
     def __init__(self, own: float) -> None:
         """Begin; `own` is the photograph's self-difference, NaN where it has none."""

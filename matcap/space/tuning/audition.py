@@ -105,4 +105,4 @@ def _best_of_some(
 
 
 def _untold(share: float, error: float, seconds: float) -> None:
-    """Nobody listens to an audition."""
+    """Ignore the progress of the initialisation search."""

@@ -6,7 +6,7 @@ is added to the rendering first, so that the material need not imitate it. The l
 with AdaIN's statistics frozen, so that what is saved is what was optimised.
 
 Anytime: it ends after a number of steps, a time, at an error (schedule.py), or by an interrupt,
-and hands back the best so far (guard.py). What maps pay beside their distance is in penalty.py.
+and hands back the best so far (guard.py). Penalties on maps are in penalty.py.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class TuneSettings:
     learning_rate: float = RATE_FROM_NOTHING
     """Of Adam, at its highest."""
     penalties: Penalties = Penalties()
-    """Weights of what is charged beside the distance."""
+    """Weights of the penalties added to the distance."""
     half_precision: bool = True
     """bfloat16 inside the network and the features, on processors that compute with it."""
     seed: int = 0

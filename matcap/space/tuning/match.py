@@ -4,9 +4,9 @@ Fine-tuning compares statistics window by window, whose best compromise is a lit
 the structure is not met, and may be off in mean (docs/notes/prior.md). The last AdaIN states mean
 and deviation of every map outright, so both can be set right without another step: the material is
 rendered as the whole photograph, compared, and moved, a few times over. Diffuse albedo and relief
-take one common gain, for the picture tells their contrast only together; F0 and roughness stay.
+take one common gain, for the picture determines their contrast only jointly; F0 and roughness stay.
 
-Contrast is told twice, by the mean over the picture and by the median block's, and only as far as
+Contrast is measured by the mean over the picture and by the median block's, and only as far as
 both agree is it moved: a few scratches or clouds raise the one and leave the other, and no gain
 of everything makes them.
 """

@@ -71,7 +71,7 @@ class MatchSettings:
     least_seen: float = 0.05
     """Share of the texels; of fewer nothing is concluded."""
     damping: float = 0.1
-    """Of a shift, beside a squared share of diffuse light: where most light is mirrored, what is
+    """Of a shift, added to the squared diffuse share: where most light is mirrored, what is
     missing of it says little about the diffuse albedo."""
     gain_step: tuple[float, float] = (0.7, 1.4)
     """Bounds of one round, and ..."""
