@@ -45,7 +45,7 @@ def make_plan(
     force: bool = False,
     retry_failed: bool = False,
     overwrite: bool = False,
-    tell: Callable[[int], None] = lambda count: None,
+    on_progress: Callable[[int], None] = lambda count: None,
 ) -> list[BatchEntry]:
     """How every sample stands.
 
@@ -58,11 +58,11 @@ def make_plan(
         force: make even what is done.
         retry_failed: try even what is known to fail.
         overwrite: make even what would replace a longer capture.
-        tell: called with the number of samples looked at.
+        on_progress: called with the number of samples looked at.
     """
     entries = []
     for index, sample in enumerate(samples):
-        tell(index)
+        on_progress(index)
         entry = _entry(sample, settings, prior, card)
         if entry.state == "todo":
             look_again(

@@ -56,8 +56,9 @@ def inspect(
 
     Flash, clipping, hot spot, tilt, sharpness, sameness all over, what kind of file it is, and how
     strong relief and albedo's contrast are, where the photograph measures that. Lines marked "!"
-    hurt, "?" may hurt. Of several photographs of one piece: which do not belong, from where nothing is
-    lit, which are nearly the same. Of a material: its exemplar, what of it is left out, and its F0.
+    hurt, "?" may hurt. Of several photographs of one piece: which do not belong, from where nothing
+    is lit, which are nearly the same. Of a material: its exemplar, what of it is left out, and its
+    F0.
     """
     from matcap.files.names import are_a_series
     from matcap.photo.camera import read_camera_profile

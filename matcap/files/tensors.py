@@ -3,8 +3,8 @@
 Files to be read may be a stranger's: nothing in them is executed, and every tensor's shape is
 compared with what is expected before it is read.
 
-A flipped byte in a tensor is another number, which would go unnoticed: the metadata's `digest` detects
-it. It is of everything but itself, the other metadata and all tensors' bytes.
+A flipped byte in a tensor is another number, which would go unnoticed: the metadata's `digest`
+detects it. It is of everything but itself, the other metadata and all tensors' bytes.
 """
 
 from __future__ import annotations

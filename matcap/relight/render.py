@@ -278,13 +278,13 @@ def _blocks(size: tuple[int, int], *, whole_tiles: bool) -> Iterator[Cut]:
 def _in_parallel(
     work: Callable[[Item], None],
     items: Iterable[Item],
-    tell: Callable[[int], None] = lambda _done: None,
+    on_progress: Callable[[int], None] = lambda _done: None,
 ) -> None:
     """Work on all items, on all cores; report how many are done, in order."""
     pool = ThreadPoolExecutor(_workers())
     try:
         for index, _ in enumerate(pool.map(work, items)):
-            tell(index + 1)
+            on_progress(index + 1)
     finally:
         # An interruption waits for no more than what has begun.
         pool.shutdown(cancel_futures=True)

@@ -5,8 +5,8 @@ of the next coarser level, the autocorrelation of the colours (the power spectru
 the colours' distribution; and the window's mean colour. The distance is a sum of L1 differences,
 each relative to the target's own size, so that no level and no kind of statistic drowns the others.
 
-Gram matrices of single levels do not capture where fine structure sits in coarse structure, as in an
-edge: its levels rise at the same places. Covariances between levels do (Portilla and Simoncelli
+Gram matrices of single levels do not capture where fine structure sits in coarse structure, as in
+an edge: its levels rise at the same places. Covariances between levels do (Portilla and Simoncelli
 2000 hold parent and child bands together for the same reason).
 """
 

@@ -115,8 +115,8 @@ def _fill(
 class _Clock:
     """Counts texels and reports progress."""
 
-    def __init__(self, total: int, tell: Callable[[SynthProgress], None]) -> None:
-        self._total, self._tell = total, tell
+    def __init__(self, total: int, on_progress: Callable[[SynthProgress], None]) -> None:
+        self._total, self._on_progress = total, on_progress
         self._texels = self._resumed = 0
         self._start = time.monotonic()
 
@@ -132,4 +132,4 @@ class _Clock:
         rate = (self._texels - self._resumed) / max(seconds, 1e-9)
         left = (self._total - self._texels) / rate if rate else None
         share, resumed = (texels / self._total for texels in (self._texels, self._resumed))
-        self._tell(SynthProgress("", share, seconds, left, rate, resumed))
+        self._on_progress(SynthProgress("", share, seconds, left, rate, resumed))

@@ -263,7 +263,7 @@ def test_missing_and_corrupt_maps_are_named(tmp_path, maps):
         ({"provenance": 3}, "'provenance' is 3, no object"),
         ({"provenance": {"millimetres_per_unit": float("nan")}}, "'millimetres_per_unit' is nan"),
         ({"provenance": {"card": {"millimetres_per_unit": -1}}}, "'millimetres_per_unit' is -1"),
-        ({"maps": {}}, "'maps' tells no file of 'diffuse'"),
+        ({"maps": {}}, "'maps' names no file of 'diffuse'"),
         ({"maps": None}, "'maps' is None, no list of maps"),
     ],
 )

@@ -222,7 +222,7 @@ def test_what_is_not_understood_is_named_and_hidden_files_are_not(tmp_path):
     assert found.left_out == (
         "a.dds (a kind of file that is not read)",
         "a_AO.png (ambient occlusion)",
-        "a_xyz.png (its name tells no map)",
+        "a_xyz.png (its name names no map)",
     )
 
 
